@@ -1,0 +1,57 @@
+"""Errors and exit codes, all of them.
+
+OctexError                  anything octex refuses; the message names what, why and what to do
+├── InputError              something given cannot be used
+│   ├── ArgumentError       an argument (also a ValueError)
+│   ├── ModelError          a model file or surface
+│   ├── ImageError          an image file
+│   └── TextureFileError    an .octex file
+├── OutputError             something could not be written; what stood there before still stands
+└── MissingExtraError       an optional package is not installed (also an ImportError)
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """What every octex command returns to the shell."""
+
+    DONE = 0
+    INVALID = 1  # --validate: the file is readable but broken
+    REFUSED = 2  # bad usage, bad input, or output that cannot be written
+    CRASHED = 70  # a defect of octex itself
+    INTERRUPTED = 130  # Ctrl-C
+
+
+class OctexError(Exception):
+    """Base of everything that octex raises on purpose."""
+
+
+class InputError(OctexError):
+    """Something given to octex cannot be used."""
+
+
+class ArgumentError(InputError, ValueError):
+    """An argument has the wrong type, shape, range or name."""
+
+
+class ModelError(InputError):
+    """A model file or a surface cannot be used."""
+
+
+class ImageError(InputError):
+    """An image is missing, broken or of a kind that octex does not read."""
+
+
+class TextureFileError(InputError):
+    """A file is not an octree texture, is damaged, or comes from a newer octex."""
+
+
+class OutputError(OctexError):
+    """A file could not be written; nothing of the user's was changed."""
+
+
+class MissingExtraError(OctexError, ImportError):
+    """An optional dependency is needed; the message names the extra to install."""

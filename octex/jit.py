@@ -1,0 +1,67 @@
+"""How octex compiles: one decorator, and the bit instructions that numba lacks.
+
+With ``NUMBA_DISABLE_JIT=1`` every kernel runs as plain Python; the intrinsics then have plain twins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numba
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+#: True when kernels run as plain Python.
+DISABLED: bool = bool(numba.config.DISABLE_JIT)
+
+
+def kernel(function: Function) -> Function:
+    """Compile ``function`` on first call, cached on disk, releasing the GIL.
+
+    Kernels take arrays, scalars and named tuples of them; they never raise and never allocate per element.
+    """
+    return numba.njit(cache=True, nogil=True, error_model="numpy")(function)  # type: ignore[no-any-return]
+
+
+if DISABLED:
+
+    def popcount(bits: int) -> int:
+        """Count the set bits of an unsigned 64-bit integer."""
+        return int(bits).bit_count()
+
+    def trailing_zeros(bits: int) -> int:
+        """Index of the lowest set bit of a non-zero unsigned 64-bit integer."""
+        bits = int(bits)
+        return (bits & -bits).bit_length() - 1
+
+else:
+
+    @intrinsic
+    def popcount(_context: Any, _bits: Any) -> Any:
+        """Count the set bits of an unsigned 64-bit integer: one instruction."""
+
+        def codegen(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+            return builder.ctpop(arguments[0])
+
+        return types.int64(types.uint64), codegen
+
+    @intrinsic
+    def trailing_zeros(_context: Any, _bits: Any) -> Any:
+        """Index of the lowest set bit of a non-zero unsigned 64-bit integer: one instruction."""
+
+        def codegen(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+            zero_is_undefined = ir.Constant(ir.IntType(1), 0)
+            return builder.cttz(arguments[0], zero_is_undefined)
+
+        return types.int64(types.uint64), codegen
+
+
+@kernel
+def low_bits(count: int) -> np.uint64:
+    """A mask of the lowest ``count`` bits, 0 ≤ count ≤ 63."""
+    return (np.uint64(1) << np.uint64(count)) - np.uint64(1)

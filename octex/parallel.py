@@ -1,0 +1,75 @@
+"""Work in parallel on any executor, and say how far it is."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Protocol, TypeVar
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+class Progress(Protocol):
+    """Called now and then with the name of the stage, the units done and the units in all."""
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Report; must return quickly."""
+
+
+def silent(stage: str, done: int, total: int) -> None:
+    """Report nothing."""
+
+
+def cpu_count() -> int:
+    """Processors that this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on this operating system
+        return os.cpu_count() or 1
+
+
+@contextmanager
+def workers(executor: Executor | None) -> Iterator[Executor]:
+    """Yield ``executor``, or for None a thread pool over all processors that ends with the block."""
+    if executor is not None:
+        yield executor
+        return
+    with ThreadPoolExecutor(cpu_count(), thread_name_prefix="octex") as pool:
+        yield pool
+
+
+def ordered_map(
+    executor: Executor,
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    *,
+    stage: str = "",
+    progress: Progress = silent,
+    window: int = 64,
+) -> Iterator[Result]:
+    """Yield ``function(item)`` for each item, in the order of the items.
+
+    At most ``window`` items are in flight, so that results do not pile up. The first error ends the map and
+    cancels what has not begun.
+    """
+    pending: deque[Future[Result]] = deque()
+    total = len(items)
+    done = 0
+    try:
+        for item in items:
+            pending.append(executor.submit(function, item))
+            if len(pending) >= window:
+                yield pending.popleft().result()
+                done += 1
+                progress(stage, done, total)
+        while pending:
+            yield pending.popleft().result()
+            done += 1
+            progress(stage, done, total)
+    finally:
+        for future in pending:
+            future.cancel()
