@@ -52,13 +52,13 @@ def linear_to_srgb(linear: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 @cache
 def decode_table(dtype: str, space: ColorSpace) -> npt.NDArray[np.float32]:
-    """The decoded value of every code of an unsigned integer dtype."""
+    """Return the decoded value of every code of an unsigned integer dtype."""
     codes = np.arange(int(ONE[dtype]) + 1) / ONE[dtype]
     return (srgb_to_linear(codes) if space == "srgb" else codes).astype(np.float32)
 
 
 def decode(stored: npt.NDArray[np.generic], space: ColorSpace) -> npt.NDArray[np.float32]:
-    """Stored values as float32: linear light for colours."""
+    """Return stored values as float32: linear light for colours."""
     name = stored.dtype.name
     if name in ("uint8", "uint16"):
         return cast("npt.NDArray[np.float32]", decode_table(name, space)[stored])
@@ -67,15 +67,20 @@ def decode(stored: npt.NDArray[np.generic], space: ColorSpace) -> npt.NDArray[np
 
 
 def encode(values: npt.NDArray[np.floating], dtype: str, space: ColorSpace) -> npt.NDArray[np.generic]:
-    """Values (linear light for colours) as stored numbers, rounded to nearest; integers clamp to 0 … 1."""
+    """Return values (linear light for colours) as stored numbers, rounded to nearest.
+
+    Integers clamp to 0 … 1 and take NaN as 0; float16 stops at its largest finite number.
+    """
     if dtype == "uint8" and space == "srgb":
         flat = np.ascontiguousarray(values, np.float64).reshape(-1)
         return _encode_srgb8(flat, *_srgb8_encoder()).reshape(values.shape)
     encoded = linear_to_srgb(values) if space == "srgb" else values
     if dtype in ("uint8", "uint16"):
-        scaled: npt.NDArray[np.generic] = np.rint(np.clip(encoded, 0.0, 1.0) * ONE[dtype]).astype(dtype)
+        unit = np.fmin(np.fmax(encoded, 0.0), 1.0)
+        scaled: npt.NDArray[np.generic] = np.rint(unit * ONE[dtype]).astype(dtype)
         return scaled
-    return encoded.astype(dtype)
+    largest = np.finfo(dtype).max
+    return np.clip(encoded, -largest, largest).astype(dtype)
 
 
 _ENCODER_BINS = 4096
@@ -83,7 +88,7 @@ _ENCODER_BINS = 4096
 
 @cache
 def _srgb8_encoder() -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64]]:
-    """First guess by bin of linear light, and the linear light at which each code gives way to the next."""
+    """Return a first guess by bin of linear light, and the light at which each code gives way to the next."""
     thresholds = np.append(srgb_to_linear((np.arange(255) + 0.5) / 255), np.inf)
     guesses = np.searchsorted(thresholds, np.arange(_ENCODER_BINS) / _ENCODER_BINS, side="right")
     return guesses.astype(np.uint8), thresholds
@@ -99,7 +104,7 @@ def _encode_srgb8(
         value = values[i]
         clamped = value if value > 0.0 else 0.0  # NaN too
         clamped = clamped if clamped < 1.0 else 1.0
-        code = np.int64(guesses[min(np.int64(clamped * _ENCODER_BINS), _ENCODER_BINS - 1)])
+        code = np.int64(guesses[min(int(clamped * _ENCODER_BINS), _ENCODER_BINS - 1)])
         while clamped >= thresholds[code]:
             code += 1
         codes[i] = code

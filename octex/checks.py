@@ -16,7 +16,10 @@ def as_points(points: npt.ArrayLike, name: str = "points") -> npt.NDArray[np.flo
 
     Raises ArgumentError for another shape or for values that are not real numbers.
     """
-    array = np.asarray(points)
+    try:
+        array = np.asarray(points)
+    except ValueError:  # rows of unequal lengths
+        raise ArgumentError(f"{name} must have shape (n, 3)") from None
     if array.dtype.kind not in "fiu":
         raise ArgumentError(f"{name} must be real numbers, not {array.dtype}")
     if array.ndim != 2 or array.shape[1] != 3:

@@ -13,16 +13,26 @@ OctexError                  anything octex refuses; the message names what, why 
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import Self
 
 
 class ExitCode(IntEnum):
     """What every octex command returns to the shell."""
 
-    DONE = 0
-    INVALID = 1  # --validate: the file is readable but broken
-    REFUSED = 2  # bad usage, bad input, or output that cannot be written
-    CRASHED = 70  # a defect of octex itself
-    INTERRUPTED = 130  # Ctrl-C
+    meaning: str
+
+    def __new__(cls, value: int, meaning: str) -> Self:
+        """Make a number that knows what it means."""
+        code = int.__new__(cls, value)
+        code._value_ = value
+        code.meaning = meaning
+        return code
+
+    DONE = 0, "done"
+    INVALID = 1, "--validate found the file broken"
+    REFUSED = 2, "bad usage, bad input, or output that cannot be written"
+    CRASHED = 70, "a defect of octex itself"
+    INTERRUPTED = 130, "interrupted (Ctrl-C)"
 
 
 class OctexError(Exception):

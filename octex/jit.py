@@ -6,6 +6,7 @@ With ``NUMBA_DISABLE_JIT=1`` every kernel runs as plain Python; the intrinsics t
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, TypeVar
 
 import numba
@@ -25,7 +26,11 @@ def kernel(function: Function) -> Function:
 
     Kernels take arrays, scalars and named tuples of them; they never raise and never allocate per element.
     """
-    return numba.njit(cache=True, nogil=True, error_model="numpy")(function)  # type: ignore[no-any-return]
+    compiler = partial(numba.njit, nogil=True, error_model="numpy")
+    try:
+        return compiler(cache=True)(function)  # type: ignore[no-any-return]
+    except RuntimeError:  # no folder that numba could write its cache to: compile in every process
+        return compiler(cache=False)(function)  # type: ignore[no-any-return]
 
 
 if DISABLED:
@@ -41,7 +46,7 @@ if DISABLED:
 
 else:
 
-    @intrinsic
+    @intrinsic  # type: ignore[untyped-decorator]
     def popcount(_context: Any, _bits: Any) -> Any:
         """Count the set bits of an unsigned 64-bit integer: one instruction."""
 
@@ -50,7 +55,7 @@ else:
 
         return types.int64(types.uint64), codegen
 
-    @intrinsic
+    @intrinsic  # type: ignore[untyped-decorator]
     def trailing_zeros(_context: Any, _bits: Any) -> Any:
         """Index of the lowest set bit of a non-zero unsigned 64-bit integer: one instruction."""
 
@@ -63,5 +68,5 @@ else:
 
 @kernel
 def low_bits(count: int) -> np.uint64:
-    """A mask of the lowest ``count`` bits, 0 ≤ count ≤ 63."""
+    """Return a mask of the lowest ``count`` bits, 0 ≤ count ≤ 63."""
     return (np.uint64(1) << np.uint64(count)) - np.uint64(1)

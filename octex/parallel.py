@@ -33,13 +33,24 @@ def cpu_count() -> int:
 
 
 @contextmanager
+def threads(count: int) -> Iterator[Executor]:
+    """Yield a pool of ``count`` threads that ends with the block; an error drops what has not begun."""
+    with ThreadPoolExecutor(count, thread_name_prefix="octex") as pool:
+        try:
+            yield pool
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+@contextmanager
 def workers(executor: Executor | None) -> Iterator[Executor]:
     """Yield ``executor``, or for None a thread pool over all processors that ends with the block."""
     if executor is not None:
         yield executor
-        return
-    with ThreadPoolExecutor(cpu_count(), thread_name_prefix="octex") as pool:
-        yield pool
+    else:
+        with threads(cpu_count()) as pool:
+            yield pool
 
 
 def ordered_map(

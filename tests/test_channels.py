@@ -1,0 +1,367 @@
+"""Channels, the border checks, the compile policy, parallel work and the errors: what all rooms stand on."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import octex
+from octex import channels, checks, errors, jit, parallel
+from octex.channels import decode, encode, linear_to_srgb, srgb_to_linear
+from octex.errors import ArgumentError, ExitCode
+from octex.tree.layout import MAX_DEPTH
+from tests.conftest import needs_jit
+
+# --- channels
+
+
+@pytest.mark.parametrize("space", channels.COLOR_SPACES)
+@pytest.mark.parametrize("dtype", ["uint8", "uint16"])
+def test_every_code_survives_decoding_and_encoding(dtype: str, space: channels.ColorSpace) -> None:
+    codes = np.arange(int(channels.ONE[dtype]) + 1).astype(dtype)
+    np.testing.assert_array_equal(encode(decode(codes, space), dtype, space), codes)
+
+
+@pytest.mark.parametrize("space", channels.COLOR_SPACES)
+@pytest.mark.parametrize(("dtype", "precision"), [("float16", 2e-3), ("float32", 1e-6)])
+def test_floats_survive_encoding_beyond_one_too(
+    dtype: str, precision: float, space: channels.ColorSpace
+) -> None:
+    values = np.array([[-0.25, 0.0, 1e-3], [0.18, 1.0, 6.5]])
+    stored = encode(values, dtype, space)
+    assert stored.dtype == dtype
+    decoded = decode(stored, space)
+    assert decoded.dtype == np.float32
+    np.testing.assert_allclose(decoded, values, rtol=3 * precision)
+
+
+@given(st.floats(0.0, 1.0))
+def test_the_transfer_curve_and_its_inverse_agree(value: float) -> None:
+    assert abs(float(linear_to_srgb(srgb_to_linear(value))) - value) < 1e-7
+    assert abs(float(srgb_to_linear(linear_to_srgb(value))) - value) < 1e-7
+
+
+def test_the_transfer_curve_has_the_standards_values() -> None:
+    # IEC 61966-2-1: code 128 is 21.586 % linear light, code 10 lies on the straight part.
+    np.testing.assert_allclose(srgb_to_linear(128 / 255), 0.2158605, rtol=1e-6)
+    np.testing.assert_allclose(srgb_to_linear(10 / 255), 10 / 255 / 12.92, rtol=1e-12)
+
+
+def test_bytes_of_srgb_are_the_codes_nearest_on_the_curve() -> None:
+    # All bins of the encoder, and both sides of every place where one code gives way to the next.
+    edges = srgb_to_linear((np.arange(255) + 0.5) / 255)
+    values = np.concatenate([np.linspace(0, 1, 2001), np.nextafter(edges, 0), edges, np.nextafter(edges, 1)])
+    nearest = np.floor(linear_to_srgb(values) * 255 + 0.5)
+    found = encode(values, "uint8", "srgb").astype(np.float64)
+    differing = found != nearest
+    # Where the direct formula lies within rounding of a half, either code is the nearest.
+    assert np.all(np.abs(linear_to_srgb(values[differing]) * 255 % 1 - 0.5) < 1e-9)
+    np.testing.assert_array_equal(encode(np.nextafter(edges, 0), "uint8", "srgb"), np.arange(255))
+    np.testing.assert_array_equal(encode(np.nextafter(edges, 1), "uint8", "srgb"), np.arange(1, 256))
+
+
+@pytest.mark.parametrize(("dtype", "space"), [("uint8", "srgb"), ("uint8", "data"), ("uint16", "srgb")])
+def test_rounding_is_unbiased(dtype: str, space: channels.ColorSpace) -> None:
+    encoded = np.random.default_rng(5).random(2000 if jit.DISABLED else 100_000)
+    values = srgb_to_linear(encoded) if space == "srgb" else encoded
+    error = encode(values, dtype, space) / channels.ONE[dtype] - encoded
+    code = 1 / channels.ONE[dtype]
+    assert np.abs(error).max() <= 0.5001 * code
+    assert abs(error.mean()) < 4 * code / np.sqrt(12 * len(values))  # 4 standard deviations
+
+
+@pytest.mark.parametrize("space", channels.COLOR_SPACES)
+@pytest.mark.parametrize("dtype", ["uint8", "uint16"])
+def test_integers_clamp_and_take_nan_as_zero(dtype: str, space: channels.ColorSpace) -> None:
+    values = np.array([-1.0, -np.inf, np.nan, 1.5, np.inf])
+    one = channels.ONE[dtype]
+    np.testing.assert_array_equal(encode(values, dtype, space), np.array([0, 0, 0, one, one]))
+
+
+def test_half_floats_stop_at_their_largest_number() -> None:
+    np.testing.assert_array_equal(encode(np.array([1e9, -1e9]), "float16", "linear"), [65504, -65504])
+
+
+def test_encoding_takes_any_memory_layout_and_keeps_the_shape() -> None:
+    values = np.random.default_rng(1).random((6, 4, 3)).astype(np.float32)
+    for view in (values[::2], values.transpose(1, 0, 2), values[:, :, :1], values[:0]):
+        expected = np.rint(linear_to_srgb(view) * 255)
+        found = encode(view, "uint8", "srgb")
+        assert found.shape == view.shape
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_decoding_is_done_by_a_table_that_is_made_once() -> None:
+    assert channels.decode_table("uint8", "srgb") is channels.decode_table("uint8", "srgb")
+    assert channels.decode_table("uint16", "data")[-1] == 1.0
+
+
+# --- checks
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_points_that_fit_are_not_copied(dtype: type[np.floating]) -> None:
+    points = np.zeros((5, 3), dtype)
+    assert checks.as_points(points) is points
+
+
+@pytest.mark.parametrize(
+    ("points", "dtype"),
+    [
+        (np.zeros((4, 6), np.float32)[:, ::2], np.float32),
+        (np.zeros((3, 4)).T, np.float64),
+        (np.zeros((4, 3), np.float16), np.float64),
+        (np.zeros((4, 3), ">f4"), np.float64),
+        (np.zeros((4, 3), np.int32), np.float64),
+        ([(0, 0, 0)], np.float64),
+        (np.zeros((0, 3)), np.float64),
+    ],
+)
+def test_points_become_contiguous_native_floats(points: Any, dtype: type[np.floating]) -> None:
+    array = checks.as_points(points)
+    assert array.dtype == dtype
+    assert array.dtype.isnative
+    assert array.flags.c_contiguous
+    assert array.shape == np.shape(points)
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (np.zeros((4, 2)), r"^rest must have shape \(n, 3\), not \(4, 2\)$"),
+        (np.zeros(3), r"^rest must have shape \(n, 3\), not \(3,\)$"),
+        ([[1, 2, 3], [4, 5]], r"^rest must have shape \(n, 3\)$"),
+        (np.zeros((4, 3), complex), "^rest must be real numbers, not complex128$"),
+        (np.zeros((4, 3), bool), "^rest must be real numbers, not bool$"),
+        ([["a", "b", "c"]], "^rest must be real numbers, not <U1$"),
+        (None, "^rest must be real numbers, not object$"),
+    ],
+)
+def test_other_points_are_refused_by_name(points: Any, message: str) -> None:
+    with pytest.raises(ArgumentError, match=message):
+        checks.as_points(points, "rest")
+
+
+@pytest.mark.parametrize("depth", [0, MAX_DEPTH, np.int64(7)])
+def test_a_depth_becomes_a_python_integer(depth: int) -> None:
+    assert type(checks.as_depth(depth)) is int
+    assert checks.as_depth(depth) == depth
+
+
+@pytest.mark.parametrize("depth", [-1, MAX_DEPTH + 1, 3.0, "3", None, True])
+def test_another_depth_is_refused(depth: Any) -> None:
+    with pytest.raises(ArgumentError, match=r"^level must be a whole number from 0 to 21, not "):
+        checks.as_depth(depth, "level")
+
+
+def test_a_choice_is_one_of_the_known_ones() -> None:
+    assert checks.as_choice("b", "abc", "filter") == "b"
+    with pytest.raises(ArgumentError, match=r"^unknown filter 'z'; there are: a, b$"):
+        checks.as_choice("z", iter(["a", "b"]), "filter")
+    with pytest.raises(ArgumentError, match=r"^unknown channel 'z'; there are: none$"):
+        checks.as_choice("z", [], "channel")
+
+
+def test_a_positive_number_is_finite_and_above_zero() -> None:
+    assert checks.as_positive(np.float32(0.5), "cell") == 0.5
+    for value in (0, -1.0, np.inf, np.nan):
+        with pytest.raises(ArgumentError, match=r"^cell must be finite and above zero, not "):
+            checks.as_positive(value, "cell")
+    for value in (None, "wide"):
+        with pytest.raises(ArgumentError, match=r"^cell must be a number, not "):
+            checks.as_positive(value, "cell")  # type: ignore[arg-type]
+
+
+# --- jit
+
+
+@pytest.mark.parametrize("bits", [1, 0b1000, 0x8000000000000000, 0xFFFFFFFFFFFFFFFF, 0xF0F0_0000_0001_0000])
+def test_bit_counts_agree_with_python(bits: int) -> None:
+    assert _bit_counts(np.uint64(bits)) == (bits.bit_count(), (bits & -bits).bit_length() - 1)
+
+
+@jit.kernel
+def _bit_counts(bits: np.uint64) -> tuple[int, int]:
+    return jit.popcount(bits), jit.trailing_zeros(bits)
+
+
+@pytest.mark.parametrize("count", [0, 1, 31, 63])
+def test_low_bits_is_a_mask(count: int) -> None:
+    assert int(jit.low_bits(count)) == (1 << count) - 1
+
+
+@needs_jit
+def test_a_kernel_compiles_without_a_cache_where_there_is_no_folder_for_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from numba.core import caching
+
+    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
+
+    def double(number: int) -> int:
+        return 2 * number
+
+    assert jit.kernel(double)(4) == 8
+
+
+# --- parallel
+
+
+class Eager(Executor):
+    """Runs at once, and counts."""
+
+    def __init__(self) -> None:
+        self.submitted = 0
+
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        self.submitted += 1
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+@pytest.fixture
+def pool() -> Iterator[Executor]:
+    with ThreadPoolExecutor(3) as executor:
+        yield executor
+
+
+def test_results_come_in_the_order_of_the_items_whatever_finishes_first(pool: Executor) -> None:
+    second_is_done = threading.Event()
+
+    def work(item: int) -> int:
+        if item == 0:
+            assert second_is_done.wait(60)
+        if item == 1:
+            second_is_done.set()
+        return item * item
+
+    assert list(parallel.ordered_map(pool, work, range(9), window=4)) == [i * i for i in range(9)]
+
+
+def test_no_more_than_the_window_is_in_flight() -> None:
+    executor = Eager()
+    results = parallel.ordered_map(executor, str, range(10), window=3)
+    for taken in range(10):
+        assert next(results) == str(taken)
+        assert executor.submitted <= min(10, taken + 3)
+
+
+def test_progress_counts_every_item_once() -> None:
+    calls: list[tuple[str, int, int]] = []
+    list(
+        parallel.ordered_map(
+            Eager(), abs, [3, 2, 1], stage="cells", progress=lambda *call: calls.append(call), window=2
+        )
+    )
+    assert calls == [("cells", 1, 3), ("cells", 2, 3), ("cells", 3, 3)]
+
+
+def test_nothing_to_do_is_done_at_once() -> None:
+    assert list(parallel.ordered_map(Eager(), abs, [])) == []
+
+
+def test_the_first_error_ends_the_map_and_cancels_what_has_not_begun() -> None:
+    release = threading.Event()
+    begun: list[int] = []
+
+    def work(item: int) -> int:
+        begun.append(item)
+        if item == 0:
+            raise ZeroDivisionError
+        release.wait(60)
+        return item
+
+    with ThreadPoolExecutor(1) as executor:
+        results = parallel.ordered_map(executor, work, range(20))
+        with pytest.raises(ZeroDivisionError):
+            next(results)
+        release.set()
+    assert set(begun) <= {0, 1}
+
+
+def test_leaving_the_map_early_cancels_the_rest() -> None:
+    release = threading.Event()
+    begun: list[int] = []
+
+    def work(item: int) -> int:
+        begun.append(item)
+        if item:
+            release.wait(60)
+        return item
+
+    with ThreadPoolExecutor(1) as executor:
+        results = parallel.ordered_map(executor, work, range(20))
+        assert next(results) == 0
+        results.close()  # type: ignore[attr-defined]
+        release.set()
+    assert set(begun) <= {0, 1}
+
+
+def test_an_error_in_the_block_drops_the_work_that_has_not_begun() -> None:
+    release = threading.Event()
+    futures: list[Future[bool]] = []
+    with pytest.raises(KeyboardInterrupt), parallel.threads(1) as executor:
+        futures += [executor.submit(release.wait, 60) for _ in range(5)]
+        threading.Timer(0.0, release.set).start()
+        raise KeyboardInterrupt
+    assert futures[-1].cancelled()
+
+
+def test_workers_are_the_callers_executor_or_threads_over_all_processors(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    executor = Eager()
+    with parallel.workers(executor) as given_back:
+        assert given_back is executor
+    monkeypatch.setattr(parallel, "cpu_count", lambda: 3)
+    with parallel.workers(None) as own:
+        assert own._max_workers == 3  # type: ignore[attr-defined]
+    with pytest.raises(RuntimeError):
+        own.submit(print)
+
+
+def test_processors_are_counted_where_affinity_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert parallel.cpu_count() >= 1
+    monkeypatch.delattr(os, "sched_getaffinity", raising=False)
+    monkeypatch.setattr(os, "cpu_count", lambda: None)
+    assert parallel.cpu_count() == 1
+
+
+def test_silence_is_a_progress() -> None:
+    assert parallel.silent("stage", 0, 1) is None  # type: ignore[func-returns-value]
+
+
+# --- errors
+
+
+def test_every_error_is_an_octex_error_of_its_kind() -> None:
+    assert issubclass(errors.ArgumentError, (errors.InputError, ValueError))
+    assert issubclass(errors.MissingExtraError, (errors.OctexError, ImportError))
+    for kind in (errors.ArgumentError, errors.ModelError, errors.ImageError, errors.TextureFileError):
+        assert issubclass(kind, errors.InputError)
+    for kind in (errors.InputError, errors.OutputError, errors.MissingExtraError):
+        assert issubclass(kind, octex.OctexError)
+
+
+def test_exit_codes_are_the_shells_and_say_what_they_mean() -> None:
+    assert {code.name: int(code) for code in ExitCode} == {
+        "DONE": 0,
+        "INVALID": 1,
+        "REFUSED": 2,
+        "CRASHED": 70,
+        "INTERRUPTED": 130,
+    }
+    assert all(code.meaning for code in ExitCode)
+    assert ExitCode(2) is ExitCode.REFUSED
