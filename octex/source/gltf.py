@@ -1,0 +1,404 @@
+"""glTF 2.0 and GLB: meshes, the scene's transforms and instances, and base colour bound as the file says.
+
+The accessors are read here and not by trimesh, which takes sparse accessors for zeros, leaves normalized
+integers unscaled, skips triangle fans and drops samplers and all texture coordinates but the first.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import struct
+import urllib.parse
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.errors import ModelError
+from octex.source.materials import AlphaMode, Corners, Material, MaterialSource
+from octex.source.surface import Surface
+
+_COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN = 4, 5, 6
+# An accessor may stand for zeros that the file does not hold; more than this is taken for damage.
+_LARGEST_ACCESSOR = 2**28
+
+# Extensions that a file may require: those read here, and those that change nothing octex reads.
+_KNOWN_EXTENSIONS = {
+    "EXT_texture_avif",
+    "EXT_texture_webp",
+    "KHR_animation_pointer",
+    "KHR_lights_punctual",
+    "KHR_mesh_quantization",
+    "KHR_texture_transform",
+    "KHR_xmp_json_ld",
+}
+_DECODE_REMEDY = {
+    "KHR_draco_mesh_compression": "Draco-compressed meshes",
+    "EXT_meshopt_compression": "meshopt-compressed buffers",
+    "KHR_meshopt_compression": "meshopt-compressed buffers",
+    "KHR_texture_basisu": "KTX2 textures",
+}
+
+
+def load_gltf(path: Path) -> Surface:
+    """Read the scene of a .gltf or .glb file; meshes that no node of it shows are left out.
+
+    Morph targets and skins are not applied: the mesh is taken as it is modelled.
+    Raises ModelError or ImageError.
+    """
+    return _Scene(_Document(path)).surface()
+
+
+class _Document:
+    """A parsed file: its JSON, and the bytes that it refers to."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.name = path.name
+        self._buffers: dict[int, bytes] = {}
+        data = path.read_bytes()
+        self._binary: bytes | None = None
+        if data[:4] == b"glTF":
+            data = self._unpack(data)
+        try:
+            self.json = json.loads(data.decode("utf-8-sig"))
+        except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+            raise ModelError(f"{self.name} is not a glTF file, or is damaged ({error})") from None
+        if not isinstance(self.json, dict) or not isinstance(self.json.get("asset"), dict):
+            raise ModelError(f"{self.name} is not a glTF file: it has no asset")
+        version = str(self.json["asset"].get("version"))
+        if not version.startswith("2."):
+            raise ModelError(f"{self.name} is glTF {version}; octex reads glTF 2.0: convert it first")
+        for extension in self.json.get("extensionsRequired", []):
+            known = extension in _KNOWN_EXTENSIONS or str(extension).startswith("KHR_materials_")
+            if not known and extension not in _DECODE_REMEDY:
+                raise ModelError(
+                    f"{self.name} requires the glTF extension {extension}, which octex does not read; "
+                    "export it without"
+                )
+
+    def _unpack(self, data: bytes) -> bytes:
+        """Return the JSON chunk of a GLB and keep its binary chunk."""
+        if len(data) < 20:
+            raise ModelError(f"{self.name} is truncated: a GLB header has 20 bytes, the file {len(data)}")
+        version, length, json_length = struct.unpack_from("<III", data, 4)
+        if version != 2:
+            raise ModelError(f"{self.name} is GLB version {version}; octex reads version 2: convert it first")
+        if data[16:20] != b"JSON":
+            raise ModelError(f"{self.name} is damaged: its first chunk is not JSON")
+        if length > len(data) or 20 + json_length > len(data):
+            raise ModelError(f"{self.name} is truncated: it should have {length} bytes and has {len(data)}")
+        position = 20 + json_length
+        while position + 8 <= length:
+            (chunk_length,) = struct.unpack_from("<I", data, position)
+            position += 8
+            if data[position - 4 : position] == b"BIN\0":
+                if position + chunk_length > len(data):
+                    raise ModelError(f"{self.name} is truncated: its binary chunk ends early")
+                self._binary = data[position : position + chunk_length]
+                break
+            position += chunk_length
+        return data[20 : 20 + json_length]
+
+    def item(self, kind: str, index: Any) -> dict[str, Any]:
+        """Return one object of a top-level array."""
+        items = self.json.get(kind, [])
+        if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(items):
+            raise ModelError(
+                f"{self.name} refers to {kind}[{index}], which it does not have; export it again"
+            )
+        found: dict[str, Any] = items[index]
+        return found
+
+    def resource(self, uri: str, what: str) -> bytes:
+        """Return the bytes of a data: URI, or of a file beside this one."""
+        if uri.startswith("data:"):
+            head, comma, payload = uri.partition(",")
+            if not comma:
+                raise ModelError(f"{self.name}: {what} has a data: URI without data")
+            try:
+                raw = urllib.parse.unquote_to_bytes(payload)
+                return base64.b64decode(raw, validate=True) if head.endswith(";base64") else raw
+            except binascii.Error as error:
+                raise ModelError(f"{self.name}: {what} is not valid base64 ({error})") from None
+        if "://" in uri:
+            raise ModelError(f"{self.name}: {what} is at {uri}; octex reads files only: download it first")
+        try:
+            return (self.path.parent / urllib.parse.unquote(uri)).read_bytes()
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise ModelError(f"{self.name}: {what} cannot be read: {uri}: {reason}") from None
+
+    def _buffer(self, index: int) -> bytes:
+        if index not in self._buffers:
+            entry = self.item("buffers", index)
+            what = f"buffers[{index}]"
+            if "uri" in entry:
+                data = self.resource(entry["uri"], what)
+            elif index == 0 and self._binary is not None:
+                data = self._binary
+            else:
+                raise ModelError(f"{self.name}: {what} has no data; export the model again")
+            if len(data) < entry["byteLength"]:
+                raise ModelError(
+                    f"{self.name}: {what} is truncated: {len(data)} of {entry['byteLength']} bytes"
+                )
+            self._buffers[index] = data
+        return self._buffers[index]
+
+    def view(self, index: int) -> tuple[memoryview, int | None]:
+        """Return the bytes of a buffer view, and its stride."""
+        entry = self.item("bufferViews", index)
+        for extension in entry.get("extensions", {}):
+            fallback = self.item("buffers", entry["buffer"])
+            if extension in _DECODE_REMEDY and "uri" not in fallback:
+                raise self._compressed(extension)
+        start, length = entry.get("byteOffset", 0), entry["byteLength"]
+        data = self._buffer(entry["buffer"])
+        if start < 0 or length < 0 or start + length > len(data):
+            raise ModelError(f"{self.name}: bufferViews[{index}] reaches outside its buffer; export it again")
+        return memoryview(data)[start : start + length], entry.get("byteStride")
+
+    def _compressed(self, extension: str) -> ModelError:
+        return ModelError(
+            f"{self.name} holds {_DECODE_REMEDY[extension]} ({extension}), which octex does not decode; "
+            "export it uncompressed, for example from Blender"
+        )
+
+    def accessor(self, index: int, components: tuple[int, ...]) -> npt.NDArray[Any]:
+        """Return an accessor (count, components); normalized integers as float64 in −1 … 1.
+
+        ``components`` are those allowed.
+        """
+        entry = self.item("accessors", index)
+        what = f"{self.name}: accessors[{index}]"
+        dtype = np.dtype(_COMPONENT_TYPES[entry["componentType"]])
+        width = _COMPONENTS.get(entry["type"], 0)
+        if width not in components:
+            raise ModelError(f"{what} has type {entry['type']}, which does not fit its use; export it again")
+        count = entry["count"]
+        if not 0 <= count * width <= _LARGEST_ACCESSOR:
+            raise ModelError(f"{what} has a count of {count}, which cannot be right")
+        if "bufferView" in entry:
+            rows = self._rows(entry["bufferView"], entry.get("byteOffset", 0), count, width, dtype, what)
+        else:
+            rows = np.zeros((count, width), dtype)
+        if "sparse" in entry:
+            sparse = entry["sparse"]
+            where = sparse["indices"]
+            kind = np.dtype(_COMPONENT_TYPES[where["componentType"]])
+            offset = where.get("byteOffset", 0)
+            places = self._rows(where["bufferView"], offset, sparse["count"], 1, kind, what)[:, 0]
+            if len(places) and int(places.max()) >= count:
+                raise ModelError(f"{what} has sparse indices outside its {count} elements")
+            changed = sparse["values"]
+            offset = changed.get("byteOffset", 0)
+            rows = rows.copy()
+            rows[places] = self._rows(changed["bufferView"], offset, sparse["count"], width, dtype, what)
+        if entry.get("normalized") and dtype.kind in "iu":
+            rows = np.maximum(rows / np.iinfo(dtype).max, -1.0)
+        return rows
+
+    def _rows(
+        self, view: int, offset: int, count: int, width: int, dtype: np.dtype[Any], what: str
+    ) -> npt.NDArray[Any]:
+        data, stride = self.view(view)
+        row = width * dtype.itemsize
+        stride = stride or row
+        if (
+            offset < 0
+            or count < 0
+            or stride < row
+            or (count and offset + stride * (count - 1) + row > len(data))
+        ):
+            raise ModelError(f"{what} reaches outside its buffer view; export the model again")
+        if count == 0:
+            return np.empty((0, width), dtype)
+        return np.ndarray((count, width), dtype, data, offset, (stride, dtype.itemsize))
+
+    def refuse_compression(self, primitive: dict[str, Any]) -> None:
+        """Raise ModelError for a primitive whose vertices are only there in Draco's coding."""
+        position = self.item("accessors", primitive["attributes"]["POSITION"])
+        for extension in primitive.get("extensions", {}):
+            if extension in _DECODE_REMEDY and "bufferView" not in position and "sparse" not in position:
+                raise self._compressed(extension)
+
+
+class _Primitive(NamedTuple):
+    """A mesh primitive before it is placed in the scene."""
+
+    positions: npt.NDArray[np.float64]
+    triangles: npt.NDArray[np.int64]
+    material: int
+    colors: npt.NDArray[np.float32] | None  # (n, 4)
+
+
+class _Scene:
+    """Collects the primitives of all nodes into one surface."""
+
+    def __init__(self, document: _Document) -> None:
+        self._document = document
+        self._primitives: dict[int, list[_Primitive]] = {}
+        self._materials: list[Material] = []
+        self._material_numbers: dict[int | None, int] = {}
+
+    def surface(self) -> Surface:
+        document = self._document
+        placed = [
+            (matrix, primitive)
+            for mesh, matrix in self._instances()
+            for primitive in self._mesh(mesh)
+            if len(primitive.triangles)
+        ]
+        if not placed:
+            raise ModelError(f"{document.name} has no triangles; octex needs a surface, not points or lines")
+        vertices, triangles = [], []
+        first = 0
+        for matrix, primitive in placed:
+            vertices.append(primitive.positions @ matrix[:3, :3].T + matrix[:3, 3])
+            # A mirroring transform turns triangles inside out (3.7.4).
+            corners = (
+                primitive.triangles[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else primitive.triangles
+            )
+            triangles.append((corners + first).astype(np.int32))
+            first += len(primitive.positions)
+        joined = np.concatenate(triangles)
+        colors = None
+        if any(primitive.colors is not None for _, primitive in placed):
+            white = np.ones(4, np.float32)
+            rows = [
+                np.broadcast_to(white, (len(p.positions), 4)) if p.colors is None else p.colors
+                for _, p in placed
+            ]
+            colors = Corners(np.concatenate(rows), joined)
+        numbers = np.repeat(
+            np.array([p.material for _, p in placed], np.int32), [len(p.triangles) for _, p in placed]
+        )
+        source = MaterialSource(self._materials, numbers, colors=colors)
+        asset = document.json["asset"]
+        return Surface(
+            np.concatenate(vertices),
+            joined,
+            source,
+            name=document.name,
+            provenance={key: str(asset[key]) for key in ("copyright", "generator") if key in asset},
+        )
+
+    def _instances(self) -> list[tuple[int, npt.NDArray[np.float64]]]:
+        """List the meshes of the scene, each with its global transform, depth first."""
+        document = self._document
+        if "scenes" in document.json:
+            roots = document.item("scenes", document.json.get("scene", 0)).get("nodes", [])
+        else:  # without scenes a file is a library; its roots are the best guess
+            children = {c for n in document.json.get("nodes", []) for c in n.get("children", [])}
+            roots = [i for i in range(len(document.json.get("nodes", []))) if i not in children]
+        found = []
+        seen: set[int] = set()
+        stack = [(root, np.eye(4)) for root in reversed(roots)]
+        while stack:
+            number, parent = stack.pop()
+            node = document.item("nodes", number)
+            if number in seen:
+                raise ModelError(f"{document.name}: nodes[{number}] is reached twice; nodes must form a tree")
+            seen.add(number)
+            matrix = parent @ _local_matrix(node)
+            if "mesh" in node:
+                found.append((node["mesh"], matrix))
+            stack.extend((child, matrix) for child in reversed(node.get("children", [])))
+        return found
+
+    def _mesh(self, number: int) -> list[_Primitive]:
+        if number not in self._primitives:
+            mesh = self._document.item("meshes", number)
+            self._primitives[number] = [
+                self._primitive(entry, f"meshes[{number}]")
+                for entry in mesh["primitives"]
+                if entry.get("mode", _TRIANGLES) in (_TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN)
+                and "POSITION" in entry["attributes"]
+            ]
+        return self._primitives[number]
+
+    def _primitive(self, entry: dict[str, Any], where: str) -> _Primitive:
+        document = self._document
+        document.refuse_compression(entry)
+        attributes = entry["attributes"]
+        positions = document.accessor(attributes["POSITION"], (3,)).astype(np.float64)
+        if not np.isfinite(positions).all():
+            raise ModelError(f"{document.name}: {where} has vertices that are not finite; repair the model")
+        if "indices" in entry:
+            indices = document.accessor(entry["indices"], (1,))[:, 0].astype(np.int64)
+        else:
+            indices = np.arange(len(positions))
+        if len(indices) and not 0 <= indices.min() <= indices.max() < len(positions):
+            raise ModelError(
+                f"{document.name}: {where} uses vertex {indices.max()}, but there are {len(positions)}; "
+                "export it again"
+            )
+        colors = None
+        if "COLOR_0" in attributes:
+            colors = np.ones((len(positions), 4), np.float32)
+            given = self._attribute(attributes["COLOR_0"], (3, 4), len(positions), f"{where} COLOR_0")
+            colors[:, : given.shape[1]] = given
+        triangles = _triangles(indices, entry.get("mode", _TRIANGLES))
+        return _Primitive(positions, triangles, self._material(entry.get("material")), colors)
+
+    def _attribute(
+        self, accessor: int, components: tuple[int, ...], count: int, what: str
+    ) -> npt.NDArray[np.float64]:
+        rows = self._document.accessor(accessor, components).astype(np.float64)
+        if len(rows) != count:
+            raise ModelError(f"{self._document.name}: {what} has {len(rows)} rows for {count} vertices")
+        return rows
+
+    def _material(self, number: int | None) -> int:
+        if number not in self._material_numbers:
+            self._material_numbers[number] = len(self._materials)
+            entry = {} if number is None else self._document.item("materials", number)
+            pbr = entry.get("pbrMetallicRoughness", {})
+            red, green, blue, alpha = map(float, pbr.get("baseColorFactor", (1, 1, 1, 1)))
+            modes: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
+            self._materials.append(
+                Material(
+                    factor=(red, green, blue, alpha),
+                    alpha_mode=modes[entry.get("alphaMode", "OPAQUE")],
+                    cutoff=float(entry.get("alphaCutoff", 0.5)),
+                )
+            )
+        return self._material_numbers[number]
+
+
+def _local_matrix(node: dict[str, Any]) -> npt.NDArray[np.float64]:
+    """Return a node's matrix (column-major in the file), or translation · rotation · scale (3.6.2)."""
+    if "matrix" in node:
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+    x, y, z, w = np.array(node.get("rotation", (0, 0, 0, 1)), np.float64)
+    length = x * x + y * y + z * z + w * w
+    s = 2 / length if length else 0.0
+    rotation = np.array(
+        [
+            [1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)],
+            [s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)],
+            [s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)],
+        ]
+    )
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation * np.array(node.get("scale", (1, 1, 1)), np.float64)
+    matrix[:3, 3] = node.get("translation", (0, 0, 0))
+    return matrix
+
+
+def _triangles(indices: npt.NDArray[np.int64], mode: int) -> npt.NDArray[np.int64]:
+    """Return the triangles (m, 3) of a list, a strip or a fan (3.7.2.1); what is left over is dropped."""
+    if mode == _TRIANGLES:
+        return indices[: len(indices) // 3 * 3].reshape(-1, 3)
+    count = max(len(indices) - 2, 0)
+    first = np.arange(count)
+    if mode == _TRIANGLE_FAN:
+        return np.stack([indices[first + 1], indices[first + 2], np.broadcast_to(indices[:1], count)], axis=1)
+    odd = first % 2
+    return np.stack([indices[first], indices[first + 1 + odd], indices[first + 2 - odd]], axis=1)

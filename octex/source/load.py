@@ -1,0 +1,70 @@
+"""Read a model file as a surface."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.errors import InputError, ModelError
+from octex.source.gltf import load_gltf
+from octex.source.surface import Surface
+
+_READERS: dict[str, Callable[[Path], Surface]] = {
+    ".glb": load_gltf,
+    ".gltf": load_gltf,
+}
+
+#: The endings of model files that octex reads.
+MODEL_ENDINGS = tuple(_READERS)
+
+
+def load_surface(path: str | Path, rest: str | Path | npt.ArrayLike | None = None) -> Surface:
+    """Read a model: its triangles as placed in the scene, and where their colours come from.
+
+    ``rest`` gives rest positions: another model file of the same topology (the same triangles, vertex for
+    vertex), or an array (vertices, 3). Positions are in the model's units.
+
+    Raises ModelError or ImageError, with one line that names the file, the cause and the remedy.
+    """
+    path = Path(path)
+    surface = _read(path)
+    if rest is None:
+        return surface
+    if isinstance(rest, (str, Path)):
+        other = _read(Path(rest))
+        if not np.array_equal(other.triangles, surface.triangles):
+            raise ModelError(
+                f"{Path(rest).name} and {path.name} differ in topology "
+                f"({len(other.triangles)} and {len(surface.triangles)} triangles, "
+                f"{len(other.vertices)} and {len(surface.vertices)} vertices, in the same order); "
+                "a rest mesh must have the same triangles"
+            )
+        rest = other.vertices
+    return surface.with_rest(rest)
+
+
+def _read(path: Path) -> Surface:
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        endings = ", ".join(MODEL_ENDINGS)
+        raise ModelError(f"{path.name} is not a model that octex reads; it reads {endings}")
+    try:
+        digest = hashlib.sha256(path.read_bytes())
+        surface = reader(path)
+    except InputError:
+        raise
+    except OSError as error:
+        raise ModelError(f"{path} cannot be read: {error.strerror or error}") from None
+    except MemoryError:
+        raise ModelError(f"{path.name} needs more memory than there is") from None
+    except Exception as error:
+        # Whatever a damaged file makes the parsers do, the user reads one line.
+        raise ModelError(
+            f"{path.name} is malformed ({type(error).__name__}: {error}); export it again"
+        ) from error
+    surface.provenance = {"source": path.name, "sha256": digest.hexdigest(), **surface.provenance}
+    return surface

@@ -1,0 +1,249 @@
+"""A surface: triangles at posed and rest positions, and the source of its values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import ChannelFormat, srgb_to_linear
+from octex.checks import as_choice
+from octex.errors import ArgumentError, ModelError
+from octex.source.materials import AlphaMode, Corners, Material, MaterialSource, Source
+
+
+class Samples(NamedTuple):
+    """Points of a surface."""
+
+    points: npt.NDArray[np.float64]  # (n, 3)   posed positions
+    rest: npt.NDArray[np.float64]  # (n, 3)   rest positions, the texture coordinates
+    normals: npt.NDArray[np.float64]  # (n, 3)   unit normals of the posed triangles
+    triangles: npt.NDArray[np.int32]  # (n,)
+    barycentric: npt.NDArray[np.float64]  # (n, 3)
+
+
+class Surface:
+    """Triangles with a source of values.
+
+    ``vertices`` (n, 3) posed positions, ``triangles`` (m, 3) rows of vertices, counter-clockwise seen from
+    outside, ``rest`` (n, 3) rest positions (the vertices themselves if None), all in the model's units.
+
+    Raises ModelError for positions that are not finite, triangles that use vertices that are not there, no
+    triangles, or rest positions of another shape.
+    """
+
+    def __init__(
+        self,
+        vertices: npt.NDArray[np.float64],
+        triangles: npt.NDArray[np.int32],
+        source: Source,
+        *,
+        rest: npt.NDArray[np.float64] | None = None,
+        name: str = "surface",
+        provenance: Mapping[str, str] | None = None,
+    ) -> None:
+        self.vertices = _positions(vertices, f"{name}: vertices")
+        self.triangles = _triangles(triangles, len(self.vertices), name)
+        self.rest = self.vertices if rest is None else _positions(rest, f"{name}: rest positions")
+        if len(self.rest) != len(self.vertices):
+            raise ModelError(
+                f"{name}: {len(self.rest)} rest positions for {len(self.vertices)} vertices; give one each"
+            )
+        self.source = source
+        self.name = name
+        self.provenance = dict(provenance or {})
+        used = np.zeros(len(self.rest), bool)
+        used[self.triangles] = True
+        self.bounds: npt.NDArray[np.float64] = np.array(
+            [self.rest[used].min(axis=0), self.rest[used].max(axis=0)]
+        )
+
+    @classmethod
+    def from_arrays(
+        cls,
+        vertices: npt.ArrayLike,
+        triangles: npt.ArrayLike,
+        *,
+        colors: npt.ArrayLike | None = None,
+        face_colors: npt.ArrayLike | None = None,
+        factor: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0),
+        alpha: AlphaMode | None = None,
+        cutoff: float = 0.5,
+        rest: npt.ArrayLike | None = None,
+        name: str = "surface",
+    ) -> Surface:
+        """Build a surface with one material from arrays.
+
+        ``colors`` (n, 3 or 4) per vertex or ``face_colors`` (m, 3 or 4) per triangle: unsigned integers are
+        sRGB codes, floats are linear light in 0 … 1; a fourth column is alpha. ``factor``, linear light and
+        alpha, multiplies them. ``alpha`` says whether alpha counts: "opaque", "mask" (with ``cutoff``) or
+        "blend"; None means "blend" if any is below 1.
+
+        Raises ModelError as the class does, ArgumentError for colours of another shape.
+        """
+        faces = _triangles(np.asarray(triangles), len(np.asarray(vertices)), name)
+        if colors is not None and face_colors is not None:
+            raise ArgumentError("give colors per vertex or face_colors per triangle, not both")
+        corners = None
+        if colors is not None:
+            corners = Corners(linear_colors(colors, len(np.asarray(vertices)), "colors"), faces)
+        elif face_colors is not None:
+            rows = np.repeat(np.arange(len(faces), dtype=np.int32), 3).reshape(-1, 3)
+            corners = Corners(linear_colors(face_colors, len(faces), "face_colors"), rows)
+        full = (factor[0], factor[1], factor[2], factor[3] if len(factor) > 3 else 1.0)
+        if alpha is None:
+            translucent = full[3] < 1 or (corners is not None and bool((corners.values[:, 3] < 1).any()))
+            alpha = "blend" if translucent else "opaque"
+        material = Material(factor=full, alpha_mode=alpha, cutoff=cutoff)
+        source = MaterialSource([material], np.zeros(len(faces), np.int32), colors=corners)
+        return cls(
+            np.asarray(vertices, np.float64),
+            faces,
+            source,
+            rest=None if rest is None else np.asarray(rest, np.float64),
+            name=name,
+        )
+
+    @property
+    def channels(self) -> tuple[ChannelFormat, ...]:
+        """What the source gives: base colour, and alpha where the model uses it."""
+        return self.source.channels
+
+    def with_rest(self, rest: npt.ArrayLike) -> Surface:
+        """Return the same surface at other rest positions (n, 3).
+
+        Raises ModelError for another number of them.
+        """
+        positions = np.asarray(rest, np.float64)
+        return Surface(
+            self.vertices,
+            self.triangles,
+            self.source.with_rest(positions),
+            rest=positions,
+            name=self.name,
+            provenance=self.provenance,
+        )
+
+    def areas(self) -> npt.NDArray[np.float64]:
+        """Return the posed area of each triangle (m,), in square model units."""
+        areas: npt.NDArray[np.float64] = np.linalg.norm(self._crosses(), axis=1) / 2
+        return areas
+
+    def scatter(self, n: int, seed: int = 0) -> Samples:
+        """Draw ``n`` points, uniform by posed area; the same for the same seed.
+
+        Raises ModelError if the surface has no area.
+        """
+        crosses = self._crosses()
+        norms = np.linalg.norm(crosses, axis=1)
+        cumulative = np.cumsum(norms)
+        if not cumulative[-1] > 0:
+            raise ModelError(
+                f"{self.name}: all triangles are degenerate, there is no area to scatter points on"
+            )
+        random = np.random.default_rng(seed).random((n, 3))
+        chosen = np.searchsorted(cumulative, random[:, 0] * cumulative[-1], side="right")
+        root = np.sqrt(random[:, 1])
+        barycentric = np.stack([1 - root, root * (1 - random[:, 2]), root * random[:, 2]], axis=1)
+        corners = self.triangles[chosen]
+        return Samples(
+            points=np.einsum("nc,ncx->nx", barycentric, self.vertices[corners]),
+            rest=np.einsum("nc,ncx->nx", barycentric, self.rest[corners]),
+            normals=crosses[chosen] / norms[chosen, None],
+            triangles=chosen.astype(np.int32),
+            barycentric=barycentric,
+        )
+
+    def evaluate(
+        self, samples: Samples, channel: str = "base_color", width: float | None = None
+    ) -> npt.NDArray[np.float32]:
+        """Return the source's own values (n, components) of one channel at samples; colours in linear light.
+
+        ``width``, in rest units, averages over a square of that side; None or 0 reads at the points.
+        Colours are not multiplied by alpha. Raises ArgumentError for a channel that is not there or samples
+        of another surface.
+        """
+        as_choice(channel, [c.name for c in self.channels], "channel")
+        triangles = np.asarray(samples.triangles)
+        if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(self.triangles):
+            raise ArgumentError(f"samples name triangles that {self.name} does not have")
+        side = 0.0 if width is None else width
+        if not 0 <= side < np.inf:
+            raise ArgumentError(f"width must be finite and not negative, not {side!r}")
+        values = self.evaluate_all(triangles, samples.barycentric, np.full(len(triangles), side, np.float32))
+        first = 0
+        for each in self.channels:
+            if each.name == channel:
+                break
+            first += each.components
+        return np.ascontiguousarray(values[:, first : first + each.components])
+
+    def evaluate_all(
+        self,
+        triangles: npt.NDArray[np.int32],
+        barycentric: npt.NDArray[np.float64],
+        widths: npt.NDArray[np.float32],
+    ) -> npt.NDArray[np.float32]:
+        """Return every channel's values (n, all components), in the order of ``channels``; checks nothing.
+
+        ``triangles`` (n,), ``barycentric`` (n, 3), ``widths`` (n,) in rest units, 0 to read at the points.
+        Runs without the GIL, from any number of threads.
+        """
+        return self.source.evaluate(
+            np.ascontiguousarray(triangles, np.int32),
+            np.ascontiguousarray(barycentric, np.float64),
+            np.ascontiguousarray(widths, np.float32),
+        )
+
+    def _crosses(self) -> npt.NDArray[np.float64]:
+        corners = self.vertices[self.triangles]
+        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def linear_colors(colors: npt.ArrayLike, rows: int, name: str) -> npt.NDArray[np.float32]:
+    """Return colours (rows, 3 or 4) as linear light and alpha (rows, 4).
+
+    Unsigned integers are sRGB codes, floats are linear light already.
+
+    Raises ArgumentError for another shape or type.
+    """
+    array = np.asarray(colors)
+    if array.ndim != 2 or array.shape[0] != rows or array.shape[1] not in (3, 4):
+        raise ArgumentError(f"{name} must have shape ({rows}, 3) or ({rows}, 4), not {array.shape}")
+    if array.dtype.kind not in "fu":
+        raise ArgumentError(f"{name} must be unsigned integers (sRGB) or floats (linear), not {array.dtype}")
+    linear = np.ones((rows, 4), np.float32)
+    if array.dtype.kind == "u":
+        scaled = array / np.iinfo(array.dtype).max
+        linear[:, :3] = srgb_to_linear(scaled[:, :3])
+        linear[:, 3:] = scaled[:, 3:]
+    else:
+        linear[:, : array.shape[1]] = array
+    return linear
+
+
+def _positions(positions: npt.NDArray[np.float64], what: str) -> npt.NDArray[np.float64]:
+    array = np.ascontiguousarray(positions, np.float64)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ModelError(f"{what} must have shape (n, 3), not {array.shape}")
+    finite = np.isfinite(array).all(axis=1)
+    if not finite.all():
+        first = int(np.argmin(finite))
+        raise ModelError(
+            f"{what} are not all finite: number {first} is {tuple(array[first].tolist())}; repair the model"
+        )
+    return array
+
+
+def _triangles(triangles: npt.NDArray[np.integer], vertices: int, name: str) -> npt.NDArray[np.int32]:
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
+        raise ModelError(f"{name}: triangles must be whole numbers of shape (m, 3), not {triangles.shape}")
+    if len(triangles) == 0:
+        raise ModelError(f"{name} has no triangles; octex needs a surface, not points or lines")
+    low, high = int(triangles.min()), int(triangles.max())
+    if low < 0 or high >= vertices:
+        worst = low if low < 0 else high
+        raise ModelError(f"{name}: a triangle uses vertex {worst}, but there are {vertices}; export it again")
+    return np.ascontiguousarray(triangles, np.int32)
