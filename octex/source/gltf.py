@@ -17,13 +17,19 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.errors import ModelError
-from octex.source.materials import AlphaMode, Corners, Material, MaterialSource
+from octex.errors import ImageError, ModelError
+from octex.source.images import decode_image
+from octex.source.materials import AlphaMode, Corners, Material, MaterialSource, Texture
+from octex.source.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.surface import Surface
 
 _COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN = 4, 5, 6
+_ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
+_WRAPS = {10497: REPEAT, 33648: MIRROR, 33071: CLAMP}
+_NEAREST = 9728
+
 # An accessor may stand for zeros that the file does not hold; more than this is taken for damage.
 _LARGEST_ACCESSOR = 2**28
 
@@ -37,11 +43,12 @@ _KNOWN_EXTENSIONS = {
     "KHR_texture_transform",
     "KHR_xmp_json_ld",
 }
-_DECODE_REMEDY = {
-    "KHR_draco_mesh_compression": "Draco-compressed meshes",
-    "EXT_meshopt_compression": "meshopt-compressed buffers",
-    "KHR_meshopt_compression": "meshopt-compressed buffers",
-    "KHR_texture_basisu": "KTX2 textures",
+# What octex leaves to others, and the command that undoes it.
+_CODED = {
+    "KHR_draco_mesh_compression": ("Draco-compressed meshes", "gltf-transform copy {0} decoded.glb"),
+    "EXT_meshopt_compression": ("meshopt-compressed buffers", "gltfpack -i {0} -o decoded.glb"),
+    "KHR_meshopt_compression": ("meshopt-compressed buffers", "gltfpack -i {0} -o decoded.glb"),
+    "KHR_texture_basisu": ("KTX2 textures", "gltf-transform ktxdecompress {0} decoded.glb"),
 }
 
 
@@ -76,7 +83,7 @@ class _Document:
             raise ModelError(f"{self.name} is glTF {version}; octex reads glTF 2.0: convert it first")
         for extension in self.json.get("extensionsRequired", []):
             known = extension in _KNOWN_EXTENSIONS or str(extension).startswith("KHR_materials_")
-            if not known and extension not in _DECODE_REMEDY:
+            if not known and extension not in _CODED:
                 raise ModelError(
                     f"{self.name} requires the glTF extension {extension}, which octex does not read; "
                     "export it without"
@@ -115,24 +122,24 @@ class _Document:
         found: dict[str, Any] = items[index]
         return found
 
-    def resource(self, uri: str, what: str) -> bytes:
+    def resource(self, uri: str, what: str, error_class: type[ModelError | ImageError] = ModelError) -> bytes:
         """Return the bytes of a data: URI, or of a file beside this one."""
         if uri.startswith("data:"):
             head, comma, payload = uri.partition(",")
             if not comma:
-                raise ModelError(f"{self.name}: {what} has a data: URI without data")
+                raise error_class(f"{self.name}: {what} has a data: URI without data")
             try:
                 raw = urllib.parse.unquote_to_bytes(payload)
                 return base64.b64decode(raw, validate=True) if head.endswith(";base64") else raw
             except binascii.Error as error:
-                raise ModelError(f"{self.name}: {what} is not valid base64 ({error})") from None
+                raise error_class(f"{self.name}: {what} is not valid base64 ({error})") from None
         if "://" in uri:
-            raise ModelError(f"{self.name}: {what} is at {uri}; octex reads files only: download it first")
+            raise error_class(f"{self.name}: {what} is at {uri}; octex reads files only: download it first")
         try:
             return (self.path.parent / urllib.parse.unquote(uri)).read_bytes()
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
-            raise ModelError(f"{self.name}: {what} cannot be read: {uri}: {reason}") from None
+            raise error_class(f"{self.name}: {what} cannot be read: {uri}: {reason}") from None
 
     def _buffer(self, index: int) -> bytes:
         if index not in self._buffers:
@@ -156,18 +163,20 @@ class _Document:
         entry = self.item("bufferViews", index)
         for extension in entry.get("extensions", {}):
             fallback = self.item("buffers", entry["buffer"])
-            if extension in _DECODE_REMEDY and "uri" not in fallback:
-                raise self._compressed(extension)
+            if extension in _CODED and "uri" not in fallback:
+                raise self.coded(extension)
         start, length = entry.get("byteOffset", 0), entry["byteLength"]
         data = self._buffer(entry["buffer"])
         if start < 0 or length < 0 or start + length > len(data):
             raise ModelError(f"{self.name}: bufferViews[{index}] reaches outside its buffer; export it again")
         return memoryview(data)[start : start + length], entry.get("byteStride")
 
-    def _compressed(self, extension: str) -> ModelError:
+    def coded(self, extension: str) -> ModelError:
+        """Return the error for content in a coding that octex does not decode."""
+        what, command = _CODED[extension]
         return ModelError(
-            f"{self.name} holds {_DECODE_REMEDY[extension]} ({extension}), which octex does not decode; "
-            "export it uncompressed, for example from Blender"
+            f"{self.name} holds {what} ({extension}), which octex does not decode; "
+            f"decode them first: {command.format(self.name)}"
         )
 
     def accessor(self, index: int, components: tuple[int, ...]) -> npt.NDArray[Any]:
@@ -225,8 +234,8 @@ class _Document:
         """Raise ModelError for a primitive whose vertices are only there in Draco's coding."""
         position = self.item("accessors", primitive["attributes"]["POSITION"])
         for extension in primitive.get("extensions", {}):
-            if extension in _DECODE_REMEDY and "bufferView" not in position and "sparse" not in position:
-                raise self._compressed(extension)
+            if extension in _CODED and "bufferView" not in position and "sparse" not in position:
+                raise self.coded(extension)
 
 
 class _Primitive(NamedTuple):
@@ -236,6 +245,7 @@ class _Primitive(NamedTuple):
     triangles: npt.NDArray[np.int64]
     material: int
     colors: npt.NDArray[np.float32] | None  # (n, 4)
+    coordinates: npt.NDArray[np.float32] | None  # (n, 2)   of the base colour texture
 
 
 class _Scene:
@@ -246,6 +256,7 @@ class _Scene:
         self._primitives: dict[int, list[_Primitive]] = {}
         self._materials: list[Material] = []
         self._material_numbers: dict[int | None, int] = {}
+        self._images: dict[int, npt.NDArray[np.uint16]] = {}
 
     def surface(self) -> Surface:
         document = self._document
@@ -268,21 +279,17 @@ class _Scene:
             triangles.append((corners + first).astype(np.int32))
             first += len(primitive.positions)
         joined = np.concatenate(triangles)
-        colors = None
-        if any(primitive.colors is not None for _, primitive in placed):
-            white = np.ones(4, np.float32)
-            rows = [
-                np.broadcast_to(white, (len(p.positions), 4)) if p.colors is None else p.colors
-                for _, p in placed
-            ]
-            colors = Corners(np.concatenate(rows), joined)
-        numbers = np.repeat(
-            np.array([p.material for _, p in placed], np.int32), [len(p.triangles) for _, p in placed]
+        each = [primitive for _, primitive in placed]
+        colors = _corners(each, [p.colors for p in each], np.ones(4, np.float32), joined)
+        coordinates = _corners(each, [p.coordinates for p in each], np.zeros(2, np.float32), joined)
+        numbers = np.repeat(np.array([p.material for p in each], np.int32), [len(p.triangles) for p in each])
+        positions = np.concatenate(vertices)
+        source = MaterialSource(
+            self._materials, numbers, positions, joined, colors=colors, coordinates=coordinates
         )
-        source = MaterialSource(self._materials, numbers, colors=colors)
         asset = document.json["asset"]
         return Surface(
-            np.concatenate(vertices),
+            positions,
             joined,
             source,
             name=document.name,
@@ -344,8 +351,20 @@ class _Scene:
             colors = np.ones((len(positions), 4), np.float32)
             given = self._attribute(attributes["COLOR_0"], (3, 4), len(positions), f"{where} COLOR_0")
             colors[:, : given.shape[1]] = given
+        coordinates = None
+        info = self._texture_info(entry.get("material"))
+        if info is not None:
+            transform = info.get("extensions", {}).get("KHR_texture_transform", {})
+            name = f"TEXCOORD_{transform.get('texCoord', info.get('texCoord', 0))}"
+            if name not in attributes:
+                raise ModelError(
+                    f"{document.name}: {where} has a textured material but no {name}; "
+                    "give the mesh texture coordinates, or export it without the texture"
+                )
+            given = self._attribute(attributes[name], (2,), len(positions), f"{where} {name}")
+            coordinates = _transformed(given, transform).astype(np.float32)
         triangles = _triangles(indices, entry.get("mode", _TRIANGLES))
-        return _Primitive(positions, triangles, self._material(entry.get("material")), colors)
+        return _Primitive(positions, triangles, self._material(entry.get("material")), colors, coordinates)
 
     def _attribute(
         self, accessor: int, components: tuple[int, ...], count: int, what: str
@@ -355,21 +374,106 @@ class _Scene:
             raise ModelError(f"{self._document.name}: {what} has {len(rows)} rows for {count} vertices")
         return rows
 
+    def _texture_info(self, number: int | None) -> dict[str, Any] | None:
+        """Return the reference of a material to its base colour texture."""
+        entry = {} if number is None else self._document.item("materials", number)
+        info: dict[str, Any] | None = _base_color(entry)[1]
+        return info
+
     def _material(self, number: int | None) -> int:
         if number not in self._material_numbers:
             self._material_numbers[number] = len(self._materials)
             entry = {} if number is None else self._document.item("materials", number)
-            pbr = entry.get("pbrMetallicRoughness", {})
-            red, green, blue, alpha = map(float, pbr.get("baseColorFactor", (1, 1, 1, 1)))
-            modes: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
+            factor, info = _base_color(entry)
+            red, green, blue, alpha = map(float, factor)
+            mode = entry.get("alphaMode", "OPAQUE")
+            if mode not in _ALPHA_MODES:
+                raise ModelError(
+                    f"{self._document.name}: materials[{number}] has an unknown alphaMode {mode}"
+                )
             self._materials.append(
                 Material(
                     factor=(red, green, blue, alpha),
-                    alpha_mode=modes[entry.get("alphaMode", "OPAQUE")],
+                    texture=None if info is None else self._texture(info["index"]),
+                    alpha_mode=_ALPHA_MODES[mode],
                     cutoff=float(entry.get("alphaCutoff", 0.5)),
                 )
             )
         return self._material_numbers[number]
+
+    def _texture(self, number: int) -> Texture:
+        document = self._document
+        entry = document.item("textures", number)
+        source = entry.get("source")
+        for name, extension in entry.get("extensions", {}).items():
+            if source is None and name in ("EXT_texture_webp", "EXT_texture_avif"):
+                source = extension.get("source")
+            elif source is None and name in _CODED:
+                raise document.coded(name)
+        if source is None:
+            raise ModelError(f"{document.name}: textures[{number}] names no image that octex reads")
+        sampler = document.item("samplers", entry["sampler"]) if "sampler" in entry else {}
+        wraps = []
+        for axis in ("wrapS", "wrapT"):
+            code = sampler.get(axis, 10497)
+            if code not in _WRAPS:
+                raise ModelError(f"{document.name}: a sampler has an unknown {axis} {code}; export it again")
+            wraps.append(_WRAPS[code])
+        return Texture(self._image(source), *wraps, nearest=sampler.get("magFilter") == _NEAREST)
+
+    def _image(self, number: int) -> npt.NDArray[np.uint16]:
+        if number not in self._images:
+            document = self._document
+            entry = document.item("images", number)
+            name = f"{document.name}: images[{number}]"
+            if "bufferView" in entry:
+                data = bytes(document.view(entry["bufferView"])[0])
+            elif "uri" in entry:
+                uri = entry["uri"]
+                if not uri.startswith("data:"):
+                    name = f"{name} ({uri})"
+                data = document.resource(uri, f"images[{number}]", ImageError)
+            else:
+                raise ImageError(f"{name} has neither a uri nor a bufferView; export the model again")
+            self._images[number] = decode_image(data, name)
+        return self._images[number]
+
+
+def _base_color(material: dict[str, Any]) -> tuple[Any, Any]:
+    """Return the base colour factor and the reference to the texture; those of the diffuse colour if it is older."""
+    older = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
+    if older is not None:
+        return older.get("diffuseFactor", (1, 1, 1, 1)), older.get("diffuseTexture")
+    pbr = material.get("pbrMetallicRoughness", {})
+    return pbr.get("baseColorFactor", (1, 1, 1, 1)), pbr.get("baseColorTexture")
+
+
+def _corners(
+    primitives: list[_Primitive],
+    attributes: list[npt.NDArray[np.float32] | None],
+    default: npt.NDArray[np.float32],
+    triangles: npt.NDArray[np.int32],
+) -> Corners | None:
+    """Join an attribute of all primitives; those without it get the default. None if none has it."""
+    if all(attribute is None for attribute in attributes):
+        return None
+    rows = [
+        np.broadcast_to(default, (len(primitive.positions), len(default))) if attribute is None else attribute
+        for primitive, attribute in zip(primitives, attributes, strict=True)
+    ]
+    return Corners(np.concatenate(rows), triangles)
+
+
+def _transformed(coordinates: npt.NDArray[np.float64], transform: dict[str, Any]) -> npt.NDArray[np.float64]:
+    """Scale, rotate counter-clockwise as seen on the image, then move coordinates (KHR_texture_transform)."""
+    if not transform:
+        return coordinates
+    scaled = coordinates * np.array(transform.get("scale", (1, 1)), np.float64)
+    angle = float(transform.get("rotation", 0))
+    cos, sin = np.cos(angle), np.sin(angle)
+    turned = scaled @ np.array([[cos, -sin], [sin, cos]])
+    moved: npt.NDArray[np.float64] = turned + np.array(transform.get("offset", (0, 0)), np.float64)
+    return moved
 
 
 def _local_matrix(node: dict[str, Any]) -> npt.NDArray[np.float64]:

@@ -8,7 +8,9 @@ is another column of the kernel's output; anything else that yields values is an
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
@@ -16,6 +18,7 @@ import numpy.typing as npt
 
 from octex.channels import ALPHA, BASE_COLOR, ChannelFormat
 from octex.jit import kernel
+from octex.source.pyramid import REPEAT, Layer, Pyramids, build_pyramids, read
 
 #: How a material's alpha counts: not at all, as a coverage of 0 or 1 about a cutoff, or as it is.
 AlphaMode = Literal["opaque", "mask", "blend"]
@@ -41,10 +44,20 @@ class Source(Protocol):
         """Return the same source with widths measured on other rest positions (n, 3)."""
 
 
+class Texture(NamedTuple):
+    """An image and how coordinates meet it."""
+
+    texels: npt.NDArray[np.uint16]  # (height, width, 4)   sRGB codes and alpha; v runs down
+    wrap_u: int = REPEAT
+    wrap_v: int = REPEAT
+    nearest: bool = False  # magnified without interpolation
+
+
 class Material(NamedTuple):
     """One material of a model file."""
 
     factor: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)  # linear light, alpha
+    texture: Texture | None = None
     alpha_mode: AlphaMode = "opaque"
     cutoff: float = 0.5  # of "mask": the least alpha that covers
 
@@ -63,34 +76,61 @@ class Tables(NamedTuple):
     factors: npt.NDArray[np.float32]  # (materials, 4)
     alpha_modes: npt.NDArray[np.uint8]  # (materials,)   index into ALPHA_MODES
     cutoffs: npt.NDArray[np.float32]  # (materials,)
+    images: npt.NDArray[np.int32]  # (materials,)   index into the pyramids, −1 for none
+    wraps: npt.NDArray[np.uint8]  # (materials, 2)
+    nearest: npt.NDArray[np.bool_]  # (materials,)
     colors: npt.NDArray[np.float32]  # (rows, 4)   linear light and alpha; no rows: no vertex colours
     color_rows: npt.NDArray[np.int32]  # (triangles, 3)
+    coordinates: npt.NDArray[np.float32]  # (rows, 2)   v down; no rows: no textures
+    coordinate_rows: npt.NDArray[np.int32]  # (triangles, 3)
+
+
+class Footprints(NamedTuple):
+    """How a rest unit on each triangle looks in its image: an ellipse's long axis and short radius."""
+
+    major: npt.NDArray[np.float32]  # (triangles, 2)   in texture coordinates
+    lengths: npt.NDArray[np.float32]  # (triangles, 2)   of the long and of the short axis, in texels
 
 
 class MaterialSource:
     """Base colour, and alpha where a material uses it, of a model with materials.
 
-    ``materials`` and the material of each triangle; ``colors`` at corners, linear light and alpha (rows, 4).
+    ``materials``, and the material of each triangle (m,); ``colors`` at corners, linear light and alpha
+    (rows, 4); texture ``coordinates`` at corners (rows, 2), v running down. ``rest`` (n, 3) and ``triangles``
+    (m, 3) are what widths are measured on.
     """
 
     def __init__(
         self,
         materials: Sequence[Material],
         triangle_materials: npt.NDArray[np.int32],
+        rest: npt.NDArray[np.float64],
+        triangles: npt.NDArray[np.int32],
         *,
         colors: Corners | None = None,
+        coordinates: Corners | None = None,
     ) -> None:
-        used = set(np.unique(triangle_materials).tolist())
-        has_alpha = any(materials[i].alpha_mode != "opaque" for i in used)
+        used = [materials[i] for i in np.unique(triangle_materials)]
+        has_alpha = any(material.alpha_mode != "opaque" for material in used)
         self.channels: tuple[ChannelFormat, ...] = (BASE_COLOR, ALPHA) if has_alpha else (BASE_COLOR,)
-        none = Corners(np.empty((0, 4), np.float32), np.empty((0, 3), np.int32))
+        self._rest = rest
+        self._triangles = triangles
+        colors = colors or Corners(np.empty((0, 4), np.float32), np.empty((0, 3), np.int32))
+        coordinates = coordinates or Corners(np.empty((0, 2), np.float32), np.empty((0, 3), np.int32))
+        images, self._pyramids = _pyramids(materials)
+        textures = [material.texture for material in materials]
         self._tables = Tables(
             materials=triangle_materials,
             factors=np.array([m.factor for m in materials], np.float32),
             alpha_modes=np.array([ALPHA_MODES.index(m.alpha_mode) for m in materials], np.uint8),
             cutoffs=np.array([m.cutoff for m in materials], np.float32),
-            colors=(colors or none).values,
-            color_rows=(colors or none).rows,
+            images=images,
+            wraps=np.array([(t.wrap_u, t.wrap_v) if t else (0, 0) for t in textures], np.uint8),
+            nearest=np.array([t.nearest if t else False for t in textures], np.bool_),
+            colors=colors.values,
+            color_rows=colors.rows,
+            coordinates=coordinates.values,
+            coordinate_rows=coordinates.rows,
         )
 
     def evaluate(
@@ -100,18 +140,109 @@ class MaterialSource:
         widths: npt.NDArray[np.float32],
     ) -> npt.NDArray[np.float32]:
         """Return base colour (n, 3), linear light, not multiplied by alpha; and alpha as a fourth column."""
-        values = np.empty((len(triangles), 3 + (len(self.channels) == 2)), np.float32)
-        _evaluate(self._tables, triangles, barycentric, widths, values)
+        values = np.empty((len(triangles), sum(c.components for c in self.channels)), np.float32)
+        _evaluate(self._tables, self._pyramids, self._footprints, triangles, barycentric, widths, values)
         return values
 
     def with_rest(self, rest: npt.NDArray[np.float64]) -> MaterialSource:
         """Return the same source with widths measured on other rest positions (n, 3)."""
-        return self
+        other = copy.copy(self)
+        other._rest = rest
+        other.__dict__.pop("_footprints", None)
+        return other
+
+    @cached_property
+    def _footprints(self) -> Footprints:
+        # Made on the first use; two threads that meet here make the same twice.
+        count = len(self._triangles) if len(self._tables.coordinates) else 0
+        footprints = Footprints(np.zeros((count, 2), np.float32), np.zeros((count, 2), np.float32))
+        _measure(self._tables, self._pyramids, self._rest, self._triangles, footprints)
+        return footprints
+
+
+def _pyramids(materials: Sequence[Material]) -> tuple[npt.NDArray[np.int32], Pyramids]:
+    """Build a pyramid for each way in which an image is used; return the pyramid of each material too."""
+    numbers = np.full(len(materials), -1, np.int32)
+    known: dict[tuple[int, bool, float], int] = {}
+    layers = []
+    for i, material in enumerate(materials):
+        if material.texture is None:
+            continue
+        uses_alpha = material.alpha_mode != "opaque"
+        threshold = -1.0
+        if material.alpha_mode == "mask":
+            threshold = material.cutoff / material.factor[3] if material.factor[3] > 0 else np.inf
+        key = (id(material.texture.texels), uses_alpha, threshold)
+        if key not in known:
+            known[key] = len(layers)
+            layers.append(Layer(material.texture.texels, uses_alpha, threshold))
+        numbers[i] = known[key]
+    return numbers, build_pyramids(layers)
+
+
+@kernel
+def _measure(
+    tables: Tables,
+    pyramids: Pyramids,
+    rest: npt.NDArray[np.float64],
+    triangles: npt.NDArray[np.int32],
+    footprints: Footprints,
+) -> None:
+    """Fill in the singular axes of the map from each triangle's plane, in rest units, to texels."""
+    for triangle in range(len(footprints.major)):
+        image = np.int64(tables.images[tables.materials[triangle]])
+        if image < 0:
+            continue
+        level = pyramids.levels[pyramids.first_levels[image]]
+        width, height = float(level[1]), float(level[2])
+        a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
+        e0, e1, e2 = rest[b, 0] - rest[a, 0], rest[b, 1] - rest[a, 1], rest[b, 2] - rest[a, 2]
+        f0, f1, f2 = rest[c, 0] - rest[a, 0], rest[c, 1] - rest[a, 1], rest[c, 2] - rest[a, 2]
+        base = np.sqrt(e0 * e0 + e1 * e1 + e2 * e2)
+        if not base > 0.0:
+            continue
+        shift = (e0 * f0 + e1 * f1 + e2 * f2) / base
+        n0, n1, n2 = e1 * f2 - e2 * f1, e2 * f0 - e0 * f2, e0 * f1 - e1 * f0
+        rise = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) / base
+        if not rise > 1e-12 * base:
+            continue
+        a, b, c = (
+            tables.coordinate_rows[triangle, 0],
+            tables.coordinate_rows[triangle, 1],
+            tables.coordinate_rows[triangle, 2],
+        )
+        st = tables.coordinates
+        s1, t1 = (np.float64(st[b, 0]) - st[a, 0]) * width, (np.float64(st[b, 1]) - st[a, 1]) * height
+        s2, t2 = (np.float64(st[c, 0]) - st[a, 0]) * width, (np.float64(st[c, 1]) - st[a, 1]) * height
+        # The Jacobian's columns are texels per unit along the base and across it.
+        sx, tx = s1 / base, t1 / base
+        sy, ty = (s2 - sx * shift) / rise, (t2 - tx * shift) / rise
+        ss, st_, tt = sx * sx + sy * sy, sx * tx + sy * ty, tx * tx + ty * ty
+        half = 0.5 * (ss - tt)
+        largest = 0.5 * (ss + tt) + np.sqrt(half * half + st_ * st_)
+        if not 0.0 < largest < 1e30:
+            continue
+        major = np.sqrt(largest)
+        if half >= 0.0:
+            x, y = largest - tt, st_
+        else:
+            x, y = st_, largest - ss
+        length = np.sqrt(x * x + y * y)
+        if length > 0.0:
+            x, y = x / length * major, y / length * major
+        else:
+            x, y = major, 0.0
+        footprints.major[triangle, 0] = x / width
+        footprints.major[triangle, 1] = y / height
+        footprints.lengths[triangle, 0] = major
+        footprints.lengths[triangle, 1] = abs(sx * ty - sy * tx) / major
 
 
 @kernel
 def _evaluate(
     tables: Tables,
+    pyramids: Pyramids,
+    footprints: Footprints,
     triangles: npt.NDArray[np.int32],
     barycentric: npt.NDArray[np.float64],
     widths: npt.NDArray[np.float32],
@@ -121,8 +252,8 @@ def _evaluate(
         triangle = np.int64(triangles[i])
         b0, b1, b2 = barycentric[i, 0], barycentric[i, 1], barycentric[i, 2]
         material = np.int64(tables.materials[triangle])
-        red, green = np.float64(tables.factors[material, 0]), np.float64(tables.factors[material, 1])
-        blue, alpha = np.float64(tables.factors[material, 2]), np.float64(tables.factors[material, 3])
+        factor = tables.factors[material]
+        red, green, blue, alpha = factor[0] * 1.0, factor[1] * 1.0, factor[2] * 1.0, factor[3] * 1.0
         if tables.colors.shape[0] > 0:
             rows = tables.color_rows[triangle]
             c0, c1, c2 = tables.colors[rows[0]], tables.colors[rows[1]], tables.colors[rows[2]]
@@ -131,12 +262,41 @@ def _evaluate(
             blue *= b0 * c0[2] + b1 * c1[2] + b2 * c2[2]
             alpha *= b0 * c0[3] + b1 * c1[3] + b2 * c2[3]
         mode = tables.alpha_modes[material]
-        if mode == 0:
-            alpha = 1.0
-        elif mode == 1:
-            alpha = 1.0 if alpha >= tables.cutoffs[material] else 0.0
+        threshold = -1.0
+        if mode == 1:
+            threshold = tables.cutoffs[material] / alpha if alpha > 0.0 else np.inf
+        image = np.int64(tables.images[material])
+        coverage = 1.0 if threshold <= 1.0 else 0.0
+        if image >= 0:
+            rows = tables.coordinate_rows[triangle]
+            c0, c1, c2 = tables.coordinates[rows[0]], tables.coordinates[rows[1]], tables.coordinates[rows[2]]
+            width = np.float64(widths[i])
+            r, g, b, coverage = read(
+                pyramids,
+                image,
+                b0 * c0[0] + b1 * c1[0] + b2 * c2[0],
+                b0 * c0[1] + b1 * c1[1] + b2 * c2[1],
+                np.int64(tables.wraps[material, 0]),
+                np.int64(tables.wraps[material, 1]),
+                tables.nearest[material],
+                threshold,
+                width * footprints.major[triangle, 0],
+                width * footprints.major[triangle, 1],
+                width * footprints.lengths[triangle, 0],
+                width * footprints.lengths[triangle, 1],
+            )
+            red *= r
+            green *= g
+            blue *= b
+            if not pyramids.translucent[image]:
+                coverage = 1.0 if threshold <= 1.0 else 0.0
         values[i, 0] = red
         values[i, 1] = green
         values[i, 2] = blue
         if values.shape[1] == 4:
-            values[i, 3] = alpha
+            if mode == 0:
+                values[i, 3] = 1.0
+            elif mode == 1:
+                values[i, 3] = coverage
+            else:
+                values[i, 3] = alpha * coverage

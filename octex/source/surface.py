@@ -7,11 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import PIL.Image
 
 from octex.channels import ChannelFormat, srgb_to_linear
 from octex.checks import as_choice
 from octex.errors import ArgumentError, ModelError
-from octex.source.materials import AlphaMode, Corners, Material, MaterialSource, Source
+from octex.source.images import as_texels
+from octex.source.materials import AlphaMode, Corners, Material, MaterialSource, Source, Texture
+from octex.source.pyramid import WRAPS
 
 
 class Samples(NamedTuple):
@@ -68,6 +71,10 @@ class Surface:
         *,
         colors: npt.ArrayLike | None = None,
         face_colors: npt.ArrayLike | None = None,
+        uv: npt.ArrayLike | None = None,
+        image: npt.ArrayLike | PIL.Image.Image | None = None,
+        wrap: str | tuple[str, str] = "repeat",
+        filter: str = "linear",
         factor: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0),
         alpha: AlphaMode | None = None,
         cutoff: float = 0.5,
@@ -81,30 +88,50 @@ class Surface:
         alpha, multiplies them. ``alpha`` says whether alpha counts: "opaque", "mask" (with ``cutoff``) or
         "blend"; None means "blend" if any is below 1.
 
-        Raises ModelError as the class does, ArgumentError for colours of another shape.
+        ``image`` multiplies too: a Pillow image, or sRGB codes, uint8 or uint16, of shape (height, width) or
+        (height, width, 1 to 4). It needs ``uv``, per vertex (n, 2) or per corner (m, 3, 2), with v running
+        *up* from the image's last row, as in OBJ files; ``wrap``, "repeat", "mirror" or "clamp", or one for u
+        and one for v; and ``filter``, "linear" or "nearest" where it is magnified.
+
+        Raises ModelError as the class does, ArgumentError for another shape or name, ImageError for an image
+        that cannot be used.
         """
-        faces = _triangles(np.asarray(triangles), len(np.asarray(vertices)), name)
+        positions = _positions(np.asarray(vertices, np.float64), f"{name}: vertices")
+        placed = (
+            positions if rest is None else _positions(np.asarray(rest, np.float64), f"{name}: rest positions")
+        )
+        faces = _triangles(np.asarray(triangles), len(positions), name)
         if colors is not None and face_colors is not None:
             raise ArgumentError("give colors per vertex or face_colors per triangle, not both")
         corners = None
         if colors is not None:
-            corners = Corners(linear_colors(colors, len(np.asarray(vertices)), "colors"), faces)
+            corners = Corners(linear_colors(colors, len(positions), "colors"), faces)
         elif face_colors is not None:
             rows = np.repeat(np.arange(len(faces), dtype=np.int32), 3).reshape(-1, 3)
             corners = Corners(linear_colors(face_colors, len(faces), "face_colors"), rows)
         full = (factor[0], factor[1], factor[2], factor[3] if len(factor) > 3 else 1.0)
+        texture = coordinates = None
+        if image is not None:
+            if uv is None:
+                raise ArgumentError("an image needs uv")
+            wraps = [
+                WRAPS.index(as_choice(w, WRAPS, "wrap"))
+                for w in ((wrap, wrap) if isinstance(wrap, str) else wrap)
+            ]
+            nearest = as_choice(filter, ("linear", "nearest"), "filter") == "nearest"
+            texture = Texture(as_texels(image), wraps[0], wraps[1], nearest)
+            coordinates = _corner_coordinates(uv, faces, len(positions))
         if alpha is None:
             translucent = full[3] < 1 or (corners is not None and bool((corners.values[:, 3] < 1).any()))
+            translucent = translucent or (
+                texture is not None and bool((texture.texels[..., 3] < 65535).any())
+            )
             alpha = "blend" if translucent else "opaque"
-        material = Material(factor=full, alpha_mode=alpha, cutoff=cutoff)
-        source = MaterialSource([material], np.zeros(len(faces), np.int32), colors=corners)
-        return cls(
-            np.asarray(vertices, np.float64),
-            faces,
-            source,
-            rest=None if rest is None else np.asarray(rest, np.float64),
-            name=name,
+        material = Material(full, texture, alpha, cutoff)
+        source = MaterialSource(
+            [material], np.zeros(len(faces), np.int32), placed, faces, colors=corners, coordinates=coordinates
         )
+        return cls(positions, faces, source, rest=placed, name=name)
 
     @property
     def channels(self) -> tuple[ChannelFormat, ...]:
@@ -222,6 +249,30 @@ def linear_colors(colors: npt.ArrayLike, rows: int, name: str) -> npt.NDArray[np
     else:
         linear[:, : array.shape[1]] = array
     return linear
+
+
+def _corner_coordinates(uv: npt.ArrayLike, triangles: npt.NDArray[np.int32], vertices: int) -> Corners:
+    """Bind coordinates with v up, per vertex or per corner."""
+    array = np.asarray(uv, np.float64)
+    if array.shape == (len(triangles), 3, 2):
+        rows = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
+    elif array.shape == (vertices, 2):
+        rows = triangles
+    else:
+        raise ArgumentError(
+            f"uv must have shape ({vertices}, 2) or ({len(triangles)}, 3, 2), not {array.shape}"
+        )
+    if not np.isfinite(array).all():
+        raise ArgumentError("uv must be finite")
+    return Corners(flip_v(array.reshape(-1, 2)), rows)
+
+
+def flip_v(uv: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
+    """Return coordinates (n, 2) with v down of such with v up."""
+    flipped = np.empty(uv.shape, np.float32)
+    flipped[:, 0] = uv[:, 0]
+    flipped[:, 1] = 1.0 - uv[:, 1].astype(np.float64)
+    return flipped
 
 
 def _positions(positions: npt.NDArray[np.float64], what: str) -> npt.NDArray[np.float64]:
