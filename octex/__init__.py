@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from octex.conversion.convert import convert as convert
     from octex.errors import OctexError as OctexError
-    from octex.source.surface import Surface as Surface
     from octex.source.load import load_surface as load_surface
+    from octex.source.surface import Surface as Surface
     from octex.texture import OctreeTexture as OctreeTexture
-    from octex.texture import open_texture as open  # noqa: A004
+    from octex.texture import open_texture
+
+    open = open_texture
 
 __version__ = "0.1.0"
 

@@ -26,7 +26,24 @@ def kernel(function: Function) -> Function:
 
     Kernels take arrays, scalars and named tuples of them; they never raise and never allocate per element.
     """
-    compiler = partial(numba.njit, nogil=True, error_model="numpy")
+    return _compiled(function)
+
+
+def inlined(function: Function) -> Function:
+    """Compile ``function`` into the kernels that call it.
+
+    For the small steps of a hot loop, where a call costs as much as the work.
+    """
+    return _compiled(function, forceinline=True)
+
+
+def summing_kernel(function: Function) -> Function:
+    """Compile like ``kernel``, but let sums be reordered to run in vectors: their last bits may vary."""
+    return _compiled(function, fastmath={"reassoc", "contract"})
+
+
+def _compiled(function: Function, **options: Any) -> Function:
+    compiler = partial(numba.njit, nogil=True, error_model="numpy", **options)
     try:
         return compiler(cache=True)(function)  # type: ignore[no-any-return]
     except RuntimeError:  # no folder that numba could write its cache to: compile in every process
