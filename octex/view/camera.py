@@ -1,0 +1,260 @@
+"""Cameras: where a point of the world lands in a picture, and what ray of the world a pixel sees.
+
+Pixel (i, j), column i and row j from the top left, covers [i, i+1) × [j, j+1); its centre is at (i+½, j+½).
+In camera axes x runs right, y down and z forward: the depth of a point is its z there. A camera sees what
+lies at depths above zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal, cast, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.checks import as_choice, as_points, as_positive
+from octex.errors import ArgumentError
+
+Floats = npt.NDArray[np.float64]
+
+#: What a pose matrix means.
+#: ``opengl``: camera-to-world; the camera looks down its −z, +y is up (glTF, Blender, transforms.json).
+#: ``opencv``: world-to-camera; the camera looks down its +z, +y is down (OpenCV, COLMAP).
+Convention = Literal["opengl", "opencv"]
+
+#: From OpenGL's camera axes to ours, and back.
+_FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole or orthographic camera without lens distortion.
+
+    Make one with ``Camera.pinhole``, ``Camera.orthographic`` or ``Camera.fitted``.
+
+    width, height     picture size in pixels
+    K                 (3, 3), to pixel coordinates. pinhole: K · (x/z, y/z, 1); orthographic: K · (x, y, 1)
+    world_to_camera   (4, 4): a rotation and a translation into camera axes (x right, y down, z forward)
+    """
+
+    width: int
+    height: int
+    K: Floats
+    world_to_camera: Floats
+    projection: Literal["pinhole", "orthographic"]
+
+    @classmethod
+    def pinhole(
+        cls,
+        size: tuple[int, int],
+        *,
+        pose: npt.ArrayLike,
+        convention: Convention,
+        K: npt.ArrayLike | None = None,
+        focal: float | tuple[float, float] | None = None,
+        center: tuple[float, float] | None = None,
+    ) -> Camera:
+        """Make a perspective camera.
+
+        size         (width, height) in pixels
+        pose         (4, 4) or (3, 4) matrix; ``convention`` says what it means, it is never guessed
+        K            (3, 3) intrinsics in pixels; or instead of it
+        focal        focal length in pixels, one number or (x, y), and
+        center       principal point in pixels; default: the middle of the picture
+
+        Raises ArgumentError for a matrix that is no pose or no intrinsics, and unless exactly one of K and
+        focal is given.
+        """
+        width, height = _as_size(size)
+        if (K is None) == (focal is None) or (K is not None and center is not None):
+            raise ArgumentError("give a pinhole camera either K, or focal with or without center")
+        if K is None:
+            x, y = focal if isinstance(focal, tuple) else (focal, focal)
+            K = _intrinsics(
+                as_positive(cast(float, x), "focal"),
+                as_positive(cast(float, y), "focal"),
+                center if center is not None else (width / 2, height / 2),
+            )
+        return cls(width, height, _as_intrinsics(K), _as_view(pose, convention), "pinhole")
+
+    @classmethod
+    def orthographic(
+        cls,
+        size: tuple[int, int],
+        *,
+        pose: npt.ArrayLike,
+        convention: Convention,
+        pixels_per_unit: float,
+        center: tuple[float, float] | None = None,
+    ) -> Camera:
+        """Make a camera of parallel rays, ``pixels_per_unit`` to a unit of the world; else as ``pinhole``."""
+        width, height = _as_size(size)
+        scale = as_positive(pixels_per_unit, "pixels_per_unit")
+        K = _intrinsics(scale, scale, center if center is not None else (width / 2, height / 2))
+        return cls(width, height, _as_intrinsics(K), _as_view(pose, convention), "orthographic")
+
+    @classmethod
+    def fitted(
+        cls,
+        points: npt.ArrayLike,
+        direction: npt.ArrayLike,
+        *,
+        size: tuple[int, int],
+        fov: float = 30.0,
+        up: npt.ArrayLike = (0.0, 1.0, 0.0),
+        margin: float = 0.05,
+    ) -> Camera:
+        """Make the closest pinhole camera that sees all of ``points``, centred.
+
+        points       (n, 3), for example a model's vertices
+        direction    from the model toward the camera
+        fov          the angle, in degrees, across the shorter side of the picture
+        up           what points up in the picture; another axis is taken if it is parallel to ``direction``
+        margin       part of the width and of the height that stays free on each side
+
+        Raises ArgumentError for no points, non-finite ones, a direction of no length, or an angle or margin
+        out of range.
+        """
+        width, height = _as_size(size)
+        points = as_points(points).astype(np.float64, copy=False)
+        if not points.size or not np.isfinite(points).all():
+            raise ArgumentError("points must be finite, and at least one")
+        if not 0.0 < fov < 180.0:
+            raise ArgumentError(f"fov must be between 0 and 180 degrees, not {fov:g}")
+        if not 0.0 <= margin < 0.5:
+            raise ArgumentError(f"margin must be from 0 to below 0.5, not {margin:g}")
+        rotation = _look_along(-_as_vector(direction, "direction"), _as_vector(up, "up"))
+
+        focal = min(width, height) / 2 / np.tan(np.radians(fov) / 2)
+        x, y, z = rotation @ points.T
+        slope_x, slope_y = (0.5 - margin) * width / focal, (0.5 - margin) * height / focal
+        eye_x, back_x = _fit_wedge(x, z, slope_x)
+        eye_y, back_y = _fit_wedge(y, z, slope_y)
+        extent = float(np.ptp(points, axis=0).max()) or 1.0
+        eye = np.array([eye_x, eye_y, min(back_x, back_y, float(z.min()) - 1e-3 * extent)])
+
+        view = np.eye(4)
+        view[:3, :3] = rotation
+        view[:3, 3] = -eye
+        return cls(width, height, _intrinsics(focal, focal, (width / 2, height / 2)), view, "pinhole")
+
+    @property
+    def position(self) -> Floats:
+        """Where the camera is, in the world (3,)."""
+        return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
+
+    @property
+    def matrix(self) -> Floats:
+        """(4, 4): a world point (x, y, z, 1) to (i·w, j·w, w, depth), where (i, j) are pixel coordinates."""
+        view = self.world_to_camera
+        last = view[2] if self.projection == "pinhole" else np.array([0.0, 0.0, 0.0, 1.0])
+        return np.vstack([self.K[:2] @ np.vstack([view[:2], last]), last, view[2]])
+
+    def project(self, points: npt.ArrayLike) -> tuple[Floats, Floats]:
+        """Return the pixel coordinates (n, 2) and depths (n,) of world points (n, 3).
+
+        Where a pinhole camera's depth is not above zero, the pixel coordinates are NaN.
+        """
+        points = as_points(points)
+        x, y, w, depth = self.matrix[:, :3] @ points.T + self.matrix[:, 3:]
+        w = np.where(w > 0.0, w, np.nan)
+        return np.column_stack([x / w, y / w]), depth
+
+    def rays(self, pixels: npt.ArrayLike) -> tuple[Floats, Floats]:
+        """Return rays through pixel coordinates (n, 2): origins at depth 0 and unit directions, (n, 3)."""
+        pixels = np.asarray(pixels, np.float64)
+        if pixels.ndim != 2 or pixels.shape[1] != 2:
+            raise ArgumentError(f"pixels must have shape (n, 2), not {pixels.shape}")
+        on_plane = np.linalg.solve(self.K, np.column_stack([pixels, np.ones(len(pixels))]).T).T
+        if self.projection == "pinhole":
+            origins, directions = np.zeros_like(on_plane), on_plane
+        else:
+            origins, directions = on_plane * [1.0, 1.0, 0.0], np.tile([0.0, 0.0, 1.0], (len(pixels), 1))
+        rotation, translation = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
+        directions = directions @ rotation
+        return (origins - translation) @ rotation, directions / np.linalg.norm(
+            directions, axis=1, keepdims=True
+        )
+
+    def pixel_width(self, depth: npt.ArrayLike) -> Floats:
+        """Return how wide a pixel is in the world, across the view, at depths of any shape."""
+        focal = np.sqrt(self.K[0, 0] * self.K[1, 1])
+        depth = np.asarray(depth, np.float64)
+        return depth / focal if self.projection == "pinhole" else np.full(depth.shape, 1.0 / focal)
+
+    def scaled(self, factor: int) -> Camera:
+        """Return the same view with ``factor`` times as many pixels each way."""
+        return replace(
+            self,
+            width=self.width * factor,
+            height=self.height * factor,
+            K=np.diag([factor, factor, 1.0]) @ self.K,
+        )
+
+
+def _intrinsics(focal_x: float, focal_y: float, center: tuple[float, float]) -> Floats:
+    return np.array([[focal_x, 0.0, center[0]], [0.0, focal_y, center[1]], [0.0, 0.0, 1.0]])
+
+
+def _as_size(size: tuple[int, int]) -> tuple[int, int]:
+    width, height = size
+    if not (isinstance(width, int) and isinstance(height, int) and width > 0 and height > 0):
+        raise ArgumentError(f"size must be (width, height) in whole pixels above zero, not {size!r}")
+    return width, height
+
+
+def _as_vector(vector: npt.ArrayLike, name: str) -> Floats:
+    array = np.asarray(vector, np.float64)
+    length = np.linalg.norm(array)
+    if array.shape != (3,) or not 0.0 < length < np.inf:
+        raise ArgumentError(f"{name} must be three finite numbers, not all zero")
+    return cast(Floats, array / length)
+
+
+def _as_intrinsics(K: npt.ArrayLike) -> Floats:
+    matrix = np.array(K, np.float64)
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        raise ArgumentError("K must be a finite (3, 3) matrix")
+    if not (matrix[0, 0] > 0.0 and matrix[1, 1] > 0.0):
+        raise ArgumentError(
+            f"K's focal lengths must be above zero, not {matrix[0, 0]:g} and {matrix[1, 1]:g}"
+        )
+    if matrix[1, 0] != 0.0 or (matrix[2] != [0.0, 0.0, 1.0]).any():
+        raise ArgumentError("K must be upper triangular with the last row 0 0 1")
+    return matrix
+
+
+def _as_view(pose: npt.ArrayLike, convention: Convention) -> Floats:
+    """Return a user's pose as a world-to-camera matrix in our camera axes."""
+    as_choice(convention, get_args(Convention), "camera convention")
+    given = np.asarray(pose, np.float64)
+    if given.shape not in ((4, 4), (3, 4)) or not np.isfinite(given).all():
+        raise ArgumentError("a camera's pose must be a finite (4, 4) or (3, 4) matrix")
+    if given.shape == (4, 4) and not np.allclose(given[3], [0.0, 0.0, 0.0, 1.0]):
+        raise ArgumentError("a camera's pose must have the last row 0 0 0 1; is the matrix transposed?")
+    left, stretch, right = np.linalg.svd(given[:3, :3])
+    if np.abs(stretch - 1.0).max() > 1e-4:
+        raise ArgumentError("a camera's pose must not scale or shear: its upper left 3×3 must be a rotation")
+    pose = np.eye(4)
+    pose[:3, :3] = left @ right  # the nearest rotation: files round to a few digits
+    pose[:3, 3] = given[:3, 3]
+    if np.linalg.det(pose) < 0.0:
+        raise ArgumentError("a camera's pose must not mirror; is one of its axes negated?")
+    return cast(Floats, _FLIP_YZ @ np.linalg.inv(pose) if convention == "opengl" else pose)
+
+
+def _look_along(forward: Floats, up: Floats) -> Floats:
+    """Return a rotation from the world to camera axes (x right, y down, z forward)."""
+    if abs(forward @ up) > 0.999:
+        up = -np.eye(3)[(np.argmax(np.abs(up)) + 1) % 3]
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward])
+
+
+def _fit_wedge(across: Floats, along: Floats, slope: float) -> tuple[float, float]:
+    """Return the foremost apex (a, b) of a wedge |across − a| ≤ slope · (along − b) that holds all points."""
+    right = float((across - slope * along).max())
+    left = float((-across - slope * along).max())
+    return (right - left) / 2, -(right + left) / (2 * slope)

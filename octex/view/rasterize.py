@@ -1,0 +1,248 @@
+"""A z-buffer: the triangle that each pixel's centre sees, and where on it.
+
+Edge functions are homogeneous, so triangles that pass through the camera's plane need no clipping (Olano &
+Greer, "Triangle Scan Conversion using 2D Homogeneous Coordinates", 1997). Vertices are snapped to 2⁻¹⁴ of a
+pixel: the edge functions of triangles up to 4096 pixels across are then exact in float64.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.checks import as_points
+from octex.errors import ArgumentError
+from octex.jit import kernel
+from octex.view.camera import Camera
+
+Floats = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+Index = int | np.integer[Any]
+
+#: Snapped positions are whole multiples of 1 / _SUBPIXELS of a pixel.
+_SUBPIXELS = 2.0**14
+#: Vertices farther than this from the picture's corner, in pixels, are not snapped.
+_FAR = 2.0**20
+#: Depths that differ by less than this part of the largest are the same: the rounding of interpolation.
+_SAME_DEPTH = 1e-12
+
+
+class Buffers(NamedTuple):
+    """What each pixel sees; row 0 is the top of the picture."""
+
+    triangle: npt.NDArray[np.int32]  # (height, width)      the nearest triangle; −1: none
+    barycentric: npt.NDArray[
+        np.float32
+    ]  # (height, width, 3)   perspective-correct; zeros where there is none
+    depth: Floats  # (height, width)      along the camera's axis; inf where there is none
+
+
+def rasterize(
+    positions: npt.ArrayLike, triangles: npt.ArrayLike, camera: Camera, supersample: int = 1
+) -> Buffers:
+    """Find the triangle seen at the centre of every pixel.
+
+    positions      (n, 3), in the world
+    triangles      (m, 3) numbers of positions; either side is seen; those without area are not
+    supersample    samples along each side of a pixel: the buffers are that many times larger each way
+
+    A centre on the edge between two triangles belongs to exactly one of them (the top-left rule), whether
+    they share the edge's vertices or only positions. Of triangles at the same depth the first is seen. What
+    lies at depth 0 or behind is not.
+
+    Raises ArgumentError for other shapes, non-finite positions, or vertex numbers out of range.
+    """
+    positions = as_points(positions, "positions").astype(np.float64, copy=False)
+    if not np.isfinite(positions).all():
+        raise ArgumentError("positions must be finite")
+    corners = np.asarray(triangles)
+    if corners.ndim != 2 or corners.shape[1] != 3 or corners.dtype.kind not in "iu":
+        raise ArgumentError(
+            f"triangles must be whole numbers of shape (m, 3), not {corners.dtype} {corners.shape}"
+        )
+    if corners.size and not (corners.min() >= 0 and corners.max() < len(positions)):
+        raise ArgumentError(f"triangles must number vertices from 0 to {len(positions) - 1}")
+    camera = camera.scaled(supersample)
+    shape = camera.height, camera.width
+    buffers = Buffers(np.full(shape, -1, np.int32), np.zeros((*shape, 3), np.float32), np.full(shape, np.inf))
+    screen, snapped = _to_screen(positions, camera.matrix)
+    same = _SAME_DEPTH * float(np.abs(screen[:, 3]).max(initial=0.0))
+    _draw(screen, snapped, np.ascontiguousarray(corners, np.int32), same, *buffers)
+    return buffers
+
+
+@kernel
+def _to_screen(positions: Floats, matrix: Floats) -> tuple[Floats, Flags]:
+    """Return rows (x, y, w, depth) of the vertices, and whether x and y are snapped pixel coordinates.
+
+    Other vertices, behind the camera or far outside the picture, have pixel coordinates times w.
+    """
+    screen = np.empty((len(positions), 4))
+    snapped = np.zeros(len(positions), np.bool_)
+    for n in range(len(positions)):
+        for row in range(4):
+            # Not a matrix product: vertices at one position must land on the same bits.
+            screen[n, row] = (
+                matrix[row, 0] * positions[n, 0]
+                + matrix[row, 1] * positions[n, 1]
+                + matrix[row, 2] * positions[n, 2]
+                + matrix[row, 3]
+            )
+        x, y, w = screen[n, 0], screen[n, 1], screen[n, 2]
+        if w > 0.0 and abs(x) <= _FAR * w and abs(y) <= _FAR * w:
+            screen[n, 0] = np.floor(x / w * _SUBPIXELS + 0.5) / _SUBPIXELS
+            screen[n, 1] = np.floor(y / w * _SUBPIXELS + 0.5) / _SUBPIXELS
+            snapped[n] = True
+    return screen, snapped
+
+
+@kernel
+def _edge(
+    screen: Floats, snapped: Flags, p: Index, q: Index
+) -> tuple[float, float, float, float, float, float]:
+    """Return x0, y0, across, down, constant and scale of the edge function from vertex p to q.
+
+    It is (x − x0) · across + (y − y0) · down + constant; times scale, that of the homogeneous vertices. From
+    q to p it has the same value at every pixel, to the bit, with the other sign.
+    """
+    sign = 1.0
+    for axis in range(3):
+        if screen[p, axis] != screen[q, axis]:
+            if screen[p, axis] > screen[q, axis]:
+                p, q, sign = q, p, -1.0
+            break
+    px, py, pw = screen[p, 0], screen[p, 1], screen[p, 2]
+    qx, qy, qw = screen[q, 0], screen[q, 1], screen[q, 2]
+    if snapped[p] and snapped[q]:
+        return px, py, sign * (py - qy), sign * (qx - px), 0.0, pw * qw
+    if snapped[p]:
+        px, py = px * pw, py * pw
+    if snapped[q]:
+        qx, qy = qx * qw, qy * qw
+    return 0.0, 0.0, sign * (py * qw - pw * qy), sign * (pw * qx - px * qw), sign * (px * qy - py * qx), 1.0
+
+
+@kernel
+def _orientation(screen: Floats, snapped: Flags, a: Index, b: Index, c: Index) -> float:
+    """Return 1 or −1 for the two sides of a triangle, 0 for one without area in the picture."""
+    if snapped[a] and snapped[b] and snapped[c]:
+        abx, aby = screen[b, 0] - screen[a, 0], screen[b, 1] - screen[a, 1]
+        acx, acy = screen[c, 0] - screen[a, 0], screen[c, 1] - screen[a, 1]
+        return float(np.sign(abx * acy - aby * acx))
+    ax, ay, aw = _homogeneous(screen, snapped, a)
+    bx, by, bw = _homogeneous(screen, snapped, b)
+    cx, cy, cw = _homogeneous(screen, snapped, c)
+    return float(np.sign(ax * (by * cw - bw * cy) + ay * (bw * cx - bx * cw) + aw * (bx * cy - by * cx)))
+
+
+@kernel
+def _homogeneous(screen: Floats, snapped: Flags, vertex: Index) -> tuple[float, float, float]:
+    x, y, w = screen[vertex, 0], screen[vertex, 1], screen[vertex, 2]
+    if snapped[vertex]:
+        return x * w, y * w, w
+    return x, y, w
+
+
+@kernel
+def _pixel_range(
+    screen: Floats,
+    snapped: Flags,
+    corners: tuple[Index, Index, Index],
+    axis: int,
+    pixels: int,
+) -> tuple[int, int]:
+    """Return the first and one past the last pixel, along an axis, whose centres the triangle can cover."""
+    a, b, c = corners
+    if snapped[a] and snapped[b] and snapped[c]:
+        low = min(screen[a, axis], screen[b, axis], screen[c, axis])
+        high = max(screen[a, axis], screen[b, axis], screen[c, axis])
+        # Snapped positions are within ±2²⁰, so they fit an integer.
+        return max(int(np.ceil(low - 0.5)), 0), min(int(np.floor(high - 0.5)) + 1, pixels)
+    # What holds for the homogeneous vertices holds wherever the triangle is in front of the camera.
+    before, beyond = True, True
+    for vertex in corners:
+        point = _homogeneous(screen, snapped, vertex)
+        before &= point[axis] < 0.0
+        beyond &= point[axis] > pixels * point[2]
+    return 0, 0 if before or beyond else pixels
+
+
+@kernel
+def _covers(value: float, across: float, down: float) -> bool:
+    """Tell whether a point is inside an edge, or on it if it is a left edge or a level top edge."""
+    return value > 0.0 or (value == 0.0 and (across > 0.0 or (across == 0.0 and down > 0.0)))
+
+
+@kernel
+def _draw(
+    screen: Floats,
+    snapped: Flags,
+    triangles: npt.NDArray[np.int32],
+    same_depth: float,
+    seen: npt.NDArray[np.int32],
+    barycentric: npt.NDArray[np.float32],
+    depths: Floats,
+) -> None:
+    height, width = seen.shape
+    edges = np.empty((3, 6))
+    row_constant = np.empty(3)
+    for number in range(len(triangles)):
+        a, b, c = (
+            np.int64(triangles[number, 0]),
+            np.int64(triangles[number, 1]),
+            np.int64(triangles[number, 2]),
+        )
+        if not (screen[a, 2] > 0.0 or screen[b, 2] > 0.0 or screen[c, 2] > 0.0):
+            continue
+        first_column, end_column = _pixel_range(screen, snapped, (a, b, c), 0, width)
+        first_row, end_row = _pixel_range(screen, snapped, (a, b, c), 1, height)
+        if first_column >= end_column or first_row >= end_row:
+            continue
+        side = _orientation(screen, snapped, a, b, c)
+        if side == 0.0:
+            continue
+        edges[0] = _edge(screen, snapped, b, c)
+        edges[1] = _edge(screen, snapped, c, a)
+        edges[2] = _edge(screen, snapped, a, b)
+        edges[:, 2:5] *= side
+        a_depth, b_depth, c_depth = screen[a, 3], screen[b, 3], screen[c, 3]
+        for row in range(first_row, end_row):
+            first, end = first_column, end_column
+            for e in range(3):
+                x0, across = edges[e, 0], edges[e, 2]
+                constant = (row + 0.5 - edges[e, 1]) * edges[e, 3] + edges[e, 4]
+                row_constant[e] = constant
+                if end - first <= 4:
+                    continue
+                if across == 0.0:
+                    end = end if constant >= 0.0 else first
+                    continue
+                # The pixel where the edge crosses the row, and one more for the rounding.
+                crossing = min(max(x0 - constant / across, -1.0), width + 1.0)
+                if across > 0.0:
+                    first = max(first, int(crossing) - 1)
+                else:
+                    end = min(end, int(crossing) + 2)
+            for column in range(first, end):
+                x = column + 0.5
+                in_a = (x - edges[0, 0]) * edges[0, 2] + row_constant[0]
+                in_b = (x - edges[1, 0]) * edges[1, 2] + row_constant[1]
+                in_c = (x - edges[2, 0]) * edges[2, 2] + row_constant[2]
+                if not (
+                    _covers(in_a, edges[0, 2], edges[0, 3])
+                    and _covers(in_b, edges[1, 2], edges[1, 3])
+                    and _covers(in_c, edges[2, 2], edges[2, 3])
+                ):
+                    continue
+                in_a, in_b, in_c = in_a * edges[0, 5], in_b * edges[1, 5], in_c * edges[2, 5]
+                total = in_a + in_b + in_c
+                in_a, in_b, in_c = in_a / total, in_b / total, in_c / total
+                depth = in_a * a_depth + in_b * b_depth + in_c * c_depth
+                if 0.0 < depth < depths[row, column] - same_depth:
+                    seen[row, column] = number
+                    depths[row, column] = depth
+                    barycentric[row, column, 0] = in_a
+                    barycentric[row, column, 1] = in_b
+                    barycentric[row, column, 2] = in_c

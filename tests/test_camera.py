@@ -1,0 +1,196 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from octex.errors import ArgumentError
+from octex.view.camera import Camera
+
+
+def _rotation(seed):
+    matrix, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    return matrix * np.sign(np.linalg.det(matrix))
+
+
+def _pose(seed):
+    pose = np.eye(4)
+    pose[:3, :3] = _rotation(seed)
+    pose[:3, 3] = np.random.default_rng(seed).normal(size=3)
+    return pose
+
+
+def _pinhole(**changes):
+    return Camera.pinhole(
+        **{"size": (640, 480), "pose": np.eye(4), "convention": "opencv", "focal": 500.0} | changes
+    )
+
+
+def test_an_opencv_camera_looks_down_its_z_axis_with_y_down():
+    pixels, depth = _pinhole().project([[0.0, 0.0, 2.0], [0.2, 0.0, 2.0], [0.0, 0.2, 2.0]])
+    assert np.allclose(pixels, [[320, 240], [370, 240], [320, 290]])
+    assert np.allclose(depth, 2.0)
+
+
+def test_an_opengl_camera_looks_down_its_negative_z_axis_with_y_up():
+    camera = _pinhole(convention="opengl")
+    pixels, depth = camera.project([[0.0, 0.0, -2.0], [0.2, 0.0, -2.0], [0.0, 0.2, -2.0]])
+    assert np.allclose(pixels, [[320, 240], [370, 240], [320, 190]])
+    assert np.allclose(depth, 2.0)
+
+
+def test_an_opengl_pose_is_camera_to_world_and_an_opencv_pose_is_world_to_camera():
+    pose = _pose(1)
+    assert np.allclose(_pinhole(pose=pose, convention="opengl").position, pose[:3, 3])
+    assert np.allclose(_pinhole(pose=np.linalg.inv(pose), convention="opencv").position, pose[:3, 3])
+
+
+def test_a_pose_may_leave_out_its_last_row():
+    assert np.array_equal(_pinhole(pose=_pose(2)[:3]).matrix, _pinhole(pose=_pose(2)).matrix)
+
+
+def test_intrinsics_with_skew_and_an_off_centre_principal_point_are_honoured():
+    camera = _pinhole(focal=None, K=[[500, 10, 300], [0, 400, 250], [0, 0, 1]])
+    pixels, _ = camera.project([[0.2, 0.4, 2.0]])
+    assert np.allclose(pixels, [[300 + 50 + 2, 250 + 80]])
+    assert np.allclose(
+        _pinhole(focal=(500.0, 400.0), center=(300.0, 250.0)).K, [[500, 0, 300], [0, 400, 250], [0, 0, 1]]
+    )
+
+
+def test_points_behind_a_pinhole_camera_have_no_pixel():
+    pixels, depth = _pinhole().project([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    assert np.isnan(pixels).all()
+    assert np.allclose(depth, [-1.0, 0.0])
+
+
+def test_an_orthographic_camera_does_not_foreshorten():
+    camera = Camera.orthographic((100, 100), pose=np.eye(4), convention="opencv", pixels_per_unit=10.0)
+    pixels, depth = camera.project([[1.0, 2.0, 1.0], [1.0, 2.0, 50.0]])
+    assert np.allclose(pixels, [60, 70])
+    assert np.allclose(depth, [1.0, 50.0])
+    assert np.allclose(camera.pixel_width([1.0, 50.0]), 0.1)
+
+
+@pytest.mark.parametrize("projection", ["pinhole", "orthographic"])
+@given(seed=st.integers(0, 1000))
+def test_rays_are_the_inverse_of_project(projection, seed):
+    if projection == "pinhole":
+        camera = _pinhole(pose=_pose(seed), convention="opengl")
+    else:
+        camera = Camera.orthographic((64, 48), pose=_pose(seed), convention="opengl", pixels_per_unit=7.0)
+    pixels = np.random.default_rng(seed).uniform(-10, 700, (5, 2))
+    origins, directions = camera.rays(pixels)
+    assert np.allclose(np.linalg.norm(directions, axis=1), 1.0)
+    seen, depth = camera.project(origins + 3.0 * directions)
+    assert np.allclose(seen, pixels)
+    assert np.allclose(depth, 3.0 * directions @ camera.world_to_camera[2, :3])
+
+
+def test_a_pixel_is_as_wide_as_the_step_between_neighbouring_rays():
+    camera = _pinhole(pose=_pose(3))
+    origins, directions = camera.rays([[320.0, 240.0], [321.0, 240.0]])
+    points = origins + 2.0 * directions / (directions @ camera.world_to_camera[2, :3])[:, None]
+    assert np.isclose(np.linalg.norm(points[1] - points[0]), camera.pixel_width(2.0))
+
+
+def test_a_scaled_camera_sees_the_same_with_more_pixels():
+    camera = _pinhole(pose=_pose(4), convention="opengl")
+    points = camera.rays([[100.0, 50.0], [300.5, 420.25]])[1] * 2.0 + camera.position
+    assert camera.scaled(3).width == 1920
+    assert camera.scaled(3).height == 1440
+    assert np.allclose(camera.scaled(3).project(points)[0], 3 * camera.project(points)[0])
+
+
+@given(
+    seed=st.integers(0, 1000),
+    size=st.sampled_from([(200, 100), (100, 200), (64, 64)]),
+    flat=st.sampled_from([(1, 1, 1), (1, 1, 0), (0, 1, 1), (5, 0, 0.1)]),
+)
+def test_a_fitted_camera_touches_its_margins_and_holds_all_points(seed, size, flat):
+    random = np.random.default_rng(seed)
+    points = random.normal(size=(50, 3)) * flat + random.normal(size=3) * 10
+    camera = Camera.fitted(points, random.normal(size=3), size=size, fov=40.0, margin=0.05)
+    pixels, depth = camera.project(points)
+    assert (depth > 0.0).all()
+    free = np.array([pixels.min(axis=0), size - pixels.max(axis=0)]) / size
+    assert free.min() > 0.05 - 1e-6
+    tight = np.abs(free - 0.05) < 1e-6  # both sides of one axis
+    assert tight.all(axis=0).any()
+
+
+def test_a_fitted_camera_keeps_up_up_and_looks_along_the_direction():
+    camera = Camera.fitted([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]], [0.0, 0.5, 1.0], size=(100, 100))
+    pixels, _ = camera.project([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    assert pixels[1, 1] < pixels[0, 1]
+    assert np.isclose(pixels[1, 0], pixels[0, 0])
+    assert pixels[2, 0] > pixels[0, 0]
+    assert np.allclose(camera.world_to_camera[2, :3], -np.array([0.0, 0.5, 1.0]) / np.sqrt(1.25))
+
+
+def test_a_fitted_camera_may_look_straight_along_up():
+    camera = Camera.fitted([[0.0, 0.0, 0.0], [1.0, 0.0, 1.0]], [0.0, 1.0, 0.0], size=(100, 100))
+    pixels, _ = camera.project([[0.0, 0.0, 0.0], [1.0, 0.0, 1.0]])
+    assert (pixels[0] < pixels[1]).all()  # +x to the right, +z down
+
+
+def test_a_fitted_camera_stands_in_front_of_a_single_point():
+    pixels, depth = Camera.fitted([[1.0, 2.0, 3.0]], [1.0, 0.0, 0.0], size=(10, 10)).project(
+        [[1.0, 2.0, 3.0]]
+    )
+    assert depth[0] > 0.0
+    assert np.allclose(pixels, 5.0)
+
+
+def test_a_nearly_exact_rotation_becomes_exact():
+    rotation = _pinhole(pose=np.round(_pose(5), 6)).world_to_camera[:3, :3]
+    assert np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"size": (0, 10)}, "size must be"),
+        ({"size": (10.5, 10)}, "size must be"),
+        ({"focal": None}, "either K, or focal"),
+        ({"K": np.eye(3)}, "either K, or focal"),
+        ({"focal": None, "K": np.eye(3), "center": (1.0, 1.0)}, "either K, or focal"),
+        ({"focal": -1.0}, "focal must be finite and above zero"),
+        ({"focal": None, "K": np.eye(4)}, "K must be a finite"),
+        ({"focal": None, "K": np.diag([1.0, -1.0, 1.0])}, "focal lengths must be above zero"),
+        ({"focal": None, "K": np.ones((3, 3))}, "K must be upper triangular"),
+        ({"convention": "blender"}, "unknown camera convention 'blender'; there are: opengl, opencv"),
+        ({"pose": np.eye(3)}, "pose must be a finite"),
+        ({"pose": np.full((4, 4), np.nan)}, "pose must be a finite"),
+        ({"pose": np.eye(4) + np.eye(4)[:, [3, 0, 1, 2]] * [5, 0, 0, 0]}, "last row 0 0 0 1"),
+        ({"pose": np.diag([2.0, 2.0, 2.0, 1.0])}, "must not scale or shear"),
+        ({"pose": np.diag([1.0, 1.0, 0.0, 1.0])}, "must not scale or shear"),
+        ({"pose": np.diag([-1.0, 1.0, 1.0, 1.0])}, "must not mirror"),
+    ],
+)
+def test_a_camera_that_cannot_be_is_refused(changes, complaint):
+    with pytest.raises(ArgumentError, match=complaint):
+        _pinhole(**changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"points": np.zeros((0, 3))}, "at least one"),
+        ({"points": [[np.inf, 0.0, 0.0]]}, "must be finite"),
+        ({"direction": (0.0, 0.0, 0.0)}, "direction must be three finite numbers"),
+        ({"up": (1.0, 0.0)}, "up must be three finite numbers"),
+        ({"fov": 180.0}, "fov must be between"),
+        ({"margin": 0.5}, "margin must be"),
+    ],
+)
+def test_a_fit_that_cannot_be_is_refused(changes, complaint):
+    arguments = {"points": [[0.0, 0.0, 0.0]], "direction": (0.0, 0.0, 1.0), "size": (10, 10)} | changes
+    with pytest.raises(ArgumentError, match=complaint):
+        Camera.fitted(arguments.pop("points"), arguments.pop("direction"), **arguments)
+
+
+def test_pixels_of_another_shape_are_refused():
+    with pytest.raises(ArgumentError, match="pixels must have shape"):
+        _pinhole().rays([1.0, 2.0])
