@@ -1,0 +1,230 @@
+"""Exactly the cells that a triangle meets.
+
+Vertices are rounded once to a grid of 2³⁰ steps along the root cell's edge. From there on everything is integer
+arithmetic: a half-open cell [a, b)³ is met if it shares a point with the closed rounded triangle, whatever the
+depth, the order of the triangles or the block that the work is cut into.
+
+A triangle is looked at along the axis w to which its normal is nearest, over the plane of the two axes u and v
+that follow w cyclically. It crosses a column of cells along w in a run without gaps, of at most three.
+
+The test is that of separating axes. Two sets overlap in 3D unless the box axes, the triangle's plane, or one of
+the projections along the three axes separates them. In a projection the outward side of each edge suffices. On
+an axis of direction d, the half-open box, a union of closed boxes [a, b−ε]³, reaches its largest value only if d
+has no positive component, and its smallest only if d has no negative one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.jit import kernel
+
+#: Vertices are rounded to 2⁻³⁰ of the root's edge, so that 2D cross products fit 64 bits and the plane's 128.
+GRID_BITS = 30
+#: Work is cut into blocks of 32³ cells: a block's masks fit the second-level cache.
+BLOCK_BITS = 5
+BLOCK_EDGE = 1 << BLOCK_BITS
+BLOCK_CELLS = 1 << (3 * BLOCK_BITS)
+
+#: The low five bits of a coordinate, spread to every third bit: a block's Morton codes.
+SPREAD = np.array(
+    [sum(((i >> bit) & 1) << (3 * bit) for bit in range(BLOCK_BITS)) for i in range(BLOCK_EDGE)], np.int64
+)
+
+# The scratch table that `columns_met` fills has a row for each column of cells: its place along u and v, its first
+# and last cell along w, and whether it lies wholly inside the triangle as seen along w.
+COLUMN_U, COLUMN_V, COLUMN_FIRST, COLUMN_LAST, COLUMN_INSIDE = range(5)
+
+
+@kernel
+def load_triangle(
+    grid: npt.NDArray[np.int32],
+    triangles: npt.NDArray[np.int32],
+    triangle: int,
+    corners: npt.NDArray[np.int64],
+    normal: npt.NDArray[np.int64],
+) -> int:
+    """Load a triangle's corners and normal with their axes in the order u, v, w; return w.
+
+    Returns −1 for a triangle that is degenerate after rounding. ``corners`` is (3, 3), ``normal`` (3,).
+    """
+    a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
+    ax, ay, az = np.int64(grid[a, 0]), np.int64(grid[a, 1]), np.int64(grid[a, 2])
+    bx, by, bz = np.int64(grid[b, 0]), np.int64(grid[b, 1]), np.int64(grid[b, 2])
+    cx, cy, cz = np.int64(grid[c, 0]), np.int64(grid[c, 1]), np.int64(grid[c, 2])
+    nx = (by - ay) * (cz - az) - (bz - az) * (cy - ay)
+    ny = (bz - az) * (cx - ax) - (bx - ax) * (cz - az)
+    nz = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    sx, sy, sz = abs(nx), abs(ny), abs(nz)
+    if sx == 0 and sy == 0 and sz == 0:
+        return -1
+    if sx >= sy and sx >= sz:
+        corners[0, 0], corners[0, 1], corners[0, 2] = ay, az, ax
+        corners[1, 0], corners[1, 1], corners[1, 2] = by, bz, bx
+        corners[2, 0], corners[2, 1], corners[2, 2] = cy, cz, cx
+        normal[0], normal[1], normal[2] = ny, nz, nx
+        return 0
+    if sy >= sz:
+        corners[0, 0], corners[0, 1], corners[0, 2] = az, ax, ay
+        corners[1, 0], corners[1, 1], corners[1, 2] = bz, bx, by
+        corners[2, 0], corners[2, 1], corners[2, 2] = cz, cx, cy
+        normal[0], normal[1], normal[2] = nz, nx, ny
+        return 1
+    corners[0, 0], corners[0, 1], corners[0, 2] = ax, ay, az
+    corners[1, 0], corners[1, 1], corners[1, 2] = bx, by, bz
+    corners[2, 0], corners[2, 1], corners[2, 2] = cx, cy, cz
+    normal[0], normal[1], normal[2] = nx, ny, nz
+    return 2
+
+
+@kernel
+def _edge(
+    corners: npt.NDArray[np.int64], i: int, j: int, first: int, second: int, orientation: int, cell: int
+) -> tuple[int, int, int, int]:
+    """Return p, q, c and span of the edge from corner i to corner j, projected onto two axes.
+
+    p·a + q·b + c ≥ 0 unless the edge separates the cell with corner (a, b); span is how much the edge's own
+    function changes over a cell. ``orientation`` is the sign of the projected triangle's area.
+    """
+    p = corners[i, second] - corners[j, second]
+    q = corners[j, first] - corners[i, first]
+    if orientation < 0:
+        p = -p
+        q = -q
+    # The function's largest value in the cell over that at its corner; one less where the cell does not reach it.
+    reach = cell * (max(p, 0) + max(q, 0)) - (1 if p > 0 or q > 0 else 0)
+    return p, q, reach - (p * corners[i, first] + q * corners[i, second]), cell * (abs(p) + abs(q))
+
+
+@kernel
+def _sign_of_dot(
+    normal: npt.NDArray[np.int64], u: int, v: int, w: int
+) -> int:
+    """Return the exact sign of normal · (u, v, w): up to 93 bits, summed in two halves."""
+    low_bits = (1 << 31) - 1
+    high = (normal[0] >> 31) * u + (normal[1] >> 31) * v + (normal[2] >> 31) * w
+    low = (normal[0] & low_bits) * u + (normal[1] & low_bits) * v + (normal[2] & low_bits) * w
+    high += low >> 31
+    if high != 0:
+        return 1 if high > 0 else -1
+    return 1 if (low & low_bits) != 0 else 0
+
+
+@kernel
+def _meets_plane(
+    corners: npt.NDArray[np.int64], normal: npt.NDArray[np.int64], cell: int, u: int, v: int, w: int
+) -> bool:
+    """Whether the triangle's plane meets the half-open cell at (u, v, w), given in grid steps."""
+    du, dv, dw = u - corners[0, 0], v - corners[0, 1], w - corners[0, 2]
+    up_u = cell if normal[0] > 0 else 0
+    up_v = cell if normal[1] > 0 else 0
+    up_w = cell if normal[2] > 0 else 0
+    largest = _sign_of_dot(normal, du + up_u, dv + up_v, dw + up_w)
+    if largest < 0 or (largest == 0 and up_u + up_v + up_w > 0):
+        return False
+    down_u = cell if normal[0] < 0 else 0
+    down_v = cell if normal[1] < 0 else 0
+    down_w = cell if normal[2] < 0 else 0
+    smallest = _sign_of_dot(normal, du + down_u, dv + down_v, dw + down_w)
+    return not (smallest > 0 or (smallest == 0 and down_u + down_v + down_w > 0))
+
+
+@kernel
+def columns_met(
+    corners: npt.NDArray[np.int64],
+    normal: npt.NDArray[np.int64],
+    shift: int,
+    block_u: int,
+    block_v: int,
+    block_w: int,
+    columns: npt.NDArray[np.int64],
+) -> int:
+    """List the cells of one block that a triangle meets, column by column; return the number of columns.
+
+    A cell's edge is ``1 << shift`` grid steps; ``block_*`` is the block's first cell. ``columns``, scratch of shape
+    (BLOCK_EDGE², 5), receives them sorted by u, then v.
+    """
+    cell = np.int64(1) << shift
+    first_u = max(min(corners[0, 0], corners[1, 0], corners[2, 0]) >> shift, block_u)
+    last_u = min(max(corners[0, 0], corners[1, 0], corners[2, 0]) >> shift, block_u + BLOCK_EDGE - 1)
+    first_v = max(min(corners[0, 1], corners[1, 1], corners[2, 1]) >> shift, block_v)
+    last_v = min(max(corners[0, 1], corners[1, 1], corners[2, 1]) >> shift, block_v + BLOCK_EDGE - 1)
+    first_w = max(min(corners[0, 2], corners[1, 2], corners[2, 2]) >> shift, block_w)
+    last_w = min(max(corners[0, 2], corners[1, 2], corners[2, 2]) >> shift, block_w + BLOCK_EDGE - 1)
+    if first_u > last_u or first_v > last_v or first_w > last_w:
+        return 0
+    slope_u = -np.float64(normal[0]) / np.float64(normal[2])
+    slope_v = -np.float64(normal[1]) / np.float64(normal[2])
+    below = (min(slope_u, 0.0) + min(slope_v, 0.0)) * cell
+    above = (max(slope_u, 0.0) + max(slope_v, 0.0)) * cell
+    # Edges as seen along w, u and v.
+    wp0, wq0, wc0, wspan0 = _edge(corners, 0, 1, 0, 1, normal[2], cell)
+    wp1, wq1, wc1, wspan1 = _edge(corners, 1, 2, 0, 1, normal[2], cell)
+    wp2, wq2, wc2, wspan2 = _edge(corners, 2, 0, 0, 1, normal[2], cell)
+    up0, uq0, uc0, _ = _edge(corners, 0, 1, 1, 2, normal[0], cell)
+    up1, uq1, uc1, _ = _edge(corners, 1, 2, 1, 2, normal[0], cell)
+    up2, uq2, uc2, _ = _edge(corners, 2, 0, 1, 2, normal[0], cell)
+    vp0, vq0, vc0, _ = _edge(corners, 0, 1, 2, 0, normal[1], cell)
+    vp1, vq1, vc1, _ = _edge(corners, 1, 2, 2, 0, normal[1], cell)
+    vp2, vq2, vc2, _ = _edge(corners, 2, 0, 2, 0, normal[1], cell)
+    count = 0
+    for iu in range(first_u, last_u + 1):
+        u = iu << shift
+        w_at_u0, w_at_u1, w_at_u2 = wp0 * u + wc0, wp1 * u + wc1, wp2 * u + wc2
+        v_at_u0, v_at_u1, v_at_u2 = vq0 * u + vc0, vq1 * u + vc1, vq2 * u + vc2
+        for iv in range(first_v, last_v + 1):
+            v = iv << shift
+            e0, e1, e2 = w_at_u0 + wq0 * v, w_at_u1 + wq1 * v, w_at_u2 + wq2 * v
+            if (e0 | e1 | e2) < 0:
+                continue
+            inside = ((e0 - wspan0) | (e1 - wspan1) | (e2 - wspan2)) >= 0
+            height = corners[0, 2] + slope_u * (u - corners[0, 0]) + slope_v * (v - corners[0, 1])
+            lowest, highest = np.int64(np.floor(height + below)), np.int64(np.floor(height + above))
+            # The plane's range over the column, widened and narrowed by more than all rounding: where both
+            # give the same cell, the plane needs no exact test.
+            first = max((lowest - 1) >> shift, first_w)
+            last = min((highest + 1) >> shift, last_w)
+            sure_first = (lowest + 2) >> shift
+            sure_last = (highest - 1) >> shift
+            u_at_v0, u_at_v1, u_at_v2 = up0 * v + uc0, up1 * v + uc1, up2 * v + uc2
+            while first <= last:
+                w = first << shift
+                if (
+                    inside
+                    or (
+                        (u_at_v0 + uq0 * w)
+                        | (u_at_v1 + uq1 * w)
+                        | (u_at_v2 + uq2 * w)
+                        | (v_at_u0 + vp0 * w)
+                        | (v_at_u1 + vp1 * w)
+                        | (v_at_u2 + vp2 * w)
+                    )
+                    >= 0
+                ) and (sure_first <= first <= sure_last or _meets_plane(corners, normal, cell, u, v, w)):
+                    break
+                first += 1
+            while first < last:
+                w = last << shift
+                if (
+                    inside
+                    or (
+                        (u_at_v0 + uq0 * w)
+                        | (u_at_v1 + uq1 * w)
+                        | (u_at_v2 + uq2 * w)
+                        | (v_at_u0 + vp0 * w)
+                        | (v_at_u1 + vp1 * w)
+                        | (v_at_u2 + vp2 * w)
+                    )
+                    >= 0
+                ) and (sure_first <= last <= sure_last or _meets_plane(corners, normal, cell, u, v, w)):
+                    break
+                last -= 1
+            if first <= last:
+                columns[count, COLUMN_U] = iu
+                columns[count, COLUMN_V] = iv
+                columns[count, COLUMN_FIRST] = first
+                columns[count, COLUMN_LAST] = last
+                columns[count, COLUMN_INSIDE] = 1 if inside else 0
+                count += 1
+    return count

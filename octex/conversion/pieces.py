@@ -1,0 +1,300 @@
+"""A surface cut into pieces, one for each (triangle, cell) that meet, block of cells by block of cells.
+
+A block's cells are marked in a mask of one byte a cell whose bits are the facings seen in it: the byte is the
+cell's normal flags, and a bit's rank among all set bits numbers the *entry* (cell, facing) in Morton order.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.conversion.cells import (
+    BLOCK_BITS,
+    BLOCK_CELLS,
+    BLOCK_EDGE,
+    COLUMN_FIRST,
+    COLUMN_LAST,
+    COLUMN_U,
+    COLUMN_V,
+    GRID_BITS,
+    SPREAD,
+    columns_met,
+    load_triangle,
+)
+from octex.conversion.clip import MAX_VERTICES, POLYGONS, clip_to_columns
+from octex.jit import kernel, popcount, trailing_zeros
+from octex.tree.morton import decode
+
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+class Blocks(NamedTuple):
+    """Blocks of 32³ cells (or less, at the root) in Morton order, and the triangles that meet each."""
+
+    codes: npt.NDArray[np.int64]  # (blocks,)   Morton codes at the blocks' level
+    starts: npt.NDArray[np.int64]  # (blocks + 1,)   each block's first row of `members`
+    members: npt.NDArray[np.int32]  # (pairs,)   triangles, ascending within a block
+
+
+class Pieces(NamedTuple):
+    """The pieces of a run of blocks, and the cells that they lie in."""
+
+    codes: npt.NDArray[np.int64]  # (cells,)   Morton codes, ascending
+    flags: npt.NDArray[np.uint8]  # (cells,)   normal flags; a cell has one entry for each, in the bits' order
+    entries: npt.NDArray[np.int32]  # (pieces,)   the entry of each piece
+    triangles: npt.NDArray[np.int32]  # (pieces,)
+    barycentric: npt.NDArray[np.float64]  # (pieces, 3)   of the piece's centroid
+    areas: npt.NDArray[np.float64]  # (pieces,)   in cell faces
+
+
+@kernel
+def _block_origin(code: int) -> tuple[int, int, int]:
+    i, j, k = decode(code)
+    return i << BLOCK_BITS, j << BLOCK_BITS, k << BLOCK_BITS
+
+
+@kernel
+def _grown(array: npt.NDArray[Scalar], used: int, needed: int) -> npt.NDArray[Scalar]:
+    """Copy the used rows into an array of at least ``needed`` and at least twice the rows."""
+    larger = np.empty((max(2 * array.shape[0], needed), *array.shape[1:]), array.dtype)
+    larger[:used] = array[:used]
+    return larger
+
+
+@kernel
+def _block_columns(
+    axis: int,
+    corners: npt.NDArray[np.int64],
+    normal: npt.NDArray[np.int64],
+    shift: int,
+    origin: npt.NDArray[np.int64],
+    columns: npt.NDArray[np.int64],
+) -> int:
+    u, v = (axis + 1) % 3, (axis + 2) % 3
+    return columns_met(corners, normal, shift, origin[u], origin[v], origin[axis], columns)
+
+
+@kernel
+def _bin(
+    grid: npt.NDArray[np.int32],
+    triangles: npt.NDArray[np.int32],
+    blocks: Blocks,
+    depth: int,
+    spread: npt.NDArray[np.int64],
+) -> Blocks:
+    """Cut blocks into the blocks one step deeper; ``depth`` is the level of the new ones."""
+    shift = GRID_BITS - depth
+    corners = np.empty((3, 3), np.int64)
+    normal = np.empty(3, np.int64)
+    columns = np.empty((BLOCK_EDGE * BLOCK_EDGE, 5), np.int64)
+    origin = np.empty(3, np.int64)
+    counts = np.zeros(BLOCK_CELLS, np.int64)
+    codes = np.empty(1024, np.int64)
+    starts = np.empty(1025, np.int64)
+    n_blocks = 0
+    members = np.empty(max(blocks.members.size, 1024), np.int32)
+    n_members = 0
+    pair_cells = np.empty(1024, np.int32)
+    pair_triangles = np.empty(1024, np.int32)
+    for block in range(blocks.codes.size):
+        origin[0], origin[1], origin[2] = _block_origin(blocks.codes[block])
+        n_pairs = 0
+        for row in range(blocks.starts[block], blocks.starts[block + 1]):
+            triangle = blocks.members[row]
+            axis = load_triangle(grid, triangles, triangle, corners, normal)
+            if axis < 0:
+                continue
+            n_columns = _block_columns(axis, corners, normal, shift, origin, columns)
+            u, v = (axis + 1) % 3, (axis + 2) % 3
+            if n_pairs + 4 * n_columns > pair_cells.size:
+                pair_cells = _grown(pair_cells, n_pairs, n_pairs + 4 * n_columns)
+                pair_triangles = _grown(pair_triangles, n_pairs, n_pairs + 4 * n_columns)
+            for i in range(n_columns):
+                column = columns[i]
+                in_plane = (spread[column[COLUMN_U] - origin[u]] << u) | (
+                    spread[column[COLUMN_V] - origin[v]] << v
+                )
+                for w in range(column[COLUMN_FIRST], column[COLUMN_LAST] + 1):
+                    cell = in_plane | (spread[w - origin[axis]] << axis)
+                    pair_cells[n_pairs] = cell
+                    pair_triangles[n_pairs] = triangle
+                    n_pairs += 1
+                    counts[cell] += 1
+        # A counting sort by cell keeps the triangles of a cell in order.
+        if n_members + n_pairs > members.size:
+            members = _grown(members, n_members, n_members + n_pairs)
+        for cell in range(BLOCK_CELLS):
+            if counts[cell] > 0:
+                if n_blocks == codes.size:
+                    codes = _grown(codes, n_blocks, 0)
+                    starts = _grown(starts, n_blocks, 0)
+                codes[n_blocks] = (blocks.codes[block] << (3 * BLOCK_BITS)) | cell
+                starts[n_blocks] = n_members
+                n_blocks += 1
+                size = counts[cell]
+                counts[cell] = n_members
+                n_members += size
+        for i in range(n_pairs):
+            cell = pair_cells[i]
+            members[counts[cell]] = pair_triangles[i]
+            counts[cell] += 1
+        for i in range(n_pairs):
+            counts[pair_cells[i]] = 0
+    starts[n_blocks] = n_members
+    return Blocks(codes[:n_blocks].copy(), starts[: n_blocks + 1].copy(), members[:n_members].copy())
+
+
+def bin_triangles(
+    grid: npt.NDArray[np.int32], triangles: npt.NDArray[np.int32], depth: int
+) -> Blocks:
+    """List the blocks that hold the cells of ``depth``, each with the triangles that meet it.
+
+    ``grid`` are vertices (n, 3) in steps of 2⁻³⁰ of the root's edge, ``triangles`` (m, 3) index them. The blocks'
+    level is ``max(depth − 5, 0)``.
+    """
+    members = np.arange(len(triangles), dtype=np.int32)
+    blocks = Blocks(np.zeros(1, np.int64), np.array([0, len(members)], np.int64), members)
+    for level in block_levels(depth)[1:]:
+        blocks = _bin(grid, triangles, blocks, level, SPREAD)
+    return blocks
+
+
+def block_levels(depth: int) -> list[int]:
+    """Levels of the blocks on the way to ``depth``: from 0, in steps of five, to max(depth − 5, 0).
+
+    The first step may be finer than five: its blocks start at the root and use only part of their 32³ cells.
+    """
+    last = max(depth - BLOCK_BITS, 0)
+    return [0, *range((last - 1) % BLOCK_BITS + 1, last + 1, BLOCK_BITS)] if last else [0]
+
+
+@kernel
+def block_costs(grid: npt.NDArray[np.int32], triangles: npt.NDArray[np.int32], blocks: Blocks, depth: int) -> npt.NDArray[np.float64]:
+    """Estimate the pieces in each block, for cutting the work into even parts."""
+    costs = np.empty(blocks.codes.size, np.float64)
+    corners = np.empty((3, 3), np.int64)
+    normal = np.empty(3, np.int64)
+    face = 4.0 ** (GRID_BITS - depth)
+    for block in range(blocks.codes.size):
+        cost = 0.0
+        for row in range(blocks.starts[block], blocks.starts[block + 1]):
+            axis = load_triangle(grid, triangles, blocks.members[row], corners, normal)
+            if axis >= 0:
+                cost += 2.0 + min(abs(np.float64(normal[2])) / face, 1.0 * BLOCK_EDGE * BLOCK_EDGE)
+        costs[block] = cost
+    return costs
+
+
+@kernel
+def cut(
+    grid: npt.NDArray[np.int32],
+    triangles: npt.NDArray[np.int32],
+    blocks: Blocks,
+    first_block: int,
+    last_block: int,
+    depth: int,
+    keys_only: int,
+    spread: npt.NDArray[np.int64],
+) -> Pieces:
+    """Cut the triangles of blocks ``first_block`` … ``last_block`` − 1 along the cells of ``depth``.
+
+    With ``keys_only`` the cells are found without clipping: codes and flags alone.
+    """
+    shift = GRID_BITS - depth
+    corners = np.empty((3, 3), np.int64)
+    normal = np.empty(3, np.int64)
+    columns = np.empty((BLOCK_EDGE * BLOCK_EDGE, 5), np.int64)
+    origin = np.empty(3, np.int64)
+    polygons = np.empty((POLYGONS, 2, MAX_VERTICES), np.float64)
+    mask = np.zeros(BLOCK_CELLS // 8, np.uint64)
+    ranks = np.empty(BLOCK_CELLS // 8, np.int32)
+    used = np.empty(BLOCK_CELLS // 8, np.int32)
+    codes = np.empty(4096, np.int64)
+    flags = np.empty(4096, np.uint8)
+    n_cells = 0
+    n_entries = 0
+    room = 16 if keys_only else 4096
+    entries = np.empty(room, np.int32)
+    members = np.empty(room, np.int32)
+    barycentric = np.empty((room, 3), np.float64)
+    areas = np.empty(room, np.float64)
+    n_pieces = 0
+    for block in range(first_block, last_block):
+        origin[0], origin[1], origin[2] = _block_origin(blocks.codes[block])
+        first_piece = n_pieces
+        for row in range(blocks.starts[block], blocks.starts[block + 1]):
+            triangle = blocks.members[row]
+            axis = load_triangle(grid, triangles, triangle, corners, normal)
+            if axis < 0:
+                continue
+            n_columns = _block_columns(axis, corners, normal, shift, origin, columns)
+            u, v = (axis + 1) % 3, (axis + 2) % 3
+            facing = 2 * axis + (1 if normal[2] < 0 else 0)
+            if not keys_only and n_columns > 0:
+                if n_pieces + 4 * n_columns > entries.size:
+                    entries = _grown(entries, n_pieces, n_pieces + 4 * n_columns)
+                    members = _grown(members, n_pieces, n_pieces + 4 * n_columns)
+                    barycentric = _grown(barycentric, n_pieces, n_pieces + 4 * n_columns)
+                    areas = _grown(areas, n_pieces, n_pieces + 4 * n_columns)
+                clip_to_columns(
+                    corners,
+                    normal,
+                    shift,
+                    origin[u],
+                    origin[v],
+                    origin[axis],
+                    columns,
+                    n_columns,
+                    polygons,
+                    barycentric,
+                    areas,
+                    n_pieces,
+                )
+            for i in range(n_columns):
+                in_plane = (spread[columns[i, COLUMN_U] - origin[u]] << u) | (
+                    spread[columns[i, COLUMN_V] - origin[v]] << v
+                )
+                for w in range(columns[i, COLUMN_FIRST], columns[i, COLUMN_LAST] + 1):
+                    key = ((in_plane | (spread[w - origin[axis]] << axis)) << 3) | facing
+                    mask[key >> 6] |= np.uint64(1) << np.uint64(key & 63)
+                    if not keys_only:
+                        entries[n_pieces] = key
+                        members[n_pieces] = triangle
+                        n_pieces += 1
+        n_used = 0
+        for word in range(mask.size):
+            if mask[word] == np.uint64(0):
+                continue
+            used[n_used] = word
+            n_used += 1
+            ranks[word] = n_entries
+            n_entries += popcount(mask[word])
+            if n_cells + 8 > codes.size:
+                codes = _grown(codes, n_cells, 0)
+                flags = _grown(flags, n_cells, 0)
+            left = mask[word]
+            while left != np.uint64(0):
+                octant = trailing_zeros(left) >> 3
+                byte = (left >> np.uint64(8 * octant)) & np.uint64(255)
+                left ^= byte << np.uint64(8 * octant)
+                codes[n_cells] = (blocks.codes[block] << (3 * BLOCK_BITS)) | (word << 3) | octant
+                flags[n_cells] = byte
+                n_cells += 1
+        for piece in range(first_piece, n_pieces):
+            key = np.int64(entries[piece])
+            below = (np.uint64(1) << np.uint64(key & 63)) - np.uint64(1)
+            entries[piece] = ranks[key >> 6] + popcount(mask[key >> 6] & below)
+        for i in range(n_used):
+            mask[used[i]] = np.uint64(0)
+    return Pieces(
+        codes[:n_cells].copy(),
+        flags[:n_cells].copy(),
+        entries[:n_pieces].copy(),
+        members[:n_pieces].copy(),
+        barycentric[:n_pieces].copy(),
+        areas[:n_pieces].copy(),
+    )
