@@ -5,8 +5,8 @@ eigenvalue of the covariance of the cells' centres (Hoppe et al. 1992), weighted
 by (1 − r²/R²), R = 4 edges of the leaf. The normal flags decide between its two ends, and stand in for it
 where the surroundings have no direction.
 
-On a sphere the error has a median of 0.2° and a 99th percentile of 7°; it is largest where the surface runs so
-nearly along an axis that no step of the cells lies within reach.
+On a sphere the error has a median of 0.2° and a 99th percentile of 7°; it is largest where the surface runs
+so nearly along an axis that no step of the cells lies within reach.
 """
 
 from __future__ import annotations
