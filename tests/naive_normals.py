@@ -12,24 +12,20 @@ from octex.tree.octree import Octree
 AXES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], float)
 
 
-def facings(flags: int) -> list[int]:
-    return [facing for facing in range(6) if flags >> facing & 1]
-
-
 def estimate_normals(tree: Octree, radius: int = 4) -> npt.NDArray[np.float64]:
     """Normals of all leaves of a tree whose leaves are all at the deepest level, in Morton order."""
     level = tree.max_depth
     centres = decode_cells(tree.level_codes(level)) + 0.5
     first = tree.arrays.level_cells[level]
-    flags = tree.arrays.flags[first:] & FACING_FLAGS
+    facings = [[f for f in range(6) if flags >> f & 1] for flags in tree.arrays.flags[first:] & FACING_FLAGS]
     areas = 2.0 ** ((np.maximum(tree.arrays.areas[first:], 1).astype(float) - AREA_ONE) / AREA_STEPS)
     normals = np.empty(centres.shape)
     for n, centre in enumerate(centres):
         offsets = centres - centre
         weights = areas * np.maximum(0, 1 - (offsets**2).sum(axis=1) / radius**2)
-        own = facings(flags[n])
+        own = facings[n]
         for other in np.flatnonzero(weights):
-            theirs = facings(flags[other])
+            theirs = facings[other]
             if theirs and all(facing ^ 1 in own and facing not in own for facing in theirs):
                 weights[other] = 0
         mean = weights @ offsets / weights.sum()
