@@ -1,0 +1,9 @@
+"""The octree: where the surface is, and the number of every stored cell.
+
+layout      what an octree is in memory, drawn
+morton      cell coordinates ⇄ Morton codes
+placement   rest positions ⇄ texture space, the root cell
+octree      build from leaves, truncate, validate
+validate    what must hold
+search      the stored cell at a point, or nearest to it
+"""

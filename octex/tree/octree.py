@@ -1,0 +1,294 @@
+"""The octree: built from leaves, never changed afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import islice
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.checks import as_depth
+from octex.errors import ArgumentError
+from octex.jit import kernel, popcount
+from octex.tree.layout import MAX_CELLS, MAX_DEPTH, SplitTable, TreeArrays
+from octex.tree.validate import check_layout, check_meaning
+
+Int64s = npt.NDArray[np.int64]
+Uint8s = npt.NDArray[np.uint8]
+
+
+def no_split() -> SplitTable:
+    """Return a split table without rows."""
+    return SplitTable(np.empty(0, np.uint32), np.empty(0, np.uint8), np.empty(0, np.uint8))
+
+
+class Octree:
+    """An immutable octree: structure, flags and areas of its cells, and the split table.
+
+    Every cell is a leaf or a node. Two trees have one cell only: the root as a leaf (no nodes), and the empty
+    tree (the root as a node without children).
+
+    Raises ArgumentError if the arrays' types, lengths and levels do not fit together; what the structure says
+    is checked by ``validate``.
+    """
+
+    __slots__ = ("arrays", "split")
+
+    def __init__(self, arrays: TreeArrays, split: SplitTable | None = None) -> None:
+        self.arrays = arrays
+        self.split = no_split() if split is None else split
+        check_layout(self.arrays, self.split)
+
+    @classmethod
+    def from_leaves(cls, codes: npt.ArrayLike, depths: npt.ArrayLike) -> Octree:
+        """Build a tree from its leaves; flags and areas are zero.
+
+        ``codes`` (n,) are Morton codes, each of its leaf's own depth; ``depths`` one for all, or (n,).
+        The leaves are disjoint and in Morton order, that is, sorted by ``code << 3·(21 − depth)``. The leaves
+        of one level are numbered in this order.
+
+        Raises ArgumentError for leaves out of order or overlapping, for codes outside their depth, and for
+        trees of more than 2³² − 1 cells.
+        """
+        codes = np.ascontiguousarray(codes, np.int64)
+        if np.ndim(depths) == 0:
+            depths = np.full(codes.shape, as_depth(depths), np.uint8)  # type: ignore[arg-type]
+        depths = np.asarray(depths)
+        if codes.ndim != 1 or depths.shape != codes.shape or depths.dtype.kind not in "iu":
+            raise ArgumentError(
+                f"codes and depths must be whole numbers of shape (n,), not {codes.shape} and {depths.shape}"
+            )
+        if codes.size and not 0 <= depths.min() <= depths.max() <= MAX_DEPTH:
+            raise ArgumentError(f"depths must be 0 to {MAX_DEPTH}")
+        depths = np.ascontiguousarray(depths, np.uint8)
+        fault = _first_fault(codes, depths)
+        if fault >= 0:
+            raise ArgumentError(
+                f"leaf {fault} (code {codes[fault]}, depth {depths[fault]}) is not a cell of its depth, "
+                "overlaps the leaf before it, or does not come after it in Morton order"
+            )
+        return cls(_build(codes, depths))
+
+    def with_cell_data(self, flags: Uint8s, areas: Uint8s, split: SplitTable | None = None) -> Octree:
+        """Return a tree of the same structure with other flags, areas and split table."""
+        return Octree(self.arrays._replace(flags=flags, areas=areas), split)
+
+    @property
+    def max_depth(self) -> int:
+        """The level of the deepest cell."""
+        return self.arrays.level_cells.size - 2
+
+    @property
+    def n_cells(self) -> int:
+        """Number of leaves and nodes."""
+        return int(self.arrays.level_cells[-1])
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of cells with children (in the empty tree, the root)."""
+        return int(self.arrays.level_nodes[-1])
+
+    @property
+    def n_leaves(self) -> int:
+        """Number of leaves."""
+        return self.n_cells - self.n_nodes
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all arrays."""
+        return sum(array.nbytes for array in (*self.arrays, *self.split))
+
+    def cells_by_depth(self) -> list[tuple[int, int]]:
+        """Numbers of leaves and of nodes at each level."""
+        cells = np.diff(self.arrays.level_cells)
+        nodes = np.diff(self.arrays.level_nodes)
+        return list(zip((cells - nodes).tolist(), nodes.tolist(), strict=True))
+
+    def walk(self) -> Iterator[tuple[Int64s, npt.NDArray[np.bool_]]]:
+        """Yield for each level its cells' Morton codes and which of them are nodes, in the cells' order."""
+        cells, nodes = self.arrays.level_cells, self.arrays.level_nodes
+        codes = np.zeros(1, np.int64)
+        is_node = np.full(1, self.n_nodes > 0)
+        yield codes, is_node
+        for level in range(self.max_depth):
+            codes, is_node = _children(
+                self.arrays.groups,
+                int(nodes[level]),
+                int(nodes[level + 1]),
+                codes[is_node],
+                int(cells[level + 2] - cells[level + 1]),
+            )
+            yield codes, is_node
+
+    def level_codes(self, level: int) -> Int64s:
+        """Morton codes of all cells of a level, in order. Raises ArgumentError if there is no such level."""
+        return self._walked_to(level)[0]
+
+    def is_node(self, level: int) -> npt.NDArray[np.bool_]:
+        """Say of each cell of a level whether it is a node. Raises ArgumentError like ``level_codes``."""
+        return self._walked_to(level)[1]
+
+    def leaves(self, level: int) -> Int64s:
+        """Numbers of the leaves of a level. Raises ArgumentError like ``level_codes``."""
+        return np.flatnonzero(~self.is_node(level)) + int(self.arrays.level_cells[level])
+
+    def leaf_cells(self) -> Int64s:
+        """Numbers of all leaves, level by level."""
+        is_node = np.concatenate([is_node for _, is_node in self.walk()])
+        return np.flatnonzero(~is_node)
+
+    def _walked_to(self, level: int) -> tuple[Int64s, npt.NDArray[np.bool_]]:
+        if as_depth(level, "level") > self.max_depth:
+            raise ArgumentError(f"there is no level {level}: the deepest is {self.max_depth}")
+        return next(islice(self.walk(), level, None))
+
+    def truncated(self, level: int) -> Octree:
+        """Return the tree of levels 0 … ``level``; nodes at ``level`` become leaves.
+
+        Only the groups of the nodes above are copied, all else is a view; nothing deeper is read.
+        """
+        if as_depth(level, "level") >= self.max_depth:
+            return self
+        arrays = self.arrays
+        n_cells, n_nodes = int(arrays.level_cells[level + 1]), int(arrays.level_nodes[level])
+        groups = arrays.groups[: -(-n_nodes // 8)].copy()
+        _cut(groups, int(arrays.level_nodes[level - 1]) if level else 0, n_nodes)
+        level_nodes = arrays.level_nodes[: level + 2].copy()
+        level_nodes[-1] = n_nodes
+        rows = int(np.searchsorted(self.split.cells, n_cells))
+        return Octree(
+            TreeArrays(
+                groups,
+                arrays.level_cells[: level + 2],
+                level_nodes,
+                arrays.flags[:n_cells],
+                arrays.areas[:n_cells],
+            ),
+            SplitTable(self.split.cells[:rows], self.split.facings[:rows], self.split.areas[:rows]),
+        )
+
+    def validate(self) -> None:
+        """Prove that the arrays are an octree, or raise TextureFileError naming the broken invariant."""
+        check_meaning(self.arrays, self.split)
+
+
+def _build(codes: Int64s, depths: Uint8s) -> TreeArrays:
+    """From the deepest level up: the nodes of a level are the parents of the cells below."""
+    deepest = int(depths.max(initial=0))
+    if depths.min(initial=deepest) == deepest:
+        leaves_of = {deepest: codes}
+    else:
+        leaves_of = {level: codes[depths == level] for level in np.flatnonzero(np.bincount(depths)).tolist()}
+    level_nodes = np.zeros(deepest + 2, np.int64)
+    level_cells = np.zeros(deepest + 2, np.int64)
+    nodes = np.zeros(int(codes.size == 0), np.int64)
+    masks = [(np.zeros(nodes.size, np.uint8), np.zeros(nodes.size, np.uint8))]
+    for level in range(deepest, -1, -1):
+        leaves = leaves_of.pop(level, codes[:0])
+        level_cells[level + 1] = nodes.size + leaves.size
+        level_nodes[level + 1] = nodes.size
+        if level:
+            nodes, *level_masks = _parents(nodes, leaves)
+            masks.append((level_masks[0], level_masks[1]))
+    np.cumsum(level_cells, out=level_cells)
+    np.cumsum(level_nodes, out=level_nodes)
+    n_cells = int(level_cells[-1])
+    if n_cells > MAX_CELLS:
+        raise ArgumentError(f"{n_cells} cells are more than a tree can number; use a smaller depth")
+    groups = np.zeros((-(-int(level_nodes[-1]) // 8), 3), np.uint64)
+    for word in range(2):
+        packed = np.zeros(groups.shape[0] * 8, np.uint8)
+        np.concatenate([pair[word] for pair in reversed(masks)], out=packed[: int(level_nodes[-1])])
+        groups[:, word] = packed.view("<u8")
+    _rank(groups)
+    flags, areas = np.zeros((2, n_cells), np.uint8)
+    return TreeArrays(groups, level_cells, level_nodes, flags, areas)
+
+
+@kernel
+def _first_fault(codes: Int64s, depths: Uint8s) -> int:
+    """Index of the first leaf that is no cell of its depth or not wholly after the one before, or −1."""
+    last = np.int64(-1)
+    for n in range(codes.size):
+        depth = np.int64(depths[n])
+        shift = 3 * (MAX_DEPTH - depth)
+        first = codes[n] << shift
+        if codes[n] >> (3 * depth) != 0 or first <= last:
+            return n
+        last = first | ~(np.int64(-1) << shift)
+    return -1
+
+
+@kernel
+def _parents(nodes: Int64s, leaves: Int64s) -> tuple[Int64s, Uint8s, Uint8s]:
+    """Merge the nodes and leaves of a level; return their parents' codes, node masks and leaf masks."""
+    n_cells = nodes.size + leaves.size
+    codes = np.empty(n_cells, np.int64)
+    node_masks = np.empty(n_cells, np.uint8)
+    leaf_masks = np.empty(n_cells, np.uint8)
+    n, next_node, next_leaf = -1, 0, 0
+    parent = np.int64(-1)
+    node_mask = leaf_mask = 0
+    for _ in range(n_cells):
+        is_node = next_node < nodes.size and (
+            next_leaf == leaves.size or nodes[next_node] < leaves[next_leaf]
+        )
+        code = nodes[next_node] if is_node else leaves[next_leaf]
+        if code >> 3 != parent:
+            parent = code >> 3
+            n += 1
+            codes[n] = parent
+            node_mask = leaf_mask = 0
+        if is_node:
+            next_node += 1
+            node_mask |= 1 << (code & 7)
+        else:
+            next_leaf += 1
+            leaf_mask |= 1 << (code & 7)
+        node_masks[n] = node_mask
+        leaf_masks[n] = leaf_mask
+    return codes[: n + 1], node_masks[: n + 1], leaf_masks[: n + 1]
+
+
+@kernel
+def _rank(groups: npt.NDArray[np.uint64]) -> None:
+    """Fill in each group's first child node and first child cell; the root is node 0 and cell 0."""
+    child_node = child_cell = np.int64(1)
+    for g in range(groups.shape[0]):
+        groups[g, 2] = np.uint64(child_node) | np.uint64(child_cell) << np.uint64(32)
+        child_node += popcount(groups[g, 0])
+        child_cell += popcount(groups[g, 0] | groups[g, 1])
+
+
+@kernel
+def _cut(groups: npt.NDArray[np.uint64], first: int, end: int) -> None:
+    """Make the child nodes of nodes first … end−1 leaves and drop the nodes from ``end`` on."""
+    for node in range(first, 8 * groups.shape[0]):
+        g = node >> 3
+        byte = np.uint64(0xFF) << np.uint64(8 * (node & 7))
+        if node < end:
+            groups[g, 1] |= groups[g, 0] & byte
+        else:
+            groups[g, 1] &= ~byte
+        groups[g, 0] &= ~byte
+    _rank(groups)
+
+
+@kernel
+def _children(
+    groups: npt.NDArray[np.uint64], first: int, end: int, codes: Int64s, n_children: int
+) -> tuple[Int64s, npt.NDArray[np.bool_]]:
+    """Codes of the children of nodes first … end−1, whose codes are given, and which of them are nodes."""
+    child_codes = np.zeros(n_children, np.int64)
+    is_node = np.zeros(n_children, np.bool_)
+    n = 0
+    for node in range(first, min(end, first + codes.size)):
+        g = node >> 3
+        for octant in range(8):
+            bit = np.uint64(1) << np.uint64(8 * (node & 7) + octant)
+            if n < n_children and (groups[g, 0] | groups[g, 1]) & bit:
+                child_codes[n] = codes[node - first] << 3 | octant
+                is_node[n] = (groups[g, 0] & bit) != 0
+                n += 1
+    return child_codes, is_node

@@ -1,0 +1,73 @@
+"""Where the root cell lies: rest positions, in the model's units, to texture space and back.
+
+Texture space is the root cell [0, 1)³. The bounds' centre is put at a third of a finest cell on each axis, so
+that the faces of a box do not lie on cell planes, where rounding decides which cell a point is in.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.checks import as_depth, as_points, as_positive
+from octex.errors import ArgumentError
+from octex.tree.layout import MAX_DEPTH
+
+
+class Placement(NamedTuple):
+    """The root cell in rest space: its lowest corner and the length of its edge."""
+
+    origin: tuple[float, float, float]
+    size: float
+
+    @classmethod
+    def around(cls, bounds: npt.ArrayLike, depth: int) -> Placement:
+        """Fit a root cell of ``depth`` levels around ``bounds`` (2, 3) with as small a margin as is safe.
+
+        The longest side takes 2ᵈ − 3 finest cells (of depth 2 at least), so every side keeps a margin of at
+        least one of them. Raises ArgumentError for bounds that are not finite or out of order.
+        """
+        bounds, extent = _checked(bounds)
+        cells = 1 << max(as_depth(depth), 2)
+        return cls._centred(bounds, extent / (cells - 3) * cells if extent > 0 else 1.0, depth)
+
+    @classmethod
+    def with_cell(cls, bounds: npt.ArrayLike, cell: float) -> tuple[Placement, int]:
+        """Fit a root cell around ``bounds`` (2, 3) whose finest cells have the edge ``cell``; also the depth.
+
+        Raises ArgumentError if that takes more than 21 levels.
+        """
+        bounds, extent = _checked(bounds)
+        cell = as_positive(cell, "cell")
+        for depth in range(2, MAX_DEPTH + 1):
+            if ((1 << depth) - 3) * cell >= extent:
+                return cls._centred(bounds, (1 << depth) * cell, depth), depth
+        smallest = extent / ((1 << MAX_DEPTH) - 3)
+        raise ArgumentError(
+            f"cell {cell:g} needs more than {MAX_DEPTH} levels; the smallest for this model is {smallest:g}"
+        )
+
+    @classmethod
+    def _centred(cls, bounds: npt.NDArray[np.float64], size: float, depth: int) -> Placement:
+        cells = 1 << depth
+        size = as_positive(size, "the size of the root cell")
+        centre = bounds[0] + (bounds[1] - bounds[0]) / 2
+        x, y, z = (centre - (cells // 2 + 1 / 3) * (size / cells)).tolist()
+        return cls((x, y, z), size)
+
+    def to_texture_space(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Map rest positions (n, 3) into texture space, in float64."""
+        return np.asarray((as_points(points) - np.array(self.origin)) / self.size)
+
+    def to_rest(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Map points (n, 3) of texture space to rest positions, in float64."""
+        return np.asarray(as_points(points) * self.size + np.array(self.origin), np.float64)
+
+
+def _checked(bounds: npt.ArrayLike) -> tuple[npt.NDArray[np.float64], float]:
+    box = as_points(bounds, "bounds").astype(np.float64)
+    if box.shape != (2, 3) or not np.isfinite(box).all() or (box[0] > box[1]).any():
+        raise ArgumentError(f"bounds must be a finite lowest and highest corner, not {box.tolist()}")
+    return box, float((box[1] - box[0]).max())

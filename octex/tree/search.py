@@ -1,0 +1,247 @@
+"""The stored cell at a point, or nearest to it.
+
+Points are cast once to fixed point, 21 bits an axis; the descent then reads an octant a level. Every index is
+clamped and every descent bounded, so that no content of the arrays makes a kernel read outside them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.jit import inlined, kernel, popcount
+from octex.tree.layout import MAX_DEPTH, TreeArrays
+from octex.tree.morton import encode
+
+#: Fixed-point units in the root's edge.
+UNITS = 1 << MAX_DEPTH
+
+Origin = tuple[float, float, float]
+
+
+@inlined
+def child(arrays: TreeArrays, node: int, octant: int) -> tuple[int, int]:
+    """Cell and node number of a node's child: cell −1 if there is none, node −1 if it is a leaf."""
+    group = min(node >> 3, arrays.groups.shape[0] - 1)
+    nodes = arrays.groups[group, 0]
+    cells = nodes | arrays.groups[group, 1]
+    first = arrays.groups[group, 2]
+    bit = np.uint64(1) << np.uint64(8 * (node & 7) + octant)
+    if cells & bit == 0:
+        return -1, -1
+    below = bit - np.uint64(1)
+    cell = min(int(np.int64(first >> np.uint64(32))) + popcount(cells & below), arrays.flags.size - 1)
+    if nodes & bit == 0:
+        return cell, -1
+    return cell, int(np.int64(first & np.uint64(0xFFFFFFFF))) + popcount(nodes & below)
+
+
+@inlined
+def descend(arrays: TreeArrays, i: int, j: int, k: int, max_level: int) -> tuple[int, int, int]:
+    """Deepest stored cell down to ``max_level`` that holds the fixed-point position (i, j, k), 0 … 2²¹ − 1.
+
+    Returns its number, its level, and its node number, −1 for a leaf.
+    """
+    cell = level = 0
+    node = 0 if arrays.groups.shape[0] > 0 else -1
+    deepest = min(max_level, arrays.level_cells.size - 2)
+    while node >= 0 and level < deepest:
+        bit = MAX_DEPTH - 1 - level
+        octant = i >> bit & 1 | (j >> bit & 1) << 1 | (k >> bit & 1) << 2
+        next_cell, next_node = child(arrays, node, octant)
+        if next_cell < 0:
+            break
+        cell, node = next_cell, next_node
+        level += 1
+    return cell, level, node
+
+
+@kernel
+def find(arrays: TreeArrays, x: float, y: float, z: float, max_level: int) -> tuple[int, int]:
+    """Find the deepest stored cell, leaf or node, that holds a point of texture space: its number and level.
+
+    Goes no deeper than ``max_level``. Returns (−1, −1) for a point outside the root.
+    """
+    if not (0.0 <= x < 1.0 and 0.0 <= y < 1.0 and 0.0 <= z < 1.0):
+        return -1, -1
+    cell, level, _ = descend(arrays, int(x * UNITS), int(y * UNITS), int(z * UNITS), max_level)
+    return cell, level
+
+
+class Scratch(NamedTuple):
+    """What the kernels for many points remember from one point to the next, and where they work."""
+
+    path: npt.NDArray[np.int64]  # (22,)   the node at each level above the previous point
+    previous: npt.NDArray[np.int64]  # (4,)   the previous position, and the last level of the path
+    cells: npt.NDArray[np.int64]  # (2, 27)   3×3×3 cells around a point, x fastest: now, and one level on
+    nodes: npt.NDArray[np.int64]  # (2, 27)
+    levels: npt.NDArray[np.int64]  # (2, 27)
+
+
+@kernel
+def new_scratch(arrays: TreeArrays) -> Scratch:
+    """Return a scratch whose path is the root's."""
+    path = np.full(MAX_DEPTH + 1, -1, np.int64)
+    path[0] = 0 if arrays.groups.shape[0] > 0 else -1
+    return Scratch(
+        path,
+        np.zeros(4, np.int64),
+        np.empty((2, 27), np.int64),
+        np.empty((2, 27), np.int64),
+        np.empty((2, 27), np.int64),
+    )
+
+
+@inlined
+def find_leaf(arrays: TreeArrays, i: int, j: int, k: int, scratch: Scratch) -> int:
+    """Leaf that holds the fixed-point position (i, j, k), 0 … 2²¹ − 1, or −1.
+
+    Starts at the deepest node shared with the previous position: neighbours in an image share most levels.
+    """
+    path, previous = scratch.path, scratch.previous
+    difference = (i ^ previous[0]) | (j ^ previous[1]) | (k ^ previous[2])
+    level = int(previous[3])
+    while difference >> (MAX_DEPTH - level) != 0:
+        level -= 1
+    deepest = arrays.level_cells.size - 2
+    cell = 0 if path[level] < 0 else -1
+    while cell < 0 and level < deepest:
+        bit = MAX_DEPTH - 1 - level
+        cell, node = child(arrays, path[level], i >> bit & 1 | (j >> bit & 1) << 1 | (k >> bit & 1) << 2)
+        if node < 0:
+            break
+        cell = -1
+        level += 1
+        path[level] = node
+    previous[0], previous[1], previous[2], previous[3] = i, j, k, level
+    return cell
+
+
+@inlined
+def nearest_cell(arrays: TreeArrays, x: float, y: float, z: float, scratch: Scratch) -> int:
+    """Find the leaf that holds a point of texture space, else the stored cell nearest to it: its number.
+
+    The point is first clamped into the root. Where no leaf holds it, the level is the deepest at which any of
+    the 27 cells around it is stored, or lies in a leaf of a level above, whose box then counts. The nearest
+    box wins; of equally near ones, the first in Morton order.
+    """
+    x = min(max(x, 0.0), 1.0) * UNITS
+    y = min(max(y, 0.0), 1.0) * UNITS
+    z = min(max(z, 0.0), 1.0) * UNITS
+    i = min(int(x), UNITS - 1)
+    j = min(int(y), UNITS - 1)
+    k = min(int(z), UNITS - 1)
+    cell = find_leaf(arrays, i, j, k, scratch)
+    return cell if cell >= 0 else _nearest_neighbor(arrays, x, y, z, i, j, k, scratch)
+
+
+@inlined
+def _nearest_neighbor(
+    arrays: TreeArrays, x: float, y: float, z: float, i: int, j: int, k: int, scratch: Scratch
+) -> int:
+    now, level = _follow(arrays, i, j, k, scratch)
+    nearest = 0
+    nearest_distance = np.inf
+    nearest_code = 0
+    shift = MAX_DEPTH - level
+    for n in range(27):
+        if scratch.cells[now, n] < 0:
+            continue
+        size = 1 << (MAX_DEPTH - int(scratch.levels[now, n]))
+        a = ((i >> shift) + n % 3 - 1 << shift) & -size
+        b = ((j >> shift) + n // 3 % 3 - 1 << shift) & -size
+        c = ((k >> shift) + n // 9 - 1 << shift) & -size
+        dx = max(a - x, x - (a + size), 0.0)
+        dy = max(b - y, y - (b + size), 0.0)
+        dz = max(c - z, z - (c + size), 0.0)
+        distance = dx * dx + dy * dy + dz * dz
+        code = encode(a, b, c)
+        if distance < nearest_distance or (distance == nearest_distance and code < nearest_code):
+            nearest, nearest_distance, nearest_code = int(scratch.cells[now, n]), distance, code
+    return nearest
+
+
+@inlined
+def _follow(arrays: TreeArrays, i: int, j: int, k: int, scratch: Scratch) -> tuple[int, int]:
+    """Follow the 3×3×3 cells around a position down to the last level at which one of them is stored.
+
+    Returns which row of the scratch holds them, and the level (paper 3.4, after Kobbelt et al. 1997).
+    """
+    cells, nodes, levels = scratch.cells, scratch.nodes, scratch.levels
+    now = level = 0
+    for n in range(27):
+        cells[0, n] = nodes[0, n] = -1
+    cells[0, 13] = levels[0, 13] = 0
+    nodes[0, 13] = 0 if arrays.groups.shape[0] > 0 else -1
+    while level < arrays.level_cells.size - 2:
+        bit = MAX_DEPTH - 1 - level
+        # The 27 in children's units, from the first child of the middle cell: −1 … 2 an axis.
+        first_u, first_v, first_w = (i >> bit & 1) - 1, (j >> bit & 1) - 1, (k >> bit & 1) - 1
+        any_stored = False
+        n = 0
+        for w in range(first_w, first_w + 3):
+            for v in range(first_v, first_v + 3):
+                for u in range(first_u, first_u + 3):
+                    parent = 13 + (u >> 1) + 3 * (v >> 1) + 9 * (w >> 1)
+                    cell, node, at = cells[now, parent], nodes[now, parent], levels[now, parent]
+                    if node >= 0:
+                        cell, node = child(arrays, node, u & 1 | (v & 1) << 1 | (w & 1) << 2)
+                        at = level + 1
+                    cells[1 - now, n], nodes[1 - now, n], levels[1 - now, n] = cell, node, at
+                    any_stored |= cell >= 0
+                    n += 1
+        if not any_stored:
+            break
+        now = 1 - now
+        level += 1
+    return now, level
+
+
+@kernel
+def nearest_cells(
+    arrays: TreeArrays,
+    points: npt.NDArray[np.float32 | np.float64],
+    origin: Origin,
+    size: float,
+    cells: npt.NDArray[np.int64],
+) -> int:
+    """Write the ``nearest_cell`` of each rest position (n, 3) to ``cells`` (n,).
+
+    Returns the index of the first position that is not finite, where it stopped, or −1.
+    """
+    scratch = new_scratch(arrays)
+    for n in range(points.shape[0]):
+        x, y, z = np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2])
+        if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
+            return n
+        cells[n] = nearest_cell(
+            arrays, (x - origin[0]) / size, (y - origin[1]) / size, (z - origin[2]) / size, scratch
+        )
+    return -1
+
+
+@kernel
+def in_leaves(
+    arrays: TreeArrays,
+    points: npt.NDArray[np.float32 | np.float64],
+    origin: Origin,
+    size: float,
+    inside: npt.NDArray[np.bool_],
+) -> int:
+    """Write to ``inside`` (n,) whether a leaf holds each rest position (n, 3).
+
+    Returns the index of the first position that is not finite, where it stopped, or −1.
+    """
+    scratch = new_scratch(arrays)
+    for n in range(points.shape[0]):
+        x, y, z = np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2])
+        if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
+            return n
+        x, y, z = (x - origin[0]) / size, (y - origin[1]) / size, (z - origin[2]) / size
+        inside[n] = False
+        if 0.0 <= x < 1.0 and 0.0 <= y < 1.0 and 0.0 <= z < 1.0:
+            i, j, k = int(x * UNITS), int(y * UNITS), int(z * UNITS)
+            inside[n] = find_leaf(arrays, i, j, k, scratch) >= 0
+    return -1
