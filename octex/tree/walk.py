@@ -32,11 +32,12 @@ def walk_leaves(arrays: TreeArrays, block: int = 1 << 16) -> Iterator[Leaves]:
         return
     path = np.zeros((MAX_DEPTH + 2, 3), np.int64)
     while left > 0:
-        leaves = Leaves(*(np.empty(min(block, left), dtype) for dtype in (np.int64, np.int64, np.uint8)))
-        found = _next_leaves(arrays, path, *leaves)
+        room = min(block, left)
+        cells, codes, depths = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room, np.uint8)
+        found = _next_leaves(arrays, path, cells, codes, depths)
         if found:
-            yield Leaves(*(column[:found] for column in leaves))
-        if found < len(leaves.cells):
+            yield Leaves(cells[:found], codes[:found], depths[:found])
+        if found < room:
             return
         left -= found
 

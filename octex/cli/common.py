@@ -1,0 +1,281 @@
+"""What every octex command shares: refusals in one line, exit codes, progress, checks before any work."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NoReturn, Self, TextIO
+
+from octex.errors import ArgumentError, ExitCode, InputError, OctexError, OutputError
+
+#: Set to anything, it shows the traceback of an unexpected error.
+TRACEBACK_VARIABLE = "OCTEX_TRACEBACK"
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser that refuses in one line, knows no abbreviations, and lists the exit codes."""
+
+    def __init__(self, **arguments: Any) -> None:
+        codes = "\n".join(f"  {code:3}  {code.meaning}" for code in ExitCode)
+        super().__init__(
+            allow_abbrev=False,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            epilog=f"exit codes:\n{codes}",
+            **arguments,
+        )
+
+    def error(self, message: str) -> NoReturn:
+        """Raise ArgumentError."""
+        raise ArgumentError(f"{message}; see {self.prog} --help")
+
+
+def whole_number(text: str) -> int:
+    """Read an argument that is a whole number."""
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number") from None
+
+
+def count(text: str) -> int:
+    """Read an argument that counts something."""
+    number = whole_number(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{number} is not above zero")
+    return number
+
+
+def length(text: str) -> float:
+    """Read an argument that is a length: finite and above zero."""
+    try:
+        number = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number") from None
+    if not 0.0 < number < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} is not a finite number above zero")
+    return number
+
+
+def run(command: str, body: Callable[[], int]) -> int:
+    """Run the body of a command and return its exit code, whatever happens in it.
+
+    Every failure becomes one line on stderr. A defect shows its traceback if OCTEX_TRACEBACK is set.
+    """
+    try:
+        try:
+            code = body()
+        except SystemExit as wanted:  # argparse, after --help and --version
+            code = int(wanted.code or 0)
+        _write(sys.stdout, "")
+    except OctexError as error:
+        return _fail(command, f"error: {error}", ExitCode.REFUSED)
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _fail(command, f"error: {where}{error.strerror or error}", ExitCode.REFUSED)
+    except MemoryError as error:
+        reason = f" ({error})" if str(error) else ""
+        return _fail(command, f"error: out of memory{reason}; a smaller depth needs less", ExitCode.REFUSED)
+    except KeyboardInterrupt:
+        return _fail(command, "interrupted", ExitCode.INTERRUPTED)
+    except Exception as error:
+        if TRACEBACK_VARIABLE in os.environ:
+            traceback.print_exc()
+        defect = f"{type(error).__name__}: {error}".removesuffix(": ")
+        hint = f"run with {TRACEBACK_VARIABLE}=1 for the traceback"
+        return _fail(command, f"this is a defect of octex: {defect}; {hint}", ExitCode.CRASHED)
+    return code
+
+
+def say(text: str) -> None:
+    """Print a result on stdout; a reader that has gone away is no error.
+
+    Raises OutputError if stdout cannot be written.
+    """
+    _write(sys.stdout, text + "\n")
+
+
+def _write(stdout: TextIO | None, text: str) -> None:
+    if stdout is None:  # closed by whoever called
+        return
+    try:
+        encoding = stdout.encoding or "utf-8"
+        stdout.write(text.encode(encoding, "backslashreplace").decode(encoding))
+        stdout.flush()
+    except OSError as error:
+        # What is left in the buffer must not fail again when the interpreter ends.
+        with suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stdout.fileno())
+        if not isinstance(error, BrokenPipeError):
+            raise OutputError(f"standard output cannot be written: {error.strerror or error}") from error
+
+
+def _fail(command: str, message: str, code: ExitCode) -> ExitCode:
+    if sys.stderr is not None:  # closed by whoever called
+        with suppress(OSError):
+            print(f"{command}: {' '.join(message.split())}", file=sys.stderr)
+    return code
+
+
+class Reporter:
+    """Progress on stderr: a bar with the stage's name on a terminal, else a line for each finished stage.
+
+    Call it with (stage, done, total); use it as a context so that no bar is left behind. Says once if kernels
+    are being compiled. Nothing that happens to stderr stops the work.
+    """
+
+    def __init__(self, command: str, quiet: bool = False) -> None:
+        self._command = command
+        self._quiet = quiet or sys.stderr is None
+        self._on_terminal = not self._quiet and sys.stderr.isatty()
+        self._bar: Any = None
+        self._stage: str | None = None
+        self._began = 0.0
+        self._listener: Any = None
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Report that ``done`` of ``total`` units of a stage are done."""
+        if self._quiet:
+            return
+        try:
+            if stage != self._stage:
+                self._end_stage()
+                self._begin_stage(stage)
+            if self._bar is not None:
+                self._bar.total = total
+                self._bar.update(done - self._bar.n)
+        except OSError:
+            self._quiet = True
+
+    def _begin_stage(self, stage: str) -> None:
+        self._stage = stage
+        self._began = time.perf_counter()
+        if self._on_terminal:
+            from tqdm import tqdm
+
+            form = "{desc} {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
+            self._bar = tqdm(
+                desc=stage, total=1, file=sys.stderr, leave=False, dynamic_ncols=True, bar_format=form
+            )
+
+    def _end_stage(self) -> None:
+        if self._stage is None:
+            return
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
+        else:
+            self._line(f"{self._stage}: done in {time.perf_counter() - self._began:.1f} s")
+        self._stage = None
+
+    def _line(self, text: str) -> None:
+        line = f"{self._command}: {text}"
+        if self._bar is not None:
+            self._bar.write(line, file=sys.stderr)
+        else:
+            print(line, file=sys.stderr, flush=True)
+
+    def note(self, text: str) -> None:
+        """Print a line between the stages."""
+        if not self._quiet:
+            with suppress(OSError):
+                self._line(text)
+
+    def __enter__(self) -> Self:
+        """Listen to the compiler."""
+        if not self._quiet:
+            self._listener = _announce_compilation(self)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, _value: BaseException | None, _trace: TracebackType | None
+    ) -> None:
+        """End the last stage; after an error without a word about it."""
+        if self._listener is not None:
+            from numba.core import event
+
+            event.unregister("numba:compile", self._listener)
+            self._listener = None
+        if kind is not None and self._bar is None:
+            self._stage = None
+        with suppress(OSError):
+            self._end_stage()
+
+
+def _announce_compilation(reporter: Reporter) -> Any:
+    """Have the reporter say it when a kernel is not in numba's cache and is compiled."""
+    from numba.core import event
+
+    class Announcement(event.Listener):  # type: ignore[misc]
+        said = False
+
+        def on_start(self, _event: Any) -> None:
+            if not self.said:
+                self.said = True
+                reporter.note("compiling; later runs need not (octree-convert --warm-up does it ahead)")
+
+        def on_end(self, _event: Any) -> None:
+            pass
+
+    listener = Announcement()
+    event.register("numba:compile", listener)
+    return listener
+
+
+def check_outputs(
+    outputs: Iterable[tuple[Path, Iterable[str], str]], inputs: Iterable[Path], *, force: bool
+) -> None:
+    """Refuse outputs that cannot or must not be written, before any work is done.
+
+    Each output comes with the file endings that it may have and the word for it on the command line. Raises
+    InputError for an unknown ending, and OutputError for a missing folder, for a folder in the file's place,
+    for a file that stands there already unless ``force`` is given, and for one that is also an input or twice
+    an output.
+    """
+    taken = {_identity(path): "an input" for path in inputs}
+    for path, endings, word in outputs:
+        known = list(endings)
+        if path.suffix.lower() not in known:
+            ending = f"the ending {path.suffix!r}" if path.suffix else "no ending"
+            raise InputError(f"{path}: {word} has {ending}; octex writes {' and '.join(known)} here")
+        if path.is_dir():
+            raise OutputError(f"{path}: is a folder; give {word} a file's name")
+        if not path.parent.is_dir():
+            raise OutputError(f"{path}: there is no folder {path.parent}; make it first")
+        other = taken.setdefault(_identity(path), word)
+        if other != word:
+            raise OutputError(f"{path}: {word} is also {other}; give it another name")
+        if path.exists() and not force:
+            raise OutputError(f"{path}: exists already; --force overwrites it")
+        if not os.access(path.parent, os.W_OK):
+            raise OutputError(f"{path}: the folder {path.parent} cannot be written")
+
+
+def _identity(path: Path) -> tuple[int, int] | Path:
+    """Return what two names of one file share."""
+    with suppress(OSError):
+        status = path.stat()
+        return status.st_dev, status.st_ino
+    return path.resolve()
+
+
+def bytes_text(number: int) -> str:
+    """Return a number of bytes as a person reads it."""
+    size, unit = float(number), "bytes"
+    for larger in ("kB", "MB", "GB", "TB"):
+        if size < 1000:
+            break
+        size, unit = size / 1000, larger
+    return (
+        f"{number} bytes"
+        if unit == "bytes"
+        else f"{size:.3g} {unit}"
+        if size < 999.5
+        else f"{size:.0f} {unit}"
+    )

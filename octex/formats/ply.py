@@ -1,0 +1,104 @@
+"""PLY: a coloured point a leaf, with its normal, for any tool that shows point clouds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import decode, encode
+from octex.container import replacing
+from octex.errors import TextureFileError
+from octex.parallel import Progress, silent
+from octex.tree.morton import decode_cells
+from octex.tree.normals import estimate_normals
+from octex.tree.walk import Leaves, walk_leaves
+
+if TYPE_CHECKING:
+    from octex.texture import Channel, OctreeTexture
+
+_PLY_TYPES = {"f4": "float", "f8": "double", "u1": "uchar"}
+# Positions are written in float32 if that moves none by more than this part of a finest cell.
+_PRECISION = 1 / 64
+
+
+def write_points(texture: OctreeTexture, path: str | Path, progress: Progress = silent) -> None:
+    """Write a texture as a binary PLY point cloud: one vertex a leaf, in Morton order.
+
+    ``x y z``: the leaf's centre, in rest units; float, or double where float would move it by more than 1/64
+    of a finest cell. ``nx ny nz``: the surface's normal, float, estimated from the tree (octex.tree.normals).
+    ``red green blue``: the base colour in sRGB, 0 … 255, as stored if it is stored so; ``alpha``: the
+    coverage, 0 … 255; each left out if the texture has no such channel.
+
+    Leaves are written in blocks, so that memory does not grow with their number. What stood at ``path``
+    before is replaced when everything is written, or not at all: raises OutputError if it cannot be written,
+    and TextureFileError if the tree is damaged so that it holds fewer leaves than it says.
+    """
+    tree = texture.tree
+    vertex = _vertex_type(texture)
+    progress("write", 0, tree.n_leaves)
+    written = 0
+    with replacing(path) as file:
+        file.write(_header(texture, vertex))
+        for leaves in walk_leaves(tree.arrays):
+            file.write(_vertices(texture, leaves, vertex).tobytes())
+            written += len(leaves.cells)
+            progress("write", written, tree.n_leaves)
+        if written != tree.n_leaves:
+            raise TextureFileError(
+                f"{path}: not written: the octree is damaged, with {written} of {tree.n_leaves} leaves"
+            )
+
+
+def _vertex_type(texture: OctreeTexture) -> np.dtype[np.void]:
+    """Return what one vertex is in the file."""
+    placement = texture.placement
+    finest = placement.size / 2**texture.tree.max_depth
+    farthest = max(abs(corner) + placement.size for corner in placement.origin)
+    position = "<f4" if farthest * 2.0**-24 <= _PRECISION * finest else "<f8"
+    fields = [(axis, position) for axis in "xyz"] + [(f"n{axis}", "<f4") for axis in "xyz"]
+    if "base_color" in texture.channels:
+        fields += [(color, "u1") for color in ("red", "green", "blue")]
+    if "alpha" in texture.channels:
+        fields += [("alpha", "u1")]
+    return np.dtype(fields)
+
+
+def _header(texture: OctreeTexture, vertex: np.dtype[np.void]) -> bytes:
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment octex: a point a leaf of an octree texture",
+        "comment units: those of the model; colours: sRGB",
+        f"element vertex {texture.tree.n_leaves}",
+    ]
+    lines += [f"property {_PLY_TYPES[vertex[name].str[1:]]} {name}" for name in vertex.names or ()]
+    return "\n".join([*lines, "end_header", ""]).encode("ascii")
+
+
+def _vertices(texture: OctreeTexture, leaves: Leaves, vertex: np.dtype[np.void]) -> npt.NDArray[np.void]:
+    vertices = np.empty(len(leaves.cells), vertex)
+    edges = np.ldexp(1.0, -leaves.depths.astype(np.int32))[:, None]
+    centres = texture.placement.to_rest((decode_cells(leaves.codes) + 0.5) * edges)
+    normals = estimate_normals(texture.tree.arrays, *leaves)
+    for axis, name in enumerate("xyz"):
+        vertices[name] = centres[:, axis]
+        vertices[f"n{name}"] = normals[:, axis]
+    if "base_color" in texture.channels:
+        codes = _codes(texture.channels["base_color"], leaves.cells)
+        for component, name in enumerate(("red", "green", "blue")):
+            vertices[name] = codes[:, component]
+    if "alpha" in texture.channels:
+        vertices["alpha"] = _codes(texture.channels["alpha"], leaves.cells)[:, 0]
+    return vertices
+
+
+def _codes(channel: Channel, cells: npt.NDArray[np.int64]) -> npt.NDArray[np.generic]:
+    """Return a channel's values as bytes: colours in sRGB, data as it is."""
+    values = channel.values[cells]
+    space = channel.format.space
+    if values.dtype == np.uint8 and space != "linear":
+        return values
+    return encode(decode(values, space), "uint8", "data" if space == "data" else "srgb")
