@@ -1,0 +1,245 @@
+"""Named arrays and strings in a file, and back: safetensors, readable from every language.
+
+    8 bytes     the header's length N, little-endian
+    N bytes     the header, JSON, padded with spaces so that the arrays begin at a multiple of 4096
+    the rest    the arrays, without gaps, in order of falling item size: each is aligned to its items
+
+Reading maps the file: arrays are views of it, and pages are loaded when they are touched.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import mmap
+import os
+import secrets
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.errors import ArgumentError, OutputError, TextureFileError
+
+Array = npt.NDArray[Any]
+
+#: safetensors' names of the types that octex reads and writes.
+_DTYPES = {
+    "U8": "uint8", "U16": "uint16", "U32": "uint32", "U64": "uint64",
+    "I8": "int8", "I16": "int16", "I32": "int32", "I64": "int64",
+    "F16": "float16", "F32": "float32", "F64": "float64",
+}  # fmt: skip
+_NAMES = {name: code for code, name in _DTYPES.items()}
+_PAGE = 4096
+_LONGEST_HEADER = 100_000_000  # safetensors' own limit
+_METADATA = "__metadata__"
+
+
+class Contents(NamedTuple):
+    """What stands in a file."""
+
+    tensors: dict[
+        str, Array
+    ]  # views of the mapping, in the file's order; writable, but never written to the file
+    metadata: dict[str, str]
+    mapping: mmap.mmap
+
+
+def header(tensors: Mapping[str, Array], metadata: Mapping[str, str]) -> bytes:
+    """Return the bytes before the arrays.
+
+    Raises ArgumentError for unusable names, for types that a file cannot hold, and for metadata that are not
+    strings.
+    """
+    entries: dict[str, Any] = {_METADATA: dict(metadata)}
+    if not all(isinstance(text, str) for pair in metadata.items() for text in pair):
+        raise ArgumentError("metadata must map strings to strings")
+    offset = 0
+    for name, array in _in_file_order(tensors):
+        if not name or name == _METADATA:
+            raise ArgumentError(f"a tensor cannot have the name {name!r}")
+        if array.dtype.name not in _NAMES:
+            raise ArgumentError(f"tensor {name!r}: a file cannot hold {array.dtype}")
+        entries[name] = {
+            "dtype": _NAMES[array.dtype.name],
+            "shape": list(array.shape),
+            "data_offsets": [offset, offset + array.nbytes],
+        }
+        offset += array.nbytes
+    # Names of files need not be valid text; what is not becomes a question mark.
+    text = json.dumps(entries, ensure_ascii=False, separators=(",", ":")).encode("utf-8", "replace")
+    length = -(-(8 + len(text)) // _PAGE) * _PAGE - 8
+    return length.to_bytes(8, "little") + text.ljust(length)
+
+
+def _in_file_order(tensors: Mapping[str, Array]) -> list[tuple[str, Array]]:
+    return sorted(tensors.items(), key=lambda item: -item[1].dtype.itemsize)
+
+
+def write(path: str | os.PathLike[str], tensors: Mapping[str, Array], metadata: Mapping[str, str]) -> None:
+    """Write arrays and strings to ``path``; the same input gives the same bytes.
+
+    Raises ArgumentError like ``header``, and OutputError if the file cannot be written: then what stood at
+    ``path`` still stands.
+    """
+    first = header(tensors, metadata)
+    with replacing(path) as file:
+        file.write(first)
+        for _, array in _in_file_order(tensors):
+            if array.size:
+                little_endian = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+                file.write(little_endian.reshape(-1).view(np.uint8).data)
+
+
+@contextlib.contextmanager
+def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """Open a new file that takes the place of ``path`` at the end of the block, whole or not at all.
+
+    Raises OutputError if anything cannot be written (also for an OSError of the block itself).
+    """
+    target = Path(path)
+    temporary: Path | None = None
+    try:
+        real = Path(os.path.realpath(target))  # through links, so that a link stays one
+        if real.exists() and not real.is_file():
+            raise OutputError(f"{target}: is not a file that can be replaced; choose another name")
+        new = real.with_name(f".octex-{secrets.token_hex(8)}")
+        with new.open("xb") as file:
+            temporary = new
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        new.replace(real)
+        temporary = None
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise OutputError(
+            f"{target}: cannot be written: {reason}; make room or choose another place"
+        ) from error
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def read(path: str | os.PathLike[str]) -> Contents:
+    """Map a file; only its header is read.
+
+    Raises TextureFileError if there is no such file, or its header is damaged or does not fit the file.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            length = os.fstat(file.fileno()).st_size
+            text = _read_header(file, length)
+            tensors, metadata = _parsed(text, length)
+            mapping = _mapped(file)
+        return Contents({name: _view(mapping, *entry) for name, entry in tensors.items()}, metadata, mapping)
+    except OSError as error:
+        raise TextureFileError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except _HeaderError as error:
+        raise TextureFileError(f"{path}: {error}") from error
+
+
+class _HeaderError(Exception):
+    """Say what is wrong, without the file's name."""
+
+
+class _Entry(NamedTuple):
+    """Where an array stands in a file."""
+
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+    offset: int
+
+
+def _read_header(file: BinaryIO, file_length: int) -> bytes:
+    length = int.from_bytes(file.read(8), "little")
+    if file_length < 8 or not 2 <= length <= _LONGEST_HEADER:
+        raise _HeaderError("is not an octree texture file (it does not begin with a safetensors header)")
+    if length > file_length - 8:
+        raise _HeaderError(f"is cut off inside its header ({file_length} bytes); copy or make it again")
+    return file.read(length)
+
+
+def _parsed(text: bytes, file_length: int) -> tuple[dict[str, _Entry], dict[str, str]]:
+    try:
+        entries = json.loads(text, object_pairs_hook=_without_duplicates)
+    except (ValueError, RecursionError) as error:
+        raise _HeaderError(f"its header is not JSON ({error}): another type of file, or damaged") from error
+    metadata = entries.pop(_METADATA, {}) if isinstance(entries, dict) else None
+    if not isinstance(metadata, dict) or not all(isinstance(value, str) for value in metadata.values()):
+        raise _HeaderError("its header is damaged: the metadata are not strings")
+    begin = 8 + len(text)
+    tensors: dict[str, _Entry] = {}
+    end = 0
+    for name, entry in sorted(entries.items(), key=_first_offset):
+        dtype, shape, first, last = _checked_entry(name, entry)
+        if first != end or last - first != math.prod(shape) * dtype.itemsize:
+            raise _HeaderError(f"its header is damaged: the bytes of {name!r} do not fit its shape")
+        tensors[name] = _Entry(dtype, shape, begin + first)
+        end = last
+    if begin + end != file_length:
+        raise _HeaderError(
+            f"has {file_length} bytes, but its header describes {begin + end}: cut off or damaged; "
+            "copy or make it again"
+        )
+    return tensors, metadata
+
+
+def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    entries = dict(pairs)
+    if len(entries) < len(pairs):
+        raise ValueError("a name twice")
+    return entries
+
+
+def _first_offset(item: tuple[str, Any]) -> tuple[int, int]:
+    _, _, first, last = _checked_entry(*item)
+    return first, last
+
+
+def _checked_entry(name: str, entry: Any) -> tuple[np.dtype[Any], tuple[int, ...], int, int]:
+    if not isinstance(entry, dict) or not {"dtype", "shape", "data_offsets"} <= entry.keys():
+        raise _HeaderError(f"its header is damaged: {name!r} lacks its dtype, shape or data_offsets")
+    dtype, shape, offsets = entry["dtype"], entry["shape"], entry["data_offsets"]
+    if not isinstance(dtype, str) or dtype not in _DTYPES:
+        raise _HeaderError(f"{name!r} has the dtype {dtype!r}, which octex does not read")
+    if not _is_whole(shape) or not _is_whole(offsets) or len(offsets) != 2 or len(shape) > 8:
+        raise _HeaderError(f"its header is damaged: {name!r} has impossible shape or data_offsets")
+    return np.dtype(_DTYPES[dtype]).newbyteorder("<"), tuple(shape), offsets[0], offsets[1]
+
+
+def _is_whole(numbers: Any) -> bool:
+    return isinstance(numbers, list) and all(type(n) is int and 0 <= n < 2**48 for n in numbers)
+
+
+def _mapped(file: BinaryIO) -> mmap.mmap:
+    if sys.platform == "win32":
+        return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
+    # Private pages are writable, which keeps one type of array in the kernels; where nothing is reserved for
+    # them, a file may be larger than memory.
+    no_reserve = getattr(mmap, "MAP_NORESERVE", 0)  # from Python 3.13 on
+    mapping = mmap.mmap(
+        file.fileno(), 0, flags=mmap.MAP_PRIVATE | no_reserve, prot=mmap.PROT_READ | mmap.PROT_WRITE
+    )
+    # A coarse look then loads single pages; reading ahead pulled in 160 MB for 20 bytes.
+    mapping.madvise(mmap.MADV_RANDOM)
+    return mapping
+
+
+def read_ahead(mapping: mmap.mmap) -> None:
+    """Prepare for most of a mapped file to be read, where the system takes such advice."""
+    if sys.platform != "win32":
+        mapping.madvise(mmap.MADV_NORMAL)
+
+
+def _view(mapping: mmap.mmap, dtype: np.dtype[Any], shape: tuple[int, ...], offset: int) -> Array:
+    count = math.prod(shape)
+    if count == 0:
+        return np.empty(shape, dtype)
+    array = np.frombuffer(mapping, dtype, count, offset).reshape(shape)
+    # Files by others need not align their arrays.
+    return array if array.flags.aligned else array.copy()
