@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator
 from fractions import Fraction
-from itertools import product
 
 Point = tuple[Fraction, ...]
 
@@ -36,6 +36,19 @@ def facing(normal: Point) -> int:
     return 2 * axis + (normal[axis] < 0)
 
 
+def slabs(polygon: list[Point], edge: int, axis: int = 0) -> Iterator[tuple[tuple[int, ...], list[Point]]]:
+    """Cut a polygon into slabs along each axis in turn; yield the closed cells and the polygon in each."""
+    if axis == 3:
+        yield (), polygon
+        return
+    first, last = (int(bound(p[axis] for p in polygon) // edge) for bound in (min, max))
+    for i in range(first, last + 1):
+        inside = clip(clip(polygon, axis, i * edge, 1), axis, (i + 1) * edge, -1)
+        if inside:
+            for cell, piece in slabs(inside, edge, axis + 1):
+                yield (i, *cell), piece
+
+
 def cells_of(triangle: list[tuple[int, int, int]], edge: int) -> dict[tuple[int, int, int], tuple[float, Point | None]]:
     """Return each cell of edge ``edge`` that a triangle meets, with area and centroid (None without area).
 
@@ -45,12 +58,8 @@ def cells_of(triangle: list[tuple[int, int, int]], edge: int) -> dict[tuple[int,
     normal = cross(*corners)
     axis = facing(normal) // 2
     found = {}
-    ranges = [range(min(c[i] for c in triangle) // edge, max(c[i] for c in triangle) // edge + 1) for i in range(3)]
-    for cell in product(*ranges):
-        polygon = corners
-        for i in range(3):
-            polygon = clip(clip(polygon, i, cell[i] * edge, 1), i, (cell[i] + 1) * edge, -1)
-        if not polygon or any(all(p[i] == (cell[i] + 1) * edge for p in polygon) for i in range(3)):
+    for cell, polygon in slabs(corners, edge):
+        if any(all(p[i] == (cell[i] + 1) * edge for p in polygon) for i in range(3)):
             continue
         doubled, moment = Fraction(0), [Fraction(0)] * 3
         for b, c in zip(polygon[1:], polygon[2:], strict=False):

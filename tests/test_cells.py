@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from octex.conversion.cells import GRID_BITS, SPREAD
-from octex.conversion.pieces import Pieces, bin_triangles, block_levels, cut
+from octex.conversion.pieces import Blocks, Pieces, bin_triangles, block_levels, cut, most_pieces
 from octex.tree.morton import decode_cells
 from tests import naive_cells
 from tests.conftest import needs_jit
@@ -21,7 +21,20 @@ def cut_all(triangles: list[list[Corner]], depth: int, keys_only: int = 0) -> Pi
     grid = np.array(triangles, np.int32).reshape(-1, 3)
     indices = np.arange(len(grid), dtype=np.int32).reshape(-1, 3)
     blocks = bin_triangles(grid, indices, depth)
-    return cut(grid, indices, blocks, 0, len(blocks.codes), depth, keys_only, SPREAD)
+    return cut_blocks(grid, indices, blocks, 0, len(blocks.codes), depth, keys_only)
+
+
+def cut_blocks(
+    grid: npt.NDArray[np.int32],
+    triangles: npt.NDArray[np.int32],
+    blocks: Blocks,
+    first: int,
+    last: int,
+    depth: int,
+    keys_only: int = 0,
+) -> Pieces:
+    most = int(most_pieces(grid, triangles, blocks, depth)[first:last].sum())
+    return cut(grid, triangles, blocks, first, last, depth, most, keys_only, SPREAD)
 
 
 def check(triangles: list[list[Corner]], depth: int) -> None:
@@ -120,7 +133,7 @@ def test_blocks_come_down_in_steps_of_five(depth: int) -> None:
 def test_pieces_tile_a_closed_surface() -> None:
     grid, triangles = bumpy_sphere(60, 40)
     blocks = bin_triangles(grid, triangles, 9)
-    pieces = cut(grid, triangles, blocks, 0, len(blocks.codes), 9, 0, SPREAD)
+    pieces = cut_blocks(grid, triangles, blocks, 0, len(blocks.codes), 9)
     corners = grid[triangles].astype(np.float64) / 2.0 ** (GRID_BITS - 9)
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     assert np.allclose(np.bincount(pieces.triangles, pieces.areas, len(triangles)), areas, rtol=1e-9)
@@ -130,10 +143,10 @@ def test_pieces_tile_a_closed_surface() -> None:
 def test_the_cut_does_not_depend_on_how_blocks_are_grouped() -> None:
     grid, triangles = bumpy_sphere(60, 40)
     blocks = bin_triangles(grid, triangles, 8)
-    whole = cut(grid, triangles, blocks, 0, len(blocks.codes), 8, 0, SPREAD)
+    whole = cut_blocks(grid, triangles, blocks, 0, len(blocks.codes), 8)
     middle = len(blocks.codes) // 3
-    first = cut(grid, triangles, blocks, 0, middle, 8, 0, SPREAD)
-    second = cut(grid, triangles, blocks, middle, len(blocks.codes), 8, 0, SPREAD)
+    first = cut_blocks(grid, triangles, blocks, 0, middle, 8)
+    second = cut_blocks(grid, triangles, blocks, middle, len(blocks.codes), 8)
     for name in ("codes", "flags", "areas", "barycentric", "triangles"):
         assert np.array_equal(np.concatenate([getattr(first, name), getattr(second, name)]), getattr(whole, name))
 

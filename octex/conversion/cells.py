@@ -27,6 +27,9 @@ BLOCK_BITS = 5
 BLOCK_EDGE = 1 << BLOCK_BITS
 BLOCK_CELLS = 1 << (3 * BLOCK_BITS)
 
+#: A triangle rises by at most two cells along w over a column, so it meets at most three of its cells.
+MOST_IN_COLUMN = 3
+
 #: The low five bits of a coordinate, spread to every third bit: a block's Morton codes.
 SPREAD = np.array(
     [sum(((i >> bit) & 1) << (3 * bit) for bit in range(BLOCK_BITS)) for i in range(BLOCK_EDGE)], np.int64

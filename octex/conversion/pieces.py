@@ -6,7 +6,7 @@ cell's normal flags, and a bit's rank among all set bits numbers the *entry* (ce
 
 from __future__ import annotations
 
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,7 @@ from octex.conversion.cells import (
     COLUMN_U,
     COLUMN_V,
     GRID_BITS,
+    MOST_IN_COLUMN,
     SPREAD,
     columns_met,
     load_triangle,
@@ -27,9 +28,6 @@ from octex.conversion.cells import (
 from octex.conversion.clip import MAX_VERTICES, POLYGONS, clip_to_columns
 from octex.jit import kernel, popcount, trailing_zeros
 from octex.tree.morton import decode
-
-
-Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 class Blocks(NamedTuple):
@@ -58,14 +56,6 @@ def _block_origin(code: int) -> tuple[int, int, int]:
 
 
 @kernel
-def _grown(array: npt.NDArray[Scalar], used: int, needed: int) -> npt.NDArray[Scalar]:
-    """Copy the used rows into an array of at least ``needed`` and at least twice the rows."""
-    larger = np.empty((max(2 * array.shape[0], needed), *array.shape[1:]), array.dtype)
-    larger[:used] = array[:used]
-    return larger
-
-
-@kernel
 def _block_columns(
     axis: int,
     corners: npt.NDArray[np.int64],
@@ -79,11 +69,41 @@ def _block_columns(
 
 
 @kernel
+def most_pieces(
+    grid: npt.NDArray[np.int32], triangles: npt.NDArray[np.int32], blocks: Blocks, depth: int
+) -> npt.NDArray[np.int64]:
+    """Bound from above how many cells of ``depth`` the triangles of each block can meet, by their boxes.
+
+    It sizes the arrays of `cut` and cuts the work into parts.
+    """
+    shift = GRID_BITS - depth
+    bounds = np.zeros(blocks.codes.size, np.int64)
+    corners = np.empty((3, 3), np.int64)
+    normal = np.empty(3, np.int64)
+    for block in range(blocks.codes.size):
+        origin = _block_origin(blocks.codes[block])
+        for row in range(blocks.starts[block], blocks.starts[block + 1]):
+            axis = load_triangle(grid, triangles, blocks.members[row], corners, normal)
+            if axis < 0:
+                continue
+            cells = np.int64(1)
+            for i in range(3):
+                start = origin[(axis + 1 + i) % 3]
+                low = max(min(corners[0, i], corners[1, i], corners[2, i]) >> shift, start)
+                high = min(max(corners[0, i], corners[1, i], corners[2, i]) >> shift, start + BLOCK_EDGE - 1)
+                span = max(high - low + 1, 0)
+                cells *= span if i < 2 else min(span, MOST_IN_COLUMN)
+            bounds[block] += cells
+    return bounds
+
+
+@kernel
 def _bin(
     grid: npt.NDArray[np.int32],
     triangles: npt.NDArray[np.int32],
     blocks: Blocks,
     depth: int,
+    bounds: npt.NDArray[np.int64],
     spread: npt.NDArray[np.int64],
 ) -> Blocks:
     """Cut blocks into the blocks one step deeper; ``depth`` is the level of the new ones."""
@@ -93,13 +113,14 @@ def _bin(
     columns = np.empty((BLOCK_EDGE * BLOCK_EDGE, 5), np.int64)
     origin = np.empty(3, np.int64)
     counts = np.zeros(BLOCK_CELLS, np.int64)
-    codes = np.empty(1024, np.int64)
-    starts = np.empty(1025, np.int64)
+    most = bounds.sum()
+    codes = np.empty(min(most, blocks.codes.size * BLOCK_CELLS), np.int64)
+    starts = np.empty(codes.size + 1, np.int64)
     n_blocks = 0
-    members = np.empty(max(blocks.members.size, 1024), np.int32)
+    members = np.empty(most, np.int32)
     n_members = 0
-    pair_cells = np.empty(1024, np.int32)
-    pair_triangles = np.empty(1024, np.int32)
+    pair_cells = np.empty(bounds.max(), np.int32)
+    pair_triangles = np.empty(bounds.max(), np.int32)
     for block in range(blocks.codes.size):
         origin[0], origin[1], origin[2] = _block_origin(blocks.codes[block])
         n_pairs = 0
@@ -110,28 +131,19 @@ def _bin(
                 continue
             n_columns = _block_columns(axis, corners, normal, shift, origin, columns)
             u, v = (axis + 1) % 3, (axis + 2) % 3
-            if n_pairs + 4 * n_columns > pair_cells.size:
-                pair_cells = _grown(pair_cells, n_pairs, n_pairs + 4 * n_columns)
-                pair_triangles = _grown(pair_triangles, n_pairs, n_pairs + 4 * n_columns)
             for i in range(n_columns):
-                column = columns[i]
-                in_plane = (spread[column[COLUMN_U] - origin[u]] << u) | (
-                    spread[column[COLUMN_V] - origin[v]] << v
+                in_plane = (spread[columns[i, COLUMN_U] - origin[u]] << u) | (
+                    spread[columns[i, COLUMN_V] - origin[v]] << v
                 )
-                for w in range(column[COLUMN_FIRST], column[COLUMN_LAST] + 1):
+                for w in range(columns[i, COLUMN_FIRST], columns[i, COLUMN_LAST] + 1):
                     cell = in_plane | (spread[w - origin[axis]] << axis)
                     pair_cells[n_pairs] = cell
                     pair_triangles[n_pairs] = triangle
                     n_pairs += 1
                     counts[cell] += 1
         # A counting sort by cell keeps the triangles of a cell in order.
-        if n_members + n_pairs > members.size:
-            members = _grown(members, n_members, n_members + n_pairs)
         for cell in range(BLOCK_CELLS):
             if counts[cell] > 0:
-                if n_blocks == codes.size:
-                    codes = _grown(codes, n_blocks, 0)
-                    starts = _grown(starts, n_blocks, 0)
                 codes[n_blocks] = (blocks.codes[block] << (3 * BLOCK_BITS)) | cell
                 starts[n_blocks] = n_members
                 n_blocks += 1
@@ -159,7 +171,7 @@ def bin_triangles(
     members = np.arange(len(triangles), dtype=np.int32)
     blocks = Blocks(np.zeros(1, np.int64), np.array([0, len(members)], np.int64), members)
     for level in block_levels(depth)[1:]:
-        blocks = _bin(grid, triangles, blocks, level, SPREAD)
+        blocks = _bin(grid, triangles, blocks, level, most_pieces(grid, triangles, blocks, level), SPREAD)
     return blocks
 
 
@@ -173,23 +185,6 @@ def block_levels(depth: int) -> list[int]:
 
 
 @kernel
-def block_costs(grid: npt.NDArray[np.int32], triangles: npt.NDArray[np.int32], blocks: Blocks, depth: int) -> npt.NDArray[np.float64]:
-    """Estimate the pieces in each block, for cutting the work into even parts."""
-    costs = np.empty(blocks.codes.size, np.float64)
-    corners = np.empty((3, 3), np.int64)
-    normal = np.empty(3, np.int64)
-    face = 4.0 ** (GRID_BITS - depth)
-    for block in range(blocks.codes.size):
-        cost = 0.0
-        for row in range(blocks.starts[block], blocks.starts[block + 1]):
-            axis = load_triangle(grid, triangles, blocks.members[row], corners, normal)
-            if axis >= 0:
-                cost += 2.0 + min(abs(np.float64(normal[2])) / face, 1.0 * BLOCK_EDGE * BLOCK_EDGE)
-        costs[block] = cost
-    return costs
-
-
-@kernel
 def cut(
     grid: npt.NDArray[np.int32],
     triangles: npt.NDArray[np.int32],
@@ -197,12 +192,13 @@ def cut(
     first_block: int,
     last_block: int,
     depth: int,
+    most: int,
     keys_only: int,
     spread: npt.NDArray[np.int64],
 ) -> Pieces:
     """Cut the triangles of blocks ``first_block`` … ``last_block`` − 1 along the cells of ``depth``.
 
-    With ``keys_only`` the cells are found without clipping: codes and flags alone.
+    ``most`` is the sum of `most_pieces` over these blocks. With ``keys_only`` the cells are found without clipping: codes and flags alone.
     """
     shift = GRID_BITS - depth
     corners = np.empty((3, 3), np.int64)
@@ -213,11 +209,11 @@ def cut(
     mask = np.zeros(BLOCK_CELLS // 8, np.uint64)
     ranks = np.empty(BLOCK_CELLS // 8, np.int32)
     used = np.empty(BLOCK_CELLS // 8, np.int32)
-    codes = np.empty(4096, np.int64)
-    flags = np.empty(4096, np.uint8)
+    codes = np.empty(min(most, (last_block - first_block) * BLOCK_CELLS), np.int64)
+    flags = np.empty(codes.size, np.uint8)
     n_cells = 0
     n_entries = 0
-    room = 16 if keys_only else 4096
+    room = 0 if keys_only else most
     entries = np.empty(room, np.int32)
     members = np.empty(room, np.int32)
     barycentric = np.empty((room, 3), np.float64)
@@ -235,11 +231,6 @@ def cut(
             u, v = (axis + 1) % 3, (axis + 2) % 3
             facing = 2 * axis + (1 if normal[2] < 0 else 0)
             if not keys_only and n_columns > 0:
-                if n_pieces + 4 * n_columns > entries.size:
-                    entries = _grown(entries, n_pieces, n_pieces + 4 * n_columns)
-                    members = _grown(members, n_pieces, n_pieces + 4 * n_columns)
-                    barycentric = _grown(barycentric, n_pieces, n_pieces + 4 * n_columns)
-                    areas = _grown(areas, n_pieces, n_pieces + 4 * n_columns)
                 clip_to_columns(
                     corners,
                     normal,
@@ -273,9 +264,6 @@ def cut(
             n_used += 1
             ranks[word] = n_entries
             n_entries += popcount(mask[word])
-            if n_cells + 8 > codes.size:
-                codes = _grown(codes, n_cells, 0)
-                flags = _grown(flags, n_cells, 0)
             left = mask[word]
             while left != np.uint64(0):
                 octant = trailing_zeros(left) >> 3
