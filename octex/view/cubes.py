@@ -1,0 +1,108 @@
+"""A z-buffer of cubes along the world's axes: what the cells of an octree look like."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.jit import kernel
+from octex.view.camera import Camera
+
+Floats = npt.NDArray[np.float64]
+
+
+class CubeBuffers(NamedTuple):
+    """What each pixel sees; row 0 is the top of the picture."""
+
+    cube: npt.NDArray[np.int32]  # (height, width)   the nearest cube; −1: none
+    axis: npt.NDArray[np.int8]  # (height, width)   0, 1 or 2: the face seen is across x, y or z
+    depth: Floats  # (height, width)   along the camera's axis; inf where there is none
+
+
+def rasterize_cubes(corners: Floats, edges: Floats, camera: Camera) -> CubeBuffers:
+    """Find the cube seen at the centre of every pixel.
+
+    corners    (n, 3) float64: each cube's corner of least coordinates, in the world
+    edges      (n,) float64: how long its edges are
+
+    Of cubes at the same depth the first is seen. Cubes that reach to depth 0 or behind are not.
+    """
+    shape = camera.height, camera.width
+    buffers = CubeBuffers(np.full(shape, -1, np.int32), np.zeros(shape, np.int8), np.full(shape, np.inf))
+    unproject = np.linalg.inv(camera.K)
+    to_world = camera.world_to_camera[:3, :3].T
+    if camera.projection == "pinhole":
+        origins, directions = np.zeros((3, 3)), to_world @ unproject
+    else:
+        origins = to_world @ np.diag([1.0, 1.0, 0.0]) @ unproject
+        directions = to_world @ np.diag([0.0, 0.0, 1.0])
+    _draw(corners, edges, camera.matrix, camera.position, origins, directions, *buffers)
+    return buffers
+
+
+@kernel
+def _draw(
+    corners: Floats,
+    edges: Floats,
+    matrix: Floats,
+    position: Floats,
+    origins: Floats,
+    directions: Floats,
+    cubes: npt.NDArray[np.int32],
+    axes: npt.NDArray[np.int8],
+    depths: Floats,
+) -> None:
+    """Trace the ray of each pixel in a cube's bounding rectangle through the cube (slabs: Kay & Kajiya 1986).
+
+    The ray of the pixel centre p = (x, y, 1) is position + origins · p + depth · directions · p.
+    """
+    height, width = cubes.shape
+    for n in range(len(corners)):
+        rectangle = _rectangle(corners[n], edges[n], matrix, width, height)
+        for row in range(rectangle[2], rectangle[3]):
+            for column in range(rectangle[0], rectangle[1]):
+                x, y = column + 0.5, row + 0.5
+                enter, leave, across = 0.0, np.inf, -1
+                for axis in range(3):
+                    origin = position[axis] + origins[axis, 0] * x + origins[axis, 1] * y + origins[axis, 2]
+                    direction = directions[axis, 0] * x + directions[axis, 1] * y + directions[axis, 2]
+                    if direction == 0.0:
+                        direction = 1e-300
+                    low = (corners[n, axis] - origin) / direction
+                    high = (corners[n, axis] + edges[n] - origin) / direction
+                    if min(low, high) > enter:
+                        enter, across = min(low, high), axis
+                    leave = min(leave, max(low, high))
+                if across >= 0 and enter <= leave and enter < depths[row, column]:
+                    depths[row, column] = enter
+                    cubes[row, column] = n
+                    axes[row, column] = across
+
+
+@kernel
+def _rectangle(
+    corner: Floats, edge: float, matrix: Floats, width: int, height: int
+) -> tuple[int, int, int, int]:
+    """Return the first and one past the last column, then row, whose centres a cube can cover."""
+    low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
+    for vertex in range(8):
+        x = corner[0] + edge * (vertex & 1)
+        y = corner[1] + edge * (vertex >> 1 & 1)
+        z = corner[2] + edge * (vertex >> 2)
+        w = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z + matrix[2, 3]
+        depth = matrix[3, 0] * x + matrix[3, 1] * y + matrix[3, 2] * z + matrix[3, 3]
+        if not (depth > 0.0 and w > 0.0):
+            return 0, 0, 0, 0
+        column = (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z + matrix[0, 3]) / w
+        row = (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z + matrix[1, 3]) / w
+        low_x, high_x = min(low_x, column), max(high_x, column)
+        low_y, high_y = min(low_y, row), max(high_y, row)
+    # A little more for the rounding, and within the picture, so that it fits an integer.
+    return (
+        int(np.ceil(min(max(low_x - 0.501, 0.0), float(width)))),
+        int(np.floor(min(max(high_x + 0.501, 0.0), float(width)))),
+        int(np.ceil(min(max(low_y - 0.501, 0.0), float(height)))),
+        int(np.floor(min(max(high_y + 0.501, 0.0), float(height)))),
+    )

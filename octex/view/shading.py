@@ -1,0 +1,113 @@
+"""Studio light: soft, from the camera's side, of so little contrast that colours stay comparable.
+
+Everything is linear light. The lights stand beside the camera and turn with it.
+"""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.jit import kernel
+
+Floats = npt.NDArray[np.float64]
+
+# In camera axes: x right, y down, z away from the camera.
+_KEY_FROM, _KEY = np.array([-0.45, -0.65, -0.61]), 0.52
+_FILL_FROM, _FILL = np.array([0.85, 0.10, -0.52]), 0.12
+_FROM_ABOVE, _FROM_BELOW = 0.52, 0.30
+
+#: Corners of more triangles than this get the triangle's own normal: comparing all pairs would take too long.
+_MANY = 256
+
+
+def face_normals(positions: Floats, triangles: npt.NDArray[np.int32]) -> Floats:
+    """Return unit normals (m, 3) of triangles (m, 3), counter-clockwise seen from outside, or zeros."""
+    a, b, c = (positions[triangles[:, corner]] for corner in range(3))
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return cast(Floats, np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0.0))
+
+
+def corner_normals(
+    positions: Floats, triangles: npt.NDArray[np.int32], crease: float = 40.0
+) -> npt.NDArray[np.float32]:
+    """Return smooth unit normals (m, 3, 3) at the corners of triangles (m, 3).
+
+    A corner's normal is the mean, weighted by angle, of those triangles at its position whose normals are
+    within ``crease`` degrees of its own triangle's: edges sharper than that stay sharp. (Thürmer & Wüthrich,
+    "Computing Vertex Normals from Polygonal Facets", 1998.)
+    """
+    faces = face_normals(positions, triangles)
+    corners = positions[triangles]
+    forward, backward = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    across = np.linalg.norm(np.cross(forward, backward), axis=2)
+    angles = np.arctan2(across, np.einsum("mkc,mkc->mk", forward, backward)).ravel()
+
+    # Corners at one position one after the other, whatever vertices they use.
+    x, y, z = (positions + 0.0).T  # −0 becomes 0
+    order = np.lexsort((x, y, z))
+    changes = (np.diff(positions[order], axis=0) != 0.0).any(axis=1)
+    places = np.empty(len(positions), np.int64)
+    places[order] = np.concatenate([[0], np.cumsum(changes)])
+    corner_places = places[triangles.ravel()]
+    by_place = np.argsort(corner_places, kind="stable")
+    starts = np.flatnonzero(np.diff(corner_places[by_place], prepend=-1, append=-2))
+
+    normals = np.empty((triangles.size, 3), np.float32)
+    _smooth(faces, angles, by_place, starts, np.cos(np.radians(crease)), normals)
+    return normals.reshape(-1, 3, 3)
+
+
+@kernel
+def _smooth(
+    faces: Floats,
+    angles: Floats,
+    by_place: npt.NDArray[np.int64],
+    starts: npt.NDArray[np.int64],
+    least_cosine: float,
+    normals: npt.NDArray[np.float32],
+) -> None:
+    for place in range(len(starts) - 1):
+        first, end = starts[place], starts[place + 1]
+        for at in range(first, end):
+            corner = by_place[at]
+            own = faces[corner // 3]
+            x, y, z = own[0], own[1], own[2]
+            if end - first <= _MANY:
+                x, y, z = 0.0, 0.0, 0.0
+                for other in by_place[first:end]:
+                    face = faces[other // 3]
+                    if own[0] * face[0] + own[1] * face[1] + own[2] * face[2] >= least_cosine:
+                        x += angles[other] * face[0]
+                        y += angles[other] * face[1]
+                        z += angles[other] * face[2]
+            length = np.sqrt(x * x + y * y + z * z)
+            scale = 1.0 / length if length > 0.0 else 0.0
+            normals[corner, 0] = x * scale
+            normals[corner, 1] = y * scale
+            normals[corner, 2] = z * scale
+
+
+def light(normals: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
+    """Return the light (n,), 0.35 to 1.03, on visible sides with unit normals (n, 3) in camera axes.
+
+    Multiply base colours with it. To light both sides of a surface, turn normals toward the camera first.
+    """
+    lit = 0.5 * (_FROM_ABOVE + _FROM_BELOW) - 0.5 * (_FROM_ABOVE - _FROM_BELOW) * normals[:, 1]
+    for direction, strength in ((_KEY_FROM, _KEY), (_FILL_FROM, _FILL)):
+        # Half-Lambert: a light so large that it reaches around the edge.
+        lit = lit + strength * np.square(0.5 + 0.5 * (normals @ direction))
+    return lit.astype(np.float32)
+
+
+def background(height: int, width: int) -> npt.NDArray[np.float32]:
+    """Return a neutral grey backdrop (height, width, 3), brightest a little below the middle.
+
+    It is the same across, so that pictures side by side have no seam.
+    """
+    down = (np.arange(height) + 0.5) / height
+    grey = 0.74 - 0.60 * (down - 0.55) ** 2
+    return np.broadcast_to(grey[:, None, None], (height, width, 3)).astype(np.float32)

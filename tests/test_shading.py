@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from octex.view.shading import background, corner_normals, face_normals, light
+
+# A cube of 12 triangles, counter-clockwise seen from outside; its faces share vertices.
+CUBE = np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0)])
+QUADS = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
+TRIANGLES = np.array([[q[0], q[k], q[k + 1]] for q in QUADS for k in (1, 2)], np.int32)
+
+
+def _sphere(n):
+    u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 2 * n + 1)[:-1], np.linspace(0.1, np.pi - 0.1, n))
+    points = np.column_stack(
+        [(np.sin(v) * np.cos(u)).ravel(), (np.sin(v) * np.sin(u)).ravel(), np.cos(v).ravel()]
+    )
+    i, j = np.meshgrid(np.arange(n - 1), np.arange(2 * n), indexing="ij")
+    a, b = (i * 2 * n + j).ravel(), (i * 2 * n + (j + 1) % (2 * n)).ravel()
+    triangles = np.vstack([np.column_stack([a, a + 2 * n, b]), np.column_stack([b, a + 2 * n, b + 2 * n])])
+    return points, triangles.astype(np.int32)
+
+
+def test_face_normals_point_outward_and_are_zero_without_area():
+    normals = face_normals(CUBE, np.vstack([TRIANGLES, [[0, 0, 1]]]))
+    centers = CUBE[TRIANGLES].mean(axis=1) - 0.5
+    assert np.allclose(np.linalg.norm(normals[:-1], axis=1), 1.0)
+    assert np.allclose(np.einsum("nc,nc->n", normals[:-1], centers), 0.5)
+    assert (normals[-1] == 0.0).all()
+
+
+def test_corners_of_a_cube_stay_sharp():
+    normals = corner_normals(CUBE, TRIANGLES)
+    assert np.allclose(normals, face_normals(CUBE, TRIANGLES)[:, None])
+
+
+def test_a_large_crease_angle_rounds_a_cube_whichever_way_its_faces_are_cut():
+    # Three faces meet in each corner with 90° each, in three to six triangles.
+    normals = corner_normals(CUBE, TRIANGLES, crease=100.0)
+    assert np.allclose(normals, (CUBE[TRIANGLES] - 0.5) / np.sqrt(0.75), atol=1e-6)
+
+
+def test_a_sphere_is_smooth_also_across_doubled_vertices():
+    points, triangles = _sphere(12)
+    shared = corner_normals(points, triangles)
+    own = corner_normals(
+        points[triangles].reshape(-1, 3), np.arange(triangles.size, dtype=np.int32).reshape(-1, 3)
+    )
+    assert np.allclose(shared, own, atol=1e-6)
+    inner = np.abs(points[triangles][..., 2]).max(axis=1) < 0.9
+    assert np.einsum("nkc,nkc->nk", shared, points[triangles])[inner].min() > 0.995
+
+
+def test_a_triangle_wound_the_other_way_keeps_its_own_normal():
+    flipped = TRIANGLES.copy()
+    flipped[0] = flipped[0, ::-1]
+    normals = corner_normals(CUBE, flipped)
+    assert np.allclose(normals[0], -corner_normals(CUBE, TRIANGLES)[0])
+    assert np.allclose(normals[1], corner_normals(CUBE, TRIANGLES)[1])
+
+
+def test_where_very_many_triangles_meet_they_stay_flat():
+    n = 300
+    angle = np.linspace(0, 2 * np.pi, n + 1)[:-1]
+    cone = np.vstack([[0.0, 0.0, 1.0], np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])])
+    fan = np.column_stack([np.zeros(n, int), 1 + np.arange(n), 1 + (np.arange(n) + 1) % n]).astype(np.int32)
+    normals = corner_normals(cone, fan)
+    assert np.allclose(normals[:, 0], face_normals(cone, fan))
+    assert not np.allclose(normals[:, 1], face_normals(cone, fan), atol=1e-3)
+
+
+def test_a_triangle_without_area_has_no_normals():
+    assert (corner_normals(CUBE, np.array([[0, 0, 1]], np.int32)) == 0.0).all()
+
+
+def test_light_is_never_dark_and_hardly_above_one():
+    normals = np.random.default_rng(0).normal(size=(2000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals[:, 2] = -np.abs(normals[:, 2])
+    lit = light(normals)
+    assert lit.dtype == np.float32
+    assert 0.35 < lit.min() < 0.4
+    assert 1.0 < lit.max() < 1.04
+
+
+@pytest.mark.parametrize(
+    ("brighter", "darker"), [((0, -1, 0), (0, 1, 0)), ((-1, 0, 0), (1, 0, 0)), ((0, 0, -1), (1, 0, 0))]
+)
+def test_light_comes_from_above_from_the_left_and_from_the_camera(brighter, darker):
+    lit = light(np.array([brighter, darker], float))
+    assert lit[0] > lit[1]
+
+
+def test_the_background_is_grey_and_the_same_across():
+    picture = background(20, 30)
+    assert picture.shape == (20, 30, 3)
+    assert (picture == picture[:, :1, :1]).all()
+    assert 0.4 < picture.min() < picture.max() < 0.8
