@@ -419,7 +419,8 @@ class _Scene:
             if code not in _WRAPS:
                 raise ModelError(f"{document.name}: a sampler has an unknown {axis} {code}; export it again")
             wraps.append(_WRAPS[code])
-        return Texture(self._image(source), *wraps, nearest=sampler.get("magFilter") == _NEAREST)
+        nearest = sampler.get("magFilter") == _NEAREST
+        return Texture(self._image(source), wraps[0], wraps[1], nearest)
 
     def _image(self, number: int) -> npt.NDArray[np.uint16]:
         if number not in self._images:
@@ -440,7 +441,7 @@ class _Scene:
 
 
 def _base_color(material: dict[str, Any]) -> tuple[Any, Any]:
-    """Return the base colour factor and the reference to the texture; those of the diffuse colour if it is older."""
+    """Return a base colour's factor and reference to a texture; of older materials, the diffuse colour's."""
     older = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
     if older is not None:
         return older.get("diffuseFactor", (1, 1, 1, 1)), older.get("diffuseTexture")

@@ -63,14 +63,13 @@ def as_texels(image: npt.ArrayLike | PIL.Image.Image) -> npt.NDArray[np.uint16]:
     if array.dtype not in (np.uint8, np.uint16):
         raise ImageError(f"an image must be uint8 or uint16 (sRGB codes), not {array.dtype}")
     channels = array.shape[2]
-    texels = np.full((*array.shape[:2], 4), 65535, np.uint16)
-    texels[..., :3] = array[..., : 3 if channels >= 3 else 1]
+    texels = np.empty((*array.shape[:2], 4), np.uint16)
+    unit = np.uint16(257 if array.dtype == np.uint8 else 1)
+    np.multiply(array[..., : 3 if channels >= 3 else 1], unit, out=texels[..., :3], dtype=np.uint16)
     if channels in (2, 4):
-        texels[..., 3] = array[..., -1]
-    if array.dtype == np.uint8:
-        texels[..., :3] *= 257
-        if channels in (2, 4):
-            texels[..., 3] *= 257
+        np.multiply(array[..., -1], unit, out=texels[..., 3], dtype=np.uint16)
+    else:
+        texels[..., 3] = 65535
     return texels
 
 

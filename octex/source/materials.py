@@ -23,6 +23,7 @@ from octex.source.pyramid import REPEAT, Layer, Pyramids, build_pyramids, read
 #: How a material's alpha counts: not at all, as a coverage of 0 or 1 about a cutoff, or as it is.
 AlphaMode = Literal["opaque", "mask", "blend"]
 ALPHA_MODES: tuple[AlphaMode, ...] = ("opaque", "mask", "blend")
+OPAQUE, MASK, BLEND = 0, 1, 2
 
 
 class Source(Protocol):
@@ -164,7 +165,7 @@ def _pyramids(materials: Sequence[Material]) -> tuple[npt.NDArray[np.int32], Pyr
     """Build a pyramid for each way in which an image is used; return the pyramid of each material too."""
     numbers = np.full(len(materials), -1, np.int32)
     known: dict[tuple[int, bool, float], int] = {}
-    layers = []
+    layers: list[Layer] = []
     for i, material in enumerate(materials):
         if material.texture is None:
             continue
@@ -249,54 +250,62 @@ def _evaluate(
     values: npt.NDArray[np.float32],
 ) -> None:
     for i in range(len(triangles)):
-        triangle = np.int64(triangles[i])
+        triangle = triangles[i]
         b0, b1, b2 = barycentric[i, 0], barycentric[i, 1], barycentric[i, 2]
-        material = np.int64(tables.materials[triangle])
-        factor = tables.factors[material]
-        red, green, blue, alpha = factor[0] * 1.0, factor[1] * 1.0, factor[2] * 1.0, factor[3] * 1.0
+        material = tables.materials[triangle]
+        red = np.float64(tables.factors[material, 0])
+        green = np.float64(tables.factors[material, 1])
+        blue = np.float64(tables.factors[material, 2])
+        alpha = np.float64(tables.factors[material, 3])
         if tables.colors.shape[0] > 0:
-            rows = tables.color_rows[triangle]
-            c0, c1, c2 = tables.colors[rows[0]], tables.colors[rows[1]], tables.colors[rows[2]]
-            red *= b0 * c0[0] + b1 * c1[0] + b2 * c2[0]
-            green *= b0 * c0[1] + b1 * c1[1] + b2 * c2[1]
-            blue *= b0 * c0[2] + b1 * c1[2] + b2 * c2[2]
-            alpha *= b0 * c0[3] + b1 * c1[3] + b2 * c2[3]
+            colors = tables.colors
+            r0, r1, r2 = (
+                tables.color_rows[triangle, 0],
+                tables.color_rows[triangle, 1],
+                tables.color_rows[triangle, 2],
+            )
+            red *= b0 * colors[r0, 0] + b1 * colors[r1, 0] + b2 * colors[r2, 0]
+            green *= b0 * colors[r0, 1] + b1 * colors[r1, 1] + b2 * colors[r2, 1]
+            blue *= b0 * colors[r0, 2] + b1 * colors[r1, 2] + b2 * colors[r2, 2]
+            alpha *= b0 * colors[r0, 3] + b1 * colors[r1, 3] + b2 * colors[r2, 3]
         mode = tables.alpha_modes[material]
         threshold = -1.0
-        if mode == 1:
+        if mode == MASK:
             threshold = tables.cutoffs[material] / alpha if alpha > 0.0 else np.inf
-        image = np.int64(tables.images[material])
         coverage = 1.0 if threshold <= 1.0 else 0.0
+        image = tables.images[material]
         if image >= 0:
-            rows = tables.coordinate_rows[triangle]
-            c0, c1, c2 = tables.coordinates[rows[0]], tables.coordinates[rows[1]], tables.coordinates[rows[2]]
-            width = np.float64(widths[i])
-            r, g, b, coverage = read(
+            coordinates = tables.coordinates
+            r0, r1, r2 = (
+                tables.coordinate_rows[triangle, 0],
+                tables.coordinate_rows[triangle, 1],
+                tables.coordinate_rows[triangle, 2],
+            )
+            width = widths[i]
+            r, g, b, read_coverage = read(
                 pyramids,
                 image,
-                b0 * c0[0] + b1 * c1[0] + b2 * c2[0],
-                b0 * c0[1] + b1 * c1[1] + b2 * c2[1],
-                np.int64(tables.wraps[material, 0]),
-                np.int64(tables.wraps[material, 1]),
+                b0 * coordinates[r0, 0] + b1 * coordinates[r1, 0] + b2 * coordinates[r2, 0],
+                b0 * coordinates[r0, 1] + b1 * coordinates[r1, 1] + b2 * coordinates[r2, 1],
+                tables.wraps[material, 0],
+                tables.wraps[material, 1],
                 tables.nearest[material],
                 threshold,
-                width * footprints.major[triangle, 0],
-                width * footprints.major[triangle, 1],
-                width * footprints.lengths[triangle, 0],
-                width * footprints.lengths[triangle, 1],
+                np.float64(width * footprints.major[triangle, 0]),
+                np.float64(width * footprints.major[triangle, 1]),
+                np.float64(width * footprints.lengths[triangle, 0]),
+                np.float64(width * footprints.lengths[triangle, 1]),
             )
             red *= r
             green *= g
             blue *= b
-            if not pyramids.translucent[image]:
-                coverage = 1.0 if threshold <= 1.0 else 0.0
+            if pyramids.translucent[image]:
+                coverage = float(read_coverage)
         values[i, 0] = red
         values[i, 1] = green
         values[i, 2] = blue
         if values.shape[1] == 4:
-            if mode == 0:
-                values[i, 3] = 1.0
-            elif mode == 1:
-                values[i, 3] = coverage
-            else:
+            if mode == BLEND:
                 values[i, 3] = alpha * coverage
+            else:
+                values[i, 3] = coverage

@@ -26,7 +26,10 @@ def is_png16(data: bytes) -> bool:
 
 
 def decode_png16(data: bytes, name: str) -> npt.NDArray[np.uint16]:
-    """Return the texels (height, width, 4) of a PNG image of 16 bits a channel; raise ImageError if damaged."""
+    """Return the texels (height, width, 4) of a PNG image of 16 bits a channel.
+
+    Raises ImageError for damaged data.
+    """
     width, height, _, color_type, _, _, interlaced = struct.unpack_from(">IIBBBBB", data, 16)
     if color_type not in _CHANNELS:
         raise ImageError(f"{name}: a PNG image of 16 bits has no colour type {color_type}")
@@ -67,7 +70,8 @@ def decode_png16(data: bytes, name: str) -> npt.NDArray[np.uint16]:
 
 
 def _chunks(data: bytes, name: str) -> list[tuple[bytes, bytes]]:
-    found, at = [], 8
+    found: list[tuple[bytes, bytes]] = []
+    at = 8
     while True:
         if at + 12 > len(data):
             raise ImageError(f"{name}: the image file is truncated; save the image again")
@@ -88,27 +92,23 @@ def _unfilter(rows: npt.NDArray[np.uint8], step: int) -> None:
     for y in range(rows.shape[0]):
         kind = rows[y, 0]
         for i in range(1, rows.shape[1]):
-            left = np.int64(rows[y, i - step]) if i > step else 0
-            up = np.int64(rows[y - 1, i]) if y > 0 else 0
-            corner = np.int64(rows[y - 1, i - step]) if y > 0 and i > step else 0
-            if kind == 0:
-                guess = 0
-            elif kind == 1:
+            left = int(rows[y, i - step]) if i > step else 0
+            up = int(rows[y - 1, i]) if y > 0 else 0
+            corner = int(rows[y - 1, i - step]) if y > 0 and i > step else 0
+            guess = 0
+            if kind == 1:
                 guess = left
             elif kind == 2:
                 guess = up
             elif kind == 3:
                 guess = (left + up) >> 1
-            else:
-                near_left, near_up, near_corner = (
-                    abs(up - corner),
-                    abs(left - corner),
-                    abs(left + up - 2 * corner),
-                )
-                if near_left <= near_up and near_left <= near_corner:
+            elif kind == 4:
+                from_left, from_up = abs(up - corner), abs(left - corner)
+                from_corner = abs(left + up - 2 * corner)
+                if from_left <= from_up and from_left <= from_corner:
                     guess = left
-                elif near_up <= near_corner:
+                elif from_up <= from_corner:
                     guess = up
                 else:
                     guess = corner
-            rows[y, i] = (np.int64(rows[y, i]) + guess) & 255
+            rows[y, i] = (int(rows[y, i]) + guess) & 255
