@@ -177,8 +177,7 @@ def _convert_run(job: Job, run: Run) -> Part:
     sums = sum_pieces(pieces.entries, pieces.areas, values, _alpha_column(surface.channels), n_entries)
     leaves = Sums(pieces.codes, pieces.flags, sums)
     levels, top = _climb(leaves, job.depth - job.block_level, surface.channels)
-    if job.block_level:
-        levels.pop()
+    levels.pop()  # the blocks themselves: in top
     return Part(pieces.codes, levels, top)
 
 
