@@ -6,18 +6,19 @@ import io
 import json
 import os
 import re
-import signal
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import octex
 from octex.cli.common import Reporter, bytes_text, check_outputs, run, say
 from octex.cli.convert import COMMAND, main, parser
 from octex.errors import ExitCode, InputError, ModelError, OutputError
+from tests.conftest import needs_jit
 
 HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.texture", "octex.tree")
 
@@ -337,3 +338,387 @@ print([name for name in {HEAVY} if name in sys.modules], file=sys.stderr)
 """
     done = python(code)
     assert done.stderr.splitlines()[-1] == "[]"
+
+
+# --- conversions
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small box whose corners have colours."""
+    import trimesh
+
+    box = trimesh.creation.box((2, 1, 1))
+    colors = np.random.default_rng(0).integers(0, 255, (len(box.vertices), 4)).astype(np.uint8)
+    colors[:, 3] = 255
+    box.visual = trimesh.visual.ColorVisuals(box, vertex_colors=colors)
+    path = tmp_path_factory.mktemp("model") / "box.glb"
+    path.write_bytes(box.export(file_type="glb"))
+    return path
+
+
+@pytest.fixture(scope="module")
+def made(model: Path) -> Path:
+    """The box as an octree texture of depth 4."""
+    path = model.with_name("box.octex")
+    octex.convert(model, 4).save(path)
+    return path
+
+
+def result(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """Run octree-convert, which must succeed; return what it prints on stdout."""
+    code = main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    assert code == ExitCode.DONE, captured.err
+    return captured.out
+
+
+def test_a_model_becomes_an_octree_texture(
+    model: Path, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "box.octex"
+    summary = result(capsys, model, out, "--depth", 4)
+    assert out.read_bytes() == made.read_bytes()
+    texture = octex.open(out)
+    cells = rf"{texture.tree.n_leaves:,} leaves, depth 4 \(cells of [\d.]+\)"
+    size = bytes_text(out.stat().st_size)
+    assert re.fullmatch(rf"{re.escape(str(out))}: {cells}, {re.escape(size)}, [\d.]+ s\n", summary)
+
+
+def test_stages_are_told_on_stderr(model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(model), str(tmp_path / "box.octex"), "--depth", "3"]) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "compiling" not in line]
+    assert lines
+    assert all(re.fullmatch(r"octree-convert: \w+: done in \d+\.\d s", line) for line in lines)
+    assert [lines[0].split()[1], lines[-1].split()[1]] == ["read:", "write:"]
+
+
+def test_a_machine_reads_one_json_object_and_quiet_is_silent(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "box.octex"
+    assert main([str(model), str(out), "--depth", "3", "--json", "--quiet"]) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    made = json.loads(captured.out)
+    texture = octex.open(out)
+    assert made.pop("seconds") > 0
+    assert made == {
+        "output": str(out),
+        "leaves": texture.tree.n_leaves,
+        "nodes": texture.tree.n_nodes,
+        "depth": 3,
+        "cell": texture.placement.size / 8,
+        "bytes": out.stat().st_size,
+    }
+    assert main([str(model), str(out), "--depth", "3", "--quiet", "--force"]) == 0
+    assert capsys.readouterr() == ("", "")
+
+
+def test_cells_can_be_asked_for_by_their_size(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result(capsys, model, tmp_path / "box.octex", "--cell", 0.25)
+    texture = octex.open(tmp_path / "box.octex")
+    assert texture.placement.size / 2**texture.tree.max_depth == 0.25
+
+
+def test_the_result_does_not_depend_on_the_threads(
+    model: Path, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for threads in (1, 3):
+        out = tmp_path / f"{threads}.octex"
+        result(capsys, model, out, "--depth", 4, "--threads", threads)
+        assert out.read_bytes() == made.read_bytes()
+
+
+def test_a_rest_mesh_places_the_texture(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import trimesh
+
+    posed = trimesh.load(model, force="mesh")
+    posed.apply_scale(3)
+    posed.export(tmp_path / "posed.glb")
+    out = tmp_path / "box.octex"
+    result(capsys, tmp_path / "posed.glb", out, "--rest", model, "--depth", 3)
+    np.testing.assert_allclose(octex.open(out).bounds, octex.load_surface(model).bounds)
+    trimesh.creation.icosahedron().export(tmp_path / "other.glb")
+    assert "other.glb" in refusal(capsys, model, tmp_path / "x.octex", "--rest", tmp_path / "other.glb")
+    assert not (tmp_path / "x.octex").exists()
+
+
+def test_points_are_the_same_from_the_model_and_from_its_texture(
+    model: Path, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = result(capsys, model, tmp_path / "a.ply", "--depth", 4)
+    result(capsys, made, tmp_path / "b.PLY")
+    assert f"{octex.open(made).tree.n_leaves:,} leaves" in out
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.PLY").read_bytes()
+
+
+def test_a_texture_can_be_made_coarser_but_not_finer(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "coarse.octex"
+    for depth in (0, 2):
+        result(capsys, made, out, "--depth", depth, "--force")
+        texture = octex.open(out)
+        texture.validate()
+        assert texture.tree.max_depth == depth
+        level = octex.open(made).level(depth)
+        np.testing.assert_array_equal(
+            texture.channels["base_color"].values, level.channels["base_color"].values
+        )
+    result(capsys, made, tmp_path / "coarse.ply", "--depth", 2)
+    assert refusal(capsys, made, tmp_path / "x.octex", "--depth", 5) == (
+        f"{made}: has depth 4; --depth 5 is finer and needs the model"
+    )
+    assert refusal(capsys, made, tmp_path / "x.octex") == (
+        f"{made}: is an octree texture already; --depth makes it coarser"
+    )
+    for option in (["--cell", "0.1"], ["--rest", str(made.with_suffix(".glb"))]):
+        assert refusal(capsys, made, tmp_path / "x.octex", *option) == (
+            f"{made}: {option[0]} needs the model, and this is a texture made from one"
+        )
+    assert not (tmp_path / "x.octex").exists()
+
+
+def test_a_preview_is_drawn_of_models_and_of_textures(
+    model: Path,
+    made: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drawn: list[tuple[str, bool]] = []
+
+    def write_preview(path: Path, surface: Any, texture: Any) -> None:
+        drawn.append((path.name, surface is not None))
+        assert texture.tree.max_depth == 3
+
+    monkeypatch.setattr("octex.preview.write_preview", write_preview)
+    out = result(capsys, model, tmp_path / "a.octex", "--depth", 3, "--preview", tmp_path / "a.png")
+    assert out.splitlines()[1] == f"{tmp_path / 'a.png'}: a picture of it"
+    out = result(capsys, made, tmp_path / "b.ply", "--depth", 3, "--preview", tmp_path / "b.png", "--json")
+    assert json.loads(out)["preview"] == str(tmp_path / "b.png")
+    assert drawn == [("a.png", True), ("b.png", False)]
+    assert "writes .png here" in refusal(capsys, model, tmp_path / "c.octex", "--preview", tmp_path / "c.gif")
+    (tmp_path / "a.png").touch()
+    assert "--force" in refusal(capsys, model, tmp_path / "c.octex", "--preview", tmp_path / "a.png")
+
+
+def test_the_help_names_the_librarys_default_depth() -> None:
+    from octex.conversion.convert import DEFAULT_DEPTH
+
+    assert f"(default {DEFAULT_DEPTH})" in " ".join(parser().format_help().split())
+
+
+# --- bad input: one line, nothing written
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("missing.glb", None),
+        ("empty.glb", b""),
+        ("broken.gltf", b"{"),
+        ("words.txt", b"words"),
+        ("missing.octex", None),
+        ("empty.octex", b""),
+        ("words.octex", b"words and words and words"),
+    ],
+)
+def test_bad_input_is_refused_by_name_and_nothing_is_written(
+    name: str, content: bytes | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    (tmp_path / "folder.glb").mkdir()
+    before = sorted(tmp_path.iterdir())
+    assert main([str(tmp_path / name), str(tmp_path / "out.ply")]) == ExitCode.REFUSED
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert name in captured.err
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_folder_is_no_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "folder.glb").mkdir()
+    assert "folder.glb" in refusal(capsys, tmp_path / "folder.glb", tmp_path / "out.octex")
+
+
+def test_a_depth_out_of_range_is_refused_before_any_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for depth in (-1, 22):
+        expected = f"--depth must be a whole number from 0 to 21, not {depth}"
+        assert refusal(capsys, tmp_path / "missing.glb", tmp_path / "out.octex", "--depth", depth) == expected
+
+
+def test_nothing_is_overwritten_without_force(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "box.octex"
+    out.write_bytes(b"old")
+    assert refusal(capsys, model, out, "--depth", 3) == f"{out}: exists already; --force overwrites it"
+    assert out.read_bytes() == b"old"
+    result(capsys, model, out, "--depth", 3, "--force")
+    octex.open(out).validate()
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "line"),
+    [
+        (KeyboardInterrupt(), 130, "octree-convert: interrupted"),
+        (MemoryError(), 2, "octree-convert: error: out of memory; a smaller depth needs less"),
+        (RuntimeError("odd"), 70, "octree-convert: this is a defect of octex: RuntimeError: odd; run with"),
+    ],
+)
+def test_whatever_happens_while_writing_the_old_file_stays(
+    error: BaseException,
+    code: int,
+    line: str,
+    model: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    out = tmp_path / "box.octex"
+    out.write_bytes(b"old")
+
+    def fail(_descriptor: int) -> None:
+        raise error
+
+    monkeypatch.setattr(os, "fsync", fail)
+    assert main([str(model), str(out), "--depth", "3", "--force"]) == code
+    assert capsys.readouterr().err.splitlines()[-1].startswith(line)
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]
+
+
+# --- a look at a texture
+
+
+def test_info_is_text_for_people_and_json_for_machines(
+    made: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    texture = octex.open(made)
+    assert json.loads(result(capsys, "--info", made, "--json")) == texture.info()
+    text = result(capsys, "--info", made)
+    assert re.search(r"^depth +4, finest cells of edge [\d.]+$", text, re.MULTILINE)
+    assert re.search(rf"^ +all +{texture.tree.n_leaves:,} +{texture.tree.n_nodes:,}$", text, re.MULTILINE)
+    assert re.search(r"^channels +base_color: 3 x uint8, srgb$", text, re.MULTILINE)
+    assert re.search(rf"^total +{made.stat().st_size:,} ", text, re.MULTILINE)
+    assert re.search(r"^source +box\.glb$", text, re.MULTILINE)
+
+
+def test_validate_proves_a_texture_or_names_what_is_broken(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert result(capsys, "--validate", made) == "valid\n"
+    assert result(capsys, "--validate", made, "--quiet") == ""
+    assert json.loads(result(capsys, "--validate", made, "--json")) == {
+        "file": str(made),
+        "valid": True,
+        "broken": None,
+    }
+    damaged = bytearray(made.read_bytes())
+    damaged[4096] ^= 0xFF  # the node masks of the root
+    (tmp_path / "damaged.octex").write_bytes(damaged)
+    (tmp_path / "short.octex").write_bytes(made.read_bytes()[:5000])
+    for name in ("damaged.octex", "short.octex"):
+        assert main(["--validate", str(tmp_path / name)]) == ExitCode.INVALID
+        captured = capsys.readouterr()
+        assert captured.err == ""
+        assert captured.out.count("\n") == 1
+        assert name in captured.out
+        assert main(["--validate", str(tmp_path / name), "--json"]) == ExitCode.INVALID
+        report = json.loads(capsys.readouterr().out)
+        assert not report["valid"]
+        assert name in report["broken"]
+    assert main(["--validate", str(tmp_path / "short.octex"), "--quiet"]) == ExitCode.INVALID
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_file_that_cannot_be_read_is_not_a_broken_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for word in ("--validate", "--info"):
+        assert "missing.octex" in refusal(capsys, word, tmp_path / "missing.octex")
+        assert str(tmp_path) in refusal(capsys, word, tmp_path)
+
+
+@needs_jit
+def test_warming_up_takes_every_path(capsys: pytest.CaptureFixture[str]) -> None:
+    assert re.fullmatch(r"compiled and cached in \d+\.\d s\n", result(capsys, "--warm-up"))
+    assert result(capsys, "--warm-up", "--quiet") == ""
+
+
+# --- as a process
+
+CONVERT = "import sys; from octex.cli.convert import main; sys.exit(main())"
+posix = pytest.mark.skipif(sys.platform == "win32", reason="signals, limits and devices of POSIX")
+
+
+@posix
+def test_a_full_disk_leaves_the_old_file_whole(model: Path, tmp_path: Path) -> None:
+    out = tmp_path / "box.octex"
+    out.write_bytes(b"old")
+    filling = """
+import resource, sys
+from octex.cli import convert
+
+class Filling(convert.Reporter):
+    def __call__(self, stage, done, total):
+        if stage == "write":
+            resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))
+
+convert.Reporter = Filling
+sys.exit(convert.main())
+"""
+    done = python(filling, str(model), str(out), "--depth", "3", "--force")
+    assert done.returncode == ExitCode.REFUSED, done.stderr
+    assert done.stderr.startswith(
+        f"octree-convert: error: {out}: cannot be written: File too large; make room"
+    )
+    assert done.stderr.count("\n") == 1
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]
+
+
+@posix
+def test_interruption_ends_with_130_and_leaves_nothing(model: Path, tmp_path: Path) -> None:
+    interrupting = """
+import os, signal, sys
+from octex.cli import convert
+
+class Interrupting(convert.Reporter):
+    def __call__(self, stage, done, total):
+        super().__call__(stage, done, total)
+        if stage == "convert":
+            os.kill(os.getpid(), signal.SIGINT)
+
+convert.Reporter = Interrupting
+sys.exit(convert.main())
+"""
+    done = python(interrupting, str(model), str(tmp_path / "box.octex"), "--depth", "3")
+    assert done.returncode == ExitCode.INTERRUPTED
+    assert done.stderr.splitlines()[-1] == "octree-convert: interrupted"
+    assert list(tmp_path.iterdir()) == []
+
+
+@posix
+def test_a_broken_pipe_is_harmless_and_a_full_device_is_not(made: Path) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "wb") as broken:
+        arguments = [sys.executable, "-c", CONVERT, "--info", str(made)]
+        done = subprocess.run(arguments, stdout=broken, stderr=subprocess.PIPE, text=True, timeout=600)
+    assert (done.returncode, done.stderr) == (ExitCode.DONE, "")
+    if Path("/dev/full").exists():
+        with Path("/dev/full").open("wb") as full:
+            done = subprocess.run(arguments, stdout=full, stderr=subprocess.PIPE, text=True, timeout=600)
+        assert done.returncode == ExitCode.REFUSED
+        assert done.stderr == (
+            "octree-convert: error: standard output cannot be written: No space left on device\n"
+        )

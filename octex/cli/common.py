@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import sys
 import time
 import traceback
@@ -159,9 +160,13 @@ class Reporter:
         if self._on_terminal:
             from tqdm import tqdm
 
-            form = "{desc} {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
             self._bar = tqdm(
-                desc=stage, total=1, file=sys.stderr, leave=False, dynamic_ncols=True, bar_format=form
+                desc=stage,
+                total=1,
+                file=sys.stderr,
+                leave=False,
+                ncols=shutil.get_terminal_size().columns,
+                bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed} < {remaining}",
             )
 
     def _end_stage(self) -> None:
