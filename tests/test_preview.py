@@ -1,0 +1,279 @@
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import octex
+from octex import preview
+from octex.channels import decode, linear_to_srgb
+from octex.errors import ArgumentError, OutputError
+from octex.preview import (
+    Hits,
+    draw_preview,
+    render,
+    render_leaves,
+    source_look,
+    texture_look,
+    view_direction,
+    write_preview,
+)
+from octex.source.surface import Surface
+from octex.view.camera import Camera
+from octex.view.shading import background, light
+
+# A square that faces +z, its lower left corner in the origin.
+SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
+TWO = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+FRONT = float(light(np.array([[0.0, 0.0, -1.0]]))[0])
+
+
+def _square(**source):
+    return Surface.from_arrays(SQUARE, TWO, **source)
+
+
+def _camera(pixels=8, unit=1.0):
+    """Sees exactly the square (times unit) from +z."""
+    pose = np.eye(4)
+    pose[:3, 3] = unit / 2, unit / 2, 5.0
+    return Camera.orthographic(
+        (pixels, pixels), pose=pose, convention="opengl", pixels_per_unit=pixels / unit
+    )
+
+
+@pytest.fixture(scope="module")
+def quarters():
+    """A square of four colours, and its texture."""
+    image = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)
+    image = image.repeat(8, axis=0).repeat(8, axis=1)
+    surface = _square(uv=SQUARE[:, :2], image=image, filter="nearest")
+    return surface, octex.convert(surface, depth=5)
+
+
+def test_a_picture_shows_colours_where_they_are():
+    surface = _square(colors=np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]]))
+    picture = render(surface, _camera(), source_look(surface)) / FRONT
+    for (row, column), color in {
+        (-1, 0): (1, 0, 0),
+        (-1, -1): (0, 1, 0),
+        (0, -1): (0, 0, 1),
+        (0, 0): (1, 1, 1),
+    }.items():
+        assert np.allclose(picture[row, column], color, atol=0.14)  # within a pixel of the corner
+
+
+def test_a_texture_shows_the_same_as_its_source(quarters):
+    surface, texture = quarters
+    camera = _camera(4)
+    colors = decode(np.array([[[255, 255, 255]]], np.uint8), "srgb")
+    assert colors.max() == 1.0
+    from_source = render(surface, camera, source_look(surface))
+    from_texture = render(surface, camera, texture_look(texture))
+    assert np.allclose(from_source[0, 0] / FRONT, [1, 0, 0], atol=0.01)
+    assert np.allclose(from_source[0, 3] / FRONT, [0, 1, 0], atol=0.01)
+    assert np.allclose(from_source[3, 0] / FRONT, [0, 0, 1], atol=0.01)
+    outer = np.ix_([0, 3], [0, 3])
+    assert np.allclose(from_source[outer], from_texture[outer], atol=0.01)
+
+
+def test_samples_are_averaged_in_linear_light():
+    surface = _square()
+
+    def stripes(hits):
+        white = np.floor(hits.rest[:, :1] * 16 + 1e-9) % 2  # half a pixel each
+        return np.repeat(white, 3, axis=1)
+
+    assert np.allclose(render(surface, _camera(8), stripes, supersample=2), 0.5 * FRONT, atol=1e-6)
+
+
+def test_the_background_shows_through_what_is_not_covered():
+    surface = _square()
+    camera = _camera(6)
+    quarter = render(surface, camera, lambda hits: np.tile([1.0, 0.0, 0.0, 0.25], (len(hits.width), 1)))
+    assert np.allclose(quarter, 0.25 * FRONT * np.array([1, 0, 0]) + 0.75 * background(6, 6), atol=1e-6)
+    nothing = render(surface, camera, lambda hits: np.tile([1.0, 0.0, 0.0, 0.0], (len(hits.width), 1)))
+    assert np.allclose(nothing, background(6, 6), atol=1e-6)
+
+
+def test_both_sides_of_a_surface_are_lit_alike():
+    surface, turned = _square(), Surface.from_arrays(SQUARE, TWO[:, ::-1])
+    look = source_look(surface)
+    assert np.array_equal(render(surface, _camera(), look), render(turned, _camera(), look))
+
+
+def test_a_posed_model_is_coloured_at_its_rest_positions_with_widths_in_rest_units():
+    posed = Surface.from_arrays(SQUARE * 10.0, TWO, rest=SQUARE + 3.0)
+    seen = []
+
+    def look(hits):
+        seen.append(hits)
+        return np.zeros((len(hits.width), 3))
+
+    render(posed, _camera(5, unit=10.0), look, supersample=2)
+    hits = Hits(*map(np.concatenate, zip(*seen, strict=True)))
+    assert len(hits.width) == 100
+    assert np.allclose(hits.width, 0.1)
+    steps = 3.05 + 0.1 * np.arange(10)
+    assert np.allclose(np.unique(hits.rest[:, 0].round(5)), steps)
+    assert np.allclose(hits.rest[:, 2], 3.0)
+    assert np.allclose(np.einsum("nk,nkc->nc", hits.barycentric, posed.rest[TWO[hits.triangles]]), hits.rest)
+
+
+def test_pictures_do_not_depend_on_the_size_of_the_blocks(monkeypatch):
+    surface = _square(colors=np.eye(4)[:, :3])
+    whole = render(surface, _camera(), source_look(surface))
+    monkeypatch.setattr(preview, "_BLOCK", 7)
+    assert np.allclose(render(surface, _camera(), source_look(surface)), whole, atol=1e-7)
+
+
+def test_a_texture_is_read_at_the_level_of_the_samples_width():
+    asked = []
+
+    def at_level(level):
+        def sample(points, names):
+            asked.append((level, len(points)))
+            return {name: np.full((len(points), 3), level) for name in names}
+
+        return SimpleNamespace(sample=sample)
+
+    texture = SimpleNamespace(
+        channels={"base_color": None},
+        level=at_level,
+        placement=SimpleNamespace(size=8.0),
+        tree=SimpleNamespace(max_depth=6),
+    )
+    width = np.array([8.0, 1.0, 1.1, 0.9, 1e-9, 0.0, 100.0], np.float32)
+    hits = Hits(np.zeros(7, np.int32), np.zeros((7, 3)), np.zeros((7, 3)), width)
+    colors = texture_look(texture)(hits)
+    assert colors[:, 0].tolist() == [0, 3, 3, 4, 6, 6, 0]
+    assert sorted(asked) == [(0, 2), (3, 2), (4, 1), (6, 2)]
+
+
+def test_alpha_is_shown_from_both_sides():
+    surface = _square(colors=np.tile([0.2, 0.4, 0.6, 0.5], (4, 1)))
+    texture = octex.convert(surface, depth=3)
+    expected = 0.5 * FRONT * np.array([0.2, 0.4, 0.6]) + 0.5 * background(4, 4)
+    for look in (source_look(surface), texture_look(texture)):
+        assert np.allclose(render(surface, _camera(4), look), expected, atol=0.01)
+
+
+@pytest.mark.parametrize("cubes", [False, True])
+def test_leaves_show_the_colours_of_the_model(quarters, cubes):
+    _, texture = quarters
+    camera = Camera.fitted(SQUARE, [0.0, 0.0, 1.0], size=(64, 64), margin=0.25)
+    picture = render_leaves(texture, camera, cubes=cubes, supersample=2)
+    at = np.ix_([20, 44], [20, 44])
+    expected = np.array([[[1, 0, 0], [0, 1, 0]], [[0, 0, 1], [1, 1, 1]]])
+    assert np.allclose(picture[at] / FRONT, expected, atol=0.03)
+    assert np.allclose(picture[4, 4], background(64, 64)[4, 4])
+
+
+def test_leaves_are_drawn_no_finer_than_asked(quarters):
+    _, texture = quarters
+    camera = Camera.fitted(SQUARE, [0.0, 0.0, 1.0], size=(64, 64), margin=0.25)
+    root = render_leaves(texture, camera, level=0, cubes=True)
+    mean = np.array([0.5, 0.5, 0.5])
+    assert np.allclose(root[32, 32] / FRONT, mean, atol=0.02)
+    assert np.array_equal(render_leaves(texture, camera, level=9), render_leaves(texture, camera, level=5))
+
+
+def test_a_far_camera_draws_coarse_leaves(quarters, monkeypatch):
+    _, texture = quarters
+    levels = []
+    monkeypatch.setattr(type(texture), "level", lambda self, level: levels.append(level) or self)
+    render_leaves(texture, Camera.fitted(SQUARE, [0.0, 0.0, 1.0], size=(10, 10)))
+    assert levels == [3]  # cells of 1.25 pixels
+
+
+def test_flat_models_are_seen_a_little_aslant_from_the_side_that_they_face():
+    for normal in np.vstack([np.eye(3), -np.eye(3)]):
+        direction = view_direction(normal[None], np.ones(1))
+        assert np.isclose(np.linalg.norm(direction), 1.0)
+        assert 0.88 < direction @ normal < 0.95
+
+
+def test_flat_models_that_face_both_ways_are_seen_from_the_front():
+    for axis in np.eye(3):
+        direction = view_direction(np.array([axis, -axis]), np.ones(2))
+        assert 0.88 < direction @ axis < 0.95
+
+
+def test_a_flat_model_across_the_usual_direction_is_seen_along_it():
+    usual = view_direction(np.eye(3), np.ones(3))
+    assert np.allclose(view_direction(usual[None], np.ones(1)), usual)
+
+
+def test_other_models_are_seen_from_the_front_right_and_above():
+    direction = view_direction(np.vstack([np.eye(3), -np.eye(3)]), np.ones(6))
+    assert direction[2] > direction[0] > 0.0
+    assert direction[1] > 0.0
+    assert np.allclose(view_direction(np.zeros((1, 3)), np.zeros(1)), direction)
+
+
+def test_a_preview_shows_source_and_octree_side_by_side(quarters, tmp_path):
+    surface, texture = quarters
+    path = tmp_path / "preview.png"
+    write_preview(path, surface, texture, size=(240, 160), supersample=2)
+    picture = np.asarray(Image.open(path)).astype(int)
+    assert picture.shape == (160, 240, 3)
+    # Only in the cells along the edges of colours may the halves differ.
+    difference = np.abs(picture[:120, :120] - picture[:120, 120:]).max(axis=2)
+    assert np.mean(difference > 2) < 0.2
+    colors = {tuple(color > 100) for color in picture[:120, 120:].reshape(-1, 3)[::7]}
+    assert {(True, False, False), (False, True, False), (False, False, True)} <= colors
+
+
+def test_a_preview_of_one_thing_shows_it_alone(quarters, tmp_path):
+    surface, texture = quarters
+    for name, things in (("surface", (surface,)), ("texture", (None, texture))):
+        write_preview(tmp_path / f"{name}.png", *things, size=(200, 120), supersample=1)
+        picture = np.asarray(Image.open(tmp_path / f"{name}.png"))
+        assert picture.shape == (120, 200, 3)
+        red = (picture[..., 0] > 150) & (picture[..., 1] < 80)
+        assert red.any()
+
+
+def test_captions_name_the_model_and_count_the_leaves(quarters, monkeypatch):
+    surface, texture = quarters
+    said = []
+    monkeypatch.setattr(preview, "_captioned", lambda panel: said.append(panel[1:]) or np.zeros((1, 1, 3)))
+    draw_preview(surface, texture, (60, 60), 1, note="40 dB")
+    draw_preview(None, texture, (60, 60), 1)
+    octree = f"{texture.tree.n_leaves:,} leaves, {texture.nbytes / 1e6:.3g} MB"
+    assert said[0] == ("surface", "source, 2 triangles")
+    assert said[1] == ("octree, depth 5", f"{octree}, 40 dB")
+    assert said[2] == ("octree, depth 5", octree)
+    assert said[3][0].startswith("level ")
+
+
+def test_captions_are_dark_on_the_background(quarters):
+    surface, _ = quarters
+    picture = draw_preview(surface, None, (200, 120), 1).astype(int)
+    strip = picture[-24:]
+    assert strip.min() < 90
+    assert np.median(strip) > 150
+    codes = np.rint(255 * linear_to_srgb(background(120, 200)))
+    assert np.array_equal(picture[-1, 0], codes[-1, 0])
+
+
+def test_a_preview_that_cannot_be_written_leaves_what_stood_there(quarters, tmp_path):
+    surface, _ = quarters
+    with pytest.raises(OutputError, match=r"no such folder|cannot be written"):
+        write_preview(tmp_path / "missing" / "preview.png", surface, size=(40, 40), supersample=1)
+    (tmp_path / "preview.png").mkdir()
+    with pytest.raises(OutputError, match=r"preview\.png"):
+        write_preview(tmp_path / "preview.png", surface, size=(40, 40), supersample=1)
+    assert [path.name for path in tmp_path.iterdir()] == ["preview.png"]
+
+
+def test_a_preview_of_nothing_is_refused(tmp_path):
+    with pytest.raises(ArgumentError, match="a surface, or a texture, or both"):
+        write_preview(tmp_path / "preview.png", None)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_texture_without_base_colour_is_refused():
+    with pytest.raises(ArgumentError, match="unknown channel 'base_color'; there are: height"):
+        texture_look(SimpleNamespace(channels={"height": None}))
