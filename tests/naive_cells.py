@@ -49,7 +49,9 @@ def slabs(polygon: list[Point], edge: int, axis: int = 0) -> Iterator[tuple[tupl
                 yield (i, *cell), piece
 
 
-def cells_of(triangle: list[tuple[int, int, int]], edge: int) -> dict[tuple[int, int, int], tuple[float, Point | None]]:
+def cells_of(
+    triangle: list[tuple[int, int, int]], edge: int
+) -> dict[tuple[int, int, int], tuple[float, Point | None]]:
     """Return each cell of edge ``edge`` that a triangle meets, with area and centroid (None without area).
 
     A half-open cell [a, b)³ is met if the triangle clipped to the closed cell is not wholly in one of its far faces.
@@ -72,7 +74,9 @@ def cells_of(triangle: list[tuple[int, int, int]], edge: int) -> dict[tuple[int,
     return found
 
 
-def sums_of(triangles: list[list[tuple[int, int, int]]], edge: int) -> dict[tuple[int, int, int], dict[int, float]]:
+def sums_of(
+    triangles: list[list[tuple[int, int, int]]], edge: int
+) -> dict[tuple[int, int, int], dict[int, float]]:
     """Return the area of each facing in each cell met by any triangle; degenerate triangles meet none."""
     cells: dict[tuple[int, int, int], dict[int, float]] = defaultdict(lambda: defaultdict(float))
     for triangle in triangles:

@@ -148,7 +148,9 @@ def test_the_cut_does_not_depend_on_how_blocks_are_grouped() -> None:
     first = cut_blocks(grid, triangles, blocks, 0, middle, 8)
     second = cut_blocks(grid, triangles, blocks, middle, len(blocks.codes), 8)
     for name in ("codes", "flags", "areas", "barycentric", "triangles"):
-        assert np.array_equal(np.concatenate([getattr(first, name), getattr(second, name)]), getattr(whole, name))
+        assert np.array_equal(
+            np.concatenate([getattr(first, name), getattr(second, name)]), getattr(whole, name)
+        )
 
 
 def bumpy_sphere(around: int, along: int) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
@@ -165,7 +167,12 @@ def bumpy_sphere(around: int, along: int) -> tuple[npt.NDArray[np.int32], npt.ND
     ring = np.arange(around)
     north = np.stack([np.full(around, around * along), ring * along, (ring + 1) % around * along], axis=1)
     south = np.stack(
-        [np.full(around, around * along + 1), (ring + 1) % around * along + along - 1, ring * along + along - 1], axis=1
+        [
+            np.full(around, around * along + 1),
+            (ring + 1) % around * along + along - 1,
+            ring * along + along - 1,
+        ],
+        axis=1,
     )
     triangles = np.vstack([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1), north, south])
     return np.rint(vertices * 2**GRID_BITS).astype(np.int32), triangles.astype(np.int32)

@@ -101,9 +101,7 @@ def _edge(
 
 
 @kernel
-def _sign_of_dot(
-    normal: npt.NDArray[np.int64], u: int, v: int, w: int
-) -> int:
+def _sign_of_dot(normal: npt.NDArray[np.int64], u: int, v: int, w: int) -> int:
     """Return the exact sign of normal · (u, v, w): up to 93 bits, summed in two halves."""
     low_bits = (1 << 31) - 1
     high = (normal[0] >> 31) * u + (normal[1] >> 31) * v + (normal[2] >> 31) * w

@@ -139,7 +139,9 @@ def clip_to_columns(
         if iu != strip_u:
             strip_u = iu
             if iu < last_u or iu == block_u + BLOCK_EDGE - 1:
-                n_strip, n_rest = split(polygons, rest, n_rest, 1.0, 0.0, np.float64(iu - block_u + 1), strip, spare)
+                n_strip, n_rest = split(
+                    polygons, rest, n_rest, 1.0, 0.0, np.float64(iu - block_u + 1), strip, spare
+                )
                 rest, spare = spare, rest
             else:
                 n_strip = n_rest
@@ -172,7 +174,14 @@ def clip_to_columns(
         for w in range(first, last + 1):
             if w < last or w == block_w + BLOCK_EDGE - 1:
                 n_cell, n_column = split(
-                    polygons, column, n_column, slope_u, slope_v, np.float64(w - block_w + 1) - base, cell, spare
+                    polygons,
+                    column,
+                    n_column,
+                    slope_u,
+                    slope_v,
+                    np.float64(w - block_w + 1) - base,
+                    cell,
+                    spare,
                 )
                 column, spare = spare, column
             else:

@@ -168,7 +168,15 @@ def _convert_run(job: Job, run: Run) -> Part:
     """Convert a run of blocks."""
     surface = job.surface
     pieces = cut(
-        job.grid, surface.triangles, job.blocks, run.first_block, run.last_block, job.depth, run.most, 0, SPREAD
+        job.grid,
+        surface.triangles,
+        job.blocks,
+        run.first_block,
+        run.last_block,
+        job.depth,
+        run.most,
+        0,
+        SPREAD,
     )
     # A piece is read with a footprint of its own size: a cell's mean is then the mean over what lies in it.
     widths = (np.sqrt(pieces.areas) * job.cell).astype(np.float32)
@@ -200,7 +208,13 @@ def _encoded(means: Means, channels: Sequence[ChannelFormat]) -> Stored:
         split_values.append(encode(means.split_values[:, part], channel.dtype, channel.space))
         first = part.stop
     return Stored(
-        means.flags, means.areas, values, means.split_cells, means.split_facings, means.split_areas, split_values
+        means.flags,
+        means.areas,
+        values,
+        means.split_cells,
+        means.split_facings,
+        means.split_areas,
+        split_values,
     )
 
 
@@ -217,7 +231,9 @@ def _assemble(
     parts = [part for level in levels for part in level]
     starts = np.cumsum([0, *(len(part.flags) for part in parts)])
     split = SplitTable(
-        np.concatenate([part.split_cells + start for part, start in zip(parts, starts, strict=False)]).astype(np.uint32),
+        np.concatenate([part.split_cells + start for part, start in zip(parts, starts, strict=False)]).astype(
+            np.uint32
+        ),
         np.concatenate([part.split_facings for part in parts]),
         np.concatenate([part.split_areas for part in parts]),
     )
@@ -234,7 +250,9 @@ def _assemble(
     }
     metadata = dict(surface.provenance)
     metadata["octex"] = octex.__version__
-    metadata["convert"] = json.dumps({"depth": depth, "triangles": len(surface.triangles), "degenerate": degenerate})
+    metadata["convert"] = json.dumps(
+        {"depth": depth, "triangles": len(surface.triangles), "degenerate": degenerate}
+    )
     return OctreeTexture(tree, channels, placement, surface.bounds, metadata)
 
 

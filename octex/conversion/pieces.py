@@ -119,8 +119,9 @@ def _bin(
     n_blocks = 0
     members = np.empty(most, np.int32)
     n_members = 0
-    pair_cells = np.empty(bounds.max(), np.int32)
-    pair_triangles = np.empty(bounds.max(), np.int32)
+    most_in_block = bounds.max() if bounds.size > 0 else 0
+    pair_cells = np.empty(most_in_block, np.int32)
+    pair_triangles = np.empty(most_in_block, np.int32)
     for block in range(blocks.codes.size):
         origin[0], origin[1], origin[2] = _block_origin(blocks.codes[block])
         n_pairs = 0
@@ -160,9 +161,7 @@ def _bin(
     return Blocks(codes[:n_blocks].copy(), starts[: n_blocks + 1].copy(), members[:n_members].copy())
 
 
-def bin_triangles(
-    grid: npt.NDArray[np.int32], triangles: npt.NDArray[np.int32], depth: int
-) -> Blocks:
+def bin_triangles(grid: npt.NDArray[np.int32], triangles: npt.NDArray[np.int32], depth: int) -> Blocks:
     """List the blocks that hold the cells of ``depth``, each with the triangles that meet it.
 
     ``grid`` are vertices (n, 3) in steps of 2⁻³⁰ of the root's edge, ``triangles`` (m, 3) index them. The blocks'
