@@ -1,0 +1,93 @@
+#!/usr/bin/env python
+"""Convert every coloured model under a folder, and draw all on one sheet: source beside octree.
+
+usage: tools/gallery.py FOLDER SHEET.png [--depth 9] [--columns 2]
+
+Prints a table of the models (leaves, and PSNR against the source averaged over a cell), then the models
+without colour, then those that are refused, each with the reason.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+import octex
+from octex.channels import linear_to_srgb
+from octex.container import replacing
+from octex.preview import draw_preview
+
+ENDINGS = {".glb", ".gltf", ".obj", ".ply", ".off", ".stl"}
+SAMPLES = 100_000
+TILE = (800, 460)
+
+
+def has_colour(surface: octex.Surface) -> bool:
+    """Say whether a surface is anything but white."""
+    return bool((surface.evaluate(surface.scatter(1000)) < 0.999).any())
+
+
+def psnr(surface: octex.Surface, texture: octex.OctreeTexture) -> float:
+    """Compare an octree with its source: decibels of sRGB codes, peak 255."""
+    samples = surface.scatter(SAMPLES)
+    cell = texture.placement.size / 2**texture.tree.max_depth
+    expected = linear_to_srgb(surface.evaluate(samples, width=cell))
+    found = linear_to_srgb(texture.sample(samples.rest))
+    error = float(np.mean((expected - found) ** 2))
+    return -10 * np.log10(error) if error else np.inf
+
+
+def sheet(tiles: list[np.ndarray], columns: int) -> np.ndarray:
+    """Lay tiles out in rows; what is left of the last row is white."""
+    missing = -len(tiles) % columns
+    tiles = tiles + [np.full_like(tiles[0], 255)] * missing
+    rows = [np.hstack(tiles[first : first + columns]) for first in range(0, len(tiles), columns)]
+    return np.vstack(rows)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("sheet", type=Path)
+    parser.add_argument("--depth", type=int, default=9)
+    parser.add_argument("--columns", type=int, default=2)
+    options = parser.parse_args(arguments)
+
+    tiles: list[np.ndarray] = []
+    plain: list[str] = []
+    refused: list[str] = []
+    for path in sorted(p for p in options.folder.rglob("*") if p.suffix.lower() in ENDINGS):
+        name = path.relative_to(options.folder).as_posix()
+        try:
+            surface = octex.load_surface(path)
+            if not has_colour(surface):
+                plain.append(name)
+                continue
+            texture = octex.convert(surface, depth=options.depth)
+        except octex.OctexError as error:
+            refused.append(f"{name}: {error}")
+            continue
+        quality = psnr(surface, texture)
+        leaves = f"{texture.tree.n_leaves:,} leaves"
+        print(f"{name:60} {leaves:>20} {quality:7.2f} dB", flush=True)
+        note = "exact" if quality == np.inf else f"{quality:.1f} dB"
+        tiles.append(draw_preview(surface, texture, TILE, supersample=2, note=note))
+    for title, names in (("without colour", plain), ("refused", refused)):
+        print(f"\n{len(names)} {title}")
+        for name in names:
+            print(f"  {name}")
+    if not tiles:
+        print(f"no coloured model under {options.folder}", file=sys.stderr)
+        return 1
+    with replacing(options.sheet) as file:
+        Image.fromarray(sheet(tiles, options.columns)).save(file, "PNG")
+    print(f"\n{len(tiles)} models on {options.sheet}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
