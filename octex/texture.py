@@ -94,18 +94,15 @@ class OctreeTexture:
     ) -> None:
         self.tree = tree
         self.channels = MappingProxyType(dict(channels))
-        self.placement = placement
+        x, y, z = map(float, placement.origin)
+        self.placement = Placement((x, y, z), float(placement.size))
         self.bounds = np.asarray(bounds, np.float64)
         self.metadata = MappingProxyType(dict(metadata or {}))
         self._file: _File | None = None
         for name, channel in self.channels.items():
             _check_channel(name, channel, tree)
-        if len(placement.origin) != 3 or not np.isfinite(placement.origin).all():
-            raise ArgumentError(
-                f"the placement's origin must be three finite numbers, not {placement.origin}"
-            )
-        if not 0 < placement.size < math.inf:
-            raise ArgumentError(f"the root's size must be finite and above zero, not {placement.size}")
+        if not np.isfinite(self.placement.origin).all() or not 0 < self.placement.size < math.inf:
+            raise ArgumentError(f"the root cell must be finite, its size above zero, not {self.placement}")
         if self.bounds.shape != (2, 3) or not np.isfinite(self.bounds).all():
             raise ArgumentError(f"bounds must be two finite corners, not {self.bounds.tolist()}")
 
@@ -129,7 +126,7 @@ class OctreeTexture:
         self,
         points: npt.ArrayLike,
         channel: str | list[str] | tuple[str, ...] = "base_color",
-        filter: str = "nearest",  # noqa: A002: the name that users look for
+        filter: str = "nearest",
     ) -> npt.NDArray[np.float32] | dict[str, npt.NDArray[np.float32]]:
         """Look up values at rest positions (n, 3), float32 or float64.
 

@@ -75,9 +75,9 @@ class Scratch(NamedTuple):
 
     path: npt.NDArray[np.int64]  # (22,)   the node at each level above the previous point
     previous: npt.NDArray[np.int64]  # (4,)   the previous position, and the last level of the path
-    cells: npt.NDArray[np.int64]  # (2, 27)   3×3×3 cells around a point, x fastest: now, and one level on
-    nodes: npt.NDArray[np.int64]  # (2, 27)
-    levels: npt.NDArray[np.int64]  # (2, 27)
+    cells: npt.NDArray[np.int64]  # (22, 8)   2×2×2 cells of each level around a position, x fastest; −1: none
+    nodes: npt.NDArray[np.int64]  # (22, 8)
+    levels: npt.NDArray[np.int64]  # (22, 8)   above the row's for a leaf that stands for its children
 
 
 @kernel
@@ -88,9 +88,9 @@ def new_scratch(arrays: TreeArrays) -> Scratch:
     return Scratch(
         path,
         np.zeros(4, np.int64),
-        np.empty((2, 27), np.int64),
-        np.empty((2, 27), np.int64),
-        np.empty((2, 27), np.int64),
+        np.empty((MAX_DEPTH + 1, 8), np.int64),
+        np.empty((MAX_DEPTH + 1, 8), np.int64),
+        np.empty((MAX_DEPTH + 1, 8), np.int64),
     )
 
 
@@ -141,62 +141,89 @@ def nearest_cell(arrays: TreeArrays, x: float, y: float, z: float, scratch: Scra
 def _nearest_neighbor(
     arrays: TreeArrays, x: float, y: float, z: float, i: int, j: int, k: int, scratch: Scratch
 ) -> int:
-    now, level = _follow(arrays, i, j, k, scratch)
-    nearest = 0
-    nearest_distance = np.inf
-    nearest_code = 0
-    shift = MAX_DEPTH - level
-    for n in range(27):
-        if scratch.cells[now, n] < 0:
-            continue
-        size = 1 << (MAX_DEPTH - int(scratch.levels[now, n]))
-        a = ((i >> shift) + n % 3 - 1 << shift) & -size
-        b = ((j >> shift) + n // 3 % 3 - 1 << shift) & -size
-        c = ((k >> shift) + n // 9 - 1 << shift) & -size
-        dx = max(a - x, x - (a + size), 0.0)
-        dy = max(b - y, y - (b + size), 0.0)
-        dz = max(c - z, z - (c + size), 0.0)
-        distance = dx * dx + dy * dy + dz * dz
-        code = encode(a, b, c)
-        if distance < nearest_distance or (distance == nearest_distance and code < nearest_code):
-            nearest, nearest_distance, nearest_code = int(scratch.cells[now, n]), distance, code
-    return nearest
+    """Find the nearest stored cell of the 27 around a position, at the deepest level that has one there.
+
+    The parents of 27 cells are 2×2×2. Only these are followed down from the root, each level from the one
+    above (paper 3.4, after Kobbelt et al. 1997).
+    """
+    cells, nodes, levels = scratch.cells, scratch.nodes, scratch.levels
+    cells[0] = nodes[0] = -1
+    bit = MAX_DEPTH - 1
+    root = 7 - (i >> bit | (j >> bit) << 1 | (k >> bit) << 2)
+    cells[0, root] = levels[0, root] = 0
+    nodes[0, root] = 0 if arrays.groups.shape[0] > 0 else -1
+    deepest = arrays.level_cells.size - 2
+    level = 0
+    any_stored = True
+    while any_stored and level < deepest - 1:
+        any_stored = False
+        shift = MAX_DEPTH - 1 - level
+        u, v, w = _first(i >> shift - 1), _first(j >> shift - 1), _first(k >> shift - 1)
+        u, v, w = u - 2 * _first(i >> shift), v - 2 * _first(j >> shift), w - 2 * _first(k >> shift)
+        for n in range(8):
+            cell, node, at = _grandchild(arrays, scratch, level, u + (n & 1), v + (n >> 1 & 1), w + (n >> 2))
+            cells[level + 1, n], nodes[level + 1, n], levels[level + 1, n] = cell, node, at
+            any_stored |= cell >= 0
+        level += 1
+    for below in range(min(level + 1, deepest), 0, -1):
+        cell = _nearest_of_27(arrays, x, y, z, i, j, k, scratch, below)
+        if cell >= 0:
+            return cell
+    return 0
 
 
 @inlined
-def _follow(arrays: TreeArrays, i: int, j: int, k: int, scratch: Scratch) -> tuple[int, int]:
-    """Follow the 3×3×3 cells around a position down to the last level at which one of them is stored.
+def _first(coordinate: int) -> int:
+    """Lower of the two parents of the three cells around a cell."""
+    return coordinate - 1 >> 1
 
-    Returns which row of the scratch holds them, and the level (paper 3.4, after Kobbelt et al. 1997).
-    """
-    cells, nodes, levels = scratch.cells, scratch.nodes, scratch.levels
-    now = level = 0
+
+@inlined
+def _grandchild(
+    arrays: TreeArrays, scratch: Scratch, level: int, u: int, v: int, w: int
+) -> tuple[int, int, int]:
+    """Cell, node and level at place (u, v, w), 0 … 3, among the children of the 2×2×2 cells of a level."""
+    parent = u >> 1 | v >> 1 << 1 | w >> 1 << 2
+    node = int(scratch.nodes[level, parent])
+    if node < 0:  # a leaf, which stands for its children too, or nothing
+        return int(scratch.cells[level, parent]), -1, int(scratch.levels[level, parent])
+    cell, node = child(arrays, node, u & 1 | (v & 1) << 1 | (w & 1) << 2)
+    return cell, node, level + 1
+
+
+@inlined
+def _nearest_of_27(
+    arrays: TreeArrays,
+    x: float,
+    y: float,
+    z: float,
+    i: int,
+    j: int,
+    k: int,
+    scratch: Scratch,
+    level: int,
+) -> int:
+    shift = MAX_DEPTH - level
+    a, b, c = (i >> shift) - 1, (j >> shift) - 1, (k >> shift) - 1
+    u, v, w = a & 1, b & 1, c & 1
+    nearest = -1
+    nearest_distance = np.inf
+    nearest_code = 0
     for n in range(27):
-        cells[0, n] = nodes[0, n] = -1
-    cells[0, 13] = levels[0, 13] = 0
-    nodes[0, 13] = 0 if arrays.groups.shape[0] > 0 else -1
-    while level < arrays.level_cells.size - 2:
-        bit = MAX_DEPTH - 1 - level
-        # The 27 in children's units, from the first child of the middle cell: −1 … 2 an axis.
-        first_u, first_v, first_w = (i >> bit & 1) - 1, (j >> bit & 1) - 1, (k >> bit & 1) - 1
-        any_stored = False
-        n = 0
-        for w in range(first_w, first_w + 3):
-            for v in range(first_v, first_v + 3):
-                for u in range(first_u, first_u + 3):
-                    parent = 13 + (u >> 1) + 3 * (v >> 1) + 9 * (w >> 1)
-                    cell, node, at = cells[now, parent], nodes[now, parent], levels[now, parent]
-                    if node >= 0:
-                        cell, node = child(arrays, node, u & 1 | (v & 1) << 1 | (w & 1) << 2)
-                        at = level + 1
-                    cells[1 - now, n], nodes[1 - now, n], levels[1 - now, n] = cell, node, at
-                    any_stored |= cell >= 0
-                    n += 1
-        if not any_stored:
-            break
-        now = 1 - now
-        level += 1
-    return now, level
+        dn, dm, dl = n % 3, n // 3 % 3, n // 9
+        cell, _, at = _grandchild(arrays, scratch, level - 1, u + dn, v + dm, w + dl)
+        if cell < 0:
+            continue
+        size = 1 << (MAX_DEPTH - at)
+        low_x, low_y, low_z = (a + dn << shift) & -size, (b + dm << shift) & -size, (c + dl << shift) & -size
+        dx = max(low_x - x, x - (low_x + size), 0.0)
+        dy = max(low_y - y, y - (low_y + size), 0.0)
+        dz = max(low_z - z, z - (low_z + size), 0.0)
+        distance = dx * dx + dy * dy + dz * dz
+        code = encode(low_x, low_y, low_z)
+        if distance < nearest_distance or (distance == nearest_distance and code < nearest_code):
+            nearest, nearest_distance, nearest_code = cell, distance, code
+    return nearest
 
 
 @kernel

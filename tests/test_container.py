@@ -1,0 +1,280 @@
+from __future__ import annotations
+
+import json
+import os
+import resource
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from safetensors import safe_open
+from safetensors.numpy import load_file, save_file
+
+from octex import container
+from octex.errors import ArgumentError, OutputError, TextureFileError
+
+DTYPES = [
+    "uint8",
+    "uint16",
+    "uint32",
+    "uint64",
+    "int8",
+    "int16",
+    "int32",
+    "int64",
+    "float16",
+    "float32",
+    "float64",
+]
+
+
+def some_tensors() -> dict[str, np.ndarray]:
+    random = np.random.default_rng(0)
+    tensors = {name: (random.random((3, 5)) * 100).astype(name) for name in DTYPES}
+    return tensors | {
+        "scalar": np.array(7.5),
+        "nothing": np.empty((0, 3), np.uint32),
+        "row": np.arange(7, dtype=np.uint8),
+    }
+
+
+def write_header(path: Path, entries: Any, data: bytes = b"", length: int | None = None) -> Path:
+    text = entries if isinstance(entries, bytes) else json.dumps(entries).encode()
+    path.write_bytes((len(text) if length is None else length).to_bytes(8, "little") + text + data)
+    return path
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "a.octex"
+    container.write(path, some_tensors(), {"name": "Grüße", "empty": ""})
+    contents = container.read(path)
+    assert contents.metadata == {"name": "Grüße", "empty": ""}
+    assert contents.tensors.keys() == some_tensors().keys()
+    for name, array in some_tensors().items():
+        assert contents.tensors[name].dtype == array.dtype
+        assert np.array_equal(contents.tensors[name], array)
+
+
+def test_the_safetensors_library_reads_it(tmp_path: Path) -> None:
+    path = tmp_path / "a.octex"
+    container.write(path, some_tensors(), {"name": "Grüße"})
+    for name, array in load_file(path).items():
+        assert np.array_equal(array, some_tensors()[name])
+    with safe_open(path, "np") as file:
+        assert file.metadata() == {"name": "Grüße"}
+
+
+def test_files_of_the_safetensors_library_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "a.safetensors"
+    save_file(some_tensors(), path)
+    contents = container.read(path)
+    for name, array in some_tensors().items():
+        assert np.array_equal(contents.tensors[name], array)
+    assert contents.metadata == {}
+
+
+def test_arrays_begin_at_a_page_without_gaps_largest_items_first(tmp_path: Path) -> None:
+    path = tmp_path / "a.octex"
+    container.write(path, some_tensors(), {"long": "x" * 5000})
+    length = int.from_bytes(path.read_bytes()[:8], "little")
+    assert (8 + length) % 4096 == 0
+    sizes = [array.dtype.itemsize for array in container.read(path).tensors.values()]
+    assert sizes == sorted(sizes, reverse=True)
+    assert path.stat().st_size == 8 + length + sum(array.nbytes for array in some_tensors().values())
+
+
+def test_arrays_are_aligned_and_writable_but_changes_stay_in_memory(tmp_path: Path) -> None:
+    path = tmp_path / "a.octex"
+    container.write(path, some_tensors(), {})
+    before = path.read_bytes()
+    for array in container.read(path).tensors.values():
+        assert array.flags.aligned and array.flags.writeable and array.flags.c_contiguous
+        array[...] = 1
+    assert path.read_bytes() == before
+
+
+def test_a_misaligned_array_of_a_foreign_file_is_copied(tmp_path: Path) -> None:
+    entries = {"a": {"dtype": "F64", "shape": [2], "data_offsets": [0, 16]}}
+    text = json.dumps(entries).encode()
+    text += b" " * (-(len(text)) % 8 + 1)
+    path = write_header(tmp_path / "a", text, np.array([1.5, 2.5]).tobytes())
+    array = container.read(path).tensors["a"]
+    assert array.flags.aligned and array.tolist() == [1.5, 2.5]
+
+
+def test_arrays_of_any_order_are_written_as_c(tmp_path: Path) -> None:
+    array = np.arange(12, dtype=">i4").reshape(3, 4).T
+    container.write(tmp_path / "a", {"a": array}, {})
+    assert np.array_equal(container.read(tmp_path / "a").tensors["a"], array)
+
+
+@pytest.mark.parametrize("name", ["", "__metadata__"])
+def test_unusable_names_are_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ArgumentError, match="cannot have the name"):
+        container.write(tmp_path / "a", {name: np.zeros(1)}, {})
+    assert not list(tmp_path.iterdir())
+
+
+def test_types_that_a_file_cannot_hold_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match="cannot hold complex128"):
+        container.write(tmp_path / "a", {"a": np.zeros(1, complex)}, {})
+
+
+def test_metadata_must_be_strings(tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match="strings to strings"):
+        container.write(tmp_path / "a", {}, {"a": 1})  # type: ignore[dict-item]
+
+
+def test_text_that_is_not_unicode_does_not_stop_a_save(tmp_path: Path) -> None:
+    container.write(tmp_path / "a", {}, {"source": "caf\udce9.glb"})
+    assert container.read(tmp_path / "a").metadata == {"source": "caf?.glb"}
+
+
+# --- damaged files
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        (7, "lacks its dtype"),
+        ({"dtype": "U8", "shape": [4]}, "lacks its dtype"),
+        ({"dtype": "BF16", "shape": [2], "data_offsets": [0, 4]}, "dtype 'BF16', which octex does not read"),
+        ({"dtype": ["U8"], "shape": [4], "data_offsets": [0, 4]}, "which octex does not read"),
+        ({"dtype": "U8", "shape": [-4], "data_offsets": [0, 4]}, "impossible shape"),
+        ({"dtype": "U8", "shape": [4.0], "data_offsets": [0, 4]}, "impossible shape"),
+        ({"dtype": "U8", "shape": [True, 4], "data_offsets": [0, 4]}, "impossible shape"),
+        ({"dtype": "U8", "shape": 4, "data_offsets": [0, 4]}, "impossible shape"),
+        ({"dtype": "U8", "shape": [4], "data_offsets": [0, 4, 8]}, "impossible shape"),
+        ({"dtype": "U8", "shape": [0, 10**30], "data_offsets": [0, 0]}, "impossible shape"),
+        ({"dtype": "U8", "shape": [4] + [1] * 50, "data_offsets": [0, 4]}, "impossible shape"),
+        ({"dtype": "U8", "shape": [5], "data_offsets": [0, 4]}, "do not fit its shape"),
+        ({"dtype": "U8", "shape": [4], "data_offsets": [4, 8]}, "do not fit its shape"),
+        ({"dtype": "U8", "shape": [4], "data_offsets": [4, 0]}, "do not fit its shape"),
+    ],
+)
+def test_damaged_entries_are_refused_by_name(tmp_path: Path, entry: Any, message: str) -> None:
+    path = write_header(tmp_path / "a.octex", {"thing": entry}, b"1234")
+    with pytest.raises(TextureFileError, match=message) as error:
+        container.read(path)
+    assert "a.octex" in str(error.value) and "'thing'" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (b"{]", "not JSON"),
+        (b"\xff\xfe\xff\xfe", "not JSON"),
+        (b"[" * 100_000, "not JSON"),
+        (b'{"a":{},"a":{}}', "a name twice"),
+        (b"[1]", "the metadata are not strings"),
+        (b'{"__metadata__":{"a":1}}', "the metadata are not strings"),
+        (b'{"__metadata__":[]}', "the metadata are not strings"),
+    ],
+)
+def test_damaged_headers_are_refused(tmp_path: Path, text: bytes, message: str) -> None:
+    path = write_header(tmp_path / "a.octex", text)
+    with pytest.raises(TextureFileError, match=message) as error:
+        container.read(path)
+    assert "a.octex" in str(error.value) and "\n" not in str(error.value)
+
+
+def test_overlapping_tensors_are_refused(tmp_path: Path) -> None:
+    entry = {"dtype": "U8", "shape": [4], "data_offsets": [0, 4]}
+    path = write_header(tmp_path / "a", {"a": entry, "b": entry}, b"1234")
+    with pytest.raises(TextureFileError, match="'b' do not fit"):
+        container.read(path)
+
+
+@pytest.mark.parametrize(("data", "found"), [(b"123", "cut off"), (b"12345", "cut off"), (b"", "cut off")])
+def test_a_file_of_another_length_than_its_header_says_is_refused(
+    tmp_path: Path, data: bytes, found: str
+) -> None:
+    path = write_header(tmp_path / "a", {"a": {"dtype": "U8", "shape": [4], "data_offsets": [0, 4]}}, data)
+    with pytest.raises(TextureFileError, match=found):
+        container.read(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "not an octree texture"),
+        (b"\x10\0\0", "not an octree texture"),
+        (b"glTF\x02\0\0\0 something", "not an octree texture"),
+        (b"\x89PNG\r\n\x1a\n and more", "not an octree texture"),
+        (b"\xff\0\0\0\0\0\0\0{}", "cut off inside its header"),
+        (b"\0\0\0\0\0\0\0\0", "not an octree texture"),
+    ],
+)
+def test_files_of_other_types_are_refused(tmp_path: Path, content: bytes, message: str) -> None:
+    path = tmp_path / "other"
+    path.write_bytes(content)
+    with pytest.raises(TextureFileError, match=message):
+        container.read(path)
+
+
+def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(TextureFileError, match=r"none\.octex: cannot be read: No such file"):
+        container.read(tmp_path / "none.octex")
+    with pytest.raises(TextureFileError, match="cannot be read"):
+        container.read(tmp_path)
+
+
+# --- saving
+
+
+@pytest.fixture
+def small_disk() -> Any:
+    """No file may grow beyond 8 KiB."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (8192, limits[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+@pytest.mark.usefixtures("small_disk")
+def test_a_disk_that_fills_up_leaves_the_old_file_whole(tmp_path: Path) -> None:
+    path = tmp_path / "a.octex"
+    container.write(path, {"a": np.arange(5)}, {})
+    before = path.read_bytes()
+    with pytest.raises(OutputError, match=r"a\.octex: cannot be written: .*; make room") as error:
+        container.write(path, {"a": np.arange(5000)}, {})
+    assert "\n" not in str(error.value)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_save_that_is_interrupted_leaves_the_old_file_whole(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(b"old")
+    with pytest.raises(KeyboardInterrupt), container.replacing(path) as file:
+        file.write(b"new")
+        raise KeyboardInterrupt
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_can_be_saved_over_itself_while_it_is_open(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    container.write(path, {"a": np.arange(5000)}, {})
+    contents = container.read(path)
+    container.write(path, {"a": contents.tensors["a"][::-1]}, {})
+    assert contents.tensors["a"][0] == 0
+    assert container.read(path).tensors["a"][0] == 4999
+
+
+def test_places_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="No such file"):
+        container.write(tmp_path / "none" / "a", {}, {})
+    with pytest.raises(OutputError, match="is not a file that can be replaced"):
+        container.write(tmp_path, {}, {})
+    with pytest.raises(OutputError, match="is not a file that can be replaced"):
+        container.write(os.devnull, {}, {})
+
+
+def test_a_link_stays_a_link(tmp_path: Path) -> None:
+    (tmp_path / "real").write_bytes(b"old")
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    container.write(tmp_path / "link", {}, {"a": "b"})
+    assert (tmp_path / "link").is_symlink()
+    assert container.read(tmp_path / "real").metadata == {"a": "b"}
