@@ -35,6 +35,7 @@ _LARGEST_ACCESSOR = 2**28
 
 # Extensions that a file may require: those read here, and those that change nothing octex reads.
 _KNOWN_EXTENSIONS = {
+    "EXT_mesh_gpu_instancing",
     "EXT_texture_avif",
     "EXT_texture_webp",
     "KHR_animation_pointer",
@@ -52,13 +53,15 @@ _CODED = {
 }
 
 
-def load_gltf(path: Path) -> Surface:
+def load_gltf(path: Path, materials: bool = True) -> Surface:
     """Read the scene of a .gltf or .glb file; meshes that no node of it shows are left out.
+
+    Without ``materials`` the surface is white, and no image is read.
 
     Morph targets and skins are not applied: the mesh is taken as it is modelled.
     Raises ModelError or ImageError.
     """
-    return _Scene(_Document(path)).surface()
+    return _Scene(_Document(path), materials).surface()
 
 
 class _Document:
@@ -73,8 +76,8 @@ class _Document:
         if data[:4] == b"glTF":
             data = self._unpack(data)
         try:
-            self.json = json.loads(data.decode("utf-8-sig"))
-        except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+            self.json = json.loads(data.decode("utf-8-sig"), parse_constant=_refuse_constant)
+        except (ValueError, RecursionError) as error:
             raise ModelError(f"{self.name} is not a glTF file, or is damaged ({error})") from None
         if not isinstance(self.json, dict) or not isinstance(self.json.get("asset"), dict):
             raise ModelError(f"{self.name} is not a glTF file: it has no asset")
@@ -130,7 +133,10 @@ class _Document:
                 raise error_class(f"{self.name}: {what} has a data: URI without data")
             try:
                 raw = urllib.parse.unquote_to_bytes(payload)
-                return base64.b64decode(raw, validate=True) if head.endswith(";base64") else raw
+                if not head.endswith(";base64"):
+                    return raw
+                raw = b"".join(raw.split())
+                return base64.b64decode(raw + b"=" * (-len(raw) % 4), validate=True)
             except binascii.Error as error:
                 raise error_class(f"{self.name}: {what} is not valid base64 ({error})") from None
         if "://" in uri:
@@ -238,6 +244,10 @@ class _Document:
                 raise self.coded(extension)
 
 
+def _refuse_constant(constant: str) -> None:
+    raise ValueError(f"{constant} is not JSON")
+
+
 class _Primitive(NamedTuple):
     """A mesh primitive before it is placed in the scene."""
 
@@ -251,8 +261,9 @@ class _Primitive(NamedTuple):
 class _Scene:
     """Collects the primitives of all nodes into one surface."""
 
-    def __init__(self, document: _Document) -> None:
+    def __init__(self, document: _Document, materials: bool) -> None:
         self._document = document
+        self._has_materials = materials
         self._primitives: dict[int, list[_Primitive]] = {}
         self._materials: list[Material] = []
         self._material_numbers: dict[int | None, int] = {}
@@ -271,7 +282,8 @@ class _Scene:
         vertices, triangles = [], []
         first = 0
         for matrix, primitive in placed:
-            vertices.append(primitive.positions @ matrix[:3, :3].T + matrix[:3, 3])
+            with np.errstate(over="ignore", invalid="ignore"):  # the surface refuses what is not finite
+                vertices.append(primitive.positions @ matrix[:3, :3].T + matrix[:3, 3])
             # A mirroring transform turns triangles inside out (3.7.4).
             corners = (
                 primitive.triangles[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else primitive.triangles
@@ -285,7 +297,13 @@ class _Scene:
         numbers = np.repeat(np.array([p.material for p in each], np.int32), [len(p.triangles) for p in each])
         positions = np.concatenate(vertices)
         source = MaterialSource(
-            self._materials, numbers, positions, joined, colors=colors, coordinates=coordinates
+            self._materials,
+            numbers,
+            positions,
+            joined,
+            colors=colors,
+            coordinates=coordinates,
+            name=document.name,
         )
         asset = document.json["asset"]
         return Surface(
@@ -313,11 +331,25 @@ class _Scene:
             if number in seen:
                 raise ModelError(f"{document.name}: nodes[{number}] is reached twice; nodes must form a tree")
             seen.add(number)
-            matrix = parent @ _local_matrix(node)
+            with np.errstate(over="ignore", invalid="ignore"):
+                matrix = parent @ _local_matrix(node)
             if "mesh" in node:
-                found.append((node["mesh"], matrix))
+                found.extend((node["mesh"], matrix @ each) for each in self._copies(node))
             stack.extend((child, matrix) for child in reversed(node.get("children", [])))
         return found
+
+    def _copies(self, node: dict[str, Any]) -> list[npt.NDArray[np.float64]]:
+        """Return the transforms of a node's instances (EXT_mesh_gpu_instancing), or the one that does nothing."""
+        instancing = node.get("extensions", {}).get("EXT_mesh_gpu_instancing")
+        if instancing is None:
+            return [np.eye(4)]
+        columns = {
+            key: self._document.accessor(instancing["attributes"][name], (3, 4)).astype(np.float64)
+            for name, key in (("TRANSLATION", "translation"), ("ROTATION", "rotation"), ("SCALE", "scale"))
+            if name in instancing["attributes"]
+        }
+        count = min((len(rows) for rows in columns.values()), default=0)
+        return [_local_matrix({key: rows[i] for key, rows in columns.items()}) for i in range(count)]
 
     def _mesh(self, number: int) -> list[_Primitive]:
         if number not in self._primitives:
@@ -346,13 +378,14 @@ class _Scene:
                 f"{document.name}: {where} uses vertex {indices.max()}, but there are {len(positions)}; "
                 "export it again"
             )
+        number = entry.get("material") if self._has_materials else None
         colors = None
         if "COLOR_0" in attributes:
             colors = np.ones((len(positions), 4), np.float32)
             given = self._attribute(attributes["COLOR_0"], (3, 4), len(positions), f"{where} COLOR_0")
             colors[:, : given.shape[1]] = given
         coordinates = None
-        info = self._texture_info(entry.get("material"))
+        info = self._texture_info(number)
         if info is not None:
             transform = info.get("extensions", {}).get("KHR_texture_transform", {})
             name = f"TEXCOORD_{transform.get('texCoord', info.get('texCoord', 0))}"
@@ -362,9 +395,10 @@ class _Scene:
                     "give the mesh texture coordinates, or export it without the texture"
                 )
             given = self._attribute(attributes[name], (2,), len(positions), f"{where} {name}")
-            coordinates = _transformed(given, transform).astype(np.float32)
+            with np.errstate(over="ignore"):  # what becomes infinite is refused where it is used
+                coordinates = _transformed(given, transform).astype(np.float32)
         triangles = _triangles(indices, entry.get("mode", _TRIANGLES))
-        return _Primitive(positions, triangles, self._material(entry.get("material")), colors, coordinates)
+        return _Primitive(positions, triangles, self._material(number), colors, coordinates)
 
     def _attribute(
         self, accessor: int, components: tuple[int, ...], count: int, what: str

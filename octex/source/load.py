@@ -11,11 +11,17 @@ import numpy.typing as npt
 
 from octex.errors import InputError, ModelError
 from octex.source.gltf import load_gltf
+from octex.source.meshfiles import load_off, load_ply, load_stl
+from octex.source.obj import load_obj
 from octex.source.surface import Surface
 
-_READERS: dict[str, Callable[[Path], Surface]] = {
+_READERS: dict[str, Callable[[Path, bool], Surface]] = {
     ".glb": load_gltf,
     ".gltf": load_gltf,
+    ".obj": load_obj,
+    ".ply": load_ply,
+    ".off": load_off,
+    ".stl": load_stl,
 }
 
 #: The endings of model files that octex reads.
@@ -26,35 +32,40 @@ def load_surface(path: str | Path, rest: str | Path | npt.ArrayLike | None = Non
     """Read a model: its triangles as placed in the scene, and where their colours come from.
 
     ``rest`` gives rest positions: another model file of the same topology (the same triangles, vertex for
-    vertex), or an array (vertices, 3). Positions are in the model's units.
+    vertex; its materials are not read), or an array (vertices, 3). Positions are in the model's units.
 
     Raises ModelError or ImageError, with one line that names the file, the cause and the remedy.
     """
     path = Path(path)
-    surface = _read(path)
+    surface = _read(path, True)
     if rest is None:
         return surface
     if isinstance(rest, (str, Path)):
-        other = _read(Path(rest))
-        if not np.array_equal(other.triangles, surface.triangles):
+        other = _read(Path(rest), False)
+        if len(other.vertices) != len(surface.vertices) or not np.array_equal(
+            other.triangles, surface.triangles
+        ):
             raise ModelError(
-                f"{Path(rest).name} and {path.name} differ in topology "
-                f"({len(other.triangles)} and {len(surface.triangles)} triangles, "
-                f"{len(other.vertices)} and {len(surface.vertices)} vertices, in the same order); "
-                "a rest mesh must have the same triangles"
+                f"{Path(rest).name} is no rest mesh of {path.name}: the topology differs "
+                f"({len(other.vertices)} vertices and {len(other.triangles)} triangles, "
+                f"{len(surface.vertices)} and {len(surface.triangles)}); both must list the same triangles"
             )
         rest = other.vertices
     return surface.with_rest(rest)
 
 
-def _read(path: Path) -> Surface:
+def _read(path: Path, materials: bool) -> Surface:
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         endings = ", ".join(MODEL_ENDINGS)
         raise ModelError(f"{path.name} is not a model that octex reads; it reads {endings}")
     try:
-        digest = hashlib.sha256(path.read_bytes())
-        surface = reader(path)
+        data = path.read_bytes()
+        if not data:
+            raise ModelError(f"{path.name} is empty; export the model again")
+        digest = hashlib.sha256(data)
+        del data
+        surface = reader(path, materials)
     except InputError:
         raise
     except OSError as error:
@@ -63,8 +74,9 @@ def _read(path: Path) -> Surface:
         raise ModelError(f"{path.name} needs more memory than there is") from None
     except Exception as error:
         # Whatever a damaged file makes the parsers do, the user reads one line.
+        reason = " ".join(str(error).split())
         raise ModelError(
-            f"{path.name} is malformed ({type(error).__name__}: {error}); export it again"
+            f"{path.name} is malformed ({type(error).__name__}: {reason}); export it again"
         ) from error
     surface.provenance = {"source": path.name, "sha256": digest.hexdigest(), **surface.provenance}
     return surface

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ALPHA, BASE_COLOR, ChannelFormat
+from octex.errors import ModelError
 from octex.jit import kernel
 from octex.source.pyramid import REPEAT, Layer, Pyramids, build_pyramids, read
 
@@ -99,6 +100,8 @@ class MaterialSource:
     ``materials``, and the material of each triangle (m,); ``colors`` at corners, linear light and alpha
     (rows, 4); texture ``coordinates`` at corners (rows, 2), v running down. ``rest`` (n, 3) and ``triangles``
     (m, 3) are what widths are measured on.
+
+    Raises ModelError, with ``name``, for texture coordinates in use that are not finite.
     """
 
     def __init__(
@@ -110,6 +113,7 @@ class MaterialSource:
         *,
         colors: Corners | None = None,
         coordinates: Corners | None = None,
+        name: str = "surface",
     ) -> None:
         used = [materials[i] for i in np.unique(triangle_materials)]
         has_alpha = any(material.alpha_mode != "opaque" for material in used)
@@ -120,6 +124,10 @@ class MaterialSource:
         coordinates = coordinates or Corners(np.empty((0, 2), np.float32), np.empty((0, 3), np.int32))
         images, self._pyramids = _pyramids(materials)
         textures = [material.texture for material in materials]
+        if not np.isfinite(coordinates.values).all():
+            textured = images[triangle_materials] >= 0
+            if not np.isfinite(coordinates.values[coordinates.rows[textured]]).all():
+                raise ModelError(f"{name}: texture coordinates are not all finite; repair the model")
         self._tables = Tables(
             materials=triangle_materials,
             factors=np.array([m.factor for m in materials], np.float32),

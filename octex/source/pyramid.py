@@ -174,8 +174,8 @@ def read(
     The footprint is ``major`` texels long, which (major_u, major_v) is in coordinates, and ``minor`` texels
     wide; 0 and 0 reads at the point. A ``threshold`` of 0 or more makes alpha 0 or 1.
 
-    Long footprints are read at up to MAX_TAPS places, each from the two levels whose mixture spreads as far as
-    a box of the place's share does over the image: reading level l bilinearly spreads by a variance of
+    Long footprints are read at up to MAX_TAPS places, each from the two levels whose mixture spreads as far
+    as a box of the place's share does over the image: reading level l bilinearly spreads by a variance of
     4ˡ/4 − 1/12 texels², a box of width w by w²/12 on top of 1/6 for bilinear texels, of 1/12 for flat ones,
     and the variance of a mixture is the mixture of variances. Where flat texels are magnified, they meet in a
     ramp as wide as the footprint. A second level of less than 1/256 is not read.

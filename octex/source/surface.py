@@ -9,12 +9,16 @@ import numpy as np
 import numpy.typing as npt
 import PIL.Image
 
-from octex.channels import ChannelFormat, srgb_to_linear
+from octex.channels import ChannelFormat, decode, srgb_to_linear
 from octex.checks import as_choice
 from octex.errors import ArgumentError, ModelError
 from octex.source.images import as_texels
 from octex.source.materials import AlphaMode, Corners, Material, MaterialSource, Source, Texture
 from octex.source.pyramid import WRAPS
+
+
+# Farther positions would overflow the squares of areas.
+_FARTHEST = 1e75
 
 
 class Samples(NamedTuple):
@@ -129,7 +133,13 @@ class Surface:
             alpha = "blend" if translucent else "opaque"
         material = Material(full, texture, alpha, cutoff)
         source = MaterialSource(
-            [material], np.zeros(len(faces), np.int32), placed, faces, colors=corners, coordinates=coordinates
+            [material],
+            np.zeros(len(faces), np.int32),
+            placed,
+            faces,
+            colors=corners,
+            coordinates=coordinates,
+            name=name,
         )
         return cls(positions, faces, source, rest=placed, name=name)
 
@@ -196,6 +206,8 @@ class Surface:
         triangles = np.asarray(samples.triangles)
         if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(self.triangles):
             raise ArgumentError(f"samples name triangles that {self.name} does not have")
+        if not np.isfinite(samples.barycentric).all():
+            raise ArgumentError("samples have barycentric coordinates that are not finite")
         side = 0.0 if width is None else width
         if not 0 <= side < np.inf:
             raise ArgumentError(f"width must be finite and not negative, not {side!r}")
@@ -233,21 +245,28 @@ def linear_colors(colors: npt.ArrayLike, rows: int, name: str) -> npt.NDArray[np
     """Return colours (rows, 3 or 4) as linear light and alpha (rows, 4).
 
     Unsigned integers are sRGB codes, floats are linear light already.
-
     Raises ArgumentError for another shape or type.
     """
     array = np.asarray(colors)
     if array.ndim != 2 or array.shape[0] != rows or array.shape[1] not in (3, 4):
         raise ArgumentError(f"{name} must have shape ({rows}, 3) or ({rows}, 4), not {array.shape}")
-    if array.dtype.kind not in "fu":
-        raise ArgumentError(f"{name} must be unsigned integers (sRGB) or floats (linear), not {array.dtype}")
+    if array.dtype in (np.uint8, np.uint16):
+        linear = np.ones((rows, 4), np.float32)
+        linear[:, :3] = decode(array[:, :3], "srgb")
+        linear[:, 3:] = decode(array[:, 3:], "data") if array.shape[1] == 4 else 1.0
+        return linear
+    if array.dtype.kind != "f":
+        raise ArgumentError(f"{name} must be uint8 or uint16 (sRGB) or floats (linear), not {array.dtype}")
     linear = np.ones((rows, 4), np.float32)
-    if array.dtype.kind == "u":
-        scaled = array / np.iinfo(array.dtype).max
-        linear[:, :3] = srgb_to_linear(scaled[:, :3])
-        linear[:, 3:] = scaled[:, 3:]
-    else:
-        linear[:, : array.shape[1]] = array
+    linear[:, : array.shape[1]] = array
+    return linear
+
+
+def screen_colors(colors: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
+    """Return sRGB values in 0 … 1 (n, 3 or 4) as linear light and alpha (n, 4)."""
+    linear = np.ones((len(colors), 4), np.float32)
+    linear[:, : colors.shape[1]] = np.clip(colors, 0.0, 1.0)
+    linear[:, :3] = srgb_to_linear(linear[:, :3])
     return linear
 
 
@@ -262,16 +281,15 @@ def _corner_coordinates(uv: npt.ArrayLike, triangles: npt.NDArray[np.int32], ver
         raise ArgumentError(
             f"uv must have shape ({vertices}, 2) or ({len(triangles)}, 3, 2), not {array.shape}"
         )
-    if not np.isfinite(array).all():
-        raise ArgumentError("uv must be finite")
     return Corners(flip_v(array.reshape(-1, 2)), rows)
 
 
 def flip_v(uv: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
     """Return coordinates (n, 2) with v down of such with v up."""
     flipped = np.empty(uv.shape, np.float32)
-    flipped[:, 0] = uv[:, 0]
-    flipped[:, 1] = 1.0 - uv[:, 1].astype(np.float64)
+    with np.errstate(over="ignore"):  # what becomes infinite is refused where it is used
+        flipped[:, 0] = uv[:, 0]
+        flipped[:, 1] = 1.0 - uv[:, 1].astype(np.float64)
     return flipped
 
 
@@ -279,11 +297,13 @@ def _positions(positions: npt.NDArray[np.float64], what: str) -> npt.NDArray[np.
     array = np.ascontiguousarray(positions, np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise ModelError(f"{what} must have shape (n, 3), not {array.shape}")
-    finite = np.isfinite(array).all(axis=1)
-    if not finite.all():
-        first = int(np.argmin(finite))
+    usable = (np.abs(array) <= _FARTHEST).all(axis=1)
+    if not usable.all():
+        first = int(np.argmin(usable))
+        x, y, z = array[first].tolist()
         raise ModelError(
-            f"{what} are not all finite: number {first} is {tuple(array[first].tolist())}; repair the model"
+            f"{what} are not all finite (and below {_FARTHEST:g}): number {first} is {x:g}, {y:g}, {z:g}; "
+            "repair the model"
         )
     return array
 

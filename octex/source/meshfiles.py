@@ -1,0 +1,392 @@
+"""PLY, OFF and STL models.
+
+PLY is read here and not by trimesh, which knows no binary faces of mixed sizes and drops what colours faces.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import trimesh
+
+from octex.errors import ImageError, ModelError
+from octex.jit import kernel
+from octex.source.images import decode_image
+from octex.source.materials import AlphaMode, Corners, Material, MaterialSource, Texture
+from octex.source.polygons import triangulate
+from octex.source.surface import Surface, flip_v, screen_colors
+
+_PLY_TYPES = {
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
+    "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
+    "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8", "bool": "u1",
+}  # fmt: skip
+_PLY_CODES = {"u1": 255.0, "u2": 65535.0}
+_PLY_COORDINATES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
+_PLY_COLORS = (("red", "green", "blue", "alpha"), ("diffuse_red", "diffuse_green", "diffuse_blue", "alpha"),
+               ("r", "g", "b", "a"))  # fmt: skip
+
+
+def load_ply(path: Path, materials: bool = True) -> Surface:
+    """Read a PLY model: colours of vertices, or else of faces, and the images of its TextureFile comments.
+
+    Colours are sRGB values; texture coordinates, of vertices or of faces, have v up.
+    Raises ModelError or ImageError.
+    """
+    return _Ply(path).surface(materials)
+
+
+def load_off(path: Path, materials: bool = True) -> Surface:  # noqa: ARG001 (all colours are in the file)
+    """Read an OFF model: colours of vertices, or else of faces, are sRGB values. Raises ModelError."""
+    return _Off(path).surface()
+
+
+def load_stl(path: Path, materials: bool = True) -> Surface:  # noqa: ARG001 (there are none)
+    """Read an STL model, through trimesh; it is white. Raises ModelError."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        mesh = trimesh.load_mesh(io.BytesIO(path.read_bytes()), file_type="stl", process=False)
+    if len(mesh.faces) == 0:
+        raise _no_triangles(path.name)
+    return _colored(path.name, np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int32), None)
+
+
+def _no_triangles(name: str) -> ModelError:
+    return ModelError(f"{name} has no triangles; octex needs a surface, not points or lines")
+
+
+def _colored(
+    name: str,
+    positions: npt.NDArray[np.float64],
+    triangles: npt.NDArray[np.int32],
+    colors: Corners | None,
+    textures: list[Texture] | None = None,
+    numbers: npt.NDArray[np.int32] | None = None,
+    coordinates: Corners | None = None,
+) -> Surface:
+    """Build a surface of colours and textures alone; any alpha of a colour below 1 counts as it is."""
+    translucent = colors is not None and bool((colors.values[:, 3] < 1).any())
+    mode: AlphaMode = "blend" if translucent else "opaque"
+    textured: list[Texture | None] = [*textures] if textures else [None]
+    materials = [Material(texture=texture, alpha_mode=mode) for texture in textured]
+    if numbers is None:
+        numbers = np.zeros(len(triangles), np.int32)
+    source = MaterialSource(
+        materials, numbers, positions, triangles, colors=colors, coordinates=coordinates, name=name
+    )
+    return Surface(positions, triangles, source, name=name)
+
+
+class _Property(NamedTuple):
+    """A property of a PLY element: its values' type, and for a list the type of its length."""
+
+    name: str
+    type: str
+    count_type: str | None
+
+
+class _Values(NamedTuple):
+    """A property of all elements: values, and for a list how many belong to each."""
+
+    values: npt.NDArray[Any]
+    sizes: npt.NDArray[np.int64] | None
+    type: str
+
+
+class _Ply:
+    """A PLY file: its header and the elements that are read."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.name = path.name
+        self.images: list[str] = []
+        self._elements: list[tuple[str, int, list[_Property]]] = []
+        data = path.read_bytes()
+        head = re.match(rb"ply\s(.*?)\bend_header[^\S\n]*(\r\n|\n|\r)?", data, re.DOTALL)
+        if head is None:
+            raise ModelError(f"{self.name} is not a PLY file, or its header is truncated")
+        self._header(head[1].decode("latin-1"))
+        self._body = data[head.end() :]
+        self.data = self._read()
+
+    def _header(self, text: str) -> None:
+        encoding = ""
+        for line in text.splitlines():
+            words = line.split()
+            try:
+                if not words or words[0] == "obj_info":
+                    continue
+                if words[0] == "format":
+                    encoding = words[1]
+                elif words[0] == "element":
+                    self._elements.append((words[1], int(words[2]), []))
+                elif words[0] == "property" and words[1] == "list":
+                    properties = self._elements[-1][2]
+                    properties.append(_Property(words[4], _PLY_TYPES[words[3]], _PLY_TYPES[words[2]]))
+                elif words[0] == "property":
+                    self._elements[-1][2].append(_Property(words[2], _PLY_TYPES[words[1]], None))
+                elif words[0] == "comment" and len(words) > 2 and words[1].lower() == "texturefile":
+                    self.images.append(line.split(None, 2)[2].strip())
+            except (IndexError, KeyError, ValueError):
+                raise ModelError(
+                    f"{self.name}: the header has a line '{line[:60]}' that is not PLY"
+                ) from None
+        if encoding not in ("ascii", "binary_little_endian", "binary_big_endian"):
+            raise ModelError(f"{self.name}: its format '{encoding}' is not one of PLY's")
+        self._ascii = encoding == "ascii"
+        self._order = ">" if encoding == "binary_big_endian" else "<"
+
+    def _read(self) -> dict[str, dict[str, _Values]]:
+        """Read the properties of all elements up to the faces."""
+        if self._ascii:
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("error", DeprecationWarning)
+                    numbers = np.fromstring(self._body.decode("latin-1"), np.float64, sep=" ")
+            except (DeprecationWarning, ValueError):
+                raise ModelError(f"{self.name}: its data are not all numbers; export it again") from None
+            available = len(numbers)
+        else:
+            numbers = np.empty(0, np.float64)
+            available = len(self._body)
+        raw = np.frombuffer(self._body, np.uint8)
+        found: dict[str, dict[str, _Values]] = {}
+        at = 0
+        for element, count, properties in self._elements:
+            # In an ASCII file every number takes one place, whatever its type.
+            widths = [1 if self._ascii else np.dtype(p.type).itemsize for p in properties]
+            kinds = [np.dtype(p.count_type) if p.count_type else None for p in properties]
+            heads = [0 if k is None else 1 if self._ascii else k.itemsize for k in kinds]
+            least = sum(head if head else width for head, width in zip(heads, widths, strict=True))
+            if not 0 <= count * least <= available - at:
+                raise self._truncated(element)
+            starts = np.empty((count, len(properties)), np.int64)
+            sizes = np.ones((count, len(properties)), np.int64)
+            layout = np.array([widths, heads], np.int64).reshape(2, -1)
+            at = _walk(numbers, raw, at, available, layout, self._order == ">", self._ascii, starts, sizes)
+            if at < 0:
+                raise self._truncated(element)
+            found[element] = {
+                p.name: self._values(p, numbers, raw, starts[:, i], sizes[:, i])
+                for i, p in enumerate(properties)
+            }
+            if element == "face":
+                break
+        return found
+
+    def _truncated(self, element: str) -> ModelError:
+        return ModelError(f"{self.name} is truncated: data of '{element}' elements are missing")
+
+    def _values(
+        self,
+        kind: _Property,
+        numbers: npt.NDArray[np.float64],
+        raw: npt.NDArray[np.uint8],
+        starts: npt.NDArray[np.int64],
+        sizes: npt.NDArray[np.int64],
+    ) -> _Values:
+        dtype = np.dtype(self._order + kind.type)
+        width = 1 if self._ascii else dtype.itemsize
+        is_list = kind.count_type is not None
+        if is_list:
+            within = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+            starts = np.repeat(starts, sizes) + within * width
+        if self._ascii:
+            values: npt.NDArray[Any] = numbers[starts]
+        else:
+            values = raw[starts[:, None] + np.arange(width)].view(dtype)[:, 0].astype(kind.type)
+        return _Values(values, sizes if is_list else None, kind.type)
+
+    def surface(self, materials: bool) -> Surface:
+        vertex, face = self.data.get("vertex", {}), self.data.get("face", {})
+        if not all(axis in vertex for axis in "xyz"):
+            raise ModelError(f"{self.name} has no vertices with x, y and z")
+        positions = np.stack([vertex[axis].values for axis in "xyz"], axis=1).astype(np.float64)
+        polygons = face.get("vertex_indices", face.get("vertex_index"))
+        if polygons is None or polygons.sizes is None or len(polygons.sizes) == 0:
+            raise _no_triangles(self.name)
+        indices, sizes = polygons.values.astype(np.int64), polygons.sizes
+        if len(indices) and not 0 <= indices.min() <= indices.max() < len(positions):
+            raise ModelError(f"{self.name}: a face uses a vertex that is not among the {len(positions)}")
+        corners, faces = triangulate(positions, indices, sizes)
+        triangles = indices[corners].astype(np.int32)
+        if len(triangles) == 0:
+            raise _no_triangles(self.name)
+        colors = None
+        of_vertices, of_faces = _ply_colors(vertex), _ply_colors(face)
+        if of_vertices is not None:
+            colors = Corners(of_vertices, triangles)
+        elif of_faces is not None:
+            colors = Corners(of_faces, np.repeat(faces.astype(np.int32), 3).reshape(-1, 3))
+        if not materials or not self.images:
+            return _colored(self.name, positions, triangles, colors)
+        textures = [Texture(self._image(image)) for image in self.images]
+        numbers = np.zeros(len(triangles), np.int32)
+        if "texnumber" in face:
+            chosen = face["texnumber"].values.astype(np.int64)
+            if not 0 <= chosen.min() <= chosen.max() < len(textures):
+                raise ModelError(
+                    f"{self.name}: a face's texnumber is not among its {len(textures)} TextureFiles"
+                )
+            numbers = chosen[faces].astype(np.int32)
+        coordinates = self._coordinates(vertex, face, triangles, corners, sizes)
+        return _colored(self.name, positions, triangles, colors, textures, numbers, coordinates)
+
+    def _coordinates(
+        self,
+        vertex: dict[str, _Values],
+        face: dict[str, _Values],
+        triangles: npt.NDArray[np.int32],
+        corners: npt.NDArray[np.int64],
+        sizes: npt.NDArray[np.int64],
+    ) -> Corners:
+        listed = face.get("texcoord")
+        if listed is not None and listed.sizes is not None and np.array_equal(listed.sizes, 2 * sizes):
+            return Corners(flip_v(listed.values.reshape(-1, 2)), corners.astype(np.int32))
+        for u, v in _PLY_COORDINATES:
+            if u in vertex and v in vertex:
+                return Corners(flip_v(np.stack([vertex[u].values, vertex[v].values], axis=1)), triangles)
+        raise ModelError(
+            f"{self.name} names the image {self.images[0]} but has no texture coordinates; give it some, or "
+            "remove the TextureFile comment"
+        )
+
+    def _image(self, image: str) -> npt.NDArray[np.uint16]:
+        what = f"{self.name}: {image}"
+        try:
+            data = (self.path.parent / image).read_bytes()
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise ImageError(f"{what} cannot be read: {reason}; put it beside the model") from None
+        texels = decode_image(data, what)
+        texels[..., 3] = 65535
+        return texels
+
+
+def _ply_colors(element: dict[str, _Values]) -> npt.NDArray[np.float32] | None:
+    """Return the linear colours of an element's rows; integers are codes, floats in 0 … 1, or 0 … 255."""
+    for names in _PLY_COLORS:
+        if not all(name in element for name in names[:3]):
+            continue
+        columns = []
+        for each in (element[name] for name in names if name in element):
+            largest = _PLY_CODES.get(each.type)
+            if largest is None:
+                largest = 255.0 if each.values.max(initial=0.0) > 1.0 else 1.0
+            columns.append(each.values / largest)
+        return screen_colors(np.stack(columns, axis=1))
+    return None
+
+
+@kernel
+def _walk(
+    numbers: npt.NDArray[np.float64],
+    raw: npt.NDArray[np.uint8],
+    at: int,
+    available: int,
+    layout: npt.NDArray[np.int64],
+    big_endian: bool,
+    ascii: bool,
+    starts: npt.NDArray[np.int64],
+    sizes: npt.NDArray[np.int64],
+) -> int:
+    """Find where each property of each row starts, and the sizes of lists; return where the last row ends.
+
+    ``layout`` holds the width of a value and of a list's length, 0 if it is no list. −1: the data end before.
+    """
+    for row in range(starts.shape[0]):
+        for column in range(starts.shape[1]):
+            width, head = layout[0, column], layout[1, column]
+            size = 1
+            if head > 0:
+                if at + head > available:
+                    return -1
+                size = 0
+                if ascii:
+                    size = int(min(max(numbers[at], -1.0), 1e9))
+                else:
+                    for i in range(head):
+                        byte = int(raw[at + i]) if big_endian else int(raw[at + head - 1 - i])
+                        size = (size << 8) | byte
+                at += head
+                sizes[row, column] = size
+            starts[row, column] = at
+            if size < 0 or size > available or at + size * width > available:
+                return -1
+            at += size * width
+    return at
+
+
+class _Off:
+    """An OFF file: vertices, with colours if it says so, and faces, with colours after their corners."""
+
+    def __init__(self, path: Path) -> None:
+        self.name = path.name
+        lines = (line.partition("#")[0].split() for line in path.read_bytes().decode("latin-1").splitlines())
+        self._rows = [words for words in lines if words]
+        head = re.fullmatch(r"(ST)?(C)?(N)?(4)?(n)?OFF", self._rows[0][0]) if self._rows else None
+        if head is None:
+            raise ModelError(f"{self.name} is not an OFF file: its first word is not OFF")
+        if head[4] or head[5] or "BINARY" in self._rows[0]:
+            raise ModelError(f"{self.name} is a kind of OFF file that octex does not read; convert it to PLY")
+        self._skip = 6 if head[3] else 3  # numbers before a vertex's colour
+        self._tail = 2 if head[1] else 0
+        counts = self._rows.pop(0)[1:] or (self._rows.pop(0) if self._rows else [])
+        try:
+            self._vertices, self._faces = int(counts[0]), int(counts[1])
+        except (IndexError, ValueError):
+            raise ModelError(f"{self.name}: the numbers of vertices and faces are missing") from None
+        if self._vertices < 0 or self._faces < 0 or self._vertices + self._faces > len(self._rows):
+            raise ModelError(f"{self.name} is truncated: it has fewer lines than vertices and faces")
+
+    def surface(self) -> Surface:
+        rows = self._rows[: self._vertices]
+        faces = self._rows[self._vertices : self._vertices + self._faces]
+        try:
+            positions = np.array([row[:3] for row in rows], np.float64).reshape(-1, 3)
+            sizes = np.array([row[0] for row in faces], np.int64)
+            corner_rows = [row[1 : 1 + size] for row, size in zip(faces, sizes.tolist(), strict=True)]
+            indices = np.array([index for row in corner_rows for index in row], np.int64)
+        except ValueError:
+            raise ModelError(f"{self.name}: a vertex or a face is not numbers; export it again") from None
+        if len(indices) != sizes.sum() or (sizes < 0).any():
+            raise ModelError(f"{self.name}: a face has fewer corners than it says; export it again")
+        if len(indices) and not 0 <= indices.min() <= indices.max() < len(positions):
+            raise ModelError(f"{self.name}: a face uses a vertex that is not among the {len(positions)}")
+        corners, polygons = triangulate(positions, indices, sizes)
+        triangles = indices[corners].astype(np.int32)
+        if len(triangles) == 0:
+            raise _no_triangles(self.name)
+        of_vertices = self._colors([row[self._skip : len(row) - self._tail] for row in rows])
+        of_faces = self._colors([row[1 + size :] for row, size in zip(faces, sizes.tolist(), strict=True)])
+        colors = None
+        if of_vertices is not None:
+            colors = Corners(of_vertices, triangles)
+        elif of_faces is not None:
+            colors = Corners(of_faces, np.repeat(polygons.astype(np.int32), 3).reshape(-1, 3))
+        return _colored(self.name, positions, triangles, colors)
+
+    def _colors(self, rows: list[list[str]]) -> npt.NDArray[np.float32] | None:
+        """Return linear colours: whole numbers are 0 … 255, others 0 … 1; white for rows of less than three.
+
+        None if no row has a colour. One number alone is a place in a colour map that the file does not hold.
+        """
+        if not any(len(row) >= 3 for row in rows):
+            return None
+        full = [[*row[:4], "1"][:4] if len(row) == 3 else row[:4] if len(row) > 3 else None for row in rows]
+        is_real = any("." in word or "e" in word for row in full if row is not None for word in row)
+        white = ["1"] * 4 if is_real else ["255"] * 4
+        try:
+            values = np.array([white if row is None else row for row in full], np.float64)
+        except ValueError:
+            raise ModelError(f"{self.name}: a colour is not numbers; export it again") from None
+        if not is_real:
+            values /= 255.0
+            values[[row is not None and len(row) == 3 for row in rows], 3] = 1.0
+        return screen_colors(values)
