@@ -109,33 +109,27 @@ def _render(
     surface: Surface, camera: Camera, looks: list[Look], supersample: int
 ) -> list[npt.NDArray[np.float32]]:
     fine = camera.scaled(supersample)
-    seen, all_barycentric, depth = rasterize(surface.vertices, surface.triangles, fine)
+    seen, barycentric, depth = rasterize(surface.vertices, surface.triangles, fine)
     faces = face_normals(surface.vertices, surface.triangles)
     smooth = corner_normals(surface.vertices, surface.triangles)
+    # What is one wide on the posed model is so wide at rest.
+    stretch = np.sqrt(_areas(surface, surface.rest) / np.maximum(_areas(surface, surface.vertices), 1e-300))
     films = [_Film(camera, supersample) for _ in looks]
     for samples in _blocks(np.flatnonzero(seen >= 0)):
         triangles = seen.ravel()[samples]
-        barycentric = all_barycentric.reshape(-1, 3)[samples].astype(np.float64)
-        posed, rest = (
-            positions[surface.triangles[triangles]] for positions in (surface.vertices, surface.rest)
-        )
-        # A pixel's width is one on the posed model.
-        stretch = np.sqrt(_areas(rest) / _areas(posed))
-        width = (fine.pixel_width(depth.ravel()[samples]) * stretch).astype(np.float32)
-        hits = Hits(triangles, barycentric, _between(barycentric, rest), width)
-        lit = _light(
-            camera, _between(barycentric, posed), faces[triangles], _between(barycentric, smooth[triangles])
+        corners = surface.triangles[triangles]
+        weights = barycentric.reshape(-1, 3)[samples].astype(np.float64)
+        width = fine.pixel_width(depth.ravel()[samples]) * stretch[triangles]
+        hits = Hits(triangles, weights, _between(weights, surface.rest[corners]), width.astype(np.float32))
+        lit = light(
+            camera,
+            _between(weights, surface.vertices[corners]),
+            faces[triangles],
+            _between(weights, smooth[triangles]),
         )
         for film, look in zip(films, looks, strict=True):
             film.add(samples, look(hits), lit)
     return [film.picture() for film in films]
-
-
-def _light(camera: Camera, points: Floats, faces: Floats, smooth: Floats) -> npt.NDArray[np.float32]:
-    """Return the light (n,) on the side that is seen of surface points (n, 3)."""
-    away = np.einsum("nc,nc->n", faces, camera.view_directions(points)) > 0.0
-    normals = smooth * np.where(away, -1.0, 1.0)[:, None] @ camera.world_to_camera[:3, :3].T
-    return light(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
 
 
 class _Film:
@@ -171,9 +165,9 @@ def _between(barycentric: Floats, corners: Floats) -> npt.NDArray[np.float64]:
     return cast("npt.NDArray[np.float64]", np.einsum("nk,nkc->nc", barycentric, corners))
 
 
-def _areas(corners: Floats) -> Floats:
-    """Return twice the areas (n,) of triangles (n, 3, 3)."""
-    a, b, c = np.moveaxis(corners, 1, 0)
+def _areas(surface: Surface, positions: Floats) -> Floats:
+    """Return twice the areas (m,) of a surface's triangles at some positions of its vertices."""
+    a, b, c = (positions[surface.triangles[:, corner]] for corner in range(3))
     return cast(Floats, np.linalg.norm(np.cross(b - a, c - a), axis=1))
 
 
@@ -193,7 +187,7 @@ def render_leaves(
     finest = _visible_level(texture, camera) if level is None else level
     texture = texture.level(min(finest, texture.tree.max_depth))
     leaves = _Leaves.of(texture)
-    seen, axis, _ = rasterize_cubes(leaves.corners, leaves.edges, camera.scaled(supersample))
+    seen, axis, border, _ = rasterize_cubes(leaves.corners, leaves.edges, camera.scaled(supersample))
     film = _Film(camera, supersample)
     channels = [texture.channels[name] for name in _color_channels(list(texture.channels))]
     for samples in _blocks(np.flatnonzero(seen >= 0)):
@@ -201,7 +195,10 @@ def render_leaves(
         cells = leaves.cells[leaf]
         colors = np.hstack([decode(channel.values[cells], channel.format.space) for channel in channels])
         normals = np.eye(3)[axis.ravel()[samples]] if cubes else leaves.normals[leaf]
-        film.add(samples, colors, _light(camera, leaves.corners[leaf], normals, normals))
+        lit = light(camera, leaves.corners[leaf], normals, normals)
+        if cubes:  # with their edges drawn, so that they can be told apart
+            lit = lit * np.where(border.ravel()[samples] < 0.05, np.float32(0.75), np.float32(1.0))
+        film.add(samples, colors, lit)
     return film.picture()
 
 

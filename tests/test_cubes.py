@@ -37,12 +37,15 @@ def test_cubes_are_what_rays_find(projection, seed):
 
     positions = (CUBE * edges[:, None, None] + corners[:, None]).reshape(-1, 3)
     triangles = (TRIANGLES + 8 * np.arange(6)[:, None, None]).reshape(-1, 3)
-    number, _, depth = naive_view.render(positions, triangles, camera)
+    number, barycentric, depth = naive_view.render(positions, triangles, camera)
     assert np.array_equal(buffers.cube, np.where(number >= 0, number // 12, -1))
     hit = number >= 0
     assert np.allclose(buffers.depth[hit], depth[hit])
     assert (buffers.depth[~hit] == np.inf).all()
     assert np.array_equal(buffers.axis[hit], np.array([2, 2, 1, 1, 0, 0])[number[hit] % 12 // 2])
+    inside = np.einsum("nk,nkc->nc", barycentric[hit], CUBE[TRIANGLES[number[hit] % 12]])
+    to_edges = np.sort(np.minimum(inside, 1.0 - inside), axis=1)[:, 1]  # the first is across the face
+    assert np.allclose(buffers.border[hit], to_edges, atol=1e-6)
 
 
 def test_cubes_side_by_side_leave_no_gap():
@@ -62,6 +65,7 @@ def test_a_ray_along_an_axis_hits_the_face_across_it():
     assert np.argwhere(buffers.cube == 0).tolist() == [[1, 1]]
     assert buffers.depth[1, 1] == 2.0
     assert buffers.axis[1, 1] == 2
+    assert np.isclose(buffers.border[1, 1], 0.4)
 
 
 @pytest.mark.parametrize(

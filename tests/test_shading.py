@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from octex.view.camera import Camera
 from octex.view.shading import background, corner_normals, face_normals, light
 
 # A cube of 12 triangles, counter-clockwise seen from outside; its faces share vertices.
@@ -74,11 +75,21 @@ def test_a_triangle_without_area_has_no_normals():
     assert (corner_normals(CUBE, np.array([[0, 0, 1]], np.int32)) == 0.0).all()
 
 
+CAMERAS = {
+    "pinhole": Camera.pinhole((8, 8), pose=np.eye(4), convention="opencv", focal=8.0),
+    "orthographic": Camera.orthographic((8, 8), pose=np.eye(4), convention="opencv", pixels_per_unit=8.0),
+}
+
+
+def _lit(normals, camera=CAMERAS["orthographic"], faces=None):
+    normals = np.asarray(normals, np.float64)
+    return light(
+        camera, np.tile([0.0, 0.0, 2.0], (len(normals), 1)), normals if faces is None else faces, normals
+    )
+
+
 def test_light_is_never_dark_and_hardly_above_one():
-    normals = np.random.default_rng(0).normal(size=(2000, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    normals[:, 2] = -np.abs(normals[:, 2])
-    lit = light(normals)
+    lit = _lit(np.random.default_rng(0).normal(size=(2000, 3)))
     assert lit.dtype == np.float32
     assert 0.35 < lit.min() < 0.4
     assert 1.0 < lit.max() < 1.04
@@ -88,8 +99,35 @@ def test_light_is_never_dark_and_hardly_above_one():
     ("brighter", "darker"), [((0, -1, 0), (0, 1, 0)), ((-1, 0, 0), (1, 0, 0)), ((0, 0, -1), (1, 0, 0))]
 )
 def test_light_comes_from_above_from_the_left_and_from_the_camera(brighter, darker):
-    lit = light(np.array([brighter, darker], float))
+    lit = _lit([brighter, darker])
     assert lit[0] > lit[1]
+
+
+def test_light_turns_with_the_camera():
+    pose = np.eye(4)
+    pose[:3, :3] = [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]
+    turned = Camera.orthographic((8, 8), pose=pose, convention="opencv", pixels_per_unit=8.0)
+    normals = np.random.default_rng(0).normal(size=(20, 3))
+    assert np.allclose(_lit(normals @ pose[:3, :3], turned), _lit(normals))
+
+
+@pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
+def test_both_sides_are_lit_alike(camera):
+    normals = np.random.default_rng(0).normal(size=(20, 3))
+    assert np.array_equal(_lit(normals, camera), _lit(-normals, camera))
+
+
+def test_the_side_seen_is_that_from_where_the_camera_is():
+    # A wall on the right that faces left, and a little away from the front.
+    point, wall = np.array([[3.0, 0.0, 2.0]]), np.array([[-1.0, 0.0, 0.1]])
+    from_middle, from_front = (
+        light(CAMERAS[name], point, wall, wall)[0] for name in ("pinhole", "orthographic")
+    )
+    assert from_middle > from_front + 0.05
+
+
+def test_a_normal_without_length_gets_light_of_its_own():
+    assert 0.3 < _lit(np.zeros((1, 3)))[0] < 1.0
 
 
 def test_the_background_is_grey_and_the_same_across():

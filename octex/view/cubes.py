@@ -18,6 +18,7 @@ class CubeBuffers(NamedTuple):
 
     cube: npt.NDArray[np.int32]  # (height, width)   the nearest cube; −1: none
     axis: npt.NDArray[np.int8]  # (height, width)   0, 1 or 2: the face seen is across x, y or z
+    border: npt.NDArray[np.float32]  # (height, width)   how far inside that face, 0 … ½ of its edge
     depth: Floats  # (height, width)   along the camera's axis; inf where there is none
 
 
@@ -30,7 +31,12 @@ def rasterize_cubes(corners: Floats, edges: Floats, camera: Camera) -> CubeBuffe
     Of cubes at the same depth the first is seen. Cubes that reach to depth 0 or behind are not.
     """
     shape = camera.height, camera.width
-    buffers = CubeBuffers(np.full(shape, -1, np.int32), np.zeros(shape, np.int8), np.full(shape, np.inf))
+    buffers = CubeBuffers(
+        np.full(shape, -1, np.int32),
+        np.zeros(shape, np.int8),
+        np.zeros(shape, np.float32),
+        np.full(shape, np.inf),
+    )
     unproject = np.linalg.inv(camera.K)
     to_world = camera.world_to_camera[:3, :3].T
     if camera.projection == "pinhole":
@@ -52,6 +58,7 @@ def _draw(
     directions: Floats,
     cubes: npt.NDArray[np.int32],
     axes: npt.NDArray[np.int8],
+    borders: npt.NDArray[np.float32],
     depths: Floats,
 ) -> None:
     """Trace the ray of each pixel in a cube's bounding rectangle through the cube (slabs: Kay & Kajiya 1986).
@@ -59,19 +66,23 @@ def _draw(
     The ray of the pixel centre p = (x, y, 1) is position + origins · p + depth · directions · p.
     """
     height, width = cubes.shape
+    start, toward = np.empty(3), np.empty(3)
     for n in range(len(corners)):
-        rectangle = _rectangle(corners[n], edges[n], matrix, width, height)
+        corner, edge = corners[n], edges[n]
+        rectangle = _rectangle(corner, edge, matrix, width, height)
         for row in range(rectangle[2], rectangle[3]):
             for column in range(rectangle[0], rectangle[1]):
                 x, y = column + 0.5, row + 0.5
                 enter, leave, across = 0.0, np.inf, -1
                 for axis in range(3):
-                    origin = position[axis] + origins[axis, 0] * x + origins[axis, 1] * y + origins[axis, 2]
-                    direction = directions[axis, 0] * x + directions[axis, 1] * y + directions[axis, 2]
-                    if direction == 0.0:
-                        direction = 1e-300
-                    low = (corners[n, axis] - origin) / direction
-                    high = (corners[n, axis] + edges[n] - origin) / direction
+                    start[axis] = (
+                        position[axis] + origins[axis, 0] * x + origins[axis, 1] * y + origins[axis, 2]
+                    )
+                    toward[axis] = directions[axis, 0] * x + directions[axis, 1] * y + directions[axis, 2]
+                    if toward[axis] == 0.0:
+                        toward[axis] = 1e-300
+                    low = (corner[axis] - start[axis]) / toward[axis]
+                    high = (corner[axis] + edge - start[axis]) / toward[axis]
                     if min(low, high) > enter:
                         enter, across = min(low, high), axis
                     leave = min(leave, max(low, high))
@@ -79,6 +90,12 @@ def _draw(
                     depths[row, column] = enter
                     cubes[row, column] = n
                     axes[row, column] = across
+                    border = 0.5
+                    for axis in range(3):
+                        if axis != across:
+                            inside = (start[axis] + enter * toward[axis] - corner[axis]) / edge
+                            border = min(border, max(min(inside, 1.0 - inside), 0.0))
+                    borders[row, column] = border
 
 
 @kernel

@@ -11,12 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.jit import kernel
+from octex.view.camera import Camera
 
 Floats = npt.NDArray[np.float64]
 
 # In camera axes: x right, y down, z away from the camera.
-_KEY_FROM, _KEY = np.array([-0.45, -0.65, -0.61]), 0.52
-_FILL_FROM, _FILL = np.array([0.85, 0.10, -0.52]), 0.12
+_KEY_FROM, _KEY = (-0.45, -0.65, -0.61), 0.52
+_FILL_FROM, _FILL = (0.85, 0.10, -0.52), 0.12
 _FROM_ABOVE, _FROM_BELOW = 0.52, 0.30
 
 #: Corners of more triangles than this get the triangle's own normal: comparing all pairs would take too long.
@@ -91,16 +92,49 @@ def _smooth(
             normals[corner, 2] = z * scale
 
 
-def light(normals: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
-    """Return the light (n,), 0.35 to 1.03, on visible sides with unit normals (n, 3) in camera axes.
+def light(
+    camera: Camera, points: npt.ArrayLike, faces: npt.ArrayLike, normals: npt.ArrayLike
+) -> npt.NDArray[np.float32]:
+    """Return the light (n,), 0.35 to 1.03, on the side that the camera sees; multiply base colours with it.
 
-    Multiply base colours with it. To light both sides of a surface, turn normals toward the camera first.
+    points     (n, 3) in the world
+    faces      (n, 3) normals of their triangles: they decide which side is seen
+    normals    (n, 3) normals to light them by, of the same side as the triangles'; of any length
     """
-    lit = 0.5 * (_FROM_ABOVE + _FROM_BELOW) - 0.5 * (_FROM_ABOVE - _FROM_BELOW) * normals[:, 1]
-    for direction, strength in ((_KEY_FROM, _KEY), (_FILL_FROM, _FILL)):
-        # Half-Lambert: a light so large that it reaches around the edge.
-        lit = lit + strength * np.square(0.5 + 0.5 * (normals @ direction))
-    return lit.astype(np.float32)
+    points, faces, normals = (np.ascontiguousarray(array, np.float64) for array in (points, faces, normals))
+    lit = np.empty(len(points), np.float32)
+    perspective = camera.projection == "pinhole"
+    _light(points, faces, normals, camera.world_to_camera, camera.position, perspective, lit)
+    return lit
+
+
+@kernel
+def _light(
+    points: Floats,
+    faces: Floats,
+    normals: Floats,
+    view: Floats,
+    position: Floats,
+    perspective: bool,
+    lit: npt.NDArray[np.float32],
+) -> None:
+    for n in range(len(points)):
+        away = 0.0
+        for axis in range(3):
+            toward = points[n, axis] - position[axis] if perspective else view[2, axis]
+            away += faces[n, axis] * toward
+        side = -1.0 if away > 0.0 else 1.0
+        x, y, z = normals[n, 0] * side, normals[n, 1] * side, normals[n, 2] * side
+        length = np.sqrt(x * x + y * y + z * z)
+        scale = 1.0 / length if length > 0.0 else 0.0
+        right = (view[0, 0] * x + view[0, 1] * y + view[0, 2] * z) * scale
+        down = (view[1, 0] * x + view[1, 1] * y + view[1, 2] * z) * scale
+        ahead = (view[2, 0] * x + view[2, 1] * y + view[2, 2] * z) * scale
+        # Half-Lambert: lights so large that they reach around the edge.
+        key = 0.5 + 0.5 * (right * _KEY_FROM[0] + down * _KEY_FROM[1] + ahead * _KEY_FROM[2])
+        fill = 0.5 + 0.5 * (right * _FILL_FROM[0] + down * _FILL_FROM[1] + ahead * _FILL_FROM[2])
+        ambient = 0.5 * (_FROM_ABOVE + _FROM_BELOW) - 0.5 * (_FROM_ABOVE - _FROM_BELOW) * down
+        lit[n] = ambient + _KEY * key * key + _FILL * fill * fill
 
 
 def background(height: int, width: int) -> npt.NDArray[np.float32]:
