@@ -16,7 +16,6 @@ from octex.source.images import as_texels
 from octex.source.materials import AlphaMode, Corners, Material, MaterialSource, Source, Texture
 from octex.source.pyramid import WRAPS
 
-
 # Farther positions would overflow the squares of areas.
 _FARTHEST = 1e75
 

@@ -1,0 +1,230 @@
+"""A glTF 2.0 or GLB file: its JSON, and the accessors and resources that it refers to.
+
+Accessors are read here and not by trimesh, which takes sparse ones for zeros and leaves normalized integers
+unscaled.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import struct
+import urllib.parse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.errors import ImageError, ModelError
+
+_COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+# An accessor may stand for zeros that the file does not hold; more than this is taken for damage.
+_MOST_ZEROS = 2**24
+
+# Extensions that a file may require: those read here, and those that change nothing octex reads.
+_KNOWN_EXTENSIONS = {
+    "EXT_mesh_gpu_instancing",
+    "EXT_texture_avif",
+    "EXT_texture_webp",
+    "KHR_animation_pointer",
+    "KHR_lights_punctual",
+    "KHR_mesh_quantization",
+    "KHR_texture_transform",
+    "KHR_xmp_json_ld",
+}
+#: What octex leaves to others to decode, and the command that does.
+CODED = {
+    "KHR_draco_mesh_compression": ("Draco-compressed meshes", "gltf-transform copy {0} decoded.glb"),
+    "EXT_meshopt_compression": ("meshopt-compressed buffers", "gltfpack -i {0} -o decoded.glb"),
+    "KHR_meshopt_compression": ("meshopt-compressed buffers", "gltfpack -i {0} -o decoded.glb"),
+    "KHR_texture_basisu": ("KTX2 textures", "gltf-transform ktxdecompress {0} decoded.glb"),
+}
+
+
+class Document:
+    """A parsed file: its JSON, and the bytes that it refers to."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.name = path.name
+        self._buffers: dict[int, bytes] = {}
+        data = path.read_bytes()
+        self._binary: bytes | None = None
+        if data[:4] == b"glTF":
+            data = self._unpack(data)
+        try:
+            self.json = json.loads(data.decode("utf-8-sig"), parse_constant=_refuse_constant)
+        except (ValueError, RecursionError) as error:
+            raise ModelError(f"{self.name} is not a glTF file, or is damaged ({error})") from None
+        if not isinstance(self.json, dict) or not isinstance(self.json.get("asset"), dict):
+            raise ModelError(f"{self.name} is not a glTF file: it has no asset")
+        version = str(self.json["asset"].get("version"))
+        if not version.startswith("2."):
+            raise ModelError(f"{self.name} is glTF {version}; octex reads glTF 2.0: convert it first")
+        for extension in self.json.get("extensionsRequired", []):
+            known = extension in _KNOWN_EXTENSIONS or str(extension).startswith("KHR_materials_")
+            if not known and extension not in CODED:
+                raise ModelError(
+                    f"{self.name} requires the glTF extension {extension}, which octex does not read; "
+                    "export it without"
+                )
+
+    def _unpack(self, data: bytes) -> bytes:
+        """Return the JSON chunk of a GLB and keep its binary chunk."""
+        if len(data) < 20:
+            raise ModelError(f"{self.name} is truncated: a GLB header has 20 bytes, the file {len(data)}")
+        version, length, json_length = struct.unpack_from("<III", data, 4)
+        if version != 2:
+            raise ModelError(f"{self.name} is GLB version {version}; octex reads version 2: convert it first")
+        if data[16:20] != b"JSON":
+            raise ModelError(f"{self.name} is damaged: its first chunk is not JSON")
+        if length > len(data) or 20 + json_length > len(data):
+            raise ModelError(f"{self.name} is truncated: it should have {length} bytes and has {len(data)}")
+        position = 20 + json_length
+        while position + 8 <= length:
+            (chunk_length,) = struct.unpack_from("<I", data, position)
+            position += 8
+            if data[position - 4 : position] == b"BIN\0":
+                if position + chunk_length > len(data):
+                    raise ModelError(f"{self.name} is truncated: its binary chunk ends early")
+                self._binary = data[position : position + chunk_length]
+                break
+            position += chunk_length
+        return data[20 : 20 + json_length]
+
+    def item(self, kind: str, index: Any) -> dict[str, Any]:
+        """Return one object of a top-level array."""
+        items = self.json.get(kind, [])
+        if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(items):
+            raise ModelError(
+                f"{self.name} refers to {kind}[{index}], which it does not have; export it again"
+            )
+        found: dict[str, Any] = items[index]
+        return found
+
+    def resource(self, uri: str, what: str, error_class: type[ModelError | ImageError] = ModelError) -> bytes:
+        """Return the bytes of a data: URI, or of a file beside this one."""
+        if uri.startswith("data:"):
+            head, comma, payload = uri.partition(",")
+            if not comma:
+                raise error_class(f"{self.name}: {what} has a data: URI without data")
+            try:
+                raw = urllib.parse.unquote_to_bytes(payload)
+                if not head.endswith(";base64"):
+                    return raw
+                raw = b"".join(raw.split())
+                return base64.b64decode(raw + b"=" * (-len(raw) % 4), validate=True)
+            except binascii.Error as error:
+                raise error_class(f"{self.name}: {what} is not valid base64 ({error})") from None
+        if "://" in uri:
+            raise error_class(f"{self.name}: {what} is at {uri}; octex reads files only: download it first")
+        folder = self.path.parent
+        try:
+            exact = folder / uri  # some exporters leave a percent sign as it is
+            return (exact if exact.is_file() else folder / urllib.parse.unquote(uri)).read_bytes()
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise error_class(f"{self.name}: {what} cannot be read: {uri}: {reason}") from None
+
+    def _buffer(self, index: int) -> bytes:
+        if index not in self._buffers:
+            entry = self.item("buffers", index)
+            what = f"buffers[{index}]"
+            if "uri" in entry:
+                data = self.resource(entry["uri"], what)
+            elif index == 0 and self._binary is not None:
+                data = self._binary
+            else:
+                raise ModelError(f"{self.name}: {what} has no data; export the model again")
+            if len(data) < entry["byteLength"]:
+                raise ModelError(
+                    f"{self.name}: {what} is truncated: {len(data)} of {entry['byteLength']} bytes"
+                )
+            self._buffers[index] = data
+        return self._buffers[index]
+
+    def view(self, index: int) -> tuple[memoryview, int | None]:
+        """Return the bytes of a buffer view, and its stride."""
+        entry = self.item("bufferViews", index)
+        for extension in entry.get("extensions", {}):
+            fallback = self.item("buffers", entry["buffer"])
+            if extension in CODED and "uri" not in fallback:
+                raise self.coded(extension)
+        start, length = entry.get("byteOffset", 0), entry["byteLength"]
+        data = self._buffer(entry["buffer"])
+        if start < 0 or length < 0 or start + length > len(data):
+            raise ModelError(f"{self.name}: bufferViews[{index}] reaches outside its buffer; export it again")
+        return memoryview(data)[start : start + length], entry.get("byteStride")
+
+    def coded(self, extension: str) -> ModelError:
+        """Return the error for content in a coding that octex does not decode."""
+        what, command = CODED[extension]
+        return ModelError(
+            f"{self.name} holds {what} ({extension}), which octex does not decode; "
+            f"decode them first: {command.format(self.name)}"
+        )
+
+    def accessor(self, index: int, components: tuple[int, ...]) -> npt.NDArray[Any]:
+        """Return an accessor (count, components); normalized integers as float64 in −1 … 1.
+
+        ``components`` are those allowed.
+        """
+        entry = self.item("accessors", index)
+        what = f"{self.name}: accessors[{index}]"
+        dtype = np.dtype(_COMPONENT_TYPES[entry["componentType"]])
+        width = _COMPONENTS.get(entry["type"], 0)
+        if width not in components:
+            raise ModelError(f"{what} has type {entry['type']}, which does not fit its use; export it again")
+        count = entry["count"]
+        if "bufferView" in entry:
+            rows = self._rows(entry["bufferView"], entry.get("byteOffset", 0), count, width, dtype, what)
+        elif 0 <= count * width <= _MOST_ZEROS:
+            rows = np.zeros((count, width), dtype)
+        else:
+            raise ModelError(f"{what} has {count} elements without data; export the model again")
+        if "sparse" in entry:
+            sparse = entry["sparse"]
+            where = sparse["indices"]
+            kind = np.dtype(_COMPONENT_TYPES[where["componentType"]])
+            offset = where.get("byteOffset", 0)
+            places = self._rows(where["bufferView"], offset, sparse["count"], 1, kind, what)[:, 0]
+            if len(places) and int(places.max()) >= count:
+                raise ModelError(f"{what} has sparse indices outside its {count} elements")
+            changed = sparse["values"]
+            offset = changed.get("byteOffset", 0)
+            rows = rows.copy()
+            rows[places] = self._rows(changed["bufferView"], offset, sparse["count"], width, dtype, what)
+        if entry.get("normalized") and dtype.kind in "iu":
+            rows = np.maximum(rows / np.iinfo(dtype).max, -1.0)
+        return rows
+
+    def _rows(
+        self, view: int, offset: int, count: int, width: int, dtype: np.dtype[Any], what: str
+    ) -> npt.NDArray[Any]:
+        data, stride = self.view(view)
+        row = width * dtype.itemsize
+        stride = stride or row
+        if (
+            offset < 0
+            or count < 0
+            or stride < row
+            or (count and offset + stride * (count - 1) + row > len(data))
+        ):
+            raise ModelError(f"{what} reaches outside its buffer view; export the model again")
+        if count == 0:
+            return np.empty((0, width), dtype)
+        return np.ndarray((count, width), dtype, data, offset, (stride, dtype.itemsize))
+
+    def refuse_compression(self, primitive: dict[str, Any]) -> None:
+        """Raise ModelError for a primitive whose vertices are only there in Draco's coding."""
+        position = self.item("accessors", primitive["attributes"]["POSITION"])
+        for extension in primitive.get("extensions", {}):
+            if extension in CODED and "bufferView" not in position and "sparse" not in position:
+                raise self.coded(extension)
+
+
+def _refuse_constant(constant: str) -> None:
+    raise ValueError(f"{constant} is not JSON")
