@@ -311,8 +311,10 @@ def _assembled(path: str, contents: container.Contents) -> OctreeTexture:
     channels = {}
     for name, space in spaces.items():
         values = _taken(tensors, f"channels/{name}")
+        if values.ndim != 2:
+            raise TextureFileError(f"channel {name!r} has shape {values.shape}, not a row a cell")
         split_values = _taken(tensors, f"split/channels/{name}") if split.cells.size else values[:0]
-        form = ChannelFormat(name, values.shape[-1] if values.ndim else 0, space, values.dtype.name)  # type: ignore[arg-type]
+        form = ChannelFormat(name, values.shape[1], space, values.dtype.name)  # type: ignore[arg-type]
         channels[name] = Channel(form, values, split_values)
     texture = OctreeTexture(tree, channels, placement, bounds, provenance)
     texture._file = _File(path, contents.mapping, tensors, metadata)

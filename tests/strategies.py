@@ -80,16 +80,12 @@ def with_random_data(tree: Octree, seed: int) -> Octree:
         if level < tree.max_depth:
             parents = np.searchsorted(codes[level], codes[level + 1] >> 3)
             np.bitwise_or.at(own, parents, flags[level_cells[level + 1] : level_cells[level + 2]])
-    rows = [
-        (cell, facing, random.integers(256))
-        for cell in np.flatnonzero((random.random(tree.n_cells) < 0.3) & (flags > 0)).tolist()
-        for facing in range(FACINGS)
-        if flags[cell] >> facing & 1
-    ]
+    is_split = (random.random(tree.n_cells) < 0.3) & (flags > 0)
+    cells, facings = np.nonzero(is_split[:, None] & (flags[:, None] >> np.arange(FACINGS) & 1 == 1))
     split = SplitTable(
-        np.array([row[0] for row in rows], np.uint32),
-        np.array([row[1] for row in rows], np.uint8),
-        np.array([row[2] for row in rows], np.uint8),
+        cells.astype(np.uint32),
+        facings.astype(np.uint8),
+        random.integers(0, 256, cells.size, dtype=np.uint8),
     )
     flags[split.cells] |= SPLIT
     return tree.with_cell_data(flags, random.integers(0, 256, tree.n_cells, dtype=np.uint8), split)

@@ -156,7 +156,7 @@ class Octree:
         _cut(groups, int(arrays.level_nodes[level - 1]) if level else 0, n_nodes)
         level_nodes = arrays.level_nodes[: level + 2].copy()
         level_nodes[-1] = n_nodes
-        rows = int(np.searchsorted(self.split.cells, n_cells))
+        rows = _rows_before(self.split.cells, n_cells)
         return Octree(
             TreeArrays(
                 groups,
@@ -171,6 +171,14 @@ class Octree:
     def validate(self) -> None:
         """Prove that the arrays are an octree, or raise TextureFileError naming the broken invariant."""
         check_meaning(self.arrays, self.split)
+
+
+def _rows_before(cells: npt.NDArray[np.uint32], end: int) -> int:
+    """Count the rows of cells before ``end``, without a look at the far end of a large file."""
+    bound = 1
+    while bound < cells.size and cells[bound] < end:
+        bound *= 2
+    return int(np.searchsorted(cells[:bound], np.uint32(end)))  # any other type would copy the cells
 
 
 def _build(codes: Int64s, depths: Uint8s) -> TreeArrays:

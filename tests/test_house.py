@@ -1,0 +1,109 @@
+"""The house keeps its shape: who imports whom, what is exported, and what an import costs."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import octex
+
+ROOT = Path(octex.__file__).parent
+MODULES = sorted(path.relative_to(ROOT).with_suffix("").as_posix() for path in ROOT.rglob("*.py"))
+
+# A module imports only from its own row and the rows above.
+ROWS = [
+    {"errors", "checks", "jit", "parallel", "channels"},
+    {"tree"},
+    {"field"},
+    {"container"},
+    {"texture"},
+    {"source"},
+    {"conversion"},
+    {"view"},
+    {"painting"},
+    {"formats"},
+    {"preview"},
+    {"cli"},
+]
+# The wing of what models look like does not know the wing of what is stored.
+STORED = {"tree", "field", "container", "texture"}
+FORBIDDEN = {"source": STORED, "view": STORED}
+# Depth and cell limits are checked at the border too.
+EXCEPTIONS = {("checks", "octex.tree.layout")}
+
+EXPORTED = ["OctexError", "OctreeTexture", "Surface", "__version__", "convert", "load_surface", "open"]
+HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]
+
+PROJECT = tomllib.loads((ROOT.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+COMMANDS = {target.partition(":")[0] for target in PROJECT["scripts"].values()}
+
+
+def imports(module: str) -> Iterator[str]:
+    """Names of the modules that a module imports, at its top or in its functions, but not for types only."""
+    tree = ast.parse((ROOT / f"{module}.py").read_text(encoding="utf-8"))
+    pending: list[ast.AST] = [tree]
+    while pending:
+        node = pending.pop()
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            pending.extend(node.orelse)
+            continue
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{module}: relative import"
+            assert node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        pending.extend(ast.iter_child_nodes(node))
+
+
+def room(name: str) -> str:
+    return name.split(".")[1] if "." in name else ""
+
+
+def row(name: str) -> int:
+    return next(number for number, rooms in enumerate(ROWS) if name in rooms)
+
+
+@pytest.mark.parametrize("module", [module for module in MODULES if module != "__init__"])
+def test_a_module_imports_only_from_the_rows_above_and_its_own(module: str) -> None:
+    own = module.split("/")[0]
+    for name in imports(module):
+        if not name.startswith("octex.") or name == "octex.__version__":
+            continue
+        if (own, name.rpartition(".")[0]) in EXCEPTIONS:
+            continue
+        assert row(room(name)) <= row(own), f"{module} imports {name}"
+        assert room(name) not in FORBIDDEN.get(own, set()), f"{module} imports {name}"
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_each_big_package_has_one_user(module: str) -> None:
+    packages = {name.split(".")[0] for name in imports(module)}
+    if module not in ("jit", "cli/common"):  # kernels are compiled by jit; commands say when that happens
+        assert not packages & {"numba", "llvmlite"}
+    if not module.startswith("source/"):
+        assert not packages & {"trimesh", "manifold3d"}
+
+
+def test_the_exported_names_are_these_and_each_exists() -> None:
+    assert octex.__all__ == EXPORTED
+    for name in EXPORTED:
+        assert getattr(octex, name) is not None
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'paint_it_black'"):
+        octex.paint_it_black  # noqa: B018
+
+
+@pytest.mark.parametrize("module", ["octex", *sorted(COMMANDS)])
+def test_importing_octex_or_a_command_loads_nothing_heavy(module: str) -> None:
+    code = f"import sys, {module}; print(*sorted(set({HEAVY}) & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []
