@@ -110,10 +110,11 @@ def _render(
 ) -> list[npt.NDArray[np.float32]]:
     fine = camera.scaled(supersample)
     seen, barycentric, depth = rasterize(surface.vertices, surface.triangles, fine)
-    faces = face_normals(surface.vertices, surface.triangles)
+    faces, posed_areas = face_normals(surface.vertices, surface.triangles)
     smooth = corner_normals(surface.vertices, surface.triangles)
     # What is one wide on the posed model is so wide at rest.
-    stretch = np.sqrt(_areas(surface, surface.rest) / np.maximum(_areas(surface, surface.vertices), 1e-300))
+    _, rest_areas = face_normals(surface.rest, surface.triangles)
+    stretch = np.sqrt(rest_areas / np.maximum(posed_areas, 1e-300))
     films = [_Film(camera, supersample) for _ in looks]
     for samples in _blocks(np.flatnonzero(seen >= 0)):
         triangles = seen.ravel()[samples]
@@ -163,12 +164,6 @@ def _blocks(numbers: npt.NDArray[np.int64]) -> Iterator[npt.NDArray[np.int64]]:
 def _between(barycentric: Floats, corners: Floats) -> npt.NDArray[np.float64]:
     """Interpolate corners (n, 3, 3) of triangles at barycentric coordinates (n, 3)."""
     return cast("npt.NDArray[np.float64]", np.einsum("nk,nkc->nc", barycentric, corners))
-
-
-def _areas(surface: Surface, positions: Floats) -> Floats:
-    """Return twice the areas (m,) of a surface's triangles at some positions of its vertices."""
-    a, b, c = (positions[surface.triangles[:, corner]] for corner in range(3))
-    return cast(Floats, np.linalg.norm(np.cross(b - a, c - a), axis=1))
 
 
 def render_leaves(
@@ -305,8 +300,7 @@ def _model_panels(
     surface: Surface, texture: OctreeTexture | None, size: tuple[int, int], supersample: int, note: str
 ) -> list[_Panel]:
     vertices = surface.vertices[np.unique(surface.triangles)]
-    normals = face_normals(surface.vertices, surface.triangles)
-    direction = view_direction(normals, surface.areas())
+    direction = view_direction(*face_normals(surface.vertices, surface.triangles))
     looks = [source_look(surface)]
     captions = [(surface.name, f"source, {_count(len(surface.triangles), 'triangle')}")]
     if texture is not None:

@@ -5,8 +5,6 @@ Everything is linear light. The lights stand beside the camera and turn with it.
 
 from __future__ import annotations
 
-from typing import cast
-
 import numpy as np
 import numpy.typing as npt
 
@@ -24,12 +22,14 @@ _FROM_ABOVE, _FROM_BELOW = 0.52, 0.30
 _MANY = 256
 
 
-def face_normals(positions: Floats, triangles: npt.NDArray[np.int32]) -> Floats:
-    """Return unit normals (m, 3) of triangles (m, 3), counter-clockwise seen from outside, or zeros."""
-    a, b, c = (positions[triangles[:, corner]] for corner in range(3))
-    normals = np.cross(b - a, c - a)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return cast(Floats, np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0.0))
+def face_normals(positions: Floats, triangles: npt.NDArray[np.int32]) -> tuple[Floats, Floats]:
+    """Return unit normals (m, 3) and areas (m,) of triangles (m, 3), counter-clockwise seen from outside.
+
+    The normals of triangles without area are zeros.
+    """
+    normals, areas, angles = np.empty((len(triangles), 3)), np.empty(len(triangles)), np.empty((0, 3))
+    _measure(positions, triangles, normals, areas, angles)
+    return normals, areas
 
 
 def corner_normals(
@@ -41,11 +41,8 @@ def corner_normals(
     within ``crease`` degrees of its own triangle's: edges sharper than that stay sharp. (Thürmer & Wüthrich,
     "Computing Vertex Normals from Polygonal Facets", 1998.)
     """
-    faces = face_normals(positions, triangles)
-    corners = positions[triangles]
-    forward, backward = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
-    across = np.linalg.norm(np.cross(forward, backward), axis=2)
-    angles = np.arctan2(across, np.einsum("mkc,mkc->mk", forward, backward)).ravel()
+    faces, angles = np.empty((len(triangles), 3)), np.empty((len(triangles), 3))
+    _measure(positions, triangles, faces, np.empty(len(triangles)), angles)
 
     # Corners at one position one after the other, whatever vertices they use.
     x, y, z = (positions + 0.0).T  # −0 becomes 0
@@ -58,8 +55,32 @@ def corner_normals(
     starts = np.flatnonzero(np.diff(corner_places[by_place], prepend=-1, append=-2))
 
     normals = np.empty((triangles.size, 3), np.float32)
-    _smooth(faces, angles, by_place, starts, np.cos(np.radians(crease)), normals)
+    _smooth(faces, angles.ravel(), by_place, starts, np.cos(np.radians(crease)), normals)
     return normals.reshape(-1, 3, 3)
+
+
+@kernel
+def _measure(
+    positions: Floats, triangles: npt.NDArray[np.int32], normals: Floats, areas: Floats, angles: Floats
+) -> None:
+    """Fill in normals, areas and, if there is room for them, the angles at the corners."""
+    for n in range(len(triangles)):
+        a, b, c = positions[triangles[n, 0]], positions[triangles[n, 1]], positions[triangles[n, 2]]
+        x = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
+        y = (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2])
+        z = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        double = np.sqrt(x * x + y * y + z * z)
+        scale = 1.0 / double if double > 0.0 else 0.0
+        normals[n, 0], normals[n, 1], normals[n, 2] = x * scale, y * scale, z * scale
+        areas[n] = double / 2.0
+        for corner in range(min(3, 3 * len(angles))):
+            dot = 0.0
+            for axis in range(3):
+                here = positions[triangles[n, corner], axis]
+                forward = positions[triangles[n, (corner + 1) % 3], axis] - here
+                backward = positions[triangles[n, (corner + 2) % 3], axis] - here
+                dot += forward * backward
+            angles[n, corner] = np.arctan2(double, dot)
 
 
 @kernel
