@@ -162,9 +162,10 @@ class _Scene:
         else:
             indices = np.arange(len(positions))
         if len(indices) and not 0 <= indices.min() <= indices.max() < len(positions):
+            worst = indices.min() if indices.min() < 0 else indices.max()
             raise ModelError(
-                f"{document.name}: {where} uses vertex {indices.max()}, but there are {len(positions)}; "
-                "export it again"
+                f"{document.name}: {where} uses vertex {worst}, but there are {len(positions)}; "
+                "export the model again"
             )
         number = entry.get("material") if self._has_materials else None
         colors = None

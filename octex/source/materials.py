@@ -101,7 +101,7 @@ class MaterialSource:
     (rows, 4); texture ``coordinates`` at corners (rows, 2), v running down. ``rest`` (n, 3) and ``triangles``
     (m, 3) are what widths are measured on.
 
-    Raises ModelError, with ``name``, for texture coordinates in use that are not finite.
+    Raises ModelError, with ``name``, for colours, or texture coordinates in use, that are not finite.
     """
 
     def __init__(
@@ -124,6 +124,8 @@ class MaterialSource:
         coordinates = coordinates or Corners(np.empty((0, 2), np.float32), np.empty((0, 3), np.int32))
         images, self._pyramids = _pyramids(materials)
         textures = [material.texture for material in materials]
+        if not (np.isfinite(colors.values).all() and np.isfinite([m.factor for m in materials]).all()):
+            raise ModelError(f"{name}: colours are not all finite; repair the model")
         if not np.isfinite(coordinates.values).all():
             textured = images[triangle_materials] >= 0
             if not np.isfinite(coordinates.values[coordinates.rows[textured]]).all():
