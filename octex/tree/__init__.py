@@ -6,4 +6,6 @@ placement   rest positions ⇄ texture space, the root cell
 octree      build from leaves, truncate, validate
 validate    what must hold
 search      the stored cell at a point, or nearest to it
+walk        the leaves one after another
+normals     a normal for each leaf, estimated from the cells around it
 """

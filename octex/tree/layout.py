@@ -69,7 +69,7 @@ class TreeArrays(NamedTuple):
 
 
 class SplitTable(NamedTuple):
-    """Values per facing of the cells flagged SPLIT: a row for each (cell, facing), sorted by cell, then facing.
+    """Values per facing of the cells flagged SPLIT: a row a (cell, facing), sorted by cell, then facing.
 
     The values stand in the channels, row for row. A row's mean is over the surface in the cell that faces so.
     """
