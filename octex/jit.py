@@ -54,11 +54,11 @@ def _compiled(function: Function, **options: Any) -> Function:
 
 if DISABLED:
 
-    def popcount(bits: int) -> int:
+    def popcount(bits: int | np.uint64) -> int:
         """Count the set bits of an unsigned 64-bit integer."""
         return int(bits).bit_count()
 
-    def trailing_zeros(bits: int) -> int:
+    def trailing_zeros(bits: int | np.uint64) -> int:
         """Index of the lowest set bit of a non-zero unsigned 64-bit integer."""
         bits = int(bits)
         return (bits & -bits).bit_length() - 1

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 from fractions import Fraction
+from itertools import pairwise
 
 Point = tuple[Fraction, ...]
+Corner = tuple[int, int, int]
 
 
 def clip(polygon: list[Point], axis: int, bound: int, sign: int) -> list[Point]:
@@ -49,12 +51,10 @@ def slabs(polygon: list[Point], edge: int, axis: int = 0) -> Iterator[tuple[tupl
                 yield (i, *cell), piece
 
 
-def cells_of(
-    triangle: list[tuple[int, int, int]], edge: int
-) -> dict[tuple[int, int, int], tuple[float, Point | None]]:
+def cells_of(triangle: list[Corner], edge: int) -> dict[tuple[int, ...], tuple[float, Point | None]]:
     """Return each cell of edge ``edge`` that a triangle meets, with area and centroid (None without area).
 
-    A half-open cell [a, b)³ is met if the triangle clipped to the closed cell is not wholly in one of its far faces.
+    A half-open cell [a, b)³ is met if the triangle clipped to the closed cell is not wholly in a far face.
     """
     corners = [tuple(Fraction(x) for x in corner) for corner in triangle]
     normal = cross(*corners)
@@ -64,7 +64,7 @@ def cells_of(
         if any(all(p[i] == (cell[i] + 1) * edge for p in polygon) for i in range(3)):
             continue
         doubled, moment = Fraction(0), [Fraction(0)] * 3
-        for b, c in zip(polygon[1:], polygon[2:], strict=False):
+        for b, c in pairwise(polygon[1:]):
             part = cross(polygon[0], b, c)[axis] / normal[axis]
             doubled += part
             moment = [m + part * (polygon[0][i] + b[i] + c[i]) / 3 for i, m in enumerate(moment)]
@@ -74,11 +74,9 @@ def cells_of(
     return found
 
 
-def sums_of(
-    triangles: list[list[tuple[int, int, int]]], edge: int
-) -> dict[tuple[int, int, int], dict[int, float]]:
+def sums_of(triangles: list[list[Corner]], edge: int) -> dict[tuple[int, ...], dict[int, float]]:
     """Return the area of each facing in each cell met by any triangle; degenerate triangles meet none."""
-    cells: dict[tuple[int, int, int], dict[int, float]] = defaultdict(lambda: defaultdict(float))
+    cells: dict[tuple[int, ...], dict[int, float]] = defaultdict(lambda: defaultdict(float))
     for triangle in triangles:
         normal = cross(*(tuple(map(Fraction, corner)) for corner in triangle))
         if any(normal):

@@ -1,16 +1,16 @@
 """Exactly the cells that a triangle meets.
 
-Vertices are rounded once to a grid of 2³⁰ steps along the root cell's edge. From there on everything is integer
-arithmetic: a half-open cell [a, b)³ is met if it shares a point with the closed rounded triangle, whatever the
-depth, the order of the triangles or the block that the work is cut into.
+Vertices are rounded once to a grid of 2³⁰ steps along the root cell's edge. From there on everything is
+integer arithmetic: a half-open cell [a, b)³ is met if it shares a point with the closed rounded triangle,
+whatever the depth, the order of the triangles or the block that the work is cut into.
 
-A triangle is looked at along the axis w to which its normal is nearest, over the plane of the two axes u and v
-that follow w cyclically. It crosses a column of cells along w in a run without gaps, of at most three.
+A triangle is looked at along the axis w to which its normal is nearest, over the plane of the two axes u and
+v that follow w cyclically. It crosses a column of cells along w in a run without gaps, of at most three.
 
-The test is that of separating axes. Two sets overlap in 3D unless the box axes, the triangle's plane, or one of
-the projections along the three axes separates them. In a projection the outward side of each edge suffices. On
-an axis of direction d, the half-open box, a union of closed boxes [a, b−ε]³, reaches its largest value only if d
-has no positive component, and its smallest only if d has no negative one.
+The test is that of separating axes. Two sets overlap in 3D unless the box axes, the triangle's plane, or one
+of the projections along the three axes separates them. In a projection the outward side of each edge
+suffices. On an axis of direction d, the half-open box, a union of closed boxes [a, b−ε]³, reaches its largest
+value only if d has no positive component, and its smallest only if d has no negative one.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from octex.jit import kernel
+from octex.jit import inlined
 
 #: Vertices are rounded to 2⁻³⁰ of the root's edge, so that 2D cross products fit 64 bits and the plane's 128.
 GRID_BITS = 30
@@ -35,12 +35,12 @@ SPREAD = np.array(
     [sum(((i >> bit) & 1) << (3 * bit) for bit in range(BLOCK_BITS)) for i in range(BLOCK_EDGE)], np.int64
 )
 
-# The scratch table that `columns_met` fills has a row for each column of cells: its place along u and v, its first
-# and last cell along w, and whether it lies wholly inside the triangle as seen along w.
+# The scratch table that `columns_met` fills has a row for each column of cells: its place along u and v, its
+# first and last cell along w, and whether it lies wholly inside the triangle as seen along w.
 COLUMN_U, COLUMN_V, COLUMN_FIRST, COLUMN_LAST, COLUMN_INSIDE = range(5)
 
 
-@kernel
+@inlined
 def load_triangle(
     grid: npt.NDArray[np.int32],
     triangles: npt.NDArray[np.int32],
@@ -81,7 +81,7 @@ def load_triangle(
     return 2
 
 
-@kernel
+@inlined
 def _edge(
     corners: npt.NDArray[np.int64], i: int, j: int, first: int, second: int, orientation: int, cell: int
 ) -> tuple[int, int, int, int]:
@@ -95,12 +95,12 @@ def _edge(
     if orientation < 0:
         p = -p
         q = -q
-    # The function's largest value in the cell over that at its corner; one less where the cell does not reach it.
+    # The function's largest value in the cell over that at its corner; less one where that is not reached.
     reach = cell * (max(p, 0) + max(q, 0)) - (1 if p > 0 or q > 0 else 0)
     return p, q, reach - (p * corners[i, first] + q * corners[i, second]), cell * (abs(p) + abs(q))
 
 
-@kernel
+@inlined
 def _sign_of_dot(normal: npt.NDArray[np.int64], u: int, v: int, w: int) -> int:
     """Return the exact sign of normal · (u, v, w): up to 93 bits, summed in two halves."""
     low_bits = (1 << 31) - 1
@@ -112,7 +112,7 @@ def _sign_of_dot(normal: npt.NDArray[np.int64], u: int, v: int, w: int) -> int:
     return 1 if (low & low_bits) != 0 else 0
 
 
-@kernel
+@inlined
 def _meets_plane(
     corners: npt.NDArray[np.int64], normal: npt.NDArray[np.int64], cell: int, u: int, v: int, w: int
 ) -> bool:
@@ -131,7 +131,7 @@ def _meets_plane(
     return not (smallest > 0 or (smallest == 0 and down_u + down_v + down_w > 0))
 
 
-@kernel
+@inlined
 def columns_met(
     corners: npt.NDArray[np.int64],
     normal: npt.NDArray[np.int64],
@@ -143,10 +143,10 @@ def columns_met(
 ) -> int:
     """List the cells of one block that a triangle meets, column by column; return the number of columns.
 
-    A cell's edge is ``1 << shift`` grid steps; ``block_*`` is the block's first cell. ``columns``, scratch of shape
-    (BLOCK_EDGE², 5), receives them sorted by u, then v.
+    A cell's edge is ``1 << shift`` grid steps; ``block_*`` is the block's first cell. ``columns``, scratch of
+    shape (BLOCK_EDGE², 5), receives them sorted by u, then v.
     """
-    cell = np.int64(1) << shift
+    cell = 1 << shift
     first_u = max(min(corners[0, 0], corners[1, 0], corners[2, 0]) >> shift, block_u)
     last_u = min(max(corners[0, 0], corners[1, 0], corners[2, 0]) >> shift, block_u + BLOCK_EDGE - 1)
     first_v = max(min(corners[0, 1], corners[1, 1], corners[2, 1]) >> shift, block_v)

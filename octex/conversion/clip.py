@@ -1,8 +1,8 @@
 """The piece of a triangle inside each cell: its area and where its middle lies.
 
-Polygons are cut as seen along w (see `cells`), in units of a cell from the block's corner: positions stay small
-and exact differences become floating point only once. A triangle is cut into strips along u, a strip into columns
-along v, a column into cells along w: one cut for each piece but the last.
+Polygons are cut as seen along w (see `cells`), in units of a cell from the block's corner: positions stay
+small, and exact differences become floating point only once. A triangle is cut into strips along u, a strip
+into columns along v, a column into cells along w: one cut for each piece but the last.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from octex.conversion.cells import (
     COLUMN_U,
     COLUMN_V,
 )
-from octex.jit import kernel
+from octex.jit import inlined
 
 #: A triangle has three vertices, each of the up to six planes that bound a cell adds one; with room to spare.
 MAX_VERTICES = 12
@@ -31,7 +31,7 @@ Polygons = npt.NDArray[np.float64]
 POLYGONS = 6
 
 
-@kernel
+@inlined
 def split(
     polygons: Polygons, row: int, count: int, a: float, b: float, c: float, below: int, above: int
 ) -> tuple[int, int]:
@@ -66,9 +66,9 @@ def split(
     return n_below, n_above
 
 
-@kernel
+@inlined
 def area_and_center(polygons: Polygons, row: int, count: int) -> tuple[float, float, float]:
-    """Return the area of a convex polygon, and the u and v of its centroid (of its first vertex without area)."""
+    """Return a convex polygon's area, and its centroid's u and v (its first vertex's if without area)."""
     u0, v0 = polygons[row, 0, 0], polygons[row, 1, 0]
     doubled = 0.0
     moment_u = 0.0
@@ -87,7 +87,24 @@ def area_and_center(polygons: Polygons, row: int, count: int) -> tuple[float, fl
     return 0.5 * abs(doubled), u0 + moment_u * share, v0 + moment_v * share
 
 
-@kernel
+@inlined
+def _store_piece(
+    b: float,
+    c: float,
+    area: float,
+    barycentric: npt.NDArray[np.float64],
+    areas: npt.NDArray[np.float64],
+    piece: int,
+) -> None:
+    b = min(max(b, 0.0), 1.0)
+    c = min(max(c, 0.0), 1.0 - b)
+    barycentric[piece, 0] = 1.0 - b - c
+    barycentric[piece, 1] = b
+    barycentric[piece, 2] = c
+    areas[piece] = max(area, CONTACT)
+
+
+@inlined
 def clip_to_columns(
     corners: npt.NDArray[np.int64],
     normal: npt.NDArray[np.int64],
@@ -104,10 +121,10 @@ def clip_to_columns(
 ) -> None:
     """Clip a triangle to the cells that `columns_met` listed, in their order.
 
-    From row ``piece`` on, ``barycentric`` (…, 3) and ``areas``, in cell faces, receive the centroid and the area
-    of the piece in each cell. ``polygons`` is scratch.
+    From row ``piece`` on, ``barycentric`` (…, 3) and ``areas``, in cell faces, receive the centroid and the
+    area of the piece in each cell. ``polygons`` is scratch.
     """
-    scale = 1.0 / (np.int64(1) << shift)
+    scale = 1.0 / (1 << shift)
     u0 = np.float64(corners[0, 0] - (block_u << shift)) * scale
     v0 = np.float64(corners[0, 1] - (block_v << shift)) * scale
     w0 = np.float64(corners[0, 2] - (block_w << shift)) * scale
@@ -151,6 +168,18 @@ def clip_to_columns(
         at_u, at_v = np.float64(iu - block_u), np.float64(iv - block_v)
         if columns[i, COLUMN_INSIDE] != 0:
             strip_is_cut = False
+            if first == last and block_w < first < block_w + BLOCK_EDGE - 1:
+                du, dv = at_u + 0.5 - u0, at_v + 0.5 - v0
+                _store_piece(
+                    (du * c_v - dv * c_u) * inverse,
+                    (b_u * dv - b_v * du) * inverse,
+                    stretch,
+                    barycentric,
+                    areas,
+                    piece,
+                )
+                piece += 1
+                continue
             n_column = 4
             polygons[column, 0, 0], polygons[column, 1, 0] = at_u, at_v
             polygons[column, 0, 1], polygons[column, 1, 1] = at_u + 1.0, at_v
@@ -192,10 +221,12 @@ def clip_to_columns(
             else:
                 area, center_u, center_v = 0.0, at_u + 0.5, at_v + 0.5
             du, dv = center_u - u0, center_v - v0
-            b = min(max((du * c_v - dv * c_u) * inverse, 0.0), 1.0)
-            c = min(max((b_u * dv - b_v * du) * inverse, 0.0), 1.0 - b)
-            barycentric[piece, 0] = 1.0 - b - c
-            barycentric[piece, 1] = b
-            barycentric[piece, 2] = c
-            areas[piece] = max(area * stretch, CONTACT)
+            _store_piece(
+                (du * c_v - dv * c_u) * inverse,
+                (b_u * dv - b_v * du) * inverse,
+                area * stretch,
+                barycentric,
+                areas,
+                piece,
+            )
             piece += 1

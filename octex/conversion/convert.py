@@ -15,11 +15,11 @@ import numpy.typing as npt
 import octex
 from octex.channels import ChannelFormat, encode
 from octex.checks import as_depth
-from octex.conversion.accumulate import Means, Sums, level_means, sum_children, sum_pieces
+from octex.conversion.accumulate import Means, Sums, count_entries, level_means, sum_children, sum_pieces
 from octex.conversion.cells import BLOCK_BITS, GRID_BITS, SPREAD, load_triangle
 from octex.conversion.pieces import Blocks, bin_triangles, cut, most_pieces
 from octex.errors import ArgumentError, ModelError
-from octex.jit import kernel, popcount
+from octex.jit import kernel
 from octex.parallel import Progress, ordered_map, silent, workers
 from octex.source.load import load_surface
 from octex.source.surface import Surface
@@ -75,17 +75,17 @@ def convert(
 ) -> OctreeTexture:
     """Convert a model into an octree texture.
 
-    ``model`` is a file or a Surface. The finest cells are 2⁻ᵈᵉᵖᵗʰ of the root cell (10 by default), or have the
-    edge ``cell`` in model units. ``rest`` gives rest positions, as for ``load_surface``. Work is spread over
-    ``executor``, by default a thread for each processor; the result does not depend on it. ``progress`` is called
-    with the stage's name, the units done and the units in all.
+    ``model`` is a file or a Surface. The finest cells are 2⁻ᵈᵉᵖᵗʰ of the root cell (10 by default), or have
+    the edge ``cell`` in model units. ``rest`` gives rest positions, as for ``load_surface``. Work is spread
+    over ``executor``, by default a thread for each processor; the result does not depend on it. ``progress``
+    is called with the stage's name, the units done and the units in all.
 
-    A leaf is stored for exactly the cells that the surface meets at rest. Its value, and that of every node above,
-    is the area-weighted mean of the source over the surface inside it, taken in linear light, colours weighted by
-    alpha too where the model has it (Benson & Davis 2002, 3.1, 3.5 and 5).
+    A leaf is stored for exactly the cells that the surface meets at rest. Its value, and that of every node
+    above, is the area-weighted mean of the source over the surface inside it, taken in linear light, colours
+    weighted by alpha too where the model has it (Benson & Davis 2002, 3.1, 3.5 and 5).
 
-    Raises ModelError and ImageError for a model that cannot be used, ArgumentError for a depth out of range, a cell
-    too small, or more cells than can be numbered.
+    Raises ModelError and ImageError for a model that cannot be used, ArgumentError for a depth out of range,
+    a cell too small, or more cells than can be numbered.
     """
     report = progress or silent
     if depth is not None and cell is not None:
@@ -119,16 +119,18 @@ def on_grid(rest: npt.NDArray[np.float64], placement: Placement) -> npt.NDArray[
 def _fill(
     surface: Surface, placement: Placement, depth: int, executor: Executor | None, report: Progress
 ) -> tuple[list[list[Stored]], npt.NDArray[np.int64], int]:
-    """Return what is stored of every level from the root down, in parts, the leaves' codes, and degenerates."""
+    """Return what is stored of each level from the root down, in parts; the leaves' codes; degenerates."""
     grid = on_grid(surface.rest, placement)
     degenerate, faces = _count_degenerate(grid, surface.triangles)
     if degenerate == len(surface.triangles):
         raise ModelError(
-            f"{surface.name}: all {degenerate} triangles are degenerate (without area); there is nothing to convert"
+            f"{surface.name}: all {degenerate} triangles are degenerate (without area); "
+            "there is nothing to convert"
         )
     if faces * 4.0 ** (depth - GRID_BITS) > MAX_CELLS:
         raise ArgumentError(
-            f"depth {depth} needs more than {MAX_CELLS} cells for {surface.name}; use a smaller depth or a larger cell"
+            f"depth {depth} needs more than {MAX_CELLS} cells for {surface.name}; "
+            "use a smaller depth or a larger cell"
         )
     report("sort", 0, 1)
     blocks = bin_triangles(grid, surface.triangles, depth)
@@ -141,8 +143,7 @@ def _fill(
     top = Sums(*(np.concatenate(arrays) for arrays in zip(*(part.top for part in parts), strict=True)))
     upper, _ = _climb(top, block_level, surface.channels)
     levels = [[stored] for stored in reversed(upper)]
-    for level in range(len(parts[0].levels) - 1, -1, -1):
-        levels.append([part.levels[level] for part in parts])
+    levels += ([part.levels[step] for part in parts] for step in reversed(range(len(parts[0].levels))))
     return levels, np.concatenate([part.codes for part in parts]), degenerate
 
 
@@ -181,7 +182,7 @@ def _convert_run(job: Job, run: Run) -> Part:
     # A piece is read with a footprint of its own size: a cell's mean is then the mean over what lies in it.
     widths = (np.sqrt(pieces.areas) * job.cell).astype(np.float32)
     values = surface.evaluate_all(pieces.triangles, pieces.barycentric, widths)
-    n_entries = int(_count_entries(pieces.flags))
+    n_entries = count_entries(pieces.flags)
     sums = sum_pieces(pieces.entries, pieces.areas, values, _alpha_column(surface.channels), n_entries)
     leaves = Sums(pieces.codes, pieces.flags, sums)
     levels, top = _climb(leaves, job.depth - job.block_level, surface.channels)
@@ -226,7 +227,7 @@ def _assemble(
     codes: npt.NDArray[np.int64],
     degenerate: int,
 ) -> OctreeTexture:
-    """Number the cells and lay the parts of each level end to end."""
+    """Build the tree, and lay the parts of each level end to end."""
     tree = Octree.from_leaves(codes, depth)
     parts = [part for level in levels for part in level]
     starts = np.cumsum([0, *(len(part.flags) for part in parts)])
@@ -257,21 +258,13 @@ def _assemble(
 
 
 def _alpha_column(channels: Sequence[ChannelFormat]) -> int:
-    """The component that holds coverage, or −1."""
+    """Return the component that holds coverage, or −1."""
     first = 0
     for channel in channels:
         if channel.name == "alpha":
             return first
         first += channel.components
     return -1
-
-
-@kernel
-def _count_entries(flags: npt.NDArray[np.uint8]) -> int:
-    count = 0
-    for i in range(flags.size):
-        count += popcount(np.uint64(flags[i]))
-    return count
 
 
 @kernel

@@ -26,7 +26,7 @@ from octex.conversion.cells import (
     load_triangle,
 )
 from octex.conversion.clip import MAX_VERTICES, POLYGONS, clip_to_columns
-from octex.jit import kernel, popcount, trailing_zeros
+from octex.jit import inlined, kernel, popcount, trailing_zeros
 from octex.tree.morton import decode
 
 
@@ -49,13 +49,13 @@ class Pieces(NamedTuple):
     areas: npt.NDArray[np.float64]  # (pieces,)   in cell faces
 
 
-@kernel
+@inlined
 def _block_origin(code: int) -> tuple[int, int, int]:
     i, j, k = decode(code)
     return i << BLOCK_BITS, j << BLOCK_BITS, k << BLOCK_BITS
 
 
-@kernel
+@inlined
 def _block_columns(
     axis: int,
     corners: npt.NDArray[np.int64],
@@ -164,13 +164,14 @@ def _bin(
 def bin_triangles(grid: npt.NDArray[np.int32], triangles: npt.NDArray[np.int32], depth: int) -> Blocks:
     """List the blocks that hold the cells of ``depth``, each with the triangles that meet it.
 
-    ``grid`` are vertices (n, 3) in steps of 2⁻³⁰ of the root's edge, ``triangles`` (m, 3) index them. The blocks'
-    level is ``max(depth − 5, 0)``.
+    ``grid`` are vertices (n, 3) in steps of 2⁻³⁰ of the root's edge, ``triangles`` (m, 3) index them. The
+    blocks' level is ``max(depth − 5, 0)``.
     """
     members = np.arange(len(triangles), dtype=np.int32)
     blocks = Blocks(np.zeros(1, np.int64), np.array([0, len(members)], np.int64), members)
     for level in block_levels(depth)[1:]:
-        blocks = _bin(grid, triangles, blocks, level, most_pieces(grid, triangles, blocks, level), SPREAD)
+        bounds = most_pieces(grid, triangles, blocks, level)
+        blocks = _bin(grid, triangles, blocks, level, bounds, SPREAD)
     return blocks
 
 
@@ -197,7 +198,8 @@ def cut(
 ) -> Pieces:
     """Cut the triangles of blocks ``first_block`` … ``last_block`` − 1 along the cells of ``depth``.
 
-    ``most`` is the sum of `most_pieces` over these blocks. With ``keys_only`` the cells are found without clipping: codes and flags alone.
+    ``most`` is the sum of `most_pieces` over these blocks. With ``keys_only`` the cells are found
+    without clipping: codes and flags alone.
     """
     shift = GRID_BITS - depth
     corners = np.empty((3, 3), np.int64)
