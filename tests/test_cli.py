@@ -197,7 +197,7 @@ def test_compilation_is_announced_once(capsys: pytest.CaptureFixture[str]) -> No
     expected = (
         []
         if jit.DISABLED
-        else ["octree-x: compiling; later runs need not (octree-convert --warm-up does it ahead)"]
+        else ["octree-x: compiling: a minute or so, this once (octree-convert --warm-up does it ahead)"]
     )
     assert capsys.readouterr().err.splitlines() == expected
 
@@ -650,9 +650,47 @@ def test_a_file_that_cannot_be_read_is_not_a_broken_one(
 
 
 @needs_jit
-def test_warming_up_takes_every_path(capsys: pytest.CaptureFixture[str]) -> None:
+def test_warming_up_says_how_long_it_took(capsys: pytest.CaptureFixture[str]) -> None:
     assert re.fullmatch(r"compiled and cached in \d+\.\d s\n", result(capsys, "--warm-up"))
     assert result(capsys, "--warm-up", "--quiet") == ""
+
+
+def test_warming_up_calls_every_kernel_that_is_called_from_python() -> None:
+    code = """
+import ast, functools, importlib, inspect, pkgutil
+import octex
+from octex import jit, parallel
+
+called = set()
+
+def recorded(function):
+    @functools.wraps(function)
+    def wrapper(*arguments):
+        called.add(wrapper.kernel)
+        return function(*arguments)
+    wrapper.kernel = function.__module__ + "." + function.__name__
+    return wrapper
+
+decorators = {"kernel", "inlined", "summing_kernel"}
+for name in decorators:
+    setattr(jit, name, recorded)
+names = [module.name for module in pkgutil.walk_packages(octex.__path__, "octex.")]
+entries = set()
+for module in map(importlib.import_module, names):
+    for node in ast.walk(ast.parse(inspect.getsource(module))):
+        if isinstance(node, ast.FunctionDef) and not decorators & {
+            getattr(decorator, "id", "") for decorator in node.decorator_list
+        }:
+            words = {inner.id for inner in ast.walk(node) if isinstance(inner, ast.Name)}
+            used = [getattr(module, word, None) for word in words]
+            entries |= {value.kernel for value in used if hasattr(value, "kernel")}
+assert len(entries) > 20
+from octex.cli.warm_up import warm_up
+warm_up(parallel.silent)
+print(sorted(entries - called))
+"""
+    done = python(code, env={**os.environ, "NUMBA_DISABLE_JIT": "1"})
+    assert (done.stdout, done.stderr) == ("[]\n", "")
 
 
 # --- as a process

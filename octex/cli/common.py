@@ -127,12 +127,13 @@ def _fail(command: str, message: str, code: ExitCode) -> ExitCode:
 class Reporter:
     """Progress on stderr: a bar with the stage's name on a terminal, else a line for each finished stage.
 
-    Call it with (stage, done, total); use it as a context so that no bar is left behind. Says once if kernels
-    are being compiled. Nothing that happens to stderr stops the work.
+    Call it with (stage, done, total); use it as a context so that no bar is left behind. Unless ``announce``
+    is False, it says once if kernels are being compiled. Nothing that happens to stderr stops the work.
     """
 
-    def __init__(self, command: str, quiet: bool = False) -> None:
+    def __init__(self, command: str, quiet: bool = False, announce: bool = True) -> None:
         self._command = command
+        self._announce = announce
         self._quiet = quiet or sys.stderr is None
         self._on_terminal = not self._quiet and sys.stderr.isatty()
         self._bar: Any = None
@@ -194,7 +195,7 @@ class Reporter:
 
     def __enter__(self) -> Self:
         """Listen to the compiler."""
-        if not self._quiet:
+        if self._announce and not self._quiet:
             self._listener = _announce_compilation(self)
         return self
 
@@ -223,7 +224,7 @@ def _announce_compilation(reporter: Reporter) -> Any:
         def on_start(self, _event: Any) -> None:
             if not self.said:
                 self.said = True
-                reporter.note("compiling; later runs need not (octree-convert --warm-up does it ahead)")
+                reporter.note("compiling: a minute or so, this once (octree-convert --warm-up does it ahead)")
 
         def on_end(self, _event: Any) -> None:
             pass

@@ -273,7 +273,7 @@ def _warm_up(quiet: bool) -> int:
     from octex.cli.warm_up import warm_up
 
     began = time.perf_counter()
-    with Reporter(COMMAND, quiet) as progress:
+    with Reporter(COMMAND, quiet, announce=False) as progress:
         warm_up(progress)
     if not quiet:
         say(f"compiled and cached in {time.perf_counter() - began:.1f} s")

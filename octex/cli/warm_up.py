@@ -1,4 +1,4 @@
-"""Everything that octex compiles, compiled: a tiny model taken along every path."""
+"""Everything that octex compiles, compiled: tiny models taken along every path."""
 
 from __future__ import annotations
 
@@ -6,43 +6,93 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import PIL.Image
 
 import octex
 from octex.formats.ply import write_points
 from octex.parallel import Progress
 from octex.preview import write_preview
+from octex.tree.morton import encode_cells
+
+# A needle: few cells, but at a depth at which cells come in several blocks.
+_OBJ = """mtllib needle.mtl
+usemtl needle
+v 0 0 0
+v 1 0 0
+v 1 0.01 0
+v 0 0.01 0
+v 0.2 0.002 0.01
+vt 0 0
+vt 3 0
+vt 3 1
+vt 0 1
+f 4/4 3/3 2/2 1/1
+f 1/1 2/2 5/3
+f 2/2 3/3 5/4
+f 3/3 4/4 5/1
+f 4/4 1/1 5/2
+"""
+_MTL = "newmtl needle\nmap_Kd needle.png\n"
+_PLY = """ply
+format ascii 1.0
+element vertex 3
+property float x
+property float y
+property float z
+element face 1
+property list uchar int vertex_indices
+end_header
+0 0 0
+1 0 0
+0 0.01 0
+3 0 1 2
+"""
 
 
 def warm_up(progress: Progress) -> None:
-    """Convert, save, open, sample, validate and draw a tiny model, so that all kernels are in the cache."""
-    vertices = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], np.float64)
-    triangles = np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])
-    uv = np.array([(0, 0), (3, 0), (0, 3), (2, 2)], np.float64)
-    image = np.full((4, 4, 4), 128, np.uint8)
-    surfaces = [
-        octex.Surface.from_arrays(vertices, triangles, colors=np.full((4, 4), 0.5), uv=uv, image=image),
-        octex.Surface.from_arrays(vertices, triangles, rest=vertices[:, ::-1] * (1, 1, -1)),
-    ]
-    stages = 2 * len(surfaces)
-    with TemporaryDirectory() as folder:
+    """Read, convert, save, open, sample, validate and draw tiny models, so that all kernels are cached."""
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        surfaces = _surfaces(folder)
+        stages = 2 * len(surfaces)
         for number, surface in enumerate(surfaces):
             progress("compile", 2 * number, stages)
-            _convert_and_read(surface, Path(folder))
+            _convert_and_look(surface, folder)
             progress("compile", 2 * number + 1, stages)
-            write_preview(Path(folder, "model.png"), surface, octex.convert(surface, 3), (64, 64))
+            write_preview(folder / "model.png", surface, octex.convert(surface, 3), (64, 64))
             progress("compile", 2 * number + 2, stages)
 
 
-def _convert_and_read(surface: octex.Surface, folder: Path) -> None:
+def _surfaces(folder: Path) -> list[octex.Surface]:
+    """One textured from a file, one without colours from another, one with all that arrays can give."""
+    (folder / "needle.obj").write_text(_OBJ)
+    (folder / "needle.mtl").write_text(_MTL)
+    (folder / "needle.ply").write_text(_PLY)
+    PIL.Image.fromarray(np.full((4, 4), 30000, np.uint16)).save(folder / "needle.png")
+    textured = octex.load_surface(folder / "needle.obj")
+    translucent = octex.Surface.from_arrays(
+        textured.vertices,
+        textured.triangles,
+        colors=np.full((len(textured.vertices), 4), 0.5),
+        uv=textured.vertices[:, :2],
+        image=np.full((4, 4, 4), 128, np.uint8),
+        rest=textured.vertices[:, ::-1],
+    )
+    return [textured, octex.load_surface(folder / "needle.ply"), translucent]
+
+
+def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
     samples = surface.scatter(100)
     for channel in surface.channels:
         surface.evaluate(samples, channel.name, width=0.1)
-    octex.convert(surface, 4).save(folder / "model.octex")
-    texture = octex.open(folder / "model.octex")
+    octex.convert(surface, 6).save(folder / "needle.octex")
+    texture = octex.open(folder / "needle.octex")
     texture.validate()
     for points in (samples.rest, samples.rest.astype(np.float32)):
         texture.contains(points)
         texture.sample(points, list(texture.channels))
         texture.level(2).sample(points)
-    write_points(texture, folder / "model.ply")
+    encode_cells([(1, 2, 3)])
+    texture.tree.level_codes(6)
+    write_points(texture, folder / "points.ply")
     write_preview(folder / "texture.png", None, texture, (64, 64))
