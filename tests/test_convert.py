@@ -182,6 +182,21 @@ def test_where_nothing_covers_the_colour_is_still_the_sources() -> None:
     assert (texture.channels["alpha"].values == 0).all()
 
 
+@needs_jit
+def test_a_fine_image_does_not_alias_in_coarse_cells() -> None:
+    # A checkerboard of single texels, black and white: grey, code 188, in every cell that holds many of them.
+    checkers = np.indices((1024, 1024)).sum(axis=0).astype(np.uint8) % 2 * 255
+    square = np.array([[0.0, 0, 0], [1, 0, 0.2], [1, 1, 0.3], [0, 1, 0.1]])
+    surface = Surface.from_arrays(
+        square, np.array([[0, 1, 2], [0, 2, 3]], np.int32), uv=square[:, :2], image=checkers
+    )
+    for depth in (3, 5, 6):
+        texture = octex.convert(surface, depth=depth)
+        leaves = texture.channels["base_color"].values[texture.tree.leaf_cells()].astype(int)
+        areas = texture.tree.arrays.areas[texture.tree.leaf_cells()]
+        assert np.abs(leaves[areas > AREA_ONE - 16] - 188).max() <= 3
+
+
 @pytest.fixture(params=[ThreadPoolExecutor, ProcessPoolExecutor])
 def executor(request: pytest.FixtureRequest) -> Iterator[Executor]:
     if request.param is ProcessPoolExecutor:

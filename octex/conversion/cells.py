@@ -153,8 +153,6 @@ def columns_met(
     last_v = min(max(corners[0, 1], corners[1, 1], corners[2, 1]) >> shift, block_v + BLOCK_EDGE - 1)
     first_w = max(min(corners[0, 2], corners[1, 2], corners[2, 2]) >> shift, block_w)
     last_w = min(max(corners[0, 2], corners[1, 2], corners[2, 2]) >> shift, block_w + BLOCK_EDGE - 1)
-    if first_u > last_u or first_v > last_v or first_w > last_w:
-        return 0
     slope_u = -np.float64(normal[0]) / np.float64(normal[2])
     slope_v = -np.float64(normal[1]) / np.float64(normal[2])
     below = (min(slope_u, 0.0) + min(slope_v, 0.0)) * cell
