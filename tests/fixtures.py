@@ -181,7 +181,7 @@ class Gltf:
         return node
 
     def save(self, path: Path, *, external: bool = False) -> Path:
-        """Write a .glb, or a .gltf with its buffer as a data: URI or, if ``external``, as a file beside it."""
+        """Write a .glb, or a .gltf with its buffer inside or, if ``external``, in a file beside it."""
         self.binary += bytes(-len(self.binary) % 4)
         header = dict(self.json)
         if path.suffix == ".glb":

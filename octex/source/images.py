@@ -15,11 +15,13 @@ import numpy.typing as npt
 import PIL.Image
 
 from octex.errors import ImageError
-from octex.source.png import decode_png16, is_png16
+from octex.source.png import SIGNATURE, decode_png16, is_png16, png_chunks
 
 #: The largest image that is read.
 MAX_TEXELS = 16384 * 16384
 
+# Deflate packs at most 1032 bytes into one, and PNG eight texels into a byte.
+_MOST_PER_BYTE = 8256
 _KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"
 # Pillow's own limit on sizes is lower, and global.
 _pillow_limit = threading.Lock()
@@ -89,6 +91,10 @@ def _texels(image: PIL.Image.Image, data: bytes, name: str) -> npt.NDArray[np.ui
         raise ImageError(
             f"{name} has {width} × {height} texels; octex reads up to {MAX_TEXELS}: scale it down"
         )
+    if data[:8] == SIGNATURE and width * height > _MOST_PER_BYTE * len(data):
+        raise ImageError(f"{name} is truncated: it cannot hold {width} × {height} texels; save it again")
+    if data[:8] == SIGNATURE:
+        png_chunks(data, name)  # Pillow overlooks wrong checksums of texels
     if is_png16(data):
         return decode_png16(data, name)
     if image.mode.startswith("I;16"):

@@ -291,7 +291,7 @@ def _evaluate(
                 tables.coordinate_rows[triangle, 1],
                 tables.coordinate_rows[triangle, 2],
             )
-            width = widths[i]
+            width = np.float64(widths[i])
             r, g, b, read_coverage = read(
                 pyramids,
                 image,
@@ -301,10 +301,10 @@ def _evaluate(
                 tables.wraps[material, 1],
                 tables.nearest[material],
                 threshold,
-                np.float64(width * footprints.major[triangle, 0]),
-                np.float64(width * footprints.major[triangle, 1]),
-                np.float64(width * footprints.lengths[triangle, 0]),
-                np.float64(width * footprints.lengths[triangle, 1]),
+                width * footprints.major[triangle, 0],
+                width * footprints.major[triangle, 1],
+                width * footprints.lengths[triangle, 0],
+                width * footprints.lengths[triangle, 1],
             )
             red *= r
             green *= g

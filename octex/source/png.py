@@ -38,7 +38,7 @@ def decode_png16(data: bytes, name: str) -> npt.NDArray[np.uint16]:
     sizes = [(max(-(-(width - x) // dx), 0), max(-(-(height - y) // dy), 0)) for x, y, dx, dy in passes]
     expected = sum(h * (1 + w * channels * 2) for w, h in sizes if w)
     compressed, transparent = [], None
-    for kind, body in _chunks(data, name):
+    for kind, body in png_chunks(data, name):
         if kind == b"IDAT":
             compressed.append(body)
         elif kind == b"tRNS" and channels in (1, 3) and len(body) >= 2 * channels:
@@ -69,7 +69,11 @@ def decode_png16(data: bytes, name: str) -> npt.NDArray[np.uint16]:
     return texels
 
 
-def _chunks(data: bytes, name: str) -> list[tuple[bytes, bytes]]:
+def png_chunks(data: bytes, name: str) -> list[tuple[bytes, bytes]]:
+    """Return the kinds and bodies of a PNG file's chunks up to the end of the image.
+
+    Raises ImageError for a file without an end, or a wrong checksum of a chunk that the image needs.
+    """
     found: list[tuple[bytes, bytes]] = []
     at = 8
     while True:
@@ -77,8 +81,12 @@ def _chunks(data: bytes, name: str) -> list[tuple[bytes, bytes]]:
             raise ImageError(f"{name}: the image file is truncated; save the image again")
         (length,) = struct.unpack_from(">I", data, at)
         kind, body = data[at + 4 : at + 8], data[at + 8 : at + 8 + length]
-        checksum = data[at + 8 + length : at + 12 + length]
-        if len(checksum) == 4 and int.from_bytes(checksum, "big") != zlib.crc32(kind + body):
+        checksum = int.from_bytes(data[at + 8 + length : at + 12 + length], "big")
+        if (
+            kind[:1].isupper()
+            and at + 12 + length <= len(data)
+            and checksum != zlib.crc32(body, zlib.crc32(kind))
+        ):
             raise ImageError(f"{name}: a checksum of the image file is wrong; save the image again")
         if kind == b"IEND":
             return found

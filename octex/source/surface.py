@@ -210,7 +210,9 @@ class Surface:
         side = 0.0 if width is None else width
         if not 0 <= side < np.inf:
             raise ArgumentError(f"width must be finite and not negative, not {side!r}")
-        values = self.evaluate_all(triangles, samples.barycentric, np.full(len(triangles), side, np.float32))
+        values = self.evaluate_all(
+            triangles, samples.barycentric, np.full(len(triangles), min(side, 1e30), np.float32)
+        )
         first = 0
         for each in self.channels:
             if each.name == channel:

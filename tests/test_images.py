@@ -1,0 +1,230 @@
+"""Image files of every kind become texels without loss, or are refused by name."""
+
+from __future__ import annotations
+
+import io
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import PIL.Image
+import pytest
+
+from octex.errors import ImageError
+from octex.source.images import MAX_TEXELS, as_texels, decode_image
+from tests.fixtures import _chunk, png, random_image
+
+
+def saved(image: PIL.Image.Image, kind: str, **options: Any) -> bytes:
+    stream = io.BytesIO()
+    image.save(stream, kind, **options)
+    return stream.getvalue()
+
+
+def expected_texels(stored: np.ndarray) -> np.ndarray:
+    """Texels of stored codes (height, width, 1 to 4), by the definition."""
+    height, width, channels = stored.shape
+    unit = 257 if stored.dtype == np.uint8 else 1
+    texels = np.full((height, width, 4), 65535)
+    for y in range(height):
+        for x in range(width):
+            codes = [int(code) * unit for code in stored[y, x]]
+            texels[y, x, :3] = codes[:3] if channels >= 3 else codes[:1] * 3
+            if channels in (2, 4):
+                texels[y, x, 3] = codes[-1]
+    return texels
+
+
+@pytest.mark.parametrize("interlaced", [False, True])
+@pytest.mark.parametrize("dtype", ["uint8", "uint16"])
+@pytest.mark.parametrize("channels", [1, 2, 3, 4])
+def test_png_images_of_8_and_16_bits_keep_every_code(channels: int, dtype: str, interlaced: bool) -> None:
+    for height, width in ((5, 7), (1, 1), (9, 2)):
+        stored = random_image(height, width, channels, dtype)
+        found = decode_image(png(stored, interlaced=interlaced), "a.png")
+        assert found.dtype == np.uint16
+        np.testing.assert_array_equal(found, expected_texels(stored))
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16"])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_the_transparent_colour_of_a_png_image_is_transparent(channels: int, dtype: str) -> None:
+    stored = random_image(3, 3, channels, dtype)
+    codes = stored[1, 2].tolist()
+    alpha = decode_image(png(stored, transparent=codes), "a.png")[..., 3]
+    np.testing.assert_array_equal(alpha == 0, (stored == stored[1, 2]).all(axis=2))
+
+
+def test_palettes_give_their_colours_and_transparencies() -> None:
+    palette = random_image(1, 5)[0]
+    indices = np.array([[[0], [1], [2]], [[3], [4], [0]]], np.uint8)
+    found = decode_image(png(indices, palette=palette, palette_alpha=[0, 128]), "a.png")
+    np.testing.assert_array_equal(found[..., :3], palette[indices[..., 0]].astype(int) * 257)
+    np.testing.assert_array_equal(found[..., 3] // 257, [[0, 128, 255], [255, 255, 0]])
+
+
+def test_bilevel_images_are_black_and_white() -> None:
+    image = PIL.Image.fromarray(np.array([[True, False]]))
+    np.testing.assert_array_equal(decode_image(saved(image, "PNG"), "a")[0, :, 0], [65535, 0])
+
+
+@pytest.mark.parametrize(
+    ("kind", "options"), [("BMP", {}), ("TIFF", {}), ("TGA", {}), ("WEBP", {"lossless": True}), ("GIF", {})]
+)
+def test_other_formats_keep_their_codes(kind: str, options: dict[str, Any]) -> None:
+    stored = np.repeat(random_image(4, 4, 1), 3, axis=2)
+    image = PIL.Image.fromarray(stored[..., 0] if kind == "GIF" else stored)
+    np.testing.assert_array_equal(decode_image(saved(image, kind, **options), "a"), expected_texels(stored))
+
+
+def test_jpeg_images_are_read() -> None:
+    stored = np.full((16, 16, 3), 200, np.uint8)
+    found = decode_image(saved(PIL.Image.fromarray(stored), "JPEG", quality=95), "a")
+    assert abs(found[..., :3].astype(int) - 200 * 257).max() <= 2 * 257
+
+
+def test_colour_profiles_and_gamma_are_ignored() -> None:
+    stored = random_image(2, 2)
+    data = png(stored)
+    at = data.index(b"IDAT") - 4
+    gamma = _chunk(b"gAMA", struct.pack(">I", 100000))
+    np.testing.assert_array_equal(decode_image(data[:at] + gamma + data[at:], "a"), expected_texels(stored))
+
+
+@pytest.mark.parametrize("channels", [0, 1, 2, 3, 4])
+@pytest.mark.parametrize("dtype", ["uint8", "uint16"])
+def test_arrays_are_taken_as_codes(channels: int, dtype: str) -> None:
+    stored = random_image(3, 4, max(channels, 1), dtype)
+    given = stored if channels else stored[..., 0]
+    np.testing.assert_array_equal(as_texels(given), expected_texels(stored))
+
+
+def test_images_of_pillow_are_taken_as_they_are() -> None:
+    stored = random_image(3, 4, 4)
+    np.testing.assert_array_equal(as_texels(PIL.Image.fromarray(stored)), expected_texels(stored))
+    grey = random_image(3, 4, 1, "uint16")
+    np.testing.assert_array_equal(as_texels(PIL.Image.fromarray(grey[..., 0])), expected_texels(grey))
+
+
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        (np.zeros((2, 2, 5), np.uint8), "shape"),
+        (np.zeros((0, 2, 3), np.uint8), "shape"),
+        (np.zeros(3, np.uint8), "shape"),
+        (np.zeros((2, 2, 3), np.float32), "uint8 or uint16"),
+    ],
+)
+def test_other_arrays_are_refused(image: np.ndarray, message: str) -> None:
+    with pytest.raises(ImageError, match=message):
+        as_texels(image)
+
+
+def without(data: bytes, count: int) -> bytes:
+    return data[:-count]
+
+
+def with_header(data: bytes, **changes: int) -> bytes:
+    """A PNG file with another header, its checksum right."""
+    fields = dict(
+        zip(
+            ("width", "height", "depth", "kind", "c", "f", "i"),
+            struct.unpack_from(">IIBBBBB", data, 16),
+            strict=True,
+        )
+    )
+    return data[:8] + _chunk(b"IHDR", struct.pack(">IIBBBBB", *(fields | changes).values())) + data[33:]
+
+
+DEEP = png(random_image(8, 8, 3, "uint16"))
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "not an image"),
+        (b"nothing like it", "not an image"),
+        (png(random_image(64, 64))[:500], "truncated"),
+        (saved(PIL.Image.fromarray(random_image(64, 64)), "JPEG")[:500], "cannot be read as an image"),
+        (png(random_image(4, 4))[:60] + b"!" + png(random_image(4, 4))[61:], "checksum"),
+        (with_header(png(random_image(4, 4)), width=30000, height=20000), "30000 × 20000 texels"),
+        (with_header(png(random_image(4, 4)), width=16000, height=16000), "truncated"),
+        (b"\xabKTX 20\xbb\r\n\x1a\n" + bytes(100), "KTX2"),
+        (saved(PIL.Image.fromarray(np.ones((2, 2), np.int32)), "TIFF"), "depth"),
+        (saved(PIL.Image.fromarray(np.ones((2, 2), np.float32)), "TIFF"), "depth"),
+        (DEEP[:-40], "truncated"),
+        (with_header(DEEP, height=9), "truncated"),
+        (with_header(DEEP, kind=3), r"cannot be read as an image|colour type"),
+        (DEEP.replace(b"IDAT", b"IDAT", 1)[:60] + b"!" + DEEP[61:], "checksum"),
+        (png(random_image(2, 2, 3, "uint16"), filters=[0]).replace(b"IEND", b"IEND"), ""),
+    ][:-1],
+)
+def test_bad_images_are_refused_in_one_line_that_names_them(data: bytes, message: str) -> None:
+    with pytest.raises(ImageError, match=message) as caught:
+        decode_image(data, "wood.png")
+    assert "wood.png" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def rebuilt(raw: bytes) -> bytes:
+    """A 16-bit PNG file of 1 × 1 grey texels with given compressed data."""
+    header = struct.pack(">IIBBBBB", 1, 1, 16, 0, 0, 0, 0)
+    chunks = _chunk(b"IHDR", header) + _chunk(b"IDAT", raw) + _chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + chunks
+
+
+def test_damaged_data_of_deep_images_are_refused() -> None:
+    import zlib
+
+    with pytest.raises(ImageError, match="wood: the image data are damaged"):
+        decode_image(rebuilt(b"not deflate"), "wood")
+    with pytest.raises(ImageError, match=r"wood: the image data are damaged .unknown filter"):
+        decode_image(rebuilt(zlib.compress(b"\x09\0\0")), "wood")
+
+
+def test_an_image_that_needs_too_much_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    def exhausted(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("octex.source.images._texels", exhausted)
+    with pytest.raises(ImageError, match="more memory"):
+        decode_image(png(random_image(2, 2)), "wood")
+
+
+def test_large_images_are_not_mistaken_for_bombs() -> None:
+    before = PIL.Image.MAX_IMAGE_PIXELS
+    image = PIL.Image.new("1", (16384, 11000))
+    assert MAX_TEXELS > 11000 * 16384
+    from octex.source import images
+
+    with images._open(saved(image, "PNG")) as opened:
+        assert opened.size == (16384, 11000)
+    after = PIL.Image.MAX_IMAGE_PIXELS
+    assert after == before
+
+
+def test_the_png_suite_is_read_like_pillow_reads_it_and_its_broken_files_are_refused(models: Path) -> None:
+    folder = models / "fragile" / "png-suite" / "tests"
+    if not folder.is_dir():
+        pytest.skip("the png suite is not there")
+    read = 0
+    for path in sorted(folder.rglob("*.png")):
+        data = path.read_bytes()
+        try:
+            texels = decode_image(data, path.name)
+        except ImageError as error:
+            assert path.name in str(error)
+            assert path.parent.name != "pngsuite" or path.name.startswith("x"), path.name
+            continue
+        assert path.parent.name != "pngsuite" or path.name[0] != "x", path.name
+        with PIL.Image.open(io.BytesIO(data)) as image:
+            try:
+                whole = np.asarray(image.convert("RGBA"))
+            except OSError:  # Pillow stops at other chunks between those of the data
+                continue
+        if image.mode != "I;16":  # of which Pillow's own conversion keeps the wrong byte
+            difference = (texels >> 8).astype(int) - whole
+            assert abs(difference).max() <= (1 if data[24] == 16 else 0), path.name
+        read += 1
+    assert read > 150
