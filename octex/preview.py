@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, cast
 
@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
-from octex.channels import decode, encode
+from octex.channels import decode, encode, linear_to_srgb
 from octex.checks import as_choice
 from octex.container import replacing
 from octex.errors import ArgumentError
@@ -36,6 +36,8 @@ _BLOCK = 1 << 18
 _THREE_QUARTER = np.array([0.56, 0.42, 1.0]) / np.linalg.norm([0.56, 0.42, 1.0])
 #: A model is flat if this part of its squared normals is along one axis; it is seen this much from the side.
 _FLAT, _SLANT = 0.85, 0.45
+#: Another side is shown than the usual one if it has so many times its detail.
+_CLEARLY = 1.1
 
 
 class Hits(NamedTuple):
@@ -108,29 +110,32 @@ def render(surface: Surface, camera: Camera, look: Look, supersample: int = 3) -
 def _render(
     surface: Surface, camera: Camera, looks: list[Look], supersample: int
 ) -> list[npt.NDArray[np.float32]]:
-    fine = camera.scaled(supersample)
-    seen, barycentric, depth = rasterize(surface.vertices, surface.triangles, fine)
-    faces, posed_areas = face_normals(surface.vertices, surface.triangles)
+    faces, _ = face_normals(surface.vertices, surface.triangles)
     smooth = corner_normals(surface.vertices, surface.triangles)
-    # What is one wide on the posed model is so wide at rest.
-    _, rest_areas = face_normals(surface.rest, surface.triangles)
-    stretch = np.sqrt(rest_areas / np.maximum(posed_areas, 1e-300))
     films = [_Film(camera, supersample) for _ in looks]
-    for samples in _blocks(np.flatnonzero(seen >= 0)):
-        triangles = seen.ravel()[samples]
-        corners = surface.triangles[triangles]
-        weights = barycentric.reshape(-1, 3)[samples].astype(np.float64)
-        width = fine.pixel_width(depth.ravel()[samples]) * stretch[triangles]
-        hits = Hits(triangles, weights, _between(weights, surface.rest[corners]), width.astype(np.float32))
-        lit = light(
-            camera,
-            _between(weights, surface.vertices[corners]),
-            faces[triangles],
-            _between(weights, smooth[triangles]),
-        )
+    for samples, hits in _hits(surface, camera.scaled(supersample)):
+        points = _between(hits.barycentric, surface.vertices[surface.triangles[hits.triangles]])
+        lit = light(camera, points, faces[hits.triangles], _between(hits.barycentric, smooth[hits.triangles]))
         for film, look in zip(films, looks, strict=True):
             film.add(samples, look(hits), lit)
     return [film.picture() for film in films]
+
+
+def _hits(surface: Surface, camera: Camera) -> Iterator[tuple[npt.NDArray[np.int64], Hits]]:
+    """Yield what the camera's pixels see, some at a time, with their numbers row by row."""
+    buffers = rasterize(surface.vertices, surface.triangles, camera)
+    # What is one wide on the posed model is so wide at rest.
+    _, posed_areas = face_normals(surface.vertices, surface.triangles)
+    _, rest_areas = face_normals(surface.rest, surface.triangles)
+    stretch = np.sqrt(rest_areas / np.maximum(posed_areas, 1e-300))
+    seen = np.flatnonzero(buffers.triangle >= 0)
+    for first in range(0, len(seen), _BLOCK):
+        pixels = seen[first : first + _BLOCK]
+        triangles = buffers.triangle.ravel()[pixels]
+        barycentric = buffers.barycentric.reshape(-1, 3)[pixels].astype(np.float64)
+        width = camera.pixel_width(buffers.depth.ravel()[pixels]) * stretch[triangles]
+        rest = _between(barycentric, surface.rest[surface.triangles[triangles]])
+        yield pixels, Hits(triangles, barycentric, rest, width.astype(np.float32))
 
 
 class _Film:
@@ -157,10 +162,6 @@ class _Film:
         return (np.stack(color, axis=-1) + uncovered * background(*self._shape)).astype(np.float32)
 
 
-def _blocks(numbers: npt.NDArray[np.int64]) -> Iterator[npt.NDArray[np.int64]]:
-    return (numbers[first : first + _BLOCK] for first in range(0, len(numbers), _BLOCK))
-
-
 def _between(barycentric: Floats, corners: Floats) -> npt.NDArray[np.float64]:
     """Interpolate corners (n, 3, 3) of triangles at barycentric coordinates (n, 3)."""
     return cast("npt.NDArray[np.float64]", np.einsum("nk,nkc->nc", barycentric, corners))
@@ -180,39 +181,39 @@ def render_leaves(
     cubes    light the faces of the cubes, instead of the surface that the leaves lie on
     """
     finest = _visible_level(texture, camera) if level is None else level
-    texture = texture.level(min(finest, texture.tree.max_depth))
-    leaves = _Leaves.of(texture)
+    leaves = _Leaves.of(texture.level(min(finest, texture.tree.max_depth)))
     seen, axis, border, _ = rasterize_cubes(leaves.corners, leaves.edges, camera.scaled(supersample))
     film = _Film(camera, supersample)
-    channels = [texture.channels[name] for name in _color_channels(list(texture.channels))]
-    for samples in _blocks(np.flatnonzero(seen >= 0)):
+    drawn = np.flatnonzero(seen >= 0)
+    for first in range(0, len(drawn), _BLOCK):
+        samples = drawn[first : first + _BLOCK]
         leaf = seen.ravel()[samples]
-        cells = leaves.cells[leaf]
-        colors = np.hstack([decode(channel.values[cells], channel.format.space) for channel in channels])
         normals = np.eye(3)[axis.ravel()[samples]] if cubes else leaves.normals[leaf]
         lit = light(camera, leaves.corners[leaf], normals, normals)
         if cubes:  # with their edges drawn, so that they can be told apart
             lit = lit * np.where(border.ravel()[samples] < 0.05, np.float32(0.75), np.float32(1.0))
-        film.add(samples, colors, lit)
+        film.add(samples, leaves.colors[leaf], lit)
     return film.picture()
 
 
 class _Leaves(NamedTuple):
     """All leaves of a texture, in rest units."""
 
-    cells: npt.NDArray[np.int64]  # (n,)
     corners: npt.NDArray[np.float64]  # (n, 3)   least coordinates
     edges: npt.NDArray[np.float64]  # (n,)
     normals: npt.NDArray[np.float32]  # (n, 3)
+    colors: npt.NDArray[np.float32]  # (n, 3 or 4)   linear light, and coverage
 
     @classmethod
     def of(cls, texture: OctreeTexture) -> _Leaves:
+        channels = [texture.channels[name] for name in _color_channels(list(texture.channels))]
         blocks = []
         for cells, codes, depths in walk_leaves(texture.tree.arrays):
             edges = np.ldexp(1.0, -depths.astype(np.int32))
             corners = texture.placement.to_rest(decode_cells(codes) * edges[:, None])
             normals = estimate_normals(texture.tree.arrays, cells, codes, depths)
-            blocks.append((cells, corners, edges * texture.placement.size, normals))
+            colors = np.hstack([decode(channel.values[cells], channel.format.space) for channel in channels])
+            blocks.append((corners, edges * texture.placement.size, normals, colors))
         return cls(*(np.concatenate(parts) for parts in zip(*blocks, strict=True)))
 
 
@@ -223,8 +224,8 @@ def _visible_level(texture: OctreeTexture, camera: Camera, pixels: float = 1.0) 
     return int(np.clip(level, 0, texture.tree.max_depth))
 
 
-def view_direction(normals: Floats, areas: Floats) -> npt.NDArray[np.float64]:
-    """Choose where to look at a model from: the unit direction (3,) from it toward the camera.
+def view_directions(normals: Floats, areas: Floats) -> npt.NDArray[np.float64]:
+    """Return directions (k, 3) to look at a model from, unit vectors toward the camera; the usual one first.
 
     normals    (n, 3) unit normals of its parts, and
     areas      (n,) their areas
@@ -232,18 +233,47 @@ def view_direction(normals: Floats, areas: Floats) -> npt.NDArray[np.float64]:
     weights = areas / max(float(areas.sum()), 1e-300)
     strengths, axes = np.linalg.eigh(np.einsum("n,nc,nd->cd", weights, normals, normals))
     if strengths[2] < _FLAT:
-        return cast("npt.NDArray[np.float64]", _THREE_QUARTER)
-    # Flat: along the normal, from the side that more of it faces, or else the front; then a little aslant.
-    normal = axes[:, 2]
+        sides = np.array([[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0], [1.0, 1.0, -1.0], [-1.0, 1.0, -1.0]])
+        return cast("npt.NDArray[np.float64]", sides * _THREE_QUARTER)
+    # Flat: along the normal and a little aslant, from the side that more of it faces, or else from either.
+    normal = axes[:, 2] * (1.0 if axes[:, 2] @ _THREE_QUARTER >= 0.0 else -1.0)
     facing = normals @ normal
-    side = float((weights * facing * np.abs(facing)).sum())
-    if abs(side) < 0.1:
-        side = float(normal @ _THREE_QUARTER)
-    normal = normal if side >= 0.0 else -normal
-    slant = _THREE_QUARTER - (_THREE_QUARTER @ normal) * normal
-    length = float(np.linalg.norm(slant))
-    direction = normal + (_SLANT / length * slant if length > 1e-3 else 0.0)
-    return cast("npt.NDArray[np.float64]", direction / np.linalg.norm(direction))
+    excess = float((weights * facing * np.abs(facing)).sum())
+    normals = np.array([normal, -normal] if abs(excess) < 0.1 else [np.sign(excess) * normal])
+    slants = _THREE_QUARTER - (normals @ _THREE_QUARTER)[:, None] * normals
+    directions = normals + _SLANT * slants / np.maximum(np.linalg.norm(slants, axis=1, keepdims=True), 1e-3)
+    return cast("npt.NDArray[np.float64]", directions / np.linalg.norm(directions, axis=1, keepdims=True))
+
+
+def best_direction(
+    directions: Floats, points: Floats, unlit: Callable[[Camera], Floats]
+) -> npt.NDArray[np.float64]:
+    """Choose the direction (3,) from which a model shows most detail; not the first only if clearly so.
+
+    points    (n, 3) of the model
+    unlit     makes its picture (height, width, 3) without light: sRGB values, NaN where it is not
+    """
+    details = []
+    for direction in directions if len(directions) > 1 else ():
+        picture = unlit(Camera.fitted(points, direction, size=(96, 96)))
+        details.append(sum(float(np.nansum(np.abs(np.diff(picture, axis=axis)))) for axis in (0, 1)))
+    clearly = [detail > _CLEARLY * details[0] for detail in details]
+    best: npt.NDArray[np.float64] = directions[int(np.argmax(details)) if any(clearly) else 0]
+    return best
+
+
+def _unlit_surface(surface: Surface, look: Look, camera: Camera) -> Floats:
+    picture = np.full((camera.height * camera.width, 3), np.nan)
+    for pixels, hits in _hits(surface, camera):
+        picture[pixels] = linear_to_srgb(look(hits)[:, :3])
+    return picture.reshape(camera.height, camera.width, 3)
+
+
+def _unlit_leaves(leaves: _Leaves, camera: Camera) -> Floats:
+    seen = rasterize_cubes(leaves.corners, leaves.edges, camera).cube
+    picture = np.full((*seen.shape, 3), np.nan)
+    picture[seen >= 0] = linear_to_srgb(leaves.colors[seen[seen >= 0], :3])
+    return picture
 
 
 def write_preview(
@@ -299,23 +329,26 @@ class _Panel(NamedTuple):
 def _model_panels(
     surface: Surface, texture: OctreeTexture | None, size: tuple[int, int], supersample: int, note: str
 ) -> list[_Panel]:
-    vertices = surface.vertices[np.unique(surface.triangles)]
-    direction = view_direction(*face_normals(surface.vertices, surface.triangles))
     looks = [source_look(surface)]
     captions = [(surface.name, f"source, {_count(len(surface.triangles), 'triangle')}")]
     if texture is not None:
         looks.append(texture_look(texture))
         captions.append(_texture_caption(texture, note))
-    camera = _panel_camera(vertices, direction, size, len(looks))
+    points = surface.vertices[np.unique(surface.triangles)]
+    directions = view_directions(*face_normals(surface.vertices, surface.triangles))
+    direction = best_direction(directions, points, partial(_unlit_surface, surface, looks[0]))
+    camera = _panel_camera(points, direction, size, len(looks))
     pictures = _render(surface, camera, looks, supersample)
     return [_Panel(picture, *caption) for picture, caption in zip(pictures, captions, strict=True)]
 
 
 def _leaf_panels(texture: OctreeTexture, size: tuple[int, int], supersample: int, note: str) -> list[_Panel]:
-    # Coarse cells are enough to find out where the model is and which way it faces.
-    coarse = _Leaves.of(texture.level(min(6, texture.tree.max_depth)))
-    corners = np.concatenate([coarse.corners, coarse.corners + coarse.edges[:, None]])
-    camera = _panel_camera(corners, view_direction(coarse.normals, coarse.edges**2), size, 2)
+    # Coarse cells are enough to find out where the model is and from where to look at it.
+    coarse = _Leaves.of(texture.level(min(7, texture.tree.max_depth)))
+    points = np.concatenate([coarse.corners, coarse.corners + coarse.edges[:, None]])
+    directions = view_directions(coarse.normals, coarse.edges**2)
+    direction = best_direction(directions, points, partial(_unlit_leaves, coarse))
+    camera = _panel_camera(points, direction, size, 2)
     level = _visible_level(texture, camera, pixels=10.0)
     title, subtitle = _texture_caption(texture, note)
     return [

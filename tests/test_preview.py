@@ -12,12 +12,13 @@ from octex.channels import decode, linear_to_srgb
 from octex.errors import ArgumentError, OutputError
 from octex.preview import (
     Hits,
+    best_direction,
     draw_preview,
     render,
     render_leaves,
     source_look,
     texture_look,
-    view_direction,
+    view_directions,
     write_preview,
 )
 from octex.source.surface import Surface
@@ -175,9 +176,10 @@ def test_leaves_show_the_colours_of_the_model(quarters, cubes):
 def test_leaves_are_drawn_no_finer_than_asked(quarters):
     _, texture = quarters
     camera = Camera.fitted(SQUARE, [0.0, 0.0, 1.0], size=(64, 64), margin=0.25)
-    root = render_leaves(texture, camera, level=0, cubes=True)
+    root = render_leaves(texture, camera, level=0, cubes=True, supersample=1)
     assert np.allclose(root[32, 32] / FRONT, 0.5, atol=0.02)
-    assert np.array_equal(render_leaves(texture, camera, level=9), render_leaves(texture, camera, level=5))
+    deep, finest = (render_leaves(texture, camera, level=level, supersample=1) for level in (9, 5))
+    assert np.array_equal(deep, finest)
 
 
 def test_a_far_camera_draws_coarse_leaves(quarters, monkeypatch):
@@ -190,48 +192,80 @@ def test_a_far_camera_draws_coarse_leaves(quarters, monkeypatch):
 
 def test_flat_models_are_seen_a_little_aslant_from_the_side_that_they_face():
     for normal in np.vstack([np.eye(3), -np.eye(3)]):
-        direction = view_direction(normal[None], np.ones(1))
+        (direction,) = view_directions(normal[None], np.ones(1))
         assert np.isclose(np.linalg.norm(direction), 1.0)
         assert 0.88 < direction @ normal < 0.95
 
 
-def test_flat_models_that_face_both_ways_are_seen_from_the_front():
+def test_flat_models_that_face_both_ways_are_seen_from_the_front_or_the_back():
     for axis in np.eye(3):
-        direction = view_direction(np.array([axis, -axis]), np.ones(2))
-        assert 0.88 < direction @ axis < 0.95
+        front, back = view_directions(np.array([axis, -axis]), np.ones(2))
+        assert 0.88 < front @ axis < 0.95
+        assert -0.95 < back @ axis < -0.88
 
 
 def test_a_flat_model_across_the_usual_direction_is_seen_along_it():
-    usual = view_direction(np.eye(3), np.ones(3))
-    assert np.allclose(view_direction(usual[None], np.ones(1)), usual)
+    usual = view_directions(np.eye(3), np.ones(3))[0]
+    assert np.allclose(view_directions(usual[None], np.ones(1)), usual)
 
 
-def test_other_models_are_seen_from_the_front_right_and_above():
-    direction = view_direction(np.vstack([np.eye(3), -np.eye(3)]), np.ones(6))
-    assert direction[2] > direction[0] > 0.0
-    assert direction[1] > 0.0
-    assert np.allclose(view_direction(np.zeros((1, 3)), np.zeros(1)), direction)
+def test_other_models_are_seen_from_above_and_first_from_the_front_right():
+    directions = view_directions(np.vstack([np.eye(3), -np.eye(3)]), np.ones(6))
+    assert directions[0, 2] > directions[0, 0] > 0.0
+    assert (directions[:, 1] > 0.0).all()
+    assert len(np.unique(np.sign(directions), axis=0)) == 4
+    assert np.array_equal(view_directions(np.zeros((1, 3)), np.zeros(1)), directions)
+
+
+@pytest.mark.parametrize(
+    ("front", "back", "seen"), [(20, 10, 1.0), (20, 21, 1.0), (20, 23, -1.0), (0, 1, -1.0)]
+)
+def test_a_model_is_seen_from_behind_only_if_that_shows_clearly_more_detail(front, back, seen):
+    def unlit(camera):
+        picture = np.zeros((camera.height, camera.width, 3))
+        picture[:10] = np.nan
+        picture[20, 2 : 2 + 2 * (front if camera.position[2] > 0.0 else back) : 2] = 1.0
+        return picture
+
+    directions = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    assert best_direction(directions, SQUARE, unlit)[2] == seen
+    assert best_direction(directions[:1], SQUARE, unlit)[2] == 1.0
+
+
+@pytest.mark.parametrize("kind", ["surface", "texture"])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_preview_shows_the_side_with_most_detail(kind, side):
+    # Two squares back to back, one grey, one in four quarters of black and white.
+    vertices = np.vstack([SQUARE, SQUARE - [0.0, 0.0, 0.4]]) * [1.0, 1.0, side]
+    triangles = np.vstack([TWO, TWO[:, ::-1] + 4])[:, :: int(side)]
+    image = np.full((16, 32), 128, np.uint8)
+    image[:, 16:] = np.kron(np.eye(2), np.ones((8, 8))) * 255
+    uv = np.vstack([SQUARE[:, :2], SQUARE[:, :2] + [1.0, 0.0]]) * [0.5, 1.0]
+    surface = Surface.from_arrays(vertices, triangles, uv=uv, image=image, filter="nearest", wrap="clamp")
+    things = (surface,) if kind == "surface" else (None, octex.convert(surface, depth=3))
+    picture = draw_preview(*things, size=(80, 64), supersample=1)
+    assert (picture[:40].max(axis=2) < 20).any()  # black
 
 
 def test_a_preview_shows_source_and_octree_side_by_side(quarters, tmp_path):
     surface, texture = quarters
     path = tmp_path / "preview.png"
-    write_preview(path, surface, texture, size=(240, 160), supersample=2)
+    write_preview(path, surface, texture, size=(160, 110), supersample=1)
     picture = np.asarray(Image.open(path)).astype(int)
-    assert picture.shape == (160, 240, 3)
+    assert picture.shape == (110, 160, 3)
     # Only in the cells along the edges of colours may the halves differ.
-    difference = np.abs(picture[:120, :120] - picture[:120, 120:]).max(axis=2)
+    difference = np.abs(picture[:80, :80] - picture[:80, 80:]).max(axis=2)
     assert np.mean(difference > 2) < 0.2
-    colors = {tuple(color > 100) for color in picture[:120, 120:].reshape(-1, 3)[::7]}
+    colors = {tuple(color > 100) for color in picture[:80, 80:].reshape(-1, 3)[::7]}
     assert {(True, False, False), (False, True, False), (False, False, True)} <= colors
 
 
 def test_a_preview_of_one_thing_shows_it_alone(quarters, tmp_path):
     surface, texture = quarters
     for name, things in (("surface", (surface,)), ("texture", (None, texture))):
-        write_preview(tmp_path / f"{name}.png", *things, size=(200, 120), supersample=1)
+        write_preview(tmp_path / f"{name}.png", *things, size=(100, 64), supersample=1)
         picture = np.asarray(Image.open(tmp_path / f"{name}.png"))
-        assert picture.shape == (120, 200, 3)
+        assert picture.shape == (64, 100, 3)
         red = (picture[..., 0] > 150) & (picture[..., 1] < 80)
         assert red.any()
 

@@ -177,14 +177,6 @@ class Camera:
             directions, axis=1, keepdims=True
         )
 
-    def view_directions(self, points: npt.ArrayLike) -> Floats:
-        """Return the unit directions (n, 3) in which the camera sees world points (n, 3)."""
-        points = as_points(points)
-        if self.projection == "orthographic":
-            return np.broadcast_to(self.world_to_camera[2, :3], points.shape)
-        directions = points - self.position
-        return cast(Floats, directions / np.linalg.norm(directions, axis=1, keepdims=True))
-
     def pixel_width(self, depth: npt.ArrayLike) -> Floats:
         """Return how wide a pixel is in the world, across the view, at depths of any shape."""
         focal = np.sqrt(self.K[0, 0] * self.K[1, 1])
