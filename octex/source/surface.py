@@ -13,7 +13,7 @@ from octex.channels import ChannelFormat, decode, srgb_to_linear
 from octex.checks import as_choice
 from octex.errors import ArgumentError, ModelError
 from octex.source.images import as_texels
-from octex.source.materials import AlphaMode, Corners, Material, MaterialSource, Source, Texture
+from octex.source.materials import ALPHA_MODES, AlphaMode, Corners, Material, MaterialSource, Source, Texture
 from octex.source.pyramid import WRAPS
 
 # Farther positions would overflow the squares of areas.
@@ -112,6 +112,8 @@ class Surface:
         elif face_colors is not None:
             rows = np.repeat(np.arange(len(faces), dtype=np.int32), 3).reshape(-1, 3)
             corners = Corners(linear_colors(face_colors, len(faces), "face_colors"), rows)
+        if len(factor) not in (3, 4):
+            raise ArgumentError(f"factor must be three or four numbers, not {factor!r}")
         full = (factor[0], factor[1], factor[2], factor[3] if len(factor) > 3 else 1.0)
         texture = coordinates = None
         if image is not None:
@@ -130,6 +132,7 @@ class Surface:
                 texture is not None and bool((texture.texels[..., 3] < 65535).any())
             )
             alpha = "blend" if translucent else "opaque"
+        as_choice(alpha, ALPHA_MODES, "alpha")
         material = Material(full, texture, alpha, cutoff)
         source = MaterialSource(
             [material],
