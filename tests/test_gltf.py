@@ -408,6 +408,21 @@ def test_what_the_file_says_of_its_origin_is_kept(tmp_path: Path) -> None:
     assert (provenance["copyright"], provenance["generator"]) == ("2002 Somebody", "by hand")
 
 
+def test_chunks_of_unknown_kinds_are_passed_over(tmp_path: Path) -> None:
+    path = textured_square(tmp_path / "a.glb", png(random_image(4, 4)))
+    data = path.read_bytes()
+    at = 20 + struct.unpack_from("<I", data, 12)[0]
+    data = data[:at] + struct.pack("<I4s", 4, b"ACME") + b"more" + data[at:]
+    path.write_bytes(data[:8] + struct.pack("<I", len(data)) + data[12:])
+    assert len(load_surface(path).triangles) == 2
+
+
+def test_primitives_without_triangles_are_passed_over(tmp_path: Path) -> None:
+    gltf = Gltf()
+    gltf.show(gltf.primitive(triangles=np.empty((0, 3), np.uint16)), gltf.primitive())
+    assert len(load_surface(gltf.save(tmp_path / "a.glb")).triangles) == 2
+
+
 def test_a_rest_mesh_lends_its_positions_and_needs_no_images(tmp_path: Path) -> None:
     posed = textured_square(tmp_path / "posed.glb", png(random_image(4, 4)))
     gltf = Gltf()

@@ -155,7 +155,7 @@ DEEP = png(random_image(8, 8, 3, "uint16"))
         (saved(PIL.Image.fromarray(np.ones((2, 2), np.float32)), "TIFF"), "depth"),
         (DEEP[:-40], "truncated"),
         (with_header(DEEP, height=9), "truncated"),
-        (with_header(DEEP, kind=3), r"cannot be read as an image|colour type"),
+        (with_header(DEEP, kind=3), "cannot be read as an image"),
         (DEEP.replace(b"IDAT", b"IDAT", 1)[:60] + b"!" + DEEP[61:], "checksum"),
         (png(random_image(2, 2, 3, "uint16"), filters=[0]).replace(b"IEND", b"IEND"), ""),
     ][:-1],

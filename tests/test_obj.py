@@ -296,6 +296,7 @@ def test_a_bad_model_is_refused_in_one_line_that_names_it(tmp_path: Path, lines:
         (WOOD, "f 1 2 3\n", ModelError, "textured faces without texture coordinates"),
         ("newmtl steel\n", FACES, ModelError, "uses the material wood, which a.mtl does not define"),
         ("newmtl wood\nmap_Kd gone.png\n", FACES, ImageError, "material wood: the image gone.png is missing"),
+        ("newmtl wood\nmap_Kd " + "a" * 300 + "\n", FACES, ImageError, "is missing"),
         ("newmtl wood\nmap_Kd a.mtl\n", FACES, ImageError, "material wood: a.mtl cannot be read as an image"),
         ("newmtl wood\nKd red\n", FACES, ModelError, "material wood: Kd is 'red'"),
         ("newmtl wood\nKd spectral file.rfl\n", FACES, ModelError, "material wood: Kd is"),

@@ -31,8 +31,6 @@ def decode_png16(data: bytes, name: str) -> npt.NDArray[np.uint16]:
     Raises ImageError for damaged data.
     """
     width, height, _, color_type, _, _, interlaced = struct.unpack_from(">IIBBBBB", data, 16)
-    if color_type not in _CHANNELS:
-        raise ImageError(f"{name}: a PNG image of 16 bits has no colour type {color_type}")
     channels = _CHANNELS[color_type]
     passes = _PASSES if interlaced else ((0, 0, 1, 1),)
     sizes = [(max(-(-(width - x) // dx), 0), max(-(-(height - y) // dy), 0)) for x, y, dx, dy in passes]

@@ -216,12 +216,9 @@ class Surface:
         values = self.evaluate_all(
             triangles, samples.barycentric, np.full(len(triangles), min(side, 1e30), np.float32)
         )
-        first = 0
-        for each in self.channels:
-            if each.name == channel:
-                break
-            first += each.components
-        return np.ascontiguousarray(values[:, first : first + each.components])
+        number = [each.name for each in self.channels].index(channel)
+        first = sum(each.components for each in self.channels[:number])
+        return np.ascontiguousarray(values[:, first : first + self.channels[number].components])
 
     def evaluate_all(
         self,
