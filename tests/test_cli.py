@@ -18,7 +18,6 @@ import octex
 from octex.cli.common import Reporter, bytes_text, check_outputs, run, say
 from octex.cli.convert import COMMAND, main, parser
 from octex.errors import ExitCode, InputError, ModelError, OutputError
-from tests.conftest import needs_jit
 
 HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.texture", "octex.tree")
 
@@ -226,8 +225,9 @@ def test_outputs_are_checked_before_any_work(tmp_path: Path) -> None:
         check("a.obj")
     with pytest.raises(InputError, match="OUTPUT0 has no ending"):
         check("a")
-    with pytest.raises(OutputError, match=r"folder\.octex: is a folder; give OUTPUT0 a file's name"):
-        check("folder.octex")
+    for folder in ("folder.octex", "."):
+        with pytest.raises(OutputError, match="is a folder; give OUTPUT0 a file's name"):
+            check(folder)
     with pytest.raises(OutputError, match=r"there is no folder .*nowhere; make it first"):
         check("nowhere/a.octex")
     with pytest.raises(OutputError, match=r"there\.octex: exists already; --force overwrites it"):
@@ -649,9 +649,11 @@ def test_a_file_that_cannot_be_read_is_not_a_broken_one(
         assert str(tmp_path) in refusal(capsys, word, tmp_path)
 
 
-@needs_jit
-def test_warming_up_says_how_long_it_took(capsys: pytest.CaptureFixture[str]) -> None:
+def test_warming_up_says_how_long_it_took(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert re.fullmatch(r"compiled and cached in \d+\.\d s\n", result(capsys, "--warm-up"))
+    monkeypatch.setattr("octex.cli.warm_up.warm_up", lambda _progress: None)
     assert result(capsys, "--warm-up", "--quiet") == ""
 
 

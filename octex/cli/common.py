@@ -246,12 +246,12 @@ def check_outputs(
     """
     taken = {_identity(path): "an input" for path in inputs}
     for path, endings, word in outputs:
+        if path.is_dir():
+            raise OutputError(f"{path}: is a folder; give {word} a file's name")
         known = list(endings)
         if path.suffix.lower() not in known:
             ending = f"the ending {path.suffix!r}" if path.suffix else "no ending"
             raise InputError(f"{path}: {word} has {ending}; octex writes {' and '.join(known)} here")
-        if path.is_dir():
-            raise OutputError(f"{path}: is a folder; give {word} a file's name")
         if not path.parent.is_dir():
             raise OutputError(f"{path}: there is no folder {path.parent}; make it first")
         other = taken.setdefault(_identity(path), word)
