@@ -161,12 +161,14 @@ class Reporter:
         if self._on_terminal:
             from tqdm import tqdm
 
+            columns, lines = shutil.get_terminal_size()
             self._bar = tqdm(
                 desc=stage,
                 total=1,
                 file=sys.stderr,
                 leave=False,
-                ncols=shutil.get_terminal_size().columns,
+                ncols=columns,
+                nrows=lines,
                 bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed} < {remaining}",
             )
 
