@@ -1,0 +1,1 @@
+"""The droid head: its solids, its unwrap, its paint, and the glTF that holds them."""
