@@ -187,6 +187,7 @@ BAD_PLY = {
     "not a list": (lambda t: edited(plain(t), b"list uchar int v", b"int v"), "no triangles"),
     "pairs": (lambda t: edited(plain(t), b"3 0 1 2\n3 0 2 3\n", b"2 0 1\n2 0 2\n"), "no triangles"),
     "index": (lambda t: edited(plain(t), b"3 0 2 3", b"3 0 2 4"), "a vertex that is not among the 4"),
+    "index of no number": (lambda t: edited(plain(t), b"3 0 2 3", b"3 0 2 nan"), "that is not among the 4"),
     "negative index": (lambda t: edited(plain(t), b"3 0 2 3", b"3 0 2 -1"), "a vertex that is not among"),
     "negative length": (
         lambda t: edited(edited(plain(t), b"3 0 2 3", b"-3 0 2 3"), b"uchar int", b"int int"),
@@ -294,13 +295,16 @@ def test_off_faces_have_colours_of_their_own_and_any_number_of_corners(tmp_path:
         ("OFF\n-3 1 0\n0 0 0\n", "is truncated"),
         ("OFF\n3 0 0\n0 0 0\n1 0 0\n0 1 0\n", "no triangles"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 zero\n3 0 1 2\n", "not numbers"),
-        ("OFF\n3 1 0\n0 0 0\n1 0\n0 1 0\n3 0 1 2\n", "not numbers"),
+        ("OFF\n3 1 0\n0 0 0\n1 0\n0 1 0\n3 0 1 2\n", "less than three numbers"),
+        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\nnan 0 1 2\n", "fewer corners"),
+        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 1.5\n", "not among the 3"),
+        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n1e300 0 1 2\n", "fewer corners"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1\n", "fewer corners than it says"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 3\n", "not among the 3"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 -1\n", "not among the 3"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n2 0 1\n", "no triangles"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 nan\n3 0 1 2\n", "not all finite"),
-        ("COFF\n3 1 0\n0 0 0 1 1 x\n1 0 0 1 1 1\n0 1 0 1 1 1\n3 0 1 2\n", "colour is not numbers"),
+        ("COFF\n3 1 0\n0 0 0 1 1 x\n1 0 0 1 1 1\n0 1 0 1 1 1\n3 0 1 2\n", "not numbers"),
     ],
 )
 def test_a_bad_off_file_is_refused_in_one_line_that_names_it(tmp_path: Path, text: str, message: str) -> None:
@@ -316,6 +320,15 @@ def test_stl_models_are_white(tmp_path: Path, ascii: bool) -> None:
     corners = surface.vertices[surface.triangles]
     np.testing.assert_array_equal(corners, SQUARE[SQUARE_TRIANGLES])
     assert (surface.evaluate(surface.scatter(5)) == 1).all()
+
+
+def test_damaged_normals_of_stl_models_are_passed_over_in_silence(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    path = stl(tmp_path / "a.stl", SQUARE, SQUARE_TRIANGLES, ascii=True)
+    assert len(load_surface(edited(path, b"normal 0 0 0", b"normal 0 x 0")).triangles) == 2
+    assert caplog.records == []
+    assert capfd.readouterr() == ("", "")
 
 
 def test_bad_stl_files_are_refused_in_one_line_that_names_them(tmp_path: Path) -> None:

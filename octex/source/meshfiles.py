@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import trimesh
 
 from octex.errors import ImageError, ModelError
 from octex.jit import kernel
@@ -21,6 +20,7 @@ from octex.source.images import decode_image
 from octex.source.materials import AlphaMode, Corners, Material, MaterialSource, Texture
 from octex.source.polygons import triangulate
 from octex.source.surface import Surface, flip_v, screen_colors
+from octex.source.text import parse_numbers, whole_numbers
 
 _PLY_TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
@@ -49,9 +49,16 @@ def load_off(path: Path, materials: bool = True) -> Surface:  # noqa: ARG001 (al
 
 def load_stl(path: Path, materials: bool = True) -> Surface:  # noqa: ARG001 (there are none)
     """Read an STL model, through trimesh; it is white. Raises ModelError."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        mesh = trimesh.load_mesh(io.BytesIO(path.read_bytes()), file_type="stl", process=False)
+    import trimesh  # takes a third of a second
+
+    log = trimesh.util.log
+    before, log.disabled = log.disabled, True  # it prints traces where normals are damaged
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            mesh = trimesh.load_mesh(io.BytesIO(path.read_bytes()), file_type="stl", process=False)
+    finally:
+        log.disabled = before
     if len(mesh.faces) == 0:
         raise _no_triangles(path.name)
     return _colored(path.name, np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int32), None)
@@ -145,12 +152,10 @@ class _Ply:
     def _read(self) -> dict[str, dict[str, _Values]]:
         """Read the properties of all elements up to the faces."""
         if self._ascii:
-            try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("error", DeprecationWarning)
-                    numbers = np.fromstring(self._body.decode("latin-1"), np.float64, sep=" ")
-            except (DeprecationWarning, ValueError):
-                raise ModelError(f"{self.name}: its data are not all numbers; export it again") from None
+            parsed = parse_numbers(self._body.decode("latin-1"))
+            if parsed is None:
+                raise ModelError(f"{self.name}: its data are not all numbers; export it again")
+            numbers = parsed
             available = len(numbers)
         else:
             numbers = np.empty(0, np.float64)
@@ -211,7 +216,7 @@ class _Ply:
         polygons = face.get("vertex_indices", face.get("vertex_index"))
         if polygons is None or polygons.sizes is None or len(polygons.sizes) == 0:
             raise _no_triangles(self.name)
-        indices, sizes = polygons.values.astype(np.int64), polygons.sizes
+        indices, sizes = whole_numbers(polygons.values), polygons.sizes
         if len(indices) and not 0 <= indices.min() <= indices.max() < len(positions):
             raise ModelError(f"{self.name}: a face uses a vertex that is not among the {len(positions)}")
         corners, faces = triangulate(positions, indices, sizes)
@@ -229,7 +234,7 @@ class _Ply:
         textures = [Texture(self._image(image)) for image in self.images]
         numbers = np.zeros(len(triangles), np.int32)
         if "texnumber" in face:
-            chosen = face["texnumber"].values.astype(np.int64)
+            chosen = whole_numbers(face["texnumber"].values)
             if not 0 <= chosen.min() <= chosen.max() < len(textures):
                 raise ModelError(
                     f"{self.name}: a face's texnumber is not among its {len(textures)} TextureFiles"
@@ -328,43 +333,52 @@ class _Off:
 
     def __init__(self, path: Path) -> None:
         self.name = path.name
-        lines = (line.partition("#")[0].split() for line in path.read_bytes().decode("latin-1").splitlines())
-        self._rows = [words for words in lines if words]
-        head = re.fullmatch(r"(ST)?(C)?(N)?(4)?(n)?OFF", self._rows[0][0]) if self._rows else None
+        lines = path.read_bytes().decode("latin-1").splitlines()
+        lines = [line.partition("#")[0] if "#" in line else line for line in lines]
+        lines = [line for line in lines if line and not line.isspace()]
+        first = lines.pop(0).split() if lines else [""]
+        head = re.fullmatch(r"(ST)?(C)?(N)?(4)?(n)?OFF", first[0])
         if head is None:
             raise ModelError(f"{self.name} is not an OFF file: its first word is not OFF")
-        if head[4] or head[5] or "BINARY" in self._rows[0]:
+        if head[4] or head[5] or "BINARY" in first:
             raise ModelError(f"{self.name} is a kind of OFF file that octex does not read; convert it to PLY")
         self._skip = 6 if head[3] else 3  # numbers before a vertex's colour
         self._tail = 2 if head[1] else 0
-        counts = self._rows.pop(0)[1:] or (self._rows.pop(0) if self._rows else [])
+        counts = first[1:] or (lines.pop(0).split() if lines else [])
         try:
-            self._vertices, self._faces = int(counts[0]), int(counts[1])
+            vertices, faces = int(counts[0]), int(counts[1])
         except (IndexError, ValueError):
             raise ModelError(f"{self.name}: the numbers of vertices and faces are missing") from None
-        if self._vertices < 0 or self._faces < 0 or self._vertices + self._faces > len(self._rows):
+        if vertices < 0 or faces < 0 or vertices + faces > len(lines):
             raise ModelError(f"{self.name} is truncated: it has fewer lines than vertices and faces")
+        self._vertices = self._rows(lines[:vertices])
+        self._faces = self._rows(lines[vertices : vertices + faces])
+
+    def _rows(self, lines: list[str]) -> _Rows:
+        counts = np.array([len(line.split()) for line in lines], np.int64)
+        values = parse_numbers(" ".join(lines))
+        if values is None or values.size != counts.sum():
+            raise ModelError(f"{self.name}: a vertex or a face is not numbers; export it again")
+        return _Rows(values, np.cumsum(counts) - counts, counts)
 
     def surface(self) -> Surface:
-        rows = self._rows[: self._vertices]
-        faces = self._rows[self._vertices : self._vertices + self._faces]
-        try:
-            positions = np.array([row[:3] for row in rows], np.float64).reshape(-1, 3)
-            sizes = np.array([row[0] for row in faces], np.int64)
-            corner_rows = [row[1 : 1 + size] for row, size in zip(faces, sizes.tolist(), strict=True)]
-            indices = np.array([index for row in corner_rows for index in row], np.int64)
-        except ValueError:
-            raise ModelError(f"{self.name}: a vertex or a face is not numbers; export it again") from None
-        if len(indices) != sizes.sum() or (sizes < 0).any():
+        vertices, faces = self._vertices, self._faces
+        if len(vertices.counts) and vertices.counts.min() < 3:
+            raise ModelError(f"{self.name}: a vertex has less than three numbers; export it again")
+        positions = vertices.values[vertices.starts[:, None] + np.arange(3)]
+        sizes = whole_numbers(faces.values[faces.starts])
+        if not ((sizes >= 0) & (sizes < faces.counts)).all():
             raise ModelError(f"{self.name}: a face has fewer corners than it says; export it again")
+        within = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+        indices = whole_numbers(faces.values[np.repeat(faces.starts + 1, sizes) + within])
         if len(indices) and not 0 <= indices.min() <= indices.max() < len(positions):
             raise ModelError(f"{self.name}: a face uses a vertex that is not among the {len(positions)}")
         corners, polygons = triangulate(positions, indices, sizes)
         triangles = indices[corners].astype(np.int32)
         if len(triangles) == 0:
             raise _no_triangles(self.name)
-        of_vertices = self._colors([row[self._skip : len(row) - self._tail] for row in rows])
-        of_faces = self._colors([row[1 + size :] for row, size in zip(faces, sizes.tolist(), strict=True)])
+        of_vertices = _off_colors(vertices, np.full(len(positions), self._skip), self._tail)
+        of_faces = _off_colors(faces, sizes + 1, 0)
         colors = None
         if of_vertices is not None:
             colors = Corners(of_vertices, triangles)
@@ -372,21 +386,29 @@ class _Off:
             colors = Corners(of_faces, np.repeat(polygons.astype(np.int32), 3).reshape(-1, 3))
         return _colored(self.name, positions, triangles, colors)
 
-    def _colors(self, rows: list[list[str]]) -> npt.NDArray[np.float32] | None:
-        """Return linear colours: whole numbers are 0 … 255, others 0 … 1; white for rows of less than three.
 
-        None if no row has a colour. One number alone is a place in a colour map that the file does not hold.
-        """
-        if not any(len(row) >= 3 for row in rows):
-            return None
-        full = [[*row[:4], "1"][:4] if len(row) == 3 else row[:4] if len(row) > 3 else None for row in rows]
-        is_real = any("." in word or "e" in word for row in full if row is not None for word in row)
-        white = ["1"] * 4 if is_real else ["255"] * 4
-        try:
-            values = np.array([white if row is None else row for row in full], np.float64)
-        except ValueError:
-            raise ModelError(f"{self.name}: a colour is not numbers; export it again") from None
-        if not is_real:
-            values /= 255.0
-            values[[row is not None and len(row) == 3 for row in rows], 3] = 1.0
-        return screen_colors(values)
+class _Rows(NamedTuple):
+    """Numbers by lines."""
+
+    values: npt.NDArray[np.float64]
+    starts: npt.NDArray[np.int64]
+    counts: npt.NDArray[np.int64]
+
+
+def _off_colors(rows: _Rows, skip: npt.NDArray[np.int64], tail: int) -> npt.NDArray[np.float32] | None:
+    """Return the linear colours after ``skip`` numbers of each row; white where less than three are left.
+
+    Values are 0 … 255 if any is above 1, else 0 … 1. One number alone is a place in a colour map that the
+    file does not hold. None if no row has a colour.
+    """
+    left = rows.counts - skip - tail
+    colored = left >= 3
+    if not colored.any():
+        return None
+    colors = np.full((len(left), 4), np.nan)
+    for column in range(4):
+        given = colored & (left > column)
+        colors[given, column] = rows.values[(rows.starts + skip)[given] + column]
+    if np.nanmax(colors) > 1.0:
+        colors /= 255.0
+    return screen_colors(np.where(np.isnan(colors), 1.0, colors))

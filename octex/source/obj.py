@@ -11,7 +11,6 @@ not opacity, d and Tr are.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from pathlib import Path, PureWindowsPath
 from typing import NamedTuple
@@ -27,6 +26,7 @@ from octex.source.materials import Corners, Material, MaterialSource, Texture
 from octex.source.polygons import triangulate
 from octex.source.pyramid import CLAMP, REPEAT
 from octex.source.surface import Surface, flip_v, screen_colors
+from octex.source.text import parse_numbers
 
 # How many words follow an option of a texture map; up to three numbers follow the last four.
 _OPTION_WORDS = {
@@ -143,7 +143,7 @@ def _numbers(rows: list[str], least: int, name: str, key: str) -> npt.NDArray[np
     if not rows:
         return np.empty((0, least), np.float64)
     columns = len(rows[0].split())
-    values = _parse(" ".join(rows))
+    values = parse_numbers(" ".join(rows))
     if values is None or values.size != columns * len(rows) or columns < least:
         counts = np.array([len(row.split()) for row in rows])
         if counts.min() < least:
@@ -152,23 +152,13 @@ def _numbers(rows: list[str], least: int, name: str, key: str) -> npt.NDArray[np
                 f"{name}: a line '{key} {short[:40]}' has too few numbers; export the model again"
             )
         if values is None or values.size != counts.sum():
-            broken = next(row for row in rows if _parse(row) is None)
+            broken = next(row for row in rows if parse_numbers(row) is None)
             raise ModelError(f"{name}: a line '{key} {broken[:40]}' is not numbers; export the model again")
         columns = int(counts.max())
         ragged = np.full((len(rows), columns), np.nan)
         ragged[np.arange(columns) < counts[:, None]] = values
         return ragged
     return values.reshape(-1, columns)
-
-
-def _parse(text: str) -> npt.NDArray[np.float64] | None:
-    """Parse numbers between blanks; None if there is anything else."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", DeprecationWarning)
-        try:
-            return np.fromstring(text, np.float64, sep=" ")
-        except (DeprecationWarning, ValueError):
-            return None
 
 
 def _faces(
@@ -345,7 +335,7 @@ def _describe(
 
 
 def _floats(text: str, most: int, what: str) -> list[float]:
-    values = _parse(text)
+    values = parse_numbers(text)
     if values is None or values.size == 0 or not np.isfinite(values).all():
         raise ModelError(f"{what} is '{text[:40]}', not numbers; octex reads RGB values")
     return [float(value) for value in values[:most]]
@@ -365,7 +355,7 @@ def _map(text: str) -> tuple[str, dict[str, list[str]]]:
         words: list[str] = []
         for _ in range(_OPTION_WORDS[option.lower()]):
             word, _, after = rest.lstrip().partition(" ")
-            if option.lower() in ("-o", "-s", "-t") and _parse(word) is None:
+            if option.lower() in ("-o", "-s", "-t") and parse_numbers(word) is None:
                 break
             words.append(word)
             rest = after

@@ -1,0 +1,24 @@
+"""Numbers in text files."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import numpy.typing as npt
+
+
+def parse_numbers(text: str) -> npt.NDArray[np.float64] | None:
+    """Return the numbers of a text that blanks and line ends part; None if there is anything else."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DeprecationWarning)
+        try:
+            return np.fromstring(text, np.float64, sep=" ")
+        except (DeprecationWarning, ValueError):
+            return None
+
+
+def whole_numbers(values: npt.NDArray[np.generic]) -> npt.NDArray[np.int64]:
+    """Return values as indices; −1 for those that are none."""
+    numbers = values.astype(np.float64)
+    return np.where((np.abs(numbers) < 2**31) & (numbers == np.floor(numbers)), numbers, -1).astype(np.int64)
