@@ -7,6 +7,7 @@ orientation tags are ignored, as glTF asks (3.9.2).
 from __future__ import annotations
 
 import io
+import logging
 import threading
 import warnings
 
@@ -20,9 +21,13 @@ from octex.source.png import SIGNATURE, decode_png16, is_png16, png_chunks
 #: The largest image that is read.
 MAX_TEXELS = 16384 * 16384
 
-# Deflate packs at most 1032 bytes into one, and PNG eight texels into a byte.
+# Deflate packs at most 1032 bytes into one, and PNG eight texels into a byte; other formats pack less, but
+# these may hold a plain image of any size in a few bytes.
 _MOST_PER_BYTE = 8256
+_DENSEST = ("WEBP", "AVIF", "JPEG2000")
 _KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"
+# What Pillow logs of damaged files, the errors here say.
+logging.getLogger("PIL").addHandler(logging.NullHandler())
 # Pillow's own limit on sizes is lower, and global.
 _pillow_limit = threading.Lock()
 
@@ -91,7 +96,7 @@ def _texels(image: PIL.Image.Image, data: bytes, name: str) -> npt.NDArray[np.ui
         raise ImageError(
             f"{name} has {width} × {height} texels; octex reads up to {MAX_TEXELS}: scale it down"
         )
-    if data[:8] == SIGNATURE and width * height > _MOST_PER_BYTE * len(data):
+    if data and image.format not in _DENSEST and width * height > _MOST_PER_BYTE * len(data):
         raise ImageError(f"{name} is truncated: it cannot hold {width} × {height} texels; save it again")
     if data[:8] == SIGNATURE:
         png_chunks(data, name)  # Pillow overlooks wrong checksums of texels

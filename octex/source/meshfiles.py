@@ -6,6 +6,7 @@ PLY is read here and not by trimesh, which knows no binary faces of mixed sizes 
 from __future__ import annotations
 
 import io
+import logging
 import re
 import warnings
 from pathlib import Path
@@ -21,6 +22,9 @@ from octex.source.materials import AlphaMode, Corners, Material, MaterialSource,
 from octex.source.polygons import triangulate
 from octex.source.surface import Surface, flip_v, screen_colors
 from octex.source.text import parse_numbers, whole_numbers
+
+# Keeps traces of damaged normals off the screen where no program asks for logs.
+_quiet = logging.NullHandler()
 
 _PLY_TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
@@ -51,14 +55,10 @@ def load_stl(path: Path, materials: bool = True) -> Surface:  # noqa: ARG001 (th
     """Read an STL model, through trimesh; it is white. Raises ModelError."""
     import trimesh  # takes a third of a second
 
-    log = trimesh.util.log
-    before, log.disabled = log.disabled, True  # it prints traces where normals are damaged
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            mesh = trimesh.load_mesh(io.BytesIO(path.read_bytes()), file_type="stl", process=False)
-    finally:
-        log.disabled = before
+    logging.getLogger("trimesh").addHandler(_quiet)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        mesh = trimesh.load_mesh(io.BytesIO(path.read_bytes()), file_type="stl", process=False)
     if len(mesh.faces) == 0:
         raise _no_triangles(path.name)
     return _colored(path.name, np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int32), None)
