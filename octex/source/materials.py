@@ -259,63 +259,79 @@ def _evaluate(
     widths: npt.NDArray[np.float32],
     values: npt.NDArray[np.float32],
 ) -> None:
+    # What a triangle's points share is loaded once for a run of them: a quarter off each read.
+    last = -1
+    has_colors = tables.colors.shape[0] > 0
+    columns = values.shape[1]
+    material = mode = wrap_u = wrap_v = 0
+    image = -1
+    nearest = False
+    u0 = u1 = u2 = v0 = v1 = v2 = major_u = major_v = major = minor = 0.0
+    base_red = base_green = base_blue = base_alpha = 0.0
     for i in range(len(triangles)):
-        triangle = triangles[i]
+        triangle = int(triangles[i])
+        if triangle != last:
+            last = triangle
+            material = int(tables.materials[triangle])
+            base_red = float(tables.factors[material, 0])
+            base_green = float(tables.factors[material, 1])
+            base_blue = float(tables.factors[material, 2])
+            base_alpha = float(tables.factors[material, 3])
+            mode = int(tables.alpha_modes[material])
+            image = int(tables.images[material])
+            if image >= 0:
+                r0 = int(tables.coordinate_rows[triangle, 0])
+                r1 = int(tables.coordinate_rows[triangle, 1])
+                r2 = int(tables.coordinate_rows[triangle, 2])
+                u0, v0 = float(tables.coordinates[r0, 0]), float(tables.coordinates[r0, 1])
+                u1, v1 = float(tables.coordinates[r1, 0]), float(tables.coordinates[r1, 1])
+                u2, v2 = float(tables.coordinates[r2, 0]), float(tables.coordinates[r2, 1])
+                wrap_u, wrap_v = int(tables.wraps[material, 0]), int(tables.wraps[material, 1])
+                nearest = tables.nearest[material]
+                major_u = float(footprints.major[triangle, 0])
+                major_v = float(footprints.major[triangle, 1])
+                major = float(footprints.lengths[triangle, 0])
+                minor = float(footprints.lengths[triangle, 1])
         b0, b1, b2 = barycentric[i, 0], barycentric[i, 1], barycentric[i, 2]
-        material = tables.materials[triangle]
-        red = np.float64(tables.factors[material, 0])
-        green = np.float64(tables.factors[material, 1])
-        blue = np.float64(tables.factors[material, 2])
-        alpha = np.float64(tables.factors[material, 3])
-        if tables.colors.shape[0] > 0:
+        red, green, blue, alpha = base_red, base_green, base_blue, base_alpha
+        if has_colors:
             colors = tables.colors
-            r0, r1, r2 = (
+            c0, c1, c2 = (
                 tables.color_rows[triangle, 0],
                 tables.color_rows[triangle, 1],
                 tables.color_rows[triangle, 2],
             )
-            red *= b0 * colors[r0, 0] + b1 * colors[r1, 0] + b2 * colors[r2, 0]
-            green *= b0 * colors[r0, 1] + b1 * colors[r1, 1] + b2 * colors[r2, 1]
-            blue *= b0 * colors[r0, 2] + b1 * colors[r1, 2] + b2 * colors[r2, 2]
-            alpha *= b0 * colors[r0, 3] + b1 * colors[r1, 3] + b2 * colors[r2, 3]
-        mode = tables.alpha_modes[material]
+            red *= b0 * colors[c0, 0] + b1 * colors[c1, 0] + b2 * colors[c2, 0]
+            green *= b0 * colors[c0, 1] + b1 * colors[c1, 1] + b2 * colors[c2, 1]
+            blue *= b0 * colors[c0, 2] + b1 * colors[c1, 2] + b2 * colors[c2, 2]
+            alpha *= b0 * colors[c0, 3] + b1 * colors[c1, 3] + b2 * colors[c2, 3]
         threshold = -1.0
         if mode == MASK:
             threshold = tables.cutoffs[material] / alpha if alpha > 0.0 else np.inf
         coverage = 1.0 if threshold <= 1.0 else 0.0
-        image = tables.images[material]
         if image >= 0:
-            coordinates = tables.coordinates
-            r0, r1, r2 = (
-                tables.coordinate_rows[triangle, 0],
-                tables.coordinate_rows[triangle, 1],
-                tables.coordinate_rows[triangle, 2],
-            )
-            width = np.float64(widths[i])
+            width = float(widths[i])
             r, g, b, read_coverage = read(
                 pyramids,
                 image,
-                b0 * coordinates[r0, 0] + b1 * coordinates[r1, 0] + b2 * coordinates[r2, 0],
-                b0 * coordinates[r0, 1] + b1 * coordinates[r1, 1] + b2 * coordinates[r2, 1],
-                tables.wraps[material, 0],
-                tables.wraps[material, 1],
-                tables.nearest[material],
+                b0 * u0 + b1 * u1 + b2 * u2,
+                b0 * v0 + b1 * v1 + b2 * v2,
+                wrap_u,
+                wrap_v,
+                nearest,
                 threshold,
-                width * footprints.major[triangle, 0],
-                width * footprints.major[triangle, 1],
-                width * footprints.lengths[triangle, 0],
-                width * footprints.lengths[triangle, 1],
+                width * major_u,
+                width * major_v,
+                width * major,
+                width * minor,
             )
-            red *= r
-            green *= g
-            blue *= b
+            red *= float(r)
+            green *= float(g)
+            blue *= float(b)
             if pyramids.translucent[image]:
                 coverage = float(read_coverage)
         values[i, 0] = red
         values[i, 1] = green
         values[i, 2] = blue
-        if values.shape[1] == 4:
-            if mode == BLEND:
-                values[i, 3] = alpha * coverage
-            else:
-                values[i, 3] = coverage
+        if columns == 4:
+            values[i, 3] = alpha * coverage if mode == BLEND else coverage
