@@ -1,17 +1,17 @@
 """OctreeTexture: a tree, channels of values and a placement; what everything else meets.
 
-In a file (see container for the bytes around it), with n cells and r rows in the split table:
+In a file (see container for the bytes around it), with n cells, s of them split, with r rows:
 
     tree/groups           U64 (⌈nodes / 8⌉, 3)       these five as tree/layout draws them
     tree/level_cells      I64 (max_depth + 2,)
     tree/level_nodes      I64 (max_depth + 2,)
     tree/flags            U8 (n,)
     tree/areas            U8 (n,)
-    split/cells           U32 (r,)                   the split table; absent without rows
-    split/facings         U8 (r,)
+    split/cells           U32 (s,)                   the split table; absent without split cells
+    split/facings         U8 (s,)
     split/areas           U8 (r,)
     channels/NAME         U8, U16, F16 or F32 (n, components)
-    split/channels/NAME   the same type (r, components); absent without rows
+    split/channels/NAME   the same type (r, components); likewise
 
     metadata              "format": "octex", "format_version": "1", and as JSON
     placement             {"origin": [x, y, z], "size": edge} of the root cell, in rest positions
@@ -185,7 +185,7 @@ class OctreeTexture:
         if as_depth(level, "level") >= self.tree.max_depth:
             return self
         tree = self.tree.truncated(level)
-        rows = tree.split.cells.size
+        rows = tree.split.areas.size
         channels = {
             name: Channel(form, values[: tree.n_cells], split_values[:rows])
             for name, (form, values, split_values) in self.channels.items()
@@ -243,7 +243,7 @@ class OctreeTexture:
             "cells": tree.n_cells,
             "leaves": tree.n_leaves,
             "nodes": tree.n_nodes,
-            "split_rows": tree.split.cells.size,
+            "split_cells": tree.split.cells.size,
             "levels": [
                 {"level": level, "leaves": leaves, "nodes": nodes}
                 for level, (leaves, nodes) in enumerate(tree.cells_by_depth())
@@ -357,7 +357,7 @@ def _check_channel(name: str, channel: Channel, tree: Octree) -> None:
     as_choice(form.dtype, ONE, f"dtype of channel {name!r}:")
     if not 1 <= form.components <= 4:
         raise ArgumentError(f"channel {name!r} must have 1 to 4 components, not {form.components}")
-    for array, rows in ((values, tree.n_cells), (split_values, tree.split.cells.size)):
+    for array, rows in ((values, tree.n_cells), (split_values, tree.split.areas.size)):
         expected = (rows, form.components)
         if array.shape != expected or array.dtype != form.dtype or not array.flags.c_contiguous:
             raise ArgumentError(

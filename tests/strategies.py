@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from octex.channels import COLOR_SPACES, ONE, ChannelFormat
 from octex.texture import Channel, OctreeTexture
-from octex.tree.layout import FACING_FLAGS, FACINGS, SPLIT, SplitTable
+from octex.tree.layout import FACING_FLAGS, SPLIT, SplitTable
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from tests import naive
@@ -81,13 +81,14 @@ def with_random_data(tree: Octree, seed: int) -> Octree:
             parents = np.searchsorted(codes[level], codes[level + 1] >> 3)
             np.bitwise_or.at(own, parents, flags[level_cells[level + 1] : level_cells[level + 2]])
     is_split = (random.random(tree.n_cells) < 0.3) & (flags > 0)
-    cells, facings = np.nonzero(is_split[:, None] & (flags[:, None] >> np.arange(FACINGS) & 1 == 1))
+    facings = flags[is_split]
+    rows = int(np.bitwise_count(facings).sum())
     split = SplitTable(
-        cells.astype(np.uint32),
-        facings.astype(np.uint8),
-        random.integers(0, 256, cells.size, dtype=np.uint8),
+        np.flatnonzero(is_split).astype(np.uint32),
+        facings,
+        random.integers(0, 256, rows, dtype=np.uint8),
     )
-    flags[split.cells] |= SPLIT
+    flags[is_split] |= SPLIT
     return tree.with_cell_data(flags, random.integers(0, 256, tree.n_cells, dtype=np.uint8), split)
 
 
@@ -112,7 +113,7 @@ def textures(draw: st.DrawFn, deepest: int = naive.MAX_DEPTH) -> OctreeTexture:
             draw(st.sampled_from(COLOR_SPACES)),
             draw(st.sampled_from(sorted(ONE))),
         )
-        rows = tree.split.cells.size
+        rows = tree.split.areas.size
         channels[form.name] = Channel(
             form,
             random_values((tree.n_cells, form.components), form.dtype, random),

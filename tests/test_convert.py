@@ -154,13 +154,22 @@ def test_a_sheet_keeps_a_value_for_each_side() -> None:
     texture.validate()
     split = texture.tree.split
     assert (texture.tree.arrays.flags & SPLIT).all()
-    assert np.array_equal(split.cells, np.repeat(np.arange(texture.tree.n_cells), 2))
-    assert np.array_equal(split.facings, np.tile([4, 5], texture.tree.n_cells))
+    assert np.array_equal(split.cells, np.arange(texture.tree.n_cells))
+    assert (split.facings == 0b110000).all()
     values = texture.channels["base_color"].split_values
     assert (values[0::2] == [255, 0, 0]).all()
     assert (values[1::2] == [0, 0, 255]).all()
     # Halfway in linear light is code 188.
     assert (texture.channels["base_color"].values == [188, 0, 188]).all()
+
+
+def test_a_sheet_of_one_colour_pays_nothing_for_its_sides() -> None:
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    triangles = np.array([[0, 1, 2], [0, 2, 3], [0, 2, 1], [0, 3, 2]], np.int32)
+    texture = octex.convert(Surface.from_arrays(square, triangles, colors=square), depth=4)
+    texture.validate()
+    assert (texture.tree.arrays.flags == 0b110000).all()
+    assert texture.tree.split.cells.size == 0
 
 
 def test_colours_are_averaged_with_coverage() -> None:

@@ -76,8 +76,8 @@ def test_a_truncated_tree_ends_in_the_nodes_of_its_last_level(leaves: Leaves, le
     short.validate()
     assert as_cells(short) == naive.truncated(as_cells(tree), level)
     assert np.array_equal(short.arrays.flags, tree.arrays.flags[: short.n_cells])
-    rows = int((tree.split.cells < short.n_cells).sum())
-    assert all(np.array_equal(a, b[:rows]) for a, b in zip(short.split, tree.split, strict=True))
+    assert np.array_equal(short.split.cells, tree.split.cells[tree.split.cells < short.n_cells])
+    assert all(np.array_equal(a, b[: a.size]) for a, b in zip(short.split, tree.split, strict=True))
 
 
 def test_a_truncated_tree_shares_its_cells_arrays() -> None:
@@ -174,8 +174,8 @@ def test_arrays_that_do_not_fit_together_are_refused(changes: dict[str, np.ndarr
 
 def test_a_split_table_of_unequal_columns_is_refused() -> None:
     tree = full_tree()
-    with pytest.raises(ArgumentError, match="split areas must have shape"):
-        Octree(tree.arrays, SplitTable(np.zeros(1, np.uint32), np.zeros(1, np.uint8), np.zeros(2, np.uint8)))
+    with pytest.raises(ArgumentError, match="split facings must have shape"):
+        Octree(tree.arrays, SplitTable(np.zeros(1, np.uint32), np.zeros(2, np.uint8), np.zeros(2, np.uint8)))
 
 
 # --- what validate finds
@@ -229,26 +229,25 @@ def test_validate_finds_nodes_whose_flags_are_not_their_childrens() -> None:
 
 
 @pytest.mark.parametrize(
-    ("cells", "facings", "message"),
+    ("cells", "facings", "rows", "message"),
     [
-        ([0, 99], [0, 0], "a row names a cell or a facing"),
-        ([0, 0], [0, 6], "a row names a cell or a facing"),
-        ([0, 0], [1, 0], "not sorted"),
-        ([0, 0], [0, 0], "not sorted"),
-        ([1, 0], [0, 0], "not sorted"),
-        ([0, 0], [0, 2], "not among its cell's flags"),
-        ([0, 1], [0, 0], "not those flagged as split"),
-        ([], [], "not those flagged as split"),
-        ([0, 0], [0, 1], ""),
+        ([0, 99], [3, 3], 4, "not those flagged as split"),
+        ([2, 0], [3, 3], 4, "not those flagged as split"),
+        ([0, 1], [3, 3], 4, "not those flagged as split"),
+        ([0], [3], 2, "not those flagged as split"),
+        ([], [], 0, "not those flagged as split"),
+        ([0, 2], [3, 1], 3, "facings are not its normal flags"),
+        ([0, 2], [3, 3], 3, "3 rows, but the facings number 4"),
+        ([0, 2], [3, 3], 4, ""),
     ],
 )
-def test_validate_checks_the_split_table(cells: list[int], facings: list[int], message: str) -> None:
+def test_validate_checks_the_split_table(
+    cells: list[int], facings: list[int], rows: int, message: str
+) -> None:
     tree = full_tree()
     flags = np.full(tree.n_cells, 0b11, np.uint8)
-    flags[0] |= SPLIT
-    split = SplitTable(
-        np.array(cells, np.uint32), np.array(facings, np.uint8), np.zeros(len(cells), np.uint8)
-    )
+    flags[[0, 2]] |= SPLIT
+    split = SplitTable(np.array(cells, np.uint32), np.array(facings, np.uint8), np.zeros(rows, np.uint8))
     tree = tree.with_cell_data(flags, tree.arrays.areas, split)
     if message:
         with pytest.raises(TextureFileError, match=message):

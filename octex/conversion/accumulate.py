@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.jit import inlined, kernel, popcount, trailing_zeros
-from octex.tree.layout import AREA_ONE, AREA_STEPS, POSITIVE_FACINGS, SPLIT
+from octex.jit import inlined, kernel, popcount
+from octex.tree.layout import AREA_ONE, AREA_STEPS, POSITIVE_FACINGS
 
 #: Where nothing covers a cell its colour is still the mean of what the source holds there.
 LEAST_COVERAGE = 2.0**-40
@@ -35,15 +35,13 @@ class Sums(NamedTuple):
 
 
 class Means(NamedTuple):
-    """What is stored of one level's cells; the last three have a row for each entry of a split cell."""
+    """Means and areas of one level's cells, and of each facing in cells that show both ways along an axis."""
 
-    flags: npt.NDArray[np.uint8]  # (cells,)   normal flags, and SPLIT
     values: npt.NDArray[np.float64]  # (cells, components)
     areas: npt.NDArray[np.uint8]  # (cells,)
-    split_cells: npt.NDArray[np.int64]  # (rows,)   index into the level's cells
-    split_facings: npt.NDArray[np.uint8]  # (rows,)
-    split_values: npt.NDArray[np.float64]  # (rows, components)
-    split_areas: npt.NDArray[np.uint8]  # (rows,)
+    two_sided: npt.NDArray[np.int64]  # (cells that show both ways,)   index into the level's cells
+    facing_values: npt.NDArray[np.float64]  # (their entries, components)
+    facing_areas: npt.NDArray[np.uint8]  # (their entries,)
 
 
 @kernel
@@ -129,29 +127,29 @@ def _store_mean(
 
 @kernel
 def level_means(level: Sums, alpha: int) -> Means:
-    """Divide the sums of a level; a cell that shows both ways along an axis is split."""
+    """Divide the sums of a level by its areas, coverage by coverage."""
     sums = level.sums
     components = sums.shape[1] - 1
     n_cells = level.codes.size
+    n_two_sided = 0
     n_rows = 0
     for i in range(n_cells):
         seen = np.int64(level.flags[i])
         if seen & (seen >> 1) & POSITIVE_FACINGS:
+            n_two_sided += 1
             n_rows += popcount(np.uint64(seen))
-    flags = np.empty(n_cells, np.uint8)
     values = np.empty((n_cells, components), np.float64)
     areas = np.empty(n_cells, np.uint8)
-    split_cells = np.empty(n_rows, np.int64)
-    split_facings = np.empty(n_rows, np.uint8)
-    split_values = np.empty((n_rows, components), np.float64)
-    split_areas = np.empty(n_rows, np.uint8)
+    two_sided = np.empty(n_two_sided, np.int64)
+    facing_values = np.empty((n_rows, components), np.float64)
+    facing_areas = np.empty(n_rows, np.uint8)
     total = np.empty((1, components + 1), np.float64)
     entry = 0
     row = 0
+    cell = 0
     for i in range(n_cells):
         seen = np.int64(level.flags[i])
         n_facings = popcount(np.uint64(seen))
-        flags[i] = seen
         if n_facings == 1:
             areas[i] = _coded_area(sums[entry, components])
             _store_mean(sums, entry, alpha, values, i)
@@ -164,17 +162,14 @@ def level_means(level: Sums, alpha: int) -> Means:
         areas[i] = _coded_area(total[0, components])
         _store_mean(total, 0, alpha, values, i)
         if seen & (seen >> 1) & POSITIVE_FACINGS:
-            flags[i] = seen | SPLIT
-            left = seen
+            two_sided[cell] = i
+            cell += 1
             for j in range(entry, entry + n_facings):
-                split_cells[row] = i
-                split_facings[row] = trailing_zeros(np.uint64(left))
-                split_areas[row] = _coded_area(sums[j, components])
-                _store_mean(sums, j, alpha, split_values, row)
-                left &= left - 1
+                facing_areas[row] = _coded_area(sums[j, components])
+                _store_mean(sums, j, alpha, facing_values, row)
                 row += 1
         entry += n_facings
-    return Means(flags, values, areas, split_cells, split_facings, split_values, split_areas)
+    return Means(values, areas, two_sided, facing_values, facing_areas)
 
 
 @kernel

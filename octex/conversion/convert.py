@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 import octex
-from octex.channels import ChannelFormat, encode
+from octex.channels import ONE, ChannelFormat, encode
 from octex.checks import as_depth
-from octex.conversion.accumulate import Means, Sums, count_entries, level_means, sum_children, sum_pieces
+from octex.conversion.accumulate import Sums, count_entries, level_means, sum_children, sum_pieces
 from octex.conversion.cells import BLOCK_BITS, GRID_BITS, SPREAD, load_triangle
 from octex.conversion.pieces import Blocks, bin_triangles, cut, most_pieces
 from octex.errors import ArgumentError, ModelError
@@ -24,7 +24,7 @@ from octex.parallel import Progress, ordered_map, silent, workers
 from octex.source.load import load_surface
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
-from octex.tree.layout import MAX_CELLS, SplitTable
+from octex.tree.layout import MAX_CELLS, SPLIT, SplitTable
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 
@@ -36,12 +36,12 @@ TASK_PIECES = 200_000
 class Stored(NamedTuple):
     """What is kept of one level's cells: means, encoded."""
 
-    flags: npt.NDArray[np.uint8]
+    flags: npt.NDArray[np.uint8]  # normal flags, and SPLIT
     areas: npt.NDArray[np.uint8]
     values: list[npt.NDArray[np.generic]]  # one array (cells, components) for each channel
     split_cells: npt.NDArray[np.int64]  # index into these cells
     split_facings: npt.NDArray[np.uint8]
-    split_areas: npt.NDArray[np.uint8]
+    split_areas: npt.NDArray[np.uint8]  # a row for each facing
     split_values: list[npt.NDArray[np.generic]]
 
 
@@ -82,7 +82,9 @@ def convert(
 
     A leaf is stored for exactly the cells that the surface meets at rest. Its value, and that of every node
     above, is the area-weighted mean of the source over the surface inside it, taken in linear light, colours
-    weighted by alpha too where the model has it (Benson & Davis 2002, 3.1, 3.5 and 5).
+    weighted by alpha too where the model has it (Benson & Davis 2002, 3.1, 3.5 and 5). A cell in which the
+    surface shows both ways along an axis keeps a mean for each facing too, if one differs from the whole by
+    more than 1/255.
 
     Raises ModelError and ImageError for a model that cannot be used, ArgumentError for a depth out of range,
     a cell too small, or more cells than can be numbered.
@@ -192,31 +194,39 @@ def _convert_run(job: Job, run: Run) -> Part:
 
 def _climb(sums: Sums, steps: int, channels: Sequence[ChannelFormat]) -> tuple[list[Stored], Sums]:
     """Store a level and the ``steps`` levels above it; return them, and the sums of the last."""
-    alpha = _alpha_column(channels)
-    levels = [_encoded(level_means(sums, alpha), channels)]
+    levels = [_stored(sums, channels)]
     for _ in range(steps):
         sums = sum_children(sums)
-        levels.append(_encoded(level_means(sums, alpha), channels))
+        levels.append(_stored(sums, channels))
     return levels, sums
 
 
-def _encoded(means: Means, channels: Sequence[ChannelFormat]) -> Stored:
-    values, split_values = [], []
+def _stored(level: Sums, channels: Sequence[ChannelFormat]) -> Stored:
+    """Encode a level's means; split the cells whose facings show something else than the whole."""
+    means = level_means(level, _alpha_column(channels))
+    cells, facing_areas = means.two_sided, means.facing_areas
+    counts = np.bitwise_count(level.flags[cells]).astype(np.int64)
+    owners = np.repeat(cells, counts)
+    values, facing_values = [], []
+    differs = np.zeros(len(owners), np.bool_)
     first = 0
     for channel in channels:
         part = slice(first, first + channel.components)
-        values.append(encode(means.values[:, part], channel.dtype, channel.space))
-        split_values.append(encode(means.split_values[:, part], channel.dtype, channel.space))
         first = part.stop
-    return Stored(
-        means.flags,
-        means.areas,
-        values,
-        means.split_cells,
-        means.split_facings,
-        means.split_areas,
-        split_values,
-    )
+        values.append(encode(means.values[:, part], channel.dtype, channel.space))
+        facing_values.append(encode(means.facing_values[:, part], channel.dtype, channel.space))
+        step = ONE[channel.dtype] / 255
+        apart = facing_values[-1].astype(np.float32) - values[-1][owners].astype(np.float32)
+        differs |= (np.abs(apart) > step).any(axis=1)
+    flags = level.flags
+    if len(cells):
+        is_split = np.logical_or.reduceat(differs, np.cumsum(counts) - counts)
+        rows = np.repeat(is_split, counts)
+        cells, facing_areas = cells[is_split], facing_areas[rows]
+        facing_values = [each[rows] for each in facing_values]
+        flags = flags.copy()
+        flags[cells] |= SPLIT
+    return Stored(flags, means.areas, values, cells, level.flags[cells], facing_areas, facing_values)
 
 
 def _assemble(

@@ -40,8 +40,7 @@ MAX_CELLS = 2**32 - 1
 
 # A cell's flags. Bits 0 to 5, the normal flags, say which ways the surface in the cell faces (paper 3.5.2):
 # the facing of a triangle is the axis direction nearest to its normal.
-FACING_NAMES = ("+x", "-x", "+y", "-y", "+z", "-z")
-FACINGS = 6
+# They are, from bit 0: +x −x +y −y +z −z.
 FACING_FLAGS = 0b111111
 KEPT = 0b1000000  # a node that keeps the coefficient of the leaf it once was
 SPLIT = 0b10000000  # a cell with a value per facing in the split table
@@ -69,11 +68,12 @@ class TreeArrays(NamedTuple):
 
 
 class SplitTable(NamedTuple):
-    """Values per facing of the cells flagged SPLIT: a row a (cell, facing), sorted by cell, then facing.
+    """Values per facing of the cells flagged SPLIT.
 
-    The values stand in the channels, row for row. A row's mean is over the surface in the cell that faces so.
+    A split cell has a row for each of its facings, cell after cell, in the order of the facings' bits. The
+    rows' values stand in the channels, row for row: means over the surface in the cell that faces so.
     """
 
-    cells: npt.NDArray[np.uint32]  # (rows,)
-    facings: npt.NDArray[np.uint8]  # (rows,)   0 … 5, index into FACING_NAMES
+    cells: npt.NDArray[np.uint32]  # (split cells,)   ascending
+    facings: npt.NDArray[np.uint8]  # (split cells,)   the cell's normal flags
     areas: npt.NDArray[np.uint8]  # (rows,)   coded like a cell's area

@@ -156,7 +156,9 @@ class Octree:
         _cut(groups, int(arrays.level_nodes[level - 1]) if level else 0, n_nodes)
         level_nodes = arrays.level_nodes[: level + 2].copy()
         level_nodes[-1] = n_nodes
-        rows = _rows_before(self.split.cells, n_cells)
+        n_split = _count_before(self.split.cells, n_cells)
+        facings = self.split.facings[:n_split]
+        rows = int(np.bitwise_count(facings).sum())
         return Octree(
             TreeArrays(
                 groups,
@@ -165,7 +167,7 @@ class Octree:
                 arrays.flags[:n_cells],
                 arrays.areas[:n_cells],
             ),
-            SplitTable(self.split.cells[:rows], self.split.facings[:rows], self.split.areas[:rows]),
+            SplitTable(self.split.cells[:n_split], facings, self.split.areas[:rows]),
         )
 
     def validate(self) -> None:
@@ -173,8 +175,8 @@ class Octree:
         check_meaning(self.arrays, self.split)
 
 
-def _rows_before(cells: npt.NDArray[np.uint32], end: int) -> int:
-    """Count the rows of cells before ``end``, without a look at the far end of a large file."""
+def _count_before(cells: npt.NDArray[np.uint32], end: int) -> int:
+    """Count the cells before ``end``, without a look at the far end of a large file."""
     bound = 1
     while bound < cells.size and cells[bound] < end:
         bound *= 2

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from octex.errors import ArgumentError, TextureFileError
 from octex.jit import kernel, popcount
-from octex.tree.layout import FACING_FLAGS, FACINGS, MAX_CELLS, MAX_DEPTH, SPLIT, SplitTable, TreeArrays
+from octex.tree.layout import FACING_FLAGS, MAX_CELLS, MAX_DEPTH, SPLIT, SplitTable, TreeArrays
 
 
 def check_layout(arrays: TreeArrays, split: SplitTable) -> None:
@@ -53,7 +53,6 @@ def check_layout(arrays: TreeArrays, split: SplitTable) -> None:
         ("flags", arrays.flags.shape, (int(arrays.level_cells[-1]),)),
         ("areas", arrays.areas.shape, (int(arrays.level_cells[-1]),)),
         ("split facings", split.facings.shape, split.cells.shape),
-        ("split areas", split.areas.shape, split.cells.shape),
     )
     for name, found, wanted in shapes:
         if found != wanted:
@@ -89,15 +88,13 @@ def _check_structure(arrays: TreeArrays) -> None:
 
 
 def _check_split(flags: npt.NDArray[np.uint8], split: SplitTable) -> None:
-    if split.cells.size and (split.cells.max() >= flags.size or split.facings.max() >= FACINGS):
-        raise TextureFileError("split table: a row names a cell or a facing that does not exist")
-    keys = split.cells.astype(np.int64) * FACINGS + split.facings
-    if (np.diff(keys) <= 0).any():
-        raise TextureFileError("split table: rows are not sorted by cell and facing")
-    if (flags[split.cells] >> split.facings & 1 == 0).any():
-        raise TextureFileError("split table: a row's facing is not among its cell's flags")
-    if not np.array_equal(np.unique(split.cells), np.flatnonzero(flags & SPLIT)):
-        raise TextureFileError("split table: the cells with rows are not those flagged as split")
+    if not np.array_equal(split.cells, np.flatnonzero(flags & SPLIT)):
+        raise TextureFileError("split table: its cells are not those flagged as split, in order")
+    if (flags[split.cells] & FACING_FLAGS != split.facings).any():
+        raise TextureFileError("split table: a cell's facings are not its normal flags")
+    rows = int(np.bitwise_count(split.facings).sum())
+    if rows != split.areas.size:
+        raise TextureFileError(f"split table: {split.areas.size} rows, but the facings number {rows}")
 
 
 @kernel
