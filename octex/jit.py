@@ -33,8 +33,8 @@ def inlined(function: Function) -> Function:
     """Compile ``function`` into the kernels that call it.
 
     For the small steps of a hot loop, where a call costs as much as the work. They must not create arrays:
-    without numba's runtime they count no references, which otherwise costs 100 to 200 ns a call with a tuple of
-    arrays (coherent lookups: 24 million a second instead of 4).
+    without numba's runtime they count no references, which otherwise costs 100 to 200 ns a call with a tuple
+    of arrays (coherent lookups: 24 million a second instead of 4).
     """
     return _compiled(function, forceinline=True, _nrt=False)
 
