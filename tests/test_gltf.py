@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 import struct
 from pathlib import Path
@@ -431,6 +432,8 @@ def test_a_rest_mesh_lends_its_positions_and_needs_no_images(tmp_path: Path) -> 
     rest = gltf.save(tmp_path / "rest.gltf")
     surface = load_surface(posed, rest=rest)
     np.testing.assert_allclose(surface.rest, surface.vertices * 3)
+    assert surface.provenance["rest"] == "rest.gltf"
+    assert surface.provenance["rest_sha256"] == hashlib.sha256(rest.read_bytes()).hexdigest()
     np.testing.assert_allclose(surface.bounds[1], [3, 3, 0])
     samples = surface.scatter(20)
     np.testing.assert_allclose(samples.rest, samples.points * 3)

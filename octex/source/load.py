@@ -50,6 +50,8 @@ def load_surface(path: str | Path, rest: str | Path | npt.ArrayLike | None = Non
                 f"({len(other.vertices)} vertices and {len(other.triangles)} triangles, "
                 f"{len(surface.vertices)} and {len(surface.triangles)}); both must list the same triangles"
             )
+        surface.provenance["rest"] = other.provenance["source"]
+        surface.provenance["rest_sha256"] = other.provenance["sha256"]
         rest = other.vertices
     return surface.with_rest(rest)
 
