@@ -76,9 +76,14 @@ def _read(path: Path, materials: bool) -> Surface:
         raise ModelError(f"{path.name} needs more memory than there is") from None
     except Exception as error:
         # Whatever a damaged file makes the parsers do, the user reads one line.
-        reason = " ".join(str(error).split())
-        raise ModelError(
-            f"{path.name} is malformed ({type(error).__name__}: {reason}); export it again"
-        ) from error
+        raise ModelError(f"{path.name} is malformed ({_reason(error)}); export it again") from error
     surface.provenance = {"source": path.name, "sha256": digest.hexdigest(), **surface.provenance}
     return surface
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, KeyError):
+        return f"{error} is missing or unknown"
+    if isinstance(error, (AttributeError, TypeError)):
+        return "a value has the wrong type"
+    return " ".join(str(error).split()) or type(error).__name__
