@@ -27,10 +27,10 @@ from .unwrap import Map
 
 SKULL, NECK, BODY, THIN = "skull", "neck", "body", "thin"
 MAPS = {  # the sizes in the paper's figure 6
-    SKULL: Map(1024, 512, 1590),
-    NECK: Map(256, 1024, 1670),
+    SKULL: Map(1024, 512, 1614),
+    NECK: Map(256, 1024, 1674),
     BODY: Map(256, 1024, 1320),
-    THIN: Map(128, 1024, 1208),
+    THIN: Map(128, 1024, 1212),
 }
 WORLD = np.eye(3, 4)
 HEAD = place((0, 0.520, 0.0), (0, -0.1, 0.995))  # the skull looks slightly down

@@ -208,6 +208,9 @@ class Assembly:
     def finish(self) -> Model:
         """Return the surface of the whole: nothing that lies inside is left."""
         whole = union([union(self.added) - union(self.cuts), *self.added_after]).simplify(2e-4)
+        whole = max(
+            whole.decompose(), key=Manifold.volume
+        )  # parts that share a face can leave flakes without volume
         mesh = whole.to_mesh64()
         vertex = np.arange(len(mesh.vert_properties))
         vertex[np.asarray(mesh.merge_from_vert, np.int64)] = np.asarray(mesh.merge_to_vert, np.int64)
