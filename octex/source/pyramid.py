@@ -5,7 +5,8 @@ linear alpha of 16 bits; each is decoded before anything is averaged. Colours ar
 weight and stored unmultiplied, so that the colour of a texel that covers nothing leaks nowhere.
 
 A level holds half the texels of the one below it, rounded down, in each direction; each texel is the exact
-mean over its area, for any size.
+mean over its area, for any size. Beyond the border of a clamped image a footprint so reads a margin of the
+image as wide as itself, not the border alone.
 """
 
 from __future__ import annotations
