@@ -99,6 +99,8 @@ class OctreeTexture:
         self.bounds = np.asarray(bounds, np.float64)
         self.metadata = MappingProxyType(dict(metadata or {}))
         self._file: _File | None = None
+        if not all(isinstance(text, str) for pair in self.metadata.items() for text in pair):
+            raise ArgumentError("metadata must map strings to strings")
         for name, channel in self.channels.items():
             _check_channel(name, channel, tree)
         if not np.isfinite(self.placement.origin).all() or not 0 < self.placement.size < math.inf:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 from collections.abc import Iterator
@@ -337,6 +338,12 @@ def test_processors_are_counted_where_affinity_is_unknown(monkeypatch: pytest.Mo
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
     monkeypatch.setattr(os, "cpu_count", lambda: None)
     assert parallel.cpu_count() == 1
+
+
+def test_memory_is_finite_or_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert parallel.memory_size() > 1e8
+    monkeypatch.delattr(os, "sysconf", raising=False)
+    assert parallel.memory_size() == math.inf
 
 
 def test_silence_is_a_progress() -> None:

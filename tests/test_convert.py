@@ -248,6 +248,13 @@ def test_a_rest_mesh_gives_the_texture_coordinates() -> None:
     assert np.array_equal(same.sample(samples.rest), texture.sample(samples.rest))
 
 
+def test_a_rest_mesh_of_a_surface_may_be_a_file(tmp_path: Path) -> None:
+    rest = off(tmp_path / "rest.off", TETRAHEDRON + 5, FACES)
+    texture = octex.convert(tetrahedron(), depth=4, rest=rest)
+    assert texture.contains(tetrahedron().scatter(100).rest + 5).all()
+    assert texture.metadata["rest"] == "rest.off"
+
+
 def test_progress_counts_every_stage_to_its_end() -> None:
     calls: list[tuple[str, int, int]] = []
     octex.convert(tetrahedron(), depth=5, progress=lambda *call: calls.append(call))
@@ -267,6 +274,14 @@ def test_depth_and_cell_exclude_each_other() -> None:
 def test_depths_out_of_range_are_refused(depth: int) -> None:
     with pytest.raises(ArgumentError, match="from 0 to 21"):
         octex.convert(tetrahedron(), depth=depth)
+
+
+def test_more_cells_than_fit_into_memory_are_refused_before_the_work(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(conversion, "memory_size", lambda: 2e9)
+    with pytest.raises(ArgumentError, match="more than fit into memory"):
+        octex.convert(tetrahedron(), depth=14)
 
 
 def test_more_cells_than_can_be_numbered_are_refused_before_the_work() -> None:

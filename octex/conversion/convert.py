@@ -20,8 +20,8 @@ from octex.conversion.cells import BLOCK_BITS, GRID_BITS, SPREAD, load_triangle
 from octex.conversion.pieces import Blocks, bin_triangles, cut, most_pieces
 from octex.errors import ArgumentError, ModelError
 from octex.jit import kernel
-from octex.parallel import Progress, ordered_map, silent, workers
-from octex.source.load import load_surface
+from octex.parallel import Progress, memory_size, ordered_map, silent, workers
+from octex.source.load import at_rest, load_surface
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import MAX_CELLS, SPLIT, SplitTable
@@ -29,6 +29,8 @@ from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 
 DEFAULT_DEPTH = 10
+#: Bytes of memory that a conversion takes for each cell, at its peak (measured: 27).
+CELL_MEMORY = 24
 #: Bound of the pieces in one task: enough to hide what a task costs, few enough to stay in the cache.
 TASK_PIECES = 200_000
 
@@ -95,7 +97,7 @@ def convert(
     if depth is not None:
         as_depth(depth)
     if isinstance(model, Surface):
-        surface = model if rest is None else model.with_rest(rest)  # type: ignore[arg-type]
+        surface = model if rest is None else at_rest(model, rest)
     else:
         report("read", 0, 1)
         surface = load_surface(model, rest=rest)
@@ -126,13 +128,15 @@ def _fill(
     degenerate, faces = _count_degenerate(grid, surface.triangles)
     if degenerate == len(surface.triangles):
         raise ModelError(
-            f"{surface.name}: all {degenerate} triangles are degenerate (without area); "
-            "there is nothing to convert"
+            f"{surface.name}: all {degenerate} triangles are degenerate (without area in steps of "
+            f"{placement.size / 2**GRID_BITS:.3g}); there is nothing to convert"
         )
-    if faces * 4.0 ** (depth - GRID_BITS) > MAX_CELLS:
+    # A surface meets at least as many cells as its area has faces, unless it is folded within them.
+    least = min(faces * 4.0 ** (depth - GRID_BITS), 8.0**depth)
+    if least > min(MAX_CELLS, memory_size() / CELL_MEMORY):
         raise ArgumentError(
-            f"depth {depth} needs more than {MAX_CELLS} cells for {surface.name}; "
-            "use a smaller depth or a larger cell"
+            f"depth {depth} needs about {least:.2g} cells for {surface.name}, more than fit into memory "
+            "or can be numbered; use a smaller depth or a larger cell"
         )
     report("sort", 0, 1)
     blocks = bin_triangles(grid, surface.triangles, depth)

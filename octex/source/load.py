@@ -36,24 +36,28 @@ def load_surface(path: str | Path, rest: str | Path | npt.ArrayLike | None = Non
 
     Raises ModelError or ImageError, with one line that names the file, the cause and the remedy.
     """
-    path = Path(path)
-    surface = _read(path, True)
-    if rest is None:
-        return surface
-    if isinstance(rest, (str, Path)):
-        other = _read(Path(rest), False)
-        if len(other.vertices) != len(surface.vertices) or not np.array_equal(
-            other.triangles, surface.triangles
-        ):
-            raise ModelError(
-                f"{Path(rest).name} is no rest mesh of {path.name}: the topology differs "
-                f"({len(other.vertices)} vertices and {len(other.triangles)} triangles, "
-                f"{len(surface.vertices)} and {len(surface.triangles)}); both must list the same triangles"
-            )
-        surface.provenance["rest"] = other.provenance["source"]
-        surface.provenance["rest_sha256"] = other.provenance["sha256"]
-        rest = other.vertices
-    return surface.with_rest(rest)
+    surface = _read(Path(path), True)
+    return surface if rest is None else at_rest(surface, rest)
+
+
+def at_rest(surface: Surface, rest: str | Path | npt.ArrayLike) -> Surface:
+    """Return the same surface at the rest positions of another model file or of an array.
+
+    Raises ModelError as ``load_surface`` does.
+    """
+    if not isinstance(rest, (str, Path)):
+        return surface.with_rest(rest)
+    other = _read(Path(rest), False)
+    if len(other.vertices) != len(surface.vertices) or not np.array_equal(other.triangles, surface.triangles):
+        raise ModelError(
+            f"{other.name} is no rest mesh of {surface.name}: the topology differs "
+            f"({len(other.vertices)} vertices and {len(other.triangles)} triangles, "
+            f"{len(surface.vertices)} and {len(surface.triangles)}); both must list the same triangles"
+        )
+    placed = surface.with_rest(other.vertices)
+    placed.provenance["rest"] = other.provenance["source"]
+    placed.provenance["rest_sha256"] = other.provenance["sha256"]
+    return placed
 
 
 def _read(path: Path, materials: bool) -> Surface:

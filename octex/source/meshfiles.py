@@ -56,9 +56,22 @@ def load_stl(path: Path, materials: bool = True) -> Surface:  # noqa: ARG001 (th
     import trimesh  # takes a third of a second
 
     logging.getLogger("trimesh").addHandler(_quiet)
+    data = path.read_bytes()
+    if len(data) != 84 + 50 * int.from_bytes(data[80:84], "little"):  # not of the binary kind
+        if b"endsolid" not in data.lower():
+            raise ModelError(f"{path.name} is truncated, or not an STL file; export it again")
+        # For text that is not UTF-8 trimesh asks a package that need not be there.
+        data = data.decode("latin-1").encode()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        mesh = trimesh.load_mesh(io.BytesIO(path.read_bytes()), file_type="stl", process=False)
+        # Else trimesh leaves out all that follows the first word that is no number.
+        warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)
+        try:
+            mesh = trimesh.load_mesh(io.BytesIO(data), file_type="stl", process=False)
+        except (DeprecationWarning, ValueError):
+            raise ModelError(
+                f"{path.name}: a facet's vertices are not three times three numbers; export it again"
+            ) from None
     if len(mesh.faces) == 0:
         raise _no_triangles(path.name)
     return _colored(path.name, np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int32), None)

@@ -16,8 +16,8 @@ from octex.source.images import as_texels
 from octex.source.materials import ALPHA_MODES, AlphaMode, Corners, Material, MaterialSource, Source, Texture
 from octex.source.pyramid import WRAPS
 
-# Farther positions would overflow the squares of areas.
-_FARTHEST = 1e75
+# Farther positions would overflow widths in single precision.
+_FARTHEST = 1e30
 
 
 class Samples(NamedTuple):
@@ -99,10 +99,8 @@ class Surface:
         Raises ModelError as the class does, ArgumentError for another shape or name, ImageError for an image
         that cannot be used.
         """
-        positions = _positions(np.asarray(vertices, np.float64), f"{name}: vertices")
-        placed = (
-            positions if rest is None else _positions(np.asarray(rest, np.float64), f"{name}: rest positions")
-        )
+        positions = _positions(vertices, f"{name}: vertices")
+        placed = positions if rest is None else _positions(rest, f"{name}: rest positions")
         faces = _triangles(np.asarray(triangles), len(positions), name)
         if colors is not None and face_colors is not None:
             raise ArgumentError("give colors per vertex or face_colors per triangle, not both")
@@ -123,6 +121,8 @@ class Surface:
                 WRAPS.index(as_choice(w, WRAPS, "wrap"))
                 for w in ((wrap, wrap) if isinstance(wrap, str) else wrap)
             ]
+            if len(wraps) != 2:
+                raise ArgumentError(f"wrap must be one name, or one for u and one for v, not {wrap!r}")
             nearest = as_choice(filter, ("linear", "nearest"), "filter") == "nearest"
             texture = Texture(as_texels(image), wraps[0], wraps[1], nearest)
             coordinates = _corner_coordinates(uv, faces, len(positions))
@@ -153,9 +153,9 @@ class Surface:
     def with_rest(self, rest: npt.ArrayLike) -> Surface:
         """Return the same surface at other rest positions (n, 3).
 
-        Raises ModelError for another number of them.
+        Raises ModelError for another number of them, or if they are not finite.
         """
-        positions = np.asarray(rest, np.float64)
+        positions = _positions(rest, f"{self.name}: rest positions")
         return Surface(
             self.vertices,
             self.triangles,
@@ -208,13 +208,13 @@ class Surface:
         triangles = np.asarray(samples.triangles)
         if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(self.triangles):
             raise ArgumentError(f"samples name triangles that {self.name} does not have")
-        if not np.isfinite(samples.barycentric).all():
-            raise ArgumentError("samples have barycentric coordinates that are not finite")
+        if not (np.abs(samples.barycentric) <= _FARTHEST).all():
+            raise ArgumentError(f"samples have barycentric coordinates that are not below {_FARTHEST:g}")
         side = 0.0 if width is None else width
         if not 0 <= side < np.inf:
             raise ArgumentError(f"width must be finite and not negative, not {side!r}")
         values = self.evaluate_all(
-            triangles, samples.barycentric, np.full(len(triangles), min(side, 1e30), np.float32)
+            triangles, samples.barycentric, np.full(len(triangles), min(side, _FARTHEST), np.float32)
         )
         number = [each.name for each in self.channels].index(channel)
         first = sum(each.components for each in self.channels[:number])
@@ -294,8 +294,11 @@ def flip_v(uv: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
     return flipped
 
 
-def _positions(positions: npt.NDArray[np.float64], what: str) -> npt.NDArray[np.float64]:
-    array = np.ascontiguousarray(positions, np.float64)
+def _positions(positions: npt.ArrayLike, what: str) -> npt.NDArray[np.float64]:
+    try:
+        array = np.ascontiguousarray(positions, np.float64)
+    except (TypeError, ValueError):
+        raise ModelError(f"{what} must be numbers of shape (n, 3)") from None
     if array.ndim != 2 or array.shape[1] != 3:
         raise ModelError(f"{what} must have shape (n, 3), not {array.shape}")
     usable = (np.abs(array) <= _FARTHEST).all(axis=1)
