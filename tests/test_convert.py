@@ -249,10 +249,12 @@ def test_a_rest_mesh_gives_the_texture_coordinates() -> None:
 
 
 def test_a_rest_mesh_of_a_surface_may_be_a_file(tmp_path: Path) -> None:
-    rest = off(tmp_path / "rest.off", TETRAHEDRON + 5, FACES)
-    texture = octex.convert(tetrahedron(), depth=4, rest=rest)
+    lines = [f"v {x} {y} {z}" for x, y, z in (TETRAHEDRON + 5).tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (FACES + 1).tolist()]
+    (tmp_path / "rest.obj").write_text("\n".join(lines))
+    texture = octex.convert(tetrahedron(), depth=4, rest=tmp_path / "rest.obj")
     assert texture.contains(tetrahedron().scatter(100).rest + 5).all()
-    assert texture.metadata["rest"] == "rest.off"
+    assert texture.metadata["rest"] == "rest.obj"
 
 
 def test_progress_counts_every_stage_to_its_end() -> None:

@@ -325,6 +325,13 @@ def test_stl_models_are_white(tmp_path: Path, ascii: bool) -> None:
     assert (surface.evaluate(surface.scatter(5)) == 1).all()
 
 
+def test_names_in_stl_text_may_be_in_any_encoding(tmp_path: Path) -> None:
+    path = stl(tmp_path / "a.stl", SQUARE, SQUARE_TRIANGLES, ascii=True)
+    for name in ("Körper".encode("latin-1"), "Körper".encode()):
+        path.write_bytes(path.read_bytes().replace(b"solid a\n", b"solid " + name + b"\n"))
+        assert len(load_surface(path).triangles) == 2
+
+
 def test_nothing_is_printed_of_what_other_libraries_log(tmp_path: Path) -> None:
     path = stl(tmp_path / "a.stl", SQUARE, SQUARE_TRIANGLES, ascii=True)
     edited(path, b"normal 0 0 0", b"normal 0 x 0")
@@ -349,13 +356,17 @@ def test_nothing_is_printed_of_what_other_libraries_log(tmp_path: Path) -> None:
 def test_bad_stl_files_are_refused_in_one_line_that_names_them(tmp_path: Path) -> None:
     path = tmp_path / "bad.stl"
     whole = stl(path, SQUARE, SQUARE_TRIANGLES).read_bytes()
+    text = stl(path, SQUARE, SQUARE_TRIANGLES, ascii=True).read_bytes()
     broken = np.where(SQUARE == 1, np.float32(np.nan), SQUARE)
     for data, message in (
         (b"", "is empty"),
-        (whole[:-10], "malformed|no triangles"),
-        (whole[:80] + bytes(4), "no triangles|malformed"),
-        (b"solid a\nendsolid a\n", "no triangles|malformed"),
-        (png(random_image(4, 4)), "malformed|no triangles"),
+        (whole[:-10], "is truncated, or not an STL file"),
+        (whole[:80] + bytes(4), "no triangles"),
+        (b"solid a\nendsolid a\n", "no triangles"),
+        (png(random_image(4, 4)), "is truncated, or not an STL file"),
+        (text.replace(b"vertex 1.0", b"vertex one", 1), "not three times three numbers"),
+        (text.replace(b"vertex 1.0 ", b"vertex ", 1), "not three times three numbers"),
+        (text[:-10], "is truncated, or not an STL file"),
         (stl(path, broken, SQUARE_TRIANGLES).read_bytes(), "not all finite"),
     ):
         path.write_bytes(data)

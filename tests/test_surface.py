@@ -202,7 +202,9 @@ def test_broken_geometry_is_refused(vertices: Any, triangles: Any, message: str)
         ({"image": random_image(2, 2), "uv": SQUARE_UV, "wrap": "fold"}, ArgumentError, "unknown wrap"),
         ({"image": random_image(2, 2), "uv": SQUARE_UV, "filter": "sharp"}, ArgumentError, "unknown filter"),
         ({"image": np.zeros((2, 2)), "uv": SQUARE_UV}, ImageError, "uint8 or uint16"),
+        ({"image": random_image(2, 2), "uv": SQUARE_UV, "wrap": ("clamp",)}, ArgumentError, "wrap must be"),
         ({"rest": np.zeros((3, 3))}, ModelError, "3 rest positions for 4 vertices"),
+        ({"rest": [[0, 0, 0], [1]]}, ModelError, r"rest positions must be numbers of shape \(n, 3\)"),
         ({"rest": np.full((4, 3), np.nan)}, ModelError, "rest positions are not all finite"),
         ({"alpha": "glass"}, ArgumentError, "unknown alpha"),
         ({"factor": (1, 1)}, ArgumentError, "factor must be three or four numbers"),
@@ -231,10 +233,24 @@ def test_lookups_of_what_is_not_there_are_refused() -> None:
         other = samples._replace(triangles=np.full(3, number))
         with pytest.raises(ArgumentError, match="triangles that surface does not have"):
             surface.evaluate(other)
-    with pytest.raises(ArgumentError, match="barycentric coordinates that are not finite"):
-        surface.evaluate(samples._replace(barycentric=np.full((3, 3), np.nan)))
+    for far in (np.nan, np.inf, 1e300):
+        with pytest.raises(ArgumentError, match="barycentric coordinates that are not below 1e"):
+            surface.evaluate(samples._replace(barycentric=np.full((3, 3), far)))
     with pytest.raises(ModelError, match="3 rest positions for 4 vertices"):
         surface.with_rest(np.zeros((3, 3)))
+
+
+@pytest.mark.parametrize("size", [1e-10, 1e29])
+def test_surfaces_may_be_tiny_and_huge(size: float) -> None:
+    image = random_image(8, 8)
+    usual = square(image=image, uv=SQUARE_UV)
+    scaled = Surface.from_arrays(SQUARE * size, SQUARE_TRIANGLES, image=image, uv=SQUARE_UV)
+    samples = usual.scatter(20)
+    for width in (0.0, 0.2):
+        expected = usual.evaluate(samples, width=width)
+        np.testing.assert_allclose(scaled.evaluate(samples, width=width * size), expected, atol=1e-6)
+    with pytest.raises(ModelError, match=r"not all finite \(and below 1e\+30\)"):
+        Surface.from_arrays(SQUARE * 1e31, SQUARE_TRIANGLES)
 
 
 def test_a_sample_is_a_point_a_rest_position_a_normal_and_a_place() -> None:

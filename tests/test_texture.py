@@ -199,6 +199,12 @@ def test_values_of_split_rows_that_do_not_exist_are_refused() -> None:
         eight_colors(channels={"base_color": Channel(BASE_COLOR, values, values)})
 
 
+@pytest.mark.parametrize("metadata", [{"depth": 1}, {1: "depth"}])
+def test_metadata_that_are_not_texts_are_refused(metadata: dict[Any, Any]) -> None:
+    with pytest.raises(ArgumentError, match="metadata must map strings to strings"):
+        eight_colors(metadata=metadata)
+
+
 @pytest.mark.parametrize(
     "placement", [Placement((0, 0, np.nan), 1), Placement((0, 0, 0), 0), Placement((0, 0, 0), np.inf)]
 )
