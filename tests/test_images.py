@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import io
 import struct
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +15,9 @@ import PIL.Image
 import pytest
 
 from octex.errors import ImageError
+from octex.source.alone import alone
 from octex.source.images import MAX_TEXELS, as_texels, decode_image
+from octex.source.text import parse_numbers
 from tests.fixtures import _chunk, png, random_image
 
 
@@ -228,3 +233,15 @@ def test_the_png_suite_is_read_like_pillow_reads_it_and_its_broken_files_are_ref
             assert abs(difference).max() <= (1 if data[24] == 16 else 0), path.name
         read += 1
     assert read > 150
+
+
+def test_threads_change_the_warning_filters_one_at_a_time() -> None:
+    before = list(warnings.filters)
+    for read in (partial(parse_numbers, "1 2 x"), partial(decode_image, png(random_image(4, 4)), "a")):
+        with ThreadPoolExecutor(1) as pool:
+            with alone():
+                other = pool.submit(read)
+                with pytest.raises(TimeoutError):
+                    other.result(timeout=0.02)
+            other.result()
+    assert list(warnings.filters) == before

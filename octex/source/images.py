@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import logging
-import threading
 import warnings
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy.typing as npt
 import PIL.Image
 
 from octex.errors import ImageError
+from octex.source.alone import alone
 from octex.source.png import SIGNATURE, decode_png16, is_png16, png_chunks
 
 #: The largest image that is read.
@@ -28,8 +28,6 @@ _DENSEST = ("WEBP", "AVIF", "JPEG2000")
 _KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"
 # What Pillow logs of damaged files, the errors here say.
 logging.getLogger("PIL").addHandler(logging.NullHandler())
-# Pillow's own limit on sizes is lower, and global.
-_pillow_limit = threading.Lock()
 
 
 def decode_image(data: bytes, name: str) -> npt.NDArray[np.uint16]:
@@ -41,7 +39,7 @@ def decode_image(data: bytes, name: str) -> npt.NDArray[np.uint16]:
     if data.startswith(_KTX2):
         raise ImageError(f"{name} is a KTX2 texture, which octex does not decode; convert it to PNG first")
     try:
-        with warnings.catch_warnings():
+        with alone():
             warnings.simplefilter("ignore")
             with _open(data) as image:
                 return _texels(image, data, name)
@@ -81,13 +79,12 @@ def as_texels(image: npt.ArrayLike | PIL.Image.Image) -> npt.NDArray[np.uint16]:
 
 
 def _open(data: bytes) -> PIL.Image.Image:
-    with _pillow_limit:
-        before = PIL.Image.MAX_IMAGE_PIXELS
-        PIL.Image.MAX_IMAGE_PIXELS = None
-        try:
-            return PIL.Image.open(io.BytesIO(data))
-        finally:
-            PIL.Image.MAX_IMAGE_PIXELS = before
+    before = PIL.Image.MAX_IMAGE_PIXELS  # Pillow's own limit on sizes is lower, and global
+    PIL.Image.MAX_IMAGE_PIXELS = None
+    try:
+        return PIL.Image.open(io.BytesIO(data))
+    finally:
+        PIL.Image.MAX_IMAGE_PIXELS = before
 
 
 def _texels(image: PIL.Image.Image, data: bytes, name: str) -> npt.NDArray[np.uint16]:

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from octex.errors import ImageError, ModelError
 from octex.jit import kernel
+from octex.source.alone import alone
 from octex.source.images import decode_image
 from octex.source.materials import AlphaMode, Corners, Material, MaterialSource, Texture
 from octex.source.polygons import triangulate
@@ -62,7 +63,7 @@ def load_stl(path: Path, materials: bool = True) -> Surface:  # noqa: ARG001 (th
             raise ModelError(f"{path.name} is truncated, or not an STL file; export it again")
         # For text that is not UTF-8 trimesh asks a package that need not be there.
         data = data.decode("latin-1").encode()
-    with warnings.catch_warnings():
+    with alone():
         warnings.simplefilter("ignore")
         # Else trimesh leaves out all that follows the first word that is no number.
         warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)

@@ -7,10 +7,12 @@ import warnings
 import numpy as np
 import numpy.typing as npt
 
+from octex.source.alone import alone
+
 
 def parse_numbers(text: str) -> npt.NDArray[np.float64] | None:
     """Return the numbers of a text that blanks and line ends part; None if there is anything else."""
-    with warnings.catch_warnings():
+    with alone():
         warnings.simplefilter("error", DeprecationWarning)
         try:
             return np.fromstring(text, np.float64, sep=" ")
