@@ -214,6 +214,8 @@ class _Leaves(NamedTuple):
             normals = estimate_normals(texture.tree.arrays, cells, codes, depths)
             colors = np.hstack([decode(channel.values[cells], channel.format.space) for channel in channels])
             blocks.append((corners, edges * texture.placement.size, normals, colors))
+        if not blocks:
+            raise ArgumentError("the texture has no leaves to draw")
         return cls(*(np.concatenate(parts) for parts in zip(*blocks, strict=True)))
 
 
@@ -309,7 +311,7 @@ def draw_preview(
     supersample    samples along each side of a pixel
     note           what else the caption should say of the octree
 
-    Raises ArgumentError for neither a surface nor a texture, or if there is no base colour to show.
+    Raises ArgumentError for neither a surface nor a texture, or if there is no leaf or base colour to show.
     """
     if surface is not None:
         panels = _model_panels(surface, texture, size, supersample, note)

@@ -8,7 +8,7 @@ from PIL import Image
 
 import octex
 from octex import preview
-from octex.channels import decode, linear_to_srgb
+from octex.channels import BASE_COLOR, decode, linear_to_srgb
 from octex.errors import ArgumentError, OutputError
 from octex.preview import (
     Hits,
@@ -22,6 +22,9 @@ from octex.preview import (
     write_preview,
 )
 from octex.source.surface import Surface
+from octex.texture import Channel, OctreeTexture
+from octex.tree.octree import Octree
+from octex.tree.placement import Placement
 from octex.view.camera import Camera
 from octex.view.shading import background, light
 
@@ -312,3 +315,11 @@ def test_a_preview_of_nothing_is_refused(tmp_path):
 def test_a_texture_without_base_colour_is_refused():
     with pytest.raises(ArgumentError, match="unknown channel 'base_color'; there are: height"):
         texture_look(SimpleNamespace(channels={"height": None}))
+
+
+def test_a_texture_without_leaves_is_refused():
+    tree = Octree.from_leaves([], 0)
+    channel = Channel(BASE_COLOR, np.zeros((1, 3), np.uint8), np.zeros((0, 3), np.uint8))
+    empty = OctreeTexture(tree, {"base_color": channel}, Placement((0, 0, 0), 1), [[0, 0, 0], [1, 1, 1]])
+    with pytest.raises(ArgumentError, match="no leaves to draw"):
+        draw_preview(None, empty)
