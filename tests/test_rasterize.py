@@ -212,7 +212,7 @@ def test_a_huge_triangle_covers_the_picture():
 
 def test_supersampling_is_a_larger_picture():
     positions = np.array([[0.0, 0.0, 1.0], [7.0, 1.0, 2.0], [2.0, 8.0, 3.0]])
-    fine = rasterize(positions, [[0, 1, 2]], _screen_camera(8, 8), supersample=3)
+    fine = rasterize(positions, [[0, 1, 2]], _screen_camera(8, 8).scaled(3))
     assert fine.triangle.shape == (24, 24)
     # The middle one of nine samples is the pixel's centre.
     assert np.array_equal(

@@ -39,14 +39,12 @@ class Buffers(NamedTuple):
     depth: Floats  # (height, width)      along the camera's axis; inf where there is none
 
 
-def rasterize(
-    positions: npt.ArrayLike, triangles: npt.ArrayLike, camera: Camera, supersample: int = 1
-) -> Buffers:
+def rasterize(positions: npt.ArrayLike, triangles: npt.ArrayLike, camera: Camera) -> Buffers:
     """Find the triangle seen at the centre of every pixel.
 
-    positions      (n, 3), in the world
-    triangles      (m, 3) numbers of positions; either side is seen; those without area are not
-    supersample    samples along each side of a pixel: the buffers are that many times larger each way
+    positions    (n, 3), in the world
+    triangles    (m, 3) numbers of positions; either side is seen; those without area are not
+    camera       for several samples a pixel, ``camera.scaled``
 
     A centre on the edge between two triangles belongs to exactly one of them (the top-left rule), whether
     they share the edge's vertices or only positions. Of triangles at the same depth the first is seen. What
@@ -64,7 +62,6 @@ def rasterize(
         )
     if corners.size and not (corners.min() >= 0 and corners.max() < len(positions)):
         raise ArgumentError(f"triangles must number vertices from 0 to {len(positions) - 1}")
-    camera = camera.scaled(supersample)
     shape = camera.height, camera.width
     buffers = Buffers(np.full(shape, -1, np.int32), np.zeros((*shape, 3), np.float32), np.full(shape, np.inf))
     screen, snapped = _to_screen(positions, camera.matrix)
