@@ -251,8 +251,8 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path, monkeypatch:
         (999, "999 bytes"),
         (1000, "1 kB"),
         (1_234_567, "1.23 MB"),
-        (999_900_000, "1000 MB"),
-        (5 * 10**15, "5000 TB"),
+        (999_900_000, "1 GB"),
+        (5 * 10**15, "5 PB"),
     ],
 )
 def test_bytes_are_readable(count: int, text: str) -> None:

@@ -275,15 +275,10 @@ def _identity(path: Path) -> tuple[int, int] | Path:
 
 def bytes_text(number: int) -> str:
     """Return a number of bytes as a person reads it."""
-    size, unit = float(number), "bytes"
-    for larger in ("kB", "MB", "GB", "TB"):
-        if size < 1000:
-            break
-        size, unit = size / 1000, larger
-    return (
-        f"{number} bytes"
-        if unit == "bytes"
-        else f"{size:.3g} {unit}"
-        if size < 999.5
-        else f"{size:.0f} {unit}"
-    )
+    if number < 1000:
+        return f"{number} bytes"
+    size, units = number / 1000, ["PB", "TB", "GB", "MB", "kB"]
+    while size >= 999.5 and len(units) > 1:
+        size /= 1000
+        units.pop()
+    return f"{size:.3g} {units[-1]}"
