@@ -1,0 +1,74 @@
+#!/usr/bin/env python
+"""Measure octex beside other programs, and say which targets are met.
+
+    python tools/bench.py                           octex's own figures
+    python tools/bench.py torus lookup --peers FOLDER --peer-python PYTHON
+    python tools/bench.py boombox psnr --models FOLDER
+    python tools/bench.py --quick                   everything on tiny sizes: does it still run?
+
+Peers are a folder with the programs mesh_bench (OpenVDB's meshToVolume) and vdb_bench (lookups of OpenVDB and
+NanoVDB), and a Python that has Open3D. What is not given is left out, and said to be.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from bench_conversion import boombox, large, torus
+from bench_texture import lookup, paper, psnr
+from bench_tools import Report, Setup
+
+BENCHMARKS = {each.__name__: each for each in (paper, torus, boombox, large, psnr, lookup)}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    listing = "\n".join(
+        f"  {name:8} {(each.__doc__ or '').splitlines()[0]}" for name, each in BENCHMARKS.items()
+    )
+    parser = argparse.ArgumentParser(
+        description=(__doc__ or "").splitlines()[0],
+        epilog=f"benchmarks:\n{listing}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("names", nargs="*", metavar="BENCHMARK", help="all of them by default")
+    parser.add_argument("--peers", type=Path, metavar="FOLDER", help="of mesh_bench and vdb_bench")
+    parser.add_argument("--peer-python", metavar="PYTHON", help="one that has Open3D")
+    parser.add_argument("--models", type=Path, metavar="FOLDER", help="of real models")
+    parser.add_argument("--repeats", type=int, default=5, help="rounds, of which medians are taken (5)")
+    parser.add_argument("--core", type=int, help="the processor for what runs on one thread (the last)")
+    parser.add_argument("--quick", action="store_true", help="tiny sizes, one round")
+    options = parser.parse_args(arguments)
+    unknown = set(options.names) - set(BENCHMARKS)
+    if unknown:
+        parser.error(f"no benchmark {', '.join(sorted(unknown))}; there are {', '.join(BENCHMARKS)}")
+    peer_python = options.peer_python and shutil.which(options.peer_python)
+    if options.peer_python and not peer_python:
+        parser.error(f"there is no program {options.peer_python}")
+
+    report = Report(options.quick)
+    load = os.getloadavg()[0]
+    print(f"{os.cpu_count()} processors, load {load:.1f}", end="")
+    print(": wall times will be disturbed" if load > 0.5 and not options.quick else "")
+    with TemporaryDirectory(prefix="octex-bench-") as folder:
+        setup = Setup(
+            quick=options.quick,
+            repeats=1 if options.quick else max(options.repeats, 1),
+            core=max(os.sched_getaffinity(0)) if options.core is None else options.core,
+            folder=Path(folder),
+            peers=options.peers and options.peers.resolve(),
+            peer_python=peer_python,
+            models=options.models,
+        )
+        for name in options.names or BENCHMARKS:
+            BENCHMARKS[name](setup, report)
+    report.summary()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
