@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 MAX_DEPTH = 21
+GRID = 2**30
 
 
 class Cell(NamedTuple):
@@ -47,11 +48,14 @@ def truncated(cells: list[Cell], level: int) -> list[Cell]:
 
 def find(cells: list[Cell], point: Sequence[float], max_level: int = MAX_DEPTH) -> int:
     """Number of the deepest stored cell that holds a point of texture space, or −1 outside the root."""
+    if not all(0 <= x < 1 for x in point):
+        return -1
+    rounded = [min(math.floor(x * GRID + 0.5), GRID - 1) / GRID for x in point]
     holding = [
         number
         for number, cell in enumerate(cells)
         if cell.level <= max_level
-        and all(place <= x * 2**cell.level < place + 1 for place, x in zip(cell.place, point, strict=True))
+        and all(place <= x * 2**cell.level < place + 1 for place, x in zip(cell.place, rounded, strict=True))
     ]
     return holding[-1] if holding else -1
 
@@ -59,7 +63,8 @@ def find(cells: list[Cell], point: Sequence[float], max_level: int = MAX_DEPTH) 
 def nearest(cells: list[Cell], point: Sequence[float]) -> int:
     """Number of the leaf that holds a point, else of the nearest of the 27 cells around it."""
     clamped = [min(max(x, 0.0), 1.0) * 2.0**MAX_DEPTH for x in point]
-    fixed = tuple(min(int(x), 2**MAX_DEPTH - 1) for x in clamped)
+    steps = [min(max(math.floor(x * GRID + 0.5), 0), GRID - 1) for x in point]
+    fixed = tuple(step * 2**MAX_DEPTH // GRID for step in steps)
     numbers = {(cell.level, cell.place): number for number, cell in enumerate(cells)}
 
     def stored(level: int, place: tuple[int, ...]) -> int:

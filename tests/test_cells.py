@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from octex.conversion.cells import GRID_BITS, SPREAD
+from octex.conversion.cells import SPREAD
 from octex.conversion.pieces import Blocks, Pieces, bin_triangles, block_levels, cut, most_pieces
+from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode_cells
 from tests import naive_cells
 from tests.conftest import needs_jit

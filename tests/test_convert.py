@@ -14,11 +14,10 @@ import pytest
 import octex
 from octex.channels import BASE_COLOR, ChannelFormat, linear_to_srgb
 from octex.conversion import convert as conversion
-from octex.conversion.cells import GRID_BITS
 from octex.errors import ArgumentError, ModelError
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.tree.layout import AREA_ONE, AREA_STEPS, SPLIT
+from octex.tree.layout import AREA_ONE, AREA_STEPS, GRID_BITS, SPLIT
 from octex.tree.morton import decode_cells
 from tests import naive_cells
 from tests.conftest import needs_jit
@@ -227,6 +226,18 @@ def test_the_same_bytes_come_from_any_executor(
     monkeypatch.setattr(conversion, "TASK_PIECES", 5_000)
     octex.convert(sphere(), depth=8, executor=executor).save(tmp_path / "many.octex")
     assert (tmp_path / "alone.octex").read_bytes() == (tmp_path / "many.octex").read_bytes()
+
+
+@pytest.mark.parametrize("size", [1.0, 0.1, 1.3])
+@pytest.mark.parametrize("cells", [2, 4, 5, 20])
+def test_samples_of_faces_in_cell_planes_are_in_leaves(size: float, cells: int) -> None:
+    # The bounds' centre lies a third of a cell above a plane: so these cells put faces on planes, or nearly.
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * size - 17.77
+    faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    triangles = np.array([[a, b, c] for a, b, c, _ in faces] + [[a, c, d] for a, _, c, d in faces])
+    surface = Surface.from_arrays(corners, triangles)
+    texture = octex.convert(surface, cell=1.5 * size / cells)
+    assert texture.contains(surface.scatter(300).rest).all()
 
 
 def test_degenerate_triangles_are_skipped_and_counted() -> None:

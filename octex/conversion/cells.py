@@ -1,8 +1,9 @@
 """Exactly the cells that a triangle meets.
 
-Vertices are rounded once to a grid of 2³⁰ steps along the root cell's edge. From there on everything is
-integer arithmetic: a half-open cell [a, b)³ is met if it shares a point with the closed rounded triangle,
-whatever the depth, the order of the triangles or the block that the work is cut into.
+Vertices are rounded once to a grid of 2³⁰ steps along the root cell's edge, so that 2D cross products fit 64
+bits and the plane's test 128. From there on everything is integer arithmetic: a half-open cell [a, b)³ is met
+if it shares a point with the closed rounded triangle, whatever the depth, the order of the triangles or the
+block that the work is cut into.
 
 A triangle is looked at along the axis w to which its normal is nearest, over the plane of the two axes u and
 v that follow w cyclically. It crosses a column of cells along w in a run without gaps, of at most three.
@@ -20,8 +21,6 @@ import numpy.typing as npt
 
 from octex.jit import inlined
 
-#: Vertices are rounded to 2⁻³⁰ of the root's edge, so that 2D cross products fit 64 bits and the plane's 128.
-GRID_BITS = 30
 #: Work is cut into blocks of 32³ cells: a block's masks fit the second-level cache.
 BLOCK_BITS = 5
 BLOCK_EDGE = 1 << BLOCK_BITS

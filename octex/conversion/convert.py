@@ -16,7 +16,7 @@ import octex
 from octex.channels import ONE, ChannelFormat, encode
 from octex.checks import as_depth
 from octex.conversion.accumulate import Sums, count_entries, level_means, sum_children, sum_pieces
-from octex.conversion.cells import BLOCK_BITS, GRID_BITS, SPREAD, load_triangle
+from octex.conversion.cells import BLOCK_BITS, SPREAD, load_triangle
 from octex.conversion.pieces import Blocks, bin_triangles, cut, most_pieces
 from octex.errors import ArgumentError, ModelError
 from octex.jit import kernel
@@ -24,7 +24,7 @@ from octex.parallel import Progress, memory_size, ordered_map, silent, workers
 from octex.source.load import at_rest, load_surface
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
-from octex.tree.layout import MAX_CELLS, SPLIT, SplitTable
+from octex.tree.layout import GRID_BITS, MAX_CELLS, SPLIT, SplitTable
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 

@@ -19,7 +19,6 @@ from octex.conversion.cells import (
     COLUMN_LAST,
     COLUMN_U,
     COLUMN_V,
-    GRID_BITS,
     MOST_IN_COLUMN,
     SPREAD,
     columns_met,
@@ -27,6 +26,7 @@ from octex.conversion.cells import (
 )
 from octex.conversion.clip import MAX_VERTICES, POLYGONS, clip_to_columns
 from octex.jit import inlined, kernel, popcount, trailing_zeros
+from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode
 
 

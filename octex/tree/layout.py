@@ -35,6 +35,9 @@ import numpy.typing as npt
 
 #: Deepest level of any tree; a Morton code then has 63 bits.
 MAX_DEPTH = 21
+#: Positions are rounded to 2⁻³⁰ of the root's edge before the cells that hold them are found, a surface's and
+#: those looked up alike: points of a face in a cell plane then lie in the cells stored for it.
+GRID_BITS = 30
 #: Cells and nodes are numbered in 32 bits.
 MAX_CELLS = 2**32 - 1
 

@@ -1,7 +1,8 @@
 """The stored cell at a point, or nearest to it.
 
-Points are cast once to fixed point, 21 bits an axis; the descent then reads an octant a level. Every index is
-clamped and every descent bounded, so that no content of the arrays makes a kernel read outside them.
+Points are cast once to fixed point, rounded to 30 bits an axis and cut to 21; the descent then reads an
+octant a level. Every index is clamped and every descent bounded, so that no content of the arrays makes a
+kernel read outside them.
 """
 
 from __future__ import annotations
@@ -12,13 +13,19 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.jit import inlined, kernel, popcount
-from octex.tree.layout import MAX_DEPTH, TreeArrays
+from octex.tree.layout import GRID_BITS, MAX_DEPTH, TreeArrays
 from octex.tree.morton import encode
 
 #: Fixed-point units in the root's edge.
 UNITS = 1 << MAX_DEPTH
 
 Origin = tuple[float, float, float]
+
+
+@inlined
+def fixed(coordinate: float) -> int:
+    """Fixed-point position, 0 … 2²¹ − 1, of a coordinate 0 … 1 of texture space."""
+    return min(int(coordinate * (1 << GRID_BITS) + 0.5) >> (GRID_BITS - MAX_DEPTH), UNITS - 1)
 
 
 @inlined
@@ -66,7 +73,7 @@ def find(arrays: TreeArrays, x: float, y: float, z: float, max_level: int) -> tu
     """
     if not (0.0 <= x < 1.0 and 0.0 <= y < 1.0 and 0.0 <= z < 1.0):
         return -1, -1
-    cell, level, _ = descend(arrays, int(x * UNITS), int(y * UNITS), int(z * UNITS), max_level)
+    cell, level, _ = descend(arrays, fixed(x), fixed(y), fixed(z), max_level)
     return cell, level
 
 
@@ -127,14 +134,12 @@ def nearest_cell(arrays: TreeArrays, x: float, y: float, z: float, scratch: Scra
     the 27 cells around it is stored, or lies in a leaf of a level above, whose box then counts. The nearest
     box wins; of equally near ones, the first in Morton order.
     """
-    x = min(max(x, 0.0), 1.0) * UNITS
-    y = min(max(y, 0.0), 1.0) * UNITS
-    z = min(max(z, 0.0), 1.0) * UNITS
-    i = min(int(x), UNITS - 1)
-    j = min(int(y), UNITS - 1)
-    k = min(int(z), UNITS - 1)
+    x, y, z = min(max(x, 0.0), 1.0), min(max(y, 0.0), 1.0), min(max(z, 0.0), 1.0)
+    i, j, k = fixed(x), fixed(y), fixed(z)
     cell = find_leaf(arrays, i, j, k, scratch)
-    return cell if cell >= 0 else _nearest_neighbor(arrays, x, y, z, i, j, k, scratch)
+    if cell >= 0:
+        return cell
+    return _nearest_neighbor(arrays, x * UNITS, y * UNITS, z * UNITS, i, j, k, scratch)
 
 
 @inlined
@@ -269,6 +274,5 @@ def in_leaves(
         x, y, z = (x - origin[0]) / size, (y - origin[1]) / size, (z - origin[2]) / size
         inside[n] = False
         if 0.0 <= x < 1.0 and 0.0 <= y < 1.0 and 0.0 <= z < 1.0:
-            i, j, k = int(x * UNITS), int(y * UNITS), int(z * UNITS)
-            inside[n] = find_leaf(arrays, i, j, k, scratch) >= 0
+            inside[n] = find_leaf(arrays, fixed(x), fixed(y), fixed(z), scratch) >= 0
     return -1
