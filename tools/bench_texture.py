@@ -54,10 +54,9 @@ def paper(setup: Setup, report: Report) -> None:
     for depth in depths:
         texture = octex.convert(surface, depth)
         size, leaves = texture.info()["bytes"], texture.tree.n_leaves
-        split_values = sum(channel.split_values.nbytes for channel in texture.channels.values())
-        colour = sum(channel.values.nbytes for channel in texture.channels.values())
-        split = size["split"] + split_values
-        both = size["structure"] + colour
+        both = _both(texture)
+        colour = both - size["structure"]
+        split = size["split"] + sum(channel.split_values.nbytes for channel in texture.channels.values())
         sizes.append(both)
         rows.append(
             [
@@ -84,10 +83,23 @@ def paper(setup: Setup, report: Report) -> None:
     report.note("bytes a leaf")
     report.table(["depth", "structure", "colour", "both", "flags", "areas", "split", "header", "file"], parts)
     report.at_most("paper: structure + colour beside the maps", sizes[-1] / maps, 0.82, "×")
-    growth = max(after / before for before, after in pairwise(sizes))
-    report.at_most("paper: growth a level", growth, 4.05, "×")
+    # A depth more makes cells somewhat smaller than half, as the margin's cells shrink too.
+    longest = float(np.ptp(surface.bounds, axis=0).max())
+    halved = [longest / ((2 ** depths[0] - 3) << step) for step in range(len(depths))]
+    growth = [
+        after / before for before, after in pairwise(_both(octex.convert(surface, cell=c)) for c in halved)
+    ]
+    report.line("growth, a depth more", ", ".join(f"{b / a:.3f} ×" for a, b in pairwise(sizes)))
+    report.line("growth, cells halved", ", ".join(f"{each:.3f} ×" for each in growth))
+    report.at_most("paper: growth a level (cells halved), most", max(growth), 4.05, "×")
     report.at_most("paper: structure + colour a leaf, deepest", float(parts[-1][3]), 5.1, "bytes")
     report.at_most("paper: whole file a leaf, deepest", float(parts[-1][-1]), 7.8, "bytes")
+
+
+def _both(texture: octex.OctreeTexture) -> int:
+    """Return the bytes of structure and colour, averages included."""
+    colour = sum(channel.values.nbytes for channel in texture.channels.values())
+    return int(texture.info()["bytes"]["structure"]) + colour
 
 
 def _maps(path: Path) -> Iterator[tuple[str, Image.Image, float]]:
