@@ -5,8 +5,11 @@ With ``NUMBA_DISABLE_JIT=1`` every kernel runs as plain Python; the intrinsics t
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
-from functools import partial
+from contextlib import suppress
+from functools import cache, partial
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
@@ -47,9 +50,23 @@ def summing_kernel(function: Function) -> Function:
 def _compiled(function: Function, **options: Any) -> Function:
     compiler = partial(numba.njit, nogil=True, error_model="numpy", **options)
     try:
-        return compiler(cache=True)(function)  # type: ignore[no-any-return]
+        compiled = compiler(cache=True)(function)
     except RuntimeError:  # no folder that numba could write its cache to: compile in every process
         return compiler(cache=False)(function)  # type: ignore[no-any-return]
+    # What a kernel calls is compiled into it, but numba looks for changes in the kernel's own file only.
+    with suppress(AttributeError):
+        cache_file = compiled._cache._cache_file
+        cache_file._source_stamp = (cache_file._source_stamp, _digest_of_sources())
+    return compiled  # type: ignore[no-any-return]
+
+
+@cache
+def _digest_of_sources() -> str:
+    """Tell this state of octex from any other."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 if DISABLED:

@@ -51,6 +51,7 @@ Result = TypeVar("Result")
 
 FORMAT = "octex"
 FORMAT_VERSION = 1
+ENDING = ".octex"
 #: How a lookup turns cells into a value.
 FILTERS = ("nearest",)
 #: Points looked up at once: the cell numbers stay in the processor's cache.
@@ -107,6 +108,9 @@ class OctreeTexture:
             raise ArgumentError(f"the root cell must be finite, its size above zero, not {self.placement}")
         if self.bounds.shape != (2, 3) or not np.isfinite(self.bounds).all():
             raise ArgumentError(f"bounds must be two finite corners, not {self.bounds.tolist()}")
+
+    def __repr__(self) -> str:
+        return f"<OctreeTexture of {', '.join(self.channels) or 'no channels'}; {self.tree!r}>"
 
     @property
     def nbytes(self) -> int:
@@ -197,8 +201,11 @@ class OctreeTexture:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write an ``.octex`` file; the same texture gives the same bytes.
 
-        Raises OutputError if it cannot be written; what stood at ``path`` then still stands.
+        Raises ArgumentError for another ending, OutputError if the file cannot be written; what stood at
+        ``path`` then still stands.
         """
+        if not os.fspath(path).lower().endswith(ENDING):
+            raise ArgumentError(f"{path}: a texture is saved as NAME{ENDING}")
         self._read_ahead()
         container.write(path, *self._contents())
 

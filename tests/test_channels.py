@@ -372,3 +372,10 @@ def test_exit_codes_are_the_shells_and_say_what_they_mean() -> None:
     }
     assert all(code.meaning for code in ExitCode)
     assert ExitCode(2) is ExitCode.REFUSED
+
+
+@needs_jit
+def test_compiled_code_on_disk_is_of_this_state_of_all_sources() -> None:
+    # numba alone looks at the kernel's own file, and keeps callers of a function that has changed elsewhere.
+    stamp = jit.low_bits._cache._cache_file._source_stamp  # type: ignore[attr-defined]
+    assert stamp[1] == jit._digest_of_sources()

@@ -255,3 +255,14 @@ def test_surfaces_may_be_tiny_and_huge(size: float) -> None:
 
 def test_a_sample_is_a_point_a_rest_position_a_normal_and_a_place() -> None:
     assert Samples._fields == ("points", "rest", "normals", "triangles", "barycentric")
+
+
+def test_a_surface_introduces_itself() -> None:
+    surface = Surface.from_arrays(np.eye(3), np.array([[0, 1, 2]], np.int32), name="corner")
+    assert repr(surface) == "<Surface 'corner' of 1 triangles with base_color>"
+
+
+def test_a_negative_number_of_points_is_refused() -> None:
+    surface = Surface.from_arrays(np.eye(3), np.array([[0, 1, 2]], np.int32))
+    with pytest.raises(ArgumentError, match="must not be negative, like -1"):
+        surface.scatter(-1)

@@ -235,15 +235,25 @@ def test_a_saved_texture_opens_as_it_was(
     assert path.stat().st_size == texture.info()["bytes"]["total"]
 
 
+def test_a_texture_is_saved_under_its_own_ending_only(tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match=r"a texture is saved as NAME\.octex"):
+        eight_colors().save(tmp_path / "points.ply")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_texture_and_its_tree_introduce_themselves() -> None:
+    assert repr(eight_colors()) == "<OctreeTexture of base_color; <Octree of depth 1: 8 leaves, 1 nodes>>"
+
+
 def test_the_same_texture_gives_the_same_bytes(tmp_path: Path) -> None:
-    shell(3).save(tmp_path / "a")
-    octex.open(tmp_path / "a").save(tmp_path / "b")
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+    shell(3).save(tmp_path / "a.octex")
+    octex.open(tmp_path / "a.octex").save(tmp_path / "b.octex")
+    assert (tmp_path / "a.octex").read_bytes() == (tmp_path / "b.octex").read_bytes()
 
 
 def test_the_format_is_what_it_was(tmp_path: Path) -> None:
-    eight_colors().save(tmp_path / "a")
-    data = (tmp_path / "a").read_bytes()
+    eight_colors().save(tmp_path / "a.octex")
+    data = (tmp_path / "a.octex").read_bytes()
     length = int.from_bytes(data[:8], "little")
     header = json.loads(data[8 : 8 + length])
     assert 8 + length == 4096
@@ -274,21 +284,23 @@ def test_the_format_is_what_it_was(tmp_path: Path) -> None:
 
 def test_the_safetensors_library_reads_a_texture(tmp_path: Path) -> None:
     texture = shell(2)
-    texture.save(tmp_path / "a")
-    tensors = load_file(tmp_path / "a")
+    texture.save(tmp_path / "a.octex")
+    tensors = load_file(tmp_path / "a.octex")
     assert np.array_equal(tensors["tree/groups"], texture.tree.arrays.groups)
     assert np.array_equal(tensors["split/cells"], texture.tree.split.cells)
     assert np.array_equal(tensors["channels/base_color"], texture.channels["base_color"].values)
 
 
 def test_unknown_tensors_and_metadata_are_kept(tmp_path: Path) -> None:
-    eight_colors().save(tmp_path / "a")
-    contents = container.read(tmp_path / "a")
+    eight_colors().save(tmp_path / "a.octex")
+    contents = container.read(tmp_path / "a.octex")
     extra = {"rest/vertices": np.arange(12.0).reshape(4, 3)}
-    container.write(tmp_path / "b", contents.tensors | extra, contents.metadata | {"painter": "Vermeer"})
-    texture = octex.open(tmp_path / "b")
-    texture.save(tmp_path / "c")
-    assert (tmp_path / "b").read_bytes() == (tmp_path / "c").read_bytes()
+    container.write(
+        tmp_path / "b.octex", contents.tensors | extra, contents.metadata | {"painter": "Vermeer"}
+    )
+    texture = octex.open(tmp_path / "b.octex")
+    texture.save(tmp_path / "c.octex")
+    assert (tmp_path / "b.octex").read_bytes() == (tmp_path / "c.octex").read_bytes()
     assert texture.info()["bytes"]["other"] == 96
 
 
@@ -405,8 +417,8 @@ def use(path: Path) -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_damaged_files_are_refused_or_harmless(tmp_path: Path, seed: int) -> None:
     random = np.random.default_rng(seed)
-    shell(3).save(tmp_path / "whole")
-    whole = np.fromfile(tmp_path / "whole", np.uint8)
+    shell(3).save(tmp_path / "whole.octex")
+    whole = np.fromfile(tmp_path / "whole.octex", np.uint8)
     text_length = bytes(whole[:4096]).rstrip().__len__()
     path = tmp_path / "damaged.octex"
     for case in range(50):
@@ -448,7 +460,7 @@ def test_a_coarse_look_loads_few_pages_of_a_large_file(tmp_path: Path) -> None:
 
 
 def test_an_opened_file_describes_itself_without_reading_a_cell(tmp_path: Path) -> None:
-    path = tmp_path / "a"
+    path = tmp_path / "a.octex"
     shell(3).save(path)
     with path.open("r+b") as file:  # damage all cells
         file.seek(4096 + 24 * 20)

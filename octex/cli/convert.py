@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
@@ -81,7 +82,7 @@ def parser() -> argparse.ArgumentParser:
         "--validate",
         metavar="FILE",
         type=Path,
-        help="prove that an .octex file is whole, or say what is broken",
+        help="check that an .octex file is a sound octree, or say what is broken",
     )
     add("--warm-up", action="store_true", help="compile everything now; later runs start at once")
     add("--version", action="version", version=f"{COMMAND} {octex.__version__}")
@@ -151,6 +152,11 @@ def _convert(options: argparse.Namespace) -> int:
                 texture = octex.convert(
                     surface, options.depth, cell=options.cell, executor=executor, progress=progress
                 )
+        if options.preview is not None:  # first: without room for it, no OUTPUT is left unannounced
+            from octex.preview import write_preview
+
+            with _stage(progress, "draw"):
+                write_preview(options.preview, surface, texture)
         if options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
             with _stage(progress, "write"):
                 texture.save(options.OUTPUT)
@@ -158,11 +164,6 @@ def _convert(options: argparse.Namespace) -> int:
             from octex.formats.ply import write_points
 
             write_points(texture, options.OUTPUT, progress)
-        if options.preview is not None:
-            from octex.preview import write_preview
-
-            with _stage(progress, "draw"):
-                write_preview(options.preview, surface, texture)
 
     if not options.quiet or options.json:
         _say_what_was_made(options, texture, time.perf_counter() - began)
@@ -247,7 +248,7 @@ def _readable(information: dict[str, Any]) -> Iterator[str]:
     if information["provenance"]:
         yield ""
     for name, text in information["provenance"].items():
-        yield f"{name:10}  {text}"
+        yield f"{name:11} {text}"
 
 
 def _triple(numbers: Sequence[float]) -> str:
@@ -278,3 +279,7 @@ def _warm_up(quiet: bool) -> int:
     if not quiet:
         say(f"compiled and cached in {time.perf_counter() - began:.1f} s")
     return ExitCode.DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

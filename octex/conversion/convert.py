@@ -29,7 +29,7 @@ from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 
 DEFAULT_DEPTH = 10
-#: Bytes of memory that a conversion takes for each cell, at its peak (measured: 27).
+#: Bytes of memory that a conversion takes at least for each cell (measured at its peak: 27).
 CELL_MEMORY = 24
 #: Bound of the pieces in one task: enough to hide what a task costs, few enough to stay in the cache.
 TASK_PIECES = 200_000

@@ -145,6 +145,10 @@ class Surface:
         )
         return cls(positions, faces, source, rest=placed, name=name)
 
+    def __repr__(self) -> str:
+        names = ", ".join(channel.name for channel in self.channels)
+        return f"<Surface {self.name!r} of {len(self.triangles):,} triangles with {names}>"
+
     @property
     def channels(self) -> tuple[ChannelFormat, ...]:
         """What the source gives: base colour, and alpha where the model uses it."""
@@ -173,8 +177,10 @@ class Surface:
     def scatter(self, n: int, seed: int = 0) -> Samples:
         """Draw ``n`` points, uniform by posed area; the same for the same seed.
 
-        Raises ModelError if the surface has no area.
+        Raises ModelError if the surface has no area, ArgumentError for a negative ``n``.
         """
+        if n < 0:
+            raise ArgumentError(f"the number of points must not be negative, like {n}")
         crosses = self._crosses()
         norms = np.linalg.norm(crosses, axis=1)
         cumulative = np.cumsum(norms)

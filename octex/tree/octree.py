@@ -40,6 +40,9 @@ class Octree:
         self.split = no_split() if split is None else split
         check_layout(self.arrays, self.split)
 
+    def __repr__(self) -> str:
+        return f"<Octree of depth {self.max_depth}: {self.n_leaves:,} leaves, {self.n_nodes:,} nodes>"
+
     @classmethod
     def from_leaves(cls, codes: npt.ArrayLike, depths: npt.ArrayLike) -> Octree:
         """Build a tree from its leaves; flags and areas are zero.
