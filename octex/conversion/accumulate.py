@@ -86,15 +86,23 @@ def sum_children(children: Sums) -> Sums:
         while last < codes.size and codes[last] >> 3 == code:
             seen |= np.int64(flags[last])
             last += 1
-        for i in range(first, last):
-            left = np.int64(flags[i])
-            while left != 0:
-                facing = left & -left
-                left ^= facing
-                parent = entries + popcount(np.uint64(seen & (facing - 1)))
-                for k in range(columns):
-                    parent_sums[parent, k] += 0.25 * sums[row, k]
-                row += 1
+        if seen & (seen - 1) == 0:  # one facing, as almost everywhere: a row each
+            for k in range(columns):
+                total = 0.0
+                for child in range(row, row + last - first):
+                    total += sums[child, k]
+                parent_sums[entries, k] = 0.25 * total
+            row += last - first
+        else:
+            for i in range(first, last):
+                left = np.int64(flags[i])
+                while left != 0:
+                    facing = left & -left
+                    left ^= facing
+                    parent = entries + popcount(np.uint64(seen & (facing - 1)))
+                    for k in range(columns):
+                        parent_sums[parent, k] += 0.25 * sums[row, k]
+                    row += 1
         parent_codes[cells] = code
         parent_flags[cells] = seen
         cells += 1

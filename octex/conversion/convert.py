@@ -32,7 +32,7 @@ DEFAULT_DEPTH = 10
 #: Bytes of memory that a conversion takes at least for each cell (measured at its peak: 27).
 CELL_MEMORY = 24
 #: Bound of the pieces in one task: enough to hide what a task costs, few enough to stay in the cache.
-TASK_PIECES = 200_000
+TASK_PIECES = 400_000
 
 
 class Stored(NamedTuple):
