@@ -131,6 +131,33 @@ def _meets_plane(
 
 
 @inlined
+def _set_sides(
+    corners: npt.NDArray[np.int64], normal: npt.NDArray[np.int64], cell: int, sides: npt.NDArray[np.int64]
+) -> None:
+    """Fill ``sides`` (6, 3) with the edges as seen along u, then along v."""
+    for i in range(3):
+        j = i + 1 if i < 2 else 0
+        sides[i, 0], sides[i, 1], sides[i, 2], _ = _edge(corners, i, j, 1, 2, normal[0], cell)
+        sides[i + 3, 0], sides[i + 3, 1], sides[i + 3, 2], _ = _edge(corners, i, j, 2, 0, normal[1], cell)
+
+
+@inlined
+def _meets_sides(sides: npt.NDArray[np.int64], u: int, v: int, w: int) -> bool:
+    """Whether no edge as seen along u or v separates the cell at (u, v, w), given in grid steps."""
+    along_u = (
+        (sides[0, 0] * v + sides[0, 1] * w + sides[0, 2])
+        | (sides[1, 0] * v + sides[1, 1] * w + sides[1, 2])
+        | (sides[2, 0] * v + sides[2, 1] * w + sides[2, 2])
+    )
+    along_v = (
+        (sides[3, 0] * w + sides[3, 1] * u + sides[3, 2])
+        | (sides[4, 0] * w + sides[4, 1] * u + sides[4, 2])
+        | (sides[5, 0] * w + sides[5, 1] * u + sides[5, 2])
+    )
+    return (along_u | along_v) >= 0
+
+
+@inlined
 def columns_met(
     corners: npt.NDArray[np.int64],
     normal: npt.NDArray[np.int64],
@@ -138,45 +165,39 @@ def columns_met(
     block_u: int,
     block_v: int,
     block_w: int,
+    sides: npt.NDArray[np.int64],
     columns: npt.NDArray[np.int64],
 ) -> int:
     """List the cells of one block that a triangle meets, column by column; return the number of columns.
 
-    A cell's edge is ``1 << shift`` grid steps; ``block_*`` is the block's first cell. ``columns``, scratch of
-    shape (BLOCK_EDGE², 5), receives them sorted by u, then v.
+    A cell's edge is ``1 << shift`` grid steps; ``block_*`` is the block's first cell. ``columns`` of shape
+    (BLOCK_EDGE², 5) receives them sorted by u, then v; ``sides`` (6, 3) is scratch.
     """
     cell = 1 << shift
     first_u = max(min(corners[0, 0], corners[1, 0], corners[2, 0]) >> shift, block_u)
     last_u = min(max(corners[0, 0], corners[1, 0], corners[2, 0]) >> shift, block_u + BLOCK_EDGE - 1)
     first_v = max(min(corners[0, 1], corners[1, 1], corners[2, 1]) >> shift, block_v)
     last_v = min(max(corners[0, 1], corners[1, 1], corners[2, 1]) >> shift, block_v + BLOCK_EDGE - 1)
-    first_w = max(min(corners[0, 2], corners[1, 2], corners[2, 2]) >> shift, block_w)
-    last_w = min(max(corners[0, 2], corners[1, 2], corners[2, 2]) >> shift, block_w + BLOCK_EDGE - 1)
+    first_w = min(corners[0, 2], corners[1, 2], corners[2, 2]) >> shift
+    last_w = max(corners[0, 2], corners[1, 2], corners[2, 2]) >> shift
     slope_u = -np.float64(normal[0]) / np.float64(normal[2])
     slope_v = -np.float64(normal[1]) / np.float64(normal[2])
     below = (min(slope_u, 0.0) + min(slope_v, 0.0)) * cell
     above = (max(slope_u, 0.0) + max(slope_v, 0.0)) * cell
-    # Edges as seen along w, u and v.
-    wp0, wq0, wc0, wspan0 = _edge(corners, 0, 1, 0, 1, normal[2], cell)
-    wp1, wq1, wc1, wspan1 = _edge(corners, 1, 2, 0, 1, normal[2], cell)
-    wp2, wq2, wc2, wspan2 = _edge(corners, 2, 0, 0, 1, normal[2], cell)
-    up0, uq0, uc0, _ = _edge(corners, 0, 1, 1, 2, normal[0], cell)
-    up1, uq1, uc1, _ = _edge(corners, 1, 2, 1, 2, normal[0], cell)
-    up2, uq2, uc2, _ = _edge(corners, 2, 0, 1, 2, normal[0], cell)
-    vp0, vq0, vc0, _ = _edge(corners, 0, 1, 2, 0, normal[1], cell)
-    vp1, vq1, vc1, _ = _edge(corners, 1, 2, 2, 0, normal[1], cell)
-    vp2, vq2, vc2, _ = _edge(corners, 2, 0, 2, 0, normal[1], cell)
+    p0, q0, c0, span0 = _edge(corners, 0, 1, 0, 1, normal[2], cell)
+    p1, q1, c1, span1 = _edge(corners, 1, 2, 0, 1, normal[2], cell)
+    p2, q2, c2, span2 = _edge(corners, 2, 0, 0, 1, normal[2], cell)
+    has_sides = False
     count = 0
     for iu in range(first_u, last_u + 1):
         u = iu << shift
-        w_at_u0, w_at_u1, w_at_u2 = wp0 * u + wc0, wp1 * u + wc1, wp2 * u + wc2
-        v_at_u0, v_at_u1, v_at_u2 = vq0 * u + vc0, vq1 * u + vc1, vq2 * u + vc2
+        at_u0, at_u1, at_u2 = p0 * u + c0, p1 * u + c1, p2 * u + c2
         for iv in range(first_v, last_v + 1):
             v = iv << shift
-            e0, e1, e2 = w_at_u0 + wq0 * v, w_at_u1 + wq1 * v, w_at_u2 + wq2 * v
+            e0, e1, e2 = at_u0 + q0 * v, at_u1 + q1 * v, at_u2 + q2 * v
             if (e0 | e1 | e2) < 0:
                 continue
-            inside = ((e0 - wspan0) | (e1 - wspan1) | (e2 - wspan2)) >= 0
+            inside = ((e0 - span0) | (e1 - span1) | (e2 - span2)) >= 0
             height = corners[0, 2] + slope_u * (u - corners[0, 0]) + slope_v * (v - corners[0, 1])
             lowest, highest = np.int64(np.floor(height + below)), np.int64(np.floor(height + above))
             # The plane's range over the column, widened and narrowed by more than all rounding: where both
@@ -185,39 +206,28 @@ def columns_met(
             last = min((highest + 1) >> shift, last_w)
             sure_first = (lowest + 2) >> shift
             sure_last = (highest - 1) >> shift
-            u_at_v0, u_at_v1, u_at_v2 = up0 * v + uc0, up1 * v + uc1, up2 * v + uc2
-            while first <= last:
-                w = first << shift
-                if (
-                    inside
-                    or (
-                        (u_at_v0 + uq0 * w)
-                        | (u_at_v1 + uq1 * w)
-                        | (u_at_v2 + uq2 * w)
-                        | (v_at_u0 + vp0 * w)
-                        | (v_at_u1 + vp1 * w)
-                        | (v_at_u2 + vp2 * w)
-                    )
-                    >= 0
-                ) and (sure_first <= first <= sure_last or _meets_plane(corners, normal, cell, u, v, w)):
-                    break
+            if first < last and not inside and not has_sides:
+                _set_sides(corners, normal, cell, sides)
+                has_sides = True
+            # The triangle does meet the column, and so the last candidate that remains.
+            while first < last and not (
+                (inside or _meets_sides(sides, u, v, first << shift))
+                and (
+                    sure_first <= first <= sure_last
+                    or _meets_plane(corners, normal, cell, u, v, first << shift)
+                )
+            ):
                 first += 1
-            while first < last:
-                w = last << shift
-                if (
-                    inside
-                    or (
-                        (u_at_v0 + uq0 * w)
-                        | (u_at_v1 + uq1 * w)
-                        | (u_at_v2 + uq2 * w)
-                        | (v_at_u0 + vp0 * w)
-                        | (v_at_u1 + vp1 * w)
-                        | (v_at_u2 + vp2 * w)
-                    )
-                    >= 0
-                ) and (sure_first <= last <= sure_last or _meets_plane(corners, normal, cell, u, v, w)):
-                    break
+            while first < last and not (
+                (inside or _meets_sides(sides, u, v, last << shift))
+                and (
+                    sure_first <= last <= sure_last
+                    or _meets_plane(corners, normal, cell, u, v, last << shift)
+                )
+            ):
                 last -= 1
+            first = max(first, block_w)
+            last = min(last, block_w + BLOCK_EDGE - 1)
             if first <= last:
                 columns[count, COLUMN_U] = iu
                 columns[count, COLUMN_V] = iv

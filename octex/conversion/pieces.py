@@ -62,10 +62,11 @@ def _block_columns(
     normal: npt.NDArray[np.int64],
     shift: int,
     origin: npt.NDArray[np.int64],
+    sides: npt.NDArray[np.int64],
     columns: npt.NDArray[np.int64],
 ) -> int:
     u, v = (axis + 1) % 3, (axis + 2) % 3
-    return columns_met(corners, normal, shift, origin[u], origin[v], origin[axis], columns)
+    return columns_met(corners, normal, shift, origin[u], origin[v], origin[axis], sides, columns)
 
 
 @kernel
@@ -110,6 +111,7 @@ def _bin(
     shift = GRID_BITS - depth
     corners = np.empty((3, 3), np.int64)
     normal = np.empty(3, np.int64)
+    sides = np.empty((6, 3), np.int64)
     columns = np.empty((BLOCK_EDGE * BLOCK_EDGE, 5), np.int64)
     origin = np.empty(3, np.int64)
     counts = np.zeros(BLOCK_CELLS, np.int64)
@@ -130,7 +132,7 @@ def _bin(
             axis = load_triangle(grid, triangles, triangle, corners, normal)
             if axis < 0:
                 continue
-            n_columns = _block_columns(axis, corners, normal, shift, origin, columns)
+            n_columns = _block_columns(axis, corners, normal, shift, origin, sides, columns)
             u, v = (axis + 1) % 3, (axis + 2) % 3
             for i in range(n_columns):
                 in_plane = (spread[columns[i, COLUMN_U] - origin[u]] << u) | (
@@ -204,6 +206,7 @@ def cut(
     shift = GRID_BITS - depth
     corners = np.empty((3, 3), np.int64)
     normal = np.empty(3, np.int64)
+    sides = np.empty((6, 3), np.int64)
     columns = np.empty((BLOCK_EDGE * BLOCK_EDGE, 5), np.int64)
     origin = np.empty(3, np.int64)
     polygons = np.empty((POLYGONS, 2, MAX_VERTICES), np.float64)
@@ -228,7 +231,7 @@ def cut(
             axis = load_triangle(grid, triangles, triangle, corners, normal)
             if axis < 0:
                 continue
-            n_columns = _block_columns(axis, corners, normal, shift, origin, columns)
+            n_columns = _block_columns(axis, corners, normal, shift, origin, sides, columns)
             u, v = (axis + 1) % 3, (axis + 2) % 3
             facing = 2 * axis + (1 if normal[2] < 0 else 0)
             if not keys_only and n_columns > 0:
