@@ -154,7 +154,7 @@ def _meets_sides(sides: npt.NDArray[np.int64], u: int, v: int, w: int) -> bool:
         | (sides[4, 0] * w + sides[4, 1] * u + sides[4, 2])
         | (sides[5, 0] * w + sides[5, 1] * u + sides[5, 2])
     )
-    return (along_u | along_v) >= 0
+    return bool((along_u | along_v) >= 0)
 
 
 @inlined

@@ -116,8 +116,11 @@ def convert(
 
 def on_grid(rest: npt.NDArray[np.float64], placement: Placement) -> npt.NDArray[np.int32]:
     """Round rest positions (n, 3) to steps of 2⁻³⁰ of the root's edge."""
-    steps = np.rint(placement.to_texture_space(rest) * (1 << GRID_BITS))
-    return np.clip(steps, 0, (1 << GRID_BITS) - 1).astype(np.int32)
+    steps = placement.to_texture_space(rest)
+    steps *= 1 << GRID_BITS
+    np.rint(steps, out=steps)
+    np.clip(steps, 0, (1 << GRID_BITS) - 1, out=steps)
+    return steps.astype(np.int32)
 
 
 def _fill(
