@@ -180,10 +180,14 @@ def columns_met(
     last_v = min(max(corners[0, 1], corners[1, 1], corners[2, 1]) >> shift, block_v + BLOCK_EDGE - 1)
     first_w = min(corners[0, 2], corners[1, 2], corners[2, 2]) >> shift
     last_w = max(corners[0, 2], corners[1, 2], corners[2, 2]) >> shift
-    slope_u = -np.float64(normal[0]) / np.float64(normal[2])
-    slope_v = -np.float64(normal[1]) / np.float64(normal[2])
-    below = (min(slope_u, 0.0) + min(slope_v, 0.0)) * cell
-    above = (max(slope_u, 0.0) + max(slope_v, 0.0)) * cell
+    # How w rises from cell to cell along u and v, and its value at the corner of cell (0, 0).
+    inverse = -1.0 / np.float64(normal[2])
+    rise_u = np.float64(normal[0]) * inverse * cell
+    rise_v = np.float64(normal[1]) * inverse * cell
+    below = min(rise_u, 0.0) + min(rise_v, 0.0)
+    above = max(rise_u, 0.0) + max(rise_v, 0.0)
+    scale = 1.0 / cell
+    base = corners[0, 2] - rise_u * (corners[0, 0] * scale) - rise_v * (corners[0, 1] * scale)
     p0, q0, c0, span0 = _edge(corners, 0, 1, 0, 1, normal[2], cell)
     p1, q1, c1, span1 = _edge(corners, 1, 2, 0, 1, normal[2], cell)
     p2, q2, c2, span2 = _edge(corners, 2, 0, 0, 1, normal[2], cell)
@@ -192,13 +196,14 @@ def columns_met(
     for iu in range(first_u, last_u + 1):
         u = iu << shift
         at_u0, at_u1, at_u2 = p0 * u + c0, p1 * u + c1, p2 * u + c2
+        base_u = base + rise_u * iu
         for iv in range(first_v, last_v + 1):
             v = iv << shift
             e0, e1, e2 = at_u0 + q0 * v, at_u1 + q1 * v, at_u2 + q2 * v
             if (e0 | e1 | e2) < 0:
                 continue
             inside = ((e0 - span0) | (e1 - span1) | (e2 - span2)) >= 0
-            height = corners[0, 2] + slope_u * (u - corners[0, 0]) + slope_v * (v - corners[0, 1])
+            height = base_u + rise_v * iv
             lowest, highest = np.int64(np.floor(height + below)), np.int64(np.floor(height + above))
             # The plane's range over the column, widened and narrowed by more than all rounding: where both
             # give the same cell, the plane needs no exact test.

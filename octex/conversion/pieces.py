@@ -249,12 +249,15 @@ def cut(
                     areas,
                     n_pieces,
                 )
+            origin_u, origin_v, origin_w = origin[u], origin[v], origin[axis]
             for i in range(n_columns):
-                in_plane = (spread[columns[i, COLUMN_U] - origin[u]] << u) | (
-                    spread[columns[i, COLUMN_V] - origin[v]] << v
+                in_plane = (
+                    (spread[columns[i, COLUMN_U] - origin_u] << (u + 3))
+                    | (spread[columns[i, COLUMN_V] - origin_v] << (v + 3))
+                    | facing
                 )
-                for w in range(columns[i, COLUMN_FIRST], columns[i, COLUMN_LAST] + 1):
-                    key = ((in_plane | (spread[w - origin[axis]] << axis)) << 3) | facing
+                for w in range(columns[i, COLUMN_FIRST] - origin_w, columns[i, COLUMN_LAST] - origin_w + 1):
+                    key = in_plane | (spread[w] << (axis + 3))
                     mask[key >> 6] |= np.uint64(1) << np.uint64(key & 63)
                     if not keys_only:
                         entries[n_pieces] = key
