@@ -288,8 +288,8 @@ def cut(
     return Pieces(
         codes[:n_cells].copy(),
         flags[:n_cells].copy(),
-        entries[:n_pieces].copy(),
-        members[:n_pieces].copy(),
-        barycentric[:n_pieces].copy(),
-        areas[:n_pieces].copy(),
+        entries[:n_pieces],
+        members[:n_pieces],
+        barycentric[:n_pieces],
+        areas[:n_pieces],
     )
