@@ -632,7 +632,7 @@ def broken(change: str, tmp_path: Path) -> Path:
         ("first chunk", "first chunk is not JSON"),
         ("binary chunk", "binary chunk ends early"),
         ("empty", "is empty"),
-        ("another type", "not a glTF file"),
+        ("another type", "neither GLB nor JSON"),
         ("not JSON", "NaN is not JSON"),
     ],
 )
