@@ -13,9 +13,10 @@ import numpy.typing as npt
 
 from octex.jit import kernel
 
-#: ``srgb``: stored with the sRGB transfer curve; ``linear``: light, as it is; ``data``: not light.
-ColorSpace = Literal["srgb", "linear", "data"]
-COLOR_SPACES: tuple[ColorSpace, ...] = ("srgb", "linear", "data")
+#: ``srgb``: stored with the sRGB transfer curve; ``linear``: light, as it is; ``data``: not light;
+#: ``direction``: a mean of unit vectors, in unsigned integers (x + 1) / 2.
+ColorSpace = Literal["srgb", "linear", "data", "direction"]
+COLOR_SPACES: tuple[ColorSpace, ...] = ("srgb", "linear", "data", "direction")
 
 #: The stored number that means 1.0.
 ONE = {"uint8": 255.0, "uint16": 65535.0, "float16": 1.0, "float32": 1.0}
@@ -32,6 +33,18 @@ class ChannelFormat(NamedTuple):
 
 BASE_COLOR = ChannelFormat("base_color", 3, "srgb")
 ALPHA = ChannelFormat("alpha", 1, "data")
+METALLIC = ChannelFormat("metallic", 1, "data")
+ROUGHNESS = ChannelFormat("roughness", 1, "data")
+OCCLUSION = ChannelFormat("occlusion", 1, "data")
+EMISSIVE = ChannelFormat("emissive", 3, "srgb")
+SPECULAR = ChannelFormat("specular", 3, "srgb")
+NORMAL = ChannelFormat("normal", 3, "direction")
+
+#: The channels of materials, with glTF's names, in the order in which a texture holds them.
+CHANNELS = {
+    form.name: form
+    for form in (BASE_COLOR, ALPHA, METALLIC, ROUGHNESS, OCCLUSION, EMISSIVE, SPECULAR, NORMAL)
+}
 
 
 def srgb_to_linear(encoded: npt.ArrayLike) -> npt.NDArray[np.float64]:
