@@ -1,0 +1,148 @@
+"""The tool that tries broken files tells them apart, and finds nothing bad among the real ones."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from tests.conftest import needs_jit
+from tests.fixtures import OBJ_SQUARE, obj, png, random_image, textured_square
+
+TOOL = Path(__file__).parent.parent / "tools" / "fragile.py"
+pytestmark = [needs_jit, pytest.mark.skipif(sys.platform != "linux", reason="it forks, and counts as Linux")]
+
+
+def fragile(*arguments: str | Path) -> tuple[int, str]:
+    done = subprocess.run(
+        [sys.executable, str(TOOL), *map(str, arguments)], capture_output=True, text=True, check=False
+    )
+    assert done.stderr == ""
+    return done.returncode, done.stdout
+
+
+def by_file(text: str) -> dict[str, Any]:
+    return {trial["file"]: trial for trial in json.loads(text)}
+
+
+@pytest.fixture(scope="module")
+def tool() -> ModuleType:
+    specification = importlib.util.spec_from_file_location("fragile", TOOL)
+    assert specification
+    assert specification.loader
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+def test_good_and_broken_files_are_told_apart(tmp_path: Path) -> None:
+    image = png(random_image(8, 8))
+    (tmp_path / "whole.png").write_bytes(image)
+    (tmp_path / "cut.png").write_bytes(image[:-30])
+    (tmp_path / "notes.txt").write_text("neither a model nor an image")
+    textured_square(tmp_path / "square.glb", image)
+    report = {"issues": {"messages": [{"code": "ODD", "severity": 0}, {"code": "MEH", "severity": 1}]}}
+    (tmp_path / "square.glb.report.json").write_text(json.dumps(report))
+    (tmp_path / "inner").mkdir()
+    (tmp_path / "inner" / "cut.glb").write_bytes((tmp_path / "square.glb").read_bytes()[:100])
+    obj(tmp_path / "inner" / "lost.obj", OBJ_SQUARE + "f 1 2 9\n")
+    code, text = fragile(tmp_path, "--depth", "3", "--json")
+    trials = by_file(text)
+    assert code == 0
+    assert {name: trial["result"] for name, trial in trials.items()} == {
+        "whole.png": "converted",
+        "cut.png": "refused",
+        "square.glb": "converted",
+        "inner/cut.glb": "refused",
+        "inner/lost.obj": "refused",
+    }
+    assert trials["square.glb"]["validator"] == ["ODD"]
+    assert "cut.glb" in trials["inner/cut.glb"]["message"]
+    assert trials["whole.png"]["message"] == ""
+    assert all(trial["limit"] == 256 << 20 and trial["bytes"] > 0 for trial in trials.values())
+
+
+def test_the_table_ends_with_a_count_of_each_result(tmp_path: Path) -> None:
+    (tmp_path / "cut.png").write_bytes(png(random_image(8, 8))[:-30])
+    code, text = fragile(tmp_path)
+    assert code == 0
+    assert text.splitlines()[0].startswith("refused ")
+    assert "1 files: 1 refused" in text
+
+
+def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    arguments = [sys.executable, str(TOOL), str(tmp_path / "nowhere")]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "there is no folder" in done.stderr
+
+
+WAYS_TO_END = [
+    ("0", "converted", ""),
+    ("print('octree-convert: error: cannot be', file=sys.stderr) or 2", "refused", "cannot be"),
+    ("1 / 0", "TRACEBACK", "ZeroDivisionError"),
+    ("time.sleep(100)", "HANG", ""),
+    ("os.kill(os.getpid(), signal.SIGSEGV)", "CRASH", "SIGSEGV"),
+    ("print('well\\nwell', file=sys.stderr) or 2", "CRASH", "well | well"),
+    ("print('a warning', file=sys.stderr) or 0", "CRASH", "a warning"),
+    ("1", "CRASH", "exit code 1"),
+    ("len(bytearray(b'1') * (300 << 20)) and 0", "MEMORY", "are allowed"),
+    ("len(bytearray(4 << 30))", "TRACEBACK", "MemoryError"),
+    ("print('error: out of memory', file=sys.stderr) or 2", "MEMORY", "out of memory"),
+]
+
+
+@pytest.fixture(scope="module")
+def endings(tool: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
+    """How those end, forked from a process smaller than this one."""
+    works = ", ".join(f"lambda: {work}" for work, _, _ in WAYS_TO_END)
+    code = (
+        "import importlib.util, json, os, signal, sys, time\nfrom pathlib import Path\n"
+        f"specification = importlib.util.spec_from_file_location('fragile', {str(TOOL)!r})\n"
+        "tool = importlib.util.module_from_spec(specification)\nspecification.loader.exec_module(tool)\n"
+        f"folder = Path({str(tmp_path_factory.mktemp('scratch'))!r})\n"
+        f"print(json.dumps([tool.forked(work, folder, 2, 1 << 30) for work in [{works}]]))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return [tool.Ended(*each) for each in json.loads(done.stdout)]
+
+
+@pytest.mark.parametrize("number", range(len(WAYS_TO_END)))
+def test_every_way_to_end_has_its_name(tool: ModuleType, endings: list[Any], number: int) -> None:
+    _, expected, message = WAYS_TO_END[number]
+    result, said = tool.judged(endings[number], endings[number].peak, 300 << 20)
+    assert result == expected
+    assert message in said
+
+
+def test_what_a_model_refers_to_counts_as_its_size(tool: ModuleType, tmp_path: Path) -> None:
+    (tmp_path / "unused.png").write_bytes(bytes(5000))
+    path = obj(
+        tmp_path / "square.obj",
+        OBJ_SQUARE,
+        "newmtl a\nmap_Kd a/b.png\n",
+        {"a/b.png": png(random_image(8, 8))},
+    )
+    named = (path, tmp_path / "square.mtl", tmp_path / "a" / "b.png")
+    assert tool.bytes_with_references(path) == sum(file.stat().st_size for file in named)
+    assert tool.bytes_with_references(tmp_path / "unused.png") == 5000
+
+
+def test_nothing_bad_happens_with_the_real_fragile_files(models: Path) -> None:
+    folder = models / "fragile"
+    if not folder.is_dir():
+        pytest.skip("no folder of fragile models")
+    code, text = fragile(folder, "--json", "--depth", "3")
+    trials = by_file(text)
+    bad = {name: trial for name, trial in trials.items() if trial["result"] not in ("converted", "refused")}
+    assert bad == {}
+    assert code == 0
+    corrupt = [name for name in trials if Path(name).name.startswith("x") and "png-suite" in name]
+    assert corrupt
+    assert {name for name in corrupt if trials[name]["result"] != "refused"} == set()
