@@ -1,0 +1,361 @@
+"""Frames of normals and tangents at the corners of triangles: the space in which normal maps are painted.
+
+Missing tangents are made as MikkTSpace makes them (M. S. Mikkelsen, "Simulation of Wrinkled Surfaces
+Revisited", 2008, and its mikktspace.c), which glTF 2.0 asks for (3.7.2.1).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.jit import inlined, kernel
+from octex.source.corners import Corners, Frames
+
+_Vector = tuple[float, float, float]
+_Edges = tuple[_Vector, _Vector, _Vector, float]
+
+# Odd, and without a pattern in its bits: the golden ratio's fraction (Knuth, TAOCP 3, 6.4).
+_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
+
+
+def corner_frames(
+    positions: npt.NDArray[np.float64],
+    triangles: npt.NDArray[np.integer],
+    normals: Corners | None,
+    tangents: Corners | None,
+    coordinates: Corners | None,
+) -> Frames:
+    """Return unit normals, and unit tangents with their handedness, at the corners of triangles.
+
+    ``positions`` (n, 3), ``triangles`` (m, 3); ``normals`` (rows, 3), ``tangents`` (rows, 4) and
+    ``coordinates`` (rows, 2), v running down. The bitangent, along which v falls, is the cross product of
+    normal and tangent times the handedness, 1 or −1.
+
+    Without normals triangles are flat, and tangents that are given do not count (3.7.2.1). Tangents that are
+    not given point along u: corners of equal position, normal and coordinates share the mean of their
+    triangles' directions in the normal's plane, weighted by the angles there; triangles whose image is
+    mirrored keep apart. Triangles without area here or in the image take their neighbours' tangent.
+    Where nothing says what a normal or tangent is, it is any that fits; all that comes back is finite.
+    Differs from mikktspace.c in that corners need no chain of edges between them to share a tangent.
+    """
+    flat = _flat_normals(positions, triangles)
+    if normals is None:
+        rows = np.repeat(np.arange(len(triangles), dtype=np.int32), 3).reshape(-1, 3)
+        normals, tangents = Corners(flat.astype(np.float32), rows), None
+    else:
+        normals = _mended(normals, np.broadcast_to(flat[:, None], (len(triangles), 3, 3)))
+    if tangents is not None:
+        mended = _mended(tangents, _perpendicular(normals.values)[normals.rows])
+        return Frames(normals, mended)
+    if coordinates is None:
+        signed = np.ones((len(normals.values), 4), np.float32)
+        signed[:, :3] = _perpendicular(normals.values)
+        return Frames(normals, Corners(signed, normals.rows))
+    keys = np.stack(
+        [
+            _welded(positions)[triangles],
+            _welded(normals.values)[normals.rows],
+            _welded(coordinates.values)[coordinates.rows],
+        ],
+        axis=-1,
+    )
+    groups = _welded(keys.reshape(-1, 3)).reshape(-1, 3)
+    values = np.zeros((2 * (int(groups.max(initial=-1)) + 1), 4), np.float32)
+    rows = np.empty((len(triangles), 3), np.int32)
+    sums = np.zeros((len(values), 3))
+    corners = np.ascontiguousarray(triangles, np.int32)
+    _sum_tangents(positions, corners, normals, coordinates, groups, sums, rows)
+    _finish_tangents(normals, groups, sums, rows, values)
+    return Frames(normals, Corners(values, rows))
+
+
+def carried(
+    frames: Frames,
+    triangles: npt.NDArray[np.integer],
+    before: npt.NDArray[np.float64],
+    after: npt.NDArray[np.float64],
+) -> Frames:
+    """Return frames moved from one set of vertex positions (n, 3) to another, each corner by its triangle.
+
+    A triangle's map takes its edges to its edges and its normal to its normal, stretched by the root of the
+    ratio of areas, so that what is only scaled keeps its angles. Triangles without area on either side keep
+    their frames.
+    """
+    count = 3 * len(triangles)
+    normals, tangents = np.empty((count, 3), np.float32), np.empty((count, 4), np.float32)
+    _carry(frames, np.ascontiguousarray(triangles, np.int32), before, after, normals, tangents)
+    rows = np.arange(count, dtype=np.int32).reshape(-1, 3)
+    return Frames(Corners(normals, rows), Corners(tangents, rows))
+
+
+def _flat_normals(
+    positions: npt.NDArray[np.float64], triangles: npt.NDArray[np.integer]
+) -> npt.NDArray[np.float64]:
+    corners = positions[triangles]
+    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return _unit(crosses, np.broadcast_to([0.0, 0.0, 1.0], crosses.shape))
+
+
+def _unit(vectors: npt.NDArray[np.floating], fallback: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
+    """Return vectors (…, 3) at length 1; those without a direction as in ``fallback``."""
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        wide = vectors.astype(np.float64)
+        largest = np.abs(wide).max(axis=-1, keepdims=True)
+        wide /= largest  # so that no square leaves the range of the numbers
+        wide /= np.linalg.norm(wide, axis=-1, keepdims=True)
+    return np.where(np.isfinite(wide).all(axis=-1, keepdims=True), wide, fallback)
+
+
+def _perpendicular(normals: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
+    """Return a unit vector at right angles to each unit normal (…, 3)."""
+    # The axis that a normal leans least towards, less what it leans.
+    axis = np.eye(3)[np.abs(normals).argmin(axis=-1)]
+    return _unit(axis - normals * (axis * normals).sum(axis=-1, keepdims=True), axis)
+
+
+def _mended(corners: Corners, fallback: npt.NDArray[np.floating]) -> Corners:
+    """Return directions (rows, 3 or 4) as unit vectors, a fourth component as 1 or −1.
+
+    Rows without a direction take the ``fallback`` (m, 3, 3) of a corner that uses them.
+    """
+    values = np.ones(corners.values.shape, np.float32)
+    unit = _unit(corners.values[:, :3], np.full(3, np.nan))
+    broken = np.isnan(unit[:, 0])
+    if broken.any():
+        unit[broken] = (0.0, 0.0, 1.0)
+        triangle, corner = np.nonzero(broken[corners.rows])
+        unit[corners.rows[triangle, corner]] = fallback[triangle, corner]
+    values[:, :3] = unit
+    values[:, 3:][corners.values[:, 3:] < 0] = -1.0
+    return Corners(values, corners.rows)
+
+
+def _welded(rows: npt.NDArray[np.floating | np.integer]) -> npt.NDArray[np.int32]:
+    """Return a number for each row, the same for equal rows and counting from 0 up."""
+    words = np.ascontiguousarray(rows + np.zeros((), rows.dtype)).view(np.uint32)  # −0 becomes 0
+    hashes = np.zeros(len(rows), np.uint64)
+    for column in words.T:
+        hashes ^= column
+        hashes *= _MULTIPLIER
+        hashes ^= hashes >> np.uint64(32)
+    size = 2 ** (2 * len(rows)).bit_length()
+    numbers = np.empty(len(rows), np.int32)
+    _weld(words, (hashes & np.uint64(size - 1)).astype(np.int64), np.full(size, -1, np.int32), numbers)
+    return numbers
+
+
+@kernel
+def _weld(
+    words: npt.NDArray[np.uint32],
+    places: npt.NDArray[np.int64],
+    table: npt.NDArray[np.int32],
+    numbers: npt.NDArray[np.int32],
+) -> None:
+    """Give equal rows equal numbers: a table of rows with linear probing, its size a power of two."""
+    count = 0
+    for row in range(len(words)):
+        place = places[row]
+        while True:
+            other = table[place]
+            if other < 0:
+                table[place] = row
+                numbers[row] = count
+                count += 1
+                break
+            same = True
+            for k in range(words.shape[1]):
+                same = same and words[row, k] == words[other, k]
+            if same:
+                numbers[row] = numbers[other]
+                break
+            place = (place + 1) & (len(table) - 1)
+
+
+@inlined
+def _row(values: npt.NDArray[np.floating], row: int) -> _Vector:
+    return float(values[row, 0]), float(values[row, 1]), float(values[row, 2])
+
+
+@inlined
+def _minus(a: _Vector, b: _Vector) -> _Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@inlined
+def _dot(a: _Vector, b: _Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inlined
+def _cross(a: _Vector, b: _Vector) -> _Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@inlined
+def _times(a: _Vector, factor: float) -> _Vector:
+    return a[0] * factor, a[1] * factor, a[2] * factor
+
+
+@inlined
+def _sum(a: _Vector, b: _Vector, c: _Vector) -> _Vector:
+    return a[0] + b[0] + c[0], a[1] + b[1] + c[1], a[2] + b[2] + c[2]
+
+
+@inlined
+def _in_plane(vector: _Vector, normal: _Vector) -> _Vector:
+    """Return the direction of a vector as seen along a normal: a unit vector, or zeros."""
+    lean = _dot(vector, normal)
+    x = vector[0] - lean * normal[0]
+    y = vector[1] - lean * normal[1]
+    z = vector[2] - lean * normal[2]
+    length = math.sqrt(x * x + y * y + z * z)
+    if not 0.0 < length < math.inf:
+        return 0.0, 0.0, 0.0
+    return x / length, y / length, z / length
+
+
+@kernel
+def _sum_tangents(
+    positions: npt.NDArray[np.float64],
+    triangles: npt.NDArray[np.int32],
+    normals: Corners,
+    coordinates: Corners,
+    groups: npt.NDArray[np.int32],
+    sums: npt.NDArray[np.float64],
+    rows: npt.NDArray[np.int32],
+) -> None:
+    """Add up the directions of u, one row for mirrored and one for other triangles of each group of corners.
+
+    ``rows`` becomes the row of each corner, −1 for those of triangles that have no such direction.
+    """
+    for triangle in range(len(triangles)):
+        p0 = _row(positions, triangles[triangle, 0])
+        e = _minus(_row(positions, triangles[triangle, 1]), p0)
+        f = _minus(_row(positions, triangles[triangle, 2]), p0)
+        uv = coordinates.values
+        a, b, c = coordinates.rows[triangle, 0], coordinates.rows[triangle, 1], coordinates.rows[triangle, 2]
+        u0, v0 = float(uv[a, 0]), float(uv[a, 1])
+        eu, ev = float(uv[b, 0]) - u0, float(uv[b, 1]) - v0
+        fu, fv = float(uv[c, 0]) - u0, float(uv[c, 1]) - v0
+        area = eu * fv - fu * ev
+        sign = 1.0 if area > 0.0 else -1.0
+        # The directions of u and v: the inverse of the map from the edges to the image, but for its scale.
+        s = (sign * (fv * e[0] - ev * f[0]), sign * (fv * e[1] - ev * f[1]), sign * (fv * e[2] - ev * f[2]))
+        t = (eu * f[0] - fu * e[0], eu * f[1] - fu * e[1], eu * f[2] - fu * e[2])
+        distinct = _dot(e, e) > 0.0 and _dot(f, f) > 0.0 and (e[0] != f[0] or e[1] != f[1] or e[2] != f[2])
+        usable = 0.0 < abs(area) < math.inf and _dot(s, s) > 0.0 and _dot(t, t) > 0.0
+        if not (distinct and usable):
+            rows[triangle] = -1
+            continue
+        for corner in range(3):
+            normal = _row(normals.values, normals.rows[triangle, corner])
+            if corner == 0:
+                one, other = e, f
+            elif corner == 1:
+                one, other = _minus(f, e), (-e[0], -e[1], -e[2])
+            else:
+                one, other = (-f[0], -f[1], -f[2]), _minus(e, f)
+            cosine = _dot(_in_plane(one, normal), _in_plane(other, normal))
+            angle = math.acos(min(max(cosine, -1.0), 1.0))
+            x, y, z = _in_plane(s, normal)
+            row = 2 * groups[triangle, corner] + (1 if sign < 0.0 else 0)
+            rows[triangle, corner] = row
+            sums[row, 0] += angle * x
+            sums[row, 1] += angle * y
+            sums[row, 2] += angle * z
+
+
+@kernel
+def _finish_tangents(
+    normals: Corners,
+    groups: npt.NDArray[np.int32],
+    sums: npt.NDArray[np.float64],
+    rows: npt.NDArray[np.int32],
+    values: npt.NDArray[np.float32],
+) -> None:
+    """Turn sums into unit tangents with handedness; give triangles without rows those of their neighbours."""
+    for triangle in range(len(rows)):
+        if rows[triangle, 0] < 0:
+            side = -1
+            for corner in range(3):
+                for candidate in (1, 0):
+                    total = _row(sums, 2 * groups[triangle, corner] + candidate)
+                    if side < 0 and _dot(total, total) > 0.0:
+                        side = candidate
+            for corner in range(3):
+                rows[triangle, corner] = 2 * groups[triangle, corner] + (1 if side < 0 else side)
+        for corner in range(3):
+            row = rows[triangle, corner]
+            normal = _row(normals.values, normals.rows[triangle, corner])
+            x, y, z = _in_plane(_row(sums, row), normal)
+            if x == 0.0 and y == 0.0 and z == 0.0:
+                a, b, c = abs(normal[0]), abs(normal[1]), abs(normal[2])
+                if a <= b and a <= c:
+                    x, y, z = _in_plane((1.0, 0.0, 0.0), normal)
+                elif b <= c:
+                    x, y, z = _in_plane((0.0, 1.0, 0.0), normal)
+                else:
+                    x, y, z = _in_plane((0.0, 0.0, 1.0), normal)
+            values[row, 0], values[row, 1], values[row, 2] = x, y, z
+            values[row, 3] = 1.0 if row % 2 else -1.0
+
+
+@inlined
+def _edges(positions: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32], triangle: int) -> _Edges:
+    """Return two edges of a triangle, their cross product, and its length, which is twice the area."""
+    origin = _row(positions, triangles[triangle, 0])
+    e = _minus(_row(positions, triangles[triangle, 1]), origin)
+    f = _minus(_row(positions, triangles[triangle, 2]), origin)
+    cross = _cross(e, f)
+    return e, f, cross, math.sqrt(_dot(cross, cross))
+
+
+@inlined
+def _store(values: npt.NDArray[np.float32], row: int, vector: _Vector, fallback: _Vector) -> None:
+    """Write a vector at length 1, or ``fallback`` if it has no direction."""
+    length = math.sqrt(_dot(vector, vector))
+    x, y, z = _times(vector, 1.0 / length) if 0.0 < length < math.inf else fallback
+    values[row, 0], values[row, 1], values[row, 2] = x, y, z
+
+
+@kernel
+def _carry(
+    frames: Frames,
+    triangles: npt.NDArray[np.int32],
+    before: npt.NDArray[np.float64],
+    after: npt.NDArray[np.float64],
+    normals: npt.NDArray[np.float32],
+    tangents: npt.NDArray[np.float32],
+) -> None:
+    """Write the moved normals (3m, 3) and tangents (3m, 4), corner by corner."""
+    for triangle in range(len(triangles)):
+        e, f, cross, area = _edges(before, triangles, triangle)
+        new_e, new_f, new_cross, new_area = _edges(after, triangles, triangle)
+        usable = 0.0 < area < math.inf and 0.0 < new_area < math.inf
+        for corner in range(3):
+            normal = _row(frames.normals.values, frames.normals.rows[triangle, corner])
+            source = frames.tangents.rows[triangle, corner]
+            tangent = _row(frames.tangents.values, source)
+            moved_normal, moved_tangent = normal, tangent
+            if usable:
+                # With a normal as long as the root of the area, the edges are a basis. A tangent keeps its
+                # components, which are products with the dual basis; a shading normal keeps its products with
+                # the basis, and so its right angle to tangents. Both are a power of an area too long.
+                root = 1.0 / (math.sqrt(area) * math.sqrt(new_area))
+                moved_tangent = _sum(
+                    _times(new_e, _dot(tangent, _cross(f, cross)) / area),
+                    _times(new_f, _dot(tangent, _cross(cross, e)) / area),
+                    _times(new_cross, _dot(tangent, cross) * root),
+                )
+                moved_normal = _sum(
+                    _times(_cross(new_f, new_cross), _dot(normal, e) / new_area),
+                    _times(_cross(new_cross, new_e), _dot(normal, f) / new_area),
+                    _times(new_cross, _dot(normal, cross) * root),
+                )
+            row = 3 * triangle + corner
+            _store(normals, row, moved_normal, normal)
+            _store(tangents, row, moved_tangent, tangent)
+            tangents[row, 3] = frames.tangents.values[source, 3]
