@@ -28,6 +28,7 @@ ROWS = [
     {"view"},
     {"painting"},
     {"formats"},
+    {"compare"},
     {"preview"},
     {"cli"},
 ]

@@ -1,0 +1,356 @@
+"""How two textures, or a texture and a model, differ over the surface.
+
+Light is compared in sRGB codes, however it is stored: 255 · the sRGB curve of its linear value, continued
+above 1. Data are compared as they are, directions component by component and by the angle between them. Where
+both sides have alpha, their light is multiplied by it first: what nobody sees does not differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import ChannelFormat, ColorSpace, linear_to_srgb
+from octex.checks import as_choice
+from octex.errors import ArgumentError
+from octex.parallel import Progress, silent
+from octex.source.surface import Samples, Surface
+from octex.texture import OctreeTexture
+from octex.tree.layout import AREA_ONE, AREA_STEPS
+from octex.tree.morton import decode_cells
+from octex.tree.walk import walk_leaves
+
+Floats = npt.NDArray[np.floating]
+Doubles = npt.NDArray[np.float64]
+
+#: Points compared on a model.
+DEFAULT_POINTS = 1_000_000
+_BLOCK = 1 << 16
+_LIGHT = ("srgb", "linear")
+#: What the differences of a channel are measured in, by its colour space, and the peak of their PSNR.
+MEASURES = {
+    "srgb": ("sRGB codes", 255.0),
+    "linear": ("sRGB codes", 255.0),
+    "data": ("fractions", 1.0),
+    "direction": ("components", 2.0),
+}
+_ANGLE = ("degrees", 180.0)
+#: A cell's area in squares of its edge, by its code; cells without area hardly count.
+_AREAS = 2.0 ** ((np.arange(256) - AREA_ONE) / AREA_STEPS)
+# Percentiles come from a histogram over the first 18 bits of a float32 without its sign: steps of 0.1 %.
+_CUT_BITS, _BINS = 13, 1 << 18
+
+
+class Difference(NamedTuple):
+    """How one channel of b differs from that of a.
+
+    The root mean square is that of all components; the 99th percentile (to 0.1 %) and the maximum are of the
+    component that differs most at each point.
+    """
+
+    measure: str  # "sRGB codes", "fractions", "components" (of directions) or "degrees"
+    rms: float
+    psnr: (
+        float  # 20 · log10(peak / rms) in dB: of 255 codes, 1, 2 or 180 degrees; infinite if nothing differs
+    )
+    p99: float
+    maximum: float
+    where: tuple[float, float, float]  # the rest position of the maximum; of equal ones the first
+    a: tuple[float, ...]  # the values there, in the measure
+    b: tuple[float, ...]
+    angle: Difference | None = None  # of a direction: the same of the angle between a's and b's
+
+
+class Differences(dict[str, Difference]):
+    """Differences by channel, and what could not be compared.
+
+    points        points compared
+    width         the width, in rest units, over which a model was averaged at each; None without a model
+    unmatched     channels that only a has, and that only b has
+    areas         areas of a and b at rest, in square units; a texture's to some percent, as it is stored
+    uncovered     part of a's area where b has nothing and of b's where a has nothing; None for the part of a
+                  texture's that a model lacks: there, compare the areas
+    """
+
+    points: int
+    width: float | None
+    unmatched: tuple[tuple[str, ...], tuple[str, ...]]
+    areas: tuple[float, float]
+    uncovered: tuple[float | None, float | None]
+
+
+class _Visit(NamedTuple):
+    """Some points of one side's surface."""
+
+    side: int
+    rest: Doubles  # (n, 3)
+    weights: Doubles  # (n,)   the area that each stands for
+    covered: npt.NDArray[np.bool_]  # (n,)   whether the other side has a surface there
+    samples: Samples | None  # the points on the model
+
+
+Side = OctreeTexture | Surface
+
+
+def difference(
+    a: Side,
+    b: Side,
+    *,
+    channels: Sequence[str] | None = None,
+    points: int = DEFAULT_POINTS,
+    width: float | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Differences:
+    """Measure how two textures, or a texture and a model, differ over the surface, channel by channel.
+
+    channels    names; default: all that both have
+    points      with a model: how many points on it, uniform by its posed area, the same for the same ``seed``
+    width       with a model: it is averaged over so much at each point, in rest units; default: the edge of
+                the texture's finest cells, which a leaf's value is a mean over; 0 reads it at the points
+
+    Two textures are compared at the centre of every leaf of both, weighted by its area; they may differ in
+    placement and depth. Textures are read with the filter ``nearest``. Values are compared only where both
+    have a surface (within a finest cell); ``Differences.uncovered`` says how much is left out.
+
+    Memory does not grow with points and leaves. Raises ArgumentError for two models, for channels that are
+    not in both or do not mean the same in both, and if the surfaces have nothing in common.
+    """
+    report = progress or silent
+    sides = a, b
+    names, read, spaces = _chosen(sides, channels)
+    placed = next((side for side in sides if isinstance(side, OctreeTexture)), None)
+    if placed is None:
+        raise ArgumentError(
+            "two models have no points in common to compare them at; convert one of them first"
+        )
+    models = [number for number, side in enumerate(sides) if isinstance(side, Surface)]
+    if points < 1 or seed < 0:
+        raise ArgumentError(f"points must be above 0 and seed not below, not {points} and {seed}")
+    if width is None:
+        width = placed.placement.size / 2**placed.tree.max_depth
+    if not 0 <= width < np.inf:
+        raise ArgumentError(f"width must be finite and not negative, not {width!r}")
+    if models:
+        total, visits = points, _model_visits(sides, models[0], points, seed)
+    else:
+        total = sum(side.tree.n_leaves for side in sides if isinstance(side, OctreeTexture))
+        visits = chain(_leaf_visits(sides, 0), _leaf_visits(sides, 1))
+
+    sums = {name: _Sums(*MEASURES[space]) for name, space in spaces.items()}
+    angles = {name: _Sums(*_ANGLE) for name, space in spaces.items() if space == "direction"}
+    areas, missed = np.zeros(2), np.zeros(2)
+    done = compared = 0
+    report("compare", 0, total)
+    for visit in visits:
+        areas[visit.side] += visit.weights.sum()
+        missed[visit.side] += visit.weights[~visit.covered].sum()
+        rest, weights = visit.rest[visit.covered], visit.weights[visit.covered]
+        if len(rest):
+            first, second = (_values(side, visit, read, width) for side in sides)
+            for name in names:
+                values = [_measured(each, name, spaces[name]) for each in (first, second)]
+                sums[name].add(rest, weights, values[1] - values[0], *values)
+                if name in angles:
+                    angles[name].add(rest, weights, _degrees(*values)[:, None], *values)
+        compared += len(rest)
+        done += len(visit.rest)
+        report("compare", done, total)
+    if not compared:
+        raise ArgumentError(
+            "the surfaces have nothing in common: is it the same model, at the same rest positions?"
+        )
+
+    results = Differences()
+    for name in names:
+        angle = angles[name].result() if name in angles else None
+        results[name] = sums[name].result()._replace(angle=angle)
+    results.points = compared
+    results.width = width if models else None
+    formats = [_formats(side) for side in sides]
+    results.unmatched = (
+        tuple(name for name in formats[0] if name not in formats[1]),
+        tuple(name for name in formats[1] if name not in formats[0]),
+    )
+    parts: list[float | None] = [None, None]
+    for number in (0, 1):
+        if not models or number in models:
+            parts[number] = float(missed[number] / areas[number])
+        if models:
+            areas[number] = _area(sides[number])
+    results.areas = float(areas[0]), float(areas[1])
+    results.uncovered = parts[0], parts[1]
+    return results
+
+
+def _formats(side: Side) -> dict[str, ChannelFormat]:
+    if isinstance(side, Surface):
+        return {channel.name: channel for channel in side.channels}
+    return {name: channel.format for name, channel in side.channels.items()}
+
+
+def _chosen(
+    sides: tuple[Side, Side], channels: Sequence[str] | None
+) -> tuple[list[str], list[str], dict[str, ColorSpace]]:
+    """Return the channels to compare, those to read for it, and the colour spaces of the former."""
+    first, second = (_formats(side) for side in sides)
+    both = [name for name in first if name in second]
+    if channels is None:
+        channels = both
+    for name in channels:
+        as_choice(name, both, "channel in both")
+    if not channels:
+        raise ArgumentError(
+            f"there is no channel in both: one has {', '.join(first) or 'none'}, "
+            f"the other {', '.join(second) or 'none'}"
+        )
+    spaces: dict[str, ColorSpace] = {}
+    for name in channels:
+        meanings = [(MEASURES[form.space][0], form.components) for form in (first[name], second[name])]
+        if meanings[0] != meanings[1]:
+            one, other = (f"{components} {measure}" for measure, components in meanings)
+            raise ArgumentError(f"channel {name!r} means {one} in one and {other} in the other")
+        spaces[name] = first[name].space
+    names = list(spaces)
+    covered = "alpha" in both and any(space in _LIGHT for space in spaces.values())
+    return names, [*names, *(["alpha"] if covered and "alpha" not in names else [])], spaces
+
+
+def _model_visits(sides: tuple[Side, Side], number: int, points: int, seed: int) -> Iterator[_Visit]:
+    """Yield points on the model, uniform by posed area."""
+    surface, texture = sides[number], sides[1 - number]
+    assert isinstance(surface, Surface)
+    assert isinstance(texture, OctreeTexture)
+    lies_on = _cover(texture)
+    edge = texture.placement.size / 2**texture.tree.max_depth
+    for first in range(0, points, _BLOCK):
+        block_seed = int(np.random.SeedSequence([seed, first]).generate_state(1, np.uint64)[0])
+        samples = surface.scatter(min(_BLOCK, points - first), block_seed)
+        covered = lies_on(samples.rest, np.full(len(samples.rest), edge))
+        yield _Visit(number, samples.rest, np.ones(len(samples.rest)), covered, samples)
+
+
+def _leaf_visits(sides: tuple[Side, Side], number: int) -> Iterator[_Visit]:
+    """Yield the centres of all leaves of a texture."""
+    texture, other = sides[number], sides[1 - number]
+    assert isinstance(texture, OctreeTexture)
+    assert isinstance(other, OctreeTexture)
+    lies_on = _cover(other)
+    for centres, edges, areas in _leaves(texture):
+        yield _Visit(number, centres, areas, lies_on(centres, edges), None)
+
+
+def _leaves(texture: OctreeTexture) -> Iterator[tuple[Doubles, Doubles, Doubles]]:
+    """Yield centres (n, 3), edges (n,) and areas (n,) of all leaves, in rest units."""
+    for cells, codes, depths in walk_leaves(texture.tree.arrays, _BLOCK):
+        edges = np.ldexp(1.0, -depths.astype(np.int32))
+        centres = texture.placement.to_rest((decode_cells(codes) + 0.5) * edges[:, None])
+        edges *= texture.placement.size
+        yield centres, edges, _AREAS[texture.tree.arrays.areas[cells]] * edges**2
+
+
+def _area(side: Side) -> float:
+    """Return the area of a surface at rest."""
+    if isinstance(side, Surface):
+        corners = side.rest[side.triangles]
+        crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        return float(np.linalg.norm(crosses, axis=1).sum() / 2)
+    return sum(float(areas.sum()) for _, _, areas in _leaves(side))
+
+
+def _cover(texture: OctreeTexture) -> Callable[[Floats, Floats], npt.NDArray[np.bool_]]:
+    """Return a function that says of cubes, centres (n, 3) and edges (n,), whether a leaf meets them."""
+    level_of = cache(texture.level)
+    # So much further in, the upper corners of a texture's own cells are not rounded into the next ones.
+    inset = texture.placement.size * 2.0**-29
+
+    def lies_on(centres: Floats, edges: Floats) -> npt.NDArray[np.bool_]:
+        found = np.zeros(len(centres), np.bool_)
+        for edge in np.unique(edges):
+            # A cell no smaller than a cube that it meets holds one of its corners.
+            level = int(np.clip(np.floor(np.log2(texture.placement.size / edge) + 1e-9), 0, 21))
+            coarse = level_of(min(level, texture.tree.max_depth))
+            left = np.flatnonzero(edges == edge)
+            for corner in np.ndindex(2, 2, 2):
+                offset = (np.array(corner) - 0.5) * (edge - 2 * inset)
+                held = coarse.contains(centres[left] + offset)
+                found[left[held]] = True
+                left = left[~held]
+        return found
+
+    return lies_on
+
+
+def _values(side: Side, visit: _Visit, names: list[str], width: float) -> dict[str, Floats]:
+    """Read channels at a visit's covered points; multiply light by alpha if it is among them."""
+    formats = _formats(side)
+    if isinstance(side, OctreeTexture):
+        values: dict[str, Floats] = dict(side.sample(visit.rest[visit.covered], names))
+    else:
+        assert visit.samples is not None
+        triangles = visit.samples.triangles[visit.covered]
+        widths = np.full(len(triangles), width, np.float32)
+        rows = side.evaluate_all(triangles, visit.samples.barycentric[visit.covered], widths)
+        ends = np.cumsum([form.components for form in formats.values()])
+        columns = dict(zip(formats, np.split(rows, ends[:-1], axis=1), strict=True))
+        values = {name: columns[name] for name in names}
+    if "alpha" in names:
+        for name in names:
+            if formats[name].space in _LIGHT:
+                values[name] = values[name] * values["alpha"]
+    return values
+
+
+def _measured(values: dict[str, Floats], name: str, space: str) -> Doubles:
+    return 255 * linear_to_srgb(values[name]) if space in _LIGHT else values[name].astype(np.float64)
+
+
+def _degrees(a: Floats, b: Floats) -> Floats:
+    """Return the angles (n,) between directions (n, 3) of any length; 0 where one has none."""
+    across = np.linalg.norm(np.cross(a, b), axis=1)
+    return np.asarray(np.degrees(np.arctan2(across, (a * b).sum(axis=1))))
+
+
+class _Sums:
+    """Gathers the differences of a channel."""
+
+    def __init__(self, measure: str, peak: float) -> None:
+        self.measure, self.peak = measure, peak
+        self.squares = self.weight = 0.0
+        self.histogram = np.zeros(_BINS)
+        self.maximum = -1.0
+        self.at: tuple[Floats, Floats, Floats]
+
+    def add(self, rest: Floats, weights: Floats, apart: Floats, a: Floats, b: Floats) -> None:
+        """Add points (n, 3) with weights (n,), differences and values (n, components)."""
+        self.weight += float(weights.sum())
+        self.squares += float(weights @ (apart**2).mean(axis=1))
+        most = np.abs(apart).max(axis=1)
+        bins = most.astype(np.float32).view(np.uint32) >> _CUT_BITS
+        self.histogram += np.bincount(bins, weights, _BINS)
+        n = int(most.argmax())
+        if most[n] > self.maximum:
+            self.maximum = float(most[n])
+            self.at = rest[n].copy(), a[n].copy(), b[n].copy()
+
+    def result(self) -> Difference:
+        rms = float(np.sqrt(self.squares / self.weight))
+        # The bin in which all but a hundredth of the weight is reached.
+        reached = np.searchsorted(np.cumsum(self.histogram), 0.99 * self.histogram.sum())
+        p99 = np.array([reached << _CUT_BITS], np.uint32).view(np.float32)[0]
+        x, y, z = self.at[0].tolist()
+        return Difference(
+            self.measure,
+            rms,
+            float(20 * np.log10(self.peak / rms)) if rms > 0 else np.inf,
+            float(p99),
+            self.maximum,
+            (x, y, z),
+            tuple(self.at[1].tolist()),
+            tuple(self.at[2].tolist()),
+        )

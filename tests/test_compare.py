@@ -1,0 +1,358 @@
+"""Differences between textures and models, measured again in slow and obvious ways."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import octex
+from octex import compare
+from octex.channels import ALPHA, BASE_COLOR, ChannelFormat, encode
+from octex.compare import Difference, difference
+from octex.errors import ArgumentError
+from octex.source.surface import Surface
+from octex.texture import Channel, OctreeTexture
+from octex.tree.layout import AREA_ONE
+from octex.tree.morton import encode_cells
+from octex.tree.octree import Octree
+from octex.tree.placement import Placement
+
+ROUGHNESS = ChannelFormat("roughness", 1, "data")
+NORMAL = ChannelFormat("normal", 3, "direction", "float32")
+UNIT = Placement((0.0, 0.0, 0.0), 1.0)
+
+
+def sheet(
+    values: dict[ChannelFormat, npt.ArrayLike],
+    depth: int = 3,
+    *,
+    rows: slice = slice(None),
+    placement: Placement = UNIT,
+    layer: int = 0,
+    areas: npt.ArrayLike = AREA_ONE,
+) -> OctreeTexture:
+    """A texture of one layer of cells; values per cell broadcast to (rows, columns, components)."""
+    width = 1 << depth
+    cells = np.stack(np.meshgrid(*[np.arange(width)] * 2, indexing="ij"), axis=-1)[rows].reshape(-1, 2)
+    codes = encode_cells(np.column_stack([cells, np.full(len(cells), layer)]))
+    order = np.argsort(codes)
+    tree = Octree.from_leaves(codes[order], np.full(len(codes), depth))
+    leaves = tree.leaf_cells()
+    flags, codes = np.full(tree.n_cells, 16, np.uint8), np.zeros(tree.n_cells, np.uint8)
+    codes[leaves] = np.broadcast_to(areas, (width, width))[rows].reshape(-1)[order]
+    tree = tree.with_cell_data(flags, codes)
+    channels = {}
+    for form, value in values.items():
+        every = np.broadcast_to(np.asarray(value, np.float64), (width, width, form.components))[rows]
+        stored = np.zeros((tree.n_cells, form.components))
+        stored[leaves] = every.reshape(-1, form.components)[order]
+        array = (
+            stored.astype(form.dtype) if form.space == "direction" else encode(stored, form.dtype, form.space)
+        )
+        channels[form.name] = Channel(form, array, np.empty((0, form.components), form.dtype))
+    corners = np.array([placement.origin, np.add(placement.origin, placement.size)])
+    return OctreeTexture(tree, channels, placement, corners, {})
+
+
+def noise(seed: int, components: int = 3, depth: int = 3) -> npt.NDArray[np.float64]:
+    return np.random.default_rng(seed).random((1 << depth, 1 << depth, components))
+
+
+def code(linear: float) -> float:
+    return 255 * (12.92 * linear if linear <= 0.0031308 else 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def test_two_textures_are_compared_leaf_by_leaf() -> None:
+    a, b = sheet({BASE_COLOR: noise(1)}), sheet({BASE_COLOR: noise(2)})
+    found = difference(a, b)
+    squares, largest = [], []
+    for i in range(8):
+        for j in range(8):
+            point = [[(i + 0.5) / 8, (j + 0.5) / 8, 0.5 / 8]]
+            apart = [code(v) - code(u) for u, v in zip(a.sample(point)[0], b.sample(point)[0], strict=True)]
+            squares += [each**2 for each in apart]
+            largest.append((max(map(abs, apart)), point[0], a.sample(point)[0], b.sample(point)[0]))
+    result = found["base_color"]
+    rms = math.sqrt(sum(squares) / len(squares))
+    assert result.measure == "sRGB codes"
+    assert result.rms == pytest.approx(rms, rel=1e-5)
+    assert result.psnr == pytest.approx(20 * math.log10(255 / rms), rel=1e-5)
+    most, where, *values = max(largest, key=lambda each: each[0])
+    assert result.maximum == pytest.approx(most, rel=1e-5)
+    assert list(result.where) == pytest.approx(where)
+    for got, expected in zip((result.a, result.b), values, strict=True):
+        assert list(got) == pytest.approx([code(each) for each in expected], abs=1e-3)
+    ranked = sorted(each[0] for each in largest)
+    assert result.p99 == pytest.approx(ranked[math.ceil(0.99 * 64) - 1], rel=1e-3)
+    assert found.points == 128  # the leaves of both
+    assert found.width is None
+    assert found.unmatched == ((), ())
+    assert found.areas == pytest.approx((1.0, 1.0))
+    assert found.uncovered == (0.0, 0.0)
+
+
+def test_a_texture_does_not_differ_from_itself() -> None:
+    texture = sheet({BASE_COLOR: noise(1), ROUGHNESS: noise(2, 1)})
+    found = difference(texture, texture)
+    assert list(found) == ["base_color", "roughness"]
+    for result in found.values():
+        assert (result.rms, result.p99, result.maximum, result.psnr) == (0.0, 0.0, 0.0, math.inf)
+        assert result.a == result.b
+
+
+def test_which_is_first_does_not_matter_but_for_the_names() -> None:
+    a, b = sheet({BASE_COLOR: noise(1)}), sheet({BASE_COLOR: noise(2)}, rows=slice(2, 8))
+    there, back = difference(a, b), difference(b, a)
+    assert there["base_color"].rms == pytest.approx(back["base_color"].rms)
+    assert there["base_color"].a == back["base_color"].b
+    assert there.areas == back.areas[::-1]
+    assert there.uncovered == back.uncovered[::-1]
+
+
+def test_leaves_count_by_their_area() -> None:
+    values, areas = np.zeros((8, 8, 1)), np.full((8, 8), AREA_ONE)
+    values[2, 5] = 1.0
+    areas[2, 5] += 16  # four times as much
+    a, b = sheet({ROUGHNESS: 0.0}, areas=areas), sheet({ROUGHNESS: values}, areas=areas)
+    result = difference(a, b)["roughness"]
+    assert result.rms == pytest.approx(math.sqrt(4 / 67))
+    assert result.p99 == 1.0
+    areas[2, 5] -= 32
+    a, b = sheet({ROUGHNESS: 0.0}, areas=areas), sheet({ROUGHNESS: values}, areas=areas)
+    result = difference(a, b)["roughness"]
+    assert result.rms == pytest.approx(math.sqrt(0.25 / 63.25))
+    assert (result.p99, result.maximum) == (0.0, 1.0)  # less than a hundredth of the area
+
+
+def test_textures_of_another_placement_and_depth_are_compared_where_they_are() -> None:
+    # The same colours, once as leaves of depth 3, once shifted by whole cells in a larger root, finer.
+    values = noise(3)
+    a = sheet({BASE_COLOR: values})
+    fine = np.zeros((32, 32, 3))
+    fine[8:24, 8:24] = values.repeat(2, axis=0).repeat(2, axis=1)
+    whole = sheet({BASE_COLOR: fine}, 5, placement=Placement((-0.5, -0.5, -0.01), 2.0))
+    found = difference(a, whole)
+    assert found["base_color"].maximum < 1e-4
+    assert found.areas == pytest.approx((1.0, 4.0))
+    assert found.uncovered == (0.0, 0.75)
+    assert found.points == 64 + 16**2
+
+
+def test_what_only_one_texture_covers_is_left_out_and_counted() -> None:
+    a = sheet({ROUGHNESS: 0.0}, rows=slice(0, 6))
+    b = sheet({ROUGHNESS: np.full((8, 8, 1), 1.0)}, rows=slice(4, 8))
+    found = difference(a, b)
+    assert found.uncovered == pytest.approx((4 / 6, 2 / 4))
+    assert found.areas == pytest.approx((6 / 8, 4 / 8))
+    assert found.points == 2 * 2 * 8
+    assert found["roughness"].rms == 1.0
+    with pytest.raises(ArgumentError, match="nothing in common: is it the same model"):
+        difference(a, sheet({ROUGHNESS: 0.0}, rows=slice(6, 8)))
+    with pytest.raises(ArgumentError, match="nothing in common"):
+        difference(a, sheet({ROUGHNESS: 0.0}, layer=1))
+
+
+def test_channels_that_only_one_has_are_named() -> None:
+    a = sheet({BASE_COLOR: 0.5, ROUGHNESS: 0.5})
+    b = sheet({ROUGHNESS: 0.25, ALPHA: 0.5})
+    found = difference(a, b)
+    assert list(found) == ["roughness"]
+    assert found.unmatched == (("base_color",), ("alpha",))
+    with pytest.raises(ArgumentError, match="unknown channel in both 'alpha'; there are: roughness"):
+        difference(a, b, channels=["alpha"])
+    with pytest.raises(
+        ArgumentError, match="no channel in both: one has base_color, roughness, the other alpha"
+    ):
+        difference(a, sheet({ALPHA: 0.5}))
+
+
+def test_only_the_channels_asked_for_are_compared() -> None:
+    both = sheet({BASE_COLOR: noise(1), ALPHA: noise(2, 1), ROUGHNESS: noise(3, 1)})
+    assert list(difference(both, both, channels=["roughness", "base_color"])) == ["roughness", "base_color"]
+
+
+def test_a_channel_that_means_something_else_is_refused() -> None:
+    light, data = ChannelFormat("own", 3, "linear", "float32"), ChannelFormat("own", 1, "data")
+    with pytest.raises(ArgumentError, match="'own' means 3 sRGB codes in one and 1 fractions in the other"):
+        difference(sheet({light: 0.5}), sheet({data: 0.5}))
+
+
+def test_light_is_compared_alike_however_it_is_stored() -> None:
+    linear = ChannelFormat("base_color", 3, "linear", "float32")
+    a, b = sheet({BASE_COLOR: 0.25}), sheet({linear: 0.25})
+    assert difference(a, b)["base_color"].maximum < 0.5  # as stored in eight bits
+    # Above 1, the curve goes on.
+    result = difference(sheet({linear: 1.0}), sheet({linear: 16.0}))["base_color"]
+    assert result.maximum == pytest.approx(code(16.0) - 255, rel=1e-6)
+    assert result.b == pytest.approx((code(16.0),) * 3)
+
+
+def test_light_counts_as_far_as_it_is_covered() -> None:
+    clear = {ALPHA: 0.0}
+    found = difference(sheet({BASE_COLOR: 0.0, **clear}), sheet({BASE_COLOR: 1.0, **clear}))
+    assert found["base_color"].maximum == 0.0
+    half = {ALPHA._replace(dtype="float32"): 0.5}
+    found = difference(sheet({BASE_COLOR: 0.0, **half}), sheet({BASE_COLOR: 1.0, **half}))
+    assert found["base_color"].maximum == pytest.approx(code(0.5))
+    # Without alpha on one side, light counts whole.
+    found = difference(sheet({BASE_COLOR: 0.0}), sheet({BASE_COLOR: 1.0, **clear}))
+    assert found["base_color"].maximum == pytest.approx(255)
+    # Data do not fade.
+    found = difference(sheet({ROUGHNESS: 0.0, **clear}), sheet({ROUGHNESS: 1.0, **clear}))
+    assert found["roughness"].maximum == 1.0
+
+
+def test_directions_are_compared_by_components_and_by_angle() -> None:
+    a, b = np.zeros((8, 8, 3)), np.zeros((8, 8, 3))
+    a[..., 2] = b[..., 2] = 1.0
+    b[3, 4] = [0.0, math.sin(math.radians(10)), math.cos(math.radians(10))]
+    b[5, 6] = [0.0, 0.0, 0.5]  # a shorter mean of the same direction
+    b[7, 7] = 0.0  # no direction at all
+    result = difference(sheet({NORMAL: a}), sheet({NORMAL: b}))["normal"]
+    assert (result.measure, result.maximum) == ("components", 1.0)
+    angle = result.angle
+    assert angle is not None
+    assert angle.measure == "degrees"
+    assert angle.maximum == pytest.approx(10.0, abs=1e-4)
+    assert angle.rms == pytest.approx(10 / 8, abs=1e-4)
+    assert angle.psnr == pytest.approx(20 * math.log10(180 / angle.rms))
+    assert angle.where == pytest.approx((3.5 / 8, 4.5 / 8, 0.5 / 8))
+    assert angle.a == (0.0, 0.0, 1.0)
+
+
+def test_memory_and_results_do_not_depend_on_the_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    a, b = sheet({BASE_COLOR: noise(1)}), sheet({BASE_COLOR: noise(2)})
+    whole = difference(a, b)
+    calls: list[tuple[str, int, int]] = []
+    monkeypatch.setattr(compare, "_BLOCK", 10)
+    parts = difference(a, b, progress=lambda *call: calls.append(call))
+    assert {call[0] for call in calls} == {"compare"}
+    assert calls[0][1:] == (0, 128)
+    assert calls[-1][1:] == (128, 128)
+    assert max(np.diff([done for _, done, _ in calls])) <= 10
+    for got, expected in zip(parts["base_color"][1:4], whole["base_color"][1:4], strict=True):
+        assert got == pytest.approx(expected)
+    assert parts["base_color"][4:] == whole["base_color"][4:]
+
+
+# --- a texture and a model
+
+
+def quarters() -> Surface:
+    """A square of four colours, not along the axes."""
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0.3], [0, 1, 0.3]])
+    image = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)
+    return Surface.from_arrays(
+        vertices,
+        np.array([[0, 1, 2], [0, 2, 3]]),
+        uv=vertices[:, :2],
+        image=image.repeat(8, axis=0).repeat(8, axis=1),
+        filter="nearest",
+    )
+
+
+def test_a_texture_is_compared_with_its_model_at_points_on_it() -> None:
+    surface = quarters()
+    texture = octex.convert(surface, 4)
+    found = difference(surface, texture, points=2000, width=0.0, seed=5)
+    samples = surface.scatter(2000, _block_seed(5))
+    truth, stored = surface.evaluate(samples), texture.sample(samples.rest)
+    errors = [
+        [code(u) - code(v) for u, v in zip(*pair, strict=True)] for pair in zip(truth, stored, strict=True)
+    ]
+    result = found["base_color"]
+    assert result.rms == pytest.approx(float(np.sqrt(np.mean(np.square(errors)))), rel=1e-5)
+    most = [max(map(abs, each)) for each in errors]
+    assert result.maximum == pytest.approx(max(most), rel=1e-5)
+    assert list(result.where) == samples.rest[int(np.argmax(most))].tolist()
+    assert result.p99 == pytest.approx(sorted(most)[math.ceil(0.99 * 2000) - 1], rel=1e-3)
+    assert (found.points, found.width) == (2000, 0.0)
+    assert found.uncovered == (0.0, None)
+    assert found.areas == pytest.approx((math.hypot(1, 0.3),) * 2, rel=0.04)
+    swapped = difference(texture, surface, points=2000, width=0.0, seed=5)
+    assert swapped["base_color"].a == result.b
+    assert swapped.uncovered == (None, 0.0)
+
+
+def _block_seed(seed: int) -> int:
+    return int(np.random.SeedSequence([seed, 0]).generate_state(1, np.uint64)[0])
+
+
+def test_a_model_is_averaged_over_the_finest_cells_unless_told_otherwise() -> None:
+    surface = quarters()
+    texture = octex.convert(surface, 4)
+    found = difference(texture, surface, points=500)
+    assert found.width == texture.placement.size / 16
+    assert found == difference(texture, surface, points=500, width=texture.placement.size / 16)
+    assert found["base_color"].rms < difference(texture, surface, points=500, width=0.0)["base_color"].rms
+    assert found != difference(texture, surface, points=500, seed=1)
+
+
+def test_parts_of_a_model_that_the_texture_lacks_are_counted() -> None:
+    surface = quarters()
+    texture = octex.convert(surface, 5)
+    twice = Surface(
+        np.concatenate([surface.vertices, surface.vertices + np.array([0.0, 0.0, 2.0])]),
+        np.concatenate([surface.triangles, surface.triangles + 4]),
+        Twice(surface.source),
+    )
+    found = difference(twice, texture, points=2000)
+    first, second = found.uncovered
+    assert first == pytest.approx(0.5, abs=0.05)
+    assert second is None
+    assert found.points == round(2000 * (1 - first))
+    assert found["base_color"].rms < 60
+    assert found.areas[0] == pytest.approx(2 * math.hypot(1, 0.3))
+
+
+class Twice:
+    """Two copies of what a source colours."""
+
+    def __init__(self, source: Any) -> None:
+        self.source, self.channels = source, source.channels
+
+    def evaluate(self, triangles: Any, barycentric: Any, widths: Any) -> Any:
+        return self.source.evaluate(triangles % 2, barycentric, widths)
+
+
+def test_a_model_is_compared_where_it_is_at_rest() -> None:
+    surface = quarters()
+    texture = octex.convert(surface, 4)
+    posed = Surface(surface.vertices * 3, surface.triangles, surface.source, rest=surface.rest)
+    found = difference(posed, texture, points=1000)
+    assert found.uncovered[0] == 0.0
+    assert found.areas[0] == pytest.approx(math.hypot(1, 0.3))
+    assert found["base_color"] == difference(surface, texture, points=1000)["base_color"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"points": 0}, "points must be above 0 and seed not below, not 0 and 0"),
+        ({"seed": -1}, "points must be above 0 and seed not below, not 1000000 and -1"),
+        ({"width": -1.0}, "width must be finite and not negative, not -1.0"),
+        ({"width": math.nan}, "width must be finite and not negative, not nan"),
+    ],
+)
+def test_bad_arguments_are_refused_by_name(arguments: dict[str, Any], message: str) -> None:
+    surface = quarters()
+    with pytest.raises(ArgumentError, match=message):
+        difference(surface, octex.convert(surface, 2), **arguments)
+
+
+def test_two_models_are_refused() -> None:
+    with pytest.raises(ArgumentError, match="two models have no points in common to compare them at"):
+        difference(quarters(), quarters())
+
+
+def test_every_difference_says_what_it_is_measured_in() -> None:
+    found = difference(sheet({BASE_COLOR: 0.0, ROUGHNESS: 0.0}), sheet({BASE_COLOR: 1.0, ROUGHNESS: 1.0}))
+    assert isinstance(found["roughness"], Difference)
+    assert {name: (each.measure, each.psnr) for name, each in found.items()} == {
+        "base_color": ("sRGB codes", pytest.approx(0.0, abs=1e-6)),
+        "roughness": ("fractions", 0.0),
+    }
