@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from octex.checks import as_choice
 from octex.errors import InputError, ModelError
+from octex.source.filters import FILTERS
 from octex.source.gltf import load_gltf
 from octex.source.meshfiles import load_off, load_ply, load_stl
 from octex.source.obj import load_obj
+from octex.source.options import Options
 from octex.source.surface import Surface
 
-_READERS: dict[str, Callable[[Path, bool], Surface]] = {
+_READERS: dict[str, Callable[[Path, Options], Surface]] = {
     ".glb": load_gltf,
     ".gltf": load_gltf,
     ".obj": load_obj,
@@ -28,15 +31,25 @@ _READERS: dict[str, Callable[[Path, bool], Surface]] = {
 MODEL_ENDINGS = tuple(_READERS)
 
 
-def load_surface(path: str | Path, rest: str | Path | npt.ArrayLike | None = None) -> Surface:
-    """Read a model: its triangles as placed in the scene, and where their colours come from.
+def load_surface(
+    path: str | Path,
+    rest: str | Path | npt.ArrayLike | None = None,
+    *,
+    channels: Sequence[str] | None = None,
+    filter: str = "ewa",
+) -> Surface:
+    """Read a model: its triangles as placed in the scene, and what its materials are made of.
 
     ``rest`` gives rest positions: another model file of the same topology (the same triangles, vertex for
     vertex; its materials are not read), or an array (vertices, 3). Positions are in the model's units.
+    ``channels`` names those that are wanted, by default all that the materials state; images of others are
+    not read. ``filter`` is how images are averaged over footprints, one of filters.FILTERS.
 
-    Raises ModelError or ImageError, with one line that names the file, the cause and the remedy.
+    Raises ModelError or ImageError, with one line that names the file, the cause and the remedy, and
+    ArgumentError for an unknown filter.
     """
-    surface = _read(Path(path), True)
+    as_choice(filter, FILTERS, "filter")
+    surface = _read(Path(path), Options(True, None if channels is None else tuple(channels), filter))
     return surface if rest is None else at_rest(surface, rest)
 
 
@@ -47,7 +60,7 @@ def at_rest(surface: Surface, rest: str | Path | npt.ArrayLike) -> Surface:
     """
     if not isinstance(rest, (str, Path)):
         return surface.with_rest(rest)
-    other = _read(Path(rest), False)
+    other = _read(Path(rest), Options(materials=False))
     if len(other.vertices) != len(surface.vertices) or not np.array_equal(other.triangles, surface.triangles):
         raise ModelError(
             f"{other.name} is no rest mesh of {surface.name}: the topology differs "
@@ -60,7 +73,7 @@ def at_rest(surface: Surface, rest: str | Path | npt.ArrayLike) -> Surface:
     return placed
 
 
-def _read(path: Path, materials: bool) -> Surface:
+def _read(path: Path, options: Options) -> Surface:
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         endings = ", ".join(MODEL_ENDINGS)
@@ -71,7 +84,7 @@ def _read(path: Path, materials: bool) -> Surface:
             raise ModelError(f"{path.name} is empty; export the model again")
         digest = hashlib.sha256(data)
         del data
-        surface = reader(path, materials)
+        surface = reader(path, options)
     except InputError:
         raise
     except OSError as error:

@@ -1,107 +1,79 @@
-"""What a surface point's value comes from.
-
-A source has ``channels`` and ``evaluate(triangles, barycentric, widths)``; a surface asks nothing more of it.
-``MaterialSource`` is the one that model files have: base colour = factor × vertex colour × texture, in linear
-light, and alpha likewise where a material uses it (glTF 2.0, 3.9.2 to 3.9.4). Another channel of a material
-is another column of the kernel's output; anything else that yields values is another class of this form.
-"""
+"""Materials of models: channels made of factors, images and vertex colours (glTF 2.0, 3.9.2 to 3.9.4)."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
-from functools import cached_property
-from typing import Literal, NamedTuple, Protocol
+from collections.abc import Mapping, Sequence
+from threading import Lock
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import ALPHA, BASE_COLOR, ChannelFormat
+from octex.channels import CHANNELS, ONE, ChannelFormat
+from octex.checks import as_choice
 from octex.errors import ModelError
 from octex.jit import kernel
-from octex.source.pyramid import REPEAT, Layer, Pyramids, build_pyramids, read
+from octex.source.base import Source, in_order
+from octex.source.corners import Corners, Frames
+from octex.source.evaluate import Columns, Tables, evaluate, measure
+from octex.source.filters import FILTERS, LEVELS_OF
+from octex.source.pyramid import REPEAT, Images, Picture, store
+from octex.source.tangents import carried
 
 #: How a material's alpha counts: not at all, as a coverage of 0 or 1 about a cutoff, or as it is.
 AlphaMode = Literal["opaque", "mask", "blend"]
 ALPHA_MODES: tuple[AlphaMode, ...] = ("opaque", "mask", "blend")
-OPAQUE, MASK, BLEND = 0, 1, 2
-
-
-class Source(Protocol):
-    """Anything that gives values to points of a surface."""
-
-    @property
-    def channels(self) -> tuple[ChannelFormat, ...]:
-        """The channels, in the order of the values' columns."""
-
-    def evaluate(
-        self,
-        triangles: npt.NDArray[np.int32],
-        barycentric: npt.NDArray[np.float64],
-        widths: npt.NDArray[np.float32],
-    ) -> npt.NDArray[np.float32]:
-        """Return values (n, components) at points of triangles, averaged over widths in rest units."""
-
-    def with_rest(self, rest: npt.NDArray[np.float64]) -> Source:
-        """Return the same source with widths measured on other rest positions (n, 3)."""
 
 
 class Texture(NamedTuple):
     """An image and how coordinates meet it."""
 
-    texels: npt.NDArray[np.uint16]  # (height, width, 4)   sRGB codes and alpha; v runs down
+    texels: npt.NDArray[np.uint16] | npt.NDArray[np.float32]  # (height, width, 4)   as images.decode_image
     wrap_u: int = REPEAT
     wrap_v: int = REPEAT
     nearest: bool = False  # magnified without interpolation
+    slot: int = 0  # which of the surface's sets of texture coordinates
+
+
+class Input(NamedTuple):
+    """What one channel of a material is made of, component by component: offset + factor × texel."""
+
+    factor: tuple[float, ...]  # linear light for colours
+    texture: Texture | None = None  # without one the texel is 1
+    lanes: tuple[int, ...] = (0, 1, 2)  # the texel's components, 0 red … 3 alpha
+    offset: tuple[float, ...] = ()  # () for zeros
 
 
 class Material(NamedTuple):
-    """One material of a model file."""
+    """One material of a model file, with the inputs of the channels that it states.
 
-    factor: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)  # linear light, alpha
-    texture: Texture | None = None
+    Texels are decoded by their channel's space. Those of ``normal`` are directions in the tangent's frame,
+    which the factor scales and which are then made unit vectors, before anything is averaged.
+    """
+
+    inputs: Mapping[str, Input] = {}
     alpha_mode: AlphaMode = "opaque"
     cutoff: float = 0.5  # of "mask": the least alpha that covers
 
 
-class Corners(NamedTuple):
-    """An attribute of triangle corners: rows of values, and the row of each corner."""
-
-    values: npt.NDArray[np.float32]  # (rows, components)
-    rows: npt.NDArray[np.int32]  # (triangles, 3)
+#: What a material that does not state a channel gives (glTF 2.0's defaults).
+_DEFAULTS = {"emissive": 0.0}
 
 
-class Tables(NamedTuple):
-    """Materials and what is bound to triangles, as kernels see them."""
-
-    materials: npt.NDArray[np.int32]  # (triangles,)
-    factors: npt.NDArray[np.float32]  # (materials, 4)
-    alpha_modes: npt.NDArray[np.uint8]  # (materials,)   index into ALPHA_MODES
-    cutoffs: npt.NDArray[np.float32]  # (materials,)
-    images: npt.NDArray[np.int32]  # (materials,)   index into the pyramids, −1 for none
-    wraps: npt.NDArray[np.uint8]  # (materials, 2)
-    nearest: npt.NDArray[np.bool_]  # (materials,)
-    colors: npt.NDArray[np.float32]  # (rows, 4)   linear light and alpha; no rows: no vertex colours
-    color_rows: npt.NDArray[np.int32]  # (triangles, 3)
-    coordinates: npt.NDArray[np.float32]  # (rows, 2)   v down; no rows: no textures
-    coordinate_rows: npt.NDArray[np.int32]  # (triangles, 3)
-
-
-class Footprints(NamedTuple):
-    """How a rest unit on each triangle looks in its image: an ellipse's long axis and short radius."""
-
-    major: npt.NDArray[np.float32]  # (triangles, 2)   in texture coordinates
-    lengths: npt.NDArray[np.float32]  # (triangles, 2)   of the long and of the short axis, in texels
-
-
-class MaterialSource:
-    """Base colour, and alpha where a material uses it, of a model with materials.
+class MaterialSource(Source):
+    """The channels of a model with materials.
 
     ``materials``, and the material of each triangle (m,); ``colors`` at corners, linear light and alpha
-    (rows, 4); texture ``coordinates`` at corners (rows, 2), v running down. ``rest`` (n, 3) and ``triangles``
-    (m, 3) are what widths are measured on.
+    (rows, 4), multiply ``base_color`` and ``alpha``; texture ``coordinates`` (rows, 2) at corners by slot, v
+    running down; ``frames``, without which there is no ``normal``, in the space of ``rest``. ``rest`` (n, 3)
+    and ``triangles`` (m, 3) are what widths are measured on. ``filter`` is one of filters.FILTERS.
 
-    Raises ModelError, with ``name``, for colours, or texture coordinates in use, that are not finite.
+    It has ``base_color``, ``alpha`` if a material uses it, and what else any of the materials in use states;
+    ``channels`` names those that are wanted. Light that can be above 1 is stored as such.
+
+    Raises ModelError, with ``name``, for colours, or texture coordinates in use, that are not finite, and for
+    channels that the materials lack.
     """
 
     def __init__(
@@ -112,37 +84,37 @@ class MaterialSource:
         triangles: npt.NDArray[np.int32],
         *,
         colors: Corners | None = None,
-        coordinates: Corners | None = None,
+        coordinates: Sequence[Corners] = (),
+        frames: Frames | None = None,
         name: str = "surface",
+        filter: str = "ewa",
+        channels: Sequence[str] | None = None,
     ) -> None:
-        used = [materials[i] for i in np.unique(triangle_materials)]
-        has_alpha = any(material.alpha_mode != "opaque" for material in used)
-        self.channels: tuple[ChannelFormat, ...] = (BASE_COLOR, ALPHA) if has_alpha else (BASE_COLOR,)
+        self._materials = list(materials)
+        self._triangle_materials = triangle_materials
         self._rest = rest
         self._triangles = triangles
-        colors = colors or Corners(np.empty((0, 4), np.float32), np.empty((0, 3), np.int32))
-        coordinates = coordinates or Corners(np.empty((0, 2), np.float32), np.empty((0, 3), np.int32))
-        images, self._pyramids = _pyramids(materials)
-        textures = [material.texture for material in materials]
-        if not (np.isfinite(colors.values).all() and np.isfinite([m.factor for m in materials]).all()):
-            raise ModelError(f"{name}: colours are not all finite; repair the model")
-        if not np.isfinite(coordinates.values).all():
-            textured = images[triangle_materials] >= 0
-            if not np.isfinite(coordinates.values[coordinates.rows[textured]]).all():
-                raise ModelError(f"{name}: texture coordinates are not all finite; repair the model")
-        self._tables = Tables(
-            materials=triangle_materials,
-            factors=np.array([m.factor for m in materials], np.float32),
-            alpha_modes=np.array([ALPHA_MODES.index(m.alpha_mode) for m in materials], np.uint8),
-            cutoffs=np.array([m.cutoff for m in materials], np.float32),
-            images=images,
-            wraps=np.array([(t.wrap_u, t.wrap_v) if t else (0, 0) for t in textures], np.uint8),
-            nearest=np.array([t.nearest if t else False for t in textures], np.bool_),
-            colors=colors.values,
-            color_rows=colors.rows,
-            coordinates=coordinates.values,
-            coordinate_rows=coordinates.rows,
-        )
+        self._colors = colors
+        self._coordinates = list(coordinates)
+        self._frames = frames
+        self._name = name
+        self._filter = FILTERS.index(as_choice(filter, FILTERS, "filter"))
+        self._lock = Lock()
+        self._prepared: _Prepared | None = None
+        self._footprints: npt.NDArray[np.float32] | None = None
+        self._check()
+        stated = self._stated()
+        if channels is not None:
+            lacking = [channel for channel in channels if channel not in stated]
+            if lacking:
+                raise ModelError(f"{name} has no channel {', '.join(lacking)}; it has {', '.join(stated)}")
+            stated = [channel for channel in stated if channel in channels]
+        self._channels = tuple(self._format(channel) for channel in stated)
+
+    @property
+    def channels(self) -> tuple[ChannelFormat, ...]:
+        """The channels, in the order of the values' columns."""
+        return self._channels
 
     def evaluate(
         self,
@@ -150,188 +122,306 @@ class MaterialSource:
         barycentric: npt.NDArray[np.float64],
         widths: npt.NDArray[np.float32],
     ) -> npt.NDArray[np.float32]:
-        """Return base colour (n, 3), linear light, not multiplied by alpha; and alpha as a fourth column."""
+        """Return values (n, components): light, not multiplied by alpha; fractions; means of directions."""
+        prepared, footprints = self._prepare()
         values = np.empty((len(triangles), sum(c.components for c in self.channels)), np.float32)
-        _evaluate(self._tables, self._pyramids, self._footprints, triangles, barycentric, widths, values)
+        evaluate(
+            prepared.tables,
+            prepared.columns,
+            prepared.images,
+            footprints,
+            self._filter,
+            triangles,
+            barycentric,
+            widths,
+            values,
+        )
         return values
 
     def with_rest(self, rest: npt.NDArray[np.float64]) -> MaterialSource:
-        """Return the same source with widths measured on other rest positions (n, 3)."""
-        other = copy.copy(self)
+        """Return the same source with widths and directions measured on other rest positions (n, 3)."""
+        other = self._copy()
         other._rest = rest
-        other.__dict__.pop("_footprints", None)
+        other._footprints = None
+        if self._frames is not None:
+            other._frames = carried(self._frames, self._triangles, self._rest, rest)
+            other._prepared = None
         return other
 
-    @cached_property
-    def _footprints(self) -> Footprints:
-        # Made on the first use; two threads that meet here make the same twice.
-        count = len(self._triangles) if len(self._tables.coordinates) else 0
-        footprints = Footprints(np.zeros((count, 2), np.float32), np.zeros((count, 2), np.float32))
-        _measure(self._tables, self._pyramids, self._rest, self._triangles, footprints)
-        return footprints
+    def with_filter(self, name: str) -> MaterialSource:
+        """Return the same source with its images read by another filter."""
+        other = self._copy()
+        other._filter = FILTERS.index(as_choice(name, FILTERS, "filter"))
+        if LEVELS_OF[other._filter] != LEVELS_OF[self._filter]:
+            other._prepared = None
+        return other
 
+    def only(self, names: Sequence[str]) -> MaterialSource:
+        """Return the same source with these of its channels alone; no other image is kept ready."""
+        chosen = tuple(channel for channel in self._channels if channel.name in names)
+        if chosen == self._channels:
+            return self
+        other = self._copy()
+        other._channels = chosen
+        other._prepared = None
+        return other
 
-def _pyramids(materials: Sequence[Material]) -> tuple[npt.NDArray[np.int32], Pyramids]:
-    """Build a pyramid for each way in which an image is used; return the pyramid of each material too."""
-    numbers = np.full(len(materials), -1, np.int32)
-    known: dict[tuple[int, bool, float], int] = {}
-    layers: list[Layer] = []
-    for i, material in enumerate(materials):
-        if material.texture is None:
-            continue
-        uses_alpha = material.alpha_mode != "opaque"
-        threshold = -1.0
-        if material.alpha_mode == "mask":
-            threshold = material.cutoff / material.factor[3] if material.factor[3] > 0 else np.inf
-        key = (id(material.texture.texels), uses_alpha, threshold)
-        if key not in known:
-            known[key] = len(layers)
-            layers.append(Layer(material.texture.texels, uses_alpha, threshold))
-        numbers[i] = known[key]
-    return numbers, build_pyramids(layers)
+    def _copy(self) -> MaterialSource:
+        other = copy.copy(self)
+        other._lock = Lock()
+        return other
 
+    def __getstate__(self) -> dict[str, object]:
+        return {name: value for name, value in self.__dict__.items() if name != "_lock"}
 
-@kernel
-def _measure(
-    tables: Tables,
-    pyramids: Pyramids,
-    rest: npt.NDArray[np.float64],
-    triangles: npt.NDArray[np.int32],
-    footprints: Footprints,
-) -> None:
-    """Fill in the singular axes of the map from each triangle's plane, in rest units, to texels."""
-    for triangle in range(len(footprints.major)):
-        image = np.int64(tables.images[tables.materials[triangle]])
-        if image < 0:
-            continue
-        level = pyramids.levels[pyramids.first_levels[image]]
-        width, height = float(level[1]), float(level[2])
-        a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
-        e0, e1, e2 = rest[b, 0] - rest[a, 0], rest[b, 1] - rest[a, 1], rest[b, 2] - rest[a, 2]
-        f0, f1, f2 = rest[c, 0] - rest[a, 0], rest[c, 1] - rest[a, 1], rest[c, 2] - rest[a, 2]
-        base = np.sqrt(e0 * e0 + e1 * e1 + e2 * e2)
-        if not base > 0.0:
-            continue
-        shift = (e0 * f0 + e1 * f1 + e2 * f2) / base
-        n0, n1, n2 = e1 * f2 - e2 * f1, e2 * f0 - e0 * f2, e0 * f1 - e1 * f0
-        rise = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) / base
-        if not rise > 1e-12 * base:
-            continue
-        a, b, c = (
-            tables.coordinate_rows[triangle, 0],
-            tables.coordinate_rows[triangle, 1],
-            tables.coordinate_rows[triangle, 2],
+    def __setstate__(self, state: dict[str, object]) -> None:
+        self.__dict__.update(state, _lock=Lock())
+
+    def _used(self) -> list[Material]:
+        return [self._materials[i] for i in np.unique(self._triangle_materials)]
+
+    def _stated(self) -> list[str]:
+        used = self._used()
+        names = {"base_color"}.union(*(material.inputs for material in used)) - {"alpha"}
+        if any(material.alpha_mode != "opaque" for material in used):
+            names.add("alpha")
+        if self._frames is None:
+            names.discard("normal")
+        return in_order(list(names))
+
+    def _format(self, name: str) -> ChannelFormat:
+        """Return how a channel is stored: light that can be above 1 as floats."""
+        form = CHANNELS[name]
+        if form.space != "srgb":
+            return form
+        most = max(
+            (_brightest(material.inputs[name]) for material in self._used() if name in material.inputs),
+            default=1.0,
         )
-        st = tables.coordinates
-        s1, t1 = (np.float64(st[b, 0]) - st[a, 0]) * width, (np.float64(st[b, 1]) - st[a, 1]) * height
-        s2, t2 = (np.float64(st[c, 0]) - st[a, 0]) * width, (np.float64(st[c, 1]) - st[a, 1]) * height
-        # The Jacobian's columns are texels per unit along the base and across it.
-        sx, tx = s1 / base, t1 / base
-        sy, ty = (s2 - sx * shift) / rise, (t2 - tx * shift) / rise
-        ss, st_, tt = sx * sx + sy * sy, sx * tx + sy * ty, tx * tx + ty * ty
-        half = 0.5 * (ss - tt)
-        largest = 0.5 * (ss + tt) + np.sqrt(half * half + st_ * st_)
-        if not 0.0 < largest < 1e30:
-            continue
-        major = np.sqrt(largest)
-        if half >= 0.0:
-            x, y = largest - tt, st_
-        else:
-            x, y = st_, largest - ss
-        length = np.sqrt(x * x + y * y)
-        if length > 0.0:
-            x, y = x / length * major, y / length * major
-        else:
-            x, y = major, 0.0
-        footprints.major[triangle, 0] = x / width
-        footprints.major[triangle, 1] = y / height
-        footprints.lengths[triangle, 0] = major
-        footprints.lengths[triangle, 1] = abs(sx * ty - sy * tx) / major
+        if name == "base_color" and self._colors is not None and len(self._colors.values):
+            most *= float(self._colors.values[:, :3].max())
+        return form if most <= 1.0 + 1e-6 else form._replace(space="linear", dtype="float16")
+
+    def _check(self) -> None:
+        """Refuse colours and coordinates in use that are not finite."""
+        numbers = [
+            n for m in self._materials for each in m.inputs.values() for n in (*each.factor, *each.offset)
+        ]
+        if not np.isfinite(numbers).all() or not (
+            self._colors is None or np.isfinite(self._colors.values).all()
+        ):
+            raise ModelError(f"{self._name}: colours are not all finite; repair the model")
+        for slot, corners in enumerate(self._coordinates):
+            if np.isfinite(corners.values).all():
+                continue
+            reads = [
+                any(each.texture is not None and each.texture.slot == slot for each in m.inputs.values())
+                for m in self._materials
+            ]
+            textured = np.array(reads, np.bool_)[self._triangle_materials]
+            if not np.isfinite(corners.values[corners.rows[textured]]).all():
+                raise ModelError(f"{self._name}: texture coordinates are not all finite; repair the model")
+
+    def _prepare(self) -> tuple[_Prepared, npt.NDArray[np.float32]]:
+        """Return what the kernels read, made on the first use."""
+        with self._lock:
+            if self._prepared is None:
+                self._prepared = self._tables()
+            if self._footprints is None:
+                tables = self._prepared.tables
+                self._footprints = np.zeros((*tables.coordinate_rows.shape[:2], 3), np.float32)
+                measure(
+                    tables.coordinates, tables.coordinate_rows, self._rest, self._triangles, self._footprints
+                )
+            return self._prepared, self._footprints
+
+    def _tables(self) -> _Prepared:
+        names = [form.name for form in self._channels]
+        ends = np.cumsum([form.components for form in self._channels]).tolist()
+        first_column = {
+            form.name: end - form.components for form, end in zip(self._channels, ends, strict=True)
+        }
+        count = len(self._materials)
+        lanes = np.zeros((count, ends[-1]), np.int32)
+        gains = np.ones((count, ends[-1]), np.float32)
+        offsets = np.zeros((count, ends[-1]), np.float32)
+        shelf = _Shelf(self._materials)
+        for number, material in enumerate(self._materials):
+            lane_of = shelf.add(number, names)
+            for form in self._channels:
+                columns = slice(first_column[form.name], first_column[form.name] + form.components)
+                given = material.inputs.get(form.name)
+                if form.space == "direction":
+                    straight = given is None or given.texture is None
+                    gains[number, columns] = 0.0 if straight else 2.0
+                    offsets[number, columns] = (0.0, 0.0, 1.0) if straight else -1.0
+                elif given is None:
+                    gains[number, columns] = _DEFAULTS.get(form.name, 1.0)
+                else:
+                    # The kernel multiplies alpha by its factor, and by vertex colours, before thresholds.
+                    gains[number, columns] = 1.0 if form.name == "alpha" else given.factor
+                    offsets[number, columns] = given.offset or 0.0
+                if given is not None and given.texture is not None:
+                    lanes[number, columns] = lane_of[form.name] + np.array(given.lanes[: form.components])
+        stored = store(shelf.pictures, LEVELS_OF[self._filter])
+        stacks = [(stored.layout_of[image], *rest) for image, *rest in shelf.stacks]
+        stacks.append((0, 0, 0, 0, 0, len(shelf.images)))
+        tables = Tables(
+            materials=self._triangle_materials,
+            first_stacks=np.array(shelf.first_stacks, np.int32),
+            stacks=np.array(stacks, np.int32),
+            images=np.array([*shelf.images, 0], np.int32),
+            lanes=lanes,
+            gains=gains,
+            offsets=offsets,
+            alpha_modes=np.array([ALPHA_MODES.index(m.alpha_mode) for m in self._materials], np.uint8),
+            alpha_factors=np.array([_alpha_factor(m) for m in self._materials], np.float32),
+            cutoffs=np.array([m.cutoff for m in self._materials], np.float32),
+            **self._bound(),
+        )
+        places = (first_column.get(name, -1) for name in ("base_color", "alpha", "normal"))
+        return _Prepared(tables, Columns(*places), stored.images)
+
+    def _bound(self) -> dict[str, npt.NDArray[np.float32] | npt.NDArray[np.int32]]:
+        """Return what is bound to corners, as the tables name it."""
+        nothing = Corners(np.empty((0, 4), np.float32), np.empty((0, 3), np.int32))
+        colors = self._colors or nothing
+        normals, tangents = (nothing, nothing) if self._frames is None else self._frames
+        firsts = np.cumsum([0, *(len(corners.values) for corners in self._coordinates)])
+        rows = [c.rows + np.int32(first) for c, first in zip(self._coordinates, firsts, strict=False)]
+        return {
+            "colors": colors.values,
+            "color_rows": colors.rows,
+            "coordinates": np.concatenate(
+                [np.empty((0, 2), np.float32), *(c.values for c in self._coordinates)]
+            ),
+            "coordinate_rows": np.stack(rows) if rows else np.empty((0, len(self._triangles), 3), np.int32),
+            "normals": normals.values,
+            "normal_rows": normals.rows,
+            "tangents": tangents.values,
+            "tangent_rows": tangents.rows,
+        }
+
+
+class _Prepared(NamedTuple):
+    """What the kernels read."""
+
+    tables: Tables
+    columns: Columns
+    images: Images
+
+
+class _Shelf:
+    """The images that materials read, each once, and the stacks in which each material reads them."""
+
+    def __init__(self, materials: Sequence[Material]) -> None:
+        self._materials = materials
+        self._numbers: dict[tuple[object, ...], int] = {}
+        self._directions: dict[tuple[object, ...], npt.NDArray[np.uint16]] = {}
+        self.pictures: list[Picture] = []
+        self.first_stacks = [0]
+        self.stacks: list[
+            tuple[int, ...]
+        ] = []  # an image of the stack's size, slot, wraps, flat, first image
+        self.images: list[int] = []
+
+    def add(self, number: int, names: Sequence[str]) -> dict[str, int]:
+        """Add the images of a material for some channels; return the first lane of each channel's image."""
+        material = self._materials[number]
+        stacks: dict[tuple[object, ...], dict[int, list[str]]] = {}
+        for name in names:
+            given = material.inputs.get(name)
+            if given is None or given.texture is None:
+                continue
+            texture = given.texture
+            key = (texture.texels.shape[:2], texture.slot, texture.wrap_u, texture.wrap_v, texture.nearest)
+            stacks.setdefault(key, {}).setdefault(self._image(material, name), []).append(name)
+        lane_of: dict[str, int] = {}
+        lane = 1
+        for (_, slot, wrap_u, wrap_v, flat), readers in stacks.items():
+            some = next(iter(readers))
+            self.stacks.append((some, int(slot), int(wrap_u), int(wrap_v), int(flat), len(self.images)))
+            for image, channels in readers.items():
+                self.images.append(image)
+                lane_of |= dict.fromkeys(channels, lane)
+                lane += 4
+        self.first_stacks.append(len(self.stacks))
+        return lane_of
+
+    def _image(self, material: Material, name: str) -> int:
+        """Return the number of the image that a channel reads."""
+        given = material.inputs[name]
+        texels = given.texture.texels
+        space = CHANNELS[name].space
+        covering = name in ("base_color", "alpha") and _is_covered(material)
+        threshold = -1.0
+        if covering and material.alpha_mode == "mask":
+            factor = _alpha_factor(material)
+            threshold = material.cutoff / factor if factor > 0 else np.inf
+        is_light = space == "srgb" or covering
+        key = (id(texels), is_light, covering, threshold, given.factor if space == "direction" else None)
+        if key not in self._numbers:
+            if space == "direction":
+                texels = unit_directions(texels, *given.factor)
+            self._numbers[key] = len(self.pictures)
+            self.pictures.append(Picture(texels, is_light, covering, threshold))
+        return self._numbers[key]
+
+
+def _is_covered(material: Material) -> bool:
+    """Say whether the base colour's own image holds how much of it there is."""
+    color, alpha = material.inputs.get("base_color"), material.inputs.get("alpha")
+    if material.alpha_mode == "opaque" or color is None or alpha is None:
+        return False
+    if color.texture is None or alpha.texture is None or alpha.lanes[0] != 3:
+        return False
+    texels = color.texture.texels
+    return alpha.texture.texels is texels and bool(
+        (texels[..., 3] < texels.dtype.type(ONE[texels.dtype.name])).any()
+    )
+
+
+def _alpha_factor(material: Material) -> float:
+    return material.inputs["alpha"].factor[0] if "alpha" in material.inputs else 1.0
+
+
+def _brightest(given: Input) -> float:
+    """Return the most that an input of light can give."""
+    texel = 1.0
+    if given.texture is not None and given.texture.texels.dtype == np.float32:
+        texel = float(given.texture.texels[..., list(given.lanes)].max())
+    return max(given.factor) * texel + max(given.offset, default=0.0)
+
+
+def unit_directions(
+    texels: npt.NDArray[np.uint16] | npt.NDArray[np.float32], *scale: float
+) -> npt.NDArray[np.uint16]:
+    """Return the texels of a normal map, each scaled along x, y and z and made a unit vector, as codes."""
+    directions = np.empty(texels.shape, np.uint16)
+    _make_unit(texels, 2.0 / ONE[texels.dtype.name], *map(float, scale), directions)
+    return directions
 
 
 @kernel
-def _evaluate(
-    tables: Tables,
-    pyramids: Pyramids,
-    footprints: Footprints,
-    triangles: npt.NDArray[np.int32],
-    barycentric: npt.NDArray[np.float64],
-    widths: npt.NDArray[np.float32],
-    values: npt.NDArray[np.float32],
+def _make_unit(
+    texels: npt.NDArray[np.uint16] | npt.NDArray[np.float32],
+    unit: float,
+    scale_x: float,
+    scale_y: float,
+    scale_z: float,
+    directions: npt.NDArray[np.uint16],
 ) -> None:
-    # What a triangle's points share is loaded once for a run of them: a quarter off each read.
-    last = -1
-    has_colors = tables.colors.shape[0] > 0
-    columns = values.shape[1]
-    material = mode = wrap_u = wrap_v = 0
-    image = -1
-    nearest = False
-    u0 = u1 = u2 = v0 = v1 = v2 = major_u = major_v = major = minor = 0.0
-    base_red = base_green = base_blue = base_alpha = 0.0
-    for i in range(len(triangles)):
-        triangle = int(triangles[i])
-        if triangle != last:
-            last = triangle
-            material = int(tables.materials[triangle])
-            base_red = float(tables.factors[material, 0])
-            base_green = float(tables.factors[material, 1])
-            base_blue = float(tables.factors[material, 2])
-            base_alpha = float(tables.factors[material, 3])
-            mode = int(tables.alpha_modes[material])
-            image = int(tables.images[material])
-            if image >= 0:
-                r0 = int(tables.coordinate_rows[triangle, 0])
-                r1 = int(tables.coordinate_rows[triangle, 1])
-                r2 = int(tables.coordinate_rows[triangle, 2])
-                u0, v0 = float(tables.coordinates[r0, 0]), float(tables.coordinates[r0, 1])
-                u1, v1 = float(tables.coordinates[r1, 0]), float(tables.coordinates[r1, 1])
-                u2, v2 = float(tables.coordinates[r2, 0]), float(tables.coordinates[r2, 1])
-                wrap_u, wrap_v = int(tables.wraps[material, 0]), int(tables.wraps[material, 1])
-                nearest = tables.nearest[material]
-                major_u = float(footprints.major[triangle, 0])
-                major_v = float(footprints.major[triangle, 1])
-                major = float(footprints.lengths[triangle, 0])
-                minor = float(footprints.lengths[triangle, 1])
-        b0, b1, b2 = barycentric[i, 0], barycentric[i, 1], barycentric[i, 2]
-        red, green, blue, alpha = base_red, base_green, base_blue, base_alpha
-        if has_colors:
-            colors = tables.colors
-            c0, c1, c2 = (
-                tables.color_rows[triangle, 0],
-                tables.color_rows[triangle, 1],
-                tables.color_rows[triangle, 2],
-            )
-            red *= b0 * colors[c0, 0] + b1 * colors[c1, 0] + b2 * colors[c2, 0]
-            green *= b0 * colors[c0, 1] + b1 * colors[c1, 1] + b2 * colors[c2, 1]
-            blue *= b0 * colors[c0, 2] + b1 * colors[c1, 2] + b2 * colors[c2, 2]
-            alpha *= b0 * colors[c0, 3] + b1 * colors[c1, 3] + b2 * colors[c2, 3]
-        threshold = -1.0
-        if mode == MASK:
-            threshold = tables.cutoffs[material] / alpha if alpha > 0.0 else np.inf
-        coverage = 1.0 if threshold <= 1.0 else 0.0
-        if image >= 0:
-            width = float(widths[i])
-            r, g, b, read_coverage = read(
-                pyramids,
-                image,
-                b0 * u0 + b1 * u1 + b2 * u2,
-                b0 * v0 + b1 * v1 + b2 * v2,
-                wrap_u,
-                wrap_v,
-                nearest,
-                threshold,
-                width * major_u,
-                width * major_v,
-                width * major,
-                width * minor,
-            )
-            red *= float(r)
-            green *= float(g)
-            blue *= float(b)
-            if pyramids.translucent[image]:
-                coverage = float(read_coverage)
-        values[i, 0] = red
-        values[i, 1] = green
-        values[i, 2] = blue
-        if columns == 4:
-            values[i, 3] = alpha * coverage if mode == BLEND else coverage
+    for row in range(texels.shape[0]):
+        for column in range(texels.shape[1]):
+            x = (np.float64(texels[row, column, 0]) * unit - 1.0) * scale_x
+            y = (np.float64(texels[row, column, 1]) * unit - 1.0) * scale_y
+            z = (np.float64(texels[row, column, 2]) * unit - 1.0) * scale_z
+            length = np.sqrt(x * x + y * y + z * z)
+            if length > 0.0:
+                x, y, z = x / length, y / length, z / length
+            else:
+                x, y, z = 0.0, 0.0, 1.0
+            directions[row, column, 0] = int((x + 1.0) * 32767.5 + 0.5)
+            directions[row, column, 1] = int((y + 1.0) * 32767.5 + 0.5)
+            directions[row, column, 2] = int((z + 1.0) * 32767.5 + 0.5)
+            directions[row, column, 3] = 65535

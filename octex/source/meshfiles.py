@@ -15,11 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from octex.channels import ONE
 from octex.errors import ImageError, ModelError
 from octex.jit import kernel
 from octex.source.alone import alone
+from octex.source.corners import Corners
 from octex.source.images import decode_image
-from octex.source.materials import AlphaMode, Corners, Material, MaterialSource, Texture
+from octex.source.materials import AlphaMode, Input, Material, MaterialSource, Texture
+from octex.source.options import EVERYTHING, Options
 from octex.source.polygons import triangulate
 from octex.source.surface import Surface, flip_v, screen_colors
 from octex.source.text import parse_numbers, whole_numbers
@@ -38,21 +41,21 @@ _PLY_COLORS = (("red", "green", "blue", "alpha"), ("diffuse_red", "diffuse_green
                ("r", "g", "b", "a"))  # fmt: skip
 
 
-def load_ply(path: Path, materials: bool = True) -> Surface:
+def load_ply(path: Path, options: Options = EVERYTHING) -> Surface:
     """Read a PLY model: colours of vertices, or else of faces, and the images of its TextureFile comments.
 
     Colours are sRGB values; texture coordinates, of vertices or of faces, have v up.
     Raises ModelError or ImageError.
     """
-    return _Ply(path).surface(materials)
+    return _Ply(path).surface(options)
 
 
-def load_off(path: Path, materials: bool = True) -> Surface:  # noqa: ARG001 (all colours are in the file)
+def load_off(path: Path, options: Options = EVERYTHING) -> Surface:
     """Read an OFF model: colours of vertices, or else of faces, are sRGB values. Raises ModelError."""
-    return _Off(path).surface()
+    return _Off(path).surface(options)
 
 
-def load_stl(path: Path, materials: bool = True) -> Surface:  # noqa: ARG001 (there are none)
+def load_stl(path: Path, options: Options = EVERYTHING) -> Surface:
     """Read an STL model, through trimesh; it is white. Raises ModelError."""
     import trimesh  # takes a third of a second
 
@@ -75,7 +78,9 @@ def load_stl(path: Path, materials: bool = True) -> Surface:  # noqa: ARG001 (th
             ) from None
     if len(mesh.faces) == 0:
         raise _no_triangles(path.name)
-    return _colored(path.name, np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int32), None)
+    return _colored(
+        path.name, options, np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int32), None
+    )
 
 
 def _no_triangles(name: str) -> ModelError:
@@ -84,6 +89,7 @@ def _no_triangles(name: str) -> ModelError:
 
 def _colored(
     name: str,
+    options: Options,
     positions: npt.NDArray[np.float64],
     triangles: npt.NDArray[np.int32],
     colors: Corners | None,
@@ -95,13 +101,24 @@ def _colored(
     translucent = colors is not None and bool((colors.values[:, 3] < 1).any())
     mode: AlphaMode = "blend" if translucent else "opaque"
     textured: list[Texture | None] = [*textures] if textures else [None]
-    materials = [Material(texture=texture, alpha_mode=mode) for texture in textured]
+    materials = [
+        Material({"base_color": Input((1.0, 1.0, 1.0), each), "alpha": Input((1.0,), each, (3,))}, mode)
+        for each in textured
+    ]
     if numbers is None:
         numbers = np.zeros(len(triangles), np.int32)
     source = MaterialSource(
-        materials, numbers, positions, triangles, colors=colors, coordinates=coordinates, name=name
+        materials,
+        numbers,
+        positions,
+        triangles,
+        colors=colors,
+        coordinates=[] if coordinates is None else [coordinates],
+        name=name,
+        filter=options.filter,
+        channels=options.channels,
     )
-    return Surface(positions, triangles, source, name=name)
+    return Surface(positions, triangles, source, uv=coordinates, name=name)
 
 
 class _Property(NamedTuple):
@@ -222,7 +239,7 @@ class _Ply:
             values = raw[starts[:, None] + np.arange(width)].view(dtype)[:, 0].astype(kind.type)
         return _Values(values, sizes if is_list else None, kind.type)
 
-    def surface(self, materials: bool) -> Surface:
+    def surface(self, options: Options) -> Surface:
         vertex, face = self.data.get("vertex", {}), self.data.get("face", {})
         if not all(axis in vertex for axis in "xyz"):
             raise ModelError(f"{self.name} has no vertices with x, y and z")
@@ -243,8 +260,14 @@ class _Ply:
             colors = Corners(of_vertices, triangles)
         elif of_faces is not None:
             colors = Corners(of_faces, np.repeat(faces.astype(np.int32), 3).reshape(-1, 3))
-        if not materials or not self.images:
-            return _colored(self.name, positions, triangles, colors)
+        coordinates = self._coordinates(vertex, face, triangles, corners, sizes)
+        if not options.wants("base_color") or not self.images:
+            return _colored(self.name, options, positions, triangles, colors, coordinates=coordinates)
+        if coordinates is None:
+            raise ModelError(
+                f"{self.name} names the image {self.images[0]} but has no texture coordinates; give it some, "
+                "or remove the TextureFile comment"
+            )
         textures = [Texture(self._image(image)) for image in self.images]
         numbers = np.zeros(len(triangles), np.int32)
         if "texnumber" in face:
@@ -254,8 +277,7 @@ class _Ply:
                     f"{self.name}: a face's texnumber is not among its {len(textures)} TextureFiles"
                 )
             numbers = chosen[faces].astype(np.int32)
-        coordinates = self._coordinates(vertex, face, triangles, corners, sizes)
-        return _colored(self.name, positions, triangles, colors, textures, numbers, coordinates)
+        return _colored(self.name, options, positions, triangles, colors, textures, numbers, coordinates)
 
     def _coordinates(
         self,
@@ -264,19 +286,16 @@ class _Ply:
         triangles: npt.NDArray[np.int32],
         corners: npt.NDArray[np.int64],
         sizes: npt.NDArray[np.int64],
-    ) -> Corners:
+    ) -> Corners | None:
         listed = face.get("texcoord")
         if listed is not None and listed.sizes is not None and np.array_equal(listed.sizes, 2 * sizes):
             return Corners(flip_v(listed.values.reshape(-1, 2)), corners.astype(np.int32))
         for u, v in _PLY_COORDINATES:
             if u in vertex and v in vertex:
                 return Corners(flip_v(np.stack([vertex[u].values, vertex[v].values], axis=1)), triangles)
-        raise ModelError(
-            f"{self.name} names the image {self.images[0]} but has no texture coordinates; give it some, or "
-            "remove the TextureFile comment"
-        )
+        return None
 
-    def _image(self, image: str) -> npt.NDArray[np.uint16]:
+    def _image(self, image: str) -> npt.NDArray[np.uint16] | npt.NDArray[np.float32]:
         what = f"{self.name}: {image}"
         try:
             data = (self.path.parent / image).read_bytes()
@@ -284,7 +303,7 @@ class _Ply:
             reason = getattr(error, "strerror", None) or error
             raise ImageError(f"{what} cannot be read: {reason}; put it beside the model") from None
         texels = decode_image(data, what)
-        texels[..., 3] = 65535
+        texels[..., 3] = ONE[texels.dtype.name]
         return texels
 
 
@@ -375,7 +394,7 @@ class _Off:
             raise ModelError(f"{self.name}: a vertex or a face is not numbers; export it again")
         return _Rows(values, np.cumsum(counts) - counts, counts)
 
-    def surface(self) -> Surface:
+    def surface(self, options: Options) -> Surface:
         vertices, faces = self._vertices, self._faces
         if len(vertices.counts) and vertices.counts.min() < 3:
             raise ModelError(f"{self.name}: a vertex has less than three numbers; export it again")
@@ -398,7 +417,7 @@ class _Off:
             colors = Corners(of_vertices, triangles)
         elif of_faces is not None:
             colors = Corners(of_faces, np.repeat(polygons.astype(np.int32), 3).reshape(-1, 3))
-        return _colored(self.name, positions, triangles, colors)
+        return _colored(self.name, options, positions, triangles, colors)
 
 
 class _Rows(NamedTuple):

@@ -1,292 +1,269 @@
-"""Mip pyramids of images, and reads from them: wraps, nearest, bilinear, and averages over footprints.
+"""Images as filters read them: whole, as mip pyramids, as ripmaps, or as summed-area tables.
 
-Texel centres lie at (i + 0.5) / n, u runs right and v down the rows. Texels are sRGB codes of 16 bits and
-linear alpha of 16 bits; each is decoded before anything is averaged. Colours are averaged with their alpha as
-weight and stored unmultiplied, so that the colour of a texel that covers nothing leaks nowhere.
+Texel centres lie at (i + 0.5) / n, u runs right and v down the rows. Every level is made from the image's
+decoded texels: linear light, fractions or directions; colours that an alpha covers are averaged with it as
+weight and stored unmultiplied, so that the colour of a texel that covers nothing leaks nowhere. A level of a
+pyramid holds half the texels of the one below it, rounded down, in each direction, a ripmap also those with
+one direction halved more than the other; each texel is the exact mean over its area, for any size.
 
-A level holds half the texels of the one below it, rounded down, in each direction; each texel is the exact
-mean over its area, for any size. Beyond the border of a clamped image a footprint so reads a margin of the
-image as wide as itself, not the border alone.
+Around each level lies a rim, one texel wide, of what lies beyond the border of a clamped image: the border
+texels themselves, averaged along the border only.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import decode_table
-from octex.jit import inlined, kernel
+from octex.channels import decode_table, encode
+from octex.jit import kernel
 
 REPEAT, MIRROR, CLAMP = 0, 1, 2
 WRAPS = ("repeat", "mirror", "clamp")
-#: The longest footprints are read at this many places; what lies between them is blurred.
-MAX_TAPS = 16
 
-# Weight of a texel that covers nothing: its colour counts only where no other does.
-_FAINT = np.float32(2.0**-40)
-# Reads are in single precision: 17 ns where double takes 26 (bilinear, in cache).
-_NONE, _ALL, _CODES = np.float32(0), np.float32(1), np.float32(65535)
-# A texel is a word of four codes: red in the lowest bits, then green, blue and alpha.
-_CODE, _GREEN, _BLUE, _ALPHA = np.uint64(65535), np.uint64(16), np.uint64(32), np.uint64(48)
+#: How an image is stored: 16-bit codes of sRGB or of fractions, floats, or sums of floats.
+SRGB, DATA, FLOAT, SUMS = 0, 1, 2, 3
+#: Which levels of an image are stored.
+WHOLE, MIPS, RIPS, AREAS = 0, 1, 2, 3
+
+#: Weight of a texel that covers nothing: its colour counts only where no other does.
+FAINT = 2.0**-40
 
 
-class Pyramids(NamedTuple):
-    """All images of a model with their levels, as kernels see them."""
+class Picture(NamedTuple):
+    """An image as one material reads it."""
 
-    texels: npt.NDArray[np.uint64]  # (texels,)   all levels of all images, row by row
-    levels: npt.NDArray[np.int64]  # (levels, 3)   first texel, width, height
-    first_levels: npt.NDArray[np.int64]  # (images + 1,)
-    translucent: npt.NDArray[np.bool_]  # (images,)   whether any alpha is below 1
+    texels: npt.NDArray[np.uint16] | npt.NDArray[np.float32]  # (height, width, 4)
+    is_light: bool  # its codes are sRGB; else fractions
+    covered: bool = False  # its alpha weighs its colours; else all lanes are alike
+    threshold: float = -1.0  # averages take alpha as 1 where it reaches this and else 0; negative: as it is
+
+
+class Images(NamedTuple):
+    """All images of a model with their levels, as kernels see them.
+
+    Images of one size share a layout. A level's rows are ``width + 2`` texels apart, its rim included, and
+    ``first`` is the place of texel (0, 0) after an image's own first.
+    """
+
+    kinds: npt.NDArray[np.uint8]  # (images,)   SRGB, DATA, FLOAT or SUMS
+    covered: npt.NDArray[np.bool_]  # (images,)
+    bases: npt.NDArray[np.int64]  # (images,)   first word in codes, or row in floats or sums
+    layouts: npt.NDArray[np.int64]  # (layouts, 3)   first level, levels in x, levels in y
+    levels: npt.NDArray[np.int64]  # (levels, 3)   first, width, height
+    codes: npt.NDArray[np.uint64]  # (words,)   four codes each, red in the lowest bits
+    floats: npt.NDArray[np.float32]  # (rows, 4)
+    sums: npt.NDArray[np.float64]  # (rows, 4)   premultiplied by alpha if covered
     linear: npt.NDArray[np.float32]  # (65536,)   linear light of an sRGB code
 
 
-class Layer(NamedTuple):
-    """An image as one material reads it."""
+class Stored(NamedTuple):
+    """Images, and the layout of each."""
 
-    texels: npt.NDArray[np.uint16]  # (height, width, 4)
-    uses_alpha: bool  # else every texel covers
-    threshold: float  # from level 1 up, alpha is 1 where it reached this and else 0; negative: as it is
+    images: Images
+    layout_of: list[int]
 
 
-def build_pyramids(layers: Sequence[Layer]) -> Pyramids:
-    """Build every level of every image."""
-    shapes: list[tuple[int, int]] = []
-    first_levels = [0]
-    for layer in layers:
-        height, width, _ = layer.texels.shape
-        shapes.append((width, height))
-        while width > 1 or height > 1:
-            width, height = max(width // 2, 1), max(height // 2, 1)
-            shapes.append((width, height))
-        first_levels.append(len(shapes))
-    sizes = np.array([w * h for w, h in shapes], np.int64)
-    ends = np.cumsum(sizes)
-    levels = np.array([(e - s, w, h) for (w, h), s, e in zip(shapes, sizes, ends, strict=True)], np.int64)
-    texels = np.empty((int(ends[-1]) if len(ends) else 0, 4), np.uint16)
-    linear = decode_table("uint16", "srgb")
-    translucent = np.zeros(len(layers), np.bool_)
-    for number, (layer, first) in enumerate(zip(layers, first_levels, strict=False)):
-        base = texels[levels[first, 0] : levels[first, 0] + sizes[first]]
-        base[:] = layer.texels.reshape(-1, 4)
-        if layer.uses_alpha:
-            translucent[number] = bool((base[:, 3] != 65535).any())
-        else:
-            base[:, 3] = 65535
-        threshold = layer.threshold if translucent[number] else -1.0
-        for row in range(first + 1, first_levels[number + 1]):
-            _reduce(texels, levels[row - 1], levels[row], linear, threshold if row == first + 1 else -1.0)
-    return Pyramids(
-        texels.view("<u8")[:, 0], levels.reshape(-1, 3), np.array(first_levels, np.int64), translucent, linear
+def store(pictures: Sequence[Picture], what: int) -> Stored:
+    """Store images with all the levels that ``what`` (WHOLE, MIPS, RIPS or AREAS) asks for."""
+    sizes = list(dict.fromkeys(picture.texels.shape[:2] for picture in pictures))
+    layouts, levels = [], []
+    for height, width in sizes:
+        shapes, across, down = _shapes(width, height, what)
+        layouts.append((len(levels), across, down))
+        first = 0
+        for wide, high in shapes:
+            rim = 0 if what == AREAS else 1
+            stride = wide + 1 + rim
+            levels.append((first + rim * stride + rim, wide, high))
+            first += stride * (high + 1 + rim)
+    layout_of = [sizes.index(picture.texels.shape[:2]) for picture in pictures]
+    parts: dict[int, list[npt.NDArray[np.generic]]] = {SRGB: [], FLOAT: [], SUMS: []}
+    kinds, bases = [], []
+    for picture in pictures:
+        is_float = picture.texels.dtype == np.float32
+        kind = SUMS if what == AREAS else FLOAT if is_float else SRGB if picture.is_light else DATA
+        kinds.append(kind)
+        held = parts[SRGB if kind == DATA else kind]
+        bases.append(sum(len(part) for part in held))
+        held.append(_stored(picture, kind, what))
+    images = Images(
+        np.array(kinds, np.uint8),
+        np.array([picture.covered for picture in pictures], np.bool_),
+        np.array(bases, np.int64),
+        np.array(layouts, np.int64).reshape(-1, 3),
+        np.array(levels, np.int64).reshape(-1, 3),
+        _joined(parts[SRGB], np.empty(0, np.uint64)),
+        _joined(parts[FLOAT], np.empty((0, 4), np.float32)),
+        _joined(parts[SUMS], np.empty((0, 4), np.float64)),
+        decode_table("uint16", "srgb"),
     )
+    return Stored(images, layout_of)
+
+
+def _shapes(width: int, height: int, what: int) -> tuple[list[tuple[int, int]], int, int]:
+    """Return (width, height) of each level in order, and how many there are across and down."""
+    wides, highs = _halved(width), _halved(height)
+    if what == RIPS:
+        return [(wide, high) for high in highs for wide in wides], len(wides), len(highs)
+    count = max(len(wides), len(highs)) if what == MIPS else 1
+    wides += [1] * (count - len(wides))
+    highs += [1] * (count - len(highs))
+    return list(zip(wides, highs, strict=False))[:count], count, count
+
+
+def _halved(size: int) -> list[int]:
+    sizes = [size]
+    while sizes[-1] > 1:
+        sizes.append(sizes[-1] // 2)
+    return sizes
+
+
+def _stored(picture: Picture, kind: int, what: int) -> npt.NDArray[np.generic]:
+    """Return all levels of an image with their rims, end to end, as words or rows."""
+    height, width = picture.texels.shape[:2]
+    shapes, across, _ = _shapes(width, height, what)
+    values = _decoded(picture, picture.threshold if what == AREAS else -1.0)
+    if kind == SUMS:
+        sums = np.zeros((height + 1, width + 1, 4))
+        sums[1:, 1:] = values.cumsum(axis=0, dtype=np.float64).cumsum(axis=1)
+        return sums.reshape(-1, 4)
+    first = _rimmed(picture.texels)
+    parts = [np.ascontiguousarray(first).view("<u8").reshape(-1) if kind != FLOAT else first.reshape(-1, 4)]
+    if len(shapes) == 1:
+        return parts[0]
+    if picture.covered and picture.threshold >= 0.0:
+        values = _decoded(picture, picture.threshold)
+    rims = _Rims.of(values)
+    done = {0: (values, rims)}
+    for level in range(1, len(shapes)):
+        # From the level of half the reduction: one step down, or for ripmaps one across.
+        below = level - 1 if what == MIPS or level % across else level - across
+        wide, high = shapes[level]
+        values, rims = done[below]
+        values, rims = _resized(values, high, wide), rims.resized(high, wide)
+        parts.append(_encoded(rims.around(values), picture, kind))
+        done[level] = values, rims
+        if what == MIPS:
+            del done[below]
+    return np.concatenate(parts)
+
+
+def _decoded(picture: Picture, threshold: float) -> npt.NDArray[np.float32]:
+    """Return an image's values (height, width, 4), premultiplied by alpha if it is covered."""
+    if picture.texels.dtype == np.float32:
+        values = picture.texels.copy()
+    else:
+        table = decode_table("uint16", "srgb" if picture.is_light else "data")
+        values = np.empty(picture.texels.shape, np.float32)
+        _decode(picture.texels, table, values)
+    if picture.covered:
+        if threshold >= 0.0:
+            values[..., 3] = values[..., 3] >= threshold
+        values[..., :3] *= values[..., 3:] + np.float32(FAINT)
+    return values
 
 
 @kernel
-def _encode(linear: float) -> int:
-    """Return the 16-bit sRGB code nearest to linear light (IEC 61966-2-1)."""
-    encoded = linear * 12.92 if linear <= 0.0031308 else 1.055 * linear ** (1.0 / 2.4) - 0.055
-    return int(min(max(encoded, 0.0), 1.0) * 65535.0 + 0.5)
-
-
-@kernel
-def _reduce(
-    texels: npt.NDArray[np.uint16],
-    source: npt.NDArray[np.int64],
-    target: npt.NDArray[np.int64],
-    linear: npt.NDArray[np.float32],
-    threshold: float,
+def _decode(
+    texels: npt.NDArray[np.uint16], table: npt.NDArray[np.float32], values: npt.NDArray[np.float32]
 ) -> None:
-    """Fill the level ``target`` with means of the level ``source`` over each texel's area."""
-    width, height = source[1], source[2]
-    step_x, step_y = width / target[1], height / target[2]
-    for y in range(target[2]):
+    for y in range(texels.shape[0]):
+        for x in range(texels.shape[1]):
+            for lane in range(3):
+                values[y, x, lane] = table[texels[y, x, lane]]
+            values[y, x, 3] = np.float32(texels[y, x, 3]) / np.float32(65535.0)
+
+
+def _encoded(
+    values: npt.NDArray[np.float32], picture: Picture, kind: int
+) -> npt.NDArray[np.uint64] | npt.NDArray[np.float32]:
+    """Return a level's values as they are stored: unmultiplied, words or rows."""
+    if picture.covered:
+        values = values.copy()
+        values[..., :3] /= values[..., 3:] + np.float32(FAINT)
+    if kind == FLOAT:
+        return values.reshape(-1, 4)
+    codes = np.empty(values.shape, np.uint16)
+    codes[..., :3] = encode(values[..., :3], "uint16", "srgb" if kind == SRGB else "data")
+    codes[..., 3] = encode(values[..., 3], "uint16", "data")
+    return codes.reshape(-1, 4).view("<u8")[:, 0]
+
+
+class _Rims(NamedTuple):
+    """What lies beyond a level's borders."""
+
+    left: npt.NDArray[np.float32]  # (height, 1, 4)
+    right: npt.NDArray[np.float32]
+    top: npt.NDArray[np.float32]  # (1, width, 4)
+    bottom: npt.NDArray[np.float32]
+    corners: npt.NDArray[np.float32]  # (2, 2, 4)
+
+    @classmethod
+    def of(cls, values: npt.NDArray[np.float32]) -> _Rims:
+        corners = np.ascontiguousarray(values[[0, -1]][:, [0, -1]])
+        return cls(*(np.ascontiguousarray(part) for part in (values[:, :1], values[:, -1:])),
+                   *(np.ascontiguousarray(part) for part in (values[:1], values[-1:])), corners)  # fmt: skip
+
+    def resized(self, height: int, width: int) -> _Rims:
+        return _Rims(
+            _resized(self.left, height, 1),
+            _resized(self.right, height, 1),
+            _resized(self.top, 1, width),
+            _resized(self.bottom, 1, width),
+            self.corners,
+        )
+
+    def around(self, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        corners = self.corners
+        return np.vstack(
+            [
+                np.hstack([corners[:1, :1], self.top, corners[:1, 1:]]),
+                np.hstack([self.left, values, self.right]),
+                np.hstack([corners[1:, :1], self.bottom, corners[1:, 1:]]),
+            ]
+        )
+
+
+def _rimmed(texels: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+    return np.pad(texels, ((1, 1), (1, 1), (0, 0)), mode="edge")
+
+
+def _joined(parts: list[npt.NDArray[np.generic]], empty: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+    return np.concatenate(parts) if len(parts) > 1 else parts[0] if parts else empty
+
+
+def _resized(values: npt.NDArray[np.float32], height: int, width: int) -> npt.NDArray[np.float32]:
+    """Return exact means (height, width, 4) over each texel's area, for a size that is no larger."""
+    smaller = np.empty((height, width, 4), np.float32)
+    _reduce(values, smaller)
+    return smaller
+
+
+@kernel
+def _reduce(values: npt.NDArray[np.float32], smaller: npt.NDArray[np.float32]) -> None:
+    height, width = smaller.shape[0], smaller.shape[1]
+    step_x, step_y = values.shape[1] / width, values.shape[0] / height
+    scale = 1.0 / (step_x * step_y)
+    for y in range(height):
         top, bottom = y * step_y, (y + 1) * step_y
-        y0, y1 = np.int64(top), min(np.int64(np.ceil(bottom - 1e-9)), height)
-        for x in range(target[1]):
+        y0, y1 = int(top), min(int(np.ceil(bottom - 1e-9)), values.shape[0])
+        for x in range(width):
             left, right = x * step_x, (x + 1) * step_x
-            x0, x1 = np.int64(left), min(np.int64(np.ceil(right - 1e-9)), width)
-            red = green = blue = covered = alpha = area = 0.0
+            x0, x1 = int(left), min(int(np.ceil(right - 1e-9)), values.shape[1])
+            red = green = blue = alpha = 0.0
             for j in range(y0, y1):
                 part_y = min(bottom, j + 1.0) - max(top, float(j))
                 for i in range(x0, x1):
-                    part = part_y * (min(right, i + 1.0) - max(left, float(i)))
-                    at = source[0] + j * width + i
-                    opacity = texels[at, 3] / 65535.0
-                    if threshold >= 0.0:
-                        opacity = 1.0 if opacity >= threshold else 0.0
-                    weight = part * (opacity + _FAINT)
-                    red += weight * linear[texels[at, 0]]
-                    green += weight * linear[texels[at, 1]]
-                    blue += weight * linear[texels[at, 2]]
-                    covered += weight
-                    alpha += part * opacity
-                    area += part
-            at = target[0] + y * target[1] + x
-            texels[at, 0] = _encode(red / covered)
-            texels[at, 1] = _encode(green / covered)
-            texels[at, 2] = _encode(blue / covered)
-            texels[at, 3] = np.int64(alpha / area * 65535.0 + 0.5)
-
-
-@inlined
-def _unwrap(coordinate: float, mode: int) -> float:
-    """Bring a coordinate into 0 … 1, for mirrored images into 0 … 2."""
-    if mode == CLAMP:
-        return min(max(coordinate, 0.0), 1.0)
-    if mode == MIRROR:
-        return float(coordinate - 2.0 * np.floor(coordinate * 0.5))
-    return float(coordinate - np.floor(coordinate))
-
-
-@inlined
-def _wrap(index: int, size: int, mode: int) -> int:
-    """Return the texel that stands for one at most just outside an image (or its mirror image)."""
-    if 0 <= index < size:
-        return index
-    if mode == REPEAT:
-        return index + size if index < 0 else index - size
-    if mode == CLAMP:
-        return 0 if index < 0 else size - 1
-    if index < 0 or index >= 2 * size:
-        return 0
-    return 2 * size - 1 - index
-
-
-@inlined
-def read(
-    pyramids: Pyramids,
-    image: int,
-    u: float,
-    v: float,
-    wrap_u: int,
-    wrap_v: int,
-    nearest: bool,
-    threshold: float,
-    major_u: float,
-    major_v: float,
-    major: float,
-    minor: float,
-) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Return red, green, blue (linear light, unmultiplied) and alpha of an image over a footprint at (u, v).
-
-    The footprint is ``major`` texels long, which (major_u, major_v) is in coordinates, and ``minor`` texels
-    wide; 0 and 0 reads at the point. A ``threshold`` of 0 or more makes alpha 0 or 1.
-
-    Long footprints are read at up to MAX_TAPS places, spaced so that together they spread as far as the
-    footprint is long; each place is read from the two levels whose mixture spreads as far as the footprint is
-    wide. Reading level l bilinearly spreads by a variance of 4ˡ/4 − 1/12 texels², a box of width w by w²/12
-    on top of 1/6 for bilinear texels, of 1/12 for flat ones; the variance of a mixture is the mixture of
-    variances. Where flat texels are magnified, they meet in a ramp as wide as the footprint. A second level
-    that would count for less than 1/256 is not read.
-    """
-    taps, level, layers = 1, 0, 1
-    part = _NONE
-    step = 0.0  # from place to place, as a share of the long axis
-    ramp_x = ramp_y = 0.0 if nearest else 1.0
-    if major > 0.0:
-        width = minor
-        if major > 1.1 * max(minor, 1.0):
-            taps = int(min(math.ceil(major / max(minor, 1.0) - 0.1), float(MAX_TAPS)))
-            if taps == MAX_TAPS:
-                width = max(minor, major / taps)
-            step = math.sqrt((major * major - width * width) / (taps * taps - 1)) / major
-        else:
-            width = math.sqrt(0.5 * (major * major + minor * minor))
-        spread = 1.0 + width * width / 3.0
-        highest = pyramids.first_levels[image + 1] - pyramids.first_levels[image] - 1
-        if nearest:
-            spread -= 1.0 / 3.0
-            ramp_x = ramp_y = 1.0
-            if spread < 1.0:
-                base = pyramids.first_levels[image]
-                x, y = major_u * pyramids.levels[base, 1] / taps, major_v * pyramids.levels[base, 2] / taps
-                across = minor / major * taps
-                ramp_x = min(math.sqrt(x * x + across * across * y * y), 1.0)
-                ramp_y = min(math.sqrt(y * y + across * across * x * x), 1.0)
-        while spread >= 4.0 and level < highest:
-            spread *= 0.25
-            level += 1
-        if spread > 1.0 + 3.0 / 256.0 and level < highest:
-            part = np.float32((spread - 1.0) / 3.0)
-            layers = 2
-    translucent = pyramids.translucent[image]
-    red = green = blue = covered = alpha = _NONE
-    at_u, at_v = u, v
-    for tap in range(taps):
-        if taps > 1:
-            along = (tap - 0.5 * (taps - 1)) * step
-            at_u, at_v = u + along * major_u, v + along * major_v
-        at_u, at_v = _unwrap(at_u, wrap_u), _unwrap(at_v, wrap_v)
-        for layer in range(layers):
-            row = pyramids.first_levels[image] + level + layer
-            first, wide, high = pyramids.levels[row, 0], pyramids.levels[row, 1], pyramids.levels[row, 2]
-            x, y = at_u * wide - 0.5, at_v * high - 0.5
-            left, top = math.floor(x), math.floor(y)
-            right, down = np.float32(x - left), np.float32(y - top)
-            if ramp_x < 1.0:
-                right = _ramp(right, ramp_x)
-            if ramp_y < 1.0:
-                down = _ramp(down, ramp_y)
-            x0, y0 = int(left), int(top)
-            x1, y1 = x0 + 1, y0 + 1
-            if x0 < 0 or x1 >= wide:
-                x0, x1 = _wrap(x0, wide, wrap_u), _wrap(x1, wide, wrap_u)
-            if y0 < 0 or y1 >= high:
-                y0, y1 = _wrap(y0, high, wrap_v), _wrap(y1, high, wrap_v)
-            a, b = pyramids.texels[first + y0 * wide + x0], pyramids.texels[first + y0 * wide + x1]
-            c, d = pyramids.texels[first + y1 * wide + x0], pyramids.texels[first + y1 * wide + x1]
-            share = part if layer == 1 else _ALL - part
-            weight_a, weight_b = share * (_ALL - right) * (_ALL - down), share * right * (_ALL - down)
-            weight_c, weight_d = share * (_ALL - right) * down, share * right * down
-            if translucent:
-                alpha_a, alpha_b = np.float32(a >> _ALPHA) / _CODES, np.float32(b >> _ALPHA) / _CODES
-                alpha_c, alpha_d = np.float32(c >> _ALPHA) / _CODES, np.float32(d >> _ALPHA) / _CODES
-                cut = threshold >= 0.0 and level + layer == 0
-                if cut and nearest:
-                    alpha_a, alpha_b = _cut(alpha_a, threshold), _cut(alpha_b, threshold)
-                    alpha_c, alpha_d = _cut(alpha_c, threshold), _cut(alpha_d, threshold)
-                opacity = weight_a * alpha_a + weight_b * alpha_b + weight_c * alpha_c + weight_d * alpha_d
-                weight_a *= alpha_a + _FAINT
-                weight_b *= alpha_b + _FAINT
-                weight_c *= alpha_c + _FAINT
-                weight_d *= alpha_d + _FAINT
-                if cut and not nearest:
-                    scale = weight_a + weight_b + weight_c + weight_d
-                    opacity = _cut(opacity / share, threshold) * share
-                    scale = (opacity + _FAINT * share) / scale
-                    weight_a *= scale
-                    weight_b *= scale
-                    weight_c *= scale
-                    weight_d *= scale
-                alpha += opacity
-                covered += weight_a + weight_b + weight_c + weight_d
-            linear = pyramids.linear
-            red += weight_a * linear[a & _CODE] + weight_b * linear[b & _CODE]
-            red += weight_c * linear[c & _CODE] + weight_d * linear[d & _CODE]
-            green += weight_a * linear[(a >> _GREEN) & _CODE] + weight_b * linear[(b >> _GREEN) & _CODE]
-            green += weight_c * linear[(c >> _GREEN) & _CODE] + weight_d * linear[(d >> _GREEN) & _CODE]
-            blue += weight_a * linear[(a >> _BLUE) & _CODE] + weight_b * linear[(b >> _BLUE) & _CODE]
-            blue += weight_c * linear[(c >> _BLUE) & _CODE] + weight_d * linear[(d >> _BLUE) & _CODE]
-    if translucent:
-        return red / covered, green / covered, blue / covered, alpha / np.float32(taps)
-    if taps > 1:
-        share = _ALL / np.float32(taps)
-        return red * share, green * share, blue * share, _ALL
-    return red, green, blue, _ALL
-
-
-@inlined
-def _ramp(part: np.float32, width: float) -> np.float32:
-    """Return the share of the farther of two flat texels in a footprint of a width below 1."""
-    if width <= 0.0:
-        return _ALL if part >= 0.5 else _NONE
-    ramp = (float(part) - 0.5) / width + 0.5
-    return np.float32(min(max(ramp, 0.0), 1.0))
-
-
-@inlined
-def _cut(alpha: np.float32, threshold: float) -> np.float32:
-    return _ALL if alpha >= threshold else _NONE
+                    part = part_y * (min(right, i + 1.0) - max(left, float(i))) * scale
+                    red += part * values[j, i, 0]
+                    green += part * values[j, i, 1]
+                    blue += part * values[j, i, 2]
+                    alpha += part * values[j, i, 3]
+            smaller[y, x, 0] = red
+            smaller[y, x, 1] = green
+            smaller[y, x, 2] = blue
+            smaller[y, x, 3] = alpha

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import PIL.Image
 
-from octex.channels import ChannelFormat, decode, srgb_to_linear
+from octex.channels import CHANNELS, ONE, ChannelFormat, decode, srgb_to_linear
 from octex.checks import as_choice
-from octex.errors import ArgumentError, ModelError
-from octex.source.images import as_texels
-from octex.source.materials import ALPHA_MODES, AlphaMode, Corners, Material, MaterialSource, Source, Texture
+from octex.errors import ArgumentError, ImageError, ModelError
+from octex.source.base import Combined, Source
+from octex.source.corners import Corners
+from octex.source.filters import FILTERS
+from octex.source.images import as_texels, decode_image
+from octex.source.materials import ALPHA_MODES, AlphaMode, Input, Material, MaterialSource, Texture
 from octex.source.pyramid import WRAPS
+from octex.source.tangents import corner_frames
 
 # Farther positions would overflow widths in single precision.
 _FARTHEST = 1e30
@@ -35,6 +42,7 @@ class Surface:
 
     ``vertices`` (n, 3) posed positions, ``triangles`` (m, 3) rows of vertices, counter-clockwise seen from
     outside, ``rest`` (n, 3) rest positions (the vertices themselves if None), all in the model's units.
+    ``uv`` are texture coordinates at corners, v running down, for images of one's own.
 
     Raises ModelError for positions that are not finite, triangles that use vertices that are not there, no
     triangles, or rest positions of another shape.
@@ -47,6 +55,7 @@ class Surface:
         source: Source,
         *,
         rest: npt.NDArray[np.float64] | None = None,
+        uv: Corners | None = None,
         name: str = "surface",
         provenance: Mapping[str, str] | None = None,
     ) -> None:
@@ -58,8 +67,10 @@ class Surface:
                 f"{name}: {len(self.rest)} rest positions for {len(self.vertices)} vertices; give one each"
             )
         self.source = source
+        self.uv = uv
         self.name = name
         self.provenance = dict(provenance or {})
+        self._single: dict[str, Source] = {}
         used = np.zeros(len(self.rest), bool)
         used[self.triangles] = True
         self.bounds: npt.NDArray[np.float64] = np.array(
@@ -77,7 +88,8 @@ class Surface:
         uv: npt.ArrayLike | None = None,
         image: npt.ArrayLike | PIL.Image.Image | None = None,
         wrap: str | tuple[str, str] = "repeat",
-        filter: str = "linear",
+        mag_filter: str = "linear",
+        filter: str = "ewa",
         factor: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0),
         alpha: AlphaMode | None = None,
         cutoff: float = 0.5,
@@ -94,7 +106,8 @@ class Surface:
         ``image`` multiplies too: a Pillow image, or sRGB codes, uint8 or uint16, of shape (height, width) or
         (height, width, 1 to 4). It needs ``uv``, per vertex (n, 2) or per corner (m, 3, 2), with v running
         *up* from the image's last row, as in OBJ files; ``wrap``, "repeat", "mirror" or "clamp", or one for u
-        and one for v; and ``filter``, "linear" or "nearest" where it is magnified.
+        and one for v; and ``mag_filter``, "linear" or "nearest": how texels meet. ``filter`` is how images are
+        averaged over footprints, one of filters.FILTERS.
 
         Raises ModelError as the class does, ArgumentError for another shape or name, ImageError for an image
         that cannot be used.
@@ -123,27 +136,30 @@ class Surface:
             ]
             if len(wraps) != 2:
                 raise ArgumentError(f"wrap must be one name, or one for u and one for v, not {wrap!r}")
-            nearest = as_choice(filter, ("linear", "nearest"), "filter") == "nearest"
+            nearest = as_choice(mag_filter, ("linear", "nearest"), "mag_filter") == "nearest"
             texture = Texture(as_texels(image), wraps[0], wraps[1], nearest)
+        if uv is not None:
             coordinates = _corner_coordinates(uv, faces, len(positions))
         if alpha is None:
             translucent = full[3] < 1 or (corners is not None and bool((corners.values[:, 3] < 1).any()))
-            translucent = translucent or (
-                texture is not None and bool((texture.texels[..., 3] < 65535).any())
-            )
+            if texture is not None:
+                opaque = ONE[texture.texels.dtype.name]
+                translucent = translucent or bool((texture.texels[..., 3] < opaque).any())
             alpha = "blend" if translucent else "opaque"
         as_choice(alpha, ALPHA_MODES, "alpha")
-        material = Material(full, texture, alpha, cutoff)
+        inputs = {"base_color": Input(full[:3], texture), "alpha": Input(full[3:], texture, (3,))}
+        material = Material(inputs, alpha, cutoff)
         source = MaterialSource(
             [material],
             np.zeros(len(faces), np.int32),
             placed,
             faces,
             colors=corners,
-            coordinates=coordinates,
+            coordinates=[] if coordinates is None else [coordinates],
             name=name,
+            filter=filter,
         )
-        return cls(positions, faces, source, rest=placed, name=name)
+        return cls(positions, faces, source, rest=placed, uv=coordinates, name=name)
 
     def __repr__(self) -> str:
         names = ", ".join(channel.name for channel in self.channels)
@@ -151,7 +167,7 @@ class Surface:
 
     @property
     def channels(self) -> tuple[ChannelFormat, ...]:
-        """What the source gives: base colour, and alpha where the model uses it."""
+        """What the source gives, in the order of the columns of ``evaluate_all``."""
         return self.source.channels
 
     def with_rest(self, rest: npt.ArrayLike) -> Surface:
@@ -160,11 +176,103 @@ class Surface:
         Raises ModelError for another number of them, or if they are not finite.
         """
         positions = _positions(rest, f"{self.name}: rest positions")
+        return self._with(self.source.with_rest(positions), positions)
+
+    def with_channels(self, channels: Sequence[str]) -> Surface:
+        """Return the same surface with these of its channels alone.
+
+        Raises ArgumentError for one that it lacks.
+        """
+        for channel in channels:
+            as_choice(channel, [form.name for form in self.channels], "channel")
+        return self._with(self.source.only(channels))
+
+    def with_filter(self, filter: str) -> Surface:
+        """Return the same surface with its images read by another filter, one of filters.FILTERS.
+
+        Raises ArgumentError for an unknown name.
+        """
+        as_choice(filter, FILTERS, "filter")
+        return self._with(self.source.with_filter(filter))
+
+    def with_sources(self, sources: Mapping[str, object], filter: str = "ewa") -> Surface:
+        """Return the same surface with some channels from elsewhere.
+
+        ``sources`` gives, by the channel's name, a Source that has it; an image (a file, a Pillow image or an
+        array, as for ``from_arrays``), read at the surface's first texture coordinates with ``filter``; or a
+        value, linear light for colours: a number or one for each component. Images of ``normal`` are in the
+        tangent's frame. Vertex colours do not multiply them.
+
+        Raises ArgumentError for an unknown channel or another kind of value, ImageError for an image that
+        cannot be used, ModelError where the surface has no texture coordinates for it.
+        """
+        parts: dict[str, Source] = {form.name: self.source for form in self.channels}
+        provenance = dict(self.provenance)
+        for channel, given in sources.items():
+            if isinstance(given, Source):
+                as_choice(channel, [form.name for form in given.channels], "channel of the source given")
+                parts[channel] = given
+            else:
+                as_choice(channel, CHANNELS, "channel")
+                parts[channel] = self._material_source(channel, given, filter, provenance)
+        made = self._with(Combined(parts))
+        made.provenance = provenance
+        return made
+
+    def _material_source(
+        self, channel: str, given: object, filter: str, provenance: dict[str, str]
+    ) -> MaterialSource:
+        """Return a source of one channel from an image or a value."""
+        form = CHANNELS[channel]
+        lanes = (0, 1, 2)[: form.components]
+        factor: tuple[float, ...] = (1.0,) * form.components
+        texture = None
+        if isinstance(given, (int, float, tuple, list)):
+            numbers = [float(x) for x in (given if isinstance(given, (tuple, list)) else [given])]
+            factor = tuple(numbers * form.components if len(numbers) == 1 else numbers)
+            if len(factor) != form.components or form.space == "direction":
+                raise ArgumentError(
+                    f"{channel} must be {form.components} numbers or an image, not {given!r}"
+                    if form.space != "direction"
+                    else "normal must be an image or a Source, not a value"
+                )
+        elif self.uv is None:
+            raise ModelError(
+                f"{self.name} has no texture coordinates for an image of {channel}; unwrap it, or give a value"
+            )
+        elif isinstance(given, (str, Path)):
+            path = Path(given)
+            try:
+                data = path.read_bytes()
+            except OSError as error:
+                raise ImageError(f"{path} cannot be read: {error.strerror or error}") from None
+            texture = Texture(decode_image(data, path.name))
+            provenance[f"source_{channel}"] = json.dumps({path.name: hashlib.sha256(data).hexdigest()})
+        else:
+            texture = Texture(as_texels(given))  # type: ignore[arg-type]
+        is_alpha = channel == "alpha"
+        frames = None
+        if form.space == "direction":
+            frames = corner_frames(self.rest, self.triangles, None, None, self.uv)
+        return MaterialSource(
+            [Material({channel: Input(factor, texture, lanes)}, "blend" if is_alpha else "opaque")],
+            np.zeros(len(self.triangles), np.int32),
+            self.rest,
+            self.triangles,
+            coordinates=[] if self.uv is None else [self.uv],
+            frames=frames,
+            name=self.name,
+            filter=filter,
+            channels=[channel],
+        )
+
+    def _with(self, source: Source, rest: npt.NDArray[np.float64] | None = None) -> Surface:
         return Surface(
             self.vertices,
             self.triangles,
-            self.source.with_rest(positions),
-            rest=positions,
+            source,
+            rest=self.rest if rest is None else rest,
+            uv=self.uv,
             name=self.name,
             provenance=self.provenance,
         )
@@ -207,10 +315,10 @@ class Surface:
         """Return the source's own values (n, components) of one channel at samples; colours in linear light.
 
         ``width``, in rest units, averages over a square of that side; None or 0 reads at the points.
-        Colours are not multiplied by alpha. Raises ArgumentError for a channel that is not there or samples
+        Colours are not multiplied by alpha; averaged directions are shorter than 1. Raises ArgumentError for a channel that is not there or samples
         of another surface.
         """
-        as_choice(channel, [c.name for c in self.channels], "channel")
+        as_choice(channel, [form.name for form in self.channels], "channel")
         triangles = np.asarray(samples.triangles)
         if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(self.triangles):
             raise ArgumentError(f"samples name triangles that {self.name} does not have")
@@ -219,12 +327,18 @@ class Surface:
         side = 0.0 if width is None else width
         if not 0 <= side < np.inf:
             raise ArgumentError(f"width must be finite and not negative, not {side!r}")
-        values = self.evaluate_all(
-            triangles, samples.barycentric, np.full(len(triangles), min(side, _FARTHEST), np.float32)
+        widths = np.full(len(triangles), min(side, _FARTHEST), np.float32)
+        return self._only(channel).evaluate(
+            np.ascontiguousarray(triangles, np.int32),
+            np.ascontiguousarray(samples.barycentric, np.float64),
+            widths,
         )
-        number = [each.name for each in self.channels].index(channel)
-        first = sum(each.components for each in self.channels[:number])
-        return np.ascontiguousarray(values[:, first : first + self.channels[number].components])
+
+    def _only(self, channel: str) -> Source:
+        """Return the source of one channel, kept ready for the next time."""
+        if channel not in self._single:
+            self._single[channel] = self.source.only([channel])
+        return self._single[channel]
 
     def evaluate_all(
         self,

@@ -1,0 +1,100 @@
+"""What a surface point's value comes from: a source. A new kind of source is one more class of this form."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import CHANNELS, ChannelFormat
+
+
+class Source(ABC):
+    """Anything that gives values to points of a surface."""
+
+    @property
+    @abstractmethod
+    def channels(self) -> tuple[ChannelFormat, ...]:
+        """The channels, in the order of the values' columns."""
+
+    @abstractmethod
+    def evaluate(
+        self,
+        triangles: npt.NDArray[np.int32],
+        barycentric: npt.NDArray[np.float64],
+        widths: npt.NDArray[np.float32],
+    ) -> npt.NDArray[np.float32]:
+        """Return values (n, components) at points of triangles, averaged over widths in rest units.
+
+        Colours are linear light. Called from any number of threads at once.
+        """
+
+    def with_rest(self, rest: npt.NDArray[np.float64]) -> Source:  # noqa: ARG002
+        """Return the same source with widths and directions measured on other rest positions (n, 3)."""
+        return self
+
+    def with_filter(self, name: str) -> Source:  # noqa: ARG002
+        """Return the same source with its images read by another filter."""
+        return self
+
+    def only(self, names: Sequence[str]) -> Source:
+        """Return the same source with these of its channels alone."""
+        return Combined(dict.fromkeys(names, self))
+
+
+def in_order(names: Sequence[str]) -> list[str]:
+    """Return names of channels in the order in which textures hold them; others last."""
+    known = list(CHANNELS)
+    return sorted(dict.fromkeys(names), key=lambda n: known.index(n) if n in known else len(known))
+
+
+class Combined(Source):
+    """Channels from several sources; ``sources`` names the one of each channel."""
+
+    def __init__(self, sources: Mapping[str, Source]) -> None:
+        self._sources = {name: sources[name] for name in in_order(list(sources))}
+        self._channels = tuple(
+            next(form for form in source.channels if form.name == name)
+            for name, source in self._sources.items()
+        )
+
+    @property
+    def channels(self) -> tuple[ChannelFormat, ...]:
+        """The channels, in the order of the values' columns."""
+        return self._channels
+
+    def evaluate(
+        self,
+        triangles: npt.NDArray[np.int32],
+        barycentric: npt.NDArray[np.float64],
+        widths: npt.NDArray[np.float32],
+    ) -> npt.NDArray[np.float32]:
+        """Return every channel's values (n, components), each from its source."""
+        found: dict[int, dict[str, npt.NDArray[np.float32]]] = {}
+        for source in self._sources.values():
+            if id(source) not in found:
+                values = source.evaluate(triangles, barycentric, widths)
+                ends = np.cumsum([form.components for form in source.channels])
+                parts = np.split(values, ends[:-1], axis=1)
+                found[id(source)] = {f.name: part for f, part in zip(source.channels, parts, strict=True)}
+        return np.hstack([found[id(source)][name] for name, source in self._sources.items()])
+
+    def with_rest(self, rest: npt.NDArray[np.float64]) -> Combined:
+        """Return the same sources on other rest positions (n, 3)."""
+        return self._each(lambda source: source.with_rest(rest))
+
+    def with_filter(self, name: str) -> Combined:
+        """Return the same sources with their images read by another filter."""
+        return self._each(lambda source: source.with_filter(name))
+
+    def only(self, names: Sequence[str]) -> Source:
+        """Return these channels alone; sources that give none of them are dropped."""
+        return Combined({name: self._sources[name] for name in names})
+
+    def _each(self, change: Callable[[Source], Source]) -> Combined:
+        changed: dict[int, Source] = {}
+        for source in self._sources.values():
+            changed.setdefault(id(source), change(source))
+        return Combined({name: changed[id(source)] for name, source in self._sources.items()})

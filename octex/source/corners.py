@@ -1,0 +1,22 @@
+"""What is bound to the corners of triangles."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+
+class Corners(NamedTuple):
+    """An attribute of triangle corners: rows of values, and the row of each corner."""
+
+    values: npt.NDArray[np.float32]  # (rows, components)
+    rows: npt.NDArray[np.int32]  # (triangles, 3)
+
+
+class Frames(NamedTuple):
+    """Shading normals and tangents at triangle corners, unit vectors."""
+
+    normals: Corners  # x, y, z
+    tangents: Corners  # x, y, z, and the handedness w: the bitangent is w · (normal × tangent)

@@ -1,0 +1,349 @@
+"""The kernels that give points of a surface their materials' values."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.jit import inlined, kernel
+from octex.source.filters import EACH, SUM, TAP_ROOM, find_taps
+from octex.source.pyramid import DATA, FAINT, FLOAT, SRGB, Images
+
+OPAQUE, MASK, BLEND = 0, 1, 2
+
+# Images are read in single precision: 17 ns where double takes 26 (bilinear, in cache).
+_NONE, _ALL, _CODES, _FAINT = np.float32(0), np.float32(1), np.float32(65535), np.float32(FAINT)
+# A texel is a word of four codes: red in the lowest bits, then green, blue and alpha.
+_CODE, _GREEN, _BLUE, _ALPHA = np.uint64(65535), np.uint64(16), np.uint64(32), np.uint64(48)
+
+
+class Tables(NamedTuple):
+    """Materials and what is bound to triangles.
+
+    A *stack* are images of one size that a material reads at the same coordinates with the same wraps: they
+    share footprints and taps. A material's images in the order of its stacks give its *lanes*: a 1, then four
+    for each image. Each column of the values is offset + gain × lane.
+    """
+
+    materials: npt.NDArray[np.int32]  # (triangles,)
+    first_stacks: npt.NDArray[np.int32]  # (materials + 1,)
+    stacks: npt.NDArray[np.int32]  # (stacks, 6)   layout, slot, wraps of u and v, flat texels, first image
+    images: npt.NDArray[np.int32]  # (images of all stacks, in order, and one more,)
+    lanes: npt.NDArray[np.int32]  # (materials, columns)
+    gains: npt.NDArray[np.float32]  # (materials, columns)
+    offsets: npt.NDArray[np.float32]  # (materials, columns)
+    alpha_modes: npt.NDArray[np.uint8]  # (materials,)
+    alpha_factors: npt.NDArray[np.float32]  # (materials,)
+    cutoffs: npt.NDArray[np.float32]  # (materials,)
+    colors: npt.NDArray[np.float32]  # (rows, 4)   linear light and alpha; no rows: no vertex colours
+    color_rows: npt.NDArray[np.int32]  # (triangles, 3)
+    coordinates: npt.NDArray[np.float32]  # (rows, 2)   v down
+    coordinate_rows: npt.NDArray[np.int32]  # (slots, triangles, 3)
+    normals: npt.NDArray[np.float32]  # (rows, 3)   at rest; no rows: no directions are asked for
+    normal_rows: npt.NDArray[np.int32]  # (triangles, 3)
+    tangents: npt.NDArray[np.float32]  # (rows, 4)
+    tangent_rows: npt.NDArray[np.int32]  # (triangles, 3)
+
+
+class Columns(NamedTuple):
+    """The first column of the channels that are more than offset + gain × lane; −1 for none."""
+
+    base_color: int
+    alpha: int
+    normal: int
+
+
+@kernel
+def measure(
+    coordinates: npt.NDArray[np.float32],
+    coordinate_rows: npt.NDArray[np.int32],
+    rest: npt.NDArray[np.float64],
+    triangles: npt.NDArray[np.int32],
+    footprints: npt.NDArray[np.float32],
+) -> None:
+    """Fill in the covariance (slots, triangles, 3) of a unit box on each triangle, as it looks in its images.
+
+    It is JJᵀ / 12, as uu, uv, vv, with the Jacobian J of texture coordinates by rest positions. Triangles
+    without area have none.
+    """
+    for triangle in range(triangles.shape[0]):
+        a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
+        e0, e1, e2 = rest[b, 0] - rest[a, 0], rest[b, 1] - rest[a, 1], rest[b, 2] - rest[a, 2]
+        f0, f1, f2 = rest[c, 0] - rest[a, 0], rest[c, 1] - rest[a, 1], rest[c, 2] - rest[a, 2]
+        base = math.sqrt(e0 * e0 + e1 * e1 + e2 * e2)
+        if not base > 0.0:
+            continue
+        shift = (e0 * f0 + e1 * f1 + e2 * f2) / base
+        n0, n1, n2 = e1 * f2 - e2 * f1, e2 * f0 - e0 * f2, e0 * f1 - e1 * f0
+        rise = math.sqrt(n0 * n0 + n1 * n1 + n2 * n2) / base
+        if not rise > 1e-12 * base:
+            continue
+        for slot in range(coordinate_rows.shape[0]):
+            a, b, c = (
+                coordinate_rows[slot, triangle, 0],
+                coordinate_rows[slot, triangle, 1],
+                coordinate_rows[slot, triangle, 2],
+            )
+            u0, v0 = np.float64(coordinates[a, 0]), np.float64(coordinates[a, 1])
+            # The Jacobian's columns are coordinates per unit along the base and across it.
+            ux, vx = (coordinates[b, 0] - u0) / base, (coordinates[b, 1] - v0) / base
+            uy = (coordinates[c, 0] - u0 - ux * shift) / rise
+            vy = (coordinates[c, 1] - v0 - vx * shift) / rise
+            uu, uv, vv = ux * ux + uy * uy, ux * vx + uy * vy, vx * vx + vy * vy
+            if uu + vv < 1e30:
+                footprints[slot, triangle, 0] = uu / 12.0
+                footprints[slot, triangle, 1] = uv / 12.0
+                footprints[slot, triangle, 2] = vv / 12.0
+
+
+@kernel
+def evaluate(
+    tables: Tables,
+    columns: Columns,
+    images: Images,
+    footprints: npt.NDArray[np.float32],
+    name: int,
+    triangles: npt.NDArray[np.int32],
+    barycentric: npt.NDArray[np.float64],
+    widths: npt.NDArray[np.float32],
+    values: npt.NDArray[np.float32],
+) -> None:
+    """Fill in the values (n, columns) at points of triangles; ``name`` is the image filter's."""
+    places = np.empty(TAP_ROOM, np.int64)
+    weights = np.empty(TAP_ROOM, np.float64)
+    most_stacks = most_images = 0
+    for material in range(tables.first_stacks.size - 1):
+        first, end = tables.first_stacks[material], tables.first_stacks[material + 1]
+        most_stacks = max(most_stacks, end - first)
+        if end > first:
+            most_images = max(most_images, tables.stacks[end, 5] - tables.stacks[first, 5])
+    lanes = np.ones(1 + 4 * most_images, np.float32)
+    # What a triangle's points share is loaded once for a run of them: a quarter off each read.
+    shared = np.empty((most_stacks, 9), np.float64)
+    last = -1
+    material = first = end = mode = 0
+    has_colors = tables.colors.shape[0] > 0
+    for i in range(triangles.size):
+        triangle = np.int64(triangles[i])
+        if triangle != last:
+            last = triangle
+            material = np.int64(tables.materials[triangle])
+            mode = np.int64(tables.alpha_modes[material])
+            first, end = np.int64(tables.first_stacks[material]), np.int64(tables.first_stacks[material + 1])
+            for stack in range(first, end):
+                _load(tables, footprints, tables.stacks[stack, 1], triangle, shared, stack - first)
+        b0, b1, b2 = barycentric[i, 0], barycentric[i, 1], barycentric[i, 2]
+        red = green = blue = 1.0
+        alpha = np.float64(tables.alpha_factors[material])
+        if has_colors:
+            colors, rows = tables.colors, tables.color_rows
+            c0, c1, c2 = rows[triangle, 0], rows[triangle, 1], rows[triangle, 2]
+            red = b0 * colors[c0, 0] + b1 * colors[c1, 0] + b2 * colors[c2, 0]
+            green = b0 * colors[c0, 1] + b1 * colors[c1, 1] + b2 * colors[c2, 1]
+            blue = b0 * colors[c0, 2] + b1 * colors[c1, 2] + b2 * colors[c2, 2]
+            alpha *= b0 * colors[c0, 3] + b1 * colors[c1, 3] + b2 * colors[c2, 3]
+        threshold = -1.0
+        if mode == MASK:
+            threshold = tables.cutoffs[material] / alpha if alpha > 0.0 else np.inf
+        width = np.float64(widths[i])
+        square = width * width
+        at = 1
+        thresholded = False
+        for stack in range(first, end):
+            row = stack - first
+            layout = np.int64(tables.stacks[stack, 0])
+            count, cut = find_taps(
+                images,
+                layout,
+                name,
+                np.int64(tables.stacks[stack, 2]),
+                np.int64(tables.stacks[stack, 3]),
+                tables.stacks[stack, 4] != 0,
+                b0 * shared[row, 0] + b1 * shared[row, 2] + b2 * shared[row, 4],
+                b0 * shared[row, 1] + b1 * shared[row, 3] + b2 * shared[row, 5],
+                square * shared[row, 6],
+                square * shared[row, 7],
+                square * shared[row, 8],
+                places,
+                weights,
+            )
+            for image in range(tables.stacks[stack, 5], tables.stacks[stack + 1, 5]):
+                number = np.int64(tables.images[image])
+                _gather(images, number, layout, places, weights, count, cut, threshold, lanes, at)
+                thresholded |= images.covered[number]
+                at += 4
+        for column in range(values.shape[1]):
+            lane = lanes[tables.lanes[material, column]]
+            values[i, column] = tables.offsets[material, column] + tables.gains[material, column] * lane
+        if columns.base_color >= 0 and has_colors:
+            values[i, columns.base_color] *= np.float32(red)
+            values[i, columns.base_color + 1] *= np.float32(green)
+            values[i, columns.base_color + 2] *= np.float32(blue)
+        if columns.alpha >= 0:
+            lane = np.float64(lanes[tables.lanes[material, columns.alpha]])
+            if mode == OPAQUE:
+                lane = 1.0
+            elif mode == BLEND:
+                lane *= alpha
+            elif not thresholded:
+                lane = 1.0 if lane >= threshold else 0.0
+            values[i, columns.alpha] = lane
+        if columns.normal >= 0:
+            _turn(tables, triangle, b0, b1, b2, width == 0.0, values, i, columns.normal)
+
+
+@inlined
+def _load(
+    tables: Tables,
+    footprints: npt.NDArray[np.float32],
+    slot: int,
+    triangle: int,
+    shared: npt.NDArray[np.float64],
+    row: int,
+) -> None:
+    """Copy a triangle's coordinates and its footprint."""
+    for corner in range(3):
+        at = tables.coordinate_rows[slot, triangle, corner]
+        shared[row, 2 * corner] = tables.coordinates[at, 0]
+        shared[row, 2 * corner + 1] = tables.coordinates[at, 1]
+        shared[row, 6 + corner] = footprints[slot, triangle, corner]
+
+
+@inlined
+def _gather(
+    images: Images,
+    image: int,
+    layout: int,
+    places: npt.NDArray[np.int64],
+    weights: npt.NDArray[np.float64],
+    count: int,
+    cut: int,
+    threshold: float,
+    lanes: npt.NDArray[np.float32],
+    at: int,
+) -> None:
+    """Add up an image's texels at taps into four lanes; colours unmultiplied."""
+    kind, base = images.kinds[image], images.bases[image]
+    linear, codes = images.linear, images.codes
+    red = green = blue = alpha = _NONE
+    if kind == SRGB and not images.covered[image]:
+        for i in range(count):
+            word, weight = codes[base + places[i]], np.float32(weights[i])
+            red += weight * linear[word & _CODE]
+            green += weight * linear[(word >> _GREEN) & _CODE]
+            blue += weight * linear[(word >> _BLUE) & _CODE]
+            alpha += weight * np.float32(np.int64(word >> _ALPHA))
+        alpha /= _CODES
+    elif kind == DATA:
+        for i in range(count):
+            word, weight = codes[base + places[i]], np.float32(weights[i])
+            red += weight * np.float32(np.int64(word & _CODE))
+            green += weight * np.float32(np.int64((word >> _GREEN) & _CODE))
+            blue += weight * np.float32(np.int64((word >> _BLUE) & _CODE))
+            alpha += weight * np.float32(np.int64(word >> _ALPHA))
+        red /= _CODES
+        green /= _CODES
+        blue /= _CODES
+        alpha /= _CODES
+    elif kind in (SRGB, FLOAT):
+        covered = images.covered[image]
+        row = images.layouts[layout, 0]
+        fine = (images.levels[row, 1] + 2) * (images.levels[row, 2] + 2)  # texels of the finest level
+        weighed = _NONE
+        for i in range(count):
+            weight = np.float32(weights[i])
+            if kind == SRGB:
+                word = codes[base + places[i]]
+                r, g = linear[word & _CODE], linear[(word >> _GREEN) & _CODE]
+                b, a = linear[(word >> _BLUE) & _CODE], np.float32(np.int64(word >> _ALPHA)) / _CODES
+            else:
+                floats, place = images.floats, base + places[i]
+                r, g, b, a = floats[place, 0], floats[place, 1], floats[place, 2], floats[place, 3]
+            if covered and cut == EACH and threshold >= 0.0 and places[i] < fine:
+                a = _ALL if a >= threshold else _NONE
+            alpha += weight * a
+            if covered:
+                weight *= a + _FAINT
+            weighed += weight
+            red += weight * r
+            green += weight * g
+            blue += weight * b
+        red /= weighed
+        green /= weighed
+        blue /= weighed
+        if covered and cut == SUM and threshold >= 0.0:
+            alpha = _ALL if alpha >= threshold else _NONE
+    else:
+        sums = images.sums
+        r = g = b = a = 0.0
+        for i in range(count):
+            place, w = base + places[i], weights[i]
+            r += w * sums[place, 0]
+            g += w * sums[place, 1]
+            b += w * sums[place, 2]
+            a += w * sums[place, 3]
+        scale = 1.0
+        if images.covered[image]:
+            a = max(a, 0.0)
+            scale = 1.0 / (a + FAINT)
+        red, green, blue, alpha = (
+            np.float32(r * scale),
+            np.float32(g * scale),
+            np.float32(b * scale),
+            np.float32(a),
+        )
+    lanes[at] = red
+    lanes[at + 1] = green
+    lanes[at + 2] = blue
+    lanes[at + 3] = alpha
+
+
+@inlined
+def _turn(
+    tables: Tables,
+    triangle: int,
+    b0: float,
+    b1: float,
+    b2: float,
+    is_point: bool,
+    values: npt.NDArray[np.float32],
+    i: int,
+    column: int,
+) -> None:
+    """Turn a direction in the tangent's frame into one in rest space; at a point, a unit vector."""
+    normals, rows = tables.normals, tables.normal_rows
+    r0, r1, r2 = rows[triangle, 0], rows[triangle, 1], rows[triangle, 2]
+    nx = b0 * normals[r0, 0] + b1 * normals[r1, 0] + b2 * normals[r2, 0]
+    ny = b0 * normals[r0, 1] + b1 * normals[r1, 1] + b2 * normals[r2, 1]
+    nz = b0 * normals[r0, 2] + b1 * normals[r1, 2] + b2 * normals[r2, 2]
+    scale = _inverse_length(nx, ny, nz)
+    nx, ny, nz = nx * scale, ny * scale, nz * scale
+    tangents, rows = tables.tangents, tables.tangent_rows
+    r0, r1, r2 = rows[triangle, 0], rows[triangle, 1], rows[triangle, 2]
+    tx = b0 * tangents[r0, 0] + b1 * tangents[r1, 0] + b2 * tangents[r2, 0]
+    ty = b0 * tangents[r0, 1] + b1 * tangents[r1, 1] + b2 * tangents[r2, 1]
+    tz = b0 * tangents[r0, 2] + b1 * tangents[r1, 2] + b2 * tangents[r2, 2]
+    along = nx * tx + ny * ty + nz * tz
+    tx, ty, tz = tx - along * nx, ty - along * ny, tz - along * nz
+    scale = _inverse_length(tx, ty, tz)
+    tx, ty, tz = tx * scale, ty * scale, tz * scale
+    hand = 1.0 if tangents[r0, 3] >= 0.0 else -1.0
+    x, y, z = (
+        np.float64(values[i, column]),
+        np.float64(values[i, column + 1]),
+        np.float64(values[i, column + 2]),
+    )
+    scale = _inverse_length(x, y, z) if is_point else 1.0
+    x, y, z = x * scale, y * scale * hand, z * scale
+    values[i, column] = x * tx + y * (ny * tz - nz * ty) + z * nx
+    values[i, column + 1] = x * ty + y * (nz * tx - nx * tz) + z * ny
+    values[i, column + 2] = x * tz + y * (nx * ty - ny * tx) + z * nz
+
+
+@inlined
+def _inverse_length(x: float, y: float, z: float) -> float:
+    length = math.sqrt(x * x + y * y + z * z)
+    return 1.0 / length if length > 0.0 else 0.0

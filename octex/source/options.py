@@ -1,0 +1,21 @@
+"""What of a model file is wanted."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Options(NamedTuple):
+    """What to read of a model besides its geometry, and how its images are filtered."""
+
+    materials: bool = True  # without them a surface is white, and no image is read
+    channels: tuple[str, ...] | None = None  # None: every channel that the materials state
+    filter: str = "ewa"
+
+    def wants(self, channel: str) -> bool:
+        """Say whether a channel is to be read."""
+        return self.materials and (self.channels is None or channel in self.channels)
+
+
+#: Everything that a model states.
+EVERYTHING = Options()
