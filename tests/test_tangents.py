@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from octex.source.corners import Corners, Frames
-from octex.source.tangents import carried, corner_frames
+from octex.source.tangents import carried, corner_frames, transformed
 from tests import naive_tangents
 from tests.conftest import needs_jit
 from tests.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV
@@ -295,3 +295,30 @@ def test_frames_stay_where_a_triangle_has_no_area() -> None:
         moved = carried(square(), triangles, before, after)
         assert_sound(moved, 2)
         np.testing.assert_allclose(at_corners(moved.tangents)[0], [[1, 0, 0, 1]] * 3)
+
+
+@pytest.mark.parametrize("sizes", [(1, 1, 1), (3, 3, 3), (-1, 1, 1), (-2, -2, -2), (2, -2, 2), (0.5, 2, -3)])
+def test_a_transform_takes_the_frames_of_a_body_to_those_of_its_image(sizes: tuple[float, ...]) -> None:
+    points, triangles = wavy(4, 4)
+    matrix = rotation(2) @ np.diag(sizes)
+    uv = Corners(points[:, :2].astype(np.float32), triangles)
+    found = transformed(corner_frames(points, triangles, None, None, uv), matrix)
+    assert_sound(found, len(triangles))
+    order = slice(None, None, -1 if np.linalg.det(matrix) < 0 else 1)
+    image = corner_frames(
+        points @ matrix.T, triangles[:, order], None, None, Corners(uv.values, triangles[:, order])
+    )
+    np.testing.assert_allclose(at_corners(found.normals)[:, order], at_corners(image.normals), atol=1e-5)
+    np.testing.assert_allclose(at_corners(found.tangents)[:, order], at_corners(image.tangents), atol=1e-5)
+
+
+@pytest.mark.parametrize("linear", [np.zeros((3, 3)), np.diag([0.0, 1.0, 1.0]), np.full((3, 3), np.nan)])
+def test_a_transform_that_leaves_no_direction_leaves_the_old_one(linear: npt.NDArray[np.float64]) -> None:
+    found = transformed(square(), linear)
+    for corners in found:
+        assert (np.linalg.norm(at_corners(corners)[..., :3], axis=-1) > 0.99).all()
+
+
+def test_a_flattening_transform_keeps_the_normals_of_what_is_flattened() -> None:
+    found = transformed(square(), np.diag([2.0, 1.0, 0.0]))
+    np.testing.assert_allclose(at_corners(found.normals), np.broadcast_to([0, 0, 1], (2, 3, 3)))

@@ -1,4 +1,4 @@
-"""glTF 2.0 and GLB models: meshes, the scene's transforms and instances, base colour bound as the file says.
+"""glTF 2.0 and GLB models: meshes, the scene's transforms and instances, and what materials bind to corners.
 
 trimesh is not asked: beside what its accessors lose (see ``gltf_file``), it skips triangle fans and drops
 samplers, texture transforms and all texture coordinates but the first.
@@ -6,101 +6,147 @@ samplers, texture transforms and all texture coordinates but the first.
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from octex.errors import ImageError, ModelError
-from octex.source.gltf_file import CODED, Document
-from octex.source.images import decode_image
-from octex.source.materials import AlphaMode, Corners, Material, MaterialSource, Texture
-from octex.source.pyramid import CLAMP, MIRROR, REPEAT
+from octex.errors import ModelError
+from octex.source.corners import Corners, Frames
+from octex.source.gltf_file import Document
+from octex.source.gltf_materials import Bound, read_materials
+from octex.source.materials import MaterialSource
+from octex.source.options import Options
 from octex.source.surface import Surface
+from octex.source.tangents import corner_frames, transformed
 
 _TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN = 4, 5, 6
-_ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
-_WRAPS = {10497: REPEAT, 33648: MIRROR, 33071: CLAMP}
-_NEAREST = 9728
 
 
-def load_gltf(path: Path, materials: bool = True) -> Surface:
+def load_gltf(path: Path, options: Options = Options()) -> Surface:  # noqa: B008
     """Read the scene of a .gltf or .glb file; meshes that no node of it shows are left out.
 
-    Without ``materials`` the surface is white, and no image is read.
+    Its materials are read as ``gltf_materials`` says, those of primitives in use, as far as ``options`` wants
+    their channels. ``uv`` of the surface is TEXCOORD_0, where all primitives with textures have it.
+    ``provenance`` holds what the file says of its origin, and the digests of the files that it refers to.
 
     Morph targets and skins are not applied: the mesh is taken as it is modelled.
     Raises ModelError or ImageError.
     """
-    return _Scene(Document(path), materials).surface()
+    return _Scene(Document(path), options).surface()
+
+
+class _Shape(NamedTuple):
+    """The triangles of a mesh primitive, and where the file keeps the rest of it."""
+
+    positions: npt.NDArray[np.float64]
+    triangles: npt.NDArray[np.int32]
+    material: int | None
+    attributes: dict[str, Any]
+    name: str
 
 
 class _Primitive(NamedTuple):
     """A mesh primitive before it is placed in the scene."""
 
-    positions: npt.NDArray[np.float64]
-    triangles: npt.NDArray[np.int64]
-    material: int
+    shape: _Shape
+    bound: Bound
     colors: npt.NDArray[np.float32] | None  # (n, 4)
-    coordinates: npt.NDArray[np.float32] | None  # (n, 2)   of the base colour texture
+    coordinates: list[npt.NDArray[np.float32]]  # (n, 2)   by slot
+    uv: npt.NDArray[np.float32] | None  # (n, 2)   TEXCOORD_0
+    frames: Frames | None
 
 
 class _Scene:
     """Collects the primitives of all nodes into one surface."""
 
-    def __init__(self, document: Document, materials: bool) -> None:
+    def __init__(self, document: Document, options: Options) -> None:
         self._document = document
-        self._has_materials = materials
-        self._primitives: dict[int, list[_Primitive]] = {}
-        self._materials: list[Material] = []
-        self._material_numbers: dict[int | None, int] = {}
-        self._images: dict[int, npt.NDArray[np.uint16]] = {}
+        self._options = options
+        self._shapes: dict[int, list[_Shape]] = {}
 
     def surface(self) -> Surface:
         document = self._document
         placed = [
-            (matrix, primitive)
+            (matrix, shape)
             for mesh, matrix in self._instances()
-            for primitive in self._mesh(mesh)
-            if len(primitive.triangles)
+            for shape in self._mesh(mesh)
+            if len(shape.triangles)
         ]
         if not placed:
             raise ModelError(f"{document.name} has no triangles; octex needs a surface, not points or lines")
+        bound = read_materials(document, (shape.material for _, shape in placed), self._options)
+        has_normals = any(each.normal_slot is not None for each in bound.values())
+        primitives: dict[str, _Primitive] = {}
+        for _, shape in placed:
+            if shape.name not in primitives:
+                primitives[shape.name] = self._primitive(shape, bound[shape.material], has_normals)
+        each = [primitives[shape.name] for _, shape in placed]
         vertices, triangles = [], []
+        normals, tangents = [], []
         first = 0
-        for matrix, primitive in placed:
-            with np.errstate(over="ignore", invalid="ignore"):  # the surface refuses what is not finite
-                vertices.append(primitive.positions @ matrix[:3, :3].T + matrix[:3, 3])
+        for (matrix, shape), primitive in zip(placed, each, strict=True):
+            linear = matrix[:3, :3]
             # A mirroring transform turns triangles inside out (3.7.4).
-            corners = (
-                primitive.triangles[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else primitive.triangles
-            )
-            triangles.append((corners + first).astype(np.int32))
-            first += len(primitive.positions)
-        joined = np.concatenate(triangles)
-        each = [primitive for _, primitive in placed]
-        colors = _corners(each, [p.colors for p in each], np.ones(4, np.float32), joined)
-        coordinates = _corners(each, [p.coordinates for p in each], np.zeros(2, np.float32), joined)
-        numbers = np.repeat(np.array([p.material for p in each], np.int32), [len(p.triangles) for p in each])
-        positions = np.concatenate(vertices)
+            order = slice(None, None, -1 if np.linalg.det(linear) < 0 else 1)
+            with np.errstate(over="ignore", invalid="ignore"):  # the surface refuses what is not finite
+                vertices.append(shape.positions @ linear.T + matrix[:3, 3])
+            triangles.append(shape.triangles[:, order] + np.int32(first))
+            first += len(shape.positions)
+            if primitive.frames is not None:
+                frames = transformed(primitive.frames, linear)
+                normals.append(frames.normals._replace(rows=frames.normals.rows[:, order]))
+                tangents.append(frames.tangents._replace(rows=frames.tangents.rows[:, order]))
+        positions, joined = np.concatenate(vertices), np.concatenate(triangles)
+
+        def corners(attributes: list[npt.NDArray[np.float32] | None], default: float) -> Corners | None:
+            """Join an attribute of all primitives; those without it get the default. None if none has it."""
+            width = next((given.shape[1] for given in attributes if given is not None), None)
+            if width is None:
+                return None
+            rows = [
+                np.full((len(shape.positions), width), default, np.float32) if given is None else given
+                for (_, shape), given in zip(placed, attributes, strict=True)
+            ]
+            return Corners(np.concatenate(rows), joined)
+
+        slots = zip_longest(*(primitive.coordinates for primitive in each))
+        numbers = {number: index for index, number in enumerate(bound)}
         source = MaterialSource(
-            self._materials,
-            numbers,
+            [entry.material for entry in bound.values()],
+            np.repeat(
+                np.array([numbers[shape.material] for _, shape in placed], np.int32),
+                [len(shape.triangles) for _, shape in placed],
+            ),
             positions,
             joined,
-            colors=colors,
-            coordinates=coordinates,
+            colors=corners([primitive.colors for primitive in each], 1.0),
+            coordinates=[found for slot in slots if (found := corners(list(slot), 0.0)) is not None],
+            frames=Frames(_joined(normals), _joined(tangents)) if has_normals else None,
             name=document.name,
+            filter=self._options.filter,
+            channels=self._options.channels,
         )
-        asset = document.json["asset"]
-        return Surface(
-            positions,
-            joined,
-            source,
-            name=document.name,
-            provenance={key: str(asset[key]) for key in ("copyright", "generator") if key in asset},
-        )
+        uv = None
+        if all(primitive.uv is not None for primitive in each if primitive.coordinates):
+            uv = corners([primitive.uv for primitive in each], 0.0)
+        return Surface(positions, joined, source, uv=uv, name=document.name, provenance=self._provenance())
+
+    def _provenance(self) -> dict[str, str]:
+        """Return what the file says of its origin and licence, and the digests of the files it refers to."""
+        asset = self._document.json["asset"]
+        extras = asset.get("extras")
+        found = {key: str(asset[key]) for key in ("copyright", "generator") if key in asset}
+        if isinstance(extras, dict):
+            keys = ("author", "license", "licence")
+            found |= {key: extras[key] for key in keys if isinstance(extras.get(key), str)}
+        if self._document.files:
+            found["files"] = json.dumps(self._document.files, sort_keys=True, ensure_ascii=False)
+        return found
 
     def _instances(self) -> list[tuple[int, npt.NDArray[np.float64]]]:
         """List the meshes of the scene, each with its global transform, depth first."""
@@ -139,24 +185,24 @@ class _Scene:
         count = min((len(rows) for rows in columns.values()), default=0)
         return [_local_matrix({key: rows[i] for key, rows in columns.items()}) for i in range(count)]
 
-    def _mesh(self, number: int) -> list[_Primitive]:
-        if number not in self._primitives:
+    def _mesh(self, number: int) -> list[_Shape]:
+        if number not in self._shapes:
             mesh = self._document.item("meshes", number)
-            self._primitives[number] = [
-                self._primitive(entry, f"meshes[{number}]")
-                for entry in mesh["primitives"]
+            self._shapes[number] = [
+                self._shape(entry, f"meshes[{number}].primitives[{index}]")
+                for index, entry in enumerate(mesh["primitives"])
                 if entry.get("mode", _TRIANGLES) in (_TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN)
                 and "POSITION" in entry["attributes"]
             ]
-        return self._primitives[number]
+        return self._shapes[number]
 
-    def _primitive(self, entry: dict[str, Any], where: str) -> _Primitive:
+    def _shape(self, entry: dict[str, Any], name: str) -> _Shape:
         document = self._document
         document.refuse_compression(entry)
         attributes = entry["attributes"]
         positions = document.accessor(attributes["POSITION"], (3,)).astype(np.float64)
         if not np.isfinite(positions).all():
-            raise ModelError(f"{document.name}: {where} has vertices that are not finite; repair the model")
+            raise ModelError(f"{document.name}: {name} has vertices that are not finite; repair the model")
         if "indices" in entry:
             indices = document.accessor(entry["indices"], (1,))[:, 0].astype(np.int64)
         else:
@@ -164,140 +210,72 @@ class _Scene:
         if len(indices) and not 0 <= indices.min() <= indices.max() < len(positions):
             worst = indices.min() if indices.min() < 0 else indices.max()
             raise ModelError(
-                f"{document.name}: {where} uses vertex {worst}, but there are {len(positions)}; "
+                f"{document.name}: {name} uses vertex {worst}, but there are {len(positions)}; "
                 "export the model again"
             )
-        number = entry.get("material") if self._has_materials else None
+        triangles = _triangles(indices, entry.get("mode", _TRIANGLES)).astype(np.int32)
+        number = entry.get("material") if self._options.materials else None
+        return _Shape(positions, triangles, number, attributes, name)
+
+    def _primitive(self, shape: _Shape, bound: Bound, has_normals: bool) -> _Primitive:
+        """Read what a shape's material needs, and what may be of use without one."""
+        if not self._options.materials:
+            return _Primitive(shape, bound, None, [], None, None)
         colors = None
-        if "COLOR_0" in attributes:
-            colors = np.ones((len(positions), 4), np.float32)
-            given = self._attribute(attributes["COLOR_0"], (3, 4), len(positions), f"{where} COLOR_0")
+        given = self._attribute(shape, "COLOR_0", (3, 4))
+        if given is not None:
+            colors = np.ones((len(given), 4), np.float32)
             colors[:, : given.shape[1]] = given
-        coordinates = None
-        info = self._texture_info(number)
-        if info is not None:
-            transform = info.get("extensions", {}).get("KHR_texture_transform", {})
-            name = f"TEXCOORD_{transform.get('texCoord', info.get('texCoord', 0))}"
-            if name not in attributes:
+        uv = self._attribute(shape, "TEXCOORD_0", (2,))
+        coordinates = []
+        for slot in bound.slots:
+            name = f"TEXCOORD_{slot.number}"
+            given = uv if slot.number == 0 else self._attribute(shape, name, (2,))
+            if given is None:
                 raise ModelError(
-                    f"{document.name}: {where} has a textured material but no {name}; "
+                    f"{self._document.name}: {shape.name} has a textured material but no {name}; "
                     "give the mesh texture coordinates, or export it without the texture"
                 )
-            given = self._attribute(attributes[name], (2,), len(positions), f"{where} {name}")
-            with np.errstate(over="ignore"):  # what becomes infinite is refused where it is used
-                coordinates = _transformed(given, transform).astype(np.float32)
-        triangles = _triangles(indices, entry.get("mode", _TRIANGLES))
-        return _Primitive(positions, triangles, self._material(number), colors, coordinates)
+            with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused in use
+                coordinates.append(slot.applied(given).astype(np.float32))
+        frames = self._frames(shape, bound, coordinates) if has_normals else None
+        return _Primitive(
+            shape, bound, colors, coordinates, None if uv is None else uv.astype(np.float32), frames
+        )
+
+    def _frames(self, shape: _Shape, bound: Bound, coordinates: Sequence[npt.NDArray[np.float32]]) -> Frames:
+        """Return a primitive's frames in its own space; tangents mean something only below a normal map."""
+
+        def corners(rows: npt.NDArray[np.floating] | None) -> Corners | None:
+            return None if rows is None else Corners(rows.astype(np.float32), shape.triangles)
+
+        normals = corners(self._attribute(shape, "NORMAL", (3,)))
+        if bound.normal_slot is None:
+            return corner_frames(shape.positions, shape.triangles, normals, None, None)
+        tangents = corners(self._attribute(shape, "TANGENT", (4,)))
+        mapped = corners(coordinates[bound.normal_slot])
+        return corner_frames(shape.positions, shape.triangles, normals, tangents, mapped)
 
     def _attribute(
-        self, accessor: int, components: tuple[int, ...], count: int, what: str
-    ) -> npt.NDArray[np.float64]:
-        rows = self._document.accessor(accessor, components).astype(np.float64)
-        if len(rows) != count:
-            raise ModelError(f"{self._document.name}: {what} has {len(rows)} rows for {count} vertices")
+        self, shape: _Shape, name: str, components: tuple[int, ...]
+    ) -> npt.NDArray[np.float64] | None:
+        """Return a vertex attribute, None if the primitive has none of this name."""
+        if name not in shape.attributes:
+            return None
+        rows = self._document.accessor(shape.attributes[name], components).astype(np.float64)
+        if len(rows) != len(shape.positions):
+            raise ModelError(
+                f"{self._document.name}: {shape.name} {name} has {len(rows)} rows "
+                f"for {len(shape.positions)} vertices"
+            )
         return rows
 
-    def _texture_info(self, number: int | None) -> dict[str, Any] | None:
-        """Return the reference of a material to its base colour texture."""
-        entry = {} if number is None else self._document.item("materials", number)
-        info: dict[str, Any] | None = _base_color(entry)[1]
-        return info
 
-    def _material(self, number: int | None) -> int:
-        if number not in self._material_numbers:
-            self._material_numbers[number] = len(self._materials)
-            entry = {} if number is None else self._document.item("materials", number)
-            factor, info = _base_color(entry)
-            red, green, blue, alpha = map(float, factor)
-            mode = entry.get("alphaMode", "OPAQUE")
-            if mode not in _ALPHA_MODES:
-                raise ModelError(
-                    f"{self._document.name}: materials[{number}] has an unknown alphaMode {mode}"
-                )
-            self._materials.append(
-                Material(
-                    factor=(red, green, blue, alpha),
-                    texture=None if info is None else self._texture(info["index"]),
-                    alpha_mode=_ALPHA_MODES[mode],
-                    cutoff=float(entry.get("alphaCutoff", 0.5)),
-                )
-            )
-        return self._material_numbers[number]
-
-    def _texture(self, number: int) -> Texture:
-        document = self._document
-        entry = document.item("textures", number)
-        source = entry.get("source")
-        for name, extension in entry.get("extensions", {}).items():
-            if source is None and name in ("EXT_texture_webp", "EXT_texture_avif"):
-                source = extension.get("source")
-            elif source is None and name in CODED:
-                raise document.coded(name)
-        if source is None:
-            raise ModelError(f"{document.name}: textures[{number}] names no image that octex reads")
-        sampler = document.item("samplers", entry["sampler"]) if "sampler" in entry else {}
-        wraps = []
-        for axis in ("wrapS", "wrapT"):
-            code = sampler.get(axis, 10497)
-            if code not in _WRAPS:
-                raise ModelError(f"{document.name}: a sampler has an unknown {axis} {code}; export it again")
-            wraps.append(_WRAPS[code])
-        nearest = sampler.get("magFilter") == _NEAREST
-        return Texture(self._image(source), wraps[0], wraps[1], nearest)
-
-    def _image(self, number: int) -> npt.NDArray[np.uint16]:
-        if number not in self._images:
-            document = self._document
-            entry = document.item("images", number)
-            name = f"{document.name}: images[{number}]"
-            if "bufferView" in entry:
-                data = bytes(document.view(entry["bufferView"])[0])
-            elif "uri" in entry:
-                uri = entry["uri"]
-                if not uri.startswith("data:"):
-                    name = f"{name} ({uri})"
-                data = document.resource(uri, f"images[{number}]", ImageError)
-            else:
-                raise ImageError(f"{name} has neither a uri nor a bufferView; export the model again")
-            self._images[number] = decode_image(data, name)
-        return self._images[number]
-
-
-def _base_color(material: dict[str, Any]) -> tuple[Any, Any]:
-    """Return a base colour's factor and reference to a texture; of older materials, the diffuse colour's."""
-    older = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
-    if older is not None:
-        return older.get("diffuseFactor", (1, 1, 1, 1)), older.get("diffuseTexture")
-    pbr = material.get("pbrMetallicRoughness", {})
-    return pbr.get("baseColorFactor", (1, 1, 1, 1)), pbr.get("baseColorTexture")
-
-
-def _corners(
-    primitives: list[_Primitive],
-    attributes: list[npt.NDArray[np.float32] | None],
-    default: npt.NDArray[np.float32],
-    triangles: npt.NDArray[np.int32],
-) -> Corners | None:
-    """Join an attribute of all primitives; those without it get the default. None if none has it."""
-    if all(attribute is None for attribute in attributes):
-        return None
-    rows = [
-        np.broadcast_to(default, (len(primitive.positions), len(default))) if attribute is None else attribute
-        for primitive, attribute in zip(primitives, attributes, strict=True)
-    ]
-    return Corners(np.concatenate(rows), triangles)
-
-
-def _transformed(coordinates: npt.NDArray[np.float64], transform: dict[str, Any]) -> npt.NDArray[np.float64]:
-    """Scale, rotate counter-clockwise as seen on the image, then move coordinates (KHR_texture_transform)."""
-    if not transform:
-        return coordinates
-    scaled = coordinates * np.array(transform.get("scale", (1, 1)), np.float64)
-    angle = float(transform.get("rotation", 0))
-    cos, sin = np.cos(angle), np.sin(angle)
-    turned = scaled @ np.array([[cos, -sin], [sin, cos]])
-    moved: npt.NDArray[np.float64] = turned + np.array(transform.get("offset", (0, 0)), np.float64)
-    return moved
+def _joined(parts: Sequence[Corners]) -> Corners:
+    """Put attributes of corners one after another."""
+    firsts = np.cumsum([0, *(len(part.values) for part in parts)])
+    rows = [part.rows + np.int32(first) for part, first in zip(parts, firsts, strict=False)]
+    return Corners(np.concatenate([part.values for part in parts]), np.concatenate(rows))
 
 
 def _local_matrix(node: dict[str, Any]) -> npt.NDArray[np.float64]:

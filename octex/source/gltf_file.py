@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import binascii
+import hashlib
 import json
 import struct
 import urllib.parse
@@ -50,6 +51,7 @@ class Document:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.name = path.name
+        self.files: dict[str, str] = {}  # SHA-256 of the other files read, by their names in this one
         self._buffers: dict[int, bytes] = {}
         data = path.read_bytes()
         self._binary: bytes | None = None
@@ -128,10 +130,12 @@ class Document:
         folder = self.path.parent
         try:
             exact = folder / uri  # some exporters leave a percent sign as it is
-            return (exact if exact.is_file() else folder / urllib.parse.unquote(uri)).read_bytes()
+            data = (exact if exact.is_file() else folder / urllib.parse.unquote(uri)).read_bytes()
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             raise error_class(f"{self.name}: {what} cannot be read: {uri}: {reason}") from None
+        self.files[uri] = hashlib.sha256(data).hexdigest()
+        return data
 
     def _buffer(self, index: int) -> bytes:
         if index not in self._buffers:

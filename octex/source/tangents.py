@@ -91,6 +91,24 @@ def carried(
     return Frames(Corners(normals, rows), Corners(tangents, rows))
 
 
+def transformed(frames: Frames, linear: npt.NDArray[np.float64]) -> Frames:
+    """Return frames of what a linear map (3, 3) is applied to; a mirror turns the handedness.
+
+    The bitangent is mapped too if the map keeps angles; otherwise it stays at right angles, as in glTF.
+    Where the map leaves no direction, the old one stays.
+    """
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        x, y, z = linear / np.abs(linear).max()
+        # Cofactors rather than the inverse, which is not there when a scale is zero.
+        cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)])
+        side = -1.0 if cofactors[0] @ x < 0 else 1.0
+        normals, tangents = frames.normals.values, frames.tangents.values.copy()
+        tangents[:, :3] = _unit(tangents[:, :3] @ np.stack([x, y, z]).T, tangents[:, :3])
+        tangents[:, 3] *= side
+        normals = _unit(normals @ (side * cofactors).T, normals).astype(np.float32)
+    return Frames(frames.normals._replace(values=normals), frames.tangents._replace(values=tangents))
+
+
 def _flat_normals(
     positions: npt.NDArray[np.float64], triangles: npt.NDArray[np.integer]
 ) -> npt.NDArray[np.float64]:
