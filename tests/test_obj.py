@@ -10,6 +10,7 @@ import pytest
 from octex.channels import srgb_to_linear
 from octex.errors import ImageError, ModelError
 from octex.source.load import load_surface
+from octex.source.surface import Surface
 from tests.fixtures import OBJ_SQUARE, obj, png, random_image
 from tests.test_gltf import assert_agrees
 
@@ -329,8 +330,93 @@ def test_coordinates_may_lack_v(tmp_path: Path) -> None:
         load_surface(wooden(tmp_path, square=square))
 
 
+FLAT_BLUE = "newmtl wood\nnorm wood.png\n"
+
+
+def plain_normals(tmp_path: Path, lines: str) -> Surface:
+    """A model whose normal map leaves its normals as they are."""
+    image = np.tile(np.array([32768, 32768, 65535], np.uint16), (2, 2, 1))
+    return load_surface(obj(tmp_path / "a.obj", lines, FLAT_BLUE, {"wood.png": png(image)}))
+
+
+def test_normals_are_read_below_normal_maps_and_interpolated(tmp_path: Path) -> None:
+    normals = np.array([[0, 0, 1], [3, 0, 4], [0, -3, 4], [-1, 0, 0]])
+    lines = "".join(f"vn {x} {y} {z}\n" for x, y, z in normals)
+    unit = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    for faces, used in (
+        ("f 1/1/1 2/2/2 3/3/3\nf 1/1/1 3/3/3 4/4/2\n", [[0, 1, 2], [0, 2, 1]]),
+        ("f 1/1/-4 2/2/-3 3/3/-2\nf 1/1/-4 3/3/-2 4/4/-1\n", [[0, 1, 2], [0, 2, 3]]),
+    ):
+        surface = plain_normals(tmp_path, OBJ_SQUARE + lines + "usemtl wood\n" + faces)
+        samples = surface.scatter(50)
+        expected = np.einsum("nc,ncx->nx", samples.barycentric, unit[np.array(used)[samples.triangles]])
+        expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+        np.testing.assert_allclose(surface.evaluate(samples, "normal"), expected, atol=1e-3)
+
+
+def test_faces_without_normals_are_flat_beside_others_and_alone(tmp_path: Path) -> None:
+    square = OBJ_SQUARE + "vn 1 0 0\nusemtl wood\n"
+    surface = plain_normals(tmp_path, square + "f 1/1/1 2/2/1 3/3/1\nf 1/1/1 3/3 4/4/1\n")
+    samples = surface.scatter(50)
+    expected = np.where((samples.triangles == 0)[:, None], [1, 0, 0], [0, 0, 1])
+    np.testing.assert_allclose(surface.evaluate(samples, "normal"), expected, atol=1e-4)
+    surface = plain_normals(tmp_path, square + FACES)
+    np.testing.assert_allclose(surface.evaluate(samples, "normal"), [[0, 0, 1]] * 50, atol=1e-4)
+
+
+def test_faces_without_a_normal_map_keep_their_normals_beside_others(tmp_path: Path) -> None:
+    lines = OBJ_SQUARE + "vn 1 0 0\nusemtl wood\nf 1/1 2/2 3/3\nusemtl bare\nf 1//1 3//1 4//1\n"
+    path = obj(tmp_path / "a.obj", lines, "newmtl bare\nnewmtl wood\nmap_Kd -s 2 wood.png\nnorm wood.png\n")
+    (tmp_path / "wood.png").write_bytes(png(np.tile(np.array([255, 128, 128], np.uint8), (2, 2, 1))))
+    surface = load_surface(path)
+    samples = surface.scatter(50)
+    np.testing.assert_allclose(surface.evaluate(samples, "normal"), [[1, 0, 0]] * 50, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ("vn 0 0 1\nusemtl wood\nf 1/1/1 2/2/1 3/3/2\n", "a face uses a normal that is not among the 1"),
+        ("vn 0 1\nusemtl wood\nf 1/1/1 2/2/1 3/3/1\n", "'vn 0 1' has too few numbers"),
+    ],
+)
+def test_bad_normals_count_below_normal_maps_alone(tmp_path: Path, lines: str, message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        plain_normals(tmp_path, OBJ_SQUARE + lines)
+    load_surface(tmp_path / "a.obj", channels=["base_color"])
+
+
+def test_normals_that_are_no_directions_are_those_of_their_faces(tmp_path: Path) -> None:
+    lines = OBJ_SQUARE + "vn 0 0 0\nvn nan 0 1\nusemtl wood\nf 1/1/1 2/2/2 3/3/1\n"
+    surface = plain_normals(tmp_path, lines)
+    np.testing.assert_allclose(surface.evaluate(surface.scatter(5), "normal"), [[0, 0, 1]] * 5, atol=1e-4)
+
+
+def test_the_first_texture_coordinates_are_kept_where_every_face_has_them(tmp_path: Path) -> None:
+    surface = load_surface(wooden(tmp_path, "newmtl wood\nmap_Kd -s 5 wood.png\n"))
+    assert surface.uv is not None
+    corners = surface.vertices[surface.triangles]
+    np.testing.assert_allclose(surface.uv.values[surface.uv.rows][..., 0], corners[..., 0])
+    np.testing.assert_allclose(surface.uv.values[surface.uv.rows][..., 1], 1 - corners[..., 1])
+    assert load_surface(wooden(tmp_path, "newmtl wood\n", FACES + "f 1 2 3\n")).uv is None
+
+
 def test_a_real_model_agrees(models: Path) -> None:
     path = models / "spot-triangulated" / "spot.obj"
     if not path.is_file():
         pytest.skip("spot is not there")
     assert_agrees(path, 500)
+
+
+def test_every_real_model_loads_or_says_why_not(models: Path) -> None:
+    reasons = {
+        "Cray_right.obj": "vertices are not all finite",
+        "ptex_test_object.obj": "ptex_test_object.mtl is missing",
+        "ptex_test_object_orig.obj": "ptex_test_object.mtl is missing",
+    }
+    for path in sorted(models.rglob("*.obj")):
+        if path.name in reasons:
+            with pytest.raises(ModelError, match=reasons[path.name]):
+                load_surface(path)
+        else:
+            assert [form.name for form in load_surface(path).channels] == ["base_color"], path
