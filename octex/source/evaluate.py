@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.jit import inlined, kernel
-from octex.source.filters import EACH, SUM, TAP_ROOM, find_taps
+from octex.source.filters import EACH, SUM, TAP_ROOM, find_taps, footprint
 from octex.source.pyramid import DATA, FAINT, FLOAT, SRGB, Images
 
 OPAQUE, MASK, BLEND = 0, 1, 2
@@ -122,7 +122,7 @@ def evaluate(
             most_images = max(most_images, tables.stacks[end, 5] - tables.stacks[first, 5])
     lanes = np.ones(1 + 4 * most_images, np.float32)
     # What a triangle's points share is loaded once for a run of them: a quarter off each read.
-    shared = np.empty((most_stacks, 9), np.float64)
+    shared = np.empty((most_stacks, 11), np.float64)
     last = -1
     material = first = end = mode = 0
     has_colors = tables.colors.shape[0] > 0
@@ -134,7 +134,7 @@ def evaluate(
             mode = np.int64(tables.alpha_modes[material])
             first, end = np.int64(tables.first_stacks[material]), np.int64(tables.first_stacks[material + 1])
             for stack in range(first, end):
-                _load(tables, footprints, tables.stacks[stack, 1], triangle, shared, stack - first)
+                _load(tables, images, footprints, stack, triangle, shared, stack - first)
         b0, b1, b2 = barycentric[i, 0], barycentric[i, 1], barycentric[i, 2]
         red = green = blue = 1.0
         alpha = np.float64(tables.alpha_factors[material])
@@ -155,7 +155,7 @@ def evaluate(
         for stack in range(first, end):
             row = stack - first
             layout = np.int64(tables.stacks[stack, 0])
-            count, cut = find_taps(
+            count, cut, scale = find_taps(
                 images,
                 layout,
                 name,
@@ -167,12 +167,14 @@ def evaluate(
                 square * shared[row, 6],
                 square * shared[row, 7],
                 square * shared[row, 8],
+                square * shared[row, 9],
+                square * shared[row, 10],
                 places,
                 weights,
             )
             for image in range(tables.stacks[stack, 5], tables.stacks[stack + 1, 5]):
                 number = np.int64(tables.images[image])
-                _gather(images, number, layout, places, weights, count, cut, threshold, lanes, at)
+                _gather(images, number, layout, places, weights, count, scale, cut, threshold, lanes, at)
                 thresholded |= images.covered[number]
                 at += 4
         for column in range(values.shape[1]):
@@ -198,18 +200,27 @@ def evaluate(
 @inlined
 def _load(
     tables: Tables,
+    images: Images,
     footprints: npt.NDArray[np.float32],
-    slot: int,
+    stack: int,
     triangle: int,
     shared: npt.NDArray[np.float64],
     row: int,
 ) -> None:
-    """Copy a triangle's coordinates and its footprint."""
+    """Fill in the coordinates of a triangle's corners, and a footprint of width 1 in a stack's images."""
+    slot = tables.stacks[stack, 1]
     for corner in range(3):
         at = tables.coordinate_rows[slot, triangle, corner]
         shared[row, 2 * corner] = tables.coordinates[at, 0]
         shared[row, 2 * corner + 1] = tables.coordinates[at, 1]
-        shared[row, 6 + corner] = footprints[slot, triangle, corner]
+    level = images.layouts[tables.stacks[stack, 0], 0]
+    shared[row, 6], shared[row, 7], shared[row, 8], shared[row, 9], shared[row, 10] = footprint(
+        np.float64(footprints[slot, triangle, 0]),
+        np.float64(footprints[slot, triangle, 1]),
+        np.float64(footprints[slot, triangle, 2]),
+        images.levels[level, 1],
+        images.levels[level, 2],
+    )
 
 
 @inlined
@@ -220,23 +231,26 @@ def _gather(
     places: npt.NDArray[np.int64],
     weights: npt.NDArray[np.float64],
     count: int,
+    scale: float,
     cut: int,
     threshold: float,
     lanes: npt.NDArray[np.float32],
     at: int,
 ) -> None:
     """Add up an image's texels at taps into four lanes; colours unmultiplied."""
-    kind, base = images.kinds[image], images.bases[image]
+    kind, base, covered = images.kinds[image], images.bases[image], images.covered[image]
     linear, codes = images.linear, images.codes
     red = green = blue = alpha = _NONE
-    if kind == SRGB and not images.covered[image]:
+    factor = np.float32(scale)
+    opacity = factor
+    if kind == SRGB and not covered:
         for i in range(count):
             word, weight = codes[base + places[i]], np.float32(weights[i])
             red += weight * linear[word & _CODE]
             green += weight * linear[(word >> _GREEN) & _CODE]
             blue += weight * linear[(word >> _BLUE) & _CODE]
             alpha += weight * np.float32(np.int64(word >> _ALPHA))
-        alpha /= _CODES
+        opacity = factor / _CODES
     elif kind == DATA:
         for i in range(count):
             word, weight = codes[base + places[i]], np.float32(weights[i])
@@ -244,12 +258,9 @@ def _gather(
             green += weight * np.float32(np.int64((word >> _GREEN) & _CODE))
             blue += weight * np.float32(np.int64((word >> _BLUE) & _CODE))
             alpha += weight * np.float32(np.int64(word >> _ALPHA))
-        red /= _CODES
-        green /= _CODES
-        blue /= _CODES
-        alpha /= _CODES
+        factor /= _CODES
+        opacity = factor
     elif kind in (SRGB, FLOAT):
-        covered = images.covered[image]
         row = images.layouts[layout, 0]
         fine = (images.levels[row, 1] + 2) * (images.levels[row, 2] + 2)  # texels of the finest level
         weighed = _NONE
@@ -271,11 +282,10 @@ def _gather(
             red += weight * r
             green += weight * g
             blue += weight * b
-        red /= weighed
-        green /= weighed
-        blue /= weighed
         if covered and cut == SUM and threshold >= 0.0:
-            alpha = _ALL if alpha >= threshold else _NONE
+            alpha = _ALL if alpha * factor >= threshold else _NONE
+            opacity = _ALL
+        factor = _ALL / weighed
     else:
         sums = images.sums
         r = g = b = a = 0.0
@@ -285,20 +295,13 @@ def _gather(
             g += w * sums[place, 1]
             b += w * sums[place, 2]
             a += w * sums[place, 3]
-        scale = 1.0
-        if images.covered[image]:
-            a = max(a, 0.0)
-            scale = 1.0 / (a + FAINT)
-        red, green, blue, alpha = (
-            np.float32(r * scale),
-            np.float32(g * scale),
-            np.float32(b * scale),
-            np.float32(a),
-        )
-    lanes[at] = red
-    lanes[at + 1] = green
-    lanes[at + 2] = blue
-    lanes[at + 3] = alpha
+        if covered:
+            factor = np.float32(1.0 / (max(a, 0.0) + FAINT))
+        red, green, blue, alpha = np.float32(r), np.float32(g), np.float32(b), np.float32(max(a, 0.0))
+    lanes[at] = red * factor
+    lanes[at + 1] = green * factor
+    lanes[at + 2] = blue * factor
+    lanes[at + 3] = alpha * opacity
 
 
 @inlined

@@ -41,6 +41,7 @@ NEVER, EACH, SUM = 0, 1, 2
 MOST_TAPS = 4096
 TAP_ROOM = MOST_TAPS + 16
 
+_SKEW = 0.1
 # EWA reads the level at which its kernel's least variance, in texels², is at least this and less than four
 # times this (and a twelfth).
 _LEAST = 0.25
@@ -62,39 +63,63 @@ def find_taps(
     flat: bool,
     u: float,
     v: float,
-    uu: float,
-    uv: float,
-    vv: float,
+    xx: float,
+    xy: float,
+    yy: float,
+    least: float,
+    most: float,
     places: npt.NDArray[np.int64],
     weights: npt.NDArray[np.float64],
-) -> tuple[int, int]:
-    """List the taps of a footprint at (u, v) with covariance (uu, uv, vv); return how many, and how to cut.
+) -> tuple[int, int, float]:
+    """List the taps of a footprint at (u, v); return how many, how to cut alpha, and what to scale sums by.
 
-    ``name`` is an index into FILTERS, ``flat`` images have flat texels, ``places`` and ``weights`` have
-    TAP_ROOM elements. The second result is NEVER, EACH or SUM.
+    ``name`` is an index into FILTERS, ``flat`` images have flat texels. (xx, xy, yy) is the footprint's
+    covariance in texels², ``least`` and ``most`` its variance along the short and the long axis. ``places``
+    and ``weights`` have TAP_ROOM elements. The second result is NEVER, EACH or SUM.
     """
     row = images.layouts[layout, 0]
-    width, height = float(images.levels[row, 1]), float(images.levels[row, 2])
     u, v = _unwrap(u, wrap_u), _unwrap(v, wrap_v)
-    xx, xy, yy = uu * width * width, uv * width * height, vv * height * height
     if name == EWA:
         if 12.0 * max(xx, yy) <= 1.0:
             if flat:
-                return _flat(images, row, wrap_u, wrap_v, u, v, xx, yy, places, weights), SUM
-            return _small(images, row, wrap_u, wrap_v, u, v, xx, xy, yy, places, weights), SUM
-        return _ellipse(images, layout, wrap_u, wrap_v, flat, u, v, xx, xy, yy, places, weights)
+                return _flat(images, row, wrap_u, wrap_v, u, v, xx, yy, places, weights), SUM, 1.0
+            return _small(images, row, wrap_u, wrap_v, u, v, xx, xy, yy, places, weights), SUM, 1.0
+        if not flat and 12.0 * max(xx, yy) <= 4.0 and abs(xy) <= _SKEW:
+            return _wide(images, row, wrap_u, wrap_v, u, v, xx, xy, yy, places, weights), SUM, 1.0
+        return _ellipse(images, layout, wrap_u, wrap_v, flat, u, v, xx, xy, yy, least, places, weights)
+    cut = SUM
     if name == TRILINEAR:
-        longest = 0.5 * (xx + yy) + math.sqrt(0.25 * (xx - yy) * (xx - yy) + xy * xy)
-        return _levels(images, layout, wrap_u, wrap_v, flat, u, v, longest, places, weights)
-    if name == RIPMAP:
-        return _rips(images, layout, wrap_u, wrap_v, flat, u, v, xx, yy, places, weights)
-    if name == SAT:
-        return _areas(images, row, wrap_u, wrap_v, flat, u, v, xx, yy, places, weights), NEVER
-    if name == BICUBIC:
-        return _bicubic(images, row, wrap_u, wrap_v, u, v, places, weights), SUM
-    if name == NEAREST or flat:
-        return _flat(images, row, wrap_u, wrap_v, u, v, 0.0, 0.0, places, weights), SUM
-    return _bilinear(images, row, wrap_u, wrap_v, u, v, 1.0, 0, places, weights), SUM
+        count, cut = _levels(images, layout, wrap_u, wrap_v, flat, u, v, most, places, weights)
+    elif name == RIPMAP:
+        count, cut = _rips(images, layout, wrap_u, wrap_v, flat, u, v, xx, yy, places, weights)
+    elif name == SAT:
+        count, cut = _areas(images, row, wrap_u, wrap_v, flat, u, v, xx, yy, places, weights), NEVER
+    elif name == BICUBIC:
+        count = _bicubic(images, row, wrap_u, wrap_v, u, v, places, weights)
+    elif name == NEAREST or flat:
+        count = _flat(images, row, wrap_u, wrap_v, u, v, 0.0, 0.0, places, weights)
+    else:
+        count = _bilinear(images, row, wrap_u, wrap_v, u, v, 1.0, 0, places, weights)
+    return count, cut, 1.0
+
+
+@inlined
+def footprint(uu: float, uv: float, vv: float, width: int, height: int) -> tuple[float, float, float, float, float]:
+    """Return a covariance in texels², and its least and largest variance along any axis.
+
+    What is more than _LONGEST times as long as wide is made wider, across its long axis only.
+    """
+    xx, xy, yy = uu * width * width, uv * width * height, vv * height * height
+    mean, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
+    spread = math.sqrt(half * half + xy * xy)
+    least, most = mean - spread, mean + spread
+    short = most / (_LONGEST * _LONGEST) - least
+    if short > 0.0:
+        least += short
+        xx += short * 0.5 * (1.0 - half / spread)
+        yy += short * 0.5 * (1.0 + half / spread)
+        xy -= short * 0.5 * xy / spread
+    return xx, xy, yy, least, most
 
 
 @inlined
@@ -219,6 +244,55 @@ def _sides(part: float, width: float) -> tuple[float, float]:
 
 
 @inlined
+def _wide(
+    images: Images,
+    row: int,
+    wrap_u: int,
+    wrap_v: int,
+    u: float,
+    v: float,
+    xx: float,
+    xy: float,
+    yy: float,
+    places: npt.NDArray[np.int64],
+    weights: npt.NDArray[np.float64],
+) -> int:
+    """List the texels of bilinear patches under a footprint of one to two texels, as ``_small`` does."""
+    first, width, height = images.levels[row, 0], images.levels[row, 1], images.levels[row, 2]
+    x, y = u * width - 0.5, v * height - 0.5
+    across, down = math.sqrt(12.0 * xx), math.sqrt(12.0 * yy)
+    i0, j0 = math.ceil(x - 0.5 * across - 1.0), math.ceil(y - 0.5 * down - 1.0)
+    is_inside = i0 >= 0 and i0 + 4 <= width
+    # The share of texel i is a difference of the tent's integral.
+    for j in range(4):
+        weight = (_tent(y + 0.5 * down - j0 - j) - _tent(y - 0.5 * down - j0 - j)) / down
+        start = first + _wrap(j0 + j, height, wrap_v) * (width + 2)
+        for i in range(4):
+            place = i0 + i if is_inside else _wrap(i0 + i, width, wrap_u)
+            places[4 * j + i] = start + place
+            share = (_tent(x + 0.5 * across - i0 - i) - _tent(x - 0.5 * across - i0 - i)) / across
+            weights[4 * j + i] = weight * share
+    a = 4 * min(max(math.floor(y) - j0, 0), 2) + min(max(math.floor(x) - i0, 0), 2)
+    shift = xy
+    if shift > 0.0:
+        shift = min(shift, weights[a + 1], weights[a + 4])
+    else:
+        shift = -min(-shift, weights[a], weights[a + 5])
+    weights[a] += shift
+    weights[a + 1] -= shift
+    weights[a + 4] -= shift
+    weights[a + 5] += shift
+    return 16
+
+
+@inlined
+def _tent(distance: float) -> float:
+    """Return the integral of a tent of width 2 and height 1 up to a distance from its middle."""
+    inside = min(max(distance, -1.0), 1.0)
+    return 0.5 + inside - 0.5 * inside * abs(inside)
+
+
+@inlined
 def _flat(
     images: Images,
     row: int,
@@ -266,81 +340,68 @@ def _ellipse(
     xx: float,
     xy: float,
     yy: float,
+    least: float,
     places: npt.NDArray[np.int64],
     weights: npt.NDArray[np.float64],
-) -> tuple[int, int]:
+) -> tuple[int, int, float]:
     """List the texels in an ellipse, each with 1 − its squared distance from the middle."""
     base, coarsest = images.layouts[layout, 0], images.layouts[layout, 1] - 1
-    mean, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
-    spread = math.sqrt(half * half + xy * xy)
     own = 1.0 / 6.0 if flat else 0.25  # of the texels, with the twelfth that a mean over one has
-    least = max(mean - spread, (mean + spread) / (_LONGEST * _LONGEST))
     level = 0
     width = least + own
     while width >= 4.0 * (_LEAST + 1.0 / 12.0) and level < coarsest:
         width *= 0.25
         level += 1
-    if mean - spread < least:  # the ellipse is too long: make it wider, across its long axis only
-        short = least - (mean - spread)
-        if spread > 0.0:
-            xx += short * 0.5 * (1.0 - half / spread)
-            yy += short * 0.5 * (1.0 + half / spread)
-            xy -= short * 0.5 * xy / spread
     row = base + level
     first, wide, high = images.levels[row, 0], images.levels[row, 1], images.levels[row, 2]
-    scale_x, scale_y = wide / images.levels[base, 1], high / images.levels[base, 2]
-    floor = _LEAST if level == 0 else 1e-3
-    xx = max((xx + own) * scale_x * scale_x - 1.0 / 12.0, floor)
-    yy = max((yy + own) * scale_y * scale_y - 1.0 / 12.0, floor)
+    scale_x = scale_y = 1.0
+    if level > 0:
+        scale_x, scale_y = wide / images.levels[base, 1], high / images.levels[base, 2]
+    xx = max((xx + own) * scale_x * scale_x - 1.0 / 12.0, _LEAST)
+    yy = max((yy + own) * scale_y * scale_y - 1.0 / 12.0, _LEAST)
     xy *= scale_x * scale_y
     if level == coarsest:
         reach = max(xx, yy) * _RADIUS / (_FARTHEST * _FARTHEST)
         if reach > 1.0:
             xx, xy, yy = xx / reach, xy / reach, yy / reach
-    determinant = max(xx * yy - xy * xy, 1e-6)
+    # The distance's square is (dx − slope dy)² / across + dy² / down.
+    down = yy * _RADIUS
+    inverse = 1.0 / yy
+    slope = xy * inverse
+    across = max((xx - xy * slope) * _RADIUS, 1e-3)
+    per_row, per_column = inverse / _RADIUS, 1.0 / across
+    reach, extent = math.sqrt(down), math.sqrt(across)
     x, y = u * wide - 0.5, v * high - 0.5
-    # q = a dx² + 2 b dx dy + c dy²
-    a, b, c = (
-        yy / (determinant * _RADIUS),
-        -xy / (determinant * _RADIUS),
-        xx / (determinant * _RADIUS),
-    )
-    reach = math.sqrt(yy * _RADIUS)
+    tries = int(2.0 * extent) + 1
     total = 0.0
     count = 0
-    inverse = 1.0 / a
+    # Every row tries as many texels, as if the ellipse were as wide as in its middle: branches that depend
+    # on each row's width cost more.
     for j in range(math.ceil(y - reach), math.floor(y + reach) + 1):
         dy = j - y
-        middle = -b * dy * inverse
-        inside = middle * middle - (c * dy * dy - 1.0) * inverse
-        if inside <= 0.0:
-            continue
-        extent = math.sqrt(inside)
-        i0, i1 = math.ceil(x + middle - extent), math.floor(x + middle + extent)
-        if count + i1 - i0 >= MOST_TAPS:
-            break
         start = first + _wrap(j, high, wrap_v) * (wide + 2)
-        rest, cross = 1.0 - c * dy * dy, 2.0 * b * dy
-        if i0 >= 0 and i1 < wide:
-            for i in range(i0, i1 + 1):
-                dx = i - x
-                weight = rest - dx * (a * dx + cross)
+        middle = x + slope * dy
+        i0 = math.ceil(middle - extent)
+        rest, dx = 1.0 - dy * dy * per_row, i0 - middle
+        if count + tries > MOST_TAPS:
+            break
+        if i0 >= 0 and i0 + tries <= wide:
+            for i in range(i0, i0 + tries):
+                weight = rest - dx * dx * per_column
+                dx += 1.0
                 places[count], weights[count] = start + i, weight
-                total += weight
-                count += 1
+                total += max(weight, 0.0)
+                count += weight > 0.0
         else:
-            for i in range(i0, i1 + 1):
-                dx = i - x
-                weight = rest - dx * (a * dx + cross)
+            for i in range(i0, i0 + tries):
+                weight = rest - dx * dx * per_column
+                dx += 1.0
                 places[count], weights[count] = start + _wrap(i, wide, wrap_u), weight
-                total += weight
-                count += 1
+                total += max(weight, 0.0)
+                count += weight > 0.0
     if not total > 0.0:
-        return _bilinear(images, row, wrap_u, wrap_v, u, v, 1.0, 0, places, weights), NEVER
-    inverse = 1.0 / total
-    for i in range(count):
-        weights[i] *= inverse
-    return count, EACH if level == 0 else NEVER
+        return _bilinear(images, row, wrap_u, wrap_v, u, v, 1.0, 0, places, weights), NEVER, 1.0
+    return count, EACH if level == 0 else NEVER, 1.0 / total
 
 
 @inlined
