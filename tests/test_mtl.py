@@ -219,6 +219,8 @@ def test_maps_that_move_coordinates_alike_share_a_slot(tmp_path: Path) -> None:
 def test_an_image_is_read_once_however_often_it_is_named(tmp_path: Path) -> None:
     inputs = describe(tmp_path, "map_Kd cut.png\nmap_d cut.png\nmap_Pr -s 2 cut.png").material.inputs
     assert texels(inputs["base_color"]) is texels(inputs["alpha"]) is texels(inputs["roughness"])
+    inputs = describe(tmp_path, "map_Pr -imfchan l a.png\nmap_Pm -imfchan l -s 2 a.png").material.inputs
+    assert texels(inputs["roughness"]) is texels(inputs["metallic"])
 
 
 def test_options_that_are_left_out_change_nothing(tmp_path: Path) -> None:
@@ -269,6 +271,13 @@ def test_a_grey_bump_map_or_a_component_of_one_holds_heights(
     assert given.texture is not None
     assert given.texture.wrap_v == wrap
     np.testing.assert_allclose(texels(given).astype(float), expected, atol=1.1)
+
+
+def test_materials_share_the_normals_of_one_height_map(tmp_path: Path) -> None:
+    (tmp_path / "m.mtl").write_text("newmtl a\nbump grey.png\nnewmtl b\nbump -s 2 grey.png\n")
+    (tmp_path / "grey.png").write_bytes(IMAGES["grey.png"])
+    found = load_materials(tmp_path / "m.obj", ["m.mtl"], {"a", "b"}, Options()).materials
+    assert texels(found["a"].material.inputs["normal"]) is texels(found["b"].material.inputs["normal"])
 
 
 def test_heights_may_be_luminance(tmp_path: Path) -> None:
