@@ -19,7 +19,7 @@ from octex.channels import ChannelFormat, ColorSpace, linear_to_srgb
 from octex.checks import as_choice
 from octex.errors import ArgumentError
 from octex.parallel import Progress, silent
-from octex.source.surface import Samples, Surface
+from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.tree.layout import AREA_ONE, AREA_STEPS
 from octex.tree.morton import decode_cells
@@ -32,14 +32,11 @@ Doubles = npt.NDArray[np.float64]
 DEFAULT_POINTS = 1_000_000
 _BLOCK = 1 << 16
 _LIGHT = ("srgb", "linear")
-#: What the differences of a channel are measured in, by its colour space, and the peak of their PSNR.
-MEASURES = {
-    "srgb": ("sRGB codes", 255.0),
-    "linear": ("sRGB codes", 255.0),
-    "data": ("fractions", 1.0),
-    "direction": ("components", 2.0),
-}
-_ANGLE = ("degrees", 180.0)
+#: What a channel's differences are measured in, by its colour space.
+MEASURES = {"srgb": "sRGB codes", "linear": "sRGB codes", "data": "fractions", "direction": "components"}
+_ANGLE = "degrees"
+#: The peak of a measure's PSNR: how far apart ordinary values can be.
+PEAKS = {"sRGB codes": 255.0, "fractions": 1.0, "components": 2.0, _ANGLE: 180.0}
 #: A cell's area in squares of its edge, by its code; cells without area hardly count.
 _AREAS = 2.0 ** ((np.arange(256) - AREA_ONE) / AREA_STEPS)
 # Percentiles come from a histogram over the first 18 bits of a float32 without its sign: steps of 0.1 %.
@@ -84,14 +81,25 @@ class Differences(dict[str, Difference]):
     uncovered: tuple[float | None, float | None]
 
 
+class Points(NamedTuple):
+    """Points of a surface."""
+
+    rest: Doubles  # (n, 3)   rest positions
+    triangles: npt.NDArray[np.int32] | None = None  # (n,)   where they are on the model, if there is one
+    barycentric: Doubles | None = None  # (n, 3)
+
+    def only(self, chosen: npt.NDArray[np.bool_]) -> Points:
+        """Return some of them."""
+        return Points(*(None if array is None else array[chosen] for array in self))  # type: ignore[arg-type]
+
+
 class _Visit(NamedTuple):
     """Some points of one side's surface."""
 
     side: int
-    rest: Doubles  # (n, 3)
+    points: Points
     weights: Doubles  # (n,)   the area that each stands for
     covered: npt.NDArray[np.bool_]  # (n,)   whether the other side has a surface there
-    samples: Samples | None  # the points on the model
 
 
 Side = OctreeTexture | Surface
@@ -123,7 +131,6 @@ def difference(
     """
     report = progress or silent
     sides = a, b
-    names, read, spaces = _chosen(sides, channels)
     placed = next((side for side in sides if isinstance(side, OctreeTexture)), None)
     if placed is None:
         raise ArgumentError(
@@ -136,30 +143,31 @@ def difference(
         width = placed.placement.size / 2**placed.tree.max_depth
     if not 0 <= width < np.inf:
         raise ArgumentError(f"width must be finite and not negative, not {width!r}")
+    readers = readers_of(sides, channels, width)
+    spaces = readers[0].spaces
     if models:
         total, visits = points, _model_visits(sides, models[0], points, seed)
     else:
         total = sum(side.tree.n_leaves for side in sides if isinstance(side, OctreeTexture))
         visits = chain(_leaf_visits(sides, 0), _leaf_visits(sides, 1))
 
-    sums = {name: _Sums(*MEASURES[space]) for name, space in spaces.items()}
-    angles = {name: _Sums(*_ANGLE) for name, space in spaces.items() if space == "direction"}
+    sums = {name: _Sums(MEASURES[space]) for name, space in spaces.items()}
+    angles = {name: _Sums(_ANGLE) for name, space in spaces.items() if space == "direction"}
     areas, missed = np.zeros(2), np.zeros(2)
     done = compared = 0
     report("compare", 0, total)
     for visit in visits:
         areas[visit.side] += visit.weights.sum()
         missed[visit.side] += visit.weights[~visit.covered].sum()
-        rest, weights = visit.rest[visit.covered], visit.weights[visit.covered]
-        if len(rest):
-            first, second = (_values(side, visit, read, width) for side in sides)
-            for name in names:
-                values = [_measured(each, name, spaces[name]) for each in (first, second)]
-                sums[name].add(rest, weights, values[1] - values[0], *values)
+        common, weights = visit.points.only(visit.covered), visit.weights[visit.covered]
+        if len(weights):
+            first, second = (reader.read(common) for reader in readers)
+            for name, (u, v) in {name: (first[name], second[name]) for name in spaces}.items():
+                sums[name].add(common.rest, weights, v - u, u, v)
                 if name in angles:
-                    angles[name].add(rest, weights, _degrees(*values)[:, None], *values)
-        compared += len(rest)
-        done += len(visit.rest)
+                    angles[name].add(common.rest, weights, degrees_between(u, v)[:, None], u, v)
+        compared += len(weights)
+        done += len(visit.weights)
         report("compare", done, total)
     if not compared:
         raise ArgumentError(
@@ -167,7 +175,7 @@ def difference(
         )
 
     results = Differences()
-    for name in names:
+    for name in spaces:
         angle = angles[name].result() if name in angles else None
         results[name] = sums[name].result()._replace(angle=angle)
     results.points = compared
@@ -194,31 +202,64 @@ def _formats(side: Side) -> dict[str, ChannelFormat]:
     return {name: channel.format for name, channel in side.channels.items()}
 
 
-def _chosen(
-    sides: tuple[Side, Side], channels: Sequence[str] | None
-) -> tuple[list[str], list[str], dict[str, ColorSpace]]:
-    """Return the channels to compare, those to read for it, and the colour spaces of the former."""
+class Reader:
+    """Reads channels of one side in what they are measured in."""
+
+    def __init__(self, side: Side, spaces: dict[str, ColorSpace], fades: bool, width: float) -> None:
+        self.spaces = spaces
+        self._fades = fades  # light is multiplied by alpha
+        self._names = [*spaces, *(["alpha"] if fades and "alpha" not in spaces else [])]
+        self._side = side.with_channels(self._names) if isinstance(side, Surface) else side
+        self._width = width
+
+    def read(self, points: Points) -> dict[str, Doubles]:
+        """Return values (n, components) by channel."""
+        values = self._values(points)
+        measured = {}
+        for name, space in self.spaces.items():
+            measured[name] = np.asarray(values[name], np.float64)
+            if space in _LIGHT:
+                light = measured[name] * values["alpha"] if self._fades else measured[name]
+                measured[name] = 255 * linear_to_srgb(light)
+        return measured
+
+    def _values(self, points: Points) -> dict[str, npt.NDArray[np.float32]]:
+        if isinstance(self._side, OctreeTexture):
+            return self._side.sample(points.rest, self._names)
+        assert points.triangles is not None
+        assert points.barycentric is not None
+        widths = np.full(len(points.rest), self._width, np.float32)
+        rows = self._side.evaluate_all(points.triangles, points.barycentric, widths)
+        ends = np.cumsum([form.components for form in self._side.channels])
+        columns = np.split(rows, ends[:-1], axis=1)
+        return {form.name: part for form, part in zip(self._side.channels, columns, strict=True)}
+
+
+def readers_of(
+    sides: tuple[Side, Side], channels: Sequence[str] | None, width: float
+) -> tuple[Reader, Reader]:
+    """Return readers of the same channels, by default all that both have; models are averaged over width.
+
+    Raises ArgumentError for channels that are not in both or do not mean the same in both.
+    """
     first, second = (_formats(side) for side in sides)
     both = [name for name in first if name in second]
-    if channels is None:
-        channels = both
-    for name in channels:
-        as_choice(name, both, "channel in both")
-    if not channels:
+    chosen = both if channels is None else list(channels)
+    if not both or not chosen:
         raise ArgumentError(
-            f"there is no channel in both: one has {', '.join(first) or 'none'}, "
+            f"no channel to compare: one has {', '.join(first) or 'none'}, "
             f"the other {', '.join(second) or 'none'}"
         )
     spaces: dict[str, ColorSpace] = {}
-    for name in channels:
-        meanings = [(MEASURES[form.space][0], form.components) for form in (first[name], second[name])]
+    for name in chosen:
+        as_choice(name, both, "channel in both")
+        meanings = [(MEASURES[form.space], form.components) for form in (first[name], second[name])]
         if meanings[0] != meanings[1]:
             one, other = (f"{components} {measure}" for measure, components in meanings)
             raise ArgumentError(f"channel {name!r} means {one} in one and {other} in the other")
         spaces[name] = first[name].space
-    names = list(spaces)
-    covered = "alpha" in both and any(space in _LIGHT for space in spaces.values())
-    return names, [*names, *(["alpha"] if covered and "alpha" not in names else [])], spaces
+    fades = "alpha" in both and any(space in _LIGHT for space in spaces.values())
+    return Reader(sides[0], spaces, fades, width), Reader(sides[1], spaces, fades, width)
 
 
 def _model_visits(sides: tuple[Side, Side], number: int, points: int, seed: int) -> Iterator[_Visit]:
@@ -226,13 +267,14 @@ def _model_visits(sides: tuple[Side, Side], number: int, points: int, seed: int)
     surface, texture = sides[number], sides[1 - number]
     assert isinstance(surface, Surface)
     assert isinstance(texture, OctreeTexture)
-    lies_on = _cover(texture)
+    lies_on = cover(texture)
     edge = texture.placement.size / 2**texture.tree.max_depth
     for first in range(0, points, _BLOCK):
         block_seed = int(np.random.SeedSequence([seed, first]).generate_state(1, np.uint64)[0])
         samples = surface.scatter(min(_BLOCK, points - first), block_seed)
         covered = lies_on(samples.rest, np.full(len(samples.rest), edge))
-        yield _Visit(number, samples.rest, np.ones(len(samples.rest)), covered, samples)
+        on_model = Points(samples.rest, samples.triangles, samples.barycentric)
+        yield _Visit(number, on_model, np.ones(len(samples.rest)), covered)
 
 
 def _leaf_visits(sides: tuple[Side, Side], number: int) -> Iterator[_Visit]:
@@ -240,9 +282,9 @@ def _leaf_visits(sides: tuple[Side, Side], number: int) -> Iterator[_Visit]:
     texture, other = sides[number], sides[1 - number]
     assert isinstance(texture, OctreeTexture)
     assert isinstance(other, OctreeTexture)
-    lies_on = _cover(other)
+    lies_on = cover(other)
     for centres, edges, areas in _leaves(texture):
-        yield _Visit(number, centres, areas, lies_on(centres, edges), None)
+        yield _Visit(number, Points(centres), areas, lies_on(centres, edges))
 
 
 def _leaves(texture: OctreeTexture) -> Iterator[tuple[Doubles, Doubles, Doubles]]:
@@ -263,7 +305,7 @@ def _area(side: Side) -> float:
     return sum(float(areas.sum()) for _, _, areas in _leaves(side))
 
 
-def _cover(texture: OctreeTexture) -> Callable[[Floats, Floats], npt.NDArray[np.bool_]]:
+def cover(texture: OctreeTexture) -> Callable[[Floats, Floats], npt.NDArray[np.bool_]]:
     """Return a function that says of cubes, centres (n, 3) and edges (n,), whether a leaf meets them."""
     level_of = cache(texture.level)
     # So much further in, the upper corners of a texture's own cells are not rounded into the next ones.
@@ -286,31 +328,7 @@ def _cover(texture: OctreeTexture) -> Callable[[Floats, Floats], npt.NDArray[np.
     return lies_on
 
 
-def _values(side: Side, visit: _Visit, names: list[str], width: float) -> dict[str, Floats]:
-    """Read channels at a visit's covered points; multiply light by alpha if it is among them."""
-    formats = _formats(side)
-    if isinstance(side, OctreeTexture):
-        values: dict[str, Floats] = dict(side.sample(visit.rest[visit.covered], names))
-    else:
-        assert visit.samples is not None
-        triangles = visit.samples.triangles[visit.covered]
-        widths = np.full(len(triangles), width, np.float32)
-        rows = side.evaluate_all(triangles, visit.samples.barycentric[visit.covered], widths)
-        ends = np.cumsum([form.components for form in formats.values()])
-        columns = dict(zip(formats, np.split(rows, ends[:-1], axis=1), strict=True))
-        values = {name: columns[name] for name in names}
-    if "alpha" in names:
-        for name in names:
-            if formats[name].space in _LIGHT:
-                values[name] = values[name] * values["alpha"]
-    return values
-
-
-def _measured(values: dict[str, Floats], name: str, space: str) -> Doubles:
-    return 255 * linear_to_srgb(values[name]) if space in _LIGHT else values[name].astype(np.float64)
-
-
-def _degrees(a: Floats, b: Floats) -> Floats:
+def degrees_between(a: Floats, b: Floats) -> Doubles:
     """Return the angles (n,) between directions (n, 3) of any length; 0 where one has none."""
     across = np.linalg.norm(np.cross(a, b), axis=1)
     return np.asarray(np.degrees(np.arctan2(across, (a * b).sum(axis=1))))
@@ -319,8 +337,8 @@ def _degrees(a: Floats, b: Floats) -> Floats:
 class _Sums:
     """Gathers the differences of a channel."""
 
-    def __init__(self, measure: str, peak: float) -> None:
-        self.measure, self.peak = measure, peak
+    def __init__(self, measure: str) -> None:
+        self.measure = measure
         self.squares = self.weight = 0.0
         self.histogram = np.zeros(_BINS)
         self.maximum = -1.0
@@ -347,7 +365,7 @@ class _Sums:
         return Difference(
             self.measure,
             rms,
-            float(20 * np.log10(self.peak / rms)) if rms > 0 else np.inf,
+            float(20 * np.log10(PEAKS[self.measure] / rms)) if rms > 0 else np.inf,
             float(p99),
             self.maximum,
             (x, y, z),

@@ -14,6 +14,7 @@ from octex import compare
 from octex.channels import ALPHA, BASE_COLOR, ChannelFormat, encode
 from octex.compare import Difference, difference
 from octex.errors import ArgumentError
+from octex.source.base import Source
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import AREA_ONE
@@ -165,9 +166,11 @@ def test_channels_that_only_one_has_are_named() -> None:
     with pytest.raises(ArgumentError, match="unknown channel in both 'alpha'; there are: roughness"):
         difference(a, b, channels=["alpha"])
     with pytest.raises(
-        ArgumentError, match="no channel in both: one has base_color, roughness, the other alpha"
+        ArgumentError, match="no channel to compare: one has base_color, roughness, the other alpha"
     ):
         difference(a, sheet({ALPHA: 0.5}))
+    with pytest.raises(ArgumentError, match="no channel to compare"):
+        difference(a, b, channels=[])
 
 
 def test_only_the_channels_asked_for_are_compared() -> None:
@@ -251,7 +254,7 @@ def quarters() -> Surface:
         np.array([[0, 1, 2], [0, 2, 3]]),
         uv=vertices[:, :2],
         image=image.repeat(8, axis=0).repeat(8, axis=1),
-        filter="nearest",
+        mag_filter="nearest",
     )
 
 
@@ -309,11 +312,15 @@ def test_parts_of_a_model_that_the_texture_lacks_are_counted() -> None:
     assert found.areas[0] == pytest.approx(2 * math.hypot(1, 0.3))
 
 
-class Twice:
+class Twice(Source):
     """Two copies of what a source colours."""
 
-    def __init__(self, source: Any) -> None:
-        self.source, self.channels = source, source.channels
+    def __init__(self, source: Source) -> None:
+        self.source = source
+
+    @property
+    def channels(self) -> tuple[ChannelFormat, ...]:
+        return self.source.channels
 
     def evaluate(self, triangles: Any, barycentric: Any, widths: Any) -> Any:
         return self.source.evaluate(triangles % 2, barycentric, widths)

@@ -7,20 +7,20 @@ import pytest
 from PIL import Image
 
 import octex
-from octex import preview
-from octex.channels import BASE_COLOR, decode, linear_to_srgb
+from octex.channels import BASE_COLOR, CHANNELS, decode, linear_to_srgb, srgb_to_linear
 from octex.errors import ArgumentError, OutputError
 from octex.preview import (
-    Hits,
-    best_direction,
     draw_preview,
+    panels,
+    pictures,
     render,
     render_leaves,
     source_look,
     texture_look,
-    view_directions,
     write_preview,
 )
+from octex.preview.directions import best_direction, view_directions
+from octex.preview.looks import Appearance, Hits, Shown
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
 from octex.tree.octree import Octree
@@ -54,7 +54,7 @@ def quarters():
     """A square of four colours, and its texture."""
     image = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)
     image = image.repeat(8, axis=0).repeat(8, axis=1)
-    surface = _square(uv=SQUARE[:, :2], image=image, filter="nearest")
+    surface = _square(uv=SQUARE[:, :2], image=image, mag_filter="nearest", wrap="clamp")
     return surface, octex.convert(surface, depth=5)
 
 
@@ -89,7 +89,7 @@ def test_samples_are_averaged_in_linear_light():
 
     def stripes(hits):
         white = np.floor(hits.rest[:, :1] * 16 + 1e-9) % 2  # half a pixel each
-        return np.repeat(white, 3, axis=1)
+        return Appearance(np.repeat(white, 3, axis=1))
 
     assert np.allclose(render(surface, _camera(8), stripes, supersample=2), 0.5 * FRONT, atol=1e-6)
 
@@ -97,10 +97,15 @@ def test_samples_are_averaged_in_linear_light():
 def test_the_background_shows_through_what_is_not_covered():
     surface = _square()
     camera = _camera(6)
-    quarter = render(surface, camera, lambda hits: np.tile([1.0, 0.0, 0.0, 0.25], (len(hits.width), 1)))
+    quarter = render(surface, camera, lambda hits: _red(hits, 0.25))
     assert np.allclose(quarter, 0.25 * FRONT * np.array([1, 0, 0]) + 0.75 * background(6, 6), atol=1e-6)
-    nothing = render(surface, camera, lambda hits: np.tile([1.0, 0.0, 0.0, 0.0], (len(hits.width), 1)))
+    nothing = render(surface, camera, lambda hits: _red(hits, 0.0))
     assert np.allclose(nothing, background(6, 6), atol=1e-6)
+
+
+def _red(hits, coverage):
+    n = len(hits.width)
+    return Appearance(np.tile([1.0, 0.0, 0.0], (n, 1)), None, np.full(n, coverage))
 
 
 def test_both_sides_of_a_surface_are_lit_alike():
@@ -115,7 +120,7 @@ def test_a_posed_model_is_coloured_at_its_rest_positions_with_widths_in_rest_uni
 
     def look(hits):
         seen.append(hits)
-        return np.zeros((len(hits.width), 3))
+        return Appearance(np.zeros((len(hits.width), 3)))
 
     render(posed, _camera(5, unit=10.0), look, supersample=2)
     hits = Hits(*map(np.concatenate, zip(*seen, strict=True)))
@@ -130,7 +135,7 @@ def test_a_posed_model_is_coloured_at_its_rest_positions_with_widths_in_rest_uni
 def test_pictures_do_not_depend_on_the_size_of_the_blocks(monkeypatch):
     surface = _square(colors=np.eye(4)[:, :3])
     whole = render(surface, _camera(), source_look(surface))
-    monkeypatch.setattr(preview, "_BLOCK", 7)
+    monkeypatch.setattr(pictures, "_BLOCK", 7)
     assert np.allclose(render(surface, _camera(), source_look(surface)), whole, atol=1e-7)
 
 
@@ -145,7 +150,7 @@ def test_a_texture_is_read_at_the_level_of_the_samples_width():
         return SimpleNamespace(sample=sample)
 
     texture = SimpleNamespace(
-        channels={"base_color": None},
+        channels={"base_color": SimpleNamespace(format=BASE_COLOR)},
         level=at_level,
         placement=SimpleNamespace(size=8.0),
         tree=SimpleNamespace(max_depth=6),
@@ -153,7 +158,7 @@ def test_a_texture_is_read_at_the_level_of_the_samples_width():
     width = np.array([8.0, 1.0, 1.1, 0.9, 1e-9, 0.0, 100.0], np.float32)
     hits = Hits(np.zeros(7, np.int32), np.zeros((7, 3)), np.zeros((7, 3)), width)
     colors = texture_look(texture)(hits)
-    assert colors[:, 0].tolist() == [0, 3, 3, 4, 6, 6, 0]
+    assert colors.reflected[:, 0].tolist() == [0, 3, 3, 4, 6, 6, 0]
     assert sorted(asked) == [(0, 2), (3, 2), (4, 1), (6, 2)]
 
 
@@ -244,7 +249,7 @@ def test_a_preview_shows_the_side_with_most_detail(kind, side):
     image = np.full((16, 32), 128, np.uint8)
     image[:, 16:] = np.kron(np.eye(2), np.ones((8, 8))) * 255
     uv = np.vstack([SQUARE[:, :2], SQUARE[:, :2] + [1.0, 0.0]]) * [0.5, 1.0]
-    surface = Surface.from_arrays(vertices, triangles, uv=uv, image=image, filter="nearest", wrap="clamp")
+    surface = Surface.from_arrays(vertices, triangles, uv=uv, image=image, mag_filter="nearest", wrap="clamp")
     things = (surface,) if kind == "surface" else (None, octex.convert(surface, depth=3))
     picture = draw_preview(*things, size=(80, 64), supersample=1)
     assert (picture[:40].max(axis=2) < 20).any()  # black
@@ -276,7 +281,7 @@ def test_a_preview_of_one_thing_shows_it_alone(quarters, tmp_path):
 def test_captions_name_the_model_and_count_the_leaves(quarters, monkeypatch):
     surface, texture = quarters
     said = []
-    monkeypatch.setattr(preview, "_captioned", lambda panel: said.append(panel[1:]) or np.zeros((1, 1, 3)))
+    monkeypatch.setattr(panels, "captioned", lambda panel: said.append(panel[1:]) or np.zeros((1, 1, 3)))
     draw_preview(surface, texture, (60, 60), 1, note="40 dB")
     draw_preview(None, texture, (60, 60), 1)
     octree = f"{texture.tree.n_leaves:,} leaves, {texture.nbytes / 1e6:.3g} MB"
@@ -312,9 +317,14 @@ def test_a_preview_of_nothing_is_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_texture_without_base_colour_is_refused():
-    with pytest.raises(ArgumentError, match="unknown channel 'base_color'; there are: height"):
-        texture_look(SimpleNamespace(channels={"height": None}))
+def test_a_texture_without_channels_is_refused():
+    with pytest.raises(ArgumentError, match="there is no channel to draw"):
+        texture_look(SimpleNamespace(channels={}))
+
+
+def test_an_unknown_channel_is_refused(quarters):
+    with pytest.raises(ArgumentError, match="unknown channel 'height'; there are: base_color"):
+        source_look(quarters[0], "height")
 
 
 def test_a_texture_without_leaves_is_refused():
@@ -323,3 +333,85 @@ def test_a_texture_without_leaves_is_refused():
     empty = OctreeTexture(tree, {"base_color": channel}, Placement((0, 0, 0), 1), [[0, 0, 0], [1, 1, 1]])
     with pytest.raises(ArgumentError, match="no leaves to draw"):
         draw_preview(None, empty)
+
+
+# --- what is shown
+
+
+def _textured(values, **channels):
+    """The square's cells of depth 2, with channels of one value each."""
+    formats = {name: CHANNELS[name] if form is None else form for name, form in channels.items()}
+    tree = octex.convert(_square(), 2).tree
+    stored = {}
+    for name, form in formats.items():
+        array = np.broadcast_to(np.array(values[name]), (tree.n_cells, form.components))
+        array = np.ascontiguousarray(array.astype(form.dtype))
+        stored[name] = Channel(form, array, array[:0])
+    return OctreeTexture(tree, stored, octex.convert(_square(), 2).placement, [[0, 0, 0], [1, 1, 0]])
+
+
+def test_what_is_emitted_is_added_to_what_is_lit():
+    values = {"base_color": [0.25, 0.5, 0.0], "emissive": [0.0, 0.25, 3.0]}
+    floats = {name: CHANNELS[name]._replace(space="linear", dtype="float32") for name in values}
+    texture = _textured(values, **floats)
+    picture = render(_square(), _camera(4), texture_look(texture))
+    expected = np.array([0.25, 0.5, 0.0]) * FRONT + [0.0, 0.25, 1.0]  # emission ends at white
+    assert np.allclose(picture, expected, atol=1e-3)
+    assert np.allclose(render_leaves(texture, _camera(4)), expected, atol=0.05)
+    surface = _square().with_sources({"base_color": (0.25, 0.5, 0.0), "emissive": (0.0, 0.25, 1.0)})
+    assert np.allclose(render(surface, _camera(4), source_look(surface)), expected, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("stored", "shown", "picture"),
+    [
+        (["roughness"], "roughness", srgb_to_linear([100 / 255] * 3)),
+        (["normal"], "normal", srgb_to_linear(np.array([100, 150, 200]) / 255)),
+        (["emissive"], "emissive", srgb_to_linear(np.array([100, 150, 200]) / 255)),
+        (["roughness", "specular"], "specular", srgb_to_linear(np.array([100, 150, 200]) / 255)),
+        (["normal", "metallic"], "metallic", srgb_to_linear([100 / 255] * 3)),
+        (["alpha"], "alpha", srgb_to_linear([100 / 255] * 3)),
+    ],
+)
+def test_without_base_colour_another_channel_is_shown_as_it_is(stored, shown, picture, monkeypatch):
+    codes = {name: [100, 150, 200][: CHANNELS[name].components] for name in stored}
+    texture = _textured(codes, **dict.fromkeys(stored))
+    assert np.allclose(render(_square(), _camera(4), texture_look(texture)), picture, atol=0.01)
+    assert np.allclose(render_leaves(texture, _camera(4)), picture, atol=0.01)
+    said = []
+    monkeypatch.setattr(panels, "captioned", lambda panel: said.append(panel[2]) or np.zeros((1, 1, 3)))
+    draw_preview(None, texture, (40, 40), 1)
+    assert said[0].startswith(f"{shown}: ")
+
+
+def test_a_channel_of_one_or_four_numbers_is_shown_too():
+    for components, expected in ((1, [0.5, 0.5, 0.5]), (2, [0.5, 0.5, 0.5]), (4, [0.5, 0.25, 0.0])):
+        form = CHANNELS["emissive"]._replace(components=components, space="linear", dtype="float32")
+        texture = _textured({"emissive": [0.5, 0.25, 0.0, 1.0][:components]}, emissive=form)
+        assert np.allclose(render(_square(), _camera(2), texture_look(texture)), expected)
+
+
+def test_a_model_and_a_texture_of_fewer_channels_show_the_same_one(monkeypatch):
+    surface = _square().with_sources({"roughness": 0.5})
+    assert {form.name for form in surface.channels} == {"base_color", "roughness"}
+    texture = octex.convert(surface.with_channels(["roughness"]), 2)
+    said = []
+    monkeypatch.setattr(panels, "captioned", lambda panel: said.append(panel[2]) or np.zeros((1, 1, 3)))
+    draw_preview(surface, texture, (40, 40), 1)
+    assert [text.split(":")[0] for text in said] == ["roughness", "roughness"]
+
+
+def test_only_what_is_drawn_is_evaluated():
+    surface = _square().with_sources({"roughness": 0.5, "emissive": 0.5})
+    asked = []
+    surface.with_channels = lambda names: asked.append(names) or Surface.with_channels(surface, names)
+    source_look(surface)
+    source_look(surface, "roughness")
+    assert asked == [["base_color", "emissive"], ["roughness"]]
+
+
+def test_the_channel_most_like_a_colour_is_chosen():
+    order = ["base_color", "emissive", "alpha", "normal"]
+    for first in range(4):
+        formats = [CHANNELS[name] for name in reversed(order[first:])]
+        assert Shown.of(formats).channel.name == order[first]

@@ -1,0 +1,187 @@
+"""What a preview consists of: panels side by side, from the side that shows most, with captions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, ImageDraw, ImageFont
+
+from octex.channels import encode, linear_to_srgb
+from octex.container import replacing
+from octex.errors import ArgumentError
+from octex.preview.directions import best_direction, view_directions
+from octex.preview.looks import Floats, Look, Shown, source_look, texture_look
+from octex.preview.pictures import Leaves, film_surface, render_leaves, seen_hits, visible_level
+from octex.view.camera import Camera
+from octex.view.cubes import rasterize_cubes
+from octex.view.shading import face_normals
+
+if TYPE_CHECKING:
+    from octex.source.surface import Surface
+    from octex.texture import OctreeTexture
+
+
+def write_preview(
+    path: str | Path,
+    surface: Surface | None,
+    texture: OctreeTexture | None = None,
+    size: tuple[int, int] = (1600, 880),
+    supersample: int = 3,
+) -> None:
+    """Write what ``draw_preview`` draws as a PNG file.
+
+    What stood at ``path`` before is replaced when all is drawn, or not at all. Raises OutputError if the file
+    cannot be written, and ArgumentError as ``draw_preview`` does.
+    """
+    picture = Image.fromarray(draw_preview(surface, texture, size, supersample))
+    with replacing(path) as file:
+        picture.save(file, "PNG")
+
+
+def draw_preview(
+    surface: Surface | None,
+    texture: OctreeTexture | None = None,
+    size: tuple[int, int] = (1600, 880),
+    supersample: int = 3,
+    note: str = "",
+) -> npt.NDArray[np.uint8]:
+    """Draw a picture, sRGB codes (height, width, 3), that shows at once whether a texture is right.
+
+    With a surface and a texture: the model coloured by its source and, beside it, by the octree. With a
+    surface alone: the model. With a texture alone: its leaves, and the cubes of a coarser level. Base colour
+    is shown in the light, with what is emitted; without it the channel most like a colour, as it is.
+
+    size           (width, height) in pixels
+    supersample    samples along each side of a pixel
+    note           what else the caption should say of the octree
+
+    Raises ArgumentError for neither a surface nor a texture, or if there is no leaf or no channel to show.
+    """
+    if surface is not None:
+        panels = _model_panels(surface, texture, size, supersample, note)
+    elif texture is not None:
+        panels = _leaf_panels(texture, size, supersample, note)
+    else:
+        raise ArgumentError("a preview needs a surface, or a texture, or both")
+    return np.hstack([np.asarray(captioned(panel)) for panel in panels])
+
+
+class Panel(NamedTuple):
+    """A picture with its caption."""
+
+    picture: npt.NDArray[np.float32]  # (height, width, 3)   linear light
+    title: str
+    subtitle: str
+
+
+def _model_panels(
+    surface: Surface, texture: OctreeTexture | None, size: tuple[int, int], supersample: int, note: str
+) -> list[Panel]:
+    stored = None if texture is None else texture.channels
+    channel = Shown.of(
+        form for form in surface.channels if stored is None or form.name in stored
+    ).channel.name
+    looks = [source_look(surface, channel)]
+    captions = [source_caption(surface, channel)]
+    if texture is not None:
+        looks.append(texture_look(texture, channel))
+        captions.append(texture_caption(texture, channel, note))
+    camera = surface_camera(surface, looks[0], (size[0] // len(looks), size[1]), caption_height(size[1]))
+    films = film_surface(surface, camera, looks, supersample)
+    return [Panel(film.picture(), *caption) for film, caption in zip(films, captions, strict=True)]
+
+
+def _leaf_panels(texture: OctreeTexture, size: tuple[int, int], supersample: int, note: str) -> list[Panel]:
+    channel = Shown.of(stored.format for stored in texture.channels.values()).channel.name
+    camera = leaf_camera([texture], channel, (size[0] // 2, size[1]), caption_height(size[1]))
+    level = visible_level(texture, camera, pixels=10.0)
+    fine = render_leaves(texture, camera, supersample=supersample)
+    coarse = render_leaves(texture, camera, level=level, cubes=True, supersample=supersample)
+    cells = count_text(texture.level(level).tree.n_leaves, "cell")
+    return [Panel(fine, *texture_caption(texture, channel, note)), Panel(coarse, f"level {level}", cells)]
+
+
+def surface_camera(surface: Surface, look: Look, size: tuple[int, int], room: int) -> Camera:
+    """Make a camera that sees a model from the side that shows most, above ``room`` for a caption."""
+
+    def unlit(camera: Camera) -> Floats:
+        picture = np.full((camera.height * camera.width, 3), np.nan)
+        for pixels, hits in seen_hits(surface, camera):
+            picture[pixels] = linear_to_srgb(look(hits).unlit())
+        return picture.reshape(camera.height, camera.width, 3)
+
+    points = surface.vertices[np.unique(surface.triangles)]
+    directions = view_directions(*face_normals(surface.vertices, surface.triangles))
+    return _above_caption(points, best_direction(directions, points, unlit), size, room)
+
+
+def leaf_camera(textures: Sequence[OctreeTexture], channel: str, size: tuple[int, int], room: int) -> Camera:
+    """Make a camera that sees textures from the side on which the first shows most, as ``surface_camera``."""
+    # Coarse cells are enough to find out where the model is and from where to look at it.
+    coarse = [texture.level(min(7, texture.tree.max_depth)) for texture in textures]
+    every = [Leaves.of(texture) for texture in coarse]
+    first, colors = every[0], every[0].appearance(coarse[0], channel).unlit()
+
+    def unlit(camera: Camera) -> Floats:
+        seen = rasterize_cubes(first.corners, first.edges, camera).cube
+        picture = np.full((*seen.shape, 3), np.nan)
+        picture[seen >= 0] = linear_to_srgb(colors[seen[seen >= 0]])
+        return picture
+
+    points = np.concatenate(
+        [leaves.corners + far for leaves in every for far in (0.0, leaves.edges[:, None])]
+    )
+    directions = view_directions(first.normals, first.edges**2)
+    return _above_caption(points, best_direction(directions, points, unlit), size, room)
+
+
+def _above_caption(points: Floats, direction: Floats, size: tuple[int, int], room: int) -> Camera:
+    camera = Camera.fitted(points, direction, size=(size[0], size[1] - room))
+    return replace(camera, height=size[1])
+
+
+def source_caption(surface: Surface, channel: str) -> tuple[str, str]:
+    """Return a title and a subtitle for a picture of a model."""
+    return surface.name, f"{_named(channel)}source, {count_text(len(surface.triangles), 'triangle')}"
+
+
+def texture_caption(texture: OctreeTexture, channel: str, note: str = "") -> tuple[str, str]:
+    """Return a title and a subtitle for a picture of a texture."""
+    tree = texture.tree
+    facts = [
+        count_text(tree.n_leaves, "leaf", "leaves"),
+        f"{texture.nbytes / 1e6:.3g} MB",
+        *([note] if note else []),
+    ]
+    return f"octree, depth {tree.max_depth}", _named(channel) + ", ".join(facts)
+
+
+def _named(channel: str) -> str:
+    return "" if channel == "base_color" else f"{channel}: "
+
+
+def count_text(number: int, one: str, many: str = "") -> str:
+    """Return so many of something, in words."""
+    return f"{number:,} {one if number == 1 else many or one + 's'}"
+
+
+def caption_height(height: int) -> int:
+    """Return the height of a caption at the bottom of a picture so high."""
+    return max(height // 11, 24)
+
+
+def captioned(panel: Panel, room: int | None = None) -> Image.Image:
+    """Return a panel with its caption at the top of the ``room`` at its bottom."""
+    picture = Image.fromarray(encode(panel.picture, "uint8", "srgb"))
+    strip = caption_height(picture.height)
+    title, subtitle = ImageFont.load_default(strip * 0.36), ImageFont.load_default(strip * 0.28)
+    draw = ImageDraw.Draw(picture)
+    middle, top = picture.width // 2, picture.height - (room or strip)
+    draw.text((middle, top + strip * 0.05), panel.title, (30, 30, 32), title, "ma")
+    draw.text((middle, top + strip * 0.50), panel.subtitle, (80, 80, 84), subtitle, "ma")
+    return picture
