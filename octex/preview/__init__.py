@@ -1,0 +1,10 @@
+"""Pictures for people: a model as its source and as its octree colours it, and where they differ."""
+
+from octex.preview.differences import draw_difference as draw_difference
+from octex.preview.differences import write_difference as write_difference
+from octex.preview.looks import source_look as source_look
+from octex.preview.looks import texture_look as texture_look
+from octex.preview.panels import draw_preview as draw_preview
+from octex.preview.panels import write_preview as write_preview
+from octex.preview.pictures import render as render
+from octex.preview.pictures import render_leaves as render_leaves

@@ -1,0 +1,281 @@
+"""Pictures of where two textures, or a texture and a model, differ."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, ImageDraw, ImageFont
+
+from octex.channels import srgb_to_linear
+from octex.compare import (
+    PEAKS,
+    Difference,
+    Differences,
+    Points,
+    Side,
+    cover,
+    degrees_between,
+    readers_of,
+)
+from octex.container import replacing
+from octex.preview.looks import Appearance, Hits, Look, source_look, texture_look
+from octex.preview.panels import (
+    Panel,
+    caption_height,
+    captioned,
+    leaf_camera,
+    source_caption,
+    surface_camera,
+    texture_caption,
+)
+from octex.preview.pictures import (
+    Film,
+    Leaves,
+    film_leaves,
+    film_surface,
+    seen_hits,
+    visible_level,
+)
+from octex.source.surface import Surface
+from octex.texture import OctreeTexture
+from octex.view.camera import Camera
+from octex.view.cubes import rasterize_cubes
+from octex.view.shading import background
+
+# Inferno, by Nathaniel Smith and Stéfan van der Walt (CC0): as even to the eye as it is in numbers.
+_SCALE = np.array(
+    [
+        [0, 0, 4], [33, 12, 74], [87, 16, 110], [138, 34, 106], [188, 55, 84],
+        [228, 90, 49], [249, 142, 9], [249, 203, 53], [252, 255, 164],
+    ]
+)  # fmt: skip
+#: Drawn where only one side has a surface.
+_ALONE = np.array([0, 190, 255])
+#: Leaves are drawn no finer than this many pixels.
+_LEAF_PIXELS = 0.5
+
+
+class _Row(NamedTuple):
+    """How a channel looks on both sides, and how it differs."""
+
+    pictures: list[npt.NDArray[np.float32]]
+    film: Film  # of the difference (in red) and of where only one side is (in green)
+    ring: tuple[float, float] | None  # pixel coordinates of the maximum, if it is in sight
+
+
+def write_difference(
+    path: str | Path,
+    a: Side,
+    b: Side,
+    found: Differences,
+    names: tuple[str, str] = ("A", "B"),
+    size: tuple[int, int] = (1800, 640),
+    supersample: int = 3,
+) -> None:
+    """Write what ``draw_difference`` draws as a PNG file.
+
+    What stood at ``path`` before is replaced when all is drawn, or not at all. Raises OutputError if the file
+    cannot be written.
+    """
+    picture = Image.fromarray(draw_difference(a, b, found, names, size, supersample))
+    with replacing(path) as file:
+        picture.save(file, "PNG")
+
+
+def draw_difference(
+    a: Side,
+    b: Side,
+    found: Differences,
+    names: tuple[str, str] = ("A", "B"),
+    size: tuple[int, int] = (1800, 640),
+    supersample: int = 3,
+) -> npt.NDArray[np.uint8]:
+    """Draw a, b and how they differ side by side, a row for each channel, as sRGB codes (height, width, 3).
+
+    found          what ``compare.difference`` found between them
+    names          what to call them
+    size           (width, height) of a row in pixels
+    supersample    samples along each side of a pixel
+
+    The difference is that of the component that differs most (of directions the angle), averaged over each
+    pixel, on a scale from black to yellow that reaches at least to the 99th percentile and to a tenth of the
+    maximum. A ring marks the maximum if it is in sight; blue is where only one of them has a surface. A
+    model, if there is one, is what is drawn of both; else the leaves of each are, no finer than two to a
+    pixel.
+    """
+    sides = a, b
+    model = next((side for side in sides if isinstance(side, Surface)), None)
+    room = round(1.6 * caption_height(size[1]))
+    panel_size = size[0] // 3, size[1]
+    camera: Camera | None = None
+    rows = []
+    for channel, result in found.items():
+        shown = result.angle or result
+        if model is not None:
+            looks = [_look(side, channel) for side in sides]
+            camera = camera or surface_camera(model, looks[0], panel_size, room)
+            row = _row_on_model(sides, model, looks, camera, found, channel, supersample)
+        else:
+            textures = [side for side in sides if isinstance(side, OctreeTexture)]
+            camera = camera or leaf_camera(textures, channel, panel_size, room)
+            row = _row_of_leaves(textures, camera, found, channel, supersample)
+        captions = [_caption(side, channel) for side in sides]
+        panels = [
+            captioned(Panel(picture, name, caption), room)
+            for picture, name, caption in zip(row.pictures, names, captions, strict=True)
+        ]
+        rows.append(np.hstack([*map(np.asarray, panels), _difference_panel(row, channel, shown, room)]))
+    return np.vstack(rows)
+
+
+def _look(side: Side, channel: str) -> Look:
+    return source_look(side, channel) if isinstance(side, Surface) else texture_look(side, channel)
+
+
+def _caption(side: Side, channel: str) -> str:
+    if isinstance(side, Surface):
+        return source_caption(side, channel)[1]
+    return ", ".join(texture_caption(side, channel))
+
+
+def _row_on_model(
+    sides: tuple[Side, Side],
+    model: Surface,
+    looks: list[Look],
+    camera: Camera,
+    found: Differences,
+    channel: str,
+    supersample: int,
+) -> _Row:
+    (texture,) = (side for side in sides if isinstance(side, OctreeTexture))
+    apart = _Apart(sides, channel, found.width or 0.0)
+    covers, edge = cover(texture), texture.placement.size / 2**texture.tree.max_depth
+
+    def difference_look(hits: Hits) -> Appearance:
+        covered = covers(hits.rest, np.full(len(hits.rest), edge))
+        return apart.appearance(Points(hits.rest, hits.triangles, hits.barycentric), covered)
+
+    *films, film = film_surface(model, camera, [*looks, difference_look], supersample)
+    where = np.array((found[channel].angle or found[channel]).where)
+    nearest, ring = np.inf, None
+    for pixels, hits in seen_hits(model, camera):
+        distances = np.linalg.norm(hits.rest - where, axis=1)
+        n = int(distances.argmin())
+        if distances[n] < min(nearest, 3 * hits.width[n]):
+            nearest, pixel = distances[n], int(pixels[n])
+            ring = pixel % camera.width + 0.5, pixel // camera.width + 0.5
+    return _Row([each.picture() for each in films], film, ring)
+
+
+def _row_of_leaves(
+    textures: list[OctreeTexture], camera: Camera, found: Differences, channel: str, supersample: int
+) -> _Row:
+    # At their levels two to a pixel; what only one of them has comes from the leaves of that one.
+    a, b = (texture.level(visible_level(texture, camera, _LEAF_PIXELS)) for texture in textures)
+    both = [Leaves.of(texture) for texture in (a, b)]
+    covered = np.concatenate(
+        [cover(other)(leaves.centres, leaves.edges) for leaves, other in zip(both, (b, a), strict=True)]
+    )
+    leaves = Leaves(*(np.concatenate(arrays) for arrays in zip(*both, strict=True)))
+    appearance = _Apart((a, b), channel, 0.0).appearance(Points(leaves.centres), covered)
+    film = film_leaves(leaves, appearance, camera, supersample)
+    where = np.array((found[channel].angle or found[channel]).where)
+    nearest = int(np.abs(leaves.centres - where).max(axis=1).argmin())
+    at = np.argwhere(rasterize_cubes(leaves.corners, leaves.edges, camera).cube == nearest)
+    row, column = at.mean(axis=0) + 0.5 if len(at) else (0.0, 0.0)
+    pictures = [
+        film_leaves(each, each.appearance(texture, channel), camera, supersample).picture()
+        for each, texture in zip(both, (a, b), strict=True)
+    ]
+    return _Row(pictures, film, (float(column), float(row)) if len(at) else None)
+
+
+class _Apart:
+    """How far apart two sides are in one channel, as an appearance: emitted in red, being alone in green."""
+
+    def __init__(self, sides: tuple[Side, Side], channel: str, width: float) -> None:
+        self._channel = channel
+        self._readers = readers_of(sides, [channel], width)
+
+    def appearance(self, points: Points, covered: npt.NDArray[np.bool_]) -> Appearance:
+        a, b = (reader.read(points)[self._channel] for reader in self._readers)
+        is_direction = self._readers[0].spaces[self._channel] == "direction"
+        apart = degrees_between(a, b) if is_direction else np.abs(b - a).max(axis=1)
+        emitted = np.zeros((len(apart), 3))
+        emitted[:, 0] = np.where(covered, apart, 0.0)
+        emitted[:, 1] = ~covered
+        return Appearance(emitted=emitted)
+
+
+def _difference_panel(row: _Row, channel: str, shown: Difference, room: int) -> npt.NDArray[np.uint8]:
+    top = _scale_top(shown)
+    exposed, coverage = row.film.exposure()
+    apart, alone = exposed[..., 0] / top, exposed[..., 1:2]
+    within = np.maximum(coverage - alone, 1e-9)
+    colors = _on_scale(apart / within[..., 0]) * within + srgb_to_linear(_ALONE / 255) * alone
+    picture = (colors + (1.0 - coverage) * background(*apart.shape)).astype(np.float32)
+    in_sight = "in the ring" if row.ring else "out of sight"
+    panel = captioned(
+        Panel(
+            picture,
+            f"{channel}: {_text(PEAKS[shown.measure] / top)} times the difference",
+            f"rms {_text(shown.rms)}, maximum {_text(shown.maximum)} {shown.measure}, {in_sight}",
+        ),
+        room,
+    )
+    draw = ImageDraw.Draw(panel)
+    if row.ring:
+        x, y = row.ring
+        radius = max(panel.height / 40, 4.0)
+        for grow, color in ((2, (0, 0, 0)), (0, (255, 255, 255))):
+            size = radius + grow
+            draw.ellipse((x - size, y - size, x + size, y + size), outline=color, width=2)
+    _draw_legend(panel, top, shown.measure, room, alone=bool(alone.any()))
+    return np.asarray(panel)
+
+
+def _draw_legend(panel: Image.Image, top: float, measure: str, room: int, *, alone: bool) -> None:
+    """Draw the scale with its ends at the bottom of a panel."""
+    draw = ImageDraw.Draw(panel)
+    strip = caption_height(panel.height)
+    font = ImageFont.load_default(strip * 0.26)
+    left, right = panel.width // 4, panel.width * 5 // 8
+    y = panel.height - room + round(strip * 1.08)
+    height = round(strip * 0.26)
+    codes = _scale_codes(np.linspace(0.0, 1.0, right - left))
+    bar = np.broadcast_to(np.rint(codes).astype(np.uint8), (height, right - left, 3))
+    panel.paste(Image.fromarray(np.ascontiguousarray(bar)), (left, y))
+    middle = y + height / 2
+    draw.text((left - strip * 0.15, middle), "0", (80, 80, 84), font, "rm")
+    draw.text((right + strip * 0.15, middle), f"{_text(top)} {measure}", (80, 80, 84), font, "lm")
+    if alone:
+        draw.rectangle((strip * 0.3, y, strip * 0.3 + height, y + height), tuple(_ALONE))
+        draw.text((strip * 0.4 + height, middle), "only in one", (80, 80, 84), font, "lm")
+
+
+def _scale_top(shown: Difference) -> float:
+    """Return the least of 1, 2, 5, 10, 20, … that reaches the 99th percentile and a tenth of the maximum."""
+    reach = max(shown.p99, shown.maximum / 10)
+    if not 0 < reach < np.inf:
+        return PEAKS[shown.measure]
+    tens = 10.0 ** np.floor(np.log10(reach))
+    return float(next(step * tens for step in (1, 2, 5, 10) if step * tens >= reach * (1 - 1e-9)))
+
+
+def _scale_codes(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the scale's sRGB codes (…, 3) of values from 0 to 1; larger ones have its last."""
+    stops = np.linspace(0.0, 1.0, len(_SCALE))
+    return np.stack([np.interp(values, stops, column) for column in _SCALE.T], axis=-1)
+
+
+def _on_scale(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the scale's linear light."""
+    return srgb_to_linear(_scale_codes(values) / 255)
+
+
+def _text(number: float) -> str:
+    """Return a number of three digits, large ones whole."""
+    return f"{number:,.0f}" if abs(number) >= 100 else f"{number:.3g}"

@@ -1,0 +1,58 @@
+"""From where to look at a model: the usual side, unless another shows more."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.view.camera import Camera
+
+Floats = npt.NDArray[np.floating]
+
+#: From the model toward the camera: from the front (glTF's +z), a little from the right and from above.
+_THREE_QUARTER = np.array([0.56, 0.42, 1.0]) / np.linalg.norm([0.56, 0.42, 1.0])
+#: A model is flat if this part of its squared normals is along one axis; it is seen this much from the side.
+_FLAT, _SLANT = 0.85, 0.45
+#: Another side is shown than the usual one if it has so many times its detail.
+_CLEARLY = 1.1
+
+
+def view_directions(normals: Floats, areas: Floats) -> npt.NDArray[np.float64]:
+    """Return directions (k, 3) to look at a model from, unit vectors toward the camera; the usual one first.
+
+    normals    (n, 3) unit normals of its parts, and
+    areas      (n,) their areas
+    """
+    weights = areas / max(float(areas.sum()), 1e-300)
+    strengths, axes = np.linalg.eigh(np.einsum("n,nc,nd->cd", weights, normals, normals))
+    if strengths[2] < _FLAT:
+        sides = np.array([[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0], [1.0, 1.0, -1.0], [-1.0, 1.0, -1.0]])
+        return cast("npt.NDArray[np.float64]", sides * _THREE_QUARTER)
+    # Flat: along the normal and a little aslant, from the side that more of it faces, or else from either.
+    normal = axes[:, 2] * (1.0 if axes[:, 2] @ _THREE_QUARTER >= 0.0 else -1.0)
+    facing = normals @ normal
+    excess = float((weights * facing * np.abs(facing)).sum())
+    normals = np.array([normal, -normal] if abs(excess) < 0.1 else [np.sign(excess) * normal])
+    slants = _THREE_QUARTER - (normals @ _THREE_QUARTER)[:, None] * normals
+    directions = normals + _SLANT * slants / np.maximum(np.linalg.norm(slants, axis=1, keepdims=True), 1e-3)
+    return cast("npt.NDArray[np.float64]", directions / np.linalg.norm(directions, axis=1, keepdims=True))
+
+
+def best_direction(
+    directions: Floats, points: Floats, unlit: Callable[[Camera], Floats]
+) -> npt.NDArray[np.float64]:
+    """Choose the direction (3,) from which a model shows most detail; not the first only if clearly so.
+
+    points    (n, 3) of the model
+    unlit     makes its picture (height, width, 3) without light: sRGB values, NaN where it is not
+    """
+    details = []
+    for direction in directions if len(directions) > 1 else ():
+        picture = unlit(Camera.fitted(points, direction, size=(96, 96)))
+        details.append(sum(float(np.nansum(np.abs(np.diff(picture, axis=axis)))) for axis in (0, 1)))
+    clearly = [detail > _CLEARLY * details[0] for detail in details]
+    best: npt.NDArray[np.float64] = directions[int(np.argmax(details)) if any(clearly) else 0]
+    return best

@@ -1,0 +1,139 @@
+"""What is shown of a surface: its colours as light falls on them, or one channel as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import ChannelFormat, srgb_to_linear
+from octex.checks import as_choice
+from octex.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from octex.source.surface import Surface
+    from octex.texture import OctreeTexture
+
+Floats = npt.NDArray[np.floating]
+
+
+class Hits(NamedTuple):
+    """Points of a surface that a picture's samples see."""
+
+    triangles: npt.NDArray[np.int32]  # (n,)
+    barycentric: npt.NDArray[np.float64]  # (n, 3)
+    rest: npt.NDArray[np.float64]  # (n, 3)   rest positions
+    width: npt.NDArray[np.float32]  # (n,)   what a sample covers there, in rest units
+
+
+class Appearance(NamedTuple):
+    """What points look like, in linear light."""
+
+    reflected: Floats | None = None  # (n, 3)   of white light; None: nothing
+    emitted: Floats | None = None  # (n, 3)   whatever the light
+    coverage: Floats | None = None  # (n,)   the rest is background; None: all covered
+
+    def unlit(self) -> Floats:
+        """Return what is seen in white light (n, 3)."""
+        parts = [part for part in (self.reflected, self.emitted) if part is not None]
+        return np.asarray(np.clip(sum(parts), 0.0, 1.0))
+
+
+#: Gives hits their appearance.
+Look = Callable[[Hits], Appearance]
+
+
+class Shown(NamedTuple):
+    """The channels of a texture or of a surface that a picture shows."""
+
+    channel: ChannelFormat  # the one that gives the picture its name
+    names: list[str]  # all that are read
+
+    @classmethod
+    def of(cls, formats: Iterable[ChannelFormat], channel: str | None = None) -> Shown:
+        """Choose ``channel``; or base colour; else the first colour, the first data, the first direction.
+
+        Base colour brings alpha and emitted light with it. Raises ArgumentError if there is none such.
+        """
+        known = {form.name: form for form in formats}
+        if not known:
+            raise ArgumentError("there is no channel to draw")
+        if channel is None:
+            kinds = [["srgb", "linear"], ["data"], ["direction"]]
+            ranked = [name for kind in kinds for name, form in known.items() if form.space in kind]
+            channel = "base_color" if "base_color" in known else ranked[0]
+        as_choice(channel, known, "channel")
+        others = ["alpha", "emissive"] if channel == "base_color" else []
+        return cls(known[channel], [channel, *(name for name in others if name in known)])
+
+    @property
+    def is_lit(self) -> bool:
+        """Whether the light falls on it."""
+        return self.channel.name == "base_color"
+
+    def appearance(self, values: Mapping[str, Floats]) -> Appearance:
+        """Return what values (n, components) by channel look like.
+
+        Data and directions are shown as sRGB values: data as they are, directions as (x + 1) / 2.
+        """
+        shown = values[self.channel.name]
+        shown = shown[:, :3] if shown.shape[1] > 2 else np.repeat(shown[:, :1], 3, axis=1)
+        if self.is_lit:
+            alpha, emissive = values.get("alpha"), values.get("emissive")
+            return Appearance(
+                shown,
+                None if emissive is None else np.clip(emissive, 0.0, 1.0),
+                None if alpha is None else alpha[:, 0],
+            )
+        if self.channel.space in ("data", "direction"):
+            shown = srgb_to_linear(
+                np.clip(shown if self.channel.space == "data" else (shown + 1) / 2, 0.0, 1.0)
+            )
+        return Appearance(emitted=np.clip(shown, 0.0, 1.0))
+
+
+def source_look(surface: Surface, channel: str | None = None) -> Look:
+    """Show a surface by its source, averaged over what each sample covers.
+
+    ``channel`` is shown as it is; by default base colour in the light, with what the surface emits, or else
+    the channel that is most like a colour. Raises ArgumentError for a channel that is not there.
+    """
+    shown = Shown.of(surface.channels, channel)
+    surface = surface.with_channels(shown.names)
+    formats = surface.channels
+    ends = np.cumsum([form.components for form in formats])[:-1]
+
+    def look(hits: Hits) -> Appearance:
+        values = surface.evaluate_all(hits.triangles, hits.barycentric, hits.width)
+        columns = np.split(values, ends, axis=1)
+        return shown.appearance({form.name: part for form, part in zip(formats, columns, strict=True)})
+
+    return look
+
+
+def texture_look(texture: OctreeTexture, channel: str | None = None) -> Look:
+    """Show a surface by the nearest cells of a texture, of the level that suits what each sample covers.
+
+    ``channel`` as for ``source_look``. Raises ArgumentError for a channel that is not there.
+    """
+    shown = Shown.of((stored.format for stored in texture.channels.values()), channel)
+    level_of = cache(texture.level)
+
+    def look(hits: Hits) -> Appearance:
+        # The first level whose cells are no larger than what the sample covers.
+        levels = np.ceil(np.log2(texture.placement.size / np.maximum(hits.width, 1e-30)))
+        levels = np.clip(levels, 0, texture.tree.max_depth).astype(np.int64)
+        values = {
+            name: np.empty((len(levels), texture.channels[name].format.components), np.float32)
+            for name in shown.names
+        }
+        for level in np.unique(levels):
+            at = levels == level
+            for name, found in level_of(int(level)).sample(hits.rest[at], shown.names).items():
+                values[name][at] = found
+        return shown.appearance(values)
+
+    return look

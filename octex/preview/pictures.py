@@ -1,0 +1,191 @@
+"""Pictures of surfaces and of leaves: what each sample sees, how it is lit, and how samples become pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, NamedTuple, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import decode
+from octex.errors import ArgumentError
+from octex.preview.looks import Appearance, Floats, Hits, Look, Shown
+from octex.tree.morton import decode_cells
+from octex.tree.normals import estimate_normals
+from octex.tree.walk import walk_leaves
+from octex.view.camera import Camera
+from octex.view.cubes import rasterize_cubes
+from octex.view.rasterize import rasterize
+from octex.view.shading import background, corner_normals, face_normals, light
+
+if TYPE_CHECKING:
+    from octex.source.surface import Surface
+    from octex.texture import OctreeTexture
+
+#: Samples are coloured this many at a time, so that a large picture needs little memory.
+_BLOCK = 1 << 18
+
+
+def render(surface: Surface, camera: Camera, look: Look, supersample: int = 3) -> npt.NDArray[np.float32]:
+    """Picture a surface in studio light; return linear light (height, width, 3).
+
+    supersample    samples along each side of a pixel; they are averaged in linear light
+
+    Where the look has coverage, only the nearest layer is drawn, over the background.
+    """
+    return film_surface(surface, camera, [look], supersample)[0].picture()
+
+
+def film_surface(surface: Surface, camera: Camera, looks: list[Look], supersample: int) -> list[Film]:
+    """Expose a film to a surface for each look."""
+    faces, _ = face_normals(surface.vertices, surface.triangles)
+    smooth = corner_normals(surface.vertices, surface.triangles)
+    films = [Film(camera, supersample) for _ in looks]
+    for samples, hits in seen_hits(surface, camera.scaled(supersample)):
+        points = _between(hits.barycentric, surface.vertices[surface.triangles[hits.triangles]])
+        lit = light(camera, points, faces[hits.triangles], _between(hits.barycentric, smooth[hits.triangles]))
+        for film, look in zip(films, looks, strict=True):
+            film.add(samples, look(hits), lit)
+    return films
+
+
+def seen_hits(surface: Surface, camera: Camera) -> Iterator[tuple[npt.NDArray[np.int64], Hits]]:
+    """Yield what the camera's pixels see, some at a time, with their numbers row by row."""
+    buffers = rasterize(surface.vertices, surface.triangles, camera)
+    # What is one wide on the posed model is so wide at rest.
+    _, posed_areas = face_normals(surface.vertices, surface.triangles)
+    _, rest_areas = face_normals(surface.rest, surface.triangles)
+    stretch = np.sqrt(rest_areas / np.maximum(posed_areas, 1e-300))
+    seen = np.flatnonzero(buffers.triangle >= 0)
+    for first in range(0, len(seen), _BLOCK):
+        pixels = seen[first : first + _BLOCK]
+        triangles = buffers.triangle.ravel()[pixels]
+        barycentric = buffers.barycentric.reshape(-1, 3)[pixels].astype(np.float64)
+        width = camera.pixel_width(buffers.depth.ravel()[pixels]) * stretch[triangles]
+        rest = _between(barycentric, surface.rest[surface.triangles[triangles]])
+        yield pixels, Hits(triangles, barycentric, rest, width.astype(np.float32))
+
+
+class Film:
+    """Gathers samples into pixels."""
+
+    def __init__(self, camera: Camera, supersample: int) -> None:
+        self._shape = camera.height, camera.width
+        self._supersample = supersample
+        self._sums = np.zeros((4, camera.height * camera.width))
+
+    def add(self, samples: npt.NDArray[np.int64], appearance: Appearance, lit: Floats) -> None:
+        """Add samples, numbered row by row in the supersampled picture."""
+        row, column = np.divmod(samples, self._shape[1] * self._supersample)
+        pixel = row // self._supersample * self._shape[1] + column // self._supersample
+        coverage = np.ones(len(pixel)) if appearance.coverage is None else appearance.coverage
+        for colors, weights in ((appearance.reflected, lit * coverage), (appearance.emitted, coverage)):
+            if colors is not None:
+                for total, color in zip(self._sums[:3], colors.T, strict=True):
+                    total += np.bincount(pixel, color * weights, len(total))
+        self._sums[3] += np.bincount(pixel, coverage, self._sums.shape[1])
+
+    def exposure(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Return the pixels' sums (height, width, 3), already multiplied by their coverage, and that."""
+        *color, coverage = (self._sums / self._supersample**2).reshape(4, *self._shape)
+        return np.stack(color, axis=-1), coverage[..., None]
+
+    def picture(self) -> npt.NDArray[np.float32]:
+        """Return linear light (height, width, 3) over the backdrop."""
+        color, coverage = self.exposure()
+        return (color + (1.0 - coverage) * background(*self._shape)).astype(np.float32)
+
+
+def _between(barycentric: Floats, corners: Floats) -> npt.NDArray[np.float64]:
+    """Interpolate corners (n, 3, 3) of triangles at barycentric coordinates (n, 3)."""
+    return cast("npt.NDArray[np.float64]", np.einsum("nk,nkc->nc", barycentric, corners))
+
+
+class Leaves(NamedTuple):
+    """All leaves of a texture, in rest units."""
+
+    cells: npt.NDArray[np.int64]  # (n,)
+    corners: npt.NDArray[np.float64]  # (n, 3)   least coordinates
+    edges: npt.NDArray[np.float64]  # (n,)
+    normals: npt.NDArray[np.float32]  # (n, 3)
+
+    @classmethod
+    def of(cls, texture: OctreeTexture) -> Leaves:
+        """Gather them; raises ArgumentError if there are none."""
+        blocks = []
+        for cells, codes, depths in walk_leaves(texture.tree.arrays):
+            edges = np.ldexp(1.0, -depths.astype(np.int32))
+            corners = texture.placement.to_rest(decode_cells(codes) * edges[:, None])
+            normals = estimate_normals(texture.tree.arrays, cells, codes, depths)
+            blocks.append((cells, corners, edges * texture.placement.size, normals))
+        if not blocks:
+            raise ArgumentError("the texture has no leaves to draw")
+        return cls(*(np.concatenate(parts) for parts in zip(*blocks, strict=True)))
+
+    @property
+    def centres(self) -> npt.NDArray[np.float64]:
+        """Where their middles are (n, 3)."""
+        return self.corners + self.edges[:, None] / 2
+
+    def appearance(self, texture: OctreeTexture, channel: str | None = None) -> Appearance:
+        """Return what the texture that they are of shows of them; ``channel`` as for ``source_look``."""
+        stored = texture.channels
+        shown = Shown.of((each.format for each in stored.values()), channel)
+        return shown.appearance(
+            {name: decode(stored[name].values[self.cells], stored[name].format.space) for name in shown.names}
+        )
+
+
+def render_leaves(
+    texture: OctreeTexture,
+    camera: Camera,
+    *,
+    level: int | None = None,
+    cubes: bool = False,
+    supersample: int = 3,
+    channel: str | None = None,
+) -> npt.NDArray[np.float32]:
+    """Picture the leaves of a texture as cubes; return linear light (height, width, 3).
+
+    level      the finest to draw; default: the deepest whose cells are no smaller than a pixel
+    cubes      light the faces of the cubes, instead of the surface that the leaves lie on
+    channel    what to show, as for ``source_look``
+    """
+    texture = texture.level(visible_level(texture, camera) if level is None else level)
+    leaves = Leaves.of(texture)
+    return film_leaves(
+        leaves, leaves.appearance(texture, channel), camera, supersample, cubes=cubes
+    ).picture()
+
+
+def film_leaves(
+    leaves: Leaves, appearance: Appearance, camera: Camera, supersample: int, *, cubes: bool = False
+) -> Film:
+    """Expose a film to leaves as they appear, or to their ``cubes``."""
+    seen, axis, border, _ = rasterize_cubes(leaves.corners, leaves.edges, camera.scaled(supersample))
+    film = Film(camera, supersample)
+    drawn = np.flatnonzero(seen >= 0)
+    for first in range(0, len(drawn), _BLOCK):
+        samples = drawn[first : first + _BLOCK]
+        leaf = seen.ravel()[samples]
+        normals = np.eye(3)[axis.ravel()[samples]] if cubes else leaves.normals[leaf]
+        lit = light(camera, leaves.corners[leaf], normals, normals)
+        # Cubes with their edges drawn, so that they can be told apart.
+        on_edge = border.ravel()[samples, None] < (0.05 if cubes else 0.0)
+        edges = np.where(on_edge, np.float32(0.75), np.float32(1.0))
+        reflected, emitted, coverage = (None if part is None else part[leaf] for part in appearance)
+        here = Appearance(
+            None if reflected is None else reflected * edges,
+            None if emitted is None else emitted * edges,
+            coverage,
+        )
+        film.add(samples, here, lit)
+    return film
+
+
+def visible_level(texture: OctreeTexture, camera: Camera, pixels: float = 1.0) -> int:
+    """Return the deepest level whose cells are no smaller than ``pixels`` in the middle of the bounds."""
+    _, depth = camera.project(texture.bounds.mean(axis=0)[None])
+    level = np.floor(np.log2(texture.placement.size / (pixels * camera.pixel_width(depth[0]))))
+    return int(np.clip(level, 0, texture.tree.max_depth))
