@@ -141,7 +141,7 @@ class Gltf:
         return self.add("textures", source=image, sampler=sampler)
 
     def material(self, texture: int | Mapping[str, Any] | None = None, **entry: Any) -> int:
-        pbr: dict[str, Any] = {}
+        pbr: dict[str, Any] = dict(entry.pop("pbr", {}))
         if "factor" in entry:
             pbr["baseColorFactor"] = list(entry.pop("factor"))
         if texture is not None:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from octex.errors import ModelError
 from octex.source.corners import Corners, Frames
-from octex.source.gltf_file import Document
+from octex.source.gltf_file import Document, as_object
 from octex.source.gltf_materials import Bound, read_materials
 from octex.source.materials import MaterialSource
 from octex.source.options import Options
@@ -187,10 +187,14 @@ class _Scene:
 
     def _mesh(self, number: int) -> list[_Shape]:
         if number not in self._shapes:
-            mesh = self._document.item("meshes", number)
+            name = f"meshes[{number}].primitives"
+            entries = [
+                as_object(entry, f"{self._document.name}: {name}[{index}]")
+                for index, entry in enumerate(self._document.item("meshes", number)["primitives"])
+            ]
             self._shapes[number] = [
-                self._shape(entry, f"meshes[{number}].primitives[{index}]")
-                for index, entry in enumerate(mesh["primitives"])
+                self._shape(entry, f"{name}[{index}]")
+                for index, entry in enumerate(entries)
                 if entry.get("mode", _TRIANGLES) in (_TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN)
                 and "POSITION" in entry["attributes"]
             ]

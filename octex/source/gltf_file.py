@@ -10,6 +10,7 @@ import base64
 import binascii
 import hashlib
 import json
+import reprlib
 import struct
 import urllib.parse
 from pathlib import Path
@@ -105,11 +106,9 @@ class Document:
         """Return one object of a top-level array."""
         items = self.json.get(kind, [])
         if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(items):
-            raise ModelError(
-                f"{self.name} refers to {kind}[{index}], which it does not have; export it again"
-            )
-        found: dict[str, Any] = items[index]
-        return found
+            which = f"{kind}[{reprlib.repr(index)}]"
+            raise ModelError(f"{self.name} refers to {which}, which it does not have; export it again")
+        return as_object(items[index], f"{self.name}: {kind}[{index}]")
 
     def resource(self, uri: str, what: str, error_class: type[ModelError | ImageError] = ModelError) -> bytes:
         """Return the bytes of a data: URI, or of a file beside this one."""
@@ -232,6 +231,13 @@ class Document:
         for extension in primitive.get("extensions", {}):
             if extension in CODED and "bufferView" not in position and "sparse" not in position:
                 raise self.coded(extension)
+
+
+def as_object(value: Any, what: str) -> dict[str, Any]:
+    """Return a part of the JSON that must be an object, or raise ModelError."""
+    if not isinstance(value, dict):
+        raise ModelError(f"{what} must be an object, not {reprlib.repr(value)}; export it again")
+    return value
 
 
 def _refuse_constant(constant: str) -> None:

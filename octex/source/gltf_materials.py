@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from octex.errors import ImageError, ModelError
 from octex.parallel import cpu_count, threads
-from octex.source.gltf_file import CODED, Document
+from octex.source.gltf_file import CODED, Document, as_object
 from octex.source.images import decode_image
 from octex.source.materials import AlphaMode, Input, Material, Texture
 from octex.source.options import Options
@@ -28,6 +28,48 @@ from octex.source.pyramid import CLAMP, MIRROR, REPEAT
 _ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
 _WRAPS = {10497: REPEAT, 33648: MIRROR, 33071: CLAMP}
 _NEAREST = 9728
+# Larger numbers are damage; products of two stay finite in single precision.
+_FARTHEST = 1e18
+
+
+class _Part(NamedTuple):
+    """An object of the JSON, and its name in errors."""
+
+    entry: dict[str, Any]
+    name: str
+
+    def part(self, key: str) -> _Part:
+        """Return an object inside, an empty one if it is not there."""
+        name = f"{self.name}.{key}"
+        return _Part(as_object(self.entry.get(key, {}), name), name)
+
+    def states(self, *keys: str) -> bool:
+        """Say whether any of the keys stands in the file."""
+        return any(key in self.entry for key in keys)
+
+    def number(self, key: str, default: float) -> float:
+        """Return a finite number."""
+        value = self.entry.get(key, default)
+        if not _is_number(value):
+            raise ModelError(
+                f"{self.name}.{key} must be a number, not {reprlib.repr(value)}; export it again"
+            )
+        return float(value)
+
+    def numbers(self, key: str, default: tuple[float, ...]) -> tuple[float, ...]:
+        """Return as many finite numbers as the default has."""
+        values = self.entry.get(key, default)
+        is_row = isinstance(values, (list, tuple)) and len(values) == len(default)
+        if not (is_row and all(map(_is_number, values))):
+            raise ModelError(
+                f"{self.name}.{key} must be {len(default)} numbers, not {reprlib.repr(values)}; "
+                "export it again"
+            )
+        return tuple(map(float, values))
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < _FARTHEST
 
 
 class Slot(NamedTuple):
@@ -83,7 +125,7 @@ def read_materials(
     with threads(cpu_count()) as pool:
         images = _Images(document, pool)
         references = {
-            number: {name: images.begin(*each) for name, each in uses.items() if _is_wanted(name, options)}
+            number: {name: images.begin(each) for name, each in uses.items() if _is_wanted(name, options)}
             for number, (_, uses) in described.items()
         }
         return {
@@ -109,105 +151,81 @@ def _bound(material: Material, references: dict[str, _Reference], images: _Image
     return Bound(material._replace(inputs=inputs), tuple(slots))
 
 
-_Uses = dict[str, tuple[dict[str, Any], str]]
-
-
-def _described(document: Document, number: int | None) -> tuple[Material, _Uses]:
-    """Return a material without textures, and by channel the file's references to them with their names."""
-    entry = {} if number is None else document.item("materials", number)
-    what = f"{document.name}: materials[{number}]"
-    mode = entry.get("alphaMode", "OPAQUE")
+def _described(document: Document, number: int | None) -> tuple[Material, dict[str, _Part]]:
+    """Return a material without textures, and by channel the file's references to them."""
+    given = _Part(
+        {} if number is None else document.item("materials", number), f"{document.name}: materials[{number}]"
+    )
+    mode = given.entry.get("alphaMode", "OPAQUE")
     if mode not in _ALPHA_MODES:
-        raise ModelError(f"{what} has an unknown alphaMode {reprlib.repr(mode)}; export it again")
+        raise ModelError(f"{given.name} has an unknown alphaMode {reprlib.repr(mode)}; export it again")
     inputs: dict[str, Input] = {}
-    uses: _Uses = {}
+    uses: dict[str, _Part] = {}
 
     def state(
         name: str,
         factor: tuple[float, ...],
-        holder: dict[str, Any],
+        holder: _Part,
         key: str,
         lanes: tuple[int, ...] = (0, 1, 2),
         offset: tuple[float, ...] = (),
     ) -> None:
         inputs[name] = Input(factor, None, lanes, offset)
-        if key in holder:
-            uses[name] = holder[key], f"{what}.{key}"
+        if holder.states(key):
+            uses[name] = holder.part(key)
 
-    extensions = entry.get("extensions", {})
-    is_unlit = "KHR_materials_unlit" in extensions
-    older = None if is_unlit else extensions.get("KHR_materials_pbrSpecularGlossiness")
-    pbr, factor, texture = entry.get("pbrMetallicRoughness", {}), "baseColorFactor", "baseColorTexture"
-    if older is not None:
-        pbr, factor, texture = older, "diffuseFactor", "diffuseTexture"
-    color = _numbers(pbr, factor, (1.0,) * 4, what)
+    extensions = given.part("extensions")
+    is_unlit = extensions.states("KHR_materials_unlit")
+    is_older = not is_unlit and extensions.states("KHR_materials_pbrSpecularGlossiness")
+    if is_older:
+        pbr, texture = extensions.part("KHR_materials_pbrSpecularGlossiness"), "diffuseTexture"
+        color = pbr.numbers("diffuseFactor", (1.0,) * 4)
+    else:
+        pbr, texture = given.part("pbrMetallicRoughness"), "baseColorTexture"
+        color = pbr.numbers("baseColorFactor", (1.0,) * 4)
     state("base_color", color[:3], pbr, texture)
     if mode != "OPAQUE":
         state("alpha", color[3:], pbr, texture, (3,))
-    material = Material(inputs, _ALPHA_MODES[mode], _number(entry, "alphaCutoff", 0.5, what))
+    material = Material(inputs, _ALPHA_MODES[mode], given.number("alphaCutoff", 0.5))
     if is_unlit:
         return material, uses
-    if older is None:
+    if is_older:
+        texture = "specularGlossinessTexture"
+        inputs["metallic"] = Input((0.0,))
+        state("roughness", (-pbr.number("glossinessFactor", 1.0),), pbr, texture, (3,), (1.0,))
+        if pbr.states("specularFactor", texture):
+            state("specular", pbr.numbers("specularFactor", (1.0,) * 3), pbr, texture)
+    else:
         texture = "metallicRoughnessTexture"
         for name, key, lane in (("metallic", "metallicFactor", 2), ("roughness", "roughnessFactor", 1)):
-            if texture in pbr or key in pbr:
-                state(name, (_number(pbr, key, 1.0, what),), pbr, texture, (lane,))
-    else:
-        texture = "specularGlossinessTexture"
-        state("metallic", (0.0,), {}, "")
-        state("roughness", (-_number(older, "glossinessFactor", 1.0, what),), older, texture, (3,), (1.0,))
-        if texture in older or "specularFactor" in older:
-            state("specular", _numbers(older, "specularFactor", (1.0,) * 3, what), older, texture)
-    if "occlusionTexture" in entry:
-        strength = _number(entry["occlusionTexture"], "strength", 1.0, f"{what}.occlusionTexture")
-        state("occlusion", (strength,), entry, "occlusionTexture", (0,), (1.0 - strength,))
-    if "emissiveFactor" in entry or "emissiveTexture" in entry:
-        lamp = extensions.get("KHR_materials_emissive_strength", {})
-        strength = _number(lamp, "emissiveStrength", 1.0, what)
-        light = _numbers(entry, "emissiveFactor", (0.0,) * 3, what)
-        state("emissive", tuple(strength * each for each in light), entry, "emissiveTexture")
-    if "normalTexture" in entry:
-        scale = _number(entry["normalTexture"], "scale", 1.0, f"{what}.normalTexture")
-        state("normal", (scale, scale, 1.0), entry, "normalTexture")
+            if pbr.states(key, texture):
+                state(name, (pbr.number(key, 1.0),), pbr, texture, (lane,))
+    if given.states("occlusionTexture"):
+        strength = given.part("occlusionTexture").number("strength", 1.0)
+        state("occlusion", (strength,), given, "occlusionTexture", (0,), (1.0 - strength,))
+    if given.states("emissiveFactor", "emissiveTexture"):
+        strength = extensions.part("KHR_materials_emissive_strength").number("emissiveStrength", 1.0)
+        light = tuple(strength * each for each in given.numbers("emissiveFactor", (0.0,) * 3))
+        state("emissive", light, given, "emissiveTexture")
+    if given.states("normalTexture"):
+        scale = given.part("normalTexture").number("scale", 1.0)
+        state("normal", (scale, scale, 1.0), given, "normalTexture")
     return material, uses
 
 
-def _slot(info: dict[str, Any], what: str) -> Slot:
-    transform = info.get("extensions", {}).get("KHR_texture_transform", {})
-    number = transform.get("texCoord", info.get("texCoord", 0))
+def _slot(use: _Part) -> Slot:
+    transform = use.part("extensions").part("KHR_texture_transform")
+    number = transform.entry.get("texCoord", use.entry.get("texCoord", 0))
     if isinstance(number, bool) or not isinstance(number, int) or number < 0:
-        raise ModelError(f"{what} has texCoord {reprlib.repr(number)}, not a whole number; export it again")
+        raise ModelError(
+            f"{use.name}.texCoord must be a whole number, not {reprlib.repr(number)}; export it again"
+        )
     return Slot(
         number,
-        _numbers(transform, "scale", (1.0, 1.0), what),
-        _number(transform, "rotation", 0.0, what),
-        _numbers(transform, "offset", (0.0, 0.0), what),
+        transform.numbers("scale", (1.0, 1.0)),
+        transform.number("rotation", 0.0),
+        transform.numbers("offset", (0.0, 0.0)),
     )
-
-
-def _number(entry: dict[str, Any], key: str, default: float, what: str) -> float:
-    """Return a finite number of the file."""
-    value = entry.get(key, default)
-    if not _is_number(value):
-        raise ModelError(f"{what} has {key} {reprlib.repr(value)}, not a number; export it again")
-    return float(value)
-
-
-def _numbers(entry: dict[str, Any], key: str, default: tuple[float, ...], what: str) -> tuple[float, ...]:
-    """Return as many finite numbers of the file as the default has."""
-    values = entry.get(key, default)
-    if not (
-        isinstance(values, (list, tuple)) and len(values) == len(default) and all(map(_is_number, values))
-    ):
-        raise ModelError(
-            f"{what} has {key} {reprlib.repr(values)}, not {len(default)} numbers; export it again"
-        )
-    return tuple(map(float, values))
-
-
-def _is_number(value: Any) -> bool:
-    # Whole numbers may be too large to be compared as floats, but not with this one.
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e300
 
 
 class _Images:
@@ -218,9 +236,9 @@ class _Images:
         self._executor = executor
         self._decoding: dict[str | int, Future[npt.NDArray[np.uint16] | npt.NDArray[np.float32]]] = {}
 
-    def begin(self, info: dict[str, Any], what: str) -> _Reference:
+    def begin(self, use: _Part) -> _Reference:
         """Return what a reference to a texture means, and begin to decode its image."""
-        document, number = self._document, info["index"]
+        document, number = self._document, use.entry.get("index")
         entry = document.item("textures", number)
         source = entry.get("source")
         for name, extension in entry.get("extensions", {}).items():
@@ -238,7 +256,7 @@ class _Images:
                 raise ModelError(f"{document.name}: a sampler has an unknown {axis} {code}; export it again")
             wraps.append(_WRAPS[code])
         is_nearest = sampler.get("magFilter") == _NEAREST
-        return _Reference(self._read(source), wraps[0], wraps[1], is_nearest, _slot(info, what))
+        return _Reference(self._read(source), wraps[0], wraps[1], is_nearest, _slot(use))
 
     def texels(self, place: str | int) -> npt.NDArray[np.uint16] | npt.NDArray[np.float32]:
         """Return an image that was begun."""
