@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -223,3 +224,22 @@ def test_where_the_image_has_no_area_normals_are_still_unit_vectors(
     found = normals_of(load_surface(gltf.save(tmp_path / "a.glb")))
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-4)
     np.testing.assert_allclose(found[:, 2], leaning()[2], atol=2e-4)
+
+
+@pytest.mark.parametrize("name", ["Avocado/Avocado.gltf", "BoomBoxWithAxes/BoomBoxWithAxes.gltf"])
+def test_tangents_made_for_real_models_are_close_to_those_that_they_have(
+    tmp_path: Path, models: Path, name: str
+) -> None:
+    path = models / name
+    document = json.loads(path.read_text())
+    for each in [*document["buffers"], *document["images"]]:
+        each["uri"] = str(path.parent / each["uri"])
+    for mesh in document["meshes"]:
+        for primitive in mesh["primitives"]:
+            del primitive["attributes"]["TANGENT"]
+    (tmp_path / "without.gltf").write_text(json.dumps(document))
+    given, made = (load_surface(p, channels=["normal"]) for p in (path, tmp_path / "without.gltf"))
+    samples = given.scatter(2000)
+    cosines = (given.evaluate(samples, "normal") * made.evaluate(samples, "normal")).sum(axis=1)
+    degrees = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
+    assert np.percentile(degrees, 95) < 1
