@@ -127,17 +127,17 @@ def evaluate(
     material = first = end = mode = 0
     has_colors = tables.colors.shape[0] > 0
     for i in range(triangles.size):
-        triangle = np.int64(triangles[i])
+        triangle = int(triangles[i])
         if triangle != last:
             last = triangle
-            material = np.int64(tables.materials[triangle])
-            mode = np.int64(tables.alpha_modes[material])
-            first, end = np.int64(tables.first_stacks[material]), np.int64(tables.first_stacks[material + 1])
+            material = int(tables.materials[triangle])
+            mode = int(tables.alpha_modes[material])
+            first, end = int(tables.first_stacks[material]), int(tables.first_stacks[material + 1])
             for stack in range(first, end):
                 _load(tables, images, footprints, stack, triangle, shared, stack - first)
         b0, b1, b2 = barycentric[i, 0], barycentric[i, 1], barycentric[i, 2]
         red = green = blue = 1.0
-        alpha = np.float64(tables.alpha_factors[material])
+        alpha = float(tables.alpha_factors[material])
         if has_colors:
             colors, rows = tables.colors, tables.color_rows
             c0, c1, c2 = rows[triangle, 0], rows[triangle, 1], rows[triangle, 2]
@@ -148,19 +148,19 @@ def evaluate(
         threshold = -1.0
         if mode == MASK:
             threshold = tables.cutoffs[material] / alpha if alpha > 0.0 else np.inf
-        width = np.float64(widths[i])
+        width = float(widths[i])
         square = width * width
         at = 1
         thresholded = False
         for stack in range(first, end):
             row = stack - first
-            layout = np.int64(tables.stacks[stack, 0])
+            layout = int(tables.stacks[stack, 0])
             count, cut, scale = find_taps(
                 images,
                 layout,
                 name,
-                np.int64(tables.stacks[stack, 2]),
-                np.int64(tables.stacks[stack, 3]),
+                int(tables.stacks[stack, 2]),
+                int(tables.stacks[stack, 3]),
                 tables.stacks[stack, 4] != 0,
                 b0 * shared[row, 0] + b1 * shared[row, 2] + b2 * shared[row, 4],
                 b0 * shared[row, 1] + b1 * shared[row, 3] + b2 * shared[row, 5],
@@ -173,7 +173,7 @@ def evaluate(
                 weights,
             )
             for image in range(tables.stacks[stack, 5], tables.stacks[stack + 1, 5]):
-                number = np.int64(tables.images[image])
+                number = int(tables.images[image])
                 _gather(images, number, layout, places, weights, count, scale, cut, threshold, lanes, at)
                 thresholded |= images.covered[number]
                 at += 4
@@ -185,14 +185,14 @@ def evaluate(
             values[i, columns.base_color + 1] *= np.float32(green)
             values[i, columns.base_color + 2] *= np.float32(blue)
         if columns.alpha >= 0:
-            lane = np.float64(lanes[tables.lanes[material, columns.alpha]])
+            coverage = float(lanes[tables.lanes[material, columns.alpha]])
             if mode == OPAQUE:
-                lane = 1.0
+                coverage = 1.0
             elif mode == BLEND:
-                lane *= alpha
+                coverage *= alpha
             elif not thresholded:
-                lane = 1.0 if lane >= threshold else 0.0
-            values[i, columns.alpha] = lane
+                coverage = 1.0 if coverage >= threshold else 0.0
+            values[i, columns.alpha] = coverage
         if columns.normal >= 0:
             _turn(tables, triangle, b0, b1, b2, width == 0.0, values, i, columns.normal)
 
@@ -288,16 +288,18 @@ def _gather(
         factor = _ALL / weighed
     else:
         sums = images.sums
-        r = g = b = a = 0.0
+        total_red = total_green = total_blue = total_alpha = 0.0
         for i in range(count):
-            place, w = base + places[i], weights[i]
-            r += w * sums[place, 0]
-            g += w * sums[place, 1]
-            b += w * sums[place, 2]
-            a += w * sums[place, 3]
+            place = base + places[i]
+            total_red += weights[i] * sums[place, 0]
+            total_green += weights[i] * sums[place, 1]
+            total_blue += weights[i] * sums[place, 2]
+            total_alpha += weights[i] * sums[place, 3]
         if covered:
-            factor = np.float32(1.0 / (max(a, 0.0) + FAINT))
-        red, green, blue, alpha = np.float32(r), np.float32(g), np.float32(b), np.float32(max(a, 0.0))
+            total_alpha = max(total_alpha, 0.0)  # but for rounding it is
+            factor = np.float32(1.0 / (total_alpha + FAINT))
+        red, green, blue = np.float32(total_red), np.float32(total_green), np.float32(total_blue)
+        alpha = np.float32(total_alpha)
     lanes[at] = red * factor
     lanes[at + 1] = green * factor
     lanes[at + 2] = blue * factor

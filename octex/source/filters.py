@@ -1,8 +1,8 @@
 """Image filters: a footprint in, weighted texels out.
 
 A footprint is a point in texture coordinates and a covariance about it: that of a box of the lookup's width
-on the surface, as it looks in the image. Every filter lists *taps*, places of stored texels, and their weights,
-which add up to 1; images of one size under one footprint share the list.
+on the surface, as it looks in the image. Every filter lists *taps*, places of stored texels, and their
+weights; images of one size under one footprint share the list.
 
     nearest     the texel that holds the point
     bilinear    the four around the point
@@ -104,7 +104,9 @@ def find_taps(
 
 
 @inlined
-def footprint(uu: float, uv: float, vv: float, width: int, height: int) -> tuple[float, float, float, float, float]:
+def footprint(
+    uu: float, uv: float, vv: float, width: int, height: int
+) -> tuple[float, float, float, float, float]:
     """Return a covariance in texels², and its least and largest variance along any axis.
 
     What is more than _LONGEST times as long as wide is made wider, across its long axis only.

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Mapping, Sequence
 from threading import Lock
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +19,7 @@ from octex.source.base import Source, in_order
 from octex.source.corners import Corners, Frames
 from octex.source.evaluate import Columns, Tables, evaluate, measure
 from octex.source.filters import FILTERS, LEVELS_OF
-from octex.source.pyramid import REPEAT, Images, Picture, store
+from octex.source.pyramid import REPEAT, Images, Picture, Texels, store
 from octex.source.tangents import carried
 
 #: How a material's alpha counts: not at all, as a coverage of 0 or 1 about a cutoff, or as it is.
@@ -29,7 +30,7 @@ ALPHA_MODES: tuple[AlphaMode, ...] = ("opaque", "mask", "blend")
 class Texture(NamedTuple):
     """An image and how coordinates meet it."""
 
-    texels: npt.NDArray[np.uint16] | npt.NDArray[np.float32]  # (height, width, 4)   as images.decode_image
+    texels: Texels  # (height, width, 4)   as images.decode_image
     wrap_u: int = REPEAT
     wrap_v: int = REPEAT
     nearest: bool = False  # magnified without interpolation
@@ -109,6 +110,8 @@ class MaterialSource(Source):
             if lacking:
                 raise ModelError(f"{name} has no channel {', '.join(lacking)}; it has {', '.join(stated)}")
             stated = [channel for channel in stated if channel in channels]
+        if frames is None:
+            stated = [channel for channel in stated if channel != "normal"]
         self._channels = tuple(self._format(channel) for channel in stated)
 
     @property
@@ -185,8 +188,6 @@ class MaterialSource(Source):
         names = {"base_color"}.union(*(material.inputs for material in used)) - {"alpha"}
         if any(material.alpha_mode != "opaque" for material in used):
             names.add("alpha")
-        if self._frames is None:
-            names.discard("normal")
         return in_order(list(names))
 
     def _format(self, name: str) -> ChannelFormat:
@@ -282,7 +283,7 @@ class MaterialSource(Source):
         places = (first_column.get(name, -1) for name in ("base_color", "alpha", "normal"))
         return _Prepared(tables, Columns(*places), stored.images)
 
-    def _bound(self) -> dict[str, npt.NDArray[np.float32] | npt.NDArray[np.int32]]:
+    def _bound(self) -> dict[str, Any]:
         """Return what is bound to corners, as the tables name it."""
         nothing = Corners(np.empty((0, 4), np.float32), np.empty((0, 3), np.int32))
         colors = self._colors or nothing
@@ -317,7 +318,6 @@ class _Shelf:
     def __init__(self, materials: Sequence[Material]) -> None:
         self._materials = materials
         self._numbers: dict[tuple[object, ...], int] = {}
-        self._directions: dict[tuple[object, ...], npt.NDArray[np.uint16]] = {}
         self.pictures: list[Picture] = []
         self.first_stacks = [0]
         self.stacks: list[
@@ -328,19 +328,20 @@ class _Shelf:
     def add(self, number: int, names: Sequence[str]) -> dict[str, int]:
         """Add the images of a material for some channels; return the first lane of each channel's image."""
         material = self._materials[number]
-        stacks: dict[tuple[object, ...], dict[int, list[str]]] = {}
+        stacks: dict[Texture, dict[int, list[str]]] = {}  # keyed by the size, not the image
         for name in names:
             given = material.inputs.get(name)
             if given is None or given.texture is None:
                 continue
             texture = given.texture
-            key = (texture.texels.shape[:2], texture.slot, texture.wrap_u, texture.wrap_v, texture.nearest)
-            stacks.setdefault(key, {}).setdefault(self._image(material, name), []).append(name)
+            key = texture._replace(texels=texture.texels.shape[:2])  # type: ignore[arg-type]
+            image = self._image(material, name, texture.texels)
+            stacks.setdefault(key, {}).setdefault(image, []).append(name)
         lane_of: dict[str, int] = {}
         lane = 1
-        for (_, slot, wrap_u, wrap_v, flat), readers in stacks.items():
+        for way, readers in stacks.items():
             some = next(iter(readers))
-            self.stacks.append((some, int(slot), int(wrap_u), int(wrap_v), int(flat), len(self.images)))
+            self.stacks.append((some, way.slot, way.wrap_u, way.wrap_v, int(way.nearest), len(self.images)))
             for image, channels in readers.items():
                 self.images.append(image)
                 lane_of |= dict.fromkeys(channels, lane)
@@ -348,10 +349,9 @@ class _Shelf:
         self.first_stacks.append(len(self.stacks))
         return lane_of
 
-    def _image(self, material: Material, name: str) -> int:
+    def _image(self, material: Material, name: str, texels: Texels) -> int:
         """Return the number of the image that a channel reads."""
         given = material.inputs[name]
-        texels = given.texture.texels
         space = CHANNELS[name].space
         covering = name in ("base_color", "alpha") and _is_covered(material)
         threshold = -1.0
@@ -362,7 +362,7 @@ class _Shelf:
         key = (id(texels), is_light, covering, threshold, given.factor if space == "direction" else None)
         if key not in self._numbers:
             if space == "direction":
-                texels = unit_directions(texels, *given.factor)
+                texels = _unit_directions(texels, given.factor)
             self._numbers[key] = len(self.pictures)
             self.pictures.append(Picture(texels, is_light, covering, threshold))
         return self._numbers[key]
@@ -393,35 +393,26 @@ def _brightest(given: Input) -> float:
     return max(given.factor) * texel + max(given.offset, default=0.0)
 
 
-def unit_directions(
-    texels: npt.NDArray[np.uint16] | npt.NDArray[np.float32], *scale: float
-) -> npt.NDArray[np.uint16]:
+def _unit_directions(texels: Texels, scale: tuple[float, ...]) -> npt.NDArray[np.uint16]:
     """Return the texels of a normal map, each scaled along x, y and z and made a unit vector, as codes."""
     directions = np.empty(texels.shape, np.uint16)
-    _make_unit(texels, 2.0 / ONE[texels.dtype.name], *map(float, scale), directions)
+    _make_unit(texels, 2.0 / ONE[texels.dtype.name], np.array(scale, np.float64), directions)
     return directions
 
 
 @kernel
 def _make_unit(
-    texels: npt.NDArray[np.uint16] | npt.NDArray[np.float32],
-    unit: float,
-    scale_x: float,
-    scale_y: float,
-    scale_z: float,
-    directions: npt.NDArray[np.uint16],
+    texels: Texels, unit: float, scale: npt.NDArray[np.float64], directions: npt.NDArray[np.uint16]
 ) -> None:
     for row in range(texels.shape[0]):
         for column in range(texels.shape[1]):
-            x = (np.float64(texels[row, column, 0]) * unit - 1.0) * scale_x
-            y = (np.float64(texels[row, column, 1]) * unit - 1.0) * scale_y
-            z = (np.float64(texels[row, column, 2]) * unit - 1.0) * scale_z
-            length = np.sqrt(x * x + y * y + z * z)
-            if length > 0.0:
-                x, y, z = x / length, y / length, z / length
-            else:
-                x, y, z = 0.0, 0.0, 1.0
-            directions[row, column, 0] = int((x + 1.0) * 32767.5 + 0.5)
-            directions[row, column, 1] = int((y + 1.0) * 32767.5 + 0.5)
-            directions[row, column, 2] = int((z + 1.0) * 32767.5 + 0.5)
+            x = (float(texels[row, column, 0]) * unit - 1.0) * scale[0]
+            y = (float(texels[row, column, 1]) * unit - 1.0) * scale[1]
+            z = (float(texels[row, column, 2]) * unit - 1.0) * scale[2]
+            length = math.sqrt(x * x + y * y + z * z)
+            # What points nowhere points straight up.
+            inverse, upward = (1.0 / length, 0.0) if length > 0.0 else (0.0, 1.0)
+            directions[row, column, 0] = int((x * inverse + 1.0) * 32767.5 + 0.5)
+            directions[row, column, 1] = int((y * inverse + 1.0) * 32767.5 + 0.5)
+            directions[row, column, 2] = int((z * inverse + upward + 1.0) * 32767.5 + 0.5)
             directions[row, column, 3] = 65535

@@ -36,10 +36,10 @@ import numpy as np
 
 from octex.channels import srgb_to_linear
 from octex.errors import ImageError, ModelError
-from octex.source.imagefiles import ImageFiles, Texels, is_grey, is_translucent
+from octex.source.imagefiles import ImageFiles, is_grey, is_translucent
 from octex.source.materials import Input, Material, Texture
 from octex.source.options import Options
-from octex.source.pyramid import CLAMP, REPEAT
+from octex.source.pyramid import CLAMP, REPEAT, Texels
 from octex.source.text import parse_numbers
 
 # How many words follow an option of a texture map; up to three numbers follow the last three.

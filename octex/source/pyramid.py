@@ -13,6 +13,7 @@ texels themselves, averaged along the border only.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -20,14 +21,18 @@ import numpy.typing as npt
 
 from octex.channels import decode_table, encode
 from octex.jit import kernel
+from octex.parallel import cpu_count
+
+#: 16-bit codes, or floats as they are.
+Texels = npt.NDArray[np.uint16 | np.float32]
 
 REPEAT, MIRROR, CLAMP = 0, 1, 2
 WRAPS = ("repeat", "mirror", "clamp")
 
 #: How an image is stored: 16-bit codes of sRGB or of fractions, floats, or sums of floats.
-SRGB, DATA, FLOAT, SUMS = 0, 1, 2, 3
+SRGB, DATA, FLOAT, SUMS = range(4)
 #: Which levels of an image are stored.
-WHOLE, MIPS, RIPS, AREAS = 0, 1, 2, 3
+WHOLE, MIPS, RIPS, AREAS = range(4)
 
 #: Weight of a texel that covers nothing: its colour counts only where no other does.
 FAINT = 2.0**-40
@@ -36,7 +41,7 @@ FAINT = 2.0**-40
 class Picture(NamedTuple):
     """An image as one material reads it."""
 
-    texels: npt.NDArray[np.uint16] | npt.NDArray[np.float32]  # (height, width, 4)
+    texels: Texels  # (height, width, 4)
     is_light: bool  # its codes are sRGB; else fractions
     covered: bool = False  # its alpha weighs its colours; else all lanes are alike
     threshold: float = -1.0  # averages take alpha as 1 where it reaches this and else 0; negative: as it is
@@ -70,38 +75,58 @@ class Stored(NamedTuple):
 def store(pictures: Sequence[Picture], what: int) -> Stored:
     """Store images with all the levels that ``what`` (WHOLE, MIPS, RIPS or AREAS) asks for."""
     sizes = list(dict.fromkeys(picture.texels.shape[:2] for picture in pictures))
-    layouts, levels = [], []
+    layouts: list[tuple[int, int, int]] = []
+    levels: list[tuple[int, int, int]] = []
+    rows_of: list[int] = []  # of an image, by layout
+    rim = 0 if what == AREAS else 1
     for height, width in sizes:
         shapes, across, down = _shapes(width, height, what)
         layouts.append((len(levels), across, down))
         first = 0
         for wide, high in shapes:
-            rim = 0 if what == AREAS else 1
             stride = wide + 1 + rim
             levels.append((first + rim * stride + rim, wide, high))
             first += stride * (high + 1 + rim)
+        rows_of.append(first)
     layout_of = [sizes.index(picture.texels.shape[:2]) for picture in pictures]
-    parts: dict[int, list[npt.NDArray[np.generic]]] = {SRGB: [], FLOAT: [], SUMS: []}
-    kinds, bases = [], []
-    for picture in pictures:
-        is_float = picture.texels.dtype == np.float32
-        kind = SUMS if what == AREAS else FLOAT if is_float else SRGB if picture.is_light else DATA
-        kinds.append(kind)
-        held = parts[SRGB if kind == DATA else kind]
-        bases.append(sum(len(part) for part in held))
-        held.append(_stored(picture, kind, what))
+    kinds = [_kind(picture, what) for picture in pictures]
+    bases, ends = [], {SRGB: 0, FLOAT: 0, SUMS: 0}
+    for kind, layout in zip(kinds, layout_of, strict=True):
+        held = SRGB if kind == DATA else kind
+        bases.append(ends[held])
+        ends[held] += rows_of[layout]
     images = Images(
         np.array(kinds, np.uint8),
         np.array([picture.covered for picture in pictures], np.bool_),
         np.array(bases, np.int64),
         np.array(layouts, np.int64).reshape(-1, 3),
         np.array(levels, np.int64).reshape(-1, 3),
-        _joined(parts[SRGB], np.empty(0, np.uint64)),
-        _joined(parts[FLOAT], np.empty((0, 4), np.float32)),
-        _joined(parts[SUMS], np.empty((0, 4), np.float64)),
+        np.empty(ends[SRGB], np.uint64),
+        np.empty((ends[FLOAT], 4), np.float32),
+        np.empty((ends[SUMS], 4), np.float64),
         decode_table("uint16", "srgb"),
     )
+
+    def fill(number: int) -> None:
+        rows = slice(bases[number], bases[number] + rows_of[layout_of[number]])
+        if kinds[number] == SUMS:
+            _add_up(pictures[number], images.sums[rows])
+        elif kinds[number] == FLOAT:
+            _fill(pictures[number], what, images.floats[rows])
+        else:
+            _fill(pictures[number], what, images.codes[rows].view(np.uint16).reshape(-1, 4))
+
+    with ThreadPoolExecutor(cpu_count()) as pool:
+        list(pool.map(fill, range(len(pictures))))
     return Stored(images, layout_of)
+
+
+def _kind(picture: Picture, what: int) -> int:
+    if what == AREAS:
+        return SUMS
+    if picture.texels.dtype == np.float32:
+        return FLOAT
+    return SRGB if picture.is_light else DATA
 
 
 def _shapes(width: int, height: int, what: int) -> tuple[list[tuple[int, int]], int, int]:
@@ -122,44 +147,59 @@ def _halved(size: int) -> list[int]:
     return sizes
 
 
-def _stored(picture: Picture, kind: int, what: int) -> npt.NDArray[np.generic]:
-    """Return all levels of an image with their rims, end to end, as words or rows."""
+def _add_up(picture: Picture, sums: npt.NDArray[np.float64]) -> None:
+    """Fill in a summed-area table (rows, 4), one wider and higher than the image."""
+    height, width = picture.texels.shape[:2]
+    table = sums.reshape(height + 1, width + 1, 4)
+    table[0], table[:, 0] = 0.0, 0.0
+    np.cumsum(_decoded(picture, picture.threshold), axis=0, dtype=np.float64, out=table[1:, 1:])
+    np.cumsum(table[1:, 1:], axis=1, out=table[1:, 1:])
+
+
+def _fill(picture: Picture, what: int, rows: Texels) -> None:
+    """Fill in all levels of an image, with their rims, one after the other."""
     height, width = picture.texels.shape[:2]
     shapes, across, _ = _shapes(width, height, what)
-    values = _decoded(picture, picture.threshold if what == AREAS else -1.0)
-    if kind == SUMS:
-        sums = np.zeros((height + 1, width + 1, 4))
-        sums[1:, 1:] = values.cumsum(axis=0, dtype=np.float64).cumsum(axis=1)
-        return sums.reshape(-1, 4)
-    first = _rimmed(picture.texels)
-    parts = [np.ascontiguousarray(first).view("<u8").reshape(-1) if kind != FLOAT else first.reshape(-1, 4)]
+    finest = _take(rows, 0, width, height)
+    finest[1:-1, 1:-1] = picture.texels
+    finest[0, 1:-1], finest[-1, 1:-1] = picture.texels[0], picture.texels[-1]
+    finest[:, 0], finest[:, -1] = finest[:, 1], finest[:, -2]
     if len(shapes) == 1:
-        return parts[0]
-    if picture.covered and picture.threshold >= 0.0:
-        values = _decoded(picture, picture.threshold)
-    rims = _Rims.of(values)
-    done = {0: (values, rims)}
-    for level in range(1, len(shapes)):
+        return
+    done = {0: _Level.of(_decoded(picture, picture.threshold))}
+    first = finest.shape[0] * finest.shape[1]
+    for number, (wide, high) in enumerate(shapes[1:], 1):
         # From the level of half the reduction: one step down, or for ripmaps one across.
-        below = level - 1 if what == MIPS or level % across else level - across
-        wide, high = shapes[level]
-        values, rims = done[below]
-        values, rims = _resized(values, high, wide), rims.resized(high, wide)
-        parts.append(_encoded(rims.around(values), picture, kind))
-        done[level] = values, rims
+        below = number - 1 if what == MIPS or number % across else number - across
+        level = done[number] = done[below].resized(high, wide)
+        target = _take(rows, first, wide, high)
+        first += target.shape[0] * target.shape[1]
+        for part, values in (
+            (np.s_[1:-1, 1:-1], level.body),
+            (np.s_[1:-1, :1], level.left),
+            (np.s_[1:-1, -1:], level.right),
+            (np.s_[:1, 1:-1], level.top),
+            (np.s_[-1:, 1:-1], level.bottom),
+            (np.s_[:: high + 1, :: wide + 1], level.corners),
+        ):
+            target[part] = _encoded(values, picture, target.dtype == np.float32)
         if what == MIPS:
             del done[below]
-    return np.concatenate(parts)
+
+
+def _take(rows: Texels, first: int, width: int, height: int) -> Texels:
+    """Return the rows of one level with its rim, as (height + 2, width + 2, 4)."""
+    count = (height + 2) * (width + 2)
+    return rows[first : first + count].reshape(height + 2, width + 2, 4)
 
 
 def _decoded(picture: Picture, threshold: float) -> npt.NDArray[np.float32]:
     """Return an image's values (height, width, 4), premultiplied by alpha if it is covered."""
+    values = np.empty(picture.texels.shape, np.float32)
     if picture.texels.dtype == np.float32:
-        values = picture.texels.copy()
+        values[:] = picture.texels
     else:
-        table = decode_table("uint16", "srgb" if picture.is_light else "data")
-        values = np.empty(picture.texels.shape, np.float32)
-        _decode(picture.texels, table, values)
+        _decode(picture.texels, decode_table("uint16", "srgb" if picture.is_light else "data"), values)
     if picture.covered:
         if threshold >= 0.0:
             values[..., 3] = values[..., 3] >= threshold
@@ -169,7 +209,9 @@ def _decoded(picture: Picture, threshold: float) -> npt.NDArray[np.float32]:
 
 @kernel
 def _decode(
-    texels: npt.NDArray[np.uint16], table: npt.NDArray[np.float32], values: npt.NDArray[np.float32]
+    texels: npt.NDArray[np.uint16 | np.float32],
+    table: npt.NDArray[np.float32],
+    values: npt.NDArray[np.float32],
 ) -> None:
     for y in range(texels.shape[0]):
         for x in range(texels.shape[1]):
@@ -178,24 +220,25 @@ def _decode(
             values[y, x, 3] = np.float32(texels[y, x, 3]) / np.float32(65535.0)
 
 
-def _encoded(
-    values: npt.NDArray[np.float32], picture: Picture, kind: int
-) -> npt.NDArray[np.uint64] | npt.NDArray[np.float32]:
-    """Return a level's values as they are stored: unmultiplied, words or rows."""
+def _encoded(values: npt.NDArray[np.float32], picture: Picture, as_floats: bool) -> npt.NDArray[np.generic]:
+    """Return a level's values as they are stored: unmultiplied, codes or floats."""
     if picture.covered:
         values = values.copy()
         values[..., :3] /= values[..., 3:] + np.float32(FAINT)
-    if kind == FLOAT:
-        return values.reshape(-1, 4)
+    if as_floats:
+        return values
+    if not picture.is_light:
+        return encode(values, "uint16", "data")
     codes = np.empty(values.shape, np.uint16)
-    codes[..., :3] = encode(values[..., :3], "uint16", "srgb" if kind == SRGB else "data")
+    codes[..., :3] = encode(values[..., :3], "uint16", "srgb")
     codes[..., 3] = encode(values[..., 3], "uint16", "data")
-    return codes.reshape(-1, 4).view("<u8")[:, 0]
+    return codes
 
 
-class _Rims(NamedTuple):
-    """What lies beyond a level's borders."""
+class _Level(NamedTuple):
+    """A level's values, and what lies beyond its borders."""
 
+    body: npt.NDArray[np.float32]  # (height, width, 4)
     left: npt.NDArray[np.float32]  # (height, 1, 4)
     right: npt.NDArray[np.float32]
     top: npt.NDArray[np.float32]  # (1, width, 4)
@@ -203,37 +246,19 @@ class _Rims(NamedTuple):
     corners: npt.NDArray[np.float32]  # (2, 2, 4)
 
     @classmethod
-    def of(cls, values: npt.NDArray[np.float32]) -> _Rims:
-        corners = np.ascontiguousarray(values[[0, -1]][:, [0, -1]])
-        return cls(*(np.ascontiguousarray(part) for part in (values[:, :1], values[:, -1:])),
-                   *(np.ascontiguousarray(part) for part in (values[:1], values[-1:])), corners)  # fmt: skip
+    def of(cls, values: npt.NDArray[np.float32]) -> _Level:
+        borders = (values[:, :1], values[:, -1:], values[:1], values[-1:], values[[0, -1]][:, [0, -1]])
+        return cls(values, *map(np.ascontiguousarray, borders))
 
-    def resized(self, height: int, width: int) -> _Rims:
-        return _Rims(
+    def resized(self, height: int, width: int) -> _Level:
+        return _Level(
+            _resized(self.body, height, width),
             _resized(self.left, height, 1),
             _resized(self.right, height, 1),
             _resized(self.top, 1, width),
             _resized(self.bottom, 1, width),
             self.corners,
         )
-
-    def around(self, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        corners = self.corners
-        return np.vstack(
-            [
-                np.hstack([corners[:1, :1], self.top, corners[:1, 1:]]),
-                np.hstack([self.left, values, self.right]),
-                np.hstack([corners[1:, :1], self.bottom, corners[1:, 1:]]),
-            ]
-        )
-
-
-def _rimmed(texels: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
-    return np.pad(texels, ((1, 1), (1, 1), (0, 0)), mode="edge")
-
-
-def _joined(parts: list[npt.NDArray[np.generic]], empty: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
-    return np.concatenate(parts) if len(parts) > 1 else parts[0] if parts else empty
 
 
 def _resized(values: npt.NDArray[np.float32], height: int, width: int) -> npt.NDArray[np.float32]:
