@@ -32,7 +32,7 @@ f 2/2 3/3 5/4
 f 3/3 4/4 5/1
 f 4/4 1/1 5/2
 """
-_MTL = "newmtl needle\nmap_Kd needle.png\n"
+_MTL = "newmtl needle\nmap_Kd needle.png\nnorm needle.png\n"
 _PLY = """ply
 format ascii 1.0
 element vertex 3
@@ -64,12 +64,13 @@ def warm_up(progress: Progress) -> None:
 
 
 def _surfaces(folder: Path) -> list[octex.Surface]:
-    """One textured from a file, one without colours from another, one with all that arrays can give."""
+    """One textured from a file and deformed, one without colours, one with all that arrays can give."""
     (folder / "needle.obj").write_text(_OBJ)
     (folder / "needle.mtl").write_text(_MTL)
     (folder / "needle.ply").write_text(_PLY)
     PIL.Image.fromarray(np.full((4, 4), 30000, np.uint16)).save(folder / "needle.png")
     textured = octex.load_surface(folder / "needle.obj")
+    deformed = textured.with_rest(2.0 * textured.vertices)
     translucent = octex.Surface.from_arrays(
         textured.vertices,
         textured.triangles,
@@ -78,7 +79,7 @@ def _surfaces(folder: Path) -> list[octex.Surface]:
         image=np.full((4, 4, 4), 128, np.uint8),
         rest=textured.vertices[:, ::-1],
     )
-    return [textured, octex.load_surface(folder / "needle.ply"), translucent]
+    return [deformed, octex.load_surface(folder / "needle.ply"), translucent]
 
 
 def _convert_and_look(surface: octex.Surface, folder: Path) -> None:

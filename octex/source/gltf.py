@@ -80,7 +80,7 @@ class _Scene:
         if not placed:
             raise ModelError(f"{document.name} has no triangles; octex needs a surface, not points or lines")
         bound = read_materials(document, (shape.material for _, shape in placed), self._options)
-        has_normals = any(each.normal_slot is not None for each in bound.values())
+        has_normals = self._options.normals or any(each.normal_slot is not None for each in bound.values())
         primitives: dict[str, _Primitive] = {}
         for _, shape in placed:
             if shape.name not in primitives:
@@ -98,9 +98,9 @@ class _Scene:
             triangles.append(shape.triangles[:, order] + np.int32(first))
             first += len(shape.positions)
             if primitive.frames is not None:
-                frames = transformed(primitive.frames, linear)
-                normals.append(frames.normals._replace(rows=frames.normals.rows[:, order]))
-                tangents.append(frames.tangents._replace(rows=frames.tangents.rows[:, order]))
+                turned = transformed(primitive.frames, linear)
+                normals.append(turned.normals._replace(rows=turned.normals.rows[:, order]))
+                tangents.append(turned.tangents._replace(rows=turned.tangents.rows[:, order]))
         positions, joined = np.concatenate(vertices), np.concatenate(triangles)
 
         def corners(attributes: list[npt.NDArray[np.float32] | None], default: float) -> Corners | None:
@@ -114,6 +114,7 @@ class _Scene:
             ]
             return Corners(np.concatenate(rows), joined)
 
+        frames = Frames(_joined(normals), _joined(tangents)) if has_normals else None
         slots = zip_longest(*(primitive.coordinates for primitive in each))
         numbers = {number: index for index, number in enumerate(bound)}
         source = MaterialSource(
@@ -126,7 +127,7 @@ class _Scene:
             joined,
             colors=corners([primitive.colors for primitive in each], 1.0),
             coordinates=[found for slot in slots if (found := corners(list(slot), 0.0)) is not None],
-            frames=Frames(_joined(normals), _joined(tangents)) if has_normals else None,
+            frames=frames,
             name=document.name,
             filter=self._options.filter,
             channels=self._options.channels,
@@ -134,7 +135,15 @@ class _Scene:
         uv = None
         if all(primitive.uv is not None for primitive in each if primitive.coordinates):
             uv = corners([primitive.uv for primitive in each], 0.0)
-        return Surface(positions, joined, source, uv=uv, name=document.name, provenance=self._provenance())
+        return Surface(
+            positions,
+            joined,
+            source,
+            uv=uv,
+            frames=frames,
+            name=document.name,
+            provenance=self._provenance(),
+        )
 
     def _provenance(self) -> dict[str, str]:
         """Return what the file says of its origin and licence, and the digests of the files it refers to."""

@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.source.images import decode_image
-from octex.source.pyramid import Texels
-from octex.source.pyramid import CLAMP
+from octex.source.pyramid import CLAMP, Texels
 
 
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # of stored values: they are no light here (Rec. 709's weights)

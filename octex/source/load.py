@@ -37,19 +37,22 @@ def load_surface(
     *,
     channels: Sequence[str] | None = None,
     filter: str = "ewa",
+    normals: bool = False,
 ) -> Surface:
     """Read a model: its triangles as placed in the scene, and what its materials are made of.
 
     ``rest`` gives rest positions: another model file of the same topology (the same triangles, vertex for
     vertex; its materials are not read), or an array (vertices, 3). Positions are in the model's units.
     ``channels`` names those that are wanted, by default all that the materials state; images of others are
-    not read. ``filter`` is how images are averaged over footprints, one of filters.FILTERS.
+    not read. ``filter`` is how images are averaged over footprints, one of filters.FILTERS. ``normals`` keeps
+    shading normals also where no normal map needs them: for one of your own (``Surface.with_sources``).
 
     Raises ModelError or ImageError, with one line that names the file, the cause and the remedy, and
     ArgumentError for an unknown filter.
     """
     as_choice(filter, FILTERS, "filter")
-    surface = _read(Path(path), Options(True, None if channels is None else tuple(channels), filter))
+    wanted = None if channels is None else tuple(channels)
+    surface = _read(Path(path), Options(True, wanted, filter, normals))
     return surface if rest is None else at_rest(surface, rest)
 
 

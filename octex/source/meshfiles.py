@@ -24,6 +24,7 @@ from octex.source.images import decode_image
 from octex.source.materials import AlphaMode, Input, Material, MaterialSource, Texture
 from octex.source.options import EVERYTHING, Options
 from octex.source.polygons import triangulate
+from octex.source.pyramid import Texels
 from octex.source.surface import Surface, flip_v, screen_colors
 from octex.source.text import parse_numbers, whole_numbers
 
@@ -295,7 +296,7 @@ class _Ply:
                 return Corners(flip_v(np.stack([vertex[u].values, vertex[v].values], axis=1)), triangles)
         return None
 
-    def _image(self, image: str) -> npt.NDArray[np.uint16] | npt.NDArray[np.float32]:
+    def _image(self, image: str) -> Texels:
         what = f"{self.name}: {image}"
         try:
             data = (self.path.parent / image).read_bytes()

@@ -54,13 +54,14 @@ def load_obj(path: Path, options: Options = EVERYTHING) -> Surface:
     if options.materials and (any(each.transforms for each in known) or (rows >= 0).all()):
         uv, *coordinates = _coordinates(text, known, numbers, rows, name)
     slots = np.array([_normal_slot(each) for each in known])[numbers]
-    if uv is not None and (slots >= 0).any():
+    is_mapped = uv is not None and bool((slots >= 0).any())
+    if is_mapped or options.normals:
         frames = corner_frames(
             positions,
             triangles,
             _normals(text, indices[corners, 2], name),
             None,
-            _chosen([*coordinates, uv], slots),
+            _chosen([*coordinates, uv], slots) if uv is not None and is_mapped else None,
         )
     source = MaterialSource(
         [each.material for each in known],
@@ -80,6 +81,7 @@ def load_obj(path: Path, options: Options = EVERYTHING) -> Surface:
         triangles,
         source,
         uv=uv if (rows >= 0).all() else None,
+        frames=frames,
         name=name,
         provenance=provenance,
     )

@@ -11,6 +11,7 @@ class Options(NamedTuple):
     materials: bool = True  # without them a surface is white, and no image is read
     channels: tuple[str, ...] | None = None  # None: every channel that the materials state
     filter: str = "ewa"
+    normals: bool = False  # also where no normal map needs them
 
     def wants(self, channel: str) -> bool:
         """Say whether a channel is to be read."""

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import PIL.Image
 
-from octex.channels import CHANNELS, ONE, ChannelFormat, decode, srgb_to_linear
+from octex.channels import ONE, ChannelFormat, decode, srgb_to_linear
 from octex.checks import as_choice
-from octex.errors import ArgumentError, ImageError, ModelError
+from octex.errors import ArgumentError, ModelError
 from octex.source.base import Combined, Source
-from octex.source.corners import Corners
+from octex.source.corners import Corners, Frames
 from octex.source.filters import FILTERS
-from octex.source.images import as_texels, decode_image
+from octex.source.given import given_source
+from octex.source.images import as_texels
 from octex.source.materials import ALPHA_MODES, AlphaMode, Input, Material, MaterialSource, Texture
 from octex.source.pyramid import WRAPS
-from octex.source.tangents import corner_frames
+from octex.source.tangents import carried
 
 # Farther positions would overflow widths in single precision.
 _FARTHEST = 1e30
@@ -42,7 +40,8 @@ class Surface:
 
     ``vertices`` (n, 3) posed positions, ``triangles`` (m, 3) rows of vertices, counter-clockwise seen from
     outside, ``rest`` (n, 3) rest positions (the vertices themselves if None), all in the model's units.
-    ``uv`` are texture coordinates at corners, v running down, for images of one's own.
+    ``uv`` are texture coordinates at corners, v running down, and ``frames`` the shading normals and tangents
+    there, at rest, for images of one's own.
 
     Raises ModelError for positions that are not finite, triangles that use vertices that are not there, no
     triangles, or rest positions of another shape.
@@ -56,6 +55,7 @@ class Surface:
         *,
         rest: npt.NDArray[np.float64] | None = None,
         uv: Corners | None = None,
+        frames: Frames | None = None,
         name: str = "surface",
         provenance: Mapping[str, str] | None = None,
     ) -> None:
@@ -68,6 +68,7 @@ class Surface:
             )
         self.source = source
         self.uv = uv
+        self.frames = frames
         self.name = name
         self.provenance = dict(provenance or {})
         self._single: dict[str, Source] = {}
@@ -106,8 +107,8 @@ class Surface:
         ``image`` multiplies too: a Pillow image, or sRGB codes, uint8 or uint16, of shape (height, width) or
         (height, width, 1 to 4). It needs ``uv``, per vertex (n, 2) or per corner (m, 3, 2), with v running
         *up* from the image's last row, as in OBJ files; ``wrap``, "repeat", "mirror" or "clamp", or one for u
-        and one for v; and ``mag_filter``, "linear" or "nearest": how texels meet. ``filter`` is how images are
-        averaged over footprints, one of filters.FILTERS.
+        and one for v; and ``mag_filter``, "linear" or "nearest": how texels meet. ``filter``, one of
+        filters.FILTERS, is how the image is averaged over footprints.
 
         Raises ModelError as the class does, ArgumentError for another shape or name, ImageError for an image
         that cannot be used.
@@ -200,79 +201,37 @@ class Surface:
 
         ``sources`` gives, by the channel's name, a Source that has it; an image (a file, a Pillow image or an
         array, as for ``from_arrays``), read at the surface's first texture coordinates with ``filter``; or a
-        value, linear light for colours: a number or one for each component. Images of ``normal`` are in the
-        tangent's frame. Vertex colours do not multiply them.
+        value, linear light for colours: a number, or one for each component. Images of ``normal`` are in the
+        tangent's frame; triangles are flat below them unless ``load_surface`` was told to keep normals.
+        Vertex colours do not multiply what is given here.
 
         Raises ArgumentError for an unknown channel or another kind of value, ImageError for an image that
         cannot be used, ModelError where the surface has no texture coordinates for it.
         """
+        as_choice(filter, FILTERS, "filter")
         parts: dict[str, Source] = {form.name: self.source for form in self.channels}
-        provenance = dict(self.provenance)
+        made = self._with(self.source)
         for channel, given in sources.items():
             if isinstance(given, Source):
-                as_choice(channel, [form.name for form in given.channels], "channel of the source given")
+                as_choice(channel, [form.name for form in given.channels], "channel of the given source")
                 parts[channel] = given
             else:
-                as_choice(channel, CHANNELS, "channel")
-                parts[channel] = self._material_source(channel, given, filter, provenance)
-        made = self._with(Combined(parts))
-        made.provenance = provenance
+                parts[channel], names = given_source(self, channel, given, filter)
+                made.provenance |= names
+        made.source = Combined(parts)
         return made
 
-    def _material_source(
-        self, channel: str, given: object, filter: str, provenance: dict[str, str]
-    ) -> MaterialSource:
-        """Return a source of one channel from an image or a value."""
-        form = CHANNELS[channel]
-        lanes = (0, 1, 2)[: form.components]
-        factor: tuple[float, ...] = (1.0,) * form.components
-        texture = None
-        if isinstance(given, (int, float, tuple, list)):
-            numbers = [float(x) for x in (given if isinstance(given, (tuple, list)) else [given])]
-            factor = tuple(numbers * form.components if len(numbers) == 1 else numbers)
-            if len(factor) != form.components or form.space == "direction":
-                raise ArgumentError(
-                    f"{channel} must be {form.components} numbers or an image, not {given!r}"
-                    if form.space != "direction"
-                    else "normal must be an image or a Source, not a value"
-                )
-        elif self.uv is None:
-            raise ModelError(
-                f"{self.name} has no texture coordinates for an image of {channel}; unwrap it, or give a value"
-            )
-        elif isinstance(given, (str, Path)):
-            path = Path(given)
-            try:
-                data = path.read_bytes()
-            except OSError as error:
-                raise ImageError(f"{path} cannot be read: {error.strerror or error}") from None
-            texture = Texture(decode_image(data, path.name))
-            provenance[f"source_{channel}"] = json.dumps({path.name: hashlib.sha256(data).hexdigest()})
-        else:
-            texture = Texture(as_texels(given))  # type: ignore[arg-type]
-        is_alpha = channel == "alpha"
-        frames = None
-        if form.space == "direction":
-            frames = corner_frames(self.rest, self.triangles, None, None, self.uv)
-        return MaterialSource(
-            [Material({channel: Input(factor, texture, lanes)}, "blend" if is_alpha else "opaque")],
-            np.zeros(len(self.triangles), np.int32),
-            self.rest,
-            self.triangles,
-            coordinates=[] if self.uv is None else [self.uv],
-            frames=frames,
-            name=self.name,
-            filter=filter,
-            channels=[channel],
-        )
-
     def _with(self, source: Source, rest: npt.NDArray[np.float64] | None = None) -> Surface:
+        frames = self.frames
+        if frames is not None and rest is not None:
+            frames = carried(frames, self.triangles, self.rest, rest)
         return Surface(
             self.vertices,
             self.triangles,
             source,
             rest=self.rest if rest is None else rest,
             uv=self.uv,
+            frames=frames,
             name=self.name,
             provenance=self.provenance,
         )
@@ -315,8 +274,8 @@ class Surface:
         """Return the source's own values (n, components) of one channel at samples; colours in linear light.
 
         ``width``, in rest units, averages over a square of that side; None or 0 reads at the points.
-        Colours are not multiplied by alpha; averaged directions are shorter than 1. Raises ArgumentError for a channel that is not there or samples
-        of another surface.
+        Colours are not multiplied by alpha; averaged directions are shorter than 1. Raises ArgumentError for
+        a channel that is not there or samples of another surface.
         """
         as_choice(channel, [form.name for form in self.channels], "channel")
         triangles = np.asarray(samples.triangles)

@@ -1,0 +1,82 @@
+"""A channel that the user gives: an image for the surface's texture coordinates, or a value."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from octex.channels import CHANNELS, ChannelFormat
+from octex.checks import as_choice
+from octex.errors import ArgumentError, ImageError, ModelError
+from octex.source.images import as_texels, decode_image
+from octex.source.materials import Input, Material, MaterialSource, Texture
+from octex.source.tangents import corner_frames
+
+if TYPE_CHECKING:
+    from octex.source.surface import Surface
+
+
+def given_source(
+    surface: Surface, channel: str, given: object, filter: str
+) -> tuple[MaterialSource, dict[str, str]]:
+    """Return a source of one channel, and what provenance says of it.
+
+    Raises as ``Surface.with_sources`` does.
+    """
+    form = CHANNELS[as_choice(channel, CHANNELS, "channel")]
+    components = tuple(range(form.components))
+    provenance: dict[str, str] = {}
+    texture, factor = None, (1.0,) * form.components
+    if isinstance(given, (int, float, tuple, list)):
+        factor = _value(form, given)
+        provenance[f"source_{channel}"] = json.dumps(factor)
+    elif surface.uv is None:
+        raise ModelError(
+            f"{surface.name} has no texture coordinates for an image of {channel}; unwrap it, or give a value"
+        )
+    elif isinstance(given, (str, Path)):
+        path = Path(given)
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise ImageError(f"{path} cannot be read: {error.strerror or error}") from None
+        texture = Texture(decode_image(data, path.name))
+        provenance[f"source_{channel}"] = json.dumps({path.name: hashlib.sha256(data).hexdigest()})
+    else:
+        texture = Texture(as_texels(given))  # type: ignore[arg-type]
+    frames = None
+    if form.space == "direction":
+        normals = None if surface.frames is None else surface.frames.normals
+        frames = corner_frames(surface.rest, surface.triangles, normals, None, surface.uv)
+    source = MaterialSource(
+        [
+            Material(
+                {channel: Input(factor, texture, components)}, "blend" if channel == "alpha" else "opaque"
+            )
+        ],
+        np.zeros(len(surface.triangles), np.int32),
+        surface.rest,
+        surface.triangles,
+        coordinates=[] if surface.uv is None else [surface.uv],
+        frames=frames,
+        name=surface.name,
+        filter=filter,
+        channels=[channel],
+    )
+    return source, provenance
+
+
+def _value(form: ChannelFormat, given: Any) -> tuple[float, ...]:
+    """Return a value with a number for each component."""
+    numbers = tuple(given) if isinstance(given, (tuple, list)) else (given,)
+    if len(numbers) == 1:
+        numbers *= form.components
+    are_numbers = all(isinstance(number, (int, float)) for number in numbers)
+    if form.space == "direction" or len(numbers) != form.components or not are_numbers:
+        what = "an image" if form.space == "direction" else f"{form.components} numbers or an image"
+        raise ArgumentError(f"{form.name} must be {what}, not {given!r}")
+    return tuple(map(float, numbers))
