@@ -98,23 +98,24 @@ def around(
 ) -> tuple[Numbers, Numbers, Floats]:
     """Places in the neighbourhood of cells: the number of the cell, a triangle, barycentric coordinates.
 
-    Within a cell of each centre: corners and middle of what is there of each triangle; and a grid on the
-    plane of each point's own triangle, beyond the triangle too, as filters of images look there.
+    Corners and middle of what is of each triangle in the cell around each centre; and a grid as wide as a
+    cell around each point on the plane of its triangle, beyond the triangle too, as filters look there.
     """
     owners: list[int] = []
     near: list[int] = []
     at: list[Floats] = []
     low, high = corners.min(axis=1), corners.max(axis=1)
-    grid = cell * np.stack(np.meshgrid([-1, -0.5, 0, 0.5, 1], [-1, -0.5, 0, 0.5, 1]), axis=-1).reshape(-1, 2)
+    half = cell / 2
+    grid = half * np.stack(np.meshgrid([-1, -0.5, 0, 0.5, 1], [-1, -0.5, 0, 0.5, 1]), axis=-1).reshape(-1, 2)
     for number, (triangle, center) in enumerate(zip(triangles, centers, strict=True)):
         a, b, c = corners[triangle]
         first = (b - a) / np.linalg.norm(b - a)
         second = np.cross(np.cross(first, c - a), first)
         second /= np.linalg.norm(second)
         places = [(int(triangle), points[number] + grid @ [first, second])]
-        close = ((low <= center + cell) & (high >= center - cell)).all(axis=1)
+        close = ((low <= center + half) & (high >= center - half)).all(axis=1)
         for other in np.flatnonzero(close):
-            polygon = clipped(corners[other], center - cell, center + cell)
+            polygon = clipped(corners[other], center - half, center + half)
             if len(polygon):
                 places.append((int(other), np.vstack([polygon, polygon.mean(axis=0)])))
         for other, positions in places:
@@ -148,8 +149,9 @@ def barycentric_of(positions: Floats, corners: Floats) -> Floats:
 
 
 def usable(folder: Path) -> Iterator[Path]:
+    """Yield the models that octex takes; what is broken on purpose is left to another test."""
     for path in sorted(folder.rglob("*")):
-        if path.suffix in (".gltf", ".glb"):
+        if path.suffix in (".gltf", ".glb") and "fragile" not in path.parts:
             try:
                 octex.load_surface(path)
             except octex.OctexError:
@@ -163,9 +165,15 @@ _WRAPS = (REPEAT, MIRROR, CLAMP)
 
 
 def random_model(path: Path, seed: int, **fixed: Any) -> Path:
-    """A bumpy patch, placed by two nodes; ``fixed`` decides what chance would: alpha_mode, kind, tangents."""
+    """A bumpy patch, placed by two nodes; ``fixed`` decides what chance would (alpha_mode, tangents, …)."""
     random = np.random.default_rng(seed)
+    contrast = fixed.get("contrast", 1.0)
     gltf = Gltf()
+
+    def noise(height: int, width: int, channels: int, dtype: str = "uint8") -> npt.NDArray[Any]:
+        values = random_image(height, width, channels, dtype, int(random.integers(1 << 30)))
+        top = np.iinfo(dtype).max
+        return (0.8 * top + contrast * (values - 0.8 * top)).astype(dtype)
 
     def chosen(name: str, *choices: Any) -> Any:
         return fixed.get(name, choices[int(random.integers(len(choices)))])
@@ -173,7 +181,7 @@ def random_model(path: Path, seed: int, **fixed: Any) -> Path:
     def info(**more: Any) -> dict[str, Any]:
         height, width = (int(size) for size in random.integers(3, 17, 2))
         channels = int(random.integers(3, 5))
-        image = gltf.image(png(random_image(height, width, channels, seed=int(random.integers(1 << 30)))))
+        image = gltf.image(png(noise(height, width, channels)))
         wrap = (_WRAPS[random.integers(3)], _WRAPS[random.integers(3)])
         texture = gltf.texture(image, wrap, mag=chosen("mag", NEAREST, LINEAR, LINEAR, None))
         entry = {"index": texture, "texCoord": int(random.integers(2)), **more}
@@ -220,14 +228,14 @@ def random_model(path: Path, seed: int, **fixed: Any) -> Path:
     gltf.add("materials", pbrMetallicRoughness=pbr, extensions=extensions or None, **material)
     size = 5
     u, v = (axis.ravel() / (size - 1) for axis in np.mgrid[:size, :size])
-    positions = np.stack([u, v, 0.3 * random.random(size * size)], axis=1).astype(np.float32)
+    positions = np.stack([u, v, 0.3 * contrast * random.random(size * size)], axis=1).astype(np.float32)
     corners = np.arange(size * (size - 1)).reshape(-1, size)[:, :-1].ravel()
     triangles = np.concatenate(
         [corners[:, None] + [0, size, 1], corners[:, None] + [1, size, size + 1]]
     ).astype(np.uint16)
 
     def unit(count: int) -> npt.NDArray[np.float32]:
-        vectors = random.normal([0, 0, 1], 0.3, (count, 3))
+        vectors = random.normal([0, 0, 1], 0.3 * contrast, (count, 3))
         return (vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).astype(np.float32)
 
     attributes: dict[str, Any] = {}
@@ -240,7 +248,7 @@ def random_model(path: Path, seed: int, **fixed: Any) -> Path:
         signs = np.full((len(u), 1), random.choice([-1, 1]), np.float32)
         attributes["TANGENT"] = gltf.accessor(np.hstack([unit(len(u))[:, [2, 0, 1]], signs]))
     if random.random() < 0.5:
-        attributes["COLOR_0"] = gltf.accessor(random_image(1, len(u), 4, "uint16", seed)[0], normalized=True)
+        attributes["COLOR_0"] = gltf.accessor(noise(1, len(u), 4, "uint16")[0], normalized=True)
     child = gltf.show(
         gltf.primitive(positions, triangles, material=0, **attributes),
         translation=random.normal(size=3).tolist(),
@@ -261,18 +269,41 @@ def test_every_channel_of_random_models_is_the_references(tmp_path: Path, seed: 
         assert each.points > 150 or name == "metallic", (name, each)
 
 
+@needs_jit
+@pytest.mark.parametrize("seed", range(4))
+def test_every_channel_of_octrees_of_smooth_random_models_is_the_references(
+    tmp_path: Path, seed: int
+) -> None:
+    found = converted_differences(random_model(tmp_path / "model.glb", seed, contrast=0.04), 7, 300)
+    for name, each in found.items():
+        assert each.largest < 1.5 * CODE, (name, each)
+        assert each.points > 30 or name == "metallic", (name, each)
+
+
 # ---- real models
 
 
 @needs_jit
 def test_every_channel_of_real_models_is_the_references(models: Path) -> None:
-    found = {path: differences(path, 300) for path in usable(models) if "fragile" not in path.parts}
+    found = {path: differences(path, 300) for path in usable(models)}
     assert found
     assert {
         (path.name, name): each
         for path, channels in found.items()
         for name, each in channels.items()
         if each.largest > 1e-4
+    } == {}
+
+
+@needs_jit
+def test_every_channel_of_octrees_of_real_models_is_the_references(models: Path) -> None:
+    found = {path: converted_differences(path, 9, 200) for path in usable(models)}
+    assert found
+    assert {
+        (path.name, name): each
+        for path, channels in found.items()
+        for name, each in channels.items()
+        if each.largest > 1.5 * CODE  # half a code is lost to rounding
     } == {}
 
 
