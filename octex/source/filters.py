@@ -78,7 +78,8 @@ def find_taps(
     and ``weights`` have TAP_ROOM elements. The second result is NEVER, EACH or SUM.
     """
     row = images.layouts[layout, 0]
-    u, v = _unwrap(u, wrap_u), _unwrap(v, wrap_v)
+    u = _unwrap(u, wrap_u, xx, images.levels[row, 1])
+    v = _unwrap(v, wrap_v, yy, images.levels[row, 2])
     if name == EWA:
         if 12.0 * max(xx, yy) <= 1.0:
             if flat:
@@ -125,13 +126,17 @@ def footprint(
 
 
 @inlined
-def _unwrap(coordinate: float, mode: int) -> float:
-    """Bring a coordinate to where the image, or its mirror image, is near."""
+def _unwrap(coordinate: float, mode: int, variance: float, size: int) -> float:
+    """Bring a coordinate to where the image, its mirror image, or no more than its border is in reach."""
     if mode == CLAMP:
-        return min(max(coordinate, -4.0), 5.0)
+        if -4.0 <= coordinate <= 5.0:
+            return coordinate
+        far = 4.0 + min(math.sqrt(12.0 * variance) / size, 1e9)
+        return min(max(coordinate, -far), 1.0 + far)
+    # math.floor makes an integer, which coordinates may exceed.
     if mode == MIRROR:
-        return float(coordinate - 2.0 * math.floor(coordinate * 0.5))
-    return float(coordinate - math.floor(coordinate))
+        return float(coordinate - 2.0 * np.floor(coordinate * 0.5))
+    return float(coordinate - np.floor(coordinate))
 
 
 @inlined
