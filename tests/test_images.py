@@ -16,8 +16,10 @@ import pytest
 
 from octex.errors import ImageError
 from octex.source.alone import alone
-from octex.source.images import MAX_TEXELS, as_texels, decode_image
+from octex.source.images import as_texels, decode_image
+from octex.source.openimage import MAX_TEXELS
 from octex.source.text import parse_numbers
+from tests.deep_images import tiff
 from tests.fixtures import _chunk, png, random_image
 
 
@@ -105,6 +107,21 @@ def test_arrays_are_taken_as_codes(channels: int, dtype: str) -> None:
     np.testing.assert_array_equal(as_texels(given), expected_texels(stored))
 
 
+@pytest.mark.parametrize("dtype", ["float16", "float32", "float64"])
+def test_arrays_of_floats_are_taken_as_linear_values(dtype: str) -> None:
+    for channels in (1, 2, 3, 4):
+        values = np.random.default_rng(channels).uniform(-1, 9, (3, 4, channels)).astype(dtype)
+        expected = np.ones((3, 4, 4), np.float32)
+        expected[..., :3] = values[..., : 3 if channels >= 3 else 1]
+        if channels in (2, 4):
+            expected[..., 3] = np.clip(values[..., -1], 0, 1)
+        found = as_texels(values)
+        assert found.dtype == np.float32
+        np.testing.assert_array_equal(found, expected)
+    grey = PIL.Image.fromarray(np.array([[0.5, 7.0]], np.float32))
+    np.testing.assert_array_equal(as_texels(grey)[..., 2:], [[[0.5, 1], [7, 1]]])
+
+
 def test_images_of_pillow_are_taken_as_they_are() -> None:
     stored = random_image(3, 4, 4)
     np.testing.assert_array_equal(as_texels(PIL.Image.fromarray(stored)), expected_texels(stored))
@@ -118,10 +135,14 @@ def test_images_of_pillow_are_taken_as_they_are() -> None:
         (np.zeros((2, 2, 5), np.uint8), "shape"),
         (np.zeros((0, 2, 3), np.uint8), "shape"),
         (np.zeros(3, np.uint8), "shape"),
-        (np.zeros((2, 2, 3), np.float32), "uint8 or uint16"),
+        (np.zeros((2, 2, 3), np.int16), "uint8 or uint16"),
+        (np.zeros((2, 2, 3), bool), "uint8 or uint16"),
+        (np.full((1, 2, 3), np.nan, np.float16), "6 values that are infinite or not a number"),
+        (np.full((1, 2, 3), 1e300), "6 values that are infinite"),
+        (PIL.Image.new("I", (2, 2)), "depth"),
     ],
 )
-def test_other_arrays_are_refused(image: np.ndarray, message: str) -> None:
+def test_other_arrays_are_refused(image: Any, message: str) -> None:
     with pytest.raises(ImageError, match=message):
         as_texels(image)
 
@@ -156,8 +177,7 @@ DEEP = png(random_image(8, 8, 3, "uint16"))
         (with_header(png(random_image(4, 4)), width=30000, height=20000), "30000 × 20000 texels"),
         (with_header(png(random_image(4, 4)), width=16000, height=16000), "truncated"),
         (b"\xabKTX 20\xbb\r\n\x1a\n" + bytes(100), "KTX2"),
-        (saved(PIL.Image.fromarray(np.ones((2, 2), np.int32)), "TIFF"), "depth"),
-        (saved(PIL.Image.fromarray(np.ones((2, 2), np.float32)), "TIFF"), "depth"),
+        (tiff(np.ones((2, 2, 1), np.int32), 1), "no colours"),
         (DEEP[:-40], "truncated"),
         (with_header(DEEP, height=9), "truncated"),
         (with_header(DEEP, kind=3), "cannot be read as an image"),

@@ -201,7 +201,7 @@ def test_broken_geometry_is_refused(vertices: Any, triangles: Any, message: str)
         ({"image": random_image(2, 2), "uv": np.full((4, 2), 1e300)}, ModelError, "coordinates"),
         ({"image": random_image(2, 2), "uv": SQUARE_UV, "wrap": "fold"}, ArgumentError, "unknown wrap"),
         ({"image": random_image(2, 2), "uv": SQUARE_UV, "filter": "sharp"}, ArgumentError, "unknown filter"),
-        ({"image": np.zeros((2, 2)), "uv": SQUARE_UV}, ImageError, "uint8 or uint16"),
+        ({"image": np.zeros((2, 2), bool), "uv": SQUARE_UV}, ImageError, "uint8 or uint16"),
         ({"image": random_image(2, 2), "uv": SQUARE_UV, "wrap": ("clamp",)}, ArgumentError, "wrap must be"),
         ({"rest": np.zeros((3, 3))}, ModelError, "3 rest positions for 4 vertices"),
         ({"rest": [[0, 0, 0], [1]]}, ModelError, r"rest positions must be numbers of shape \(n, 3\)"),

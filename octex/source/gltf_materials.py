@@ -23,7 +23,7 @@ from octex.source.gltf_file import CODED, Document, as_object
 from octex.source.images import decode_image
 from octex.source.materials import AlphaMode, Input, Material, Texture
 from octex.source.options import Options
-from octex.source.pyramid import CLAMP, MIRROR, REPEAT
+from octex.source.pyramid import CLAMP, MIRROR, REPEAT, Texels
 
 _ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
 _WRAPS = {10497: REPEAT, 33648: MIRROR, 33071: CLAMP}
@@ -234,7 +234,7 @@ class _Images:
     def __init__(self, document: Document, executor: Executor) -> None:
         self._document = document
         self._executor = executor
-        self._decoding: dict[str | int, Future[npt.NDArray[np.uint16] | npt.NDArray[np.float32]]] = {}
+        self._decoding: dict[str | int, Future[Texels]] = {}
 
     def begin(self, use: _Part) -> _Reference:
         """Return what a reference to a texture means, and begin to decode its image."""
@@ -258,7 +258,7 @@ class _Images:
         is_nearest = sampler.get("magFilter") == _NEAREST
         return _Reference(self._read(source), wraps[0], wraps[1], is_nearest, _slot(use))
 
-    def texels(self, place: str | int) -> npt.NDArray[np.uint16] | npt.NDArray[np.float32]:
+    def texels(self, place: str | int) -> Texels:
         """Return an image that was begun."""
         return self._decoding[place].result()
 

@@ -1,0 +1,252 @@
+"""Images that Pillow would cut to eight bits or cannot open, read by OpenImageIO: the extra ``images``.
+
+Which file needs it is told by its first bytes. In 90 000 truncated and altered EXR, HDR, TIFF, JPEG 2000,
+PSD, SGI and PNM files no reader crashed or hung; JPEG 2000 alone took memory by its header, which is checked.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import tempfile
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import numpy.typing as npt
+import PIL.TiffImagePlugin
+
+from octex.errors import ImageError, MissingExtraError
+from octex.source.pyramid import Texels
+
+#: The largest image that is read.
+MAX_TEXELS = 16384 * 16384
+
+# Deflate packs at most 1032 bytes into one, and a byte eight texels. JPEG 2000 has no such bound: a picture
+# takes far more than 1/32 bit a texel.
+MOST_PER_BYTE = 8256
+_MOST_PER_BYTE_JPEG2000 = 256
+
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_JPEG2000 = (b"\0\0\0\x0cjP  ", b"\xff\x4f\xff\x51")
+_MOST_OF_PPM = re.compile(rb"P[36](?:\s+|#[^\n]*\n)+\d+(?:\s+|#[^\n]*\n)+\d+(?:\s+|#[^\n]*\n)+(\d+)")
+# TIFF's photometric interpretations that are read: white is zero, black is zero, RGB, CMYK.
+_WHITE_IS_ZERO = 0
+_PHOTOMETRIC = (_WHITE_IS_ZERO, 1, 2, 5)
+
+
+def deep_format(data: bytes) -> str | None:
+    """Return the format of an image file that Pillow would not keep whole, as a file ending; else None."""
+    if data.startswith(b"\x76\x2f\x31\x01"):
+        return "exr"
+    if data.startswith(b"#?"):
+        return "hdr"
+    if data.startswith(_TIFF):
+        return "tif" if _tiff_is_deep(data) else None
+    if data.startswith(_JPEG2000):
+        return "jp2" if any(size & 0x7F > 7 for size in _jpeg2000_header(data)[2]) else None
+    if data.startswith(b"8BPS"):
+        return "psd" if data[4:6] == b"\0\2" or data[22:24] > b"\0\x08" else None
+    if data.startswith(b"\x01\xda"):
+        return "sgi" if data[3:4] == b"\2" else None
+    if data.startswith(b"PF"):
+        return "pfm"
+    most = _MOST_OF_PPM.match(data[:4096])
+    return "ppm" if most and len(most[1]) > 2 and int(most[1][:6]) > 255 else None
+
+
+def _tiff_is_deep(data: bytes) -> bool:
+    """Whether a TIFF image is of more than eight bits, but for what Pillow reads whole."""
+    directory = PIL.TiffImagePlugin.ImageFileDirectory_v2(data[: 16 if data[2:3] in b"+\0" else 8])
+    file = io.BytesIO(data)
+    file.seek(directory.next)
+    directory.load(file)
+    bits = tuple(directory.get(258, (1,)))
+    kind, photometric = directory.get(339, (1,))[0], directory.get(262)
+    whole = photometric == 1 and (bits, kind) in (((16,), 1), ((32,), 3))
+    return max(bits) > 8 and not whole
+
+
+def _jpeg2000_header(data: bytes) -> tuple[int, int, bytes]:
+    """Return the width, height and component sizes (depth − 1, the upper bit for signs) of its codestream."""
+    at = data.find(_JPEG2000[1]) + 4
+    words = np.frombuffer(data[at + 4 : at + 36], ">u4")
+    if at < 4 or len(words) < 8:
+        return 0, 0, b""
+    right, below, left, above = (int(word) for word in words[:4])
+    count = int.from_bytes(data[at + 36 : at + 38], "big")
+    return right - left, below - above, data[at + 38 : at + 38 + 3 * count : 3]
+
+
+def decode_deep(data: bytes, ending: str, name: str) -> Texels:
+    """Return the texels (height, width, 4) of an image file of a format named by ``deep_format``.
+
+    Integers come as uint16 codes, floats as float32 linear values. Colour that the file has multiplied by
+    alpha (EXR always, TIFF by its tag) is divided by it, where alpha is above 0. The first part, page or
+    picture with colour is taken, and in it the channels R, G, B or Y, with A, of no layer or else of the
+    first layer that has them; a lone channel is grey. Texels of EXR's display window outside of its data
+    window are black and transparent, those of the data window outside of the display window are left out.
+    Rows of Radiance HDR come in their order on screen; its EXPOSURE is not divided out.
+
+    Raises ImageError for a damaged file, or one of another kind; MissingExtraError without OpenImageIO.
+    """
+    try:
+        import OpenImageIO
+    except ImportError:
+        raise MissingExtraError(
+            f"{name} needs OpenImageIO to be read without loss; install it: pip install 'octex[images]'"
+        ) from None
+    if ending == "jp2":
+        width, height, _ = _jpeg2000_header(data)
+        check_size(width, height, len(data), name, _MOST_PER_BYTE_JPEG2000)
+    with tempfile.TemporaryDirectory() as folder:  # the library reads paths only
+        path = Path(folder) / f"image.{ending}"
+        path.write_bytes(data)
+        config = OpenImageIO.ImageSpec()
+        config.attribute("oiio:UnassociatedAlpha", 1)
+        file = OpenImageIO.ImageInput.open(str(path), config)
+        if file is None:
+            _refuse(name, OpenImageIO.geterror())
+        with closing(file):
+            return _read(OpenImageIO, file, len(data), ending, name)
+
+
+def check_size(width: int, height: int, size: int | None, name: str, most: int = MOST_PER_BYTE) -> None:
+    """Refuse more than MAX_TEXELS, and what ``size`` bytes cannot hold at ``most`` texels a byte."""
+    if width * height > MAX_TEXELS:
+        raise ImageError(
+            f"{name} has {width} × {height} texels; octex reads up to {MAX_TEXELS}: scale it down"
+        )
+    if size is not None and width * height > most * size:
+        raise ImageError(f"{name} is truncated: it cannot hold {width} × {height} texels; save it again")
+
+
+def _read(library: Any, file: Any, size: int, ending: str, name: str) -> Texels:
+    """Return the texels of an open file."""
+    part, spec, places = _find(file, name)
+    integers = _integers(spec, places, ending, name)
+    check_size(spec.width, spec.height, size, name)
+    check_size(spec.full_width, spec.full_height, size, name)
+    first, last = min(places), max(places) + 1
+    check_size(spec.width, spec.height * (last - first), 4 * size, name)
+    kind = library.UINT16 if integers else library.FLOAT
+    values = file.read_image(part, 0, first, last, kind)
+    if values is None:
+        _refuse(name, file.geterror())
+    values = values.reshape(spec.height, spec.width, -1)[..., [place - first for place in places]]
+    if ending == "tif" and spec.getattribute("tiff:PhotometricInterpretation") == _WHITE_IS_ZERO:
+        values[..., 0] = (65535 if integers else np.float32(1)) - values[..., 0]
+    if ending == "hdr":
+        values = _upright(values, spec.getattribute("Orientation"), name)
+    texels = spread(values)
+    if len(places) in (2, 4) and (
+        ending == "exr" or (ending == "tif" and not spec.getattribute("oiio:UnassociatedAlpha"))
+    ):
+        _divide_by_alpha(texels)
+    return _placed(texels, spec, name) if ending == "exr" else texels
+
+
+def _find(file: Any, name: str) -> tuple[int, Any, list[int]]:
+    """Return the first part that has colour, its description, and the places of its colours and alpha."""
+    names: list[str] = []
+    part = 0
+    while file.seek_subimage(part, 0):
+        spec = file.spec()
+        places = [] if spec.deep else _color_channels(spec.channelnames)
+        if places:
+            return part, spec, places
+        names += spec.channelnames
+        part += 1
+    if part == len(names) == 1 and not spec.deep and file.seek_subimage(0, 0):
+        return 0, file.spec(), [0]
+    listing = ", ".join(dict.fromkeys(names)) or "none"
+    raise ImageError(f"{name} has no channels R, G and B or Y, but {listing}; save it with colour")
+
+
+def _color_channels(names: Sequence[str]) -> list[int]:
+    """Return the places of R, G, B or of Y, then of A, among the names; none: no colour."""
+    split = [name.upper().rpartition(".")[::2] for name in names]
+    for layer in dict.fromkeys(["", *(layer for layer, _ in split)]):
+        places = {channel: place for place, (of, channel) in enumerate(split) if of == layer}
+        for color in ("RGB", "Y", "L"):
+            if all(channel in places for channel in color) and not {"RY", "BY"} & places.keys():
+                return [places[channel] for channel in [*color, "A"] if channel in places]
+    return []
+
+
+def _integers(spec: Any, places: Sequence[int], ending: str, name: str) -> bool:
+    """Whether the channels hold unsigned integers, not floats; refuse what is no colour."""
+    kinds = {str(spec.channelformats[place] if spec.channelformats else spec.format) for place in places}
+    floats = kinds <= {"half", "float", "double"}
+    photometric = spec.getattribute("tiff:PhotometricInterpretation")
+    if photometric not in (*_PHOTOMETRIC, None):
+        raise ImageError(f"{name} has colours in a form that octex does not read; save it as RGB")
+    if not floats and (ending == "exr" or not kinds <= {"uint8", "uint16", "uint"}):
+        raise ImageError(f"{name} has texels of {', '.join(sorted(kinds))}, which are no colours")
+    return not floats
+
+
+def spread(values: npt.NDArray[Any]) -> Texels:
+    """Return texels (height, width, 4) of grey, grey and alpha, RGB or RGBA values.
+
+    A code c of eight bits becomes 257·c, uint16 codes stay, floats become float32.
+    """
+    channels = values.shape[2]
+    integers = values.dtype.kind == "u"
+    if not integers:
+        with np.errstate(over="ignore"):
+            values = values.astype(np.float32, copy=False)
+    texels = np.empty((*values.shape[:2], 4), np.uint16 if integers else np.float32)
+    if channels == 4:
+        texels[...] = values
+    else:
+        for place in range(3):  # one at a time: twice as fast as rows of three
+            texels[..., place] = values[..., place if channels == 3 else 0]
+        opaque = np.iinfo(values.dtype).max if integers else 1
+        texels[..., 3] = values[..., 1] if channels == 2 else opaque
+    if values.dtype == np.uint8:
+        texels *= np.uint16(257)
+    return texels
+
+
+def _upright(values: npt.NDArray[Any], orientation: int | None, name: str) -> npt.NDArray[Any]:
+    """Turn rows and columns that run backwards (1 to 4 as in TIFF's tag of that name)."""
+    if orientation not in (None, 1, 2, 3, 4):
+        raise ImageError(f"{name} is stored column by column; save it again, row by row")
+    return values[:: -1 if orientation in (3, 4) else 1, :: -1 if orientation in (2, 3) else 1]
+
+
+def _divide_by_alpha(texels: Texels) -> None:
+    """Make associated alpha unassociated, in place; colour of no coverage stays."""
+    alpha = texels[..., 3:]
+    most = 65535.0 if texels.dtype == np.uint16 else 1.0
+    partial = (alpha > 0) & (alpha != most)
+    if not partial.any():
+        return
+    with np.errstate(over="ignore"):
+        colors = np.divide(texels[..., :3] * np.float64(most), alpha, where=partial, out=None)
+    if texels.dtype == np.uint16:
+        colors = np.minimum(np.rint(colors), most)
+    np.copyto(texels[..., :3], colors, where=partial, casting="unsafe")
+
+
+def _placed(texels: npt.NDArray[Any], spec: Any, name: str) -> npt.NDArray[Any]:
+    """Return the display window of an image whose texels are those of the data window."""
+    down, right = spec.y - spec.full_y, spec.x - spec.full_x
+    height, width = spec.full_height, spec.full_width
+    if (down, right, height, width) == (0, 0, *texels.shape[:2]):
+        return texels
+    inside = texels[max(-down, 0) : max(height - down, 0), max(-right, 0) : max(width - right, 0)]
+    if inside.size == 0:
+        raise ImageError(f"{name}: the data window lies outside of the display window; save it again")
+    window = np.zeros((height, width, 4), texels.dtype)
+    top, left = max(down, 0), max(right, 0)
+    window[top : top + inside.shape[0], left : left + inside.shape[1]] = inside
+    return window
+
+
+def _refuse(name: str, reason: str) -> NoReturn:
+    reason = " ".join(reason.split()) or "it is damaged"
+    raise ImageError(f"{name} cannot be read as an image ({reason}); save it again")
