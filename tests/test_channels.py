@@ -10,6 +10,7 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -56,23 +57,67 @@ def test_the_transfer_curve_has_the_standards_values() -> None:
     np.testing.assert_allclose(srgb_to_linear(10 / 255), 10 / 255 / 12.92, rtol=1e-12)
 
 
-def test_bytes_of_srgb_are_the_codes_nearest_on_the_curve() -> None:
-    # All bins of the encoder, and both sides of every place where one code gives way to the next.
-    edges = srgb_to_linear((np.arange(255) + 0.5) / 255)
-    values = np.concatenate([np.linspace(0, 1, 2001), np.nextafter(edges, 0), edges, np.nextafter(edges, 1)])
-    nearest = np.floor(linear_to_srgb(values) * 255 + 0.5)
-    found = encode(values, "uint8", "srgb").astype(np.float64)
+@pytest.mark.parametrize("dtype", ["uint8", "uint16"])
+def test_integers_of_srgb_are_the_codes_nearest_on_the_curve(dtype: str) -> None:
+    # All bins of the encoders, and both sides of every place where one code gives way to the next.
+    one = int(channels.ONE[dtype])
+    edges = srgb_to_linear((np.arange(one) + 0.5) / one)
+    values = np.concatenate([np.linspace(0, 1, 2001), edges])
+    nearest = np.floor(linear_to_srgb(values) * one + 0.5)
+    found = encode(values, dtype, "srgb").astype(np.float64)
     differing = found != nearest
     # Where the direct formula lies within rounding of a half, either code is the nearest.
-    assert np.all(np.abs(linear_to_srgb(values[differing]) * 255 % 1 - 0.5) < 1e-9)
-    np.testing.assert_array_equal(encode(np.nextafter(edges, 0), "uint8", "srgb"), np.arange(255))
-    np.testing.assert_array_equal(encode(np.nextafter(edges, 1), "uint8", "srgb"), np.arange(1, 256))
+    assert np.all(np.abs(linear_to_srgb(values[differing]) * one % 1 - 0.5) < 1e-9)
+    np.testing.assert_array_equal(encode(edges * (1 - 1e-11), dtype, "srgb"), np.arange(one))
+    np.testing.assert_array_equal(encode(edges * (1 + 1e-11), dtype, "srgb"), np.arange(1, one + 1))
 
 
-@pytest.mark.parametrize(("dtype", "space"), [("uint8", "srgb"), ("uint8", "data"), ("uint16", "srgb")])
+def plainly_encoded(
+    values: npt.NDArray[np.float64], dtype: str, space: channels.ColorSpace
+) -> npt.NDArray[Any]:
+    """Encode by the formulas, step by step."""
+    if dtype.startswith("float"):
+        encoded = linear_to_srgb(values) if space == "srgb" else values
+        largest = np.finfo(dtype).max
+        return np.clip(encoded, -largest, largest).astype(dtype)
+    unit = {
+        "srgb": linear_to_srgb(np.clip(values, 0, 1)),
+        "direction": (np.clip(values, -1, 1) + 1) / 2,
+    }.get(space, np.clip(values, 0, 1))
+    return np.rint(unit * channels.ONE[dtype]).astype(dtype)
+
+
+@pytest.mark.parametrize("space", channels.COLOR_SPACES)
+@pytest.mark.parametrize("dtype", channels.ONE)
+def test_encoding_follows_the_plain_formulas(dtype: str, space: channels.ColorSpace) -> None:
+    random = np.random.default_rng(3)
+    count = 500 if jit.DISABLED else 50_000
+    values = np.concatenate(
+        [
+            random.random(count),
+            random.normal(size=count),
+            random.normal(size=count) * 10.0 ** random.integers(-9, 7, count),
+        ]
+    )
+    values = np.concatenate(
+        [values, [0.0, -0.0, 1.0, -1.0, 2.0**-14, 2.0**-25, 3 * 2.0**-25, 65519.0, 65520.0]]
+    )
+    np.testing.assert_array_equal(encode(values, dtype, space), plainly_encoded(values, dtype, space))
+
+
+def test_directions_are_stored_about_the_middle_of_integers() -> None:
+    np.testing.assert_array_equal(encode(np.array([-1.0, 0.0, 1.0]), "uint8", "direction"), [0, 128, 255])
+    np.testing.assert_array_equal(decode(np.array([0, 255], np.uint8), "direction"), [-1.0, 1.0])
+    np.testing.assert_array_equal(decode(np.array([0, 65535], np.uint16), "direction"), [-1.0, 1.0])
+    np.testing.assert_array_equal(decode(np.array([-0.5], np.float16), "direction"), [-0.5])
+
+
+@pytest.mark.parametrize(
+    ("dtype", "space"), [("uint8", "srgb"), ("uint8", "data"), ("uint16", "srgb"), ("uint8", "direction")]
+)
 def test_rounding_is_unbiased(dtype: str, space: channels.ColorSpace) -> None:
     encoded = np.random.default_rng(5).random(2000 if jit.DISABLED else 100_000)
-    values = srgb_to_linear(encoded) if space == "srgb" else encoded
+    values = {"srgb": srgb_to_linear(encoded), "direction": 2 * encoded - 1}.get(space, encoded)
     error = encode(values, dtype, space) / channels.ONE[dtype] - encoded
     code = 1 / channels.ONE[dtype]
     assert np.abs(error).max() <= 0.5001 * code
@@ -87,8 +132,12 @@ def test_integers_clamp_and_take_nan_as_zero(dtype: str, space: channels.ColorSp
     np.testing.assert_array_equal(encode(values, dtype, space), np.array([0, 0, 0, one, one]))
 
 
-def test_half_floats_stop_at_their_largest_number() -> None:
-    np.testing.assert_array_equal(encode(np.array([1e9, -1e9]), "float16", "linear"), [65504, -65504])
+@pytest.mark.parametrize("dtype", ["float16", "float32"])
+def test_floats_stay_finite_whatever_comes(dtype: str) -> None:
+    largest = float(np.finfo(dtype).max)
+    values = np.array([1e300, -1e300, np.inf, -np.inf, np.nan, -np.nan])
+    expected = [largest, -largest, largest, -largest, 0, 0]
+    np.testing.assert_array_equal(encode(values, dtype, "linear"), expected)
 
 
 def test_encoding_takes_any_memory_layout_and_keeps_the_shape() -> None:
