@@ -122,23 +122,35 @@ class OctreeTexture:
 
     @overload
     def sample(
-        self, points: npt.ArrayLike, channel: str = "base_color", filter: str = "nearest"
+        self,
+        points: npt.ArrayLike,
+        channel: str = "base_color",
+        filter: str = "nearest",
+        normalize: bool = True,
     ) -> npt.NDArray[np.float32]: ...
     @overload
     def sample(
-        self, points: npt.ArrayLike, channel: list[str] | tuple[str, ...], filter: str = "nearest"
+        self,
+        points: npt.ArrayLike,
+        channel: list[str] | tuple[str, ...],
+        filter: str = "nearest",
+        normalize: bool = True,
     ) -> dict[str, npt.NDArray[np.float32]]: ...
     def sample(
         self,
         points: npt.ArrayLike,
         channel: str | list[str] | tuple[str, ...] = "base_color",
         filter: str = "nearest",
+        normalize: bool = True,
     ) -> npt.NDArray[np.float32] | dict[str, npt.NDArray[np.float32]]:
         """Look up values at rest positions (n, 3), float32 or float64.
 
         Returns float32 (n, components): linear light for colours, 0 … 1 for integer types. A list of channel
         names gives a dict. ``nearest``: the leaf that holds the point; else the nearest cell among the 27
         around it at the deepest level that has one there, so that every point has a value.
+
+        Directions come back as unit vectors, a mean of zero as zeros; without ``normalize`` as the means that
+        are stored, whose length, 1 where all directions agree, tells how far they spread.
 
         Raises ArgumentError for positions that are not finite (n, 3), and for unknown channels and filters.
         """
@@ -155,7 +167,10 @@ class OctreeTexture:
             fault = nearest_cells(self.tree.arrays, block, *self.placement, cells)
             if fault < 0:
                 for (form, values, _), result in zip(wanted, results, strict=True):
-                    _gather(values, form.space, cells[: len(block)], result[begin : begin + len(block)])
+                    rows = result[begin : begin + len(block)]
+                    _gather(values, form.space, cells[: len(block)], rows)
+                    if normalize and form.space == "direction":
+                        _normalize(rows)
             return fault
 
         self._in_blocks(points, look_up)
@@ -402,3 +417,16 @@ def _gather_codes(
     for n in range(cells.size):
         for component in range(values.shape[1]):
             result[n, component] = table[values[cells[n], component]]
+
+
+@kernel
+def _normalize(vectors: npt.NDArray[np.float32]) -> None:
+    """Make vectors (n, components) of length 1, in place; zeros stay."""
+    for n in range(vectors.shape[0]):
+        square = 0.0
+        for component in range(vectors.shape[1]):
+            square += np.float64(vectors[n, component]) ** 2
+        if square > 0.0:
+            inverse = 1.0 / np.sqrt(square)
+            for component in range(vectors.shape[1]):
+                vectors[n, component] *= inverse

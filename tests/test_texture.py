@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from safetensors.numpy import load_file, save_file
 import octex
 from octex import channels as channel_meaning
 from octex import container
-from octex.channels import ALPHA, BASE_COLOR, ChannelFormat
+from octex.channels import ALPHA, BASE_COLOR, NORMAL, ChannelFormat
 from octex.errors import ArgumentError, InputError, OctexError, TextureFileError
 from octex.texture import Channel, OctreeTexture
 from octex.tree.morton import encode_cells
@@ -70,6 +71,11 @@ def assert_same(a: OctreeTexture, b: OctreeTexture) -> None:
 # --- lookups
 
 
+def normalized(vector: list[float]) -> list[float]:
+    length = math.hypot(*vector)
+    return [x / length for x in vector] if length else vector
+
+
 @given(textures(), st.integers(0, 2**32 - 1))
 def test_a_sample_is_the_decoded_value_of_the_nearest_cell(texture: OctreeTexture, seed: int) -> None:
     cells = [
@@ -82,18 +88,47 @@ def test_a_sample_is_the_decoded_value_of_the_nearest_cell(texture: OctreeTextur
     inside = np.array([(np.array(cell.place) + random.random(3) * 1.5) / 2**cell.level for cell in chosen])
     points = texture.placement.to_rest(np.concatenate([inside, random.random((3, 3)) * 2 - 0.5]))
     numbers = [naive.nearest(cells, point) for point in texture.placement.to_texture_space(points).tolist()]
-    samples = texture.sample(points, list(texture.channels))
+    samples = texture.sample(points, list(texture.channels), normalize=False)
     for name, (form, values, _) in texture.channels.items():
         expected = channel_meaning.decode(values[numbers], form.space)
         assert samples[name].dtype == np.float32
         assert np.array_equal(samples[name], expected)
-        assert np.array_equal(texture.sample(points, name), expected)
+        assert np.array_equal(texture.sample(points, name, normalize=False), expected)
+        if form.space == "direction":
+            expected = np.array([normalized(row) for row in expected.tolist()])
+        assert np.allclose(texture.sample(points, name), expected, rtol=0, atol=1e-6)
 
 
 def test_colours_come_back_in_linear_light() -> None:
     values = eight_colors().sample([[0.25, 0.25, 0.25], [0.75, 0.75, 0.75]])
     assert values[0].tolist() == [0.0] * 3
     assert values[1] == pytest.approx([naive.srgb_to_linear(70 / 255)] * 3)
+
+
+def directed(values: list[list[float]], dtype: str) -> OctreeTexture:
+    """Depth 1; the first leaves hold directions."""
+    tree = Octree.from_leaves(np.arange(len(values)), 1)
+    stored = channel_meaning.encode(np.array([[0.0, 0.0, 1.0], *values]), dtype, "direction")
+    form = NORMAL._replace(dtype=dtype)
+    return eight_colors(tree=tree, channels={"normal": Channel(form, stored, stored[:0])})
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float16", "float32"])
+def test_directions_come_back_as_unit_vectors_unless_their_lengths_are_asked_for(dtype: str) -> None:
+    texture = directed([[0.0, -0.3, 0.4], [-1.0, 0.0, 0.0]], dtype)
+    points = [[0.1, 0.1, 0.1], [0.9, 0.1, 0.1]]
+    precision = 0.01 if dtype == "uint8" else 1e-3
+    assert np.allclose(texture.sample(points, "normal"), [[0, -0.6, 0.8], [-1, 0, 0]], atol=2 * precision)
+    lengths = np.linalg.norm(texture.sample(points, ["normal"])["normal"], axis=1)
+    assert np.allclose(lengths, 1, rtol=0, atol=1e-6)
+    means = texture.sample(points, "normal", normalize=False)
+    assert np.allclose(means, [[0, -0.3, 0.4], [-1, 0, 0]], atol=precision)
+
+
+def test_a_direction_that_cancels_out_stays_zero() -> None:
+    texture = directed([[0.0, 0.0, 0.0], [0.0, 0.0, -0.0], [1e-30, 0.0, 0.0]], "float32")
+    points = [[0.1, 0.1, 0.1], [0.9, 0.1, 0.1], [0.1, 0.9, 0.1]]
+    assert texture.sample(points, "normal").tolist() == [[0, 0, 0], [0, 0, 0], [1, 0, 0]]
 
 
 def test_samples_are_taken_at_rest_positions() -> None:
