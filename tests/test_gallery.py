@@ -62,3 +62,16 @@ def test_a_folder_without_coloured_models_makes_no_sheet(gallery, tmp_path, caps
     assert gallery.main([str(tmp_path), str(tmp_path / "sheet.png")]) == 1
     assert not (tmp_path / "sheet.png").exists()
     assert "white.glb" in capsys.readouterr().out
+
+
+@needs_jit
+def test_a_gallery_of_another_channel_lists_models_that_lack_it(gallery, folder, capsys):
+    material = trimesh.visual.material.PBRMaterial(roughnessFactor=0.5)
+    box = trimesh.creation.box()
+    box.visual = trimesh.visual.TextureVisuals(uv=box.vertices[:, :2], material=material)
+    box.export(folder / "rough.glb")
+    sheet = folder / "sheet.png"
+    assert gallery.main([str(folder), str(sheet), "--depth", "3", "--channel", "roughness"]) == 0
+    said = capsys.readouterr().out
+    assert "1 models on" in said
+    assert said.index("rough.glb") < said.index("refused") < said.index("broken.glb")

@@ -1,10 +1,10 @@
 #!/usr/bin/env python
-"""Convert every coloured model under a folder, and draw all on one sheet: source beside octree.
+"""Convert one channel of every model under a folder, and draw all on one sheet: source beside octree.
 
-usage: tools/gallery.py FOLDER SHEET.png [--depth 9] [--columns 2]
+usage: tools/gallery.py FOLDER SHEET.png [--channel base_color] [--depth 9] [--columns 2]
 
-Prints a table of the models (leaves, and PSNR against the source averaged over a cell), then the models
-without colour, then those that are refused, each with the reason.
+Prints a table of the models (leaves, and PSNR against the source averaged over a cell), then the models whose
+channel is 0 or 1 all over, then those that are refused, each with the reason.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ import numpy as np
 from PIL import Image
 
 import octex
-from octex.channels import linear_to_srgb
+from octex.channels import CHANNELS
+from octex.compare import difference
 from octex.container import replacing
 from octex.preview import draw_preview
 
@@ -26,19 +27,10 @@ SAMPLES = 100_000
 TILE = (800, 460)
 
 
-def has_colour(surface: octex.Surface) -> bool:
-    """Say whether a surface is anything but white."""
-    return bool((surface.evaluate(surface.scatter(1000)) < 0.999).any())
-
-
-def psnr(surface: octex.Surface, texture: octex.OctreeTexture) -> float:
-    """Compare an octree with its source: decibels of sRGB codes, peak 255."""
-    samples = surface.scatter(SAMPLES)
-    cell = texture.placement.size / 2**texture.tree.max_depth
-    expected = linear_to_srgb(surface.evaluate(samples, width=cell))
-    found = linear_to_srgb(texture.sample(samples.rest))
-    error = float(np.mean((expected - found) ** 2))
-    return -10 * np.log10(error) if error else np.inf
+def is_plain(surface: octex.Surface, channel: str) -> bool:
+    """Say whether a channel is 0 all over, or 1."""
+    values = surface.evaluate(surface.scatter(1000), channel)
+    return bool((values > 0.999).all() or (abs(values) < 0.001).all())
 
 
 def sheet(tiles: list[np.ndarray], columns: int) -> np.ndarray:
@@ -53,6 +45,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("sheet", type=Path)
+    parser.add_argument("--channel", choices=CHANNELS, default="base_color")
     parser.add_argument("--depth", type=int, default=9)
     parser.add_argument("--columns", type=int, default=2)
     options = parser.parse_args(arguments)
@@ -63,25 +56,25 @@ def main(arguments: list[str] | None = None) -> int:
     for path in sorted(p for p in options.folder.rglob("*") if p.suffix.lower() in ENDINGS):
         name = path.relative_to(options.folder).as_posix()
         try:
-            surface = octex.load_surface(path)
-            if not has_colour(surface):
+            surface = octex.load_surface(path, channels=[options.channel])
+            if is_plain(surface, options.channel):
                 plain.append(name)
                 continue
             texture = octex.convert(surface, depth=options.depth)
         except octex.OctexError as error:
             refused.append(f"{name}: {error}")
             continue
-        quality = psnr(surface, texture)
+        quality = difference(surface, texture, points=SAMPLES)[options.channel].psnr
         leaves = f"{texture.tree.n_leaves:,} leaves"
         print(f"{name:60} {leaves:>20} {quality:7.2f} dB", flush=True)
         note = "exact" if quality == np.inf else f"{quality:.1f} dB"
         tiles.append(draw_preview(surface, texture, TILE, supersample=2, note=note))
-    for title, names in (("without colour", plain), ("refused", refused)):
+    for title, names in ((f"with a plain {options.channel}", plain), ("refused", refused)):
         print(f"\n{len(names)} {title}")
         for name in names:
             print(f"  {name}")
     if not tiles:
-        print(f"no coloured model under {options.folder}", file=sys.stderr)
+        print(f"no {options.channel} to draw under {options.folder}", file=sys.stderr)
         return 1
     with replacing(options.sheet) as file:
         Image.fromarray(sheet(tiles, options.columns)).save(file, "PNG")
