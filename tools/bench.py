@@ -20,15 +20,18 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from bench_conversion import boombox, large, torus
+from bench_images import filters, materials
 from bench_texture import lookup, paper, psnr
 from bench_tools import Report, Setup
 
-BENCHMARKS = {each.__name__: each for each in (paper, torus, boombox, large, psnr, lookup)}
+BENCHMARKS = {
+    each.__name__: each for each in (paper, torus, boombox, materials, filters, large, psnr, lookup)
+}
 
 
 def main(arguments: list[str] | None = None) -> int:
     listing = "\n".join(
-        f"  {name:8} {(each.__doc__ or '').splitlines()[0]}" for name, each in BENCHMARKS.items()
+        f"  {name:9} {(each.__doc__ or '').splitlines()[0]}" for name, each in BENCHMARKS.items()
     )
     parser = argparse.ArgumentParser(
         description=(__doc__ or "").splitlines()[0],

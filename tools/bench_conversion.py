@@ -91,7 +91,7 @@ def boombox(setup: Setup, report: Report) -> None:
     """Convert a surface in memory into a texture: coloured cells a second, on one thread and on two."""
     path = setup.models / "BoomBoxWithAxes" / "BoomBoxWithAxes.gltf" if setup.models else None
     if path and path.is_file():
-        surface, depth = octex.load_surface(path), 6 if setup.quick else 10
+        surface, depth = octex.load_surface(path, channels=["base_color"]), 6 if setup.quick else 10
     else:
         report.note("boombox: left out without --models; a painted torus in its place")
         surface, depth = (

@@ -49,6 +49,8 @@ _LEAST = 0.25
 _RADIUS = 6.0
 # Ellipses are at most this many times as long as wide; what is longer is read wider.
 _LONGEST = 16.0
+# A coarser level is read if the product of the kernel's variances is above this: EWA takes 6 π times its root.
+_LARGEST = 3.6
 # At the coarsest level of an image a footprint reaches no farther than this many texels.
 _FARTHEST = 24.0
 
@@ -87,7 +89,7 @@ def find_taps(
             return _small(images, row, wrap_u, wrap_v, u, v, xx, xy, yy, places, weights), SUM, 1.0
         if not flat and 12.0 * max(xx, yy) <= 4.0 and abs(xy) <= _SKEW:
             return _wide(images, row, wrap_u, wrap_v, u, v, xx, xy, yy, places, weights), SUM, 1.0
-        return _ellipse(images, layout, wrap_u, wrap_v, flat, u, v, xx, xy, yy, least, places, weights)
+        return _ellipse(images, layout, wrap_u, wrap_v, flat, u, v, xx, xy, yy, least, most, places, weights)
     cut = SUM
     if name == TRILINEAR:
         count, cut = _levels(images, layout, wrap_u, wrap_v, flat, u, v, most, places, weights)
@@ -348,6 +350,7 @@ def _ellipse(
     xy: float,
     yy: float,
     least: float,
+    most: float,
     places: npt.NDArray[np.int64],
     weights: npt.NDArray[np.float64],
 ) -> tuple[int, int, float]:
@@ -355,17 +358,20 @@ def _ellipse(
     base, coarsest = images.layouts[layout, 0], images.layouts[layout, 1] - 1
     own = 1.0 / 6.0 if flat else 0.25  # of the texels, with the twelfth that a mean over one has
     level = 0
-    width = least + own
-    while width >= 4.0 * (_LEAST + 1.0 / 12.0) and level < coarsest:
-        width *= 0.25
+    narrow, long = least + own, most + own
+    floor = _LEAST + 1.0 / 12.0
+    while level < coarsest and (narrow >= 4.0 * floor or max(narrow, floor) * long > _LARGEST):
+        narrow *= 0.25
+        long *= 0.25
         level += 1
     row = base + level
     first, wide, high = images.levels[row, 0], images.levels[row, 1], images.levels[row, 2]
     scale_x = scale_y = 1.0
     if level > 0:
         scale_x, scale_y = wide / images.levels[base, 1], high / images.levels[base, 2]
-    xx = max((xx + own) * scale_x * scale_x - 1.0 / 12.0, _LEAST)
-    yy = max((yy + own) * scale_y * scale_y - 1.0 / 12.0, _LEAST)
+    short = max(floor - narrow, 0.0) - 1.0 / 12.0
+    xx = max((xx + own) * scale_x * scale_x + short, _LEAST)
+    yy = max((yy + own) * scale_y * scale_y + short, _LEAST)
     xy *= scale_x * scale_y
     if level == coarsest:
         reach = max(xx, yy) * _RADIUS / (_FARTHEST * _FARTHEST)
