@@ -286,6 +286,8 @@ def test_channels_that_the_materials_lack_are_refused_with_those_they_have() -> 
     message = "^box has no channel occlusion, metal; it has base_color, alpha, roughness, emissive, normal$"
     with pytest.raises(ModelError, match=message):
         everything(channels=["alpha", "occlusion", "metal"], name="box")
+    with pytest.raises(ModelError, match="box: no channel is asked for; it has base_color, alpha, rough"):
+        everything(channels=[], name="box")
 
 
 @pytest.mark.parametrize("filter", FILTERS)
@@ -336,11 +338,12 @@ def test_the_first_use_may_come_from_many_threads_at_once() -> None:
             {"coordinates": [Corners(np.full((4, 2), np.inf, np.float32), TRIANGLES)]},
             "box: texture coordinates",
         ),
+        ({"coordinates": []}, "box: an image reads set 0 of texture coordinates, which is not there"),
         ({"inputs": {"metallic": Input((np.nan,))}}, "box: colours are not all finite"),
         ({"inputs": {"metallic": Input((1.0,), None, (0,), (np.inf,))}}, "box: colours are not all finite"),
     ],
 )
-def test_what_is_not_finite_is_refused(options: dict[str, Any], message: str) -> None:
+def test_what_is_not_there_or_not_finite_is_refused(options: dict[str, Any], message: str) -> None:
     inputs = options.pop("inputs", {"base_color": Input(WHITE, texture(image(2, 2)))})
     with pytest.raises(ModelError, match=message):
         source(Material(inputs), name="box", **options)

@@ -112,6 +112,8 @@ class MaterialSource(Source):
             stated = [channel for channel in stated if channel in channels]
         if frames is None:
             stated = [channel for channel in stated if channel != "normal"]
+        if not stated:
+            raise ModelError(f"{name}: no channel is asked for; it has {', '.join(self._stated())}")
         self._channels = tuple(self._format(channel) for channel in stated)
 
     @property
@@ -204,7 +206,7 @@ class MaterialSource(Source):
         return form if most <= 1.0 + 1e-6 else form._replace(space="linear", dtype="float16")
 
     def _check(self) -> None:
-        """Refuse colours and coordinates in use that are not finite."""
+        """Refuse coordinates that are not there, and colours and coordinates in use that are not finite."""
         numbers = [
             n for m in self._materials for each in m.inputs.values() for n in (*each.factor, *each.offset)
         ]
@@ -212,6 +214,12 @@ class MaterialSource(Source):
             self._colors is None or np.isfinite(self._colors.values).all()
         ):
             raise ModelError(f"{self._name}: colours are not all finite; repair the model")
+        textures = (each.texture for material in self._used() for each in material.inputs.values())
+        last = max((texture.slot for texture in textures if texture is not None), default=-1)
+        if last >= len(self._coordinates):
+            raise ModelError(
+                f"{self._name}: an image reads set {last} of texture coordinates, which is not there"
+            )
         for slot, corners in enumerate(self._coordinates):
             if np.isfinite(corners.values).all():
                 continue

@@ -182,8 +182,10 @@ class Surface:
     def with_channels(self, channels: Sequence[str]) -> Surface:
         """Return the same surface with these of its channels alone.
 
-        Raises ArgumentError for one that it lacks.
+        Raises ArgumentError for one that it lacks, and for none at all.
         """
+        if not channels:
+            raise ArgumentError("name at least one channel")
         for channel in channels:
             as_choice(channel, [form.name for form in self.channels], "channel")
         return self._with(self.source.only(channels))
