@@ -225,7 +225,7 @@ class Reader:
 
     def _values(self, points: Points) -> dict[str, npt.NDArray[np.float32]]:
         if isinstance(self._side, OctreeTexture):
-            return self._side.sample(points.rest, self._names)
+            return self._side.sample(points.rest, self._names, normalize=False)
         assert points.triangles is not None
         assert points.barycentric is not None
         widths = np.full(len(points.rest), self._width, np.float32)

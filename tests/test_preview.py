@@ -362,11 +362,14 @@ def test_what_is_emitted_is_added_to_what_is_lit():
     assert np.allclose(render(surface, _camera(4), source_look(surface)), expected, atol=1e-3)
 
 
+NORMAL = np.array([100, 150, 200]) / 255 * 2 - 1
+
+
 @pytest.mark.parametrize(
     ("stored", "shown", "picture"),
     [
         (["roughness"], "roughness", srgb_to_linear([100 / 255] * 3)),
-        (["normal"], "normal", srgb_to_linear(np.array([100, 150, 200]) / 255)),
+        (["normal"], "normal", srgb_to_linear((NORMAL / np.linalg.norm(NORMAL) + 1) / 2)),
         (["emissive"], "emissive", srgb_to_linear(np.array([100, 150, 200]) / 255)),
         (["roughness", "specular"], "specular", srgb_to_linear(np.array([100, 150, 200]) / 255)),
         (["normal", "metallic"], "metallic", srgb_to_linear([100 / 255] * 3)),

@@ -37,33 +37,6 @@ class Parser(argparse.ArgumentParser):
         raise ArgumentError(f"{message}; see {self.prog} --help")
 
 
-def whole_number(text: str) -> int:
-    """Read an argument that is a whole number."""
-    try:
-        return int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number") from None
-
-
-def count(text: str) -> int:
-    """Read an argument that counts something."""
-    number = whole_number(text)
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"{number} is not above zero")
-    return number
-
-
-def length(text: str) -> float:
-    """Read an argument that is a length: finite and above zero."""
-    try:
-        number = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number") from None
-    if not 0.0 < number < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is not a finite number above zero")
-    return number
-
-
 def run(command: str, body: Callable[[], int]) -> int:
     """Run the body of a command and return its exit code, whatever happens in it.
 

@@ -12,18 +12,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import octex
-from octex.cli.common import (
-    Parser,
-    Reporter,
-    bytes_text,
-    check_outputs,
+from octex.cli.arguments import (
+    DTYPES,
+    FILTERS,
+    channel_names,
     count,
+    dtypes,
+    image_filter,
     length,
-    run,
-    say,
+    source,
     whole_number,
 )
-from octex.errors import ArgumentError, ExitCode, InputError, TextureFileError
+from octex.cli.common import Parser, Reporter, bytes_text, check_outputs, run, say
+from octex.cli.diff import diff
+from octex.cli.inspect import info, validate
+from octex.cli.models import DEFAULT_FILTER, completed, load, source_files, sources_of
+from octex.errors import ArgumentError, ExitCode, InputError
 from octex.parallel import threads
 
 if TYPE_CHECKING:
@@ -34,14 +38,17 @@ TEXTURE_ENDING = ".octex"
 OUTPUT_ENDINGS = (TEXTURE_ENDING, ".ply")
 
 # Which options go with which work; INPUT and OUTPUT are options here too.
+_MATERIALS = {"--channels", "--source", "--filter", "--rest"}
 _OPTIONS = {
-    "a conversion": {"INPUT", "OUTPUT", "--depth", "--cell", "--rest", "--preview", "--force", "--threads"}
-    | {"--quiet", "--json"},
+    "a conversion": {"INPUT", "OUTPUT", "--depth", "--cell", "--dtype", "--preview", "--force", "--threads"}
+    | {"--quiet", "--json"}
+    | _MATERIALS,
+    "--diff": {"--points", "--preview", "--force", "--quiet", "--json"} | _MATERIALS,
     "--info": {"--json"},
     "--validate": {"--json", "--quiet"},
     "--warm-up": {"--quiet"},
 }
-_NEEDS_A_MODEL = ("--cell", "--rest")
+_NEEDS_A_MODEL = ("--cell", "--rest", "--dtype", "--source", "--filter")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -49,8 +56,11 @@ def parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog=COMMAND,
         description="Convert a textured model (glTF, GLB, OBJ, PLY, OFF, STL) to an octree texture.",
-        usage=f"{COMMAND} INPUT OUTPUT [--depth N | --cell SIZE] [--rest MESH] [--preview PNG]\n"
-        f"{'':29}[--force] [--threads N] [--quiet] [--json]\n"
+        usage=f"{COMMAND} INPUT OUTPUT [--depth N | --cell SIZE] [--rest MESH] [--channels NAMES]\n"
+        f"{'':29}[--source CHANNEL=FILE ...] [--filter NAME] [--dtype TYPE]\n"
+        f"{'':29}[--preview PNG] [--force] [--threads N] [--quiet] [--json]\n"
+        f"       {COMMAND} --diff A B [--channels NAMES] [--points N] [--rest MESH] [--filter NAME]\n"
+        f"{'':29}[--source CHANNEL=FILE ...] [--preview PNG] [--force] [--quiet] [--json]\n"
         f"       {COMMAND} --info FILE [--json]\n"
         f"       {COMMAND} --validate FILE [--quiet] [--json]\n"
         f"       {COMMAND} --warm-up [--quiet]\n"
@@ -72,11 +82,52 @@ def parser() -> argparse.ArgumentParser:
         help="edge of the finest cells in the model's units, not --depth",
     )
     add("--rest", metavar="MESH", type=Path, help="the undeformed model, of the same topology as INPUT")
+    add(
+        "--channels",
+        metavar="NAMES",
+        type=channel_names,
+        help="what to convert or compare, like base_color,normal (default: all that there is)",
+    )
+    add(
+        "--source",
+        metavar="CHANNEL=FILE",
+        type=source,
+        action="append",
+        help="take a channel from an image, read at the model's texture coordinates, or make it constant: "
+        "roughness=0.5, base_color=0.2,0.4,0.6 (linear light); any number of times",
+    )
+    add(
+        "--filter",
+        metavar="NAME",
+        type=image_filter,
+        help=f"how images are read: {', '.join(FILTERS)} (default {DEFAULT_FILTER})",
+    )
+    add(
+        "--dtype",
+        metavar="TYPE",
+        type=dtypes,
+        help=f"what is stored: {', '.join(DTYPES)}; for some channels normal=uint16,emissive=float16 "
+        "(default uint8, float16 for light above 1)",
+    )
     add("--preview", metavar="PNG", type=Path, help="draw the model beside the model from its octree")
     add("--force", action="store_true", help="overwrite what exists")
     add("--threads", metavar="N", type=count, help="threads to work on (default: all processors)")
     add("--quiet", action="store_true", help="print nothing but errors (and what --json asks for)")
     add("--json", action="store_true", help="print the result as one JSON object")
+    add(
+        "--diff",
+        metavar=("A", "B"),
+        nargs=2,
+        type=Path,
+        help="say how two textures, or a texture and a model, differ over the surface; --preview draws it. "
+        "The exit code is 0 whether they differ or not",
+    )
+    add(
+        "--points",
+        metavar="N",
+        type=count,
+        help="points on the model to compare at (default 1,000,000); two textures are compared at all leaves",
+    )
     add("--info", metavar="FILE", type=Path, help="say what an .octex file holds")
     add(
         "--validate",
@@ -97,9 +148,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _main(options: argparse.Namespace) -> int:
     work = _work(options)
     if work == "--info":
-        return _info(options.info, options.json)
+        return info(options.info, options.json)
     if work == "--validate":
-        return _validate(options.validate, options.json, options.quiet)
+        return validate(options.validate, options.json, options.quiet)
+    if work == "--diff":
+        return diff(COMMAND, options)
     if work == "--warm-up":
         return _warm_up(options.quiet)
     return _convert(options)
@@ -121,6 +174,8 @@ def _work(options: argparse.Namespace) -> str:
     for word in given:
         if word != work and word not in _OPTIONS[work]:
             raise ArgumentError(f"{word} has no meaning with {work}; see {COMMAND} --help")
+    if options.source is not None:
+        sources_of(options)  # refuses what contradicts itself
     if work == "a conversion":
         for word in ("INPUT", "OUTPUT"):
             if word not in given:
@@ -135,7 +190,7 @@ def _convert(options: argparse.Namespace) -> int:
     outputs: list[tuple[Path, tuple[str, ...], str]] = [(options.OUTPUT, OUTPUT_ENDINGS, "OUTPUT")]
     if options.preview is not None:
         outputs.append((options.preview, (".png",), "--preview"))
-    inputs = [path for path in (options.INPUT, options.rest) if path is not None]
+    inputs = [path for path in (options.INPUT, options.rest) if path is not None] + source_files(options)
     check_outputs(outputs, inputs, force=options.force)
     if options.depth is not None:
         from octex.checks import as_depth
@@ -144,19 +199,29 @@ def _convert(options: argparse.Namespace) -> int:
 
     with Reporter(COMMAND, options.quiet) as progress:
         if options.INPUT.suffix.lower() == TEXTURE_ENDING:
-            surface, texture = None, _coarser(options)
+            surface, texture = None, _reduced(options)
         else:
             with _stage(progress, "read"):
-                surface = octex.load_surface(options.INPUT, rest=options.rest)
+                surface = load(options.INPUT, options)
             with nullcontext() if options.threads is None else threads(options.threads) as executor:
                 texture = octex.convert(
-                    surface, options.depth, cell=options.cell, executor=executor, progress=progress
+                    surface,
+                    options.depth,
+                    cell=options.cell,
+                    rest=options.rest,
+                    channels=options.channels,
+                    sources=sources_of(options),
+                    dtype=options.dtype,
+                    filter=options.filter or DEFAULT_FILTER,
+                    executor=executor,
+                    progress=progress,
                 )
         if options.preview is not None:  # first: without room for it, no OUTPUT is left unannounced
             from octex.preview import write_preview
 
             with _stage(progress, "draw"):
-                write_preview(options.preview, surface, texture)
+                shown = None if surface is None else completed(surface, options)
+                write_preview(options.preview, shown, texture)
         if options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
             with _stage(progress, "write"):
                 texture.save(options.OUTPUT)
@@ -178,8 +243,8 @@ def _stage(progress: Reporter, name: str) -> Iterator[None]:
     progress(name, 1, 1)
 
 
-def _coarser(options: argparse.Namespace) -> OctreeTexture:
-    """Open a texture, at a coarser depth if one is asked for."""
+def _reduced(options: argparse.Namespace) -> OctreeTexture:
+    """Open a texture, at a coarser depth or of fewer channels if that is asked for."""
     for word in _given(options):
         if word in _NEEDS_A_MODEL:
             raise ArgumentError(
@@ -187,15 +252,26 @@ def _coarser(options: argparse.Namespace) -> OctreeTexture:
             )
     texture = octex.open(options.INPUT)
     deepest = texture.tree.max_depth
-    if options.depth is None:
-        if options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
-            raise ArgumentError(f"{options.INPUT}: is an octree texture already; --depth makes it coarser")
-        return texture
-    if options.depth > deepest:
-        raise InputError(
-            f"{options.INPUT}: has depth {deepest}; --depth {options.depth} is finer and needs the model"
+    depth = deepest if options.depth is None else options.depth
+    is_same = options.depth is None and options.channels is None
+    if is_same and options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
+        raise ArgumentError(
+            f"{options.INPUT}: is an octree texture already; --depth makes it coarser, --channels smaller"
         )
-    return texture.level(options.depth)
+    if depth > deepest:
+        raise InputError(
+            f"{options.INPUT}: has depth {deepest}; --depth {depth} is finer and needs the model"
+        )
+    texture = texture.level(depth)
+    if options.channels is not None:
+        from octex.checks import as_choice
+        from octex.texture import OctreeTexture
+
+        for name in options.channels:
+            as_choice(name, texture.channels, f"channel of {options.INPUT}:")
+        kept = {name: channel for name, channel in texture.channels.items() if name in options.channels}
+        texture = OctreeTexture(texture.tree, kept, texture.placement, texture.bounds, texture.metadata)
+    return texture
 
 
 def _say_what_was_made(options: argparse.Namespace, texture: OctreeTexture, seconds: float) -> None:
@@ -218,56 +294,6 @@ def _say_what_was_made(options: argparse.Namespace, texture: OctreeTexture, seco
         say(f"{options.OUTPUT}: {cells}, {bytes_text(made['bytes'])}, {seconds:.1f} s")
         if options.preview is not None:
             say(f"{options.preview}: a picture of it")
-
-
-def _info(path: Path, as_json: bool) -> int:
-    information = octex.open(path).info()
-    say(json.dumps(information) if as_json else "\n".join(_readable(information)))
-    return ExitCode.DONE
-
-
-def _readable(information: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines of a texture's information for a person."""
-    placement, bounds, parts = (information[key] for key in ("placement", "bounds", "bytes"))
-    yield f"depth       {information['depth']}, finest cells of edge {information['finest_cell']:.6g}"
-    yield f"root cell   edge {placement['size']:.6g} at {_triple(placement['origin'])}"
-    yield f"bounds      {_triple(bounds[0])} to {_triple(bounds[1])}"
-    for number, channel in enumerate(information["channels"]):
-        stored = f"{channel['components']} x {channel['dtype']}, {channel['space']}"
-        yield f"{'' if number else 'channels':10}  {channel['name']}: {stored}"
-    yield ""
-    yield f"{'level':>5} {'leaves':>15} {'nodes':>15}"
-    for level in information["levels"]:
-        yield f"{level['level']:5} {level['leaves']:15,} {level['nodes']:15,}"
-    yield f"{'all':>5} {information['leaves']:15,} {information['nodes']:15,}"
-    yield ""
-    leaves = max(information["leaves"], 1)
-    yield f"{'part':24} {'bytes':>15} {'a leaf':>7}"
-    for part, size in parts.items():
-        yield f"{part:24} {size:15,} {size / leaves:7.2f}"
-    if information["provenance"]:
-        yield ""
-    for name, text in information["provenance"].items():
-        yield f"{name:11} {text}"
-
-
-def _triple(numbers: Sequence[float]) -> str:
-    return "(" + ", ".join(f"{number:.6g}" for number in numbers) + ")"
-
-
-def _validate(path: Path, as_json: bool, quiet: bool) -> int:
-    with path.open("rb"):  # a file that cannot be read is not a broken one
-        pass
-    broken = None
-    try:
-        octex.open(path).validate()
-    except TextureFileError as error:
-        broken = str(error)
-    if as_json:
-        say(json.dumps({"file": str(path), "valid": broken is None, "broken": broken}))
-    elif not quiet:
-        say(broken or "valid")
-    return ExitCode.DONE if broken is None else ExitCode.INVALID
 
 
 def _warm_up(quiet: bool) -> int:

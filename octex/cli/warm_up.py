@@ -93,6 +93,8 @@ def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
         texture.contains(points)
         texture.sample(points, list(texture.channels))
         texture.level(2).sample(points)
+    for dtype in ("uint16", "float16", "float32"):
+        octex.convert(surface, 2, dtype=dtype).sample(samples.rest, list(texture.channels))
     encode_cells([(1, 2, 3)])
     texture.tree.level_codes(6)
     write_points(texture, folder / "points.ply")

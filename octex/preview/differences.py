@@ -27,9 +27,10 @@ from octex.preview.panels import (
     caption_height,
     captioned,
     leaf_camera,
+    named,
     source_caption,
     surface_camera,
-    texture_caption,
+    texture_facts,
 )
 from octex.preview.pictures import (
     Film,
@@ -138,7 +139,8 @@ def _look(side: Side, channel: str) -> Look:
 def _caption(side: Side, channel: str) -> str:
     if isinstance(side, Surface):
         return source_caption(side, channel)[1]
-    return ", ".join(texture_caption(side, channel))
+    depth = f"octree, depth {side.tree.max_depth}"
+    return named(channel) + depth + ", " + texture_facts(side)
 
 
 def _row_on_model(

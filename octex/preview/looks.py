@@ -77,7 +77,7 @@ class Shown(NamedTuple):
     def appearance(self, values: Mapping[str, Floats]) -> Appearance:
         """Return what values (n, components) by channel look like.
 
-        Data and directions are shown as sRGB values: data as they are, directions as (x + 1) / 2.
+        Data and directions are shown as sRGB values: data as they are, unit vectors as (x + 1) / 2.
         """
         shown = values[self.channel.name]
         shown = shown[:, :3] if shown.shape[1] > 2 else np.repeat(shown[:, :1], 3, axis=1)
@@ -88,10 +88,11 @@ class Shown(NamedTuple):
                 None if emissive is None else np.clip(emissive, 0.0, 1.0),
                 None if alpha is None else alpha[:, 0],
             )
+        if self.channel.space == "direction":
+            lengths = np.linalg.norm(shown, axis=1, keepdims=True)
+            shown = (shown / np.maximum(lengths, 1e-30) + 1) / 2
         if self.channel.space in ("data", "direction"):
-            shown = srgb_to_linear(
-                np.clip(shown if self.channel.space == "data" else (shown + 1) / 2, 0.0, 1.0)
-            )
+            shown = srgb_to_linear(np.clip(shown, 0.0, 1.0))
         return Appearance(emitted=np.clip(shown, 0.0, 1.0))
 
 

@@ -147,21 +147,22 @@ def _above_caption(points: Floats, direction: Floats, size: tuple[int, int], roo
 
 def source_caption(surface: Surface, channel: str) -> tuple[str, str]:
     """Return a title and a subtitle for a picture of a model."""
-    return surface.name, f"{_named(channel)}source, {count_text(len(surface.triangles), 'triangle')}"
+    return surface.name, f"{named(channel)}source, {count_text(len(surface.triangles), 'triangle')}"
 
 
 def texture_caption(texture: OctreeTexture, channel: str, note: str = "") -> tuple[str, str]:
     """Return a title and a subtitle for a picture of a texture."""
-    tree = texture.tree
-    facts = [
-        count_text(tree.n_leaves, "leaf", "leaves"),
-        f"{texture.nbytes / 1e6:.3g} MB",
-        *([note] if note else []),
-    ]
-    return f"octree, depth {tree.max_depth}", _named(channel) + ", ".join(facts)
+    facts = texture_facts(texture) + (f", {note}" if note else "")
+    return f"octree, depth {texture.tree.max_depth}", named(channel) + facts
 
 
-def _named(channel: str) -> str:
+def texture_facts(texture: OctreeTexture) -> str:
+    """Return how large a texture is."""
+    return f"{count_text(texture.tree.n_leaves, 'leaf', 'leaves')}, {texture.nbytes / 1e6:.3g} MB"
+
+
+def named(channel: str) -> str:
+    """Return what to begin a caption with, if it is not about base colour."""
     return "" if channel == "base_color" else f"{channel}: "
 
 

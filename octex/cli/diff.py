@@ -1,0 +1,152 @@
+"""octree-convert --diff: how two textures, or a texture and a model, differ over the surface."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import octex
+from octex.cli.common import Reporter, check_outputs, say
+from octex.cli.inspect import triple
+from octex.cli.models import completed, load, source_files
+from octex.errors import ArgumentError, ExitCode
+
+if TYPE_CHECKING:
+    from octex.compare import Difference, Differences, Side
+
+TEXTURE_ENDING = ".octex"
+_NEEDS_A_MODEL = ("rest", "filter", "source", "points")
+
+
+def diff(command: str, options: argparse.Namespace) -> int:
+    """Say how A and B differ; draw it if asked to."""
+    paths: list[Path] = options.diff
+    if options.preview is not None:
+        inputs = [*paths, *source_files(options), *([options.rest] if options.rest is not None else [])]
+        check_outputs([(options.preview, (".png",), "--preview")], inputs, force=options.force)
+    if all(path.suffix.lower() == TEXTURE_ENDING for path in paths):
+        for word in _NEEDS_A_MODEL:
+            if getattr(options, word) is not None:
+                raise ArgumentError(f"--{word} needs a model, but {paths[0]} and {paths[1]} are textures")
+    elif not any(path.suffix.lower() == TEXTURE_ENDING for path in paths):
+        raise ArgumentError(
+            f"{paths[0]} and {paths[1]}: neither is an .octex file; convert one of them first"
+        )
+
+    from octex.compare import DEFAULT_POINTS, difference
+
+    with Reporter(command, options.quiet) as progress:
+        progress("read", 0, 1)
+        a, b = (_side(path, options) for path in paths)
+        progress("read", 1, 1)
+        found = difference(
+            a, b, channels=options.channels, points=options.points or DEFAULT_POINTS, progress=progress
+        )
+        if options.preview is not None:
+            from octex.preview import write_difference
+
+            progress("draw", 0, 1)
+            write_difference(options.preview, a, b, found, (paths[0].name, paths[1].name))
+            progress("draw", 1, 1)
+    if options.json:
+        say(json.dumps({"a": str(paths[0]), "b": str(paths[1]), **as_json(found)}))
+    elif not options.quiet:
+        say("\n".join(_readable(paths, (a, b), found)))
+        if options.preview is not None:
+            say(f"\n{options.preview}: a picture of it")
+    return ExitCode.DONE
+
+
+def _side(path: Path, options: argparse.Namespace) -> Side:
+    if path.suffix.lower() == TEXTURE_ENDING:
+        return octex.open(path)
+    return completed(load(path, options), options)
+
+
+def as_json(found: Differences) -> dict[str, Any]:
+    """Return differences for a machine; what is not finite becomes null."""
+    return {
+        "points": found.points,
+        "width": found.width,
+        "channels": {name: _as_json(result) for name, result in found.items()},
+        "unmatched": dict(zip("ab", map(list, found.unmatched), strict=True)),
+        "areas": dict(zip("ab", found.areas, strict=True)),
+        "uncovered": dict(zip("ab", found.uncovered, strict=True)),
+    }
+
+
+def _as_json(result: Difference) -> dict[str, Any]:
+    fields: dict[str, Any] = result._asdict()
+    if fields.pop("angle") is not None and result.angle is not None:
+        fields["angle"] = _as_json(result.angle)
+    return {
+        key: None if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in fields.items()
+    }
+
+
+def _readable(paths: Sequence[Path], sides: Sequence[Side], found: Differences) -> Iterator[str]:
+    """Yield the lines of differences for a person."""
+    for letter, path, side in zip("AB", paths, sides, strict=True):
+        yield f"{letter}  {path}: {_described(side)}"
+    if found.width is None:
+        yield f"at the centres of {found.points:,} leaves, those of both, by area"
+    else:
+        yield f"at {found.points:,} points, uniform by area, the model averaged over {found.width:.4g}"
+    yield ""
+    rows: list[tuple[str, ...]] = [
+        ("channel", "measure", "rms", "PSNR", "p99", "maximum", "where", "A there", "B there")
+    ]
+    for name, result in found.items():
+        rows.append(_row(name, result))
+        if result.angle is not None:
+            rows.append(_row("", result.angle))
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    right = range(2, 6)
+    for row in rows:
+        cells = [
+            text.rjust(width) if column in right else text.ljust(width)
+            for column, (text, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        yield "  ".join(cells).rstrip()
+    notes = list(_notes(found))
+    if notes:
+        yield ""
+    yield from notes
+
+
+def _row(name: str, result: Difference) -> tuple[str, ...]:
+    psnr = "exact" if math.isinf(result.psnr) else f"{result.psnr:.2f} dB"
+    numbers = (number(result.rms), psnr, number(result.p99), number(result.maximum))
+    a, b = (", ".join(number(value) for value in values) for values in (result.a, result.b))
+    return (name, result.measure, *numbers, triple(result.where), a, b)
+
+
+def number(value: float) -> str:
+    """Return a value of three digits or so."""
+    return f"{value:.1f}" if abs(value) >= 10 else f"{value:.4f}".rstrip("0").rstrip(".")
+
+
+def _notes(found: Differences) -> Iterator[str]:
+    for letter, names in zip("AB", found.unmatched, strict=True):
+        if names:
+            yield f"only {letter} has the channel{'s' if len(names) > 1 else ''} {', '.join(names)}"
+    for letter, other, part in zip("AB", "BA", found.uncovered, strict=True):
+        if part:
+            yield f"{100 * part:.3g} % of {letter}'s surface is not in {other}; it is left out"
+    a, b = found.areas
+    if abs(a - b) > 0.1 * max(a, b):
+        yield f"A has an area of {a:.4g}, B of {b:.4g}"
+
+
+def _described(side: Side) -> str:
+    from octex.source.surface import Surface
+
+    if isinstance(side, Surface):
+        return f"a model of {len(side.triangles):,} triangles"
+    tree = side.tree
+    return f"an octree texture of depth {tree.max_depth}, {tree.n_leaves:,} leaves"

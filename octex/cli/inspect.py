@@ -1,0 +1,80 @@
+"""octree-convert --info and --validate: a look at what an .octex file holds, and whether it is sound."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import octex
+from octex.cli.common import say
+from octex.errors import ExitCode, TextureFileError
+
+
+def info(path: Path, as_json: bool) -> int:
+    """Say what a texture holds."""
+    information = octex.open(path).info()
+    say(json.dumps(information) if as_json else "\n".join(_readable(information)))
+    return ExitCode.DONE
+
+
+def _readable(information: dict[str, Any]) -> Iterator[str]:
+    """Yield the lines of a texture's information for a person."""
+    placement, bounds, parts = (information[key] for key in ("placement", "bounds", "bytes"))
+    yield f"depth       {information['depth']}, finest cells of edge {information['finest_cell']:.6g}"
+    yield f"root cell   edge {placement['size']:.6g} at {triple(placement['origin'])}"
+    yield f"bounds      {triple(bounds[0])} to {triple(bounds[1])}"
+    longest = max((len(channel["name"]) for channel in information["channels"]), default=0)
+    for number, channel in enumerate(information["channels"]):
+        stored = f"{channel['components']} x {channel['dtype']:7}  {channel['space']}"
+        yield f"{'' if number else 'channels':10}  {channel['name']:{longest}}  {stored}"
+    yield ""
+    yield f"{'level':>5} {'leaves':>15} {'nodes':>15}"
+    for level in information["levels"]:
+        yield f"{level['level']:5} {level['leaves']:15,} {level['nodes']:15,}"
+    yield f"{'all':>5} {information['leaves']:15,} {information['nodes']:15,}"
+    yield ""
+    leaves = max(information["leaves"], 1)
+    yield f"{'part':24} {'bytes':>15} {'a leaf':>7}"
+    for part, size in parts.items():
+        yield f"{part:24} {size:15,} {size / leaves:7.2f}"
+    if information["provenance"]:
+        yield ""
+    for name, text in information["provenance"].items():
+        for number, line in enumerate(_lines(text)):
+            yield f"{'' if number else name:14} {line}"
+
+
+def _lines(text: str) -> list[str]:
+    """Return a text, or each entry of a JSON object, as lines."""
+    with suppress(ValueError):
+        entries = json.loads(text)
+        if isinstance(entries, dict) and entries:
+            return [
+                f"{key}: {value if isinstance(value, str) else json.dumps(value)}"
+                for key, value in entries.items()
+            ]
+    return [text]
+
+
+def triple(numbers: Sequence[float]) -> str:
+    """Return a position for a person."""
+    return "(" + ", ".join(f"{number:.6g}" for number in numbers) + ")"
+
+
+def validate(path: Path, as_json: bool, quiet: bool) -> int:
+    """Say whether a texture is sound, or what is broken."""
+    with path.open("rb"):  # a file that cannot be read is not a broken one
+        pass
+    broken = None
+    try:
+        octex.open(path).validate()
+    except TextureFileError as error:
+        broken = str(error)
+    if as_json:
+        say(json.dumps({"file": str(path), "valid": broken is None, "broken": broken}))
+    elif not quiet:
+        say(broken or "valid")
+    return ExitCode.DONE if broken is None else ExitCode.INVALID

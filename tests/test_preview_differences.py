@@ -1,0 +1,200 @@
+"""Pictures of differences."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from PIL import Image
+
+import octex
+from octex.compare import PEAKS, Difference, Differences, Side, difference
+from octex.errors import OutputError
+from octex.preview import draw_difference, write_difference
+from octex.preview.differences import _ALONE, _SCALE, _scale_codes, _scale_top
+from octex.source.surface import Surface
+from octex.texture import Channel, OctreeTexture
+from octex.tree.morton import decode_cells
+from octex.tree.walk import walk_leaves
+
+SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
+TWO = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+SIZE = (300, 110)
+Picture = npt.NDArray[np.int64]
+
+
+@pytest.fixture(scope="module")
+def surface() -> Surface:
+    grey = Surface.from_arrays(SQUARE, TWO, colors=np.full((4, 3), 0.25))
+    return grey.with_sources({"roughness": 0.5})
+
+
+@pytest.fixture(scope="module")
+def texture(surface: Surface) -> OctreeTexture:
+    return octex.convert(surface, 4)
+
+
+def spotted(texture: OctreeTexture, x: float = 0.75, y: float = 0.75) -> OctreeTexture:
+    """The same texture with a white spot."""
+    (leaves,) = walk_leaves(texture.tree.arrays)
+    edge = 2.0**-texture.tree.max_depth
+    centres = texture.placement.to_rest((decode_cells(leaves.codes) + 0.5) * edge)
+    near = np.abs(centres[:, :2] - [x, y]).max(axis=1) < 0.1
+    stored = texture.channels["base_color"]
+    values = stored.values.copy()
+    values[leaves.cells[near]] = 255
+    changed = {**texture.channels, "base_color": Channel(stored.format, values, stored.split_values)}
+    return OctreeTexture(texture.tree, changed, texture.placement, texture.bounds)
+
+
+def drawn(a: Side, b: Side, **options: object) -> tuple[list[Picture], Differences]:
+    found = difference(a, b, points=1000, **options)  # type: ignore[arg-type]
+    picture = draw_difference(a, b, found, size=SIZE, supersample=1).astype(np.int64)
+    assert picture.shape == (SIZE[1] * len(found), SIZE[0], 3)
+    return np.split(picture[: SIZE[1]], 3, axis=1), found
+
+
+def is_bright(picture: Picture) -> npt.NDArray[np.bool_]:
+    """Where the model, above the caption, is of the scale's upper half."""
+    bright: npt.NDArray[np.bool_] = (picture[:75, :, 0] > 180) & (picture[:75, :, 2] < 120)
+    return bright
+
+
+@pytest.mark.parametrize("kind", ["textures", "model"])
+def test_the_difference_is_bright_where_something_differs_and_dark_elsewhere(
+    kind: str, surface: Surface, texture: OctreeTexture
+) -> None:
+    a = surface if kind == "model" else texture
+    (first, second, apart), _ = drawn(a, spotted(texture), channels=["base_color"])
+    rows, columns = np.nonzero(is_bright(apart))
+    assert len(rows) > 20
+    # The spot is where the second picture is bright and the first is not; the backdrop is the same in both.
+    spot = np.abs(second - first).max(axis=2)[:75] > 40
+    assert np.abs(np.argwhere(spot).mean(axis=0) - [rows.mean(), columns.mean()]).max() < 3
+    dark = (apart[:75] < 30).all(axis=2)
+    assert dark.sum() > 4 * len(rows)
+
+
+@pytest.mark.parametrize("kind", ["textures", "model"])
+def test_a_ring_marks_the_maximum_if_it_is_in_sight(
+    kind: str, surface: Surface, texture: OctreeTexture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    rings: list[tuple[float, ...]] = []
+    from octex.preview import differences
+
+    keep = differences.captioned
+    monkeypatch.setattr(
+        differences, "captioned", lambda panel, room: said.append(panel.subtitle) or keep(panel, room)
+    )
+
+    class Draw:
+        def __init__(self, image: Image.Image) -> None:
+            self.real = real(image)
+
+        def ellipse(self, box: tuple[float, ...], **_options: object) -> None:
+            rings.append(box)
+
+        def __getattr__(self, name: str) -> object:
+            return getattr(self.real, name)
+
+    real = differences.ImageDraw.Draw
+    monkeypatch.setattr(differences.ImageDraw, "Draw", Draw)
+    other = spotted(texture)
+    (_, _, apart), found = drawn(surface if kind == "model" else texture, other, channels=["base_color"])
+    assert said[2].endswith("sRGB codes, in the ring")
+    x, y = np.mean(np.reshape(rings[0], (2, 2)), axis=0)
+    bright = np.argwhere(is_bright(apart))
+    assert bright.min(axis=0)[0] - 2 <= y <= bright.max(axis=0)[0] + 2
+    assert bright.min(axis=0)[1] - 2 <= x <= bright.max(axis=0)[1] + 2
+    # Elsewhere than anything that is seen, there is no ring.
+    hidden = found["base_color"]._replace(where=(0.75, 0.75, -9.0))
+    found["base_color"] = hidden
+    said.clear()
+    rings.clear()
+    if kind == "model":
+        draw_difference(surface, other, found, size=SIZE, supersample=1)
+        assert said[2].endswith("out of sight")
+        assert not rings
+
+
+def test_what_only_one_has_is_blue_and_the_legend_says_so(surface: Surface) -> None:
+    half = Surface(SQUARE, TWO[:1], surface.source)
+    texture = octex.convert(half, 4)
+    for a in (surface, octex.convert(surface, 4)):
+        (_, _, apart), found = drawn(a, texture, channels=["roughness"])
+        assert found.uncovered[0] == pytest.approx(0.4, abs=0.1)
+        blue = np.abs(apart - _ALONE).max(axis=2) < 12
+        assert blue[:75].sum() > 500
+        assert blue[90:].sum() >= 9  # the legend
+    (_, _, apart), _ = drawn(surface, octex.convert(surface, 4), channels=["roughness"])
+    assert not (np.abs(apart - _ALONE).max(axis=2) < 12).any()
+
+
+def test_every_channel_has_a_row(surface: Surface, texture: OctreeTexture) -> None:
+    _, found = drawn(surface, texture)
+    assert list(found) == ["base_color", "roughness"]
+
+
+def test_directions_are_drawn_by_their_angle() -> None:
+    flat = np.full((4, 4, 3), 128, np.uint8)
+    tilted = flat.copy()
+    flat[..., 2] = 255
+    tilted[..., 0], tilted[..., 2] = 218, 218
+    mapped = Surface.from_arrays(SQUARE, TWO, uv=SQUARE[:, :2])
+    a, b = (octex.convert(mapped.with_sources({"normal": image}), 3) for image in (flat, tilted))
+    (first, second, apart), found = drawn(a, b, channels=["normal"])
+    assert found["normal"].angle is not None
+    assert found["normal"].angle.rms == pytest.approx(45, abs=2)
+    assert _scale_top(found["normal"].angle) == 50.0
+    middle = apart[30:60, 45:55].reshape(-1, 3)
+    assert np.abs(middle - _scale_codes(np.array(0.9))).max() < 25
+    assert np.abs(first[40, 50] - [128, 128, 255]).max() < 6
+    assert np.abs(second[40, 50] - [218, 128, 218]).max() < 12
+
+
+def test_a_preview_of_no_difference_is_dark(texture: OctreeTexture) -> None:
+    (_, _, apart), found = drawn(texture, texture, channels=["roughness"])
+    assert found["roughness"].maximum == 0.0
+    assert (np.abs(apart[30:60, 45:55] - _SCALE[0]).max() < 3).all()
+
+
+@pytest.mark.parametrize(
+    ("p99", "maximum", "top"),
+    [
+        (0.0, 0.0, 255.0),
+        (0.7, 1.0, 1.0),
+        (1.0, 1.0, 1.0),
+        (1.1, 3.0, 2.0),
+        (0.0, 30.0, 5.0),
+        (49.0, 60.0, 50.0),
+        (51.0, 60.0, 100.0),
+        (0.003, 0.004, 0.005),
+        (3.0, math.inf, 255.0),
+    ],
+)
+def test_the_scale_ends_at_a_round_number(p99: float, maximum: float, top: float) -> None:
+    shown = Difference("sRGB codes", 0.0, 0.0, p99, maximum, (0.0, 0.0, 0.0), (), ())
+    assert PEAKS[shown.measure] == 255
+    assert _scale_top(shown) == pytest.approx(top)
+
+
+def test_the_scale_is_ordered_by_lightness() -> None:
+    codes = _scale_codes(np.linspace(0.0, 1.0, 100))
+    lightness = codes @ [0.2126, 0.7152, 0.0722]
+    assert (np.diff(lightness) > 0).all()
+    assert _scale_codes(np.array([7.0])).tolist() == [_SCALE[-1].tolist()]
+
+
+def test_a_picture_that_cannot_be_written_leaves_what_stood_there(
+    texture: OctreeTexture, tmp_path: Path
+) -> None:
+    found = difference(texture, texture, channels=["roughness"])
+    write_difference(tmp_path / "a.png", texture, texture, found, size=(60, 40), supersample=1)
+    with Image.open(tmp_path / "a.png") as picture:
+        assert picture.size == (60, 40)
+    with pytest.raises(OutputError):
+        write_difference(tmp_path / "nowhere" / "a.png", texture, texture, found, size=(60, 40))
