@@ -12,6 +12,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from octex.source import filters  # for the figures of EWA's levels
+
 Weights = npt.NDArray[np.float64]
 Read = Callable[[float], Weights]
 
@@ -169,16 +171,18 @@ def ewa(across: Axis, down: Axis, u: float, v: float, covariance: Weights, flat:
     wide, high = np.sqrt(12 * covariance.diagonal())
     if max(wide, high) <= (1 if flat else 2) and (flat or covariance[0, 1] == 0):
         return box(across, down, u, v, wide, high, flat)
-    # The footprint's variance and the image's; a texel's own twelfth is in every level's texels already.
-    spread = covariance + np.eye(2) * (1 / 12 if flat else 1 / 6)
-    finest = float(np.linalg.eigvalsh(covariance)[0]) + (1 / 12 if flat else 1 / 6) + 1 / 12
-    coarsest = max(len(across.sizes), len(down.sizes)) - 1
+    # The footprint's variance, the image's, and a twelfth that the texels of every level have already.
+    spread = covariance + np.eye(2) * (1 / 6 if flat else 1 / 4)
+    narrow, long = np.linalg.eigvalsh(spread).tolist()
+    least = filters._LEAST + 1 / 12
     level = 0
-    while finest / 4**level >= 4 * (0.25 + 1 / 12) and level < coarsest:
-        level += 1
+    while level < max(len(across.sizes), len(down.sizes)) - 1 and (
+        narrow >= 4 * least or max(narrow, least) * long > filters._LARGEST
+    ):
+        narrow, long, level = narrow / 4, long / 4, level + 1
     scale = np.diag([axis.place(1, level) / axis.place(1) for axis in (across, down)])
-    kernel = scale @ (spread + np.eye(2) / 12) @ scale - np.eye(2) / 12
-    kernel[np.diag_indices(2)] = np.maximum(kernel.diagonal(), 0.25)
+    kernel = scale @ spread @ scale + np.eye(2) * (max(least - narrow, 0) - 1 / 12)
+    kernel[np.diag_indices(2)] = np.maximum(kernel.diagonal(), filters._LEAST)
     inverse = np.linalg.inv(6 * kernel)
     centre = np.array([across.place(u, level) - 0.5, down.place(v, level) - 0.5])
     reach = np.sqrt(6 * kernel.diagonal())

@@ -324,18 +324,21 @@ def errors_of(
 @needs_jit
 @pytest.mark.parametrize("wrap", WRAPS)
 def test_ewa_is_three_times_as_near_to_stretched_footprints_as_mipmaps(wrap: str) -> None:
-    # Footprints of 12 by 1.5 texels in noise of equal power in all octaves, across borders too.
+    # Footprints 8 times as long as wide in noise of equal power in all octaves, across borders too.
     random = np.random.default_rng(0)
     size = 128
     frequencies = np.hypot(*np.meshgrid(np.fft.fftfreq(size), np.fft.fftfreq(size)))
     frequencies[0, 0] = 1
     pink = np.fft.ifft2(np.fft.fft2(random.normal(size=(size, size))) / frequencies).real
     codes = np.clip((pink - pink.mean()) / pink.std() * 50 + 128, 0, 255).astype(np.uint8)
-    for angle in (0.0, 0.3, 0.8, 1.2):
-        jacobian = turned(angle) @ np.diag([12, 1.5]) @ turned(1.7 * angle) / size
-        corners = corners_of(random.uniform(-0.1, 1.1, (100, 2)), jacobian)
-        ewa, trilinear = errors_of(codes, corners, ("ewa", "trilinear"), wrap)
-        assert ewa < trilinear / 3, angle
+    for texels in (1.0, 1.5, 2.2):
+        errors = []
+        for angle in (0.0, 0.3, 0.8, 1.2):
+            jacobian = turned(angle) @ np.diag([8.0, 1.0]) @ turned(1.7 * angle) * texels / size
+            corners = corners_of(random.uniform(-0.1, 1.1, (50, 2)), jacobian)
+            errors.append(errors_of(codes, corners, ("ewa", "trilinear"), wrap))
+        ewa, trilinear = np.sqrt(np.mean(np.square(errors), axis=0))
+        assert ewa < trilinear / 3, texels
 
 
 @needs_jit
@@ -354,5 +357,7 @@ def test_footprints_are_averaged_like_boxes_square_or_long(stretch: float, flat:
         jacobian = turned(texels) @ np.diag([stretch, 1.0]) @ turned(2 * texels) * texels / 64
         corners = corners_of(random.random((60, 2)), jacobian)
         [error] = errors_of(codes, corners, ("ewa",), "repeat", flat)
-        most = 4.0 if flat and stretch > 1 else 1.5 if texels < 2 else 3.0
+        # Beyond 30 texels EWA reads a level that is coarse for the width.
+        limits = ((stretch * texels > 30, 10.0), (flat and stretch > 1, 4.0), (texels < 2, 2.0), (True, 3.0))
+        most = next(limit for applies, limit in limits if applies)
         assert error < most, texels
