@@ -98,7 +98,7 @@ def around(
 ) -> tuple[Numbers, Numbers, Floats]:
     """Places in the neighbourhood of cells: the number of the cell, a triangle, barycentric coordinates.
 
-    Corners and middle of what is of each triangle in the cell around each centre; and a grid as wide as a
+    Corners and inside of what is of each triangle in the cell around each centre; and a grid as wide as a
     cell around each point on the plane of its triangle, beyond the triangle too, as filters look there.
     """
     owners: list[int] = []
@@ -106,7 +106,8 @@ def around(
     at: list[Floats] = []
     low, high = corners.min(axis=1), corners.max(axis=1)
     half = cell / 2
-    grid = half * np.stack(np.meshgrid([-1, -0.5, 0, 0.5, 1], [-1, -0.5, 0, 0.5, 1]), axis=-1).reshape(-1, 2)
+    steps = np.linspace(-half, half, 7)
+    grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     for number, (triangle, center) in enumerate(zip(triangles, centers, strict=True)):
         a, b, c = corners[triangle]
         first = (b - a) / np.linalg.norm(b - a)
@@ -117,7 +118,9 @@ def around(
         for other in np.flatnonzero(close):
             polygon = clipped(corners[other], center - half, center + half)
             if len(polygon):
-                places.append((int(other), np.vstack([polygon, polygon.mean(axis=0)])))
+                middle = polygon.mean(axis=0)
+                inner = [middle + part * (polygon - middle) for part in (0.33, 0.67)]
+                places.append((int(other), np.vstack([polygon, *inner, middle])))
         for other, positions in places:
             owners += [number] * len(positions)
             near += [other] * len(positions)
