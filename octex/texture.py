@@ -145,12 +145,14 @@ class OctreeTexture:
     ) -> npt.NDArray[np.float32] | dict[str, npt.NDArray[np.float32]]:
         """Look up values at rest positions (n, 3), float32 or float64.
 
-        Returns float32 (n, components): linear light for colours, 0 … 1 for integer types. A list of channel
-        names gives a dict. ``nearest``: the leaf that holds the point; else the nearest cell among the 27
-        around it at the deepest level that has one there, so that every point has a value.
+        Returns float32 (n, components): linear light for colours, −1 … 1 for directions, 0 … 1 for other
+        integers. A list of channel names gives a dict. ``nearest``: the leaf that holds the point; else the
+        nearest cell among the 27 around it at the deepest level that has one there, so that every point has
+        a value.
 
-        Directions come back as unit vectors, a mean of zero as zeros; without ``normalize`` as the means that
-        are stored, whose length, 1 where all directions agree, tells how far they spread.
+        Directions come back as unit vectors; without ``normalize`` as the means that are stored, whose length,
+        1 where all directions agree, tells how far they spread. A mean of zero stays zeros in floats, and has
+        no direction worth the name in integers, which have no code for zero.
 
         Raises ArgumentError for positions that are not finite (n, 3), and for unknown channels and filters.
         """
