@@ -150,9 +150,9 @@ class OctreeTexture:
         nearest cell among the 27 around it at the deepest level that has one there, so that every point has
         a value.
 
-        Directions come back as unit vectors; without ``normalize`` as the means that are stored, whose length,
-        1 where all directions agree, tells how far they spread. A mean of zero stays zeros in floats, and has
-        no direction worth the name in integers, which have no code for zero.
+        Directions come back as unit vectors; without ``normalize`` as the means that are stored, whose
+        length, 1 where all directions agree, tells how far they spread. A mean of zero stays zeros in floats;
+        integers have no code for zero, so it has no direction worth the name there.
 
         Raises ArgumentError for positions that are not finite (n, 3), and for unknown channels and filters.
         """
