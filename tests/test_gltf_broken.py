@@ -36,6 +36,11 @@ def broken(change: str, tmp_path: Path) -> Path:
         entry["indices"] = gltf.accessor(np.array([0, 1, 9], np.uint8))
     elif change == "negative index":
         entry["indices"] = gltf.accessor(np.array([0, 1, -1], np.int8))
+    elif change == "fractional index":
+        entry["indices"] = gltf.accessor(np.array([0, 1, 2], np.float32))
+    elif change == "restart":
+        attributes["POSITION"] = gltf.accessor(np.repeat(SQUARE, 64, axis=0))
+        entry["indices"] = gltf.accessor(np.array([0, 100, 255], np.uint8))
     elif change == "not finite":
         attributes["POSITION"] = gltf.accessor(np.where(SQUARE == 1, np.float32(np.nan), SQUARE))
     elif change == "colours not finite":
@@ -44,6 +49,12 @@ def broken(change: str, tmp_path: Path) -> Path:
         gltf.json["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = [1e999, 1, 1, 1]
     elif change == "beyond all bounds":
         gltf.json["nodes"][node]["scale"] = [1e200, 1, 1]
+    elif change == "boundless by boundless":
+        gltf.json["nodes"][node] |= {"rotation": [1e308, 1e308, 0, 1], "scale": [1e308, -1e308, 1]}
+    elif change == "scale of one number":
+        gltf.json["nodes"][node]["scale"] = 0.5
+    elif change == "translation of one number":
+        gltf.json["nodes"][node]["translation"] = True
     elif change == "infinite transform":
         gltf.json["nodes"][node]["scale"] = [1e999, 1, 1]
     elif change == "no coordinates":
@@ -129,6 +140,8 @@ def broken(change: str, tmp_path: Path) -> Path:
         return path
     elif change == "glTF 1":
         gltf.json["asset"]["version"] = "1.0"
+    elif change == "later glTF":
+        gltf.json["asset"]["minVersion"] = "2.1"
     elif change == "no asset":
         del gltf.json["asset"]
     elif change == "types":
@@ -162,10 +175,15 @@ def broken(change: str, tmp_path: Path) -> Path:
     [
         ("vertex out of range", "uses vertex 9, but there are 4"),
         ("negative index", "uses vertex -1, but there are 4"),
+        ("fractional index", r"the indices of meshes\[0\].* are not integers"),
+        ("restart", "uses vertex 255, but uint8 indices keep this number"),
         ("not finite", "vertices that are not finite"),
         ("colours not finite", "colours are not all finite"),
         ("factor not finite", "Infinity is not JSON|colours are not all finite"),
         ("beyond all bounds", "not all finite"),
+        ("boundless by boundless", "not all finite"),
+        ("scale of one number", "malformed"),
+        ("translation of one number", "malformed"),
         ("infinite transform", "Infinity is not JSON|not all finite"),
         ("no coordinates", "no TEXCOORD_0"),
         ("coordinates not finite", "texture coordinates are not all finite"),
@@ -191,6 +209,7 @@ def broken(change: str, tmp_path: Path) -> Path:
         ("buffer missing", "a%20buffer.bin: No such file"),
         ("buffer truncated", r"buffers\[0\] is truncated"),
         ("glTF 1", "is glTF 1.0"),
+        ("later glTF", "needs glTF 2.1; octex reads glTF 2.0"),
         ("no asset", "has no asset"),
         ("types", r"nodes\[0\] must be an object, not 't'"),
         ("truncated", "truncated"),

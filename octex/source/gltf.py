@@ -91,9 +91,9 @@ class _Scene:
         first = 0
         for (matrix, shape), primitive in zip(placed, each, strict=True):
             linear = matrix[:3, :3]
-            # A mirroring transform turns triangles inside out (3.7.4).
-            order = slice(None, None, -1 if np.linalg.det(linear) < 0 else 1)
             with np.errstate(over="ignore", invalid="ignore"):  # the surface refuses what is not finite
+                # A mirroring transform turns triangles inside out (3.7.4).
+                order = slice(None, None, -1 if np.linalg.det(linear) < 0 else 1)
                 vertices.append(shape.positions @ linear.T + matrix[:3, 3])
             triangles.append(shape.triangles[:, order] + np.int32(first))
             first += len(shape.positions)
@@ -216,19 +216,31 @@ class _Scene:
         positions = document.accessor(attributes["POSITION"], (3,)).astype(np.float64)
         if not np.isfinite(positions).all():
             raise ModelError(f"{document.name}: {name} has vertices that are not finite; repair the model")
-        if "indices" in entry:
-            indices = document.accessor(entry["indices"], (1,))[:, 0].astype(np.int64)
-        else:
-            indices = np.arange(len(positions))
-        if len(indices) and not 0 <= indices.min() <= indices.max() < len(positions):
-            worst = indices.min() if indices.min() < 0 else indices.max()
-            raise ModelError(
-                f"{document.name}: {name} uses vertex {worst}, but there are {len(positions)}; "
-                "export the model again"
-            )
+        indices = self._indices(entry, len(positions), name)
         triangles = _triangles(indices, entry.get("mode", _TRIANGLES)).astype(np.int32)
         number = entry.get("material") if self._options.materials else None
         return _Shape(positions, triangles, number, attributes, name)
+
+    def _indices(self, entry: dict[str, Any], count: int, name: str) -> npt.NDArray[np.int64]:
+        """Return the vertices of a primitive's corners, each below ``count``."""
+        if "indices" not in entry:
+            return np.arange(count)
+        document = self._document
+        indices = document.accessor(entry["indices"], (1,))[:, 0]
+        if indices.dtype.kind == "f":
+            raise ModelError(f"{document.name}: the indices of {name} are not integers; export it again")
+        low, high = indices.min(initial=0), indices.max(initial=0)
+        if len(indices) and not 0 <= low <= high < count:
+            raise ModelError(
+                f"{document.name}: {name} uses vertex {low if low < 0 else high}, but there are {count}; "
+                "export the model again"
+            )
+        if high == np.iinfo(indices.dtype).max:
+            raise ModelError(
+                f"{document.name}: {name} uses vertex {high}, but {indices.dtype.name} indices keep this "
+                "number for the end of a strip (3.7.2.1); export it with wider indices"
+            )
+        return indices.astype(np.int64)
 
     def _primitive(self, shape: _Shape, bound: Bound, has_normals: bool) -> _Primitive:
         """Read what a shape's material needs, and what may be of use without one."""
@@ -306,8 +318,8 @@ def _local_matrix(node: dict[str, Any]) -> npt.NDArray[np.float64]:
         ]
     )
     matrix = np.eye(4)
-    matrix[:3, :3] = rotation * np.array(node.get("scale", (1, 1, 1)), np.float64)
-    matrix[:3, 3] = node.get("translation", (0, 0, 0))
+    matrix[:3, :3] = rotation * np.array(node.get("scale", (1, 1, 1)), np.float64).reshape(3)
+    matrix[:3, 3] = np.array(node.get("translation", (0, 0, 0)), np.float64).reshape(3)
     return matrix
 
 

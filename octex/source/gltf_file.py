@@ -69,8 +69,10 @@ class Document:
         if not isinstance(self.json, dict) or not isinstance(self.json.get("asset"), dict):
             raise ModelError(f"{self.name} is not a glTF file: it has no asset")
         version = str(self.json["asset"].get("version"))
-        if not version.startswith("2."):
-            raise ModelError(f"{self.name} is glTF {version}; octex reads glTF 2.0: convert it first")
+        needed = str(self.json["asset"].get("minVersion", "2.0"))
+        if not version.startswith("2.") or needed > "2.0":
+            is_kind = f"is glTF {version}" if needed <= "2.0" else f"needs glTF {needed}"
+            raise ModelError(f"{self.name} {is_kind}; octex reads glTF 2.0: convert it first")
         for extension in self.json.get("extensionsRequired", []):
             known = extension in _KNOWN_EXTENSIONS or str(extension).startswith("KHR_materials_")
             if not known and extension not in CODED:

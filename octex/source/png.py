@@ -70,7 +70,8 @@ def decode_png16(data: bytes, name: str) -> npt.NDArray[np.uint16]:
 def png_chunks(data: bytes, name: str) -> list[tuple[bytes, bytes]]:
     """Return the kinds and bodies of a PNG file's chunks up to the end of the image.
 
-    Raises ImageError for a file without an end, or a wrong checksum of a chunk that the image needs.
+    Raises ImageError for a file without an end, a wrong checksum of a chunk that the image needs, or image
+    data with other chunks between (5.6).
     """
     found: list[tuple[bytes, bytes]] = []
     at = 8
@@ -88,6 +89,8 @@ def png_chunks(data: bytes, name: str) -> list[tuple[bytes, bytes]]:
             raise ImageError(f"{name}: a checksum of the image file is wrong; save the image again")
         if kind == b"IEND":
             return found
+        if kind == b"IDAT" and found and found[-1][0] != kind and kind in dict(found):
+            raise ImageError(f"{name}: the image data are torn apart by other chunks; save the image again")
         found.append((kind, body))
         at += 12 + length
 
