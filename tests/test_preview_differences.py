@@ -115,10 +115,9 @@ def test_a_ring_marks_the_maximum_if_it_is_in_sight(
     found["base_color"] = hidden
     said.clear()
     rings.clear()
-    if kind == "model":
-        draw_difference(surface, other, found, size=SIZE, supersample=1)
-        assert said[2].endswith("out of sight")
-        assert not rings
+    draw_difference(surface if kind == "model" else texture, other, found, size=SIZE, supersample=1)
+    assert said[2].endswith("out of sight")
+    assert not rings
 
 
 def test_what_only_one_has_is_blue_and_the_legend_says_so(surface: Surface) -> None:
@@ -132,6 +131,13 @@ def test_what_only_one_has_is_blue_and_the_legend_says_so(surface: Surface) -> N
         assert blue[90:].sum() >= 9  # the legend
     (_, _, apart), _ = drawn(surface, octex.convert(surface, 4), channels=["roughness"])
     assert not (np.abs(apart - _ALONE).max(axis=2) < 12).any()
+
+
+def test_of_two_textures_the_finer_leaves_show_the_difference(surface: Surface) -> None:
+    fine, coarse = spotted(octex.convert(surface, 5)), octex.convert(surface, 4)
+    for a, b in ((fine, coarse), (coarse, fine)):
+        (_, _, apart), _ = drawn(a, b, channels=["base_color"])
+        assert is_bright(apart).sum() > 20
 
 
 def test_every_channel_has_a_row(surface: Surface, texture: OctreeTexture) -> None:
@@ -159,6 +165,7 @@ def test_directions_are_drawn_by_their_angle() -> None:
 def test_a_preview_of_no_difference_is_dark(texture: OctreeTexture) -> None:
     (_, _, apart), found = drawn(texture, texture, channels=["roughness"])
     assert found["roughness"].maximum == 0.0
+    assert (np.abs(apart - 255).max(axis=2) > 0).all()  # no ring
     assert (np.abs(apart[30:60, 45:55] - _SCALE[0]).max() < 3).all()
 
 

@@ -42,9 +42,10 @@ def _readable(information: dict[str, Any]) -> Iterator[str]:
         yield f"{part:24} {size:15,} {size / leaves:7.2f}"
     if information["provenance"]:
         yield ""
+    width = max(map(len, information["provenance"]), default=0)
     for name, text in information["provenance"].items():
         for number, line in enumerate(_lines(text)):
-            yield f"{'' if number else name:14} {line}"
+            yield f"{'' if number else name:{width}}  {line}"
 
 
 def _lines(text: str) -> list[str]:

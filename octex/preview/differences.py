@@ -105,13 +105,14 @@ def draw_difference(
     pixel, on a scale from black to yellow that reaches at least to the 99th percentile and to a tenth of the
     maximum. A ring marks the maximum if it is in sight; blue is where only one of them has a surface. A
     model, if there is one, is what is drawn of both; else the leaves of each are, no finer than two to a
-    pixel.
+    pixel, and of the difference the finer ones.
     """
     sides = a, b
     model = next((side for side in sides if isinstance(side, Surface)), None)
     room = round(1.6 * caption_height(size[1]))
     panel_size = size[0] // 3, size[1]
     camera: Camera | None = None
+    leaves: _TwoTrees | None = None
     rows = []
     for channel, result in found.items():
         shown = result.angle or result
@@ -122,7 +123,8 @@ def draw_difference(
         else:
             textures = [side for side in sides if isinstance(side, OctreeTexture)]
             camera = camera or leaf_camera(textures, channel, panel_size, room)
-            row = _row_of_leaves(textures, camera, found, channel, supersample)
+            leaves = leaves or _TwoTrees(textures, camera)
+            row = leaves.row(found, channel, supersample)
         captions = [_caption(side, channel) for side in sides]
         panels = [
             captioned(Panel(picture, name, caption), room)
@@ -172,27 +174,41 @@ def _row_on_model(
     return _Row([each.picture() for each in films], film, ring)
 
 
-def _row_of_leaves(
-    textures: list[OctreeTexture], camera: Camera, found: Differences, channel: str, supersample: int
-) -> _Row:
-    # At their levels two to a pixel; what only one of them has comes from the leaves of that one.
-    a, b = (texture.level(visible_level(texture, camera, _LEAF_PIXELS)) for texture in textures)
-    both = [Leaves.of(texture) for texture in (a, b)]
-    covered = np.concatenate(
-        [cover(other)(leaves.centres, leaves.edges) for leaves, other in zip(both, (b, a), strict=True)]
-    )
-    leaves = Leaves(*(np.concatenate(arrays) for arrays in zip(*both, strict=True)))
-    appearance = _Apart((a, b), channel, 0.0).appearance(Points(leaves.centres), covered)
-    film = film_leaves(leaves, appearance, camera, supersample)
-    where = np.array((found[channel].angle or found[channel]).where)
-    nearest = int(np.abs(leaves.centres - where).max(axis=1).argmin())
-    at = np.argwhere(rasterize_cubes(leaves.corners, leaves.edges, camera).cube == nearest)
-    row, column = at.mean(axis=0) + 0.5 if len(at) else (0.0, 0.0)
-    pictures = [
-        film_leaves(each, each.appearance(texture, channel), camera, supersample).picture()
-        for each, texture in zip(both, (a, b), strict=True)
-    ]
-    return _Row(pictures, film, (float(column), float(row)) if len(at) else None)
+class _TwoTrees:
+    """The leaves of two textures, at levels two to a pixel."""
+
+    def __init__(self, textures: list[OctreeTexture], camera: Camera) -> None:
+        a, b = (texture.level(visible_level(texture, camera, _LEAF_PIXELS)) for texture in textures)
+        self._textures = a, b
+        self._camera = camera
+        self._leaves = Leaves.of(a), Leaves.of(b)
+        # The finer ones show the difference; of the others, those do that lie where there are no finer ones.
+        order = (0, 1) if self._leaves[0].edges.min() <= self._leaves[1].edges.min() else (1, 0)
+        fine, coarse = (self._leaves[n] for n in order)
+        meets_coarse, meets_fine = (cover(self._textures[n]) for n in reversed(order))
+        alone = ~meets_fine(coarse.centres, coarse.edges)
+        covered = meets_coarse(fine.centres, fine.edges)
+        self._differing = Leaves.joined(fine, coarse.only(alone))
+        self._covered = np.concatenate([covered, np.zeros(int(alone.sum()), np.bool_)])
+
+    def row(self, found: Differences, channel: str, supersample: int) -> _Row:
+        """Draw a channel."""
+        differing, camera = self._differing, self._camera
+        apart = _Apart(self._textures, channel, 0.0).appearance(Points(differing.centres), self._covered)
+        pictures = [
+            film_leaves(leaves, leaves.appearance(texture, channel), camera, supersample).picture()
+            for leaves, texture in zip(self._leaves, self._textures, strict=True)
+        ]
+        film = film_leaves(differing, apart, camera, supersample)
+        # Leaves that hold the maximum, or the centre of one that does.
+        where = np.array((found[channel].angle or found[channel]).where)
+        holding = np.abs(differing.centres - where).max(axis=1) <= 1.001 * differing.edges
+        seen = rasterize_cubes(differing.corners, differing.edges, camera).cube
+        at = np.argwhere((seen >= 0) & holding[seen])
+        if not len(at):
+            return _Row(pictures, film, None)
+        row, column = at.mean(axis=0) + 0.5
+        return _Row(pictures, film, (float(column), float(row)))
 
 
 class _Apart:
@@ -219,18 +235,20 @@ def _difference_panel(row: _Row, channel: str, shown: Difference, room: int) -> 
     within = np.maximum(coverage - alone, 1e-9)
     colors = _on_scale(apart / within[..., 0]) * within + srgb_to_linear(_ALONE / 255) * alone
     picture = (colors + (1.0 - coverage) * background(*apart.shape)).astype(np.float32)
-    in_sight = "in the ring" if row.ring else "out of sight"
+    ring = row.ring if shown.maximum > 0 else None
+    place = "in the ring" if ring else "out of sight"
+    most = f"maximum {_text(shown.maximum)} {shown.measure}, {place}"
     panel = captioned(
         Panel(
             picture,
             f"{channel}: {_text(PEAKS[shown.measure] / top)} times the difference",
-            f"rms {_text(shown.rms)}, maximum {_text(shown.maximum)} {shown.measure}, {in_sight}",
+            f"rms {_text(shown.rms)}, {most}" if shown.maximum > 0 else "they do not differ",
         ),
         room,
     )
     draw = ImageDraw.Draw(panel)
-    if row.ring:
-        x, y = row.ring
+    if ring:
+        x, y = ring
         radius = max(panel.height / 40, 4.0)
         for grow, color in ((2, (0, 0, 0)), (0, (255, 255, 255))):
             size = radius + grow

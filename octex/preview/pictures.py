@@ -118,10 +118,19 @@ class Leaves(NamedTuple):
             edges = np.ldexp(1.0, -depths.astype(np.int32))
             corners = texture.placement.to_rest(decode_cells(codes) * edges[:, None])
             normals = estimate_normals(texture.tree.arrays, cells, codes, depths)
-            blocks.append((cells, corners, edges * texture.placement.size, normals))
+            blocks.append(cls(cells, corners, edges * texture.placement.size, normals))
         if not blocks:
             raise ArgumentError("the texture has no leaves to draw")
-        return cls(*(np.concatenate(parts) for parts in zip(*blocks, strict=True)))
+        return cls.joined(*blocks)
+
+    @classmethod
+    def joined(cls, *parts: Leaves) -> Leaves:
+        """Return all leaves of some parts, whose cells are no longer those of one texture."""
+        return cls(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+    def only(self, chosen: npt.NDArray[np.bool_]) -> Leaves:
+        """Return some of them."""
+        return Leaves(self.cells[chosen], self.corners[chosen], self.edges[chosen], self.normals[chosen])
 
     @property
     def centres(self) -> npt.NDArray[np.float64]:
