@@ -14,6 +14,8 @@ from octex.source.pyramid import DATA, FAINT, FLOAT, SRGB, Images
 
 OPAQUE, MASK, BLEND = 0, 1, 2
 
+# Footprints have at most this variance, in texels², so that their ends fit integers.
+_MOST = 1e24
 # Images are read in single precision: 17 ns where double takes 26 (bilinear, in cache).
 _NONE, _ALL, _CODES, _FAINT = np.float32(0), np.float32(1), np.float32(65535), np.float32(FAINT)
 # A texel is a word of four codes: red in the lowest bits, then green, blue and alpha.
@@ -62,7 +64,7 @@ def measure(
     coordinate_rows: npt.NDArray[np.int32],
     rest: npt.NDArray[np.float64],
     triangles: npt.NDArray[np.int32],
-    footprints: npt.NDArray[np.float32],
+    footprints: npt.NDArray[np.float64],
 ) -> None:
     """Fill in the covariance (slots, triangles, 3) of a unit box on each triangle, as it looks in its images.
 
@@ -93,7 +95,7 @@ def measure(
             uy = (coordinates[c, 0] - u0 - ux * shift) / rise
             vy = (coordinates[c, 1] - v0 - vx * shift) / rise
             uu, uv, vv = ux * ux + uy * uy, ux * vx + uy * vy, vx * vx + vy * vy
-            if uu + vv < 1e30:
+            if uu + vv < 1e120:
                 footprints[slot, triangle, 0] = uu / 12.0
                 footprints[slot, triangle, 1] = uv / 12.0
                 footprints[slot, triangle, 2] = vv / 12.0
@@ -104,7 +106,7 @@ def evaluate(
     tables: Tables,
     columns: Columns,
     images: Images,
-    footprints: npt.NDArray[np.float32],
+    footprints: npt.NDArray[np.float64],
     name: int,
     triangles: npt.NDArray[np.int32],
     barycentric: npt.NDArray[np.float64],
@@ -125,6 +127,7 @@ def evaluate(
     shared = np.empty((most_stacks, 11), np.float64)
     last = -1
     material = first = end = mode = 0
+    widest = np.inf
     has_colors = tables.colors.shape[0] > 0
     for i in range(triangles.size):
         triangle = int(triangles[i])
@@ -133,8 +136,10 @@ def evaluate(
             material = int(tables.materials[triangle])
             mode = int(tables.alpha_modes[material])
             first, end = int(tables.first_stacks[material]), int(tables.first_stacks[material + 1])
+            widest = np.inf
             for stack in range(first, end):
                 _load(tables, images, footprints, stack, triangle, shared, stack - first)
+                widest = min(widest, _MOST / max(shared[stack - first, 10], 1e-200))
         b0, b1, b2 = barycentric[i, 0], barycentric[i, 1], barycentric[i, 2]
         red = green = blue = 1.0
         alpha = float(tables.alpha_factors[material])
@@ -148,8 +153,8 @@ def evaluate(
         threshold = -1.0
         if mode == MASK:
             threshold = tables.cutoffs[material] / alpha if alpha > 0.0 else np.inf
-        width = float(widths[i])
-        square = width * width
+        width = np.float64(widths[i])
+        square = min(width * width, widest)
         at = 1
         thresholded = False
         for stack in range(first, end):
@@ -201,7 +206,7 @@ def evaluate(
 def _load(
     tables: Tables,
     images: Images,
-    footprints: npt.NDArray[np.float32],
+    footprints: npt.NDArray[np.float64],
     stack: int,
     triangle: int,
     shared: npt.NDArray[np.float64],
@@ -215,9 +220,9 @@ def _load(
         shared[row, 2 * corner + 1] = tables.coordinates[at, 1]
     level = images.layouts[tables.stacks[stack, 0], 0]
     shared[row, 6], shared[row, 7], shared[row, 8], shared[row, 9], shared[row, 10] = footprint(
-        np.float64(footprints[slot, triangle, 0]),
-        np.float64(footprints[slot, triangle, 1]),
-        np.float64(footprints[slot, triangle, 2]),
+        footprints[slot, triangle, 0],
+        footprints[slot, triangle, 1],
+        footprints[slot, triangle, 2],
         images.levels[level, 1],
         images.levels[level, 2],
     )

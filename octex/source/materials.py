@@ -102,7 +102,7 @@ class MaterialSource(Source):
         self._filter = FILTERS.index(as_choice(filter, FILTERS, "filter"))
         self._lock = Lock()
         self._prepared: _Prepared | None = None
-        self._footprints: npt.NDArray[np.float32] | None = None
+        self._footprints: npt.NDArray[np.float64] | None = None
         self._check()
         stated = self._stated()
         if channels is not None:
@@ -231,14 +231,14 @@ class MaterialSource(Source):
             if not np.isfinite(corners.values[corners.rows[textured]]).all():
                 raise ModelError(f"{self._name}: texture coordinates are not all finite; repair the model")
 
-    def _prepare(self) -> tuple[_Prepared, npt.NDArray[np.float32]]:
+    def _prepare(self) -> tuple[_Prepared, npt.NDArray[np.float64]]:
         """Return what the kernels read, made on the first use."""
         with self._lock:
             if self._prepared is None:
                 self._prepared = self._tables()
             if self._footprints is None:
                 tables = self._prepared.tables
-                self._footprints = np.zeros((*tables.coordinate_rows.shape[:2], 3), np.float32)
+                self._footprints = np.zeros((*tables.coordinate_rows.shape[:2], 3))
                 measure(
                     tables.coordinates, tables.coordinate_rows, self._rest, self._triangles, self._footprints
                 )
