@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 
 from octex.channels import srgb_to_linear
 from octex.errors import ArgumentError, ImageError, ModelError
+from octex.source.corners import Corners, Frames
+from octex.source.filters import FILTERS
 from octex.source.surface import Samples, Surface
 from tests.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV, random_image
 
@@ -120,7 +122,7 @@ def test_coordinates_have_v_up_and_may_be_given_by_corner() -> None:
     image = np.array([[[255] * 3, [255] * 3], [[0] * 3, [0] * 3]], np.uint8)
     by_vertex = SQUARE[:, :2]
     for uv in (by_vertex, by_vertex[SQUARE_TRIANGLES]):
-        surface = square(uv=uv, image=image, filter="nearest", wrap=("repeat", "clamp"))
+        surface = square(uv=uv, image=image, mag_filter="nearest", wrap=("repeat", "clamp"))
         samples = surface.scatter(100)
         np.testing.assert_array_equal(surface.evaluate(samples)[:, 0] == 1, samples.points[:, 1] > 0.5)
 
@@ -129,6 +131,85 @@ def test_images_of_pillow_are_taken() -> None:
     image = PIL.Image.new("RGB", (2, 2), (255, 0, 0))
     surface = square(uv=SQUARE_UV, image=image)
     np.testing.assert_allclose(surface.evaluate(surface.scatter(5)), [[1, 0, 0]] * 5)
+
+
+def test_images_of_floats_are_light_of_any_size() -> None:
+    light = np.random.default_rng(0).random((4, 4, 3)).astype(np.float32) * 8
+    surface = square(uv=SQUARE_UV, image=light, factor=(0.5, 0.5, 0.5))
+    [form] = surface.channels
+    assert (form.name, form.space, form.dtype) == ("base_color", "linear", "float16")
+    values = surface.evaluate(surface.scatter(50))
+    assert (light.min() / 2 <= values).all()
+    assert 1 < values.max() <= light.max() / 2
+
+
+def test_coordinates_are_kept_with_v_down_without_an_image_too() -> None:
+    surface = square(uv=SQUARE_UV)
+    assert surface.uv is not None
+    np.testing.assert_allclose(surface.uv.values, SQUARE_UV * [1, -1] + [0, 1])
+    np.testing.assert_array_equal(surface.uv.rows, SQUARE_TRIANGLES)
+    for other in (surface.with_rest(SQUARE * 2), surface.with_filter("sat"), surface.with_sources({})):
+        assert other.uv is surface.uv
+    assert square().uv is None
+
+
+def test_some_channels_alone_are_those_values() -> None:
+    surface = square(uv=SQUARE_UV, image=random_image(4, 4, 4))
+    samples = surface.scatter(30)
+    for name in ("base_color", "alpha"):
+        alone = surface.with_channels([name])
+        assert [channel.name for channel in alone.channels] == [name]
+        for width in (0.0, 0.3):
+            expected = surface.evaluate(samples, name, width)
+            np.testing.assert_allclose(alone.evaluate(samples, name, width), expected, atol=1e-6)
+    both = surface.with_channels(["alpha", "base_color"])
+    assert both.channels == surface.channels
+    with pytest.raises(ArgumentError, match="unknown channel 'metallic'; there are: base_color, alpha"):
+        surface.with_channels(["alpha", "metallic"])
+    with pytest.raises(ArgumentError, match="name at least one channel"):
+        surface.with_channels([])
+
+
+@pytest.mark.parametrize("filter", FILTERS)
+def test_images_are_read_by_the_filter_asked_for(filter: str) -> None:
+    usual = square(uv=SQUARE_UV, image=random_image(8, 8))
+    asked = square(uv=SQUARE_UV, image=random_image(8, 8), filter=filter)
+    samples = usual.scatter(30)
+    values = usual.with_filter(filter).evaluate(samples, width=0.4)
+    np.testing.assert_array_equal(values, asked.evaluate(samples, width=0.4))
+    assert (filter == "ewa") == np.array_equal(values, usual.evaluate(samples, width=0.4))
+    with pytest.raises(ArgumentError, match="unknown filter 'sharp'"):
+        usual.with_filter("sharp")
+
+
+def test_what_is_derived_from_a_surface_keeps_a_provenance_of_its_own() -> None:
+    surface = square(uv=SQUARE_UV, image=random_image(4, 4, 4))
+    surface.provenance["source"] = "quad.glb"
+    derived = [
+        surface.with_rest(SQUARE * 2),
+        surface.with_channels(["alpha"]),
+        surface.with_filter("sat"),
+        surface.with_sources({"metallic": 0.5}),
+    ]
+    for other in derived:
+        assert other.provenance["source"] == "quad.glb"
+        other.provenance["rest"] = "another.glb"
+    assert surface.provenance == {"source": "quad.glb"}
+
+
+def test_shading_normals_are_kept_and_follow_the_rest_mesh() -> None:
+    triangles = SQUARE_TRIANGLES.astype(np.int32)
+    normals = Corners(np.tile(np.float32([0, 0.6, 0.8]), (4, 1)), triangles)
+    tangents = Corners(np.tile(np.float32([1, 0, 0, 1]), (4, 1)), triangles)
+    plain = square()
+    surface = Surface(plain.vertices, triangles, plain.source, frames=Frames(normals, tangents))
+    assert surface.with_filter("sat").frames is surface.frames
+    turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    turned = surface.with_rest(SQUARE @ turn.T).frames
+    assert turned is not None
+    np.testing.assert_allclose(turned.normals.values, [turn @ [0, 0.6, 0.8]] * 6, atol=1e-6)
+    np.testing.assert_allclose(turned.tangents.values[:, :3], [turn @ [1, 0, 0]] * 6, atol=1e-6)
+    assert plain.frames is None
 
 
 def test_samples_keep_their_values_at_other_rest_positions() -> None:
