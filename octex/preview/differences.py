@@ -43,7 +43,6 @@ from octex.preview.pictures import (
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.view.camera import Camera
-from octex.view.cubes import rasterize_cubes
 from octex.view.shading import background
 
 # Inferno, by Nathaniel Smith and Stéfan van der Walt (CC0): as even to the eye as it is in numbers.
@@ -123,8 +122,8 @@ def draw_difference(
         else:
             textures = [side for side in sides if isinstance(side, OctreeTexture)]
             camera = camera or leaf_camera(textures, channel, panel_size, room)
-            leaves = leaves or _TwoTrees(textures, camera)
-            row = leaves.row(found, channel, supersample)
+            leaves = leaves or _TwoTrees(textures, camera, supersample)
+            row = leaves.row(found, channel)
         captions = [_caption(side, channel) for side in sides]
         panels = [
             captioned(Panel(picture, name, caption), room)
@@ -177,10 +176,10 @@ def _row_on_model(
 class _TwoTrees:
     """The leaves of two textures, at levels two to a pixel."""
 
-    def __init__(self, textures: list[OctreeTexture], camera: Camera) -> None:
+    def __init__(self, textures: list[OctreeTexture], camera: Camera, supersample: int) -> None:
         a, b = (texture.level(visible_level(texture, camera, _LEAF_PIXELS)) for texture in textures)
         self._textures = a, b
-        self._camera = camera
+        self._camera, self._supersample = camera, supersample
         self._leaves = Leaves.of(a), Leaves.of(b)
         # The finer ones show the difference; of the others, those do that lie where there are no finer ones.
         order = (0, 1) if self._leaves[0].edges.min() <= self._leaves[1].edges.min() else (1, 0)
@@ -191,24 +190,28 @@ class _TwoTrees:
         self._differing = Leaves.joined(fine, coarse.only(alone))
         self._covered = np.concatenate([covered, np.zeros(int(alone.sum()), np.bool_)])
 
-    def row(self, found: Differences, channel: str, supersample: int) -> _Row:
+        samples = camera.scaled(supersample)
+        self._seen = [leaves.seen(samples) for leaves in (*self._leaves, self._differing)]
+
+    def row(self, found: Differences, channel: str) -> _Row:
         """Draw a channel."""
-        differing, camera = self._differing, self._camera
+        differing = self._differing
         apart = _Apart(self._textures, channel, 0.0).appearance(Points(differing.centres), self._covered)
-        pictures = [
-            film_leaves(leaves, leaves.appearance(texture, channel), camera, supersample).picture()
-            for leaves, texture in zip(self._leaves, self._textures, strict=True)
-        ]
-        film = film_leaves(differing, apart, camera, supersample)
+        both = zip(self._leaves, self._textures, strict=True)
+        appearances = [*(leaves.appearance(texture, channel) for leaves, texture in both), apart]
+        a, b, film = (
+            film_leaves(leaves, appearance, seen, self._camera, self._supersample)
+            for leaves, appearance, seen in zip(
+                (*self._leaves, differing), appearances, self._seen, strict=True
+            )
+        )
         # Leaves that hold the maximum, or the centre of one that does.
         where = np.array((found[channel].angle or found[channel]).where)
         holding = np.abs(differing.centres - where).max(axis=1) <= 1.001 * differing.edges
-        seen = rasterize_cubes(differing.corners, differing.edges, camera).cube
-        at = np.argwhere((seen >= 0) & holding[seen])
-        if not len(at):
-            return _Row(pictures, film, None)
-        row, column = at.mean(axis=0) + 0.5
-        return _Row(pictures, film, (float(column), float(row)))
+        seen = self._seen[-1].cube
+        at = (np.argwhere((seen >= 0) & holding[seen]) + 0.5) / self._supersample
+        ring = (float(at[:, 1].mean()), float(at[:, 0].mean())) if len(at) else None
+        return _Row([a.picture(), b.picture()], film, ring)
 
 
 class _Apart:

@@ -18,7 +18,6 @@ from octex.preview.directions import best_direction, view_directions
 from octex.preview.looks import Floats, Look, Shown, source_look, texture_look
 from octex.preview.pictures import Leaves, film_surface, render_leaves, seen_hits, visible_level
 from octex.view.camera import Camera
-from octex.view.cubes import rasterize_cubes
 from octex.view.shading import face_normals
 
 if TYPE_CHECKING:
@@ -128,7 +127,7 @@ def leaf_camera(textures: Sequence[OctreeTexture], channel: str, size: tuple[int
     first, colors = every[0], every[0].appearance(coarse[0], channel).unlit()
 
     def unlit(camera: Camera) -> Floats:
-        seen = rasterize_cubes(first.corners, first.edges, camera).cube
+        seen = first.seen(camera).cube
         picture = np.full((*seen.shape, 3), np.nan)
         picture[seen >= 0] = linear_to_srgb(colors[seen[seen >= 0]])
         return picture

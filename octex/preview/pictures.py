@@ -15,7 +15,7 @@ from octex.tree.morton import decode_cells
 from octex.tree.normals import estimate_normals
 from octex.tree.walk import walk_leaves
 from octex.view.camera import Camera
-from octex.view.cubes import rasterize_cubes
+from octex.view.cubes import CubeBuffers, rasterize_cubes
 from octex.view.rasterize import rasterize
 from octex.view.shading import background, corner_normals, face_normals, light
 
@@ -132,6 +132,10 @@ class Leaves(NamedTuple):
         """Return some of them."""
         return Leaves(self.cells[chosen], self.corners[chosen], self.edges[chosen], self.normals[chosen])
 
+    def seen(self, camera: Camera) -> CubeBuffers:
+        """Return which of them a camera sees."""
+        return rasterize_cubes(self.corners, self.edges, camera)
+
     @property
     def centres(self) -> npt.NDArray[np.float64]:
         """Where their middles are (n, 3)."""
@@ -163,16 +167,23 @@ def render_leaves(
     """
     texture = texture.level(visible_level(texture, camera) if level is None else level)
     leaves = Leaves.of(texture)
+    buffers = leaves.seen(camera.scaled(supersample))
     return film_leaves(
-        leaves, leaves.appearance(texture, channel), camera, supersample, cubes=cubes
+        leaves, leaves.appearance(texture, channel), buffers, camera, supersample, cubes=cubes
     ).picture()
 
 
 def film_leaves(
-    leaves: Leaves, appearance: Appearance, camera: Camera, supersample: int, *, cubes: bool = False
+    leaves: Leaves,
+    appearance: Appearance,
+    buffers: CubeBuffers,
+    camera: Camera,
+    supersample: int,
+    *,
+    cubes: bool = False,
 ) -> Film:
-    """Expose a film to leaves as they appear, or to their ``cubes``."""
-    seen, axis, border, _ = rasterize_cubes(leaves.corners, leaves.edges, camera.scaled(supersample))
+    """Expose a film to leaves as they appear, or to their ``cubes``; ``buffers`` say what samples see."""
+    seen, axis, border, _ = buffers
     film = Film(camera, supersample)
     drawn = np.flatnonzero(seen >= 0)
     for first in range(0, len(drawn), _BLOCK):
