@@ -157,21 +157,13 @@ def _surface(
 ) -> Surface:
     """Return what is to be converted, with the wanted channels alone."""
     names = [channels] if isinstance(channels, str) else channels
-    if names is not None:
-        if not names:
-            raise ArgumentError("channels must name one at least")
-        sources = {name: given for name, given in sources.items() if name in names}
-    if isinstance(model, Surface):
-        surface = model if rest is None else at_rest(model, rest)
-    else:
+    if not isinstance(model, Surface):
         report("read", 0, 1)
-        read = None if names is None else [name for name in names if name not in sources]
-        surface = load_surface(model, rest=rest, channels=read, filter=filter or DEFAULT_FILTER)
+        surface = load_surface(model, rest, channels=names, sources=sources, filter=filter or DEFAULT_FILTER)
         report("read", 1, 1)
-    if sources:
-        surface = surface.with_sources(sources)
-    if names is not None:
-        surface = surface.with_channels(names)
+        return surface
+    surface = model if rest is None else at_rest(model, rest)
+    surface = surface.completed(sources, names)
     return surface if filter is None else surface.with_filter(filter)
 
 

@@ -49,8 +49,8 @@ _LEAST = 0.25
 _RADIUS = 6.0
 # Ellipses are at most this many times as long as wide; what is longer is read wider.
 _LONGEST = 16.0
-# A coarser level is read if the product of the kernel's variances is above this: EWA takes 6 π times its root.
-_LARGEST = 3.6
+# A coarser level is read if the product of a kernel's variances is above this: 6 π times its root are taps.
+_LARGEST = 6.0
 # At the coarsest level of an image a footprint reaches no farther than this many texels.
 _FARTHEST = 24.0
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -36,24 +36,27 @@ def load_surface(
     rest: str | Path | npt.ArrayLike | None = None,
     *,
     channels: Sequence[str] | None = None,
+    sources: Mapping[str, object] | None = None,
     filter: str = "ewa",
-    normals: bool = False,
 ) -> Surface:
     """Read a model: its triangles as placed in the scene, and what its materials are made of.
 
     ``rest`` gives rest positions: another model file of the same topology (the same triangles, vertex for
     vertex; its materials are not read), or an array (vertices, 3). Positions are in the model's units.
     ``channels`` names those that are wanted, by default all that the materials state; images of others are
-    not read. ``filter`` is how images are averaged over footprints, one of filters.FILTERS. ``normals`` keeps
-    shading normals also where no normal map needs them: for one of your own (``Surface.with_sources``).
+    not read. ``sources`` gives some of them from elsewhere, as for ``Surface.with_sources``. ``filter``, one of
+    filters.FILTERS, is how images are averaged over footprints.
 
     Raises ModelError or ImageError, with one line that names the file, the cause and the remedy, and
-    ArgumentError for an unknown filter.
+    ArgumentError for names and values that do not fit.
     """
     as_choice(filter, FILTERS, "filter")
-    wanted = None if channels is None else tuple(channels)
-    surface = _read(Path(path), Options(True, wanted, filter, normals))
-    return surface if rest is None else at_rest(surface, rest)
+    own = dict(sources or {})
+    wanted = None if channels is None else tuple(name for name in channels if name not in own)
+    surface = _read(Path(path), Options(True, wanted, filter, "normal" in own))
+    if rest is not None:
+        surface = at_rest(surface, rest)
+    return surface.completed(own, channels, filter)
 
 
 def at_rest(surface: Surface, rest: str | Path | npt.ArrayLike) -> Surface:

@@ -223,6 +223,20 @@ class Surface:
         made.source = Combined(parts)
         return made
 
+    def completed(
+        self, sources: Mapping[str, object], channels: Sequence[str] | None, filter: str = "ewa"
+    ) -> Surface:
+        """Return the surface with ``sources`` (as for ``with_sources``), and with ``channels`` alone.
+
+        Sources of channels that are not wanted are left out.
+        """
+        names = None if channels is None else list(channels)
+        if names is not None and not names:
+            raise ArgumentError("channels must name one at least")
+        given = {name: each for name, each in sources.items() if names is None or name in names}
+        surface = self.with_sources(given, filter) if given else self
+        return surface if names is None else surface.with_channels(names)
+
     def _with(self, source: Source, rest: npt.NDArray[np.float64] | None = None) -> Surface:
         frames = self.frames
         if frames is not None and rest is not None:
