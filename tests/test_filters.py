@@ -177,12 +177,24 @@ def test_masked_alpha_is_0_or_1_at_points_and_a_share_of_texels_in_footprints(
     share = (image[..., 3] >= 128).mean()
     large = read(image, corners_of([[0.1, 0.7]], np.eye(2) * 1000), filter, **options)
     np.testing.assert_allclose(large[:, 3], share, atol=1e-4)
-    # From texels that are 0 or 1, and not from what they are between them.
-    corners = corners_of(random.random((4 * COUNT, 2)), np.diag([6, 5]) / 16)
+    # From texels that are 0 or 1, and not from what is between them; EWA takes 1.5 texels for a point.
     values = np.concatenate([srgb_to_linear(image[..., :3] / 255), image[..., 3:] >= 128], axis=2)
-    expected = naively(values, corners, filter, ("repeat", "repeat"), flat, covered=True)
-    found = read(image, corners, filter, **options)
-    np.testing.assert_allclose(found[:, 3], expected[:, 3], atol=1e-4)
+    for texels in (1.5, 2.4, 6.0):
+        corners = corners_of(random.random((4 * COUNT, 2)), turned(texels) @ np.diag([texels, texels]) / 16)
+        if texels > 2 or filter != "ewa":
+            found = read(image, corners, filter, **options)
+            expected = naively(values, corners, filter, ("repeat", "repeat"), flat, covered=True)
+            np.testing.assert_allclose(found[:, 3], expected[:, 3], atol=1e-4)
+
+
+@pytest.mark.parametrize("filter", AVERAGING)
+def test_footprints_longer_than_16_widths_are_read_wider(filter: str) -> None:
+    image = random_image(8, 6, 3, "uint16")
+    random = np.random.default_rng(4)
+    jacobians = [turned(angle) @ np.diag([12.0, 0.1]) / [[6], [8]] for angle in random.uniform(0, 6, COUNT)]
+    corners = corners_of(random.random((COUNT, 2)), np.array(jacobians))
+    expected = naively(srgb_to_linear(image / 65535), corners, filter, ("repeat", "clamp"))
+    np.testing.assert_allclose(read(image, corners, filter, ("repeat", "clamp")), expected, atol=2e-4)
 
 
 @given(

@@ -153,8 +153,7 @@ def test_channels_of_materials_that_no_triangle_uses_are_not_there() -> None:
 
 
 def test_vertex_colours_multiply_base_colour_and_alpha_alone() -> None:
-    random = np.random.default_rng(0)
-    colors = Corners(random.random((4, 4)).astype(np.float32), TRIANGLES)
+    colors = Corners(np.random.default_rng(0).random((4, 4), np.float32), TRIANGLES)
     picture = texture(image(4, 4))
     inputs = {
         "base_color": Input((0.5, 1.0, 1.0), picture),
@@ -180,6 +179,8 @@ def test_alpha_counts_as_its_mode_says() -> None:
     np.testing.assert_allclose(values(source(Material(inputs, "blend")), "alpha")[:, 0], alpha / 2, atol=1e-5)
     masked = values(source(Material(inputs, "mask", 0.2)), "alpha")[:, 0]
     np.testing.assert_array_equal(masked, alpha / 2 >= 0.2)
+    masked = values(source(Material(inputs, "mask", 0.2)), "alpha", 100.0)
+    np.testing.assert_allclose(masked, (picture.texels[..., 3] >= 0.4 * 65535).mean(), atol=1e-3)
     nothing = {**inputs, "alpha": Input((0.0,), picture, (3,))}
     assert not values(source(Material(nothing, "mask", 0.2)), "alpha").any()
     both = values(source(Material(inputs, "opaque"), Material(inputs, "blend")), "alpha")[:, 0]
