@@ -26,7 +26,7 @@ from octex.cli.arguments import (
 from octex.cli.common import Parser, Reporter, bytes_text, check_outputs, run, say
 from octex.cli.diff import diff
 from octex.cli.inspect import info, validate
-from octex.cli.models import DEFAULT_FILTER, completed, load, source_files, sources_of
+from octex.cli.models import DEFAULT_FILTER, read_model, source_files, sources_of
 from octex.errors import ArgumentError, ExitCode, InputError
 from octex.parallel import threads
 
@@ -202,17 +202,13 @@ def _convert(options: argparse.Namespace) -> int:
             surface, texture = None, _reduced(options)
         else:
             with _stage(progress, "read"):
-                surface = load(options.INPUT, options)
+                surface = read_model(options.INPUT, options)
             with nullcontext() if options.threads is None else threads(options.threads) as executor:
                 texture = octex.convert(
                     surface,
                     options.depth,
                     cell=options.cell,
-                    rest=options.rest,
-                    channels=options.channels,
-                    sources=sources_of(options),
                     dtype=options.dtype,
-                    filter=options.filter or DEFAULT_FILTER,
                     executor=executor,
                     progress=progress,
                 )
@@ -220,8 +216,7 @@ def _convert(options: argparse.Namespace) -> int:
             from octex.preview import write_preview
 
             with _stage(progress, "draw"):
-                shown = None if surface is None else completed(surface, options)
-                write_preview(options.preview, shown, texture)
+                write_preview(options.preview, surface, texture)
         if options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
             with _stage(progress, "write"):
                 texture.save(options.OUTPUT)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import octex
 from octex.cli.common import Reporter, check_outputs, say
 from octex.cli.inspect import triple
-from octex.cli.models import completed, load, source_files
+from octex.cli.models import read_model, source_files
 from octex.errors import ArgumentError, ExitCode
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def diff(command: str, options: argparse.Namespace) -> int:
 def _side(path: Path, options: argparse.Namespace) -> Side:
     if path.suffix.lower() == TEXTURE_ENDING:
         return octex.open(path)
-    return completed(load(path, options), options)
+    return read_model(path, options)
 
 
 def as_json(found: Differences) -> dict[str, Any]:

@@ -35,21 +35,12 @@ def source_files(options: argparse.Namespace) -> list[Path]:
     return [given for _, given in options.source or [] if isinstance(given, Path)]
 
 
-def load(path: Path, options: argparse.Namespace) -> Surface:
-    """Read a model, and of its materials what is wanted and does not come from elsewhere."""
-    wanted = options.channels
-    if wanted is not None:
-        wanted = [name for name in wanted if name not in sources_of(options)] or None
-    return octex.load_surface(path, channels=wanted, filter=options.filter or DEFAULT_FILTER)
-
-
-def completed(surface: Surface, options: argparse.Namespace) -> Surface:
-    """Return a model at its rest positions, with what comes from elsewhere."""
-    sources = sources_of(options)
-    if options.rest is not None:
-        from octex.source.load import at_rest
-
-        surface = at_rest(surface, options.rest)
-    if sources:
-        surface = surface.with_sources(sources, options.filter or DEFAULT_FILTER)
-    return surface if options.channels is None else surface.with_channels(options.channels)
+def read_model(path: Path, options: argparse.Namespace) -> Surface:
+    """Read a model at its rest positions, with the channels that are wanted, wherever they come from."""
+    return octex.load_surface(
+        path,
+        options.rest,
+        channels=options.channels,
+        sources=sources_of(options),
+        filter=options.filter or DEFAULT_FILTER,
+    )

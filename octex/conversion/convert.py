@@ -120,8 +120,6 @@ def convert(
         raise ArgumentError("give depth or cell, not both")
     if depth is not None:
         as_depth(depth)
-    if not isinstance(model, Surface):
-        filter = DEFAULT_FILTER if filter is None else filter
     surface = _surface(model, rest, channels, sources or {}, filter, report)
     stored = _stored_as(surface, dtype)
     if cell is not None:
@@ -134,9 +132,6 @@ def convert(
     options = {
         **({"depth": depth} if cell is None else {"cell": float(cell)}),
         "channels": {channel.name: channel.dtype for channel in stored},
-        **({} if filter is None else {"filter": filter}),
-        "sources": [channel.name for channel in stored if channel.name in (sources or {})],
-        "rest": rest is not None,
         "triangles": len(surface.triangles),
         "degenerate": degenerate,
     }

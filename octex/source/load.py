@@ -44,7 +44,7 @@ def load_surface(
     ``rest`` gives rest positions: another model file of the same topology (the same triangles, vertex for
     vertex; its materials are not read), or an array (vertices, 3). Positions are in the model's units.
     ``channels`` names those that are wanted, by default all that the materials state; images of others are
-    not read. ``sources`` gives some of them from elsewhere, as for ``Surface.with_sources``. ``filter``, one of
+    not read. ``sources`` gives some from elsewhere, as for ``Surface.with_sources``. ``filter``, one of
     filters.FILTERS, is how images are averaged over footprints.
 
     Raises ModelError or ImageError, with one line that names the file, the cause and the remedy, and
@@ -54,6 +54,7 @@ def load_surface(
     own = dict(sources or {})
     wanted = None if channels is None else tuple(name for name in channels if name not in own)
     surface = _read(Path(path), Options(True, wanted, filter, "normal" in own))
+    surface.provenance["filter"] = filter
     if rest is not None:
         surface = at_rest(surface, rest)
     return surface.completed(own, channels, filter)

@@ -112,8 +112,6 @@ class MaterialSource(Source):
             stated = [channel for channel in stated if channel in channels]
         if frames is None:
             stated = [channel for channel in stated if channel != "normal"]
-        if not stated:
-            raise ModelError(f"{name}: no channel is asked for; it has {', '.join(self._stated())}")
         self._channels = tuple(self._format(channel) for channel in stated)
 
     @property
@@ -246,9 +244,9 @@ class MaterialSource(Source):
 
     def _tables(self) -> _Prepared:
         names = [form.name for form in self._channels]
-        ends = np.cumsum([form.components for form in self._channels]).tolist()
+        ends = [0, *np.cumsum([form.components for form in self._channels]).tolist()]
         first_column = {
-            form.name: end - form.components for form, end in zip(self._channels, ends, strict=True)
+            form.name: end - form.components for form, end in zip(self._channels, ends[1:], strict=True)
         }
         count = len(self._materials)
         lanes = np.zeros((count, ends[-1]), np.int32)

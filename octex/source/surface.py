@@ -196,7 +196,9 @@ class Surface:
         Raises ArgumentError for an unknown name.
         """
         as_choice(filter, FILTERS, "filter")
-        return self._with(self.source.with_filter(filter))
+        surface = self._with(self.source.with_filter(filter))
+        surface.provenance["filter"] = filter
+        return surface
 
     def with_sources(self, sources: Mapping[str, object], filter: str = "ewa") -> Surface:
         """Return the same surface with some channels from elsewhere.
@@ -217,6 +219,7 @@ class Surface:
             if isinstance(given, Source):
                 as_choice(channel, [form.name for form in given.channels], "channel of the given source")
                 parts[channel] = given
+                made.provenance[f"source_{channel}"] = type(given).__name__
             else:
                 parts[channel], names = given_source(self, channel, given, filter)
                 made.provenance |= names
