@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -127,15 +128,24 @@ def _times(setup: Setup) -> dict[str, list[float]]:
             work: dict[str, Callable[[], Spent]] = {}
             for name, surface in surfaces.items():
                 _read(surface, places[:10], 4.0)
-                work[name] = lambda surface=surface: timed(lambda: _read(surface, places, 4.0))[0]  # type: ignore[misc]
+                work[name] = partial(_timed_reads, surface, places)
             for name, spent in in_turns(work, setup.repeats).items():
                 times[name].append(spent.cpu / len(places) * 1e9)
     return times
 
 
+def _timed_reads(surface: octex.Surface, places: Floats) -> Spent:
+    return timed(lambda: _read(surface, places, 4.0))[0]
+
+
 def materials(setup: Setup, report: Report) -> None:
     """All channels of a model beside its base colour alone; directions through rest space and back."""
     depth = 6 if setup.quick else 10
+
+    def convert(model: octex.Surface) -> Spent:
+        with pinned({setup.core}), ThreadPoolExecutor(1) as pool:
+            return timed(lambda: octex.convert(model, depth, executor=pool))[0]
+
     for folder in ("BoomBoxWithAxes", "Avocado"):
         path = setup.models / folder / f"{folder}.gltf" if setup.models else None
         if path is None or not path.is_file():
@@ -146,12 +156,8 @@ def materials(setup: Setup, report: Report) -> None:
         report.title(f"materials: {surface.name}, depth {depth}, one thread: {names}")
         color = surface.with_channels(["base_color"])
 
-        def convert(model: octex.Surface) -> Spent:
-            with pinned({setup.core}), ThreadPoolExecutor(1) as pool:
-                return timed(lambda: octex.convert(model, depth, executor=pool))[0]
-
         convert(color), convert(surface)  # what they compile and prepare is there before
-        work = {"base colour": lambda: convert(color), "all channels": lambda: convert(surface)}
+        work = {"base colour": partial(convert, color), "all channels": partial(convert, surface)}
         spent = in_turns(work, setup.repeats)
         for name, each in spent.items():
             report.line(name, each)
@@ -175,8 +181,11 @@ def _round_trip(surface: octex.Surface, depth: int, report: Report, folder: str)
     cell = texture.placement.size / 2**depth
     found = texture.sample(samples.rest, "normal")
     averaged = surface.evaluate(samples, "normal", width=cell)
-    report.line("through the octree, nearest cell: 50th, 99th", f"{_angle(source, found, 50):.2f}°, "
-                f"{_angle(source, found):.2f}° beside points, {_angle(averaged, found):.2f}° beside cells")  # fmt: skip
+    angles = f"{_angle(source, found, 50):.2f}°, {_angle(source, found):.2f}° beside points"
+    report.line(
+        "through the octree, nearest cell: 50th, 99th",
+        f"{angles}, {_angle(averaged, found):.2f}° beside cells",
+    )
 
 
 def _frames(surface: octex.Surface, samples: Samples) -> Floats:

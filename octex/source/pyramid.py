@@ -37,6 +37,8 @@ WHOLE, MIPS, RIPS, AREAS = range(4)
 #: Weight of a texel that covers nothing: its colour counts only where no other does.
 FAINT = 2.0**-40
 
+_BAND = 128  # rows of the second level that are made at a time
+
 
 class Picture(NamedTuple):
     """An image as one material reads it."""
@@ -152,7 +154,7 @@ def _add_up(picture: Picture, sums: npt.NDArray[np.float64]) -> None:
     height, width = picture.texels.shape[:2]
     table = sums.reshape(height + 1, width + 1, 4)
     table[0], table[:, 0] = 0.0, 0.0
-    np.cumsum(_decoded(picture, picture.threshold), axis=0, dtype=np.float64, out=table[1:, 1:])
+    np.cumsum(_decoded(picture), axis=0, dtype=np.float64, out=table[1:, 1:])
     np.cumsum(table[1:, 1:], axis=1, out=table[1:, 1:])
 
 
@@ -166,25 +168,38 @@ def _fill(picture: Picture, what: int, rows: Texels) -> None:
     finest[:, 0], finest[:, -1] = finest[:, 1], finest[:, -2]
     if len(shapes) == 1:
         return
-    done = {0: _Level.of(_decoded(picture, picture.threshold))}
+    done: dict[int, npt.NDArray[np.float32]] = {}
+    rims = {0: _Rim.of(picture)}
     first = finest.shape[0] * finest.shape[1]
     for number, (wide, high) in enumerate(shapes[1:], 1):
         # From the level of half the reduction: one step down, or for ripmaps one across.
         below = number - 1 if what == MIPS or number % across else number - across
-        level = done[number] = done[below].resized(high, wide)
+        done[number] = _resized(done[below], high, wide) if below else _shrunk(picture, high, wide)
+        rim = rims[number] = rims[below].resized(high, wide)
         target = _take(rows, first, wide, high)
         first += target.shape[0] * target.shape[1]
         for part, values in (
-            (np.s_[1:-1, 1:-1], level.body),
-            (np.s_[1:-1, :1], level.left),
-            (np.s_[1:-1, -1:], level.right),
-            (np.s_[:1, 1:-1], level.top),
-            (np.s_[-1:, 1:-1], level.bottom),
-            (np.s_[:: high + 1, :: wide + 1], level.corners),
+            (np.s_[1:-1, 1:-1], done[number]),
+            (np.s_[1:-1, :1], rim.left),
+            (np.s_[1:-1, -1:], rim.right),
+            (np.s_[:1, 1:-1], rim.top),
+            (np.s_[-1:, 1:-1], rim.bottom),
+            (np.s_[:: high + 1, :: wide + 1], rim.corners),
         ):
             target[part] = _encoded(values, picture, target.dtype == np.float32)
         if what == MIPS:
-            del done[below]
+            done.pop(below, None)
+
+
+def _shrunk(picture: Picture, height: int, width: int) -> npt.NDArray[np.float32]:
+    """Return an image's values at a smaller size, decoded some rows at a time if they fall together."""
+    values = np.empty((height, width, 4), np.float32)
+    rows, left_over = divmod(picture.texels.shape[0], height)
+    band = height if left_over else _BAND
+    for first in range(0, height, band):
+        part = picture.texels[first * rows : (first + band) * rows] if not left_over else picture.texels
+        _reduce(_decoded(picture._replace(texels=part)), values[first : first + band])
+    return values
 
 
 def _take(rows: Texels, first: int, width: int, height: int) -> Texels:
@@ -193,16 +208,16 @@ def _take(rows: Texels, first: int, width: int, height: int) -> Texels:
     return rows[first : first + count].reshape(height + 2, width + 2, 4)
 
 
-def _decoded(picture: Picture, threshold: float) -> npt.NDArray[np.float32]:
-    """Return an image's values (height, width, 4), premultiplied by alpha if it is covered."""
+def _decoded(picture: Picture) -> npt.NDArray[np.float32]:
+    """Return an image's values (height, width, 4) for averages, premultiplied by alpha if it is covered."""
     values = np.empty(picture.texels.shape, np.float32)
     if picture.texels.dtype == np.float32:
         values[:] = picture.texels
     else:
         _decode(picture.texels, decode_table("uint16", "srgb" if picture.is_light else "data"), values)
     if picture.covered:
-        if threshold >= 0.0:
-            values[..., 3] = values[..., 3] >= threshold
+        if picture.threshold >= 0.0:
+            values[..., 3] = values[..., 3] >= picture.threshold
         values[..., :3] *= values[..., 3:] + np.float32(FAINT)
     return values
 
@@ -235,10 +250,9 @@ def _encoded(values: npt.NDArray[np.float32], picture: Picture, as_floats: bool)
     return codes
 
 
-class _Level(NamedTuple):
-    """A level's values, and what lies beyond its borders."""
+class _Rim(NamedTuple):
+    """What lies beyond a level's borders."""
 
-    body: npt.NDArray[np.float32]  # (height, width, 4)
     left: npt.NDArray[np.float32]  # (height, 1, 4)
     right: npt.NDArray[np.float32]
     top: npt.NDArray[np.float32]  # (1, width, 4)
@@ -246,13 +260,13 @@ class _Level(NamedTuple):
     corners: npt.NDArray[np.float32]  # (2, 2, 4)
 
     @classmethod
-    def of(cls, values: npt.NDArray[np.float32]) -> _Level:
-        borders = (values[:, :1], values[:, -1:], values[:1], values[-1:], values[[0, -1]][:, [0, -1]])
-        return cls(values, *map(np.ascontiguousarray, borders))
+    def of(cls, picture: Picture) -> _Rim:
+        texels = picture.texels
+        borders = (texels[:, :1], texels[:, -1:], texels[:1], texels[-1:], texels[[0, -1]][:, [0, -1]])
+        return cls(*(_decoded(picture._replace(texels=border)) for border in borders))
 
-    def resized(self, height: int, width: int) -> _Level:
-        return _Level(
-            _resized(self.body, height, width),
+    def resized(self, height: int, width: int) -> _Rim:
+        return _Rim(
             _resized(self.left, height, 1),
             _resized(self.right, height, 1),
             _resized(self.top, 1, width),

@@ -213,7 +213,8 @@ class Surface:
         cannot be used, ModelError where the surface has no texture coordinates for it.
         """
         as_choice(filter, FILTERS, "filter")
-        parts: dict[str, Source] = {form.name: self.source for form in self.channels}
+        remaining = [form.name for form in self.channels if form.name not in sources]
+        parts: dict[str, Source] = dict.fromkeys(remaining, self.source.only(remaining))
         made = self._with(self.source)
         for channel, given in sources.items():
             if isinstance(given, Source):

@@ -1,0 +1,219 @@
+"""Elliptical weighted averages of images, and exact means where a footprint is no larger than two texels."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.jit import inlined
+from octex.source.pyramid import Images
+from octex.source.taps import EACH, MOST_TAPS, NEVER, bilinear, wrapped
+
+#: Footprints of up to two texels are read as boxes if their covariance, in texels², is at most this.
+SKEW = 0.1
+#: The level is read at which the kernel's least variance, in texels², is at least this and less than four
+#: times this (and a twelfth).
+LEAST = 0.25
+#: A coarser level is read if the product of a kernel's variances is above this: 6 π times its root are taps.
+LARGEST = 6.0
+#: A kernel 1 − q over the ellipse q < 1 has a variance of a sixth of its radius squared.
+RADIUS = 6.0
+#: At the coarsest level of an image a footprint reaches no farther than this many texels.
+FARTHEST = 24.0
+
+
+@inlined
+def small(
+    images: Images,
+    row: int,
+    wrap_u: int,
+    wrap_v: int,
+    u: float,
+    v: float,
+    xx: float,
+    xy: float,
+    yy: float,
+    places: npt.NDArray[np.int64],
+    weights: npt.NDArray[np.float64],
+) -> int:
+    """List the texels of bilinear patches under a footprint of at most a texel.
+
+    The mean over a box of the footprint's width and height is exact; that it is turned or skewed is what the
+    patch's mixed slope times the covariance adds.
+    """
+    if 12.0 * max(xx, yy) < 1e-4:
+        return bilinear(images, row, wrap_u, wrap_v, u, v, 1.0, 0, places, weights)
+    first, width, height = images.levels[row, 0], images.levels[row, 1], images.levels[row, 2]
+    x, y = u * width - 0.5, v * height - 0.5
+    near_x, near_y = math.floor(x + 0.5), math.floor(y + 0.5)
+    part_x, part_y = x - near_x, y - near_y
+    left, right = _sides(part_x, math.sqrt(12.0 * xx))
+    up, down = _sides(part_y, math.sqrt(12.0 * yy))
+    x1, y1 = int(near_x), int(near_y)
+    x0, x2, y0, y2 = x1 - 1, x1 + 1, y1 - 1, y1 + 1
+    if x0 < 0 or x2 >= width:
+        x0, x1, x2 = wrapped(x0, width, wrap_u), wrapped(x1, width, wrap_u), wrapped(x2, width, wrap_u)
+    if y0 < 0 or y2 >= height:
+        y0, y1, y2 = wrapped(y0, height, wrap_v), wrapped(y1, height, wrap_v), wrapped(y2, height, wrap_v)
+    middle_x, middle_y = 1.0 - left - right, 1.0 - up - down
+    row0, row1, row2 = first + y0 * (width + 2), first + y1 * (width + 2), first + y2 * (width + 2)
+    places[0], weights[0] = row0 + x0, up * left
+    places[1], weights[1] = row0 + x1, up * middle_x
+    places[2], weights[2] = row0 + x2, up * right
+    places[3], weights[3] = row1 + x0, middle_y * left
+    places[4], weights[4] = row1 + x1, middle_y * middle_x
+    places[5], weights[5] = row1 + x2, middle_y * right
+    places[6], weights[6] = row2 + x0, down * left
+    places[7], weights[7] = row2 + x1, down * middle_x
+    places[8], weights[8] = row2 + x2, down * right
+    a = (0 if part_y < 0.0 else 3) + (0 if part_x < 0.0 else 1)  # the patch's first texel
+    shift = xy
+    if shift > 0.0:
+        shift = min(shift, weights[a + 1], weights[a + 3])
+    else:
+        shift = -min(-shift, weights[a], weights[a + 4])
+    weights[a] += shift
+    weights[a + 1] -= shift
+    weights[a + 3] -= shift
+    weights[a + 4] += shift
+    return 9
+
+
+@inlined
+def _sides(part: float, width: float) -> tuple[float, float]:
+    """Return the weights of the texels before and after the nearest, in a box of a width up to 1."""
+    half = 0.5 * max(width, 1e-3)
+    a, b = max(half - part, 0.0), max(-half - part, 0.0)
+    c, d = max(half + part, 0.0), max(part - half, 0.0)
+    return (a * a - b * b) / (4.0 * half), (c * c - d * d) / (4.0 * half)
+
+
+@inlined
+def wide(
+    images: Images,
+    row: int,
+    wrap_u: int,
+    wrap_v: int,
+    u: float,
+    v: float,
+    xx: float,
+    xy: float,
+    yy: float,
+    places: npt.NDArray[np.int64],
+    weights: npt.NDArray[np.float64],
+) -> int:
+    """List the texels of bilinear patches under a footprint of one to two texels, as ``small`` does."""
+    first, width, height = images.levels[row, 0], images.levels[row, 1], images.levels[row, 2]
+    x, y = u * width - 0.5, v * height - 0.5
+    across, down = math.sqrt(12.0 * xx), math.sqrt(12.0 * yy)
+    i0, j0 = math.ceil(x - 0.5 * across - 1.0), math.ceil(y - 0.5 * down - 1.0)
+    is_inside = i0 >= 0 and i0 + 4 <= width
+    # The share of texel i is a difference of the tent's integral.
+    for j in range(4):
+        weight = (_tent(y + 0.5 * down - j0 - j) - _tent(y - 0.5 * down - j0 - j)) / down
+        start = first + wrapped(j0 + j, height, wrap_v) * (width + 2)
+        for i in range(4):
+            place = i0 + i if is_inside else wrapped(i0 + i, width, wrap_u)
+            places[4 * j + i] = start + place
+            share = (_tent(x + 0.5 * across - i0 - i) - _tent(x - 0.5 * across - i0 - i)) / across
+            weights[4 * j + i] = weight * share
+    a = 4 * min(max(math.floor(y) - j0, 0), 2) + min(max(math.floor(x) - i0, 0), 2)
+    shift = xy
+    if shift > 0.0:
+        shift = min(shift, weights[a + 1], weights[a + 4])
+    else:
+        shift = -min(-shift, weights[a], weights[a + 5])
+    weights[a] += shift
+    weights[a + 1] -= shift
+    weights[a + 4] -= shift
+    weights[a + 5] += shift
+    return 16
+
+
+@inlined
+def _tent(distance: float) -> float:
+    """Return the integral of a tent of width 2 and height 1 up to a distance from its middle."""
+    inside = min(max(distance, -1.0), 1.0)
+    return 0.5 + inside - 0.5 * inside * abs(inside)
+
+
+@inlined
+def ellipse(
+    images: Images,
+    layout: int,
+    wrap_u: int,
+    wrap_v: int,
+    flat: bool,
+    u: float,
+    v: float,
+    xx: float,
+    xy: float,
+    yy: float,
+    least: float,
+    most: float,
+    places: npt.NDArray[np.int64],
+    weights: npt.NDArray[np.float64],
+) -> tuple[int, int, float]:
+    """List the texels in an ellipse, each with 1 − its squared distance from the middle."""
+    base, coarsest = images.layouts[layout, 0], images.layouts[layout, 1] - 1
+    own = 1.0 / 6.0 if flat else 0.25  # of the texels, with the twelfth that a mean over one has
+    level = 0
+    narrow, long = least + own, most + own
+    floor = LEAST + 1.0 / 12.0
+    while level < coarsest and (narrow >= 4.0 * floor or max(narrow, floor) * long > LARGEST):
+        narrow *= 0.25
+        long *= 0.25
+        level += 1
+    row = base + level
+    first, wide, high = images.levels[row, 0], images.levels[row, 1], images.levels[row, 2]
+    scale_x = scale_y = 1.0
+    if level > 0:
+        scale_x, scale_y = wide / images.levels[base, 1], high / images.levels[base, 2]
+    short = max(floor - narrow, 0.0) - 1.0 / 12.0
+    xx = max((xx + own) * scale_x * scale_x + short, LEAST)
+    yy = max((yy + own) * scale_y * scale_y + short, LEAST)
+    xy *= scale_x * scale_y
+    if level == coarsest:
+        reach = max(xx, yy) * RADIUS / (FARTHEST * FARTHEST)
+        if reach > 1.0:
+            xx, xy, yy = xx / reach, xy / reach, yy / reach
+    # The distance's square is (dx − slope dy)² / across + dy² / down.
+    down = yy * RADIUS
+    inverse = 1.0 / yy
+    slope = xy * inverse
+    across = max((xx - xy * slope) * RADIUS, 1e-3)
+    per_row, per_column = inverse / RADIUS, 1.0 / across
+    reach, extent = math.sqrt(down), math.sqrt(across)
+    x, y = u * wide - 0.5, v * high - 0.5
+    tries = int(2.0 * extent) + 1
+    total = 0.0
+    count = 0
+    # Every row tries as many texels, as if the ellipse were as wide as in its middle: branches that depend
+    # on each row's width cost more.
+    for j in range(math.ceil(y - reach), math.floor(y + reach) + 1):
+        dy = j - y
+        start = first + wrapped(j, high, wrap_v) * (wide + 2)
+        middle = x + slope * dy
+        i0 = math.ceil(middle - extent)
+        rest, dx = 1.0 - dy * dy * per_row, i0 - middle
+        if count + tries > MOST_TAPS:
+            break
+        if i0 >= 0 and i0 + tries <= wide:
+            for i in range(i0, i0 + tries):
+                weight = rest - dx * dx * per_column
+                dx += 1.0
+                places[count], weights[count] = start + i, weight
+                total += max(weight, 0.0)
+                count += weight > 0.0
+        else:
+            for i in range(i0, i0 + tries):
+                weight = rest - dx * dx * per_column
+                dx += 1.0
+                places[count], weights[count] = start + wrapped(i, wide, wrap_u), weight
+                total += max(weight, 0.0)
+                count += weight > 0.0
+    if not total > 0.0:
+        return bilinear(images, row, wrap_u, wrap_v, u, v, 1.0, 0, places, weights), NEVER, 1.0
+    return count, EACH if level == 0 else NEVER, 1.0 / total
