@@ -15,9 +15,9 @@ from octex.source.taps import EACH, MOST_TAPS, NEVER, bilinear, wrapped
 SKEW = 0.1
 #: The level is read at which the kernel's least variance, in texels², is at least this and less than four
 #: times this (and a twelfth).
-LEAST = 0.25
+LEAST = 0.2
 #: A coarser level is read if the product of a kernel's variances is above this: 6 π times its root are taps.
-LARGEST = 6.0
+LARGEST = 7.0
 #: A kernel 1 − q over the ellipse q < 1 has a variance of a sixth of its radius squared.
 RADIUS = 6.0
 #: At the coarsest level of an image a footprint reaches no farther than this many texels.
