@@ -86,7 +86,8 @@ def coloured_models(folder: Path) -> Iterator[tuple[str, octex.Surface]]:
         try:
             surface = octex.load_surface(path)
             if is_coloured(surface):
-                yield path.relative_to(folder).as_posix(), surface
+                names = [each.name for each in surface.channels if each.name in ("base_color", "alpha")]
+                yield path.relative_to(folder).as_posix(), surface.with_channels(names)
         except octex.OctexError:
             continue
 
