@@ -10,29 +10,29 @@ import numpy.typing as npt
 
 import octex
 from octex.channels import ChannelFormat
+from octex.source.base import Source
 from octex.source.load import MODEL_ENDINGS
 from octex.tree.morton import decode_cells
 
 Floats = npt.NDArray[np.float64]
 
 
-class NoChannels:
+class NoChannels(Source):
     """A source that gives a surface no values: what remains is its cells, with areas and flags."""
 
-    channels: tuple[ChannelFormat, ...] = ()
+    @property
+    def channels(self) -> tuple[ChannelFormat, ...]:
+        """None."""
+        return ()
 
     def evaluate(
         self,
         triangles: npt.NDArray[np.int32],
-        _barycentric: Floats,
-        _widths: npt.NDArray[np.float32],
+        barycentric: Floats,  # noqa: ARG002
+        widths: npt.NDArray[np.float32],  # noqa: ARG002
     ) -> npt.NDArray[np.float32]:
         """Return no values for each point."""
         return np.empty((len(triangles), 0), np.float32)
-
-    def with_rest(self, _rest: Floats) -> NoChannels:
-        """Return the same: nothing is measured."""
-        return self
 
 
 def torus(around: int, across: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32], Floats]:

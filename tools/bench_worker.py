@@ -26,6 +26,7 @@ from octex.conversion import convert as conversion
 from octex.conversion.cells import SPREAD
 from octex.conversion.pieces import bin_triangles, cut, most_pieces
 from octex.parallel import silent
+from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 
 UNIT_CUBE = Placement((0.0, 0.0, 0.0), 1.0)
@@ -37,18 +38,18 @@ def tree(around: int, across: int, depth: int) -> Callable[[], Answer]:
     """From triangles to the finished tree with areas and flags, on one thread."""
     vertices, triangles, _ = torus(around, across)
 
-    def build() -> octex.OctreeTexture:
+    def build() -> Octree:
         surface = octex.Surface(vertices.astype(np.float64), triangles, NoChannels(), name="torus")
         with ThreadPoolExecutor(1) as pool:
-            filled = conversion._fill(surface, UNIT_CUBE, depth, pool, silent)
-        return conversion._assemble(surface, UNIT_CUBE, depth, *filled)
+            levels, codes, _ = conversion._fill(surface, (), UNIT_CUBE, depth, pool, silent)
+        return conversion._assemble((), depth, levels, codes)[0]
 
     def task() -> Answer:
-        spent, texture = timed(build)
+        spent, built = timed(build)
         return {
             **spent._asdict(),
-            "leaves": texture.tree.n_leaves,
-            "bytes": texture.nbytes,
+            "leaves": built.n_leaves,
+            "bytes": built.nbytes,
             "peak": memory("VmHWM"),
         }
 

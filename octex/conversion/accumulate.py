@@ -75,7 +75,7 @@ def by_channel(
     values: npt.NDArray[np.float64], channels: Sequence[ChannelFormat]
 ) -> Iterator[npt.NDArray[np.float64]]:
     """Yield the values (rows, components) of each channel, of such that lie channel after channel."""
-    rows = values.size // sum(channel.components for channel in channels)
+    rows = values.size // max(sum(channel.components for channel in channels), 1)
     end = 0
     for channel in channels:
         start, end = end, end + rows * channel.components
