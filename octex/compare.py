@@ -163,6 +163,10 @@ def difference(
         if len(weights):
             first, second = (reader.read(common) for reader in readers)
             for name, (u, v) in {name: (first[name], second[name]) for name in spaces}.items():
+                if not np.isfinite(v - u).all():
+                    raise ArgumentError(
+                        f"channel {name!r} has values that are not finite; validate the textures"
+                    )
                 sums[name].add(common.rest, weights, v - u, u, v)
                 if name in angles:
                     angles[name].add(common.rest, weights, degrees_between(u, v)[:, None], u, v)

@@ -257,16 +257,19 @@ def _reduced(options: argparse.Namespace) -> OctreeTexture:
         raise InputError(
             f"{options.INPUT}: has depth {deepest}; --depth {depth} is finer and needs the model"
         )
-    texture = texture.level(depth)
-    if options.channels is not None:
-        from octex.checks import as_choice
-        from octex.texture import OctreeTexture
+    if is_same:
+        return texture
+    from octex.checks import as_choice
+    from octex.texture import OctreeTexture
 
-        for name in options.channels:
-            as_choice(name, texture.channels, f"channel of {options.INPUT}:")
-        kept = {name: channel for name, channel in texture.channels.items() if name in options.channels}
-        texture = OctreeTexture(texture.tree, kept, texture.placement, texture.bounds, texture.metadata)
-    return texture
+    names = list(texture.channels) if options.channels is None else options.channels
+    for name in names:
+        as_choice(name, texture.channels, f"channel of {options.INPUT}:")
+    texture = texture.level(depth)
+    kept = {name: channel for name, channel in texture.channels.items() if name in names}
+    reduced = json.dumps({"depth": depth, "channels": list(kept)})
+    metadata = {**texture.metadata, "reduced": reduced}
+    return OctreeTexture(texture.tree, kept, texture.placement, texture.bounds, metadata)
 
 
 def _say_what_was_made(options: argparse.Namespace, texture: OctreeTexture, seconds: float) -> None:

@@ -151,14 +151,15 @@ def _surface(
     report: Progress,
 ) -> Surface:
     """Return what is to be converted, with the wanted channels alone."""
-    names = [channels] if isinstance(channels, str) else channels
     if not isinstance(model, Surface):
         report("read", 0, 1)
-        surface = load_surface(model, rest, channels=names, sources=sources, filter=filter or DEFAULT_FILTER)
+        surface = load_surface(
+            model, rest, channels=channels, sources=sources, filter=filter or DEFAULT_FILTER
+        )
         report("read", 1, 1)
         return surface
     surface = model if rest is None else at_rest(model, rest)
-    surface = surface.completed(sources, names)
+    surface = surface.completed(sources, channels)
     return surface if filter is None else surface.with_filter(filter)
 
 

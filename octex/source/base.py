@@ -91,7 +91,10 @@ class Combined(Source):
 
     def only(self, names: Sequence[str]) -> Source:
         """Return these channels alone; sources that give none of them are dropped."""
-        return Combined({name: self._sources[name] for name in names})
+        wanted = {name: source for name, source in self._sources.items() if name in names}
+        kept = {id(source): [n for n, each in wanted.items() if each is source] for source in wanted.values()}
+        only = {id(source): source.only(kept[id(source)]) for source in wanted.values()}
+        return Combined({name: only[id(source)] for name, source in wanted.items()})
 
     def _each(self, change: Callable[[Source], Source]) -> Combined:
         changed: dict[int, Source] = {}

@@ -282,12 +282,14 @@ def _gather(
             if covered and cut == EACH and threshold >= 0.0 and places[i] < fine:
                 a = _ALL if a >= threshold else _NONE
             alpha += weight * a
-            if covered:
-                weight *= a + _FAINT
+            if covered:  # bicubic weights may be negative, but no coverage is
+                weight = max(weight, _NONE) * (a + _FAINT)
             weighed += weight
             red += weight * r
             green += weight * g
             blue += weight * b
+        if covered:
+            alpha = min(max(alpha, _NONE), _ALL / factor)
         if covered and cut == SUM and threshold >= 0.0:
             alpha = _ALL if alpha * factor >= threshold else _NONE
             opacity = _ALL

@@ -71,9 +71,11 @@ def find_taps(
         if 12.0 * max(xx, yy) <= 1.0:
             if flat:
                 return flat_texels(images, row, wrap_u, wrap_v, u, v, xx, yy, places, weights), SUM, 1.0
-            return small(images, row, wrap_u, wrap_v, u, v, xx, xy, yy, places, weights), SUM, 1.0
+            # What a threshold leaves of a mean is no mean of what it leaves: not but for tiny footprints.
+            cut = SUM if 12.0 * max(xx, yy) < 0.25 else EACH
+            return small(images, row, wrap_u, wrap_v, u, v, xx, xy, yy, places, weights), cut, 1.0
         if not flat and 12.0 * max(xx, yy) <= 4.0 and abs(xy) <= SKEW:
-            return wide(images, row, wrap_u, wrap_v, u, v, xx, xy, yy, places, weights), SUM, 1.0
+            return wide(images, row, wrap_u, wrap_v, u, v, xx, xy, yy, places, weights), EACH, 1.0
         return ellipse(images, layout, wrap_u, wrap_v, flat, u, v, xx, xy, yy, least, most, places, weights)
     cut = SUM
     if name == TRILINEAR:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +32,7 @@ def given_source(
     components = tuple(range(form.components))
     provenance: dict[str, str] = {}
     texture, factor = None, (1.0,) * form.components
-    if isinstance(given, (int, float, tuple, list)):
+    if isinstance(given, (Real, tuple, list)):
         factor = _value(form, given)
         provenance[f"source_{channel}"] = json.dumps(factor)
     elif surface.uv is None:
@@ -48,6 +49,8 @@ def given_source(
         provenance[f"source_{channel}"] = json.dumps({path.name: hashlib.sha256(data).hexdigest()})
     else:
         texture = Texture(as_texels(given))  # type: ignore[arg-type]
+        digest = hashlib.sha256(texture.texels.tobytes()).hexdigest()
+        provenance[f"source_{channel}"] = json.dumps({"array": digest})
     frames = None
     if form.space == "direction":
         normals = None if surface.frames is None else surface.frames.normals
@@ -75,8 +78,15 @@ def _value(form: ChannelFormat, given: Any) -> tuple[float, ...]:
     numbers = tuple(given) if isinstance(given, (tuple, list)) else (given,)
     if len(numbers) == 1:
         numbers *= form.components
-    are_numbers = all(isinstance(number, (int, float)) for number in numbers)
-    if form.space == "direction" or len(numbers) != form.components or not are_numbers:
-        what = "an image" if form.space == "direction" else f"{form.components} numbers or an image"
-        raise ArgumentError(f"{form.name} must be {what}, not {given!r}")
+    most = np.inf if form.space == "srgb" else 1.0
+    fits = len(numbers) == form.components and all(
+        isinstance(number, Real) and 0.0 <= float(number) <= most and np.isfinite(float(number))
+        for number in numbers
+    )
+    if form.space == "direction":
+        raise ArgumentError(f"{form.name} must be an image or a Source, not {given!r}")
+    if not fits:
+        range_text = "from 0 on" if form.space == "srgb" else "in 0 … 1"
+        wanted = f"{form.components} numbers" if form.components > 1 else "a number"
+        raise ArgumentError(f"{form.name} must be {wanted} {range_text}, or an image, not {given!r}")
     return tuple(map(float, numbers))

@@ -20,14 +20,14 @@ from octex.source.corners import Corners, Frames
 from octex.source.gltf_file import Document, as_object
 from octex.source.gltf_materials import Bound, read_materials
 from octex.source.materials import MaterialSource
-from octex.source.options import Options
+from octex.source.options import EVERYTHING, Options
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames, transformed
 
 _TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN = 4, 5, 6
 
 
-def load_gltf(path: Path, options: Options = Options()) -> Surface:  # noqa: B008
+def load_gltf(path: Path, options: Options = EVERYTHING) -> Surface:
     """Read the scene of a .gltf or .glb file; meshes that no node of it shows are left out.
 
     Its materials are read as ``gltf_materials`` says, those of primitives in use, as far as ``options`` wants
@@ -133,7 +133,7 @@ class _Scene:
             channels=self._options.channels,
         )
         uv = None
-        if all(primitive.uv is not None for primitive in each if primitive.coordinates):
+        if all(primitive.uv is not None for primitive in each):
             uv = corners([primitive.uv for primitive in each], 0.0)
         return Surface(
             positions,

@@ -52,12 +52,13 @@ def load_surface(
     """
     as_choice(filter, FILTERS, "filter")
     own = dict(sources or {})
-    wanted = None if channels is None else tuple(name for name in channels if name not in own)
-    surface = _read(Path(path), Options(True, wanted, filter, "normal" in own))
+    names = [channels] if isinstance(channels, str) else channels
+    wanted = None if names is None else tuple(name for name in names if name not in own)
+    surface = _read(Path(path), Options(True, wanted, filter, tuple(own), "normal" in own))
     surface.provenance["filter"] = filter
     if rest is not None:
         surface = at_rest(surface, rest)
-    return surface.completed(own, channels, filter)
+    return surface.completed(own, names, filter)
 
 
 def at_rest(surface: Surface, rest: str | Path | npt.ArrayLike) -> Surface:

@@ -58,6 +58,7 @@ class Material(NamedTuple):
     cutoff: float = 0.5  # of "mask": the least alpha that covers
 
 
+_MOST_IN_FLOAT16 = 65504.0
 #: What a material that does not state a channel gives (glTF 2.0's defaults).
 _DEFAULTS = {"emissive": 0.0}
 
@@ -201,7 +202,9 @@ class MaterialSource(Source):
         )
         if name == "base_color" and self._colors is not None and len(self._colors.values):
             most *= float(self._colors.values[:, :3].max())
-        return form if most <= 1.0 + 1e-6 else form._replace(space="linear", dtype="float16")
+        if most <= 1.0 + 1e-6:
+            return form
+        return form._replace(space="linear", dtype="float16" if most <= _MOST_IN_FLOAT16 else "float32")
 
     def _check(self) -> None:
         """Refuse coordinates that are not there, and colours and coordinates in use that are not finite."""
@@ -252,7 +255,8 @@ class MaterialSource(Source):
         lanes = np.zeros((count, ends[-1]), np.int32)
         gains = np.ones((count, ends[-1]), np.float32)
         offsets = np.zeros((count, ends[-1]), np.float32)
-        shelf = _Shelf(self._materials)
+        alphas = self._colors.values[:, 3] if self._colors is not None else np.ones(1)
+        shelf = _Shelf(self._materials, float(alphas.mean()) if alphas.size else 1.0)
         for number, material in enumerate(self._materials):
             lane_of = shelf.add(number, names)
             for form in self._channels:
@@ -321,8 +325,9 @@ class _Prepared(NamedTuple):
 class _Shelf:
     """The images that materials read, each once, and the stacks in which each material reads them."""
 
-    def __init__(self, materials: Sequence[Material]) -> None:
+    def __init__(self, materials: Sequence[Material], vertex_alpha: float) -> None:
         self._materials = materials
+        self._vertex_alpha = vertex_alpha  # in averages, cutoffs are of alpha times this
         self._numbers: dict[tuple[object, ...], int] = {}
         self.pictures: list[Picture] = []
         self.first_stacks = [0]
@@ -362,7 +367,7 @@ class _Shelf:
         covering = name in ("base_color", "alpha") and _is_covered(material)
         threshold = -1.0
         if covering and material.alpha_mode == "mask":
-            factor = _alpha_factor(material)
+            factor = _alpha_factor(material) * self._vertex_alpha
             threshold = material.cutoff / factor if factor > 0 else np.inf
         is_light = space == "srgb" or covering
         key = (id(texels), is_light, covering, threshold, given.factor if space == "direction" else None)

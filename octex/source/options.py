@@ -11,11 +11,13 @@ class Options(NamedTuple):
     materials: bool = True  # without them a surface is white, and no image is read
     channels: tuple[str, ...] | None = None  # None: every channel that the materials state
     filter: str = "ewa"
+    without: tuple[str, ...] = ()  # channels whose images are not read, as they come from elsewhere
     normals: bool = False  # also where no normal map needs them
 
     def wants(self, channel: str) -> bool:
         """Say whether a channel is to be read."""
-        return self.materials and (self.channels is None or channel in self.channels)
+        is_named = self.channels is None or channel in self.channels
+        return self.materials and is_named and channel not in self.without
 
 
 #: Everything that a model states.

@@ -200,19 +200,20 @@ class Surface:
         surface.provenance["filter"] = filter
         return surface
 
-    def with_sources(self, sources: Mapping[str, object], filter: str = "ewa") -> Surface:
+    def with_sources(self, sources: Mapping[str, object], filter: str | None = None) -> Surface:
         """Return the same surface with some channels from elsewhere.
 
         ``sources`` gives, by the channel's name, a Source that has it; an image (a file, a Pillow image or an
-        array, as for ``from_arrays``), read at the surface's first texture coordinates with ``filter``; or a
-        value, linear light for colours: a number, or one for each component. Images of ``normal`` are in the
-        tangent's frame; triangles are flat below them unless ``load_surface`` was told to keep normals.
-        Vertex colours do not multiply what is given here.
+        array, as for ``from_arrays``), read at the surface's first texture coordinates with ``filter``, by
+        default the model's; or a value, linear light for colours: a number, or one for each component.
+        Images of ``normal`` are in the tangent's frame; triangles are flat below them unless the surface has
+        ``frames``, which ``load_surface`` keeps if it is given these sources. Vertex colours do not multiply
+        what is given here.
 
         Raises ArgumentError for an unknown channel or another kind of value, ImageError for an image that
         cannot be used, ModelError where the surface has no texture coordinates for it.
         """
-        as_choice(filter, FILTERS, "filter")
+        filter = as_choice(filter or self.provenance.get("filter", "ewa"), FILTERS, "filter")
         remaining = [form.name for form in self.channels if form.name not in sources]
         parts: dict[str, Source] = dict.fromkeys(remaining, self.source.only(remaining))
         made = self._with(self.source)
@@ -228,13 +229,13 @@ class Surface:
         return made
 
     def completed(
-        self, sources: Mapping[str, object], channels: Sequence[str] | None, filter: str = "ewa"
+        self, sources: Mapping[str, object], channels: Sequence[str] | None, filter: str | None = None
     ) -> Surface:
         """Return the surface with ``sources`` (as for ``with_sources``), and with ``channels`` alone.
 
         Sources of channels that are not wanted are left out.
         """
-        names = None if channels is None else list(channels)
+        names = [channels] if isinstance(channels, str) else channels
         if names is not None and not names:
             raise ArgumentError("channels must name one at least")
         given = {name: each for name, each in sources.items() if names is None or name in names}
