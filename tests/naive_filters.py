@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from octex.source import ellipse  # for the figures of EWA's levels
+from octex.source.images import ellipse  # for the figures of EWA's levels
 
 Weights = npt.NDArray[np.float64]
 Read = Callable[[float], Weights]

@@ -130,7 +130,7 @@ def test_help_shows_the_table_of_exit_codes_and_every_option(capsys: pytest.Capt
 
 def test_the_help_lists_the_types_and_filters_of_the_library() -> None:
     from octex.channels import ONE
-    from octex.source.filters import FILTERS as KNOWN
+    from octex.source.images.filters import FILTERS as KNOWN
 
     assert tuple(ONE) == DTYPES
     assert KNOWN == FILTERS

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from octex import jit
 from octex.channels import linear_to_srgb, srgb_to_linear
 from octex.source.corners import Corners
-from octex.source.filters import FILTERS
+from octex.source.images.filters import FILTERS
+from octex.source.images.pyramid import WRAPS
 from octex.source.materials import Input, Material, MaterialSource, Texture
-from octex.source.pyramid import WRAPS
 from tests import naive_filters
 from tests.conftest import needs_jit
 from tests.fixtures import random_image

@@ -11,9 +11,9 @@ import pytest
 
 from octex.channels import srgb_to_linear
 from octex.errors import ImageError, ModelError
-from octex.source import gltf_materials
-from octex.source.images import decode_image
+from octex.source.images.decode import decode_image
 from octex.source.load import load_surface
+from octex.source.models import gltf_materials
 from octex.source.surface import Samples, Surface
 from tests.agreement import assert_agrees
 from tests.fixtures import (

@@ -16,9 +16,9 @@ import pytest
 
 from octex.errors import ImageError
 from octex.source.alone import alone
-from octex.source.images import as_texels, decode_image
-from octex.source.openimage import MAX_TEXELS
-from octex.source.text import parse_numbers
+from octex.source.images.decode import as_texels, decode_image
+from octex.source.images.openimage import MAX_TEXELS
+from octex.source.models.text import parse_numbers
 from tests.deep_images import tiff
 from tests.fixtures import _chunk, png, random_image
 
@@ -213,7 +213,7 @@ def test_an_image_that_needs_too_much_memory_is_refused(monkeypatch: pytest.Monk
     def exhausted(*_: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("octex.source.images._texels", exhausted)
+    monkeypatch.setattr("octex.source.images.decode._texels", exhausted)
     with pytest.raises(ImageError, match="more memory"):
         decode_image(png(random_image(2, 2)), "wood")
 
@@ -222,7 +222,7 @@ def test_large_images_are_not_mistaken_for_bombs() -> None:
     before = PIL.Image.MAX_IMAGE_PIXELS
     image = PIL.Image.new("1", (16384, 11000))
     assert MAX_TEXELS > 11000 * 16384
-    from octex.source import images
+    from octex.source.images import decode as images
 
     with images._open(saved(image, "PNG")) as opened:
         assert opened.size == (16384, 11000)

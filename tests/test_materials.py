@@ -15,9 +15,9 @@ import pytest
 from octex.channels import CHANNELS, srgb_to_linear
 from octex.errors import ArgumentError, ModelError
 from octex.source.corners import Corners, Frames
-from octex.source.filters import FILTERS
+from octex.source.images.filters import FILTERS
+from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, WRAPS
 from octex.source.materials import Input, Material, MaterialSource, Texture
-from octex.source.pyramid import CLAMP, MIRROR, REPEAT, WRAPS
 from tests import naive_filters
 from tests.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV, random_image
 

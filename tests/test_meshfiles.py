@@ -341,7 +341,7 @@ def test_nothing_is_printed_of_what_other_libraries_log(tmp_path: Path) -> None:
     )
     script = (
         "from octex.source.load import load_surface\n"
-        "from octex.source.images import decode_image\n"
+        "from octex.source.images.decode import decode_image\n"
         "from octex.errors import ImageError\n"
         f"assert len(load_surface({str(path)!r}).triangles) == 2\n"
         "try:\n"

@@ -11,15 +11,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-import octex.source.imagefiles
+import octex.source.models.imagefiles
 from octex.channels import srgb_to_linear
 from octex.errors import ImageError, ModelError
-from octex.source.imagefiles import ImageFiles, is_grey, normals_of_heights
+from octex.source.images.pyramid import CLAMP, REPEAT
 from octex.source.load import load_surface
 from octex.source.materials import Input
-from octex.source.mtl import Description, Transform, load_materials
-from octex.source.options import Options
-from octex.source.pyramid import CLAMP, REPEAT
+from octex.source.models.imagefiles import ImageFiles, is_grey, normals_of_heights
+from octex.source.models.mtl import Description, Transform, load_materials
+from octex.source.models.options import Options
 from tests.fixtures import OBJ_SQUARE, obj, png, random_image
 
 FACES = "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
@@ -188,7 +188,7 @@ def test_luminance_is_weighted_from_the_stored_values(
     assert given.lanes == (0,)
     np.testing.assert_allclose(texels(given)[..., 0], COLORS.astype(float) @ weights * 257, atol=0.51)
     light = np.random.default_rng(0).random((2, 3, 4), np.float32)
-    monkeypatch.setattr(octex.source.imagefiles, "decode_image", lambda *_: light)
+    monkeypatch.setattr(octex.source.models.imagefiles, "decode_image", lambda *_: light)
     given = stated(tmp_path, "map_Pr -imfchan l a.png")["roughness"]
     np.testing.assert_allclose(texels(given)[..., 0], light[..., :3] @ np.float32(weights), atol=1e-6)
 
@@ -198,7 +198,7 @@ def test_base_and_gain_change_the_stored_values(tmp_path: Path, monkeypatch: pyt
     expected = np.clip(2 * (COLORS / 255.0) - 0.25, 0, 1) * 65535
     np.testing.assert_allclose(texels(given)[..., :3], expected, atol=0.51)
     light = np.array([[[0, 0.5, 3, 1]]], np.float32)
-    monkeypatch.setattr(octex.source.imagefiles, "decode_image", lambda *_: light)
+    monkeypatch.setattr(octex.source.models.imagefiles, "decode_image", lambda *_: light)
     given = stated(tmp_path, "map_Ke -mm -0.25 2 a.png")["emissive"]
     np.testing.assert_allclose(texels(given)[0, 0, :3], [0, 0.75, 5.75])
 

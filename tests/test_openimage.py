@@ -14,8 +14,8 @@ import PIL.Image
 import pytest
 
 from octex.errors import ImageError, MissingExtraError
-from octex.source.images import decode_image
-from octex.source.openimage import deep_format
+from octex.source.images.decode import decode_image
+from octex.source.images.openimage import deep_format
 from tests.deep_images import Part, exr, hdr, pfm, pnm, psd, sgi, tiff
 from tests.fixtures import png, random_image
 

@@ -12,8 +12,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from octex.channels import linear_to_srgb, srgb_to_linear
-from octex.source.images import as_texels
-from octex.source.pyramid import AREAS, DATA, FLOAT, MIPS, RIPS, SRGB, SUMS, WHOLE, Images, Picture, store
+from octex.source.images.decode import as_texels
+from octex.source.images.pyramid import (
+    AREAS,
+    DATA,
+    FLOAT,
+    MIPS,
+    RIPS,
+    SRGB,
+    SUMS,
+    WHOLE,
+    Images,
+    Picture,
+    store,
+)
 from octex.source.surface import Surface
 from tests.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV, random_image
 from tests.naive_filters import halved, reduction

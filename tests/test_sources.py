@@ -17,7 +17,7 @@ from octex.channels import CHANNELS, ChannelFormat, srgb_to_linear
 from octex.errors import ArgumentError, ImageError, ModelError
 from octex.source.base import Combined, Source, in_order
 from octex.source.corners import Corners, Frames
-from octex.source.filters import FILTERS
+from octex.source.images.filters import FILTERS
 from octex.source.surface import Samples, Surface
 from tests.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV, png, random_image
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from octex.channels import srgb_to_linear
 from octex.errors import ArgumentError, ImageError, ModelError
 from octex.source.corners import Corners, Frames
-from octex.source.filters import FILTERS
+from octex.source.images.filters import FILTERS
 from octex.source.surface import Samples, Surface
 from tests.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV, random_image
 

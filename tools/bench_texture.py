@@ -21,7 +21,7 @@ from PIL import Image, ImageDraw
 
 import octex
 from octex.channels import BASE_COLOR, linear_to_srgb
-from octex.source.gltf_file import Document
+from octex.source.models.gltf_file import Document
 from octex.texture import Channel
 from octex.tree.layout import SPLIT
 from octex.tree.octree import Octree

@@ -35,7 +35,7 @@ from octex.cli.common import TRACEBACK_VARIABLE, bytes_text
 from octex.cli.warm_up import warm_up
 from octex.errors import ExitCode, ImageError
 from octex.parallel import silent
-from octex.source.images import decode_image
+from octex.source.images.decode import decode_image
 from octex.source.load import MODEL_ENDINGS
 
 IMAGE_ENDINGS = {".png", ".jpg", ".jpeg", ".webp", ".bmp", ".gif", ".tga", ".tif", ".tiff", ".exr", ".hdr"}

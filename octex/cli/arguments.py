@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-#: What octex stores (octex.channels.ONE), and how it reads images (octex.source.filters.FILTERS).
+#: What octex stores (octex.channels.ONE), and how it reads images (octex.source.images.filters.FILTERS).
 DTYPES = ("uint8", "uint16", "float16", "float32")
 FILTERS = ("nearest", "bilinear", "bicubic", "trilinear", "ripmap", "sat", "ewa")
 

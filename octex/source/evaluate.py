@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.jit import inlined, kernel
-from octex.source.filters import find_taps, footprint
-from octex.source.pyramid import DATA, FAINT, FLOAT, SRGB, Images
-from octex.source.taps import EACH, SUM, TAP_ROOM
+from octex.source.images.filters import find_taps, footprint
+from octex.source.images.pyramid import DATA, FAINT, FLOAT, SRGB, Images
+from octex.source.images.taps import EACH, SUM, TAP_ROOM
 
 OPAQUE, MASK, BLEND = 0, 1, 2
 

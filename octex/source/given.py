@@ -13,7 +13,7 @@ import numpy as np
 from octex.channels import CHANNELS, ChannelFormat
 from octex.checks import as_choice
 from octex.errors import ArgumentError, ImageError, ModelError
-from octex.source.images import as_texels, decode_image
+from octex.source.images.decode import as_texels, decode_image
 from octex.source.materials import Input, Material, MaterialSource, Texture
 from octex.source.tangents import corner_frames
 

@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 from octex.checks import as_choice
 from octex.errors import InputError, ModelError
-from octex.source.filters import FILTERS
-from octex.source.gltf import load_gltf
-from octex.source.meshfiles import load_off, load_ply, load_stl
-from octex.source.obj import load_obj
-from octex.source.options import Options
+from octex.source.images.filters import FILTERS
+from octex.source.models.gltf import load_gltf
+from octex.source.models.meshfiles import load_off, load_ply, load_stl
+from octex.source.models.obj import load_obj
+from octex.source.models.options import Options
 from octex.source.surface import Surface
 
 _READERS: dict[str, Callable[[Path, Options], Surface]] = {

@@ -18,8 +18,8 @@ from octex.jit import kernel
 from octex.source.base import Source, in_order
 from octex.source.corners import Corners, Frames
 from octex.source.evaluate import Columns, Tables, evaluate, measure
-from octex.source.filters import FILTERS, LEVELS_OF
-from octex.source.pyramid import REPEAT, Images, Picture, Texels, store
+from octex.source.images.filters import FILTERS, LEVELS_OF
+from octex.source.images.pyramid import REPEAT, Images, Picture, Texels, store
 from octex.source.tangents import carried
 
 #: How a material's alpha counts: not at all, as a coverage of 0 or 1 about a cutoff, or as it is.

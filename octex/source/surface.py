@@ -14,11 +14,11 @@ from octex.checks import as_choice
 from octex.errors import ArgumentError, ModelError
 from octex.source.base import Combined, Source
 from octex.source.corners import Corners, Frames
-from octex.source.filters import FILTERS
 from octex.source.given import given_source
-from octex.source.images import as_texels
+from octex.source.images.decode import as_texels
+from octex.source.images.filters import FILTERS
+from octex.source.images.pyramid import WRAPS
 from octex.source.materials import ALPHA_MODES, AlphaMode, Input, Material, MaterialSource, Texture
-from octex.source.pyramid import WRAPS
 from octex.source.tangents import carried
 
 # Farther positions would overflow widths in single precision.

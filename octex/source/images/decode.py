@@ -18,9 +18,9 @@ import PIL.Image
 
 from octex.errors import ImageError, MissingExtraError
 from octex.source.alone import alone
-from octex.source.openimage import check_size, decode_deep, deep_format, spread
-from octex.source.png import SIGNATURE, decode_png16, is_png16, png_chunks
-from octex.source.pyramid import Texels
+from octex.source.images.openimage import check_size, decode_deep, deep_format, spread
+from octex.source.images.png import SIGNATURE, decode_png16, is_png16, png_chunks
+from octex.source.images.pyramid import Texels
 
 # These may hold a plain image of any size in a few bytes.
 _DENSEST = ("WEBP", "AVIF", "JPEG2000")

@@ -19,12 +19,12 @@ from octex.errors import ModelError
 from octex.jit import kernel
 from octex.source.corners import Corners
 from octex.source.materials import MaterialSource
-from octex.source.mtl import Description, Transform, load_materials, wavefront_lines
-from octex.source.options import EVERYTHING, Options
-from octex.source.polygons import triangulate
+from octex.source.models.mtl import Description, Transform, load_materials, wavefront_lines
+from octex.source.models.options import EVERYTHING, Options
+from octex.source.models.polygons import triangulate
+from octex.source.models.text import parse_numbers
 from octex.source.surface import Surface, flip_v, screen_colors
 from octex.source.tangents import corner_frames
-from octex.source.text import parse_numbers
 
 
 def load_obj(path: Path, options: Options = EVERYTHING) -> Surface:

@@ -26,9 +26,9 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.jit import inlined
-from octex.source.ellipse import SKEW, ellipse, small, wide
-from octex.source.pyramid import AREAS, CLAMP, MIPS, REPEAT, RIPS, WHOLE, Images
-from octex.source.taps import EACH, MOST_TAPS, NEVER, SUM, bilinear, flat_texels, unwrapped, wrapped
+from octex.source.images.ellipse import SKEW, ellipse, small, wide
+from octex.source.images.pyramid import AREAS, CLAMP, MIPS, REPEAT, RIPS, WHOLE, Images
+from octex.source.images.taps import EACH, MOST_TAPS, NEVER, SUM, bilinear, flat_texels, unwrapped, wrapped
 
 #: The image filters, by name; the default last.
 FILTERS = ("nearest", "bilinear", "bicubic", "trilinear", "ripmap", "sat", "ewa")

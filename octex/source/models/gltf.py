@@ -17,10 +17,10 @@ import numpy.typing as npt
 
 from octex.errors import ModelError
 from octex.source.corners import Corners, Frames
-from octex.source.gltf_file import Document, as_object
-from octex.source.gltf_materials import Bound, read_materials
 from octex.source.materials import MaterialSource
-from octex.source.options import EVERYTHING, Options
+from octex.source.models.gltf_file import Document, as_object
+from octex.source.models.gltf_materials import Bound, read_materials
+from octex.source.models.options import EVERYTHING, Options
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames, transformed
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from octex.source.images import decode_image
-from octex.source.pyramid import CLAMP, Texels
+from octex.source.images.decode import decode_image
+from octex.source.images.pyramid import CLAMP, Texels
 
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # of stored values: they are no light here (Rec. 709's weights)
 # Grey images that went through JPEG differ by a few codes of 255; normal maps by about a hundred.

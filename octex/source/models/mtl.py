@@ -36,11 +36,11 @@ import numpy as np
 
 from octex.channels import srgb_to_linear
 from octex.errors import ImageError, ModelError
-from octex.source.imagefiles import ImageFiles, is_grey, is_translucent
+from octex.source.images.pyramid import CLAMP, REPEAT, Texels
 from octex.source.materials import Input, Material, Texture
-from octex.source.options import Options
-from octex.source.pyramid import CLAMP, REPEAT, Texels
-from octex.source.text import parse_numbers
+from octex.source.models.imagefiles import ImageFiles, is_grey, is_translucent
+from octex.source.models.options import Options
+from octex.source.models.text import parse_numbers
 
 # How many words follow an option of a texture map; up to three numbers follow the last three.
 _OPTION_WORDS = {

@@ -19,11 +19,11 @@ import numpy.typing as npt
 
 from octex.errors import ImageError, ModelError
 from octex.parallel import cpu_count, threads
-from octex.source.gltf_file import CODED, Document, as_object
-from octex.source.images import decode_image
+from octex.source.images.decode import decode_image
+from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Texels
 from octex.source.materials import AlphaMode, Input, Material, Texture
-from octex.source.options import Options
-from octex.source.pyramid import CLAMP, MIRROR, REPEAT, Texels
+from octex.source.models.gltf_file import CODED, Document, as_object
+from octex.source.models.options import Options
 
 _ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
 _WRAPS = {10497: REPEAT, 33648: MIRROR, 33071: CLAMP}

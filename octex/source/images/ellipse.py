@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.jit import inlined
-from octex.source.pyramid import Images
-from octex.source.taps import EACH, MOST_TAPS, NEVER, bilinear, wrapped
+from octex.source.images.pyramid import Images
+from octex.source.images.taps import EACH, MOST_TAPS, NEVER, bilinear, wrapped
 
 #: Footprints of up to two texels are read as boxes if their covariance, in texels², is at most this.
 SKEW = 0.1

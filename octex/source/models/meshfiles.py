@@ -20,13 +20,13 @@ from octex.errors import ImageError, ModelError
 from octex.jit import kernel
 from octex.source.alone import alone
 from octex.source.corners import Corners
-from octex.source.images import decode_image
+from octex.source.images.decode import decode_image
+from octex.source.images.pyramid import Texels
 from octex.source.materials import AlphaMode, Input, Material, MaterialSource, Texture
-from octex.source.options import EVERYTHING, Options
-from octex.source.polygons import triangulate
-from octex.source.pyramid import Texels
+from octex.source.models.options import EVERYTHING, Options
+from octex.source.models.polygons import triangulate
+from octex.source.models.text import parse_numbers, whole_numbers
 from octex.source.surface import Surface, flip_v, screen_colors
-from octex.source.text import parse_numbers, whole_numbers
 
 # Keeps traces of damaged normals off the screen where no program asks for logs.
 _quiet = logging.NullHandler()

@@ -19,7 +19,7 @@ import numpy.typing as npt
 import PIL.TiffImagePlugin
 
 from octex.errors import ImageError, MissingExtraError
-from octex.source.pyramid import Texels
+from octex.source.images.pyramid import Texels
 
 #: The largest image that is read.
 MAX_TEXELS = 16384 * 16384

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.jit import inlined
-from octex.source.pyramid import CLAMP, MIRROR, REPEAT, Images
+from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Images
 
 #: How a threshold acts on alpha: not at all, on each texel of the finest level, on their sum.
 NEVER, EACH, SUM = 0, 1, 2
