@@ -57,7 +57,16 @@ def _compiled(function: Function, **options: Any) -> Function:
     with suppress(AttributeError):
         cache_file = compiled._cache._cache_file
         cache_file._source_stamp = (cache_file._source_stamp, _digest_of_sources())
+        cache_file._load_index = partial(_load_index, cache_file._load_index)
     return compiled  # type: ignore[no-any-return]
+
+
+def _load_index(load: Callable[[], dict[Any, Any]]) -> dict[Any, Any]:
+    """List what is cached: nothing, if it was written by an octex whose types are no longer there."""
+    try:
+        return load()
+    except (AttributeError, ImportError):
+        return {}
 
 
 @cache

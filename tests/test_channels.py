@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import math
 import os
+import pickle
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -260,6 +265,18 @@ def test_a_kernel_compiles_without_a_cache_where_there_is_no_folder_for_one(
         return 2 * number
 
     assert jit.kernel(double)(4) == 8
+
+
+@needs_jit
+def test_a_cache_whose_types_are_gone_is_written_anew(tmp_path: Path) -> None:
+    call = [sys.executable, "-c", "from octex import jit; print(jit.low_bits(3))"]
+    options: dict[str, Any] = {"env": os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}, "capture_output": True}
+    assert subprocess.run(call, **options, check=True).stdout == b"7\n"
+    index = next(tmp_path.rglob("jit.low_bits*.nbi"))
+    sound = index.read_bytes()
+    index.write_bytes(pickle.dumps(numba.__version__) + b"coctex.a_module_that_was\nIts_type\n.")
+    assert subprocess.run(call, **options, check=True).stdout == b"7\n"
+    assert index.read_bytes() == sound
 
 
 # --- parallel
