@@ -1,10 +1,10 @@
-"""All channels of a material, and channels of one's own.
+"""All channels of a material, some of them one's own.
 
-A texture holds what the model's materials state, one array a channel over one tree. Here the droid also gets
-bumps, from an image read with its texture coordinates, which become normals at rest. Where a cell averages
-normals that differ, their mean is shorter than 1: what such a surface reflects is spread as by roughness.
+A texture holds one array a channel over one tree. This torus has a colour image, and is given bumps: a normal
+map, read at the same coordinates, which becomes normals at rest. Where a cell averages normals that differ,
+their mean is shorter than 1: what such a surface reflects is spread as by roughness.
 
-    python samples/07_channels.py [FOLDER]      writes FOLDER/droid.octex (default: out)
+    python samples/07_channels.py [FOLDER]      writes FOLDER/torus.octex (default: out)
 """
 
 import os
@@ -15,29 +15,35 @@ import numpy as np
 
 import octex
 
-DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "10"))
-MODEL = Path(__file__).with_name("droid.glb")
+DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "9"))
 
 
-def bumps(size: int, count: int) -> np.ndarray:
-    """Return a normal map (size, size, 3), uint8, of round bumps."""
-    y, x = np.mgrid[:size, :size] / size * count * 2 * np.pi
-    directions = np.stack([0.5 * np.sin(x), 0.5 * np.sin(y), np.ones_like(x)], axis=-1)
-    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-    return np.rint((directions + 1) * 127.5).astype(np.uint8)
+def torus(around: int, across: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return vertices, triangles, and texture coordinates whose v runs up."""
+    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0, 1, around), np.linspace(0, 1, across)))
+    ring, height = 1 + 0.4 * np.cos(2 * np.pi * v), 0.4 * np.sin(2 * np.pi * v)
+    vertices = np.stack([ring * np.cos(2 * np.pi * u), ring * np.sin(2 * np.pi * u), height], axis=1)
+    a = np.add.outer(around * np.arange(across - 1), np.arange(around - 1)).ravel()
+    quads = np.stack([a, a + 1, a + around + 1, a + around], axis=1)
+    return vertices, np.vstack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]), np.stack([48 * u, 18 * v], axis=1)
 
 
 def main(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    sources = {"normal": bumps(512, 24), "occlusion": 0.9}
-    texture = octex.convert(MODEL, depth=DEPTH, sources=sources, dtype={"normal": "uint16"})
-    texture.save(folder / "droid.octex")
-    print(*(channel.format for channel in texture.channels.values()), sep="\n")
+    y, x = np.mgrid[:64, :64] / 64 * 2 * np.pi
+    bumps = np.stack([0.5 * np.sin(x), 0.5 * np.sin(y), 0.8 * np.ones_like(x)], axis=-1)
+    normal_map = np.rint((bumps + 1) * 127.5).astype(np.uint8)  # of any length
+    stripes = np.where(np.sin(x)[..., None] > 0, [230, 120, 20], [40, 60, 90]).astype(np.uint8)
+    vertices, triangles, uv = torus(240, 120)
+    surface = octex.Surface.from_arrays(vertices, triangles, uv=uv, image=stripes, name="torus")
+    sources = {"normal": normal_map, "roughness": 0.4}
+    texture = octex.convert(surface, depth=DEPTH, sources=sources, dtype={"normal": "uint16"})
+    texture.save(folder / "torus.octex")
 
-    points = octex.load_surface(MODEL).scatter(100_000).rest
+    points = surface.scatter(100_000).rest
     values = texture.sample(points, ["base_color", "roughness", "normal"])  # one walk for all three
     print("normals are unit vectors:", np.allclose(np.linalg.norm(values["normal"], axis=1), 1, atol=1e-3))
-    for level in (DEPTH, DEPTH - 2, DEPTH - 4):
+    for level in range(DEPTH, DEPTH - 5, -1):
         means = texture.level(level).sample(points, "normal", normalize=False)
         print(f"level {level:2}: their means are {np.linalg.norm(means, axis=1).mean():.3f} long")
 

