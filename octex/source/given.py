@@ -78,7 +78,7 @@ def _value(form: ChannelFormat, given: Any) -> tuple[float, ...]:
     numbers = tuple(given) if isinstance(given, (tuple, list)) else (given,)
     if len(numbers) == 1:
         numbers *= form.components
-    most = np.inf if form.space == "srgb" else 1.0
+    most = np.inf if form.name == "emissive" else 1.0
     fits = len(numbers) == form.components and all(
         isinstance(number, Real) and 0.0 <= float(number) <= most and np.isfinite(float(number))
         for number in numbers
@@ -86,7 +86,7 @@ def _value(form: ChannelFormat, given: Any) -> tuple[float, ...]:
     if form.space == "direction":
         raise ArgumentError(f"{form.name} must be an image or a Source, not {given!r}")
     if not fits:
-        range_text = "from 0 on" if form.space == "srgb" else "in 0 … 1"
+        range_text = "from 0 on" if most > 1.0 else "in 0 … 1"
         wanted = f"{form.components} numbers" if form.components > 1 else "a number"
         raise ArgumentError(f"{form.name} must be {wanted} {range_text}, or an image, not {given!r}")
     return tuple(map(float, numbers))
