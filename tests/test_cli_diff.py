@@ -147,3 +147,13 @@ def test_missing_files_are_named(folder: Path, capsys: pytest.CaptureFixture[str
 )
 def test_numbers_are_short(value: float, text: str) -> None:
     assert diff.number(value) == text
+
+
+def test_a_texture_that_is_broken_inside_is_refused(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = bytearray((folder / "4.octex").read_bytes())
+    data[4096] ^= 0xFF  # the masks of the first nodes follow the header
+    broken = tmp_path / "broken.octex"
+    broken.write_bytes(data)
+    assert "broken.octex: " in refusal(capsys, "--diff", broken, folder / "4.octex", "--quiet")

@@ -63,7 +63,9 @@ def diff(command: str, options: argparse.Namespace) -> int:
 
 def _side(path: Path, options: argparse.Namespace) -> Side:
     if path.suffix.lower() == TEXTURE_ENDING:
-        return octex.open(path)
+        texture = octex.open(path)
+        texture.validate()
+        return texture
     return read_model(path, options)
 
 
@@ -97,6 +99,7 @@ def _readable(paths: Sequence[Path], sides: Sequence[Side], found: Differences) 
         yield f"at the centres of {found.points:,} leaves, those of both, by area"
     else:
         yield f"at {found.points:,} points, uniform by area, the model averaged over {found.width:.4g}"
+    yield from _notes(found)
     yield ""
     rows: list[tuple[str, ...]] = [
         ("channel", "measure", "rms", "PSNR", "p99", "maximum", "where", "A there", "B there")
@@ -113,10 +116,6 @@ def _readable(paths: Sequence[Path], sides: Sequence[Side], found: Differences) 
             for column, (text, width) in enumerate(zip(row, widths, strict=True))
         ]
         yield "  ".join(cells).rstrip()
-    notes = list(_notes(found))
-    if notes:
-        yield ""
-    yield from notes
 
 
 def _row(name: str, result: Difference) -> tuple[str, ...]:
