@@ -19,6 +19,7 @@ from octex.channels import ChannelFormat, ColorSpace, linear_to_srgb
 from octex.checks import as_choice
 from octex.errors import ArgumentError
 from octex.parallel import Progress, silent
+from octex.source.base import by_channel
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.tree.layout import AREA_ONE, AREA_STEPS
@@ -52,9 +53,7 @@ class Difference(NamedTuple):
 
     measure: str  # "sRGB codes", "fractions", "components" (of directions) or "degrees"
     rms: float
-    psnr: (
-        float  # 20 · log10(peak / rms) in dB: of 255 codes, 1, 2 or 180 degrees; infinite if nothing differs
-    )
+    psnr: float  # 20 · log10(peak / rms) in dB, with the measure's peak (PEAKS); infinite if nothing differs
     p99: float
     maximum: float
     where: tuple[float, float, float]  # the rest position of the maximum; of equal ones the first
@@ -234,9 +233,7 @@ class Reader:
         assert points.barycentric is not None
         widths = np.full(len(points.rest), self._width, np.float32)
         rows = self._side.evaluate_all(points.triangles, points.barycentric, widths)
-        ends = np.cumsum([form.components for form in self._side.channels])
-        columns = np.split(rows, ends[:-1], axis=1)
-        return {form.name: part for form, part in zip(self._side.channels, columns, strict=True)}
+        return by_channel(self._side.channels, rows)
 
 
 def readers_of(

@@ -445,3 +445,19 @@ def test_normals_follow_the_rest_mesh() -> None:
         np.testing.assert_allclose(values(back, "normal", width), values(given, "normal", width), atol=1e-5)
     again = everything(frames=frames(turn)).with_rest(rest)
     np.testing.assert_allclose(values(again, "normal"), values(given, "normal") @ turn.T, atol=1e-5)
+
+
+def test_averages_of_a_mask_take_the_vertex_alpha_under_its_own_material() -> None:
+    texels = image(16, 16)
+    each = texture(texels)
+    inputs = {"base_color": Input(WHITE, each), "alpha": Input((1.0,), each, (3,))}
+    mask, blend = Material(inputs, "mask", 0.25), Material(inputs, "blend")
+    rows = np.arange(6, dtype=np.int32).reshape(2, 3)
+    colors = np.ones((6, 4), np.float32)
+    colors[:3, 3], colors[3:, 3] = 0.5, 0.1
+    given = source(mask, blend, colors=Corners(colors, rows))
+    triangles, _ = points()
+    found = values(given, "alpha", width=1000.0)[:, 0]
+    share = (texels[..., 3] >= 0.5 * 65535).mean()
+    np.testing.assert_allclose(found[triangles == 0], share, atol=1e-3)
+    np.testing.assert_allclose(found[triangles == 1], 0.1 * texels[..., 3].mean() / 65535, atol=1e-3)

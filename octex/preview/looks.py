@@ -12,6 +12,7 @@ import numpy.typing as npt
 from octex.channels import ChannelFormat, srgb_to_linear
 from octex.checks import as_choice
 from octex.errors import ArgumentError
+from octex.source.base import by_channel
 
 if TYPE_CHECKING:
     from octex.source.surface import Surface
@@ -104,13 +105,10 @@ def source_look(surface: Surface, channel: str | None = None) -> Look:
     """
     shown = Shown.of(surface.channels, channel)
     surface = surface.with_channels(shown.names)
-    formats = surface.channels
-    ends = np.cumsum([form.components for form in formats])[:-1]
 
     def look(hits: Hits) -> Appearance:
         values = surface.evaluate_all(hits.triangles, hits.barycentric, hits.width)
-        columns = np.split(values, ends, axis=1)
-        return shown.appearance({form.name: part for form, part in zip(formats, columns, strict=True)})
+        return shown.appearance(by_channel(surface.channels, values))
 
     return look
 

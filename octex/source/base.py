@@ -50,6 +50,15 @@ def in_order(names: Sequence[str]) -> list[str]:
     return sorted(dict.fromkeys(names), key=lambda n: known.index(n) if n in known else len(known))
 
 
+def by_channel(
+    channels: Sequence[ChannelFormat], values: npt.NDArray[np.float32]
+) -> dict[str, npt.NDArray[np.float32]]:
+    """Return the columns of values (n, components) that are each channel's."""
+    ends = np.cumsum([form.components for form in channels])
+    parts = np.split(values, ends[:-1], axis=1)
+    return {form.name: part for form, part in zip(channels, parts, strict=True)}
+
+
 class Combined(Source):
     """Channels from several sources; ``sources`` names the one of each channel."""
 
@@ -76,9 +85,7 @@ class Combined(Source):
         for source in self._sources.values():
             if id(source) not in found:
                 values = source.evaluate(triangles, barycentric, widths)
-                ends = np.cumsum([form.components for form in source.channels])
-                parts = np.split(values, ends[:-1], axis=1)
-                found[id(source)] = {f.name: part for f, part in zip(source.channels, parts, strict=True)}
+                found[id(source)] = by_channel(source.channels, values)
         return np.hstack([found[id(source)][name] for name, source in self._sources.items()])
 
     def with_rest(self, rest: npt.NDArray[np.float64]) -> Combined:

@@ -108,13 +108,13 @@ def evaluate(
     columns: Columns,
     images: Images,
     footprints: npt.NDArray[np.float64],
-    name: int,
+    filter: int,
     triangles: npt.NDArray[np.int32],
     barycentric: npt.NDArray[np.float64],
     widths: npt.NDArray[np.float32],
     values: npt.NDArray[np.float32],
 ) -> None:
-    """Fill in the values (n, columns) at points of triangles; ``name`` is the image filter's."""
+    """Fill in the values (n, columns) at points of triangles; ``filter`` is an index into FILTERS."""
     places = np.empty(TAP_ROOM, np.int64)
     weights = np.empty(TAP_ROOM, np.float64)
     most_stacks = most_images = 0
@@ -164,7 +164,7 @@ def evaluate(
             count, cut, scale = find_taps(
                 images,
                 layout,
-                name,
+                filter,
                 int(tables.stacks[stack, 2]),
                 int(tables.stacks[stack, 3]),
                 tables.stacks[stack, 4] != 0,

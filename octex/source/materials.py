@@ -72,7 +72,8 @@ class MaterialSource(Source):
     and ``triangles`` (m, 3) are what widths are measured on. ``filter`` is one of filters.FILTERS.
 
     It has ``base_color``, ``alpha`` if a material uses it, and what else any of the materials in use states;
-    ``channels`` names those that are wanted. Light that can be above 1 is stored as such.
+    ``channels`` names those that are wanted. Light that can be above 1 is stored as such. Averages of masks
+    cut texels by the mean vertex alpha under their material, points by their own.
 
     Raises ModelError, with ``name``, for colours, or texture coordinates in use, that are not finite, and for
     channels that the materials lack.
@@ -255,8 +256,7 @@ class MaterialSource(Source):
         lanes = np.zeros((count, ends[-1]), np.int32)
         gains = np.ones((count, ends[-1]), np.float32)
         offsets = np.zeros((count, ends[-1]), np.float32)
-        alphas = self._colors.values[:, 3] if self._colors is not None else np.ones(1)
-        shelf = _Shelf(self._materials, float(alphas.mean()) if alphas.size else 1.0)
+        shelf = _Shelf(self._materials, [self._vertex_alpha(number) for number in range(count)])
         for number, material in enumerate(self._materials):
             lane_of = shelf.add(number, names)
             for form in self._channels:
@@ -293,6 +293,13 @@ class MaterialSource(Source):
         places = (first_column.get(name, -1) for name in ("base_color", "alpha", "normal"))
         return _Prepared(tables, Columns(*places), stored.images)
 
+    def _vertex_alpha(self, number: int) -> float:
+        """Return the mean alpha of the vertex colours under a material."""
+        if self._colors is None or self._materials[number].alpha_mode != "mask":
+            return 1.0
+        rows = self._colors.rows[self._triangle_materials == number]
+        return float(self._colors.values[rows, 3].mean()) if rows.size else 1.0
+
     def _bound(self) -> dict[str, Any]:
         """Return what is bound to corners, as the tables name it."""
         nothing = Corners(np.empty((0, 4), np.float32), np.empty((0, 3), np.int32))
@@ -322,32 +329,41 @@ class _Prepared(NamedTuple):
     images: Images
 
 
+class _Way(NamedTuple):
+    """How a stack's images are read: a Texture's size in the place of its texels."""
+
+    size: tuple[int, ...]
+    wrap_u: int
+    wrap_v: int
+    nearest: bool
+    slot: int
+
+
 class _Shelf:
     """The images that materials read, each once, and the stacks in which each material reads them."""
 
-    def __init__(self, materials: Sequence[Material], vertex_alpha: float) -> None:
+    def __init__(self, materials: Sequence[Material], vertex_alphas: Sequence[float]) -> None:
         self._materials = materials
-        self._vertex_alpha = vertex_alpha  # in averages, cutoffs are of alpha times this
+        self._vertex_alphas = vertex_alphas
         self._numbers: dict[tuple[object, ...], int] = {}
         self.pictures: list[Picture] = []
         self.first_stacks = [0]
-        self.stacks: list[
-            tuple[int, ...]
-        ] = []  # an image of the stack's size, slot, wraps, flat, first image
+        # An image of the stack's size, slot, wraps of u and v, flat texels, first image.
+        self.stacks: list[tuple[int, int, int, int, int, int]] = []
         self.images: list[int] = []
 
     def add(self, number: int, names: Sequence[str]) -> dict[str, int]:
         """Add the images of a material for some channels; return the first lane of each channel's image."""
         material = self._materials[number]
-        stacks: dict[Texture, dict[int, list[str]]] = {}  # keyed by the size, not the image
+        stacks: dict[_Way, dict[int, list[str]]] = {}
         for name in names:
             given = material.inputs.get(name)
             if given is None or given.texture is None:
                 continue
             texture = given.texture
-            key = texture._replace(texels=texture.texels.shape[:2])  # type: ignore[arg-type]
-            image = self._image(material, name, texture.texels)
-            stacks.setdefault(key, {}).setdefault(image, []).append(name)
+            way = _Way(texture.texels.shape[:2], *texture[1:])
+            image = self._image(number, name, texture.texels)
+            stacks.setdefault(way, {}).setdefault(image, []).append(name)
         lane_of: dict[str, int] = {}
         lane = 1
         for way, readers in stacks.items():
@@ -360,14 +376,15 @@ class _Shelf:
         self.first_stacks.append(len(self.stacks))
         return lane_of
 
-    def _image(self, material: Material, name: str, texels: Texels) -> int:
-        """Return the number of the image that a channel reads."""
+    def _image(self, number: int, name: str, texels: Texels) -> int:
+        """Return the number of the image that a channel of a material reads."""
+        material = self._materials[number]
         given = material.inputs[name]
         space = CHANNELS[name].space
         covering = name in ("base_color", "alpha") and _is_covered(material)
         threshold = -1.0
         if covering and material.alpha_mode == "mask":
-            factor = _alpha_factor(material) * self._vertex_alpha
+            factor = _alpha_factor(material) * self._vertex_alphas[number]
             threshold = material.cutoff / factor if factor > 0 else np.inf
         is_light = space == "srgb" or covering
         key = (id(texels), is_light, covering, threshold, given.factor if space == "direction" else None)

@@ -185,7 +185,7 @@ class Surface:
         Raises ArgumentError for one that it lacks, and for none at all.
         """
         if not channels:
-            raise ArgumentError("name at least one channel")
+            raise ArgumentError("channels must name one at least")
         for channel in channels:
             as_choice(channel, [form.name for form in self.channels], "channel")
         return self._with(self.source.only(channels))
@@ -236,8 +236,6 @@ class Surface:
         Sources of channels that are not wanted are left out.
         """
         names = [channels] if isinstance(channels, str) else channels
-        if names is not None and not names:
-            raise ArgumentError("channels must name one at least")
         given = {name: each for name, each in sources.items() if names is None or name in names}
         surface = self.with_sources(given, filter) if given else self
         return surface if names is None else surface.with_channels(names)

@@ -44,7 +44,7 @@ _LONGEST = 16.0
 def find_taps(
     images: Images,
     layout: int,
-    name: int,
+    filter: int,
     wrap_u: int,
     wrap_v: int,
     flat: bool,
@@ -60,14 +60,14 @@ def find_taps(
 ) -> tuple[int, int, float]:
     """List the taps of a footprint at (u, v); return how many, how to cut alpha, and what to scale sums by.
 
-    ``name`` is an index into FILTERS, ``flat`` images have flat texels. (xx, xy, yy) is the footprint's
+    ``filter`` is an index into FILTERS, ``flat`` images have flat texels. (xx, xy, yy) is the footprint's
     covariance in texels², ``least`` and ``most`` its variance along the short and the long axis. ``places``
     and ``weights`` have TAP_ROOM elements. The second result is NEVER, EACH or SUM.
     """
     row = images.layouts[layout, 0]
     u = unwrapped(u, wrap_u, xx, images.levels[row, 1])
     v = unwrapped(v, wrap_v, yy, images.levels[row, 2])
-    if name == EWA:
+    if filter == EWA:
         if 12.0 * max(xx, yy) <= 1.0:
             if flat:
                 return flat_texels(images, row, wrap_u, wrap_v, u, v, xx, yy, places, weights), SUM, 1.0
@@ -78,15 +78,15 @@ def find_taps(
             return wide(images, row, wrap_u, wrap_v, u, v, xx, xy, yy, places, weights), EACH, 1.0
         return ellipse(images, layout, wrap_u, wrap_v, flat, u, v, xx, xy, yy, least, most, places, weights)
     cut = SUM
-    if name == TRILINEAR:
+    if filter == TRILINEAR:
         count, cut = _levels(images, layout, wrap_u, wrap_v, flat, u, v, most, places, weights)
-    elif name == RIPMAP:
+    elif filter == RIPMAP:
         count, cut = _rips(images, layout, wrap_u, wrap_v, flat, u, v, xx, yy, places, weights)
-    elif name == SAT:
+    elif filter == SAT:
         count, cut = _areas(images, row, wrap_u, wrap_v, flat, u, v, xx, yy, places, weights), NEVER
-    elif name == BICUBIC:
+    elif filter == BICUBIC:
         count = _bicubic(images, row, wrap_u, wrap_v, u, v, places, weights)
-    elif name == NEAREST or flat:
+    elif filter == NEAREST or flat:
         count = flat_texels(images, row, wrap_u, wrap_v, u, v, 0.0, 0.0, places, weights)
     else:
         count = bilinear(images, row, wrap_u, wrap_v, u, v, 1.0, 0, places, weights)
