@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from octex.channels import COLOR_SPACES, ONE, ChannelFormat
 from octex.texture import Channel, OctreeTexture
-from octex.tree.layout import FACING_FLAGS, SPLIT, SplitTable
+from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from tests import naive
@@ -68,7 +68,7 @@ def points_around(leaves: Leaves) -> st.SearchStrategy[tuple[float, float, float
 
 
 def with_random_data(tree: Octree, seed: int) -> Octree:
-    """Give a tree random areas, normal flags that nodes gather from their children, and a split table."""
+    """Give a tree random areas, flags that nodes gather from their children, split cells and kept nodes."""
     random = np.random.default_rng(seed)
     flags = np.zeros(tree.n_cells, np.uint8)
     level_cells = tree.arrays.level_cells
@@ -89,7 +89,11 @@ def with_random_data(tree: Octree, seed: int) -> Octree:
         random.integers(0, 256, rows, dtype=np.uint8),
     )
     flags[is_split] |= SPLIT
-    return tree.with_cell_data(flags, random.integers(0, 256, tree.n_cells, dtype=np.uint8), split)
+    areas = random.integers(0, 256, tree.n_cells, dtype=np.uint8)
+    is_kept = np.concatenate(masks) & (random.random(tree.n_cells) < random.choice([0.0, 0.4]))
+    is_kept &= tree.n_cells > 1  # the empty tree's root has no children
+    flags[is_kept] |= KEPT
+    return tree.with_cell_data(flags, areas, split, KeptTable(np.flatnonzero(is_kept).astype(np.uint32)))
 
 
 def random_values(shape: tuple[int, int], dtype: str, random: np.random.Generator) -> npt.NDArray[np.generic]:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from octex.errors import ArgumentError, TextureFileError
 from octex.tree import octree as octree_module
-from octex.tree.layout import SPLIT, SplitTable, TreeArrays
+from octex.tree.layout import KEPT, SPLIT, KeptTable, SplitTable, TreeArrays
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -32,7 +32,7 @@ def full_tree() -> Octree:
 
 
 def changed(tree: Octree, **arrays: np.ndarray) -> Octree:
-    return Octree(tree.arrays._replace(**arrays), tree.split)
+    return Octree(tree.arrays._replace(**arrays), tree.split, tree.kept)
 
 
 @given(st.lists(coordinates, max_size=5))
@@ -75,7 +75,10 @@ def test_a_truncated_tree_ends_in_the_nodes_of_its_last_level(leaves: Leaves, le
     short = tree.truncated(level)
     short.validate()
     assert as_cells(short) == naive.truncated(as_cells(tree), level)
-    assert np.array_equal(short.arrays.flags, tree.arrays.flags[: short.n_cells])
+    flags = tree.arrays.flags[: short.n_cells].copy()
+    flags[short.leaf_cells()] &= 0xFF ^ KEPT
+    assert np.array_equal(short.arrays.flags, flags)
+    assert np.array_equal(short.kept.cells, np.flatnonzero(flags & KEPT))
     assert np.array_equal(short.split.cells, tree.split.cells[tree.split.cells < short.n_cells])
     assert all(np.array_equal(a, b[: a.size]) for a, b in zip(short.split, tree.split, strict=True))
 
@@ -178,6 +181,11 @@ def test_a_split_table_of_unequal_columns_is_refused() -> None:
         Octree(tree.arrays, SplitTable(np.zeros(1, np.uint32), np.zeros(2, np.uint8), np.zeros(2, np.uint8)))
 
 
+def test_a_table_of_kept_nodes_of_another_type_is_refused() -> None:
+    with pytest.raises(ArgumentError, match="kept cells must be a C-ordered uint32"):
+        Octree(full_tree().arrays, kept=KeptTable(np.zeros(1, np.int64)))
+
+
 # --- what validate finds
 
 
@@ -256,6 +264,40 @@ def test_validate_checks_the_split_table(
         tree.validate()
 
 
+@pytest.mark.parametrize(
+    ("flagged", "listed", "message"),
+    [
+        ([0, 3], [0], "not those flagged as kept"),
+        ([0], [0, 3], "not those flagged as kept"),
+        ([0, 3], [3, 0], "not those flagged as kept"),
+        ([8, 9], [8, 9], "kept table: cell 9 has no children"),
+        ([72], [72], "kept table: cell 72 has no children"),
+        ([0, 1, 8], [0, 1, 8], ""),
+    ],
+)
+def test_validate_checks_the_table_of_kept_nodes(flagged: list[int], listed: list[int], message: str) -> None:
+    tree = full_tree()
+    flags = np.zeros(tree.n_cells, np.uint8)
+    flags[flagged] |= KEPT
+    tree = tree.with_cell_data(flags, tree.arrays.areas, kept=KeptTable(np.array(listed, np.uint32)))
+    assert tree.nbytes == full_tree().nbytes + 4 * len(listed)
+    if message:
+        with pytest.raises(TextureFileError, match=message):
+            tree.validate()
+    else:
+        tree.validate()
+
+
+@pytest.mark.parametrize("codes", [[], [0]])
+def test_a_root_without_children_keeps_nothing(codes: list[int]) -> None:
+    tree = Octree.from_leaves(np.array(codes, np.int64), 0)
+    tree = tree.with_cell_data(
+        np.full(1, KEPT, np.uint8), tree.arrays.areas, kept=KeptTable(np.zeros(1, np.uint32))
+    )
+    with pytest.raises(TextureFileError, match="cell 0 has no children"):
+        tree.validate()
+
+
 @given(leaf_sets(deepest=6), st.randoms(use_true_random=False))
 def test_damaged_structures_are_walked_and_validated_without_harm(leaves: Leaves, random: object) -> None:
     tree = Octree.from_leaves(*leaves)
@@ -264,7 +306,8 @@ def test_damaged_structures_are_walked_and_validated_without_harm(leaves: Leaves
     for _ in range(3):
         if groups.size:
             groups[noise.integers(len(groups)), noise.integers(3)] = noise.integers(0, 2**64, dtype=np.uint64)
-    wrong = Octree(TreeArrays(groups, *tree.arrays[1:]))
+    kept = KeptTable(noise.integers(0, 2**32, 4, dtype=np.uint32))
+    wrong = Octree(TreeArrays(groups, *tree.arrays[1:]), kept=kept)
     for codes, _ in wrong.walk():
         assert codes.min(initial=0) >= 0
     wrong.truncated(2)

@@ -80,3 +80,9 @@ class SplitTable(NamedTuple):
     cells: npt.NDArray[np.uint32]  # (split cells,)   ascending
     facings: npt.NDArray[np.uint8]  # (split cells,)   the cell's normal flags
     areas: npt.NDArray[np.uint8]  # (rows,)   coded like a cell's area
+
+
+class KeptTable(NamedTuple):
+    """The nodes flagged KEPT; their coefficients stand in the channels, row for row."""
+
+    cells: npt.NDArray[np.uint32]  # (kept nodes,)   ascending

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from octex.checks import as_depth
 from octex.errors import ArgumentError
 from octex.jit import kernel, popcount
-from octex.tree.layout import MAX_CELLS, MAX_DEPTH, SplitTable, TreeArrays
+from octex.tree.layout import KEPT, MAX_CELLS, MAX_DEPTH, KeptTable, SplitTable, TreeArrays
 from octex.tree.validate import check_layout, check_meaning
 
 Int64s = npt.NDArray[np.int64]
@@ -23,8 +23,13 @@ def no_split() -> SplitTable:
     return SplitTable(np.empty(0, np.uint32), np.empty(0, np.uint8), np.empty(0, np.uint8))
 
 
+def no_kept() -> KeptTable:
+    """Return a table of no kept nodes."""
+    return KeptTable(np.empty(0, np.uint32))
+
+
 class Octree:
-    """An immutable octree: structure, flags and areas of its cells, and the split table.
+    """An immutable octree: structure, flags and areas of its cells, the split table and the kept nodes.
 
     Every cell is a leaf or a node. Two trees have one cell only: the root as a leaf (no nodes), and the empty
     tree (the root as a node without children).
@@ -33,12 +38,15 @@ class Octree:
     is checked by ``validate``.
     """
 
-    __slots__ = ("arrays", "split")
+    __slots__ = ("arrays", "kept", "split")
 
-    def __init__(self, arrays: TreeArrays, split: SplitTable | None = None) -> None:
+    def __init__(
+        self, arrays: TreeArrays, split: SplitTable | None = None, kept: KeptTable | None = None
+    ) -> None:
         self.arrays = arrays
         self.split = no_split() if split is None else split
-        check_layout(self.arrays, self.split)
+        self.kept = no_kept() if kept is None else kept
+        check_layout(self.arrays, self.split, self.kept)
 
     def __repr__(self) -> str:
         return f"<Octree of depth {self.max_depth}: {self.n_leaves:,} leaves, {self.n_nodes:,} nodes>"
@@ -73,9 +81,15 @@ class Octree:
             )
         return cls(_build(codes, depths))
 
-    def with_cell_data(self, flags: Uint8s, areas: Uint8s, split: SplitTable | None = None) -> Octree:
-        """Return a tree of the same structure with other flags, areas and split table."""
-        return Octree(self.arrays._replace(flags=flags, areas=areas), split)
+    def with_cell_data(
+        self,
+        flags: Uint8s,
+        areas: Uint8s,
+        split: SplitTable | None = None,
+        kept: KeptTable | None = None,
+    ) -> Octree:
+        """Return a tree of the same structure with other flags, areas, split table and kept nodes."""
+        return Octree(self.arrays._replace(flags=flags, areas=areas), split, kept)
 
     @property
     def max_depth(self) -> int:
@@ -100,7 +114,7 @@ class Octree:
     @property
     def nbytes(self) -> int:
         """Bytes of all arrays."""
-        return sum(array.nbytes for array in (*self.arrays, *self.split))
+        return sum(array.nbytes for array in (*self.arrays, *self.split, *self.kept))
 
     def cells_by_depth(self) -> list[tuple[int, int]]:
         """Numbers of leaves and of nodes at each level."""
@@ -147,9 +161,10 @@ class Octree:
         return next(islice(self.walk(), level, None))
 
     def truncated(self, level: int) -> Octree:
-        """Return the tree of levels 0 … ``level``; nodes at ``level`` become leaves.
+        """Return the tree of levels 0 … ``level``; nodes at ``level`` become leaves, which keep nothing.
 
-        Only the groups of the nodes above are copied, all else is a view; nothing deeper is read.
+        The groups of the nodes above are copied, and the flags if a kept node becomes a leaf; all else is a
+        view; nothing deeper is read.
         """
         if as_depth(level, "level") >= self.max_depth:
             return self
@@ -162,20 +177,27 @@ class Octree:
         n_split = _count_before(self.split.cells, n_cells)
         facings = self.split.facings[:n_split]
         rows = int(np.bitwise_count(facings).sum())
+        kept = self.kept.cells[: _count_before(self.kept.cells, n_cells)]
+        n_kept = _count_before(kept, int(arrays.level_cells[level]))
+        flags = arrays.flags[:n_cells]
+        if n_kept < kept.size:
+            flags = flags.copy()
+            flags[arrays.level_cells[level] :] &= np.uint8(0xFF ^ KEPT)
         return Octree(
             TreeArrays(
                 groups,
                 arrays.level_cells[: level + 2],
                 level_nodes,
-                arrays.flags[:n_cells],
+                flags,
                 arrays.areas[:n_cells],
             ),
             SplitTable(self.split.cells[:n_split], facings, self.split.areas[:rows]),
+            KeptTable(kept[:n_kept]),
         )
 
     def validate(self) -> None:
         """Prove that the arrays are an octree, or raise TextureFileError naming the broken invariant."""
-        check_meaning(self.arrays, self.split)
+        check_meaning(self.arrays, self.split, self.kept)
 
 
 def _count_before(cells: npt.NDArray[np.uint32], end: int) -> int:

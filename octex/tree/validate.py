@@ -7,10 +7,19 @@ import numpy.typing as npt
 
 from octex.errors import ArgumentError, TextureFileError
 from octex.jit import kernel, popcount
-from octex.tree.layout import FACING_FLAGS, MAX_CELLS, MAX_DEPTH, SPLIT, SplitTable, TreeArrays
+from octex.tree.layout import (
+    FACING_FLAGS,
+    KEPT,
+    MAX_CELLS,
+    MAX_DEPTH,
+    SPLIT,
+    KeptTable,
+    SplitTable,
+    TreeArrays,
+)
 
 
-def check_layout(arrays: TreeArrays, split: SplitTable) -> None:
+def check_layout(arrays: TreeArrays, split: SplitTable, kept: KeptTable) -> None:
     """Check types, lengths and levels in O(levels): then kernels stay inside the arrays, whatever they hold.
 
     Raises ArgumentError.
@@ -24,6 +33,7 @@ def check_layout(arrays: TreeArrays, split: SplitTable) -> None:
         ("split cells", split.cells, np.uint32, 1),
         ("split facings", split.facings, np.uint8, 1),
         ("split areas", split.areas, np.uint8, 1),
+        ("kept cells", kept.cells, np.uint32, 1),
     )
     for name, array, dtype, dimensions in columns:
         if array.dtype != dtype or array.ndim != dimensions or not array.flags.c_contiguous:
@@ -59,10 +69,11 @@ def check_layout(arrays: TreeArrays, split: SplitTable) -> None:
             raise ArgumentError(f"{name} must have shape {wanted}, not {found}")
 
 
-def check_meaning(arrays: TreeArrays, split: SplitTable) -> None:
-    """Check the structure, the flags and the split table, or raise TextureFileError naming what is broken."""
+def check_meaning(arrays: TreeArrays, split: SplitTable, kept: KeptTable) -> None:
+    """Check structure, flags, split table and kept nodes; raise TextureFileError naming what is broken."""
     _check_structure(arrays)
     _check_split(arrays.flags, split)
+    _check_kept(arrays, kept)
     cell = _facing_fault(arrays)
     if cell >= 0 and (arrays.flags & FACING_FLAGS).any():
         raise TextureFileError(f"node cell {cell}: its normal flags are not those of its children together")
@@ -95,6 +106,14 @@ def _check_split(flags: npt.NDArray[np.uint8], split: SplitTable) -> None:
     rows = int(np.bitwise_count(split.facings).sum())
     if rows != split.areas.size:
         raise TextureFileError(f"split table: {split.areas.size} rows, but the facings number {rows}")
+
+
+def _check_kept(arrays: TreeArrays, kept: KeptTable) -> None:
+    if not np.array_equal(kept.cells, np.flatnonzero(arrays.flags & KEPT)):
+        raise TextureFileError("kept table: its cells are not those flagged as kept, in order")
+    row = _leaf_among(arrays, kept.cells)
+    if row >= 0:
+        raise TextureFileError(f"kept table: cell {kept.cells[row]} has no children")
 
 
 @kernel
@@ -132,6 +151,22 @@ def _level_fault(arrays: TreeArrays) -> int:
         ):
             return level + 1
     return -1
+
+
+@kernel
+def _leaf_among(arrays: TreeArrays, cells: npt.NDArray[np.uint32]) -> int:
+    """First row of ascending cells that is no node with children, or −1; needs a sound structure."""
+    has_children = arrays.level_cells.size > 2
+    row = int(has_children and cells.size > 0 and cells[0] == 0)
+    cell = np.int64(1)
+    for node in range(arrays.level_nodes[-1] if has_children else 0):
+        for octant in range(8):
+            bit = np.uint64(1) << np.uint64(8 * (node & 7) + octant)
+            is_node = arrays.groups[node >> 3, 0] & bit != 0
+            if row < cells.size and cell == cells[row] and is_node:
+                row += 1
+            cell += is_node or arrays.groups[node >> 3, 1] & bit != 0
+    return row if row < cells.size else -1
 
 
 @kernel
