@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,15 +17,26 @@ def as_points(points: npt.ArrayLike, name: str = "points") -> npt.NDArray[np.flo
 
     Raises ArgumentError for another shape or for values that are not real numbers.
     """
+    array = as_point_rows(points, name)
+    return np.ascontiguousarray(array, np.float32 if array.dtype == np.float32 else np.float64)
+
+
+def as_point_rows(points: npt.ArrayLike, name: str = "points") -> npt.NDArray[Any]:
+    """Return positions as an (n, 3) array of whatever real type and order; an array is not copied.
+
+    Raises ArgumentError like ``as_points``. An empty list is a batch of no points.
+    """
     try:
         array = np.asarray(points)
     except ValueError:  # rows of unequal lengths
         raise ArgumentError(f"{name} must have shape (n, 3)") from None
     if array.dtype.kind not in "fiu":
         raise ArgumentError(f"{name} must be real numbers, not {array.dtype}")
+    if array.shape == (0,):
+        array = array.reshape(0, 3)
     if array.ndim != 2 or array.shape[1] != 3:
         raise ArgumentError(f"{name} must have shape (n, 3), not {array.shape}")
-    return np.ascontiguousarray(array, np.float32 if array.dtype == np.float32 else np.float64)
+    return array
 
 
 def as_depth(depth: int, name: str = "depth") -> int:

@@ -67,8 +67,11 @@ def points_around(leaves: Leaves) -> st.SearchStrategy[tuple[float, float, float
     return st.builds(near, st.sampled_from(leaves.places()), st.tuples(steps, steps, steps)) | free
 
 
-def with_random_data(tree: Octree, seed: int) -> Octree:
-    """Give a tree random areas, flags that nodes gather from their children, split cells and kept nodes."""
+def with_random_data(tree: Octree, seed: int, keep: float | None = None) -> Octree:
+    """Give a tree random areas, flags that nodes gather from their children, split cells and kept nodes.
+
+    ``keep`` is the part of the nodes that are kept; by default none or two in five, at random.
+    """
     random = np.random.default_rng(seed)
     flags = np.zeros(tree.n_cells, np.uint8)
     level_cells = tree.arrays.level_cells
@@ -90,7 +93,8 @@ def with_random_data(tree: Octree, seed: int) -> Octree:
     )
     flags[is_split] |= SPLIT
     areas = random.integers(0, 256, tree.n_cells, dtype=np.uint8)
-    is_kept = np.concatenate(masks) & (random.random(tree.n_cells) < random.choice([0.0, 0.4]))
+    keep = random.choice([0.0, 0.4]) if keep is None else keep
+    is_kept = np.concatenate(masks) & (random.random(tree.n_cells) < keep)
     is_kept &= tree.n_cells > 1  # the empty tree's root has no children
     flags[is_kept] |= KEPT
     return tree.with_cell_data(flags, areas, split, KeptTable(np.flatnonzero(is_kept).astype(np.uint32)))
@@ -117,11 +121,9 @@ def textures(draw: st.DrawFn, deepest: int = naive.MAX_DEPTH) -> OctreeTexture:
             draw(st.sampled_from(COLOR_SPACES)),
             draw(st.sampled_from(sorted(ONE))),
         )
-        rows = tree.split.areas.size
+        rows = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
         channels[form.name] = Channel(
-            form,
-            random_values((tree.n_cells, form.components), form.dtype, random),
-            random_values((rows, form.components), form.dtype, random),
+            form, *(random_values((count, form.components), form.dtype, random) for count in rows)
         )
     placement = Placement(tuple(random.normal(size=3).tolist()), float(random.random() + 0.1))
     low = placement.to_rest(np.zeros((1, 3)))

@@ -54,7 +54,7 @@ def sheet(
         array = (
             stored.astype(form.dtype) if form.space == "direction" else encode(stored, form.dtype, form.space)
         )
-        channels[form.name] = Channel(form, array, np.empty((0, form.components), form.dtype))
+        channels[form.name] = Channel(form, array, array[:0], array[:0])
     corners = np.array([placement.origin, np.add(placement.origin, placement.size)])
     return OctreeTexture(tree, channels, placement, corners, {})
 

@@ -45,7 +45,7 @@ def texture_of(
         shape = (tree.n_cells, format_.components)
         array = random.random(shape) if values is None else np.broadcast_to(values, shape)
         array = (array * channels.ONE[format_.dtype]).astype(format_.dtype)
-        stored[format_.name] = Channel(format_, array, np.empty((0, format_.components), format_.dtype))
+        stored[format_.name] = Channel(format_, array, array[:0], array[:0])
     corners = np.array([placement.origin, np.add(placement.origin, placement.size)])
     return OctreeTexture(tree, stored, placement, corners, {})
 

@@ -329,7 +329,8 @@ def test_an_unknown_channel_is_refused(quarters):
 
 def test_a_texture_without_leaves_is_refused():
     tree = Octree.from_leaves([], 0)
-    channel = Channel(BASE_COLOR, np.zeros((1, 3), np.uint8), np.zeros((0, 3), np.uint8))
+    none = np.zeros((0, 3), np.uint8)
+    channel = Channel(BASE_COLOR, np.zeros((1, 3), np.uint8), none, none)
     empty = OctreeTexture(tree, {"base_color": channel}, Placement((0, 0, 0), 1), [[0, 0, 0], [1, 1, 1]])
     with pytest.raises(ArgumentError, match="no leaves to draw"):
         draw_preview(None, empty)
@@ -346,7 +347,7 @@ def _textured(values, **channels):
     for name, form in formats.items():
         array = np.broadcast_to(np.array(values[name]), (tree.n_cells, form.components))
         array = np.ascontiguousarray(array.astype(form.dtype))
-        stored[name] = Channel(form, array, array[:0])
+        stored[name] = Channel(form, array, array[:0], array[:0])
     return OctreeTexture(tree, stored, octex.convert(_square(), 2).placement, [[0, 0, 0], [1, 1, 0]])
 
 

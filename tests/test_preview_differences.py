@@ -16,7 +16,7 @@ from octex.errors import OutputError
 from octex.preview import draw_difference, write_difference
 from octex.preview.differences import _ALONE, _SCALE, _scale_codes, _scale_top
 from octex.source.surface import Surface
-from octex.texture import Channel, OctreeTexture
+from octex.texture import OctreeTexture
 from octex.tree.morton import decode_cells
 from octex.tree.walk import walk_leaves
 
@@ -46,7 +46,7 @@ def spotted(texture: OctreeTexture, x: float = 0.75, y: float = 0.75) -> OctreeT
     stored = texture.channels["base_color"]
     values = stored.values.copy()
     values[leaves.cells[near]] = 255
-    changed = {**texture.channels, "base_color": Channel(stored.format, values, stored.split_values)}
+    changed = {**texture.channels, "base_color": stored._replace(values=values)}
     return OctreeTexture(texture.tree, changed, texture.placement, texture.bounds)
 
 

@@ -195,7 +195,7 @@ def lookup(setup: Setup, report: Report) -> None:
     report.title(f"lookup: sphere of {len(codes):,} cells, {1 << depth} along an edge, nearest, one thread")
     tree = Octree.from_leaves(codes, depth)
     values = np.random.default_rng(0).integers(0, 256, (tree.n_cells, 3), np.uint8)
-    channel = Channel(BASE_COLOR, values, np.empty((0, 3), np.uint8))
+    channel = Channel(BASE_COLOR, values, values[:0], values[:0])
     unit = Placement((0.0, 0.0, 0.0), 1.0)
     texture = octex.OctreeTexture(tree, {"base_color": channel}, unit, [[0, 0, 0], [1, 1, 1]])
     small = setup.quick

@@ -354,6 +354,7 @@ def _assemble(
             channel,
             np.concatenate([part.values[i] for part in parts]),
             np.concatenate([part.split_values[i] for part in parts]),
+            np.empty((0, channel.components), channel.dtype),
         )
         for i, channel in enumerate(channels)
     }

@@ -1,0 +1,11 @@
+"""The octree texture: what everything else meets.
+
+channel     a named array of values, one a cell
+lookup      points looked up in blocks, on any threads, answers written where the caller wants them
+file        what is on disk, drawn; opened and saved through container
+texture     tree + channels + placement
+"""
+
+from octex.texture.channel import Channel as Channel
+from octex.texture.texture import OctreeTexture as OctreeTexture
+from octex.texture.texture import open_texture as open_texture

@@ -1,0 +1,63 @@
+"""A channel's values: packed arrays whose rows are numbered by the tree."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import COLOR_SPACES, ONE, ChannelFormat
+from octex.checks import as_choice
+from octex.errors import ArgumentError
+from octex.tree.octree import Octree
+
+Array = npt.NDArray[Any]
+
+
+class Channel(NamedTuple):
+    """A named array of values, one a cell: a leaf's value, or a node's average."""
+
+    format: ChannelFormat
+    values: Array  # (cells, components)   as stored
+    split_values: Array  # (split rows, components)
+    kept_values: Array  # (kept nodes, components)   the coefficients of the leaves that they were
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all values."""
+        return self.values.nbytes + self.split_values.nbytes + self.kept_values.nbytes
+
+    def check(self, name: str, tree: Octree) -> None:
+        """Raise ArgumentError unless the channel fits a tree and its own format."""
+        form = self.format
+        if not name or name != form.name:
+            raise ArgumentError(f"channel {name!r} must have the name of its format, {form.name!r}")
+        as_choice(form.space, COLOR_SPACES, f"colour space of channel {name!r}:")
+        as_choice(form.dtype, ONE, f"dtype of channel {name!r}:")
+        if not 1 <= form.components <= 4:
+            raise ArgumentError(f"channel {name!r} must have 1 to 4 components, not {form.components}")
+        for array, rows in (
+            (self.values, tree.n_cells),
+            (self.split_values, tree.split.areas.size),
+            (self.kept_values, tree.kept.cells.size),
+        ):
+            expected = (rows, form.components)
+            if array.shape != expected or array.dtype != form.dtype or not array.flags.c_contiguous:
+                raise ArgumentError(
+                    f"channel {name!r} must be a C-ordered {form.dtype} array of shape {expected}, "
+                    f"not {array.dtype} {array.shape}"
+                )
+
+    def of(self, tree: Octree) -> Channel:
+        """Return views of the values of a truncated tree."""
+        return self._replace(
+            values=self.values[: tree.n_cells],
+            split_values=self.split_values[: tree.split.areas.size],
+            kept_values=self.kept_values[: tree.kept.cells.size],
+        )
+
+    def is_finite(self) -> bool:
+        """Say whether no value is infinite or not a number."""
+        arrays = self.values, self.split_values, self.kept_values
+        return all(np.isfinite(array).all() for array in arrays if array.dtype.kind == "f")

@@ -1,0 +1,155 @@
+"""Points looked up in blocks: on any threads, and answers where the caller wants them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import ColorSpace, decode, decode_table
+from octex.errors import ArgumentError
+from octex.jit import kernel
+from octex.parallel import ordered_map
+
+Array = npt.NDArray[Any]
+Floats = npt.NDArray[np.float32]
+#: Looks up the points of a block, writes to arrays of as many rows, and returns the first row that is not
+#: finite or −1.
+LookUp = Callable[[Array, list[Array]], int]
+
+#: Points looked up at once: what is kept of them stays in the processor's cache.
+BLOCK = 1 << 14
+
+
+class _Blocks(Sequence[tuple[Array, list[Array]]]):
+    """Points and the rows of their answers, block by block."""
+
+    def __init__(self, points: Array, answers: list[Array]) -> None:
+        self._points, self._answers = points, answers
+
+    def __len__(self) -> int:
+        return -(-len(self._points) // BLOCK)
+
+    def __getitem__(self, number: Any) -> Any:
+        rows = slice(number * BLOCK, (number + 1) * BLOCK)
+        return self._points[rows], [answer[rows] for answer in self._answers]
+
+    def __iter__(self) -> Iterator[tuple[Array, list[Array]]]:
+        return (self[number] for number in range(len(self)))
+
+
+def in_blocks(points: Array, answers: list[Array], look_up: LookUp, executor: Executor | None) -> None:
+    """Look up points (n, 3) of any real type, and write to ``answers``, arrays of n rows.
+
+    Only a block is copied, and only if the points are not as kernels take them. Raises ArgumentError naming
+    the first row that is not finite; the answers are then written in part.
+    """
+    blocks = _Blocks(points, answers)
+    work = partial(_look_up_block, look_up)
+    done = map(work, blocks) if executor is None else ordered_map(executor, work, blocks)
+    for number, (fault, found) in enumerate(done):
+        if fault >= 0:
+            row = number * BLOCK + fault
+            raise ArgumentError(f"points must be finite, but points[{row}] is {points[row].tolist()}")
+        for answer, rows in zip(blocks[number][1], found, strict=True):
+            if not np.may_share_memory(answer, rows):  # the executor works in other processes
+                answer[:] = rows
+
+
+def _look_up_block(look_up: LookUp, block: tuple[Array, list[Array]]) -> tuple[int, list[Array]]:
+    points, answers = block
+    dtype = np.float32 if points.dtype == np.float32 else np.float64
+    return look_up(np.require(points, dtype, ["C", "A", "W"]), answers), answers
+
+
+def answers_for(
+    shapes: Mapping[str, tuple[int, ...]], out: Any, single: bool, name: str = "out"
+) -> dict[str, Floats]:
+    """Return arrays to write to by channel: new ones, or for ``out`` what the caller gave, if it fits.
+
+    ``out`` is one array if ``single``, else a dict of them. Raises ArgumentError.
+    """
+    if out is None:
+        return {channel: np.empty(shape, np.float32) for channel, shape in shapes.items()}
+    if single:
+        out = dict.fromkeys(shapes, out)
+    elif not isinstance(out, Mapping) or set(out) != set(shapes):
+        raise ArgumentError(f"{name} must be a dict of arrays for: {', '.join(shapes)}")
+    for channel, shape in shapes.items():
+        array = out[channel]
+        if not isinstance(array, np.ndarray) or array.dtype != np.float32 or array.shape != shape:
+            found = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else repr(type(array))
+            raise ArgumentError(
+                f"{name} for {channel!r} must be a float32 array of shape {shape}, not {found}"
+            )
+        if not array.flags.carray:
+            raise ArgumentError(f"{name} for {channel!r} must be C-ordered, aligned and writable")
+    return {channel: out[channel] for channel in shapes}
+
+
+def check_apart(arrays: Sequence[Array]) -> None:
+    """Raise ArgumentError if any of the points and the answers share memory."""
+    for number, array in enumerate(arrays):
+        if any(np.may_share_memory(array, other) for other in arrays[:number]):
+            raise ArgumentError("the arrays in out must not share memory with each other or with the points")
+
+
+def gather(values: Array, space: ColorSpace, cells: npt.NDArray[np.int64], result: Floats) -> None:
+    """Write the decoded values of cells to ``result``."""
+    if values.dtype == np.float32:
+        result[:] = decode(values[cells], space)
+    elif values.dtype == np.float16:
+        _gather_codes(values.view(np.uint16), _half_table(space), cells, result)
+    else:
+        _gather_codes(values, decode_table(values.dtype.name, space), cells, result)
+
+
+@cache
+def _half_table(space: ColorSpace) -> npt.NDArray[np.float32]:
+    """Decode all bit patterns of float16."""
+    with np.errstate(invalid="ignore"):  # NaNs are among them
+        return decode(np.arange(1 << 16, dtype=np.uint16).view(np.float16), space)
+
+
+@kernel
+def _gather_codes(
+    values: npt.NDArray[np.uint8 | np.uint16],
+    table: npt.NDArray[np.float32],
+    cells: npt.NDArray[np.int64],
+    result: npt.NDArray[np.float32],
+) -> None:
+    for n in range(cells.size):
+        for component in range(values.shape[1]):
+            result[n, component] = table[values[cells[n], component]]
+
+
+@kernel
+def normalize(vectors: npt.NDArray[np.float32], slopes: npt.NDArray[np.float32]) -> None:
+    """Make vectors (n, components) of length 1, in place; zeros stay.
+
+    ``slopes`` (n or 0, components, 3), their derivatives by position, become those of the unit vectors: what
+    is across them, divided by the length.
+    """
+    components = vectors.shape[1]
+    for n in range(vectors.shape[0]):
+        square = 0.0
+        for component in range(components):
+            square += np.float64(vectors[n, component]) ** 2
+        inverse = 1.0 / np.sqrt(square) if square > 0.0 else 0.0
+        if square > 0.0:
+            for component in range(components):
+                vectors[n, component] *= inverse
+        if n < slopes.shape[0]:
+            for axis in range(3):
+                along = 0.0
+                for component in range(components):
+                    along += np.float64(vectors[n, component]) * np.float64(slopes[n, component, axis])
+                for component in range(components):
+                    across = np.float64(slopes[n, component, axis]) - along * np.float64(
+                        vectors[n, component]
+                    )
+                    slopes[n, component, axis] = across * inverse

@@ -1,0 +1,295 @@
+"""OctreeTexture: a tree, channels of values and a placement; what everything else meets."""
+
+from __future__ import annotations
+
+import math
+import mmap
+import os
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from types import MappingProxyType
+from typing import Any, Literal, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from octex import container
+from octex.checks import as_choice, as_depth, as_point_rows
+from octex.errors import ArgumentError, InputError, TextureFileError
+from octex.texture.channel import Channel
+from octex.texture.file import ENDING, FORMAT, FORMAT_VERSION, File, Parts, taken, written
+from octex.texture.lookup import LookUp, answers_for, check_apart, gather, in_blocks
+from octex.texture.lookup import normalize as make_unit
+from octex.tree.octree import Octree
+from octex.tree.placement import Placement
+from octex.tree.search import in_leaves, nearest_cells
+
+Array = npt.NDArray[Any]
+Floats = npt.NDArray[np.float32]
+
+#: How a lookup turns cells into a value.
+FILTERS = ("nearest",)
+
+
+class OctreeTexture:
+    """Values stored in the octree cells that a surface passes through, looked up by rest position.
+
+    Immutable. ``metadata`` is provenance: free text by name, kept in the file.
+
+    Raises ArgumentError if tree, channels, placement and bounds do not fit together.
+    """
+
+    __slots__ = ("_file", "bounds", "channels", "metadata", "placement", "tree")
+
+    def __init__(
+        self,
+        tree: Octree,
+        channels: Mapping[str, Channel],
+        placement: Placement,
+        bounds: npt.ArrayLike,
+        metadata: Mapping[str, str] | None = None,
+    ) -> None:
+        self.tree = tree
+        self.channels = MappingProxyType(dict(channels))
+        x, y, z = map(float, placement.origin)
+        self.placement = Placement((x, y, z), float(placement.size))
+        self.bounds = np.asarray(bounds, np.float64)
+        self.metadata = MappingProxyType(dict(metadata or {}))
+        self._file: File | None = None
+        if not all(isinstance(text, str) for pair in self.metadata.items() for text in pair):
+            raise ArgumentError("metadata must map strings to strings")
+        for name, channel in self.channels.items():
+            channel.check(name, tree)
+        if not np.isfinite(self.placement.origin).all() or not 0 < self.placement.size < math.inf:
+            raise ArgumentError(f"the root cell must be finite, its size above zero, not {self.placement}")
+        if self.bounds.shape != (2, 3) or not np.isfinite(self.bounds).all():
+            raise ArgumentError(f"bounds must be two finite corners, not {self.bounds.tolist()}")
+
+    def __repr__(self) -> str:
+        return f"<OctreeTexture of {', '.join(self.channels) or 'no channels'}; {self.tree!r}>"
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all arrays: structure, flags, areas, values, the split table and the kept nodes."""
+        return self.tree.nbytes + sum(channel.nbytes for channel in self.channels.values())
+
+    @overload
+    def sample(
+        self,
+        points: npt.ArrayLike,
+        channel: str = "base_color",
+        filter: str = "nearest",
+        *,
+        normalize: bool = True,
+        gradient: Literal[False] = False,
+        out: Floats | None = None,
+        executor: Executor | None = None,
+    ) -> Floats: ...
+    @overload
+    def sample(
+        self,
+        points: npt.ArrayLike,
+        channel: list[str] | tuple[str, ...],
+        filter: str = "nearest",
+        *,
+        normalize: bool = True,
+        gradient: Literal[False] = False,
+        out: Mapping[str, Floats] | None = None,
+        executor: Executor | None = None,
+    ) -> dict[str, Floats]: ...
+    @overload
+    def sample(
+        self,
+        points: npt.ArrayLike,
+        channel: str = "base_color",
+        filter: str = "nearest",
+        *,
+        normalize: bool = True,
+        gradient: Literal[True],
+        out: tuple[Floats, Floats] | None = None,
+        executor: Executor | None = None,
+    ) -> tuple[Floats, Floats]: ...
+    @overload
+    def sample(
+        self,
+        points: npt.ArrayLike,
+        channel: list[str] | tuple[str, ...],
+        filter: str = "nearest",
+        *,
+        normalize: bool = True,
+        gradient: Literal[True],
+        out: tuple[Mapping[str, Floats], Mapping[str, Floats]] | None = None,
+        executor: Executor | None = None,
+    ) -> tuple[dict[str, Floats], dict[str, Floats]]: ...
+    def sample(
+        self,
+        points: npt.ArrayLike,
+        channel: str | list[str] | tuple[str, ...] = "base_color",
+        filter: str = "nearest",
+        *,
+        normalize: bool = True,
+        gradient: bool = False,
+        out: Any = None,
+        executor: Executor | None = None,
+    ) -> Any:
+        """Look up values at rest positions (n, 3), float32 or float64.
+
+        Returns float32 (n, components): linear light for colours, −1 … 1 for directions, 0 … 1 for other
+        integers. A list of channel names gives a dict. ``nearest``: the leaf that holds the point; else the
+        nearest cell among the 27 around it at the deepest level that has one there, so that every point has
+        a value.
+
+        Directions come back as unit vectors; without ``normalize`` as the means that are stored, whose
+        length, 1 where all directions agree, tells how far they spread. A mean of zero stays zeros in floats;
+        integers have no code for zero, so it has no direction worth the name there.
+
+        out       where to write and what to return: a C-ordered float32 array of the answer's shape, a dict
+                  of them for a list of channels; else new arrays
+        executor  spreads blocks of points over its threads; by default the calling thread does all
+
+        Memory does not grow with the points but for the answers. Raises ArgumentError for positions that are
+        not finite (n, 3), naming the first row (``out`` is then written in part), for unknown channels and
+        filters, listing those there are, and for an ``out`` that does not fit.
+        """
+        points = as_point_rows(points)
+        as_choice(filter, FILTERS, "filter")
+        if gradient and filter == "nearest":
+            raise ArgumentError("nearest has no gradient; choose another filter")
+        names = list(channel) if isinstance(channel, (list, tuple)) else [channel]
+        chosen = [self.channels[as_choice(name, self.channels, "channel")] for name in names]
+        shapes = {stored.format.name: (len(points), stored.format.components) for stored in chosen}
+        answers = answers_for(shapes, out, isinstance(channel, str))
+        check_apart([points, *answers.values()])
+        formats = [self.channels[name] for name in answers]
+        no_slopes = np.empty((0, 1, 3), np.float32)
+
+        def look_up(block: Array, rows: list[Array]) -> int:
+            cells = np.empty(len(block), np.int64)
+            fault = nearest_cells(self.tree.arrays, block, *self.placement, cells)
+            if fault < 0:
+                for (form, values, *_), found in zip(formats, rows, strict=True):
+                    gather(values, form.space, cells, found)
+                    if normalize and form.space == "direction":
+                        make_unit(found, no_slopes)
+            return fault
+
+        self._look_up(points, list(answers.values()), look_up, executor)
+        return answers[channel] if isinstance(channel, str) else answers
+
+    def contains(self, points: npt.ArrayLike, *, executor: Executor | None = None) -> npt.NDArray[np.bool_]:
+        """Say of each rest position (n, 3) whether a leaf holds it.
+
+        Raises ArgumentError for positions that are not finite (n, 3).
+        """
+        points = as_point_rows(points)
+        inside = np.empty(len(points), np.bool_)
+        self._look_up(
+            points,
+            [inside],
+            lambda block, rows: in_leaves(self.tree.arrays, block, *self.placement, rows[0]),
+            executor,
+        )
+        return inside
+
+    def _look_up(
+        self, points: Array, answers: list[Array], look_up: LookUp, executor: Executor | None
+    ) -> None:
+        if len(points) * mmap.PAGESIZE > self.nbytes:  # about a page a point: most of the file will be read
+            self._read_ahead()
+        in_blocks(points, answers, look_up, executor)
+
+    def level(self, level: int) -> OctreeTexture:
+        """Return the texture of levels 0 … ``level``, whose leaves include the averages stored there.
+
+        Its arrays are views; nothing deeper is read. Raises ArgumentError for a level that is not 0 … 21.
+        """
+        if as_depth(level, "level") >= self.tree.max_depth:
+            return self
+        tree = self.tree.truncated(level)
+        channels = {name: channel.of(tree) for name, channel in self.channels.items()}
+        return OctreeTexture(tree, channels, self.placement, self.bounds, self.metadata)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write an ``.octex`` file; the same texture gives the same bytes.
+
+        Raises ArgumentError for another ending, OutputError if the file cannot be written; what stood at
+        ``path`` then still stands.
+        """
+        if not os.fspath(path).lower().endswith(ENDING):
+            raise ArgumentError(f"{path}: a texture is saved as NAME{ENDING}")
+        self._read_ahead()
+        container.write(path, *written(self._parts(), self._file))
+
+    def validate(self) -> None:
+        """Prove that the tree is sound and the values are finite.
+
+        Raises TextureFileError that names what is broken.
+        """
+        self._read_ahead()
+        try:
+            self.tree.validate()
+            for name, channel in self.channels.items():
+                if not channel.is_finite():
+                    raise TextureFileError(f"channel {name!r} has values that are not finite")
+        except TextureFileError as error:
+            raise TextureFileError(f"{self._file.path}: {error}" if self._file else str(error)) from None
+
+    def info(self) -> dict[str, Any]:
+        """Describe the texture as numbers and strings, ready for JSON. Lengths are in the model's units.
+
+        Reads no cell. ``bytes`` says where the bytes of its file go.
+        """
+        tree = self.tree
+        tensors, metadata = written(self._parts(), self._file)
+        parts = {
+            "header": len(container.header(tensors, metadata)),
+            "structure": sum(array.nbytes for array in tree.arrays[:3]),
+            "flags": tree.arrays.flags.nbytes,
+            "areas": tree.arrays.areas.nbytes,
+            "split": sum(array.nbytes for array in tree.split),
+            "kept": tree.kept.cells.nbytes,
+            **{f"channel {name}": channel.nbytes for name, channel in self.channels.items()},
+            "other": sum(array.nbytes for array in self._file.tensors.values()) if self._file else 0,
+        }
+        return {
+            "format": FORMAT,
+            "format_version": FORMAT_VERSION,
+            "placement": {"origin": list(self.placement.origin), "size": self.placement.size},
+            "bounds": self.bounds.tolist(),
+            "depth": tree.max_depth,
+            "finest_cell": self.placement.size / (1 << tree.max_depth),
+            "cells": tree.n_cells,
+            "leaves": tree.n_leaves,
+            "nodes": tree.n_nodes,
+            "split_cells": tree.split.cells.size,
+            "kept_nodes": tree.kept.cells.size,
+            "levels": [
+                {"level": level, "leaves": leaves, "nodes": nodes}
+                for level, (leaves, nodes) in enumerate(tree.cells_by_depth())
+            ],
+            "bytes": {**parts, "total": sum(parts.values())},
+            "channels": [channel.format._asdict() for channel in self.channels.values()],
+            "provenance": dict(self.metadata),
+        }
+
+    def _read_ahead(self) -> None:
+        if self._file:
+            container.read_ahead(self._file.mapping)
+
+    def _parts(self) -> Parts:
+        return Parts(self.tree, self.channels, self.placement, self.bounds, self.metadata)
+
+
+def open_texture(path: str | os.PathLike[str]) -> OctreeTexture:
+    """Open an ``.octex`` file. It is mapped: only its header is read, the rest when it is looked at.
+
+    Raises TextureFileError for a file that is missing, damaged, of another type or of a newer version.
+    """
+    contents = container.read(path)
+    tensors, metadata = dict(contents.tensors), dict(contents.metadata)
+    try:
+        texture = OctreeTexture(*taken(tensors, metadata))
+    except InputError as error:
+        raise TextureFileError(f"{path}: {error}") from error
+    texture._file = File(os.fspath(path), contents.mapping, tensors, metadata)
+    return texture
