@@ -15,8 +15,7 @@ from octex.texture import Channel, OctreeTexture
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from tests import naive
-from tests.conftest import needs_jit
-from tests.small_textures import eight_colors, shell
+from tests.small_textures import eight_colors
 from tests.strategies import textures
 
 # --- lookups
@@ -93,45 +92,10 @@ def test_every_point_has_a_value_however_far() -> None:
     assert np.array_equal(far, texture.sample([[0.9, 0.1, 0.9], [0.1, 0.9, 0.9]]))
 
 
-def test_no_points_give_empty_answers() -> None:
-    assert eight_colors().sample(np.empty((0, 3))).shape == (0, 3)
-    assert eight_colors().contains(np.empty((0, 3))).shape == (0,)
-
-
 def test_contains_says_whether_a_leaf_holds_the_point() -> None:
     texture = eight_colors(tree=Octree.from_leaves([0, 7], 1), channels={})
     points = [[0.0, 0.0, 0.0], [0.5, 0.5, 0.5], [0.4, 0.4, 0.5], [1.0, 1.0, 1.0], [-0.1, 0.1, 0.1]]
     assert texture.contains(points).tolist() == [True, True, False, False, False]
-
-
-@needs_jit
-def test_many_points_are_looked_up_in_blocks_alike() -> None:
-    texture = shell(5)
-    points = np.random.default_rng(0).random((40_000, 3))
-    pieces = np.concatenate([texture.sample(piece) for piece in np.array_split(points, 7)])
-    assert np.array_equal(texture.sample(points), pieces)
-    pieces = np.concatenate([texture.contains(piece) for piece in np.array_split(points, 7)])
-    assert np.array_equal(texture.contains(points), pieces)
-
-
-@pytest.mark.parametrize("row", [0, 20_000])
-def test_positions_that_are_not_finite_are_refused_by_row(row: int) -> None:
-    points = np.full((row + 2, 3), 0.5, np.float32)
-    points[row, 1] = np.nan
-    for look_up in (eight_colors().sample, eight_colors().contains):
-        with pytest.raises(ArgumentError, match=rf"points\[{row}\] is \[0.5, nan, 0.5\]"):
-            look_up(points)
-
-
-def test_unknown_channels_and_filters_are_refused() -> None:
-    with pytest.raises(ArgumentError, match="unknown channel 'normal'; there are: base_color"):
-        eight_colors().sample([[0, 0, 0]], "normal")
-    with pytest.raises(ArgumentError, match="unknown channel 'normal'"):
-        eight_colors().sample([[0, 0, 0]], ["base_color", "normal"])
-    with pytest.raises(ArgumentError, match="unknown filter 'cubic'; there are: nearest"):
-        eight_colors().sample([[0, 0, 0]], filter="cubic")
-    with pytest.raises(ArgumentError, match=r"shape \(n, 3\)"):
-        eight_colors().sample([0, 0, 0])
 
 
 @given(textures(deepest=6), st.integers(0, 7))
