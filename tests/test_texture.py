@@ -12,6 +12,7 @@ from octex import channels as channel_meaning
 from octex.channels import ALPHA, BASE_COLOR, NORMAL, ChannelFormat
 from octex.errors import ArgumentError
 from octex.texture import Channel, OctreeTexture
+from octex.texture.texture import FILTERS
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from tests import naive
@@ -38,19 +39,19 @@ def test_a_sample_is_the_decoded_value_of_the_nearest_cell(texture: OctreeTextur
     inside = np.array([(np.array(cell.place) + random.random(3) * 1.5) / 2**cell.level for cell in chosen])
     points = texture.placement.to_rest(np.concatenate([inside, random.random((3, 3)) * 2 - 0.5]))
     numbers = [naive.nearest(cells, point) for point in texture.placement.to_texture_space(points).tolist()]
-    samples = texture.sample(points, list(texture.channels), normalize=False)
+    samples = texture.sample(points, list(texture.channels), "nearest", normalize=False)
     for name, (form, values, *_) in texture.channels.items():
         expected = channel_meaning.decode(values[numbers], form.space)
         assert samples[name].dtype == np.float32
         assert np.array_equal(samples[name], expected)
-        assert np.array_equal(texture.sample(points, name, normalize=False), expected)
+        assert np.array_equal(texture.sample(points, name, "nearest", normalize=False), expected)
         if form.space == "direction":
             expected = np.array([normalized(row) for row in expected.tolist()])
-        assert np.allclose(texture.sample(points, name), expected, rtol=0, atol=1e-6)
+        assert np.allclose(texture.sample(points, name, "nearest"), expected, rtol=0, atol=1e-6)
 
 
 def test_colours_come_back_in_linear_light() -> None:
-    values = eight_colors().sample([[0.25, 0.25, 0.25], [0.75, 0.75, 0.75]])
+    values = eight_colors().sample([[0.25, 0.25, 0.25], [0.75, 0.75, 0.75]], filter="nearest")
     assert values[0].tolist() == [0.0] * 3
     assert values[1] == pytest.approx([naive.srgb_to_linear(70 / 255)] * 3)
 
@@ -68,28 +69,31 @@ def test_directions_come_back_as_unit_vectors_unless_their_lengths_are_asked_for
     texture = directed([[0.0, -0.3, 0.4], [-1.0, 0.0, 0.0]], dtype)
     points = [[0.1, 0.1, 0.1], [0.9, 0.1, 0.1]]
     precision = 0.01 if dtype == "uint8" else 1e-3
-    assert np.allclose(texture.sample(points, "normal"), [[0, -0.6, 0.8], [-1, 0, 0]], atol=2 * precision)
-    lengths = np.linalg.norm(texture.sample(points, ["normal"])["normal"], axis=1)
+    units = texture.sample(points, ["normal"], "nearest")["normal"]
+    assert np.allclose(units, [[0, -0.6, 0.8], [-1, 0, 0]], atol=2 * precision)
+    lengths = np.linalg.norm(units, axis=1)
     assert np.allclose(lengths, 1, rtol=0, atol=1e-6)
-    means = texture.sample(points, "normal", normalize=False)
+    means = texture.sample(points, "normal", "nearest", normalize=False)
     assert np.allclose(means, [[0, -0.3, 0.4], [-1, 0, 0]], atol=precision)
 
 
 def test_a_direction_that_cancels_out_stays_zero() -> None:
     texture = directed([[0.0, 0.0, 0.0], [0.0, 0.0, -0.0], [1e-30, 0.0, 0.0]], "float32")
     points = [[0.1, 0.1, 0.1], [0.9, 0.1, 0.1], [0.1, 0.9, 0.1]]
-    assert texture.sample(points, "normal").tolist() == [[0, 0, 0], [0, 0, 0], [1, 0, 0]]
+    assert texture.sample(points, "normal", "nearest").tolist() == [[0, 0, 0], [0, 0, 0], [1, 0, 0]]
 
 
 def test_samples_are_taken_at_rest_positions() -> None:
     moved = eight_colors(placement=Placement((10.0, 20.0, 30.0), 4.0))
-    assert np.array_equal(moved.sample([[13.0, 21.0, 31.0]]), eight_colors().sample([[0.75, 0.25, 0.25]]))
+    for name in FILTERS:
+        there = moved.sample([[13.0, 21.0, 31.0]], filter=name)
+        assert np.array_equal(there, eight_colors().sample([[0.75, 0.25, 0.25]], filter=name))
 
 
 def test_every_point_has_a_value_however_far() -> None:
     texture = eight_colors()
-    far = texture.sample([[1e30, -1e30, 1e30], [-0.0, 1.0, 1.0]])
-    assert np.array_equal(far, texture.sample([[0.9, 0.1, 0.9], [0.1, 0.9, 0.9]]))
+    far = texture.sample([[1e30, -1e30, 1e30], [-0.0, 1.0, 1.0]], filter="nearest")
+    assert np.array_equal(far, texture.sample([[0.9, 0.1, 0.9], [0.1, 0.9, 0.9]], filter="nearest"))
 
 
 def test_contains_says_whether_a_leaf_holds_the_point() -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import decode, encode
+from octex.channels import ColorSpace, encode
 from octex.container import replacing
 from octex.errors import TextureFileError
 from octex.parallel import Progress, silent
@@ -17,9 +17,11 @@ from octex.tree.normals import estimate_normals
 from octex.tree.walk import Leaves, walk_leaves
 
 if TYPE_CHECKING:
-    from octex.texture import Channel, OctreeTexture
+    from octex.texture import OctreeTexture
 
 _PLY_TYPES = {"f4": "float", "f8": "double", "u1": "uchar"}
+#: Channels that are written, and the names of their components.
+_SHOWN = {"base_color": ("red", "green", "blue"), "alpha": ("alpha",)}
 # Positions are written in float32 if that moves none by more than this part of a finest cell.
 _PRECISION = 1 / 64
 
@@ -29,7 +31,7 @@ def write_points(texture: OctreeTexture, path: str | Path, progress: Progress = 
 
     ``x y z``: the leaf's centre, in rest units; float, or double where float would move it by more than 1/64
     of a finest cell. ``nx ny nz``: the surface's normal, float, estimated from the tree (octex.tree.normals).
-    ``red green blue``: the base colour in sRGB, 0 … 255, as stored if it is stored so; ``alpha``: the
+    ``red green blue``: the base colour there, as ``sample`` gives it, in sRGB, 0 … 255; ``alpha``: the
     coverage, 0 … 255; each left out if the texture has no such channel.
 
     Leaves are written in blocks, so that memory does not grow with their number. What stood at ``path``
@@ -59,10 +61,7 @@ def _vertex_type(texture: OctreeTexture) -> np.dtype[np.void]:
     farthest = max(abs(corner) + placement.size for corner in placement.origin)
     position = "<f4" if farthest * 2.0**-24 <= _PRECISION * finest else "<f8"
     fields = [(axis, position) for axis in "xyz"] + [(f"n{axis}", "<f4") for axis in "xyz"]
-    if "base_color" in texture.channels:
-        fields += [(color, "u1") for color in ("red", "green", "blue")]
-    if "alpha" in texture.channels:
-        fields += [("alpha", "u1")]
+    fields += [(name, "u1") for channel in _SHOWN if channel in texture.channels for name in _SHOWN[channel]]
     return np.dtype(fields)
 
 
@@ -86,19 +85,10 @@ def _vertices(texture: OctreeTexture, leaves: Leaves, vertex: np.dtype[np.void])
     for axis, name in enumerate("xyz"):
         vertices[name] = centres[:, axis]
         vertices[f"n{name}"] = normals[:, axis]
-    if "base_color" in texture.channels:
-        codes = _codes(texture.channels["base_color"], leaves.cells)
-        for component, name in enumerate(("red", "green", "blue")):
-            vertices[name] = codes[:, component]
-    if "alpha" in texture.channels:
-        vertices["alpha"] = _codes(texture.channels["alpha"], leaves.cells)[:, 0]
+    shown = [name for name in _SHOWN if name in texture.channels]
+    for name, values in texture.sample(centres, shown).items():
+        space: ColorSpace = "data" if texture.channels[name].format.space == "data" else "srgb"
+        codes = encode(values, "uint8", space)
+        for component, field in enumerate(_SHOWN[name]):
+            vertices[field] = codes[:, component]
     return vertices
-
-
-def _codes(channel: Channel, cells: npt.NDArray[np.int64]) -> npt.NDArray[np.generic]:
-    """Return a channel's values as bytes: colours in sRGB, data as it is."""
-    values = channel.values[cells]
-    space = channel.format.space
-    if values.dtype == np.uint8 and space != "linear":
-        return values
-    return encode(decode(values, space), "uint8", "data" if space == "data" else "srgb")

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import decode
 from octex.errors import ArgumentError
 from octex.preview.looks import Appearance, Floats, Hits, Look, Shown
 from octex.tree.morton import decode_cells
@@ -105,7 +104,6 @@ def _between(barycentric: Floats, corners: Floats) -> npt.NDArray[np.float64]:
 class Leaves(NamedTuple):
     """All leaves of a texture, in rest units."""
 
-    cells: npt.NDArray[np.int64]  # (n,)
     corners: npt.NDArray[np.float64]  # (n, 3)   least coordinates
     edges: npt.NDArray[np.float64]  # (n,)
     normals: npt.NDArray[np.float32]  # (n, 3)
@@ -118,19 +116,19 @@ class Leaves(NamedTuple):
             edges = np.ldexp(1.0, -depths.astype(np.int32))
             corners = texture.placement.to_rest(decode_cells(codes) * edges[:, None])
             normals = estimate_normals(texture.tree.arrays, cells, codes, depths)
-            blocks.append(cls(cells, corners, edges * texture.placement.size, normals))
+            blocks.append(cls(corners, edges * texture.placement.size, normals))
         if not blocks:
             raise ArgumentError("the texture has no leaves to draw")
         return cls.joined(*blocks)
 
     @classmethod
     def joined(cls, *parts: Leaves) -> Leaves:
-        """Return all leaves of some parts, whose cells are no longer those of one texture."""
+        """Return all leaves of some parts."""
         return cls(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
     def only(self, chosen: npt.NDArray[np.bool_]) -> Leaves:
         """Return some of them."""
-        return Leaves(self.cells[chosen], self.corners[chosen], self.edges[chosen], self.normals[chosen])
+        return Leaves(self.corners[chosen], self.edges[chosen], self.normals[chosen])
 
     def seen(self, camera: Camera) -> CubeBuffers:
         """Return which of them a camera sees."""
@@ -142,12 +140,9 @@ class Leaves(NamedTuple):
         return self.corners + self.edges[:, None] / 2
 
     def appearance(self, texture: OctreeTexture, channel: str | None = None) -> Appearance:
-        """Return what the texture that they are of shows of them; ``channel`` as for ``source_look``."""
-        stored = texture.channels
-        shown = Shown.of((each.format for each in stored.values()), channel)
-        return shown.appearance(
-            {name: decode(stored[name].values[self.cells], stored[name].format.space) for name in shown.names}
-        )
+        """Return what a texture shows in their middles; ``channel`` as for ``source_look``."""
+        shown = Shown.of((stored.format for stored in texture.channels.values()), channel)
+        return shown.appearance(texture.sample(self.centres, shown.names))
 
 
 def render_leaves(
