@@ -20,7 +20,7 @@ SMOOTH = {"quadratic": 1, "quartic": 3}  # filters: the highest derivative that 
 FILTERS = ("linear", *SMOOTH)
 Place = tuple[int, ...]
 
-few = settings(max_examples=10 if jit.DISABLED else 20)
+few = settings(max_examples=10 if jit.DISABLED else 15)
 
 
 class Tree(NamedTuple):
@@ -228,11 +228,12 @@ def plane(normal: tuple[float, ...], fine: int) -> tuple[naive.Field, np.ndarray
     """
     axes = np.linalg.svd(np.array([normal]))[2]
     random = np.random.default_rng(0)
-    points = 0.5 + 0.013 * axes[0] + random.uniform(-0.45, 0.45, (200_000, 2)) @ axes[1:]
+    points = 0.5 + 0.013 * axes[0] + random.uniform(-0.45, 0.45, (50_000, 2)) @ axes[1:]
     depths = np.where(points[:, 0] < 0.5, fine, 4)
     places = np.floor(points * 2.0 ** depths[:, None]).astype(int)
-    leaves, owner = np.unique(np.column_stack([depths, places]), axis=0, return_inverse=True)
-    owner = owner.ravel()  # numpy 2.0 gives it another shape
+    names = np.column_stack([depths, places]) @ 100 ** np.arange(4)[::-1]
+    _, first, owner = np.unique(names, return_index=True, return_inverse=True)
+    leaves = np.column_stack([depths, places])[first]
     means = np.stack([np.bincount(owner, points[:, axis]) for axis in range(3)], 1)
     means /= np.bincount(owner)[:, None]
     found = {(depth, tuple(place)): n for n, (depth, *place) in enumerate(leaves.tolist())}
@@ -255,8 +256,8 @@ def test_a_ramp_along_an_oblique_plane_is_off_by_at_most_a_part_of_a_coarse_cell
 ) -> None:
     """Means of the ramp as leaf values, not fitted.
 
-    Measured at worst, in coarse cells times the ramp's slope: 0.32 (root mean square 0.060) with one depth,
-    where the plane cuts corners off cells whose neighbours are empty; 0.29 (0.034) where the depth changes.
+    Measured at worst, in coarse cells times the ramp's slope: 0.34 (root mean square 0.056) with one depth,
+    where the plane cuts corners off cells whose neighbours are empty; 0.29 (0.035) where the depth changes.
     """
     field, points, axes = plane(normal, fine)
     errors = (np.array([field.at(point) for point in points]) - points) @ axes.T * 2**4
