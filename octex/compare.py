@@ -21,7 +21,7 @@ from octex.errors import ArgumentError
 from octex.parallel import Progress, silent
 from octex.source.base import by_channel
 from octex.source.surface import Surface
-from octex.texture import OctreeTexture
+from octex.texture import FILTERS, OctreeTexture
 from octex.tree.layout import AREA_ONE, AREA_STEPS
 from octex.tree.morton import decode_cells
 from octex.tree.walk import walk_leaves
@@ -67,6 +67,7 @@ class Differences(dict[str, Difference]):
 
     points        points compared
     width         the width, in rest units, over which a model was averaged at each; None without a model
+    filter        that with which textures were read
     unmatched     channels that only a has, and that only b has
     areas         areas of a and b at rest, in square units; a texture's to some percent, as it is stored
     uncovered     part of a's area where b has nothing and of b's where a has nothing; None for the part of a
@@ -75,6 +76,7 @@ class Differences(dict[str, Difference]):
 
     points: int
     width: float | None
+    filter: str
     unmatched: tuple[tuple[str, ...], tuple[str, ...]]
     areas: tuple[float, float]
     uncovered: tuple[float | None, float | None]
@@ -111,6 +113,7 @@ def difference(
     channels: Sequence[str] | None = None,
     points: int = DEFAULT_POINTS,
     width: float | None = None,
+    filter: str = "nearest",
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Differences:
@@ -119,14 +122,16 @@ def difference(
     channels    names; default: all that both have
     points      with a model: how many points on it, uniform by its posed area, the same for the same ``seed``
     width       with a model: it is averaged over so much at each point, in rest units; default: the edge of
-                the texture's finest cells, which a leaf's value is a mean over; 0 reads it at the points
+                the texture's finest cells; 0 reads it at the points
+    filter      how textures are read, see ``OctreeTexture.sample``; ``nearest`` compares stored values
 
     Two textures are compared at the centre of every leaf of both, weighted by its area; they may differ in
-    placement and depth. Textures are read with the filter ``nearest``. Values are compared only where both
-    have a surface (within a finest cell); ``Differences.uncovered`` says how much is left out.
+    placement and depth. Values are compared only where both have a surface (within a finest cell);
+    ``Differences.uncovered`` says how much is left out.
 
     Memory does not grow with points and leaves. Raises ArgumentError for two models, for channels that are
-    not in both or do not mean the same in both, and if the surfaces have nothing in common.
+    not in both or do not mean the same in both, for an unknown filter, and if the surfaces have nothing in
+    common.
     """
     report = progress or silent
     sides = a, b
@@ -142,7 +147,7 @@ def difference(
         width = placed.placement.size / 2**placed.tree.max_depth
     if not 0 <= width < np.inf:
         raise ArgumentError(f"width must be finite and not negative, not {width!r}")
-    readers = readers_of(sides, channels, width)
+    readers = readers_of(sides, channels, width, filter)
     spaces = readers[0].spaces
     if models:
         total, visits = points, _model_visits(sides, models[0], points, seed)
@@ -183,6 +188,7 @@ def difference(
         results[name] = sums[name].result()._replace(angle=angle)
     results.points = compared
     results.width = width if models else None
+    results.filter = filter
     formats = [_formats(side) for side in sides]
     results.unmatched = (
         tuple(name for name in formats[0] if name not in formats[1]),
@@ -208,12 +214,15 @@ def _formats(side: Side) -> dict[str, ChannelFormat]:
 class Reader:
     """Reads channels of one side in what they are measured in."""
 
-    def __init__(self, side: Side, spaces: dict[str, ColorSpace], fades: bool, width: float) -> None:
+    def __init__(
+        self, side: Side, spaces: dict[str, ColorSpace], fades: bool, width: float, filter: str
+    ) -> None:
         self.spaces = spaces
         self._fades = fades  # light is multiplied by alpha
         self._names = [*spaces, *(["alpha"] if fades and "alpha" not in spaces else [])]
         self._side = side.with_channels(self._names) if isinstance(side, Surface) else side
         self._width = width
+        self._filter = filter
 
     def read(self, points: Points) -> dict[str, Doubles]:
         """Return values (n, components) by channel."""
@@ -228,7 +237,7 @@ class Reader:
 
     def _values(self, points: Points) -> dict[str, npt.NDArray[np.float32]]:
         if isinstance(self._side, OctreeTexture):
-            return self._side.sample(points.rest, self._names, normalize=False)
+            return self._side.sample(points.rest, self._names, self._filter, normalize=False)
         assert points.triangles is not None
         assert points.barycentric is not None
         widths = np.full(len(points.rest), self._width, np.float32)
@@ -237,12 +246,14 @@ class Reader:
 
 
 def readers_of(
-    sides: tuple[Side, Side], channels: Sequence[str] | None, width: float
+    sides: tuple[Side, Side], channels: Sequence[str] | None, width: float, filter: str
 ) -> tuple[Reader, Reader]:
     """Return readers of the same channels, by default all that both have; models are averaged over width.
 
-    Raises ArgumentError for channels that are not in both or do not mean the same in both.
+    Raises ArgumentError for channels that are not in both or do not mean the same in both, and for an unknown
+    filter.
     """
+    as_choice(filter, FILTERS, "filter")
     first, second = (_formats(side) for side in sides)
     both = [name for name in first if name in second]
     chosen = both if channels is None else list(channels)
@@ -260,7 +271,8 @@ def readers_of(
             raise ArgumentError(f"channel {name!r} means {one} in one and {other} in the other")
         spaces[name] = first[name].space
     fades = "alpha" in both and any(space in _LIGHT for space in spaces.values())
-    return Reader(sides[0], spaces, fades, width), Reader(sides[1], spaces, fades, width)
+    a, b = (Reader(side, spaces, fades, width, filter) for side in sides)
+    return a, b
 
 
 def _model_visits(sides: tuple[Side, Side], number: int, points: int, seed: int) -> Iterator[_Visit]:

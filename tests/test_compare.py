@@ -343,6 +343,7 @@ def test_a_model_is_compared_where_it_is_at_rest() -> None:
         ({"seed": -1}, "points must be above 0 and seed not below, not 1000000 and -1"),
         ({"width": -1.0}, "width must be finite and not negative, not -1.0"),
         ({"width": math.nan}, "width must be finite and not negative, not nan"),
+        ({"filter": "cubic"}, "unknown filter 'cubic'; there are: nearest"),
     ],
 )
 def test_bad_arguments_are_refused_by_name(arguments: dict[str, Any], message: str) -> None:

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from octex import channels as channel_meaning
 from octex.channels import ALPHA, BASE_COLOR, NORMAL, ChannelFormat
 from octex.errors import ArgumentError
-from octex.texture import Channel, OctreeTexture
-from octex.texture.texture import FILTERS
+from octex.texture import FILTERS, Channel, OctreeTexture
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from tests import naive

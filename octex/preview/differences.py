@@ -154,7 +154,7 @@ def _row_on_model(
     supersample: int,
 ) -> _Row:
     (texture,) = (side for side in sides if isinstance(side, OctreeTexture))
-    apart = _Apart(sides, channel, found.width or 0.0)
+    apart = _Apart(sides, channel, found)
     covers, edge = cover(texture), texture.placement.size / 2**texture.tree.max_depth
 
     def difference_look(hits: Hits) -> Appearance:
@@ -196,7 +196,7 @@ class _TwoTrees:
     def row(self, found: Differences, channel: str) -> _Row:
         """Draw a channel."""
         differing = self._differing
-        apart = _Apart(self._textures, channel, 0.0).appearance(Points(differing.centres), self._covered)
+        apart = _Apart(self._textures, channel, found).appearance(Points(differing.centres), self._covered)
         both = zip(self._leaves, self._textures, strict=True)
         appearances = [*(leaves.appearance(texture, channel) for leaves, texture in both), apart]
         a, b, film = (
@@ -217,9 +217,9 @@ class _TwoTrees:
 class _Apart:
     """How far apart two sides are in one channel, as an appearance: emitted in red, being alone in green."""
 
-    def __init__(self, sides: tuple[Side, Side], channel: str, width: float) -> None:
+    def __init__(self, sides: tuple[Side, Side], channel: str, found: Differences) -> None:
         self._channel = channel
-        self._readers = readers_of(sides, [channel], width)
+        self._readers = readers_of(sides, [channel], found.width or 0.0, found.filter)
 
     def appearance(self, points: Points, covered: npt.NDArray[np.bool_]) -> Appearance:
         a, b = (reader.read(points)[self._channel] for reader in self._readers)

@@ -7,5 +7,6 @@ texture     tree + channels + placement
 """
 
 from octex.texture.channel import Channel as Channel
+from octex.texture.texture import FILTERS as FILTERS
 from octex.texture.texture import OctreeTexture as OctreeTexture
 from octex.texture.texture import open_texture as open_texture
