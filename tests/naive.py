@@ -285,7 +285,9 @@ def contracted(window: Floats, weights: Floats) -> Floats:
 
 def weights_of(filter: str, order: int, t: float) -> Floats:
     """d^r/dt^r / r! of the weight of each cell of an axis (order + 1, cells) over the middle, t = 0 … 1."""
-    return expanded(filter, order, t >= 0.5) @ t ** np.arange(5.0)
+    if t > 0.5:  # mirrored: weights that end at t = 1 are exactly zero there
+        return weights_of(filter, order, 1 - t)[:, ::-1] * (-1.0) ** np.arange(order + 1)[:, None]
+    return expanded(filter, order, t == 0.5) @ t ** np.arange(5.0)
 
 
 @cache
