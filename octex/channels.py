@@ -39,11 +39,13 @@ OCCLUSION = ChannelFormat("occlusion", 1, "data")
 EMISSIVE = ChannelFormat("emissive", 3, "srgb")
 SPECULAR = ChannelFormat("specular", 3, "srgb")
 NORMAL = ChannelFormat("normal", 3, "direction")
+DETAIL = ChannelFormat("detail", 1, "data")
 
-#: The channels of materials, with glTF's names, in the order in which a texture holds them.
+#: The channels of materials, with glTF's names, in the order in which a texture holds them; and one that says
+#: how fine the others are to be kept, 1 for the finest.
 CHANNELS = {
     form.name: form
-    for form in (BASE_COLOR, ALPHA, METALLIC, ROUGHNESS, OCCLUSION, EMISSIVE, SPECULAR, NORMAL)
+    for form in (BASE_COLOR, ALPHA, METALLIC, ROUGHNESS, OCCLUSION, EMISSIVE, SPECULAR, NORMAL, DETAIL)
 }
 
 
