@@ -1,0 +1,102 @@
+"""The field over one tree: what a lookup reads, for any tree and filter, and as fast as the tree allows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.field.neighborhood import MOST_TAPS, new_walk, walk_all
+from octex.field.plain import BLOCK, WINDOW_MASKS, WINDOW_PLACES, tiled_taps
+from octex.field.splines import FILTERS
+from octex.field.tiles import Tiles, build_tiles, can_be_tiled
+from octex.tree.octree import Octree
+from octex.tree.placement import Placement
+
+Points = npt.NDArray[np.float32 | np.float64]
+Float32s = npt.NDArray[np.float32]
+
+#: Room for the taps of a batch of points: a thousand or more.
+_ROOM = BLOCK * MOST_TAPS + (1 << 14)
+
+
+class Taps(NamedTuple):
+    """What lookups read: rows of values, and the weights under which they are blended.
+
+    A row is a cell's number, that of a leaf or, off the surface, of a node; after the cells come the rows of
+    the kept table.
+    """
+
+    starts: npt.NDArray[np.int64]  # (points + 1,)   a point's taps are those from its start to the next one's
+    rows: npt.NDArray[np.uint32]  # (taps,)
+    weights: Float32s  # (taps,)   none negative, 1 in sum for each point
+    slopes: Float32s  # (taps, 3)   derivatives of the weights by rest position; (0, 3) if they are not wanted
+
+
+class NotFiniteError(ValueError):
+    """A position that is not finite: the row of it."""
+
+    def __init__(self, row: int) -> None:
+        super().__init__(f"points[{row}] is not finite")
+        self.row = row
+
+
+class Field:
+    """The field over one tree: which cells count, and how much, is the same for all channels."""
+
+    def __init__(self, tree: Octree) -> None:
+        self.tree = tree
+
+    @cached_property
+    def tiles(self) -> Tiles | None:
+        """The tree's tiles, built on first use; None for trees that cannot have them."""
+        return build_tiles(self.tree) if can_be_tiled(self.tree) else None
+
+    def taps(
+        self, points: Points, placement: Placement, filter: str = "quadratic", *, gradient: bool = False
+    ) -> Taps:
+        """Find the taps of rest positions (n, 3), with their slopes if ``gradient``.
+
+        ``filter`` is any but nearest. Raises NotFiniteError.
+        """
+        found = [
+            Taps(*(array.copy() for array in taps))
+            for taps in self.batches(points, placement, filter, gradient=gradient)
+        ]
+        if len(found) == 1:
+            return found[0]
+        ends = np.cumsum([0, *(taps.rows.size for taps in found)])
+        starts = [taps.starts[:-1] + end for taps, end in zip(found, ends, strict=False)]
+        return Taps(
+            np.concatenate([*starts, ends[-1:]]),
+            np.concatenate([np.empty(0, np.uint32), *(taps.rows for taps in found)]),
+            np.concatenate([np.empty(0, np.float32), *(taps.weights for taps in found)]),
+            np.concatenate([np.empty((0, 3), np.float32), *(taps.slopes for taps in found)]),
+        )
+
+    def batches(
+        self, points: Points, placement: Placement, filter: str = "quadratic", *, gradient: bool = False
+    ) -> Iterator[Taps]:
+        """Yield the taps of consecutive runs of rest positions, each valid until the next. See ``taps``."""
+        code, walk = FILTERS.index(filter), new_walk()
+        starts = np.empty(len(points) + 1, np.int64)
+        rows, weights = np.empty(_ROOM, np.uint32), np.empty(_ROOM, np.float32)
+        slopes = np.empty((_ROOM if gradient else 0, 3), np.float32)
+        target = starts, rows, weights, slopes
+        arrays, kept_cells = self.tree.arrays, self.tree.kept.cells
+        tiles = None if gradient or filter == "quartic" else self.tiles
+        begin = 0
+        while begin < len(points):
+            where = points, begin, *placement, code, walk
+            if tiles is None:
+                done = walk_all(arrays, kept_cells, *where, *target)
+            else:
+                done = tiled_taps(tiles, arrays, kept_cells, *where, *target, WINDOW_MASKS, WINDOW_PLACES)
+            if done < 0:
+                raise NotFiniteError(-1 - done)
+            end = starts[done]
+            yield Taps(starts[: done + 1], rows[:end], weights[:end], slopes[:end])
+            begin += done

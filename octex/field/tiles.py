@@ -1,0 +1,146 @@
+"""Tiles: cells found by a bit test and a count instead of a descent.
+
+A *tile* is the 8×8×8 cells three levels below a node, which are consecutive in the numbering. Its eight
+octants are a word each, 4×4×4 cells in Morton order, a bit for each that is stored, and a number:
+
+    cell = first of the octant + popcount(mask of the octant & below)        where its bit is set
+
+Tiles of the deepest level name cells. Those three, six … levels above name, in the same way, the rows of the
+tiles below them, and a dense grid of the rows of some level is where every search begins. They are derived
+from trees whose leaves all lie at the deepest level, and take 1.5 bytes a leaf.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.jit import inlined, kernel, popcount
+from octex.tree.morton import decode_cells
+from octex.tree.octree import Octree
+
+#: Deepest level of the dense grid, which then takes 128 kB.
+MOST_TOP_LEVEL = 5
+
+Groups = npt.NDArray[np.uint64]
+Masks = npt.NDArray[np.uint64]
+Firsts = npt.NDArray[np.uint32]
+
+
+class Tiles(NamedTuple):
+    """The tiles of one tree. Row r has octants 8·r … 8·r + 7; the last row is that of no node, and empty."""
+
+    depth: int  # the level of the cells
+    top_level: int
+    top: npt.NDArray[np.int32]  # (8 ** top_level,)   the row of the tile below each place, x fastest
+    masks: Masks  # (8 · rows,)
+    firsts: Firsts  # (8 · rows,)
+
+
+def can_be_tiled(tree: Octree) -> bool:
+    """Say whether a tree has three levels or more, all leaves at the deepest, and no kept coefficients."""
+    counts = tree.cells_by_depth()
+    return tree.max_depth >= 3 and not any(leaves for leaves, _ in counts[:-1]) and not tree.kept.cells.size
+
+
+def build_tiles(tree: Octree) -> Tiles:
+    """Derive the tiles of a tree that can be tiled."""
+    depth, groups, level_nodes = tree.max_depth, tree.arrays.groups, tree.arrays.level_nodes.tolist()
+    top_level = depth - 3 * max(-(-(depth - MOST_TOP_LEVEL) // 3), 1)
+    masks, firsts = [], []
+    rows = 0
+    for level in range(top_level, depth - 2, 3):
+        first, end = level_nodes[level : level + 2]
+        masks.append(np.zeros(8 * (end - first), np.uint64))
+        firsts.append(np.zeros(8 * (end - first), np.uint32))
+        rows += end - first
+        of_cells = level == depth - 3
+        _fill_tiles(
+            groups, first, of_cells, 0 if of_cells else rows - level_nodes[level + 3], masks[-1], firsts[-1]
+        )
+    top = np.full((1 << top_level,) * 3, rows, np.int32)
+    places = decode_cells(tree.level_codes(top_level)[tree.is_node(top_level)])
+    top[tuple(places.T[::-1])] = np.arange(len(places))
+    return Tiles(
+        depth,
+        top_level,
+        top.reshape(-1),
+        np.concatenate([*masks, np.zeros(8, np.uint64)]),
+        np.concatenate([*firsts, np.zeros(8, np.uint32)]),
+    )
+
+
+@inlined
+def _children(groups: Groups, node: int, of_cells: bool) -> tuple[np.uint64, int]:
+    """Say which children of a node are stored and the first one's cell, or which are nodes and the first one."""
+    group = min(max(node >> 3, 0), groups.shape[0] - 1)
+    shift = np.uint64(8 * (node & 7))
+    mask = groups[group, 0]
+    first = groups[group, 2] & np.uint64(0xFFFFFFFF)
+    if of_cells:
+        mask |= groups[group, 1]
+        first = groups[group, 2] >> np.uint64(32)
+    below = mask & ((np.uint64(1) << shift) - np.uint64(1))
+    return (mask >> shift) & np.uint64(0xFF), int(np.int64(first)) + popcount(below)
+
+
+@kernel
+def _fill_tiles(
+    groups: Groups, first_node: int, of_cells: bool, offset: int, masks: Masks, firsts: Firsts
+) -> None:
+    """Fill in the tiles below consecutive nodes: of cells, or of nodes, whose rows are ``offset`` higher."""
+    for row in range(masks.size >> 3):
+        octants, child = _children(groups, first_node + row, False)
+        for octant in range(8):
+            if (octants >> np.uint64(octant)) & np.uint64(1) == np.uint64(0):
+                continue
+            nodes, grandchild = _children(groups, child, False)
+            child += 1
+            mask = np.uint64(0)
+            first = 0
+            for n in range(8):
+                if (nodes >> np.uint64(n)) & np.uint64(1) == np.uint64(0):
+                    continue
+                stored, number = _children(groups, grandchild, of_cells)
+                grandchild += 1
+                if mask == np.uint64(0):
+                    first = number
+                mask |= stored << np.uint64(8 * n)
+            masks[8 * row + octant] = mask
+            firsts[8 * row + octant] = max(first + offset, 0)
+
+
+@inlined
+def octant_of(i: int, j: int, k: int) -> int:
+    """Return the octant of a tile that holds the cell with these low bits."""
+    return i >> 2 & 1 | (j >> 1 & 2) | (k & 4)
+
+
+@inlined
+def bit_of(i: int, j: int, k: int) -> np.uint64:
+    """Return the bit of a cell in its octant, by its coordinates' two low bits."""
+    return np.uint64((i & 1) | (i & 2) << 2 | (j & 1) << 1 | (j & 2) << 3 | (k & 1) << 2 | (k & 2) << 4)
+
+
+@inlined
+def tile_row(tiles: Tiles, i: int, j: int, k: int) -> int:
+    """Row of the tile at a place of the grid of tiles; places outside have the empty one."""
+    none = (tiles.masks.size >> 3) - 1
+    level = tiles.depth - 3
+    if (i | j | k) >> level != 0:
+        return none
+    top, shift = tiles.top_level, level - tiles.top_level
+    row = np.int64(tiles.top[(i >> shift) | (j >> shift) << top | (k >> shift) << 2 * top])
+    while shift > 0:
+        shift -= 3
+        a, b, c = i >> shift, j >> shift, k >> shift
+        octant = np.uint64(8 * row + octant_of(a, b, c))
+        bit = bit_of(a, b, c)
+        mask = tiles.masks[octant]
+        if (mask >> bit) & np.uint64(1) == np.uint64(0):
+            return none
+        row = np.int64(tiles.firsts[octant]) + popcount(mask & ((np.uint64(1) << bit) - np.uint64(1)))
+        row = min(row, none)
+    return row
