@@ -74,7 +74,7 @@ def build_tiles(tree: Octree) -> Tiles:
 
 @inlined
 def _children(groups: Groups, node: int, of_cells: bool) -> tuple[np.uint64, int]:
-    """Say which children of a node are stored and the first one's cell, or which are nodes and the first one."""
+    """Say which children of a node are stored, and the first one; or likewise of those that are nodes."""
     group = min(max(node >> 3, 0), groups.shape[0] - 1)
     shift = np.uint64(8 * (node & 7))
     mask = groups[group, 0]
