@@ -63,7 +63,7 @@ class Field:
         ``filter`` is any but nearest. Raises NotFiniteError.
         """
         found = [
-            Taps(*(array.copy() for array in taps))
+            Taps(taps.starts.copy(), taps.rows.copy(), taps.weights.copy(), taps.slopes.copy())
             for taps in self.batches(points, placement, filter, gradient=gradient)
         ]
         if len(found) == 1:

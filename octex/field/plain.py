@@ -176,7 +176,7 @@ def _add_node(
     word = tiles.masks[octant]
     below = word & ((np.uint64(1) << shift) - np.uint64(1))
     scratch.firsts[np.uint64(node)] = np.int64(tiles.firsts[octant]) + popcount(below)
-    return mask | ((word >> shift) & np.uint64(0xFF)) << np.uint64(8 * node)
+    return np.uint64(mask | ((word >> shift) & np.uint64(0xFF)) << np.uint64(8 * node))
 
 
 @inlined
@@ -191,7 +191,7 @@ def _find_window(tiles: Tiles, scratch: Scratch, n: int) -> bool:
     )
     i, j, k = x >> 1, y >> 1, z >> 1
     window = scratch.window
-    is_new = i != window[0] or j != window[1] or k != window[2]
+    is_new = bool(i != window[0] or j != window[1] or k != window[2])
     if is_new:
         window[0], window[1], window[2] = i, j, k
         i, j, k = i & 3, j & 3, k & 3
@@ -271,7 +271,7 @@ def _linear_tap(
     bit = bit_of(i, j, k)
     mask = tiles.masks[octant]
     below = mask & ((np.uint64(1) << bit) - np.uint64(1))
-    cell = min(np.int64(tiles.firsts[octant]) + popcount(below), last)
+    cell = min(int(np.int64(tiles.firsts[octant])) + popcount(below), last)
     scratch.cells[np.uint64(end)] = cell
     scratch.weights[np.uint64(end)] = weight * np.float32(np.int32((mask >> bit) & np.uint64(1)))
     return end + 1
@@ -310,7 +310,7 @@ def _nearest_tap(tiles: Tiles, scratch: Scratch, n: int, last: int) -> None:
     bit = bit_of(i, j, k)
     mask = tiles.masks[octant]
     below = mask & ((np.uint64(1) << bit) - np.uint64(1))
-    cell = min(np.int64(tiles.firsts[octant]) + popcount(below), last)
+    cell = min(int(np.int64(tiles.firsts[octant])) + popcount(below), last)
     scratch.cells[np.uint64(n)] = cell
     scratch.weights[np.uint64(n)] = np.float32(np.int32((mask >> bit) & np.uint64(1)))
 
@@ -364,7 +364,7 @@ def nearest_colors(
             return n_missed, fault
         for n in range(count):
             _nearest_tap(tiles, scratch, n, values.shape[0] - 1)
-            prefetch(values, np.int64(scratch.cells[np.uint64(n)]))
+            prefetch(values, int(scratch.cells[np.uint64(n)]))
         for n in range(count):
             if scratch.weights[np.uint64(n)] > np.float32(0.0):
                 first = np.uint64(3) * np.uint64(scratch.cells[np.uint64(n)])
@@ -401,7 +401,7 @@ def linear_colors(
         for n in range(count):
             _linear_taps(tiles, scratch, n, values.shape[0] - 1, 8 * n)
             for tap in range(8 * n, 8 * n + 8):
-                prefetch(values, np.int64(scratch.cells[np.uint64(tap)]))
+                prefetch(values, int(scratch.cells[np.uint64(tap)]))
         for n in range(count):
             if not _blend_color(scratch, 8 * n, 8 * n + 8, flat, table, results, begin + n):
                 missed[n_missed] = begin + n

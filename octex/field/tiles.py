@@ -132,7 +132,7 @@ def tile_row(tiles: Tiles, i: int, j: int, k: int) -> int:
     if (i | j | k) >> level != 0:
         return none
     top, shift = tiles.top_level, level - tiles.top_level
-    row = np.int64(tiles.top[(i >> shift) | (j >> shift) << top | (k >> shift) << 2 * top])
+    row = int(np.int64(tiles.top[(i >> shift) | (j >> shift) << top | (k >> shift) << 2 * top]))
     while shift > 0:
         shift -= 3
         a, b, c = i >> shift, j >> shift, k >> shift
@@ -141,6 +141,6 @@ def tile_row(tiles: Tiles, i: int, j: int, k: int) -> int:
         mask = tiles.masks[octant]
         if (mask >> bit) & np.uint64(1) == np.uint64(0):
             return none
-        row = np.int64(tiles.firsts[octant]) + popcount(mask & ((np.uint64(1) << bit) - np.uint64(1)))
+        row = int(np.int64(tiles.firsts[octant])) + popcount(mask & ((np.uint64(1) << bit) - np.uint64(1)))
         row = min(row, none)
     return row
