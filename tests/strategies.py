@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from hypothesis import strategies as st
 
-from octex.channels import COLOR_SPACES, ONE, ChannelFormat
+from octex.channels import ALPHA, COLOR_SPACES, ONE, ChannelFormat
 from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable
 from octex.tree.octree import Octree
@@ -108,23 +108,24 @@ def random_values(shape: tuple[int, int], dtype: str, random: np.random.Generato
 
 @st.composite
 def textures(draw: st.DrawFn, deepest: int = naive.MAX_DEPTH) -> OctreeTexture:
-    """Textures of one to three channels of any type."""
+    """Textures of one to three channels of any type; the first may be alpha, zero here and there."""
     leaves = draw(leaf_sets(deepest))
     seed = draw(st.integers(0, 2**32 - 1))
     tree = with_random_data(Octree.from_leaves(*leaves), seed)
     random = np.random.default_rng(seed)
     channels = {}
     for number in range(draw(st.integers(1, 3))):
-        form = ChannelFormat(
-            f"channel {number}",
-            draw(st.integers(1, 4)),
-            draw(st.sampled_from(COLOR_SPACES)),
-            draw(st.sampled_from(sorted(ONE))),
-        )
+        dtype = draw(st.sampled_from(sorted(ONE)))
+        if number == 0 and draw(st.booleans()):
+            form = ALPHA._replace(dtype=dtype)
+        else:
+            space = draw(st.sampled_from(COLOR_SPACES))
+            form = ChannelFormat(f"channel {number}", draw(st.integers(1, 4)), space, dtype)
         rows = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
-        channels[form.name] = Channel(
-            form, *(random_values((count, form.components), form.dtype, random) for count in rows)
-        )
+        values = [random_values((count, form.components), dtype, random) for count in rows]
+        if form.name == "alpha":
+            values = [array * (random.random(array.shape) < 0.7) for array in values]
+        channels[form.name] = Channel(form, *values)
     placement = Placement(tuple(random.normal(size=3).tolist()), float(random.random() + 0.1))
     low = placement.to_rest(np.zeros((1, 3)))
     return OctreeTexture(

@@ -2,11 +2,12 @@
 
 channel     a named array of values, one a cell
 lookup      points looked up in blocks, on any threads, answers written where the caller wants them
+blend       from rows to values: decoded, blended under the weights of taps
 file        what is on disk, drawn; opened and saved through container
 texture     tree + channels + placement
 """
 
+from octex.field.splines import FILTERS as FILTERS
 from octex.texture.channel import Channel as Channel
-from octex.texture.texture import FILTERS as FILTERS
 from octex.texture.texture import OctreeTexture as OctreeTexture
 from octex.texture.texture import open_texture as open_texture

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import ColorSpace, decode, decode_table
 from octex.errors import ArgumentError
-from octex.jit import kernel
 from octex.parallel import ordered_map
 
 Array = npt.NDArray[Any]
@@ -91,65 +89,17 @@ def answers_for(
     return {channel: out[channel] for channel in shapes}
 
 
+def pair_of(out: Any) -> tuple[Any, Any]:
+    """Return the two parts of ``out`` for values and gradients, or Nones. Raises ArgumentError."""
+    if out is None:
+        return None, None
+    if not isinstance(out, (tuple, list)) or len(out) != 2:
+        raise ArgumentError("out must be a pair, for values and for gradients")
+    return out[0], out[1]
+
+
 def check_apart(arrays: Sequence[Array]) -> None:
     """Raise ArgumentError if any of the points and the answers share memory."""
     for number, array in enumerate(arrays):
         if any(np.may_share_memory(array, other) for other in arrays[:number]):
             raise ArgumentError("the arrays in out must not share memory with each other or with the points")
-
-
-def gather(values: Array, space: ColorSpace, cells: npt.NDArray[np.int64], result: Floats) -> None:
-    """Write the decoded values of cells to ``result``."""
-    if values.dtype == np.float32:
-        result[:] = decode(values[cells], space)
-    elif values.dtype == np.float16:
-        _gather_codes(values.view(np.uint16), _half_table(space), cells, result)
-    else:
-        _gather_codes(values, decode_table(values.dtype.name, space), cells, result)
-
-
-@cache
-def _half_table(space: ColorSpace) -> npt.NDArray[np.float32]:
-    """Decode all bit patterns of float16."""
-    with np.errstate(invalid="ignore"):  # NaNs are among them
-        return decode(np.arange(1 << 16, dtype=np.uint16).view(np.float16), space)
-
-
-@kernel
-def _gather_codes(
-    values: npt.NDArray[np.uint8 | np.uint16],
-    table: npt.NDArray[np.float32],
-    cells: npt.NDArray[np.int64],
-    result: npt.NDArray[np.float32],
-) -> None:
-    for n in range(cells.size):
-        for component in range(values.shape[1]):
-            result[n, component] = table[values[cells[n], component]]
-
-
-@kernel
-def normalize(vectors: npt.NDArray[np.float32], slopes: npt.NDArray[np.float32]) -> None:
-    """Make vectors (n, components) of length 1, in place; zeros stay.
-
-    ``slopes`` (n or 0, components, 3), their derivatives by position, become those of the unit vectors: what
-    is across them, divided by the length.
-    """
-    components = vectors.shape[1]
-    for n in range(vectors.shape[0]):
-        square = 0.0
-        for component in range(components):
-            square += np.float64(vectors[n, component]) ** 2
-        inverse = 1.0 / np.sqrt(square) if square > 0.0 else 0.0
-        if square > 0.0:
-            for component in range(components):
-                vectors[n, component] *= inverse
-        if n < slopes.shape[0]:
-            for axis in range(3):
-                along = 0.0
-                for component in range(components):
-                    along += np.float64(vectors[n, component]) * np.float64(slopes[n, component, axis])
-                for component in range(components):
-                    across = np.float64(slopes[n, component, axis]) - along * np.float64(
-                        vectors[n, component]
-                    )
-                    slopes[n, component, axis] = across * inverse

@@ -7,6 +7,7 @@ import mmap
 import os
 from collections.abc import Mapping
 from concurrent.futures import Executor
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Literal, overload
 
@@ -16,19 +17,18 @@ import numpy.typing as npt
 from octex import container
 from octex.checks import as_choice, as_depth, as_point_rows
 from octex.errors import ArgumentError, InputError, TextureFileError
+from octex.field.field import Field
+from octex.field.splines import FILTERS
+from octex.texture.blend import NO_GRADIENTS, blend, gather, make_unit
 from octex.texture.channel import Channel
 from octex.texture.file import ENDING, FORMAT, FORMAT_VERSION, File, Parts, taken, written
-from octex.texture.lookup import LookUp, answers_for, check_apart, gather, in_blocks
-from octex.texture.lookup import normalize as make_unit
+from octex.texture.lookup import LookUp, answers_for, check_apart, in_blocks, pair_of
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.search import in_leaves, nearest_cells
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float32]
-
-#: How a lookup turns cells into a value.
-FILTERS = ("nearest",)
 
 
 class OctreeTexture:
@@ -39,7 +39,7 @@ class OctreeTexture:
     Raises ArgumentError if tree, channels, placement and bounds do not fit together.
     """
 
-    __slots__ = ("_file", "bounds", "channels", "metadata", "placement", "tree")
+    __slots__ = ("_field", "_file", "bounds", "channels", "metadata", "placement", "tree")
 
     def __init__(
         self,
@@ -55,6 +55,7 @@ class OctreeTexture:
         self.placement = Placement((x, y, z), float(placement.size))
         self.bounds = np.asarray(bounds, np.float64)
         self.metadata = MappingProxyType(dict(metadata or {}))
+        self._field = Field(tree)
         self._file: File | None = None
         if not all(isinstance(text, str) for pair in self.metadata.items() for text in pair):
             raise ArgumentError("metadata must map strings to strings")
@@ -154,27 +155,46 @@ class OctreeTexture:
         points = as_point_rows(points)
         as_choice(filter, FILTERS, "filter")
         if gradient and filter == "nearest":
-            raise ArgumentError("nearest has no gradient; choose another filter")
+            raise ArgumentError(f"nearest has no gradient; {', '.join(FILTERS[1:])} have one")
+        single = isinstance(channel, str)
         names = list(channel) if isinstance(channel, (list, tuple)) else [channel]
-        chosen = [self.channels[as_choice(name, self.channels, "channel")] for name in names]
-        shapes = {stored.format.name: (len(points), stored.format.components) for stored in chosen}
-        answers = answers_for(shapes, out, isinstance(channel, str))
-        check_apart([points, *answers.values()])
-        formats = [self.channels[name] for name in answers]
-        no_slopes = np.empty((0, 1, 3), np.float32)
+        for name in names:
+            as_choice(name, self.channels, "channel")
+        channels = [self.channels[name] for name in dict.fromkeys(names)]
+        shapes = {each.format.name: (len(points), each.format.components) for each in channels}
+        if gradient:
+            out, out_gradients = pair_of(out)
+            slopes = {name: (*shape, 3) for name, shape in shapes.items()}
+            gradients = answers_for(slopes, out_gradients, single, "the gradients' out")
+        else:
+            gradients = {}
+        values = answers_for(shapes, out, single)
+        answers = [*values.values(), *gradients.values()]
+        check_apart([points, *answers])
+        self._look_up(points, answers, partial(self._sampled, channels, filter, normalize), executor)
+        if single:
+            return (values[names[0]], gradients[names[0]]) if gradient else values[names[0]]
+        return (values, gradients) if gradient else values
 
-        def look_up(block: Array, rows: list[Array]) -> int:
-            cells = np.empty(len(block), np.int64)
-            fault = nearest_cells(self.tree.arrays, block, *self.placement, cells)
+    def _sampled(
+        self, channels: list[Channel], filter: str, normalize: bool, points: Array, answers: list[Array]
+    ) -> int:
+        """Look up a block: its values in ``answers``, then, if they are wanted, as many gradients."""
+        values, gradients = answers[: len(channels)], answers[len(channels) :]
+        if filter == "nearest":
+            cells = np.empty(len(points), np.int64)
+            fault = nearest_cells(self.tree.arrays, points, *self.placement, cells)
             if fault < 0:
-                for (form, values, *_), found in zip(formats, rows, strict=True):
-                    gather(values, form.space, cells, found)
-                    if normalize and form.space == "direction":
-                        make_unit(found, no_slopes)
-            return fault
-
-        self._look_up(points, list(answers.values()), look_up, executor)
-        return answers[channel] if isinstance(channel, str) else answers
+                for channel, rows in zip(channels, values, strict=True):
+                    gather(channel, cells, rows)
+        else:
+            alpha = self.channels.get("alpha")
+            fault = blend(self._field, self.placement, points, filter, channels, alpha, values, gradients)
+        if fault < 0 and normalize:
+            for number, channel in enumerate(channels):
+                if channel.format.space == "direction":
+                    make_unit(values[number], gradients[number] if gradients else NO_GRADIENTS)
+        return fault
 
     def contains(self, points: npt.ArrayLike, *, executor: Executor | None = None) -> npt.NDArray[np.bool_]:
         """Say of each rest position (n, 3) whether a leaf holds it.

@@ -1,0 +1,184 @@
+"""From rows to values: decoded, blended under the weights of taps, and made unit vectors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import ColorSpace, decode, decode_table
+from octex.field.field import Field, NotFiniteError, Taps
+from octex.jit import kernel
+from octex.texture.channel import Channel
+from octex.tree.placement import Placement
+
+Array = npt.NDArray[Any]
+Floats = npt.NDArray[np.float32]
+Rows = npt.NDArray[np.uint32 | np.int64]
+
+NO_GRADIENTS = np.empty((0, 4, 3), np.float32)
+
+
+def blend(
+    field: Field,
+    placement: Placement,
+    points: Array,
+    filter: str,
+    channels: Sequence[Channel],
+    alpha: Channel | None,
+    answers: Sequence[Floats],
+    gradients: Sequence[Floats],
+) -> int:
+    """Write the field of channels at rest positions (n, 3) to ``answers`` (n, components), decoded.
+
+    ``gradients`` (n, components, 3) or none. Channels other than ``alpha``, if there is one, weigh by it,
+    except where it is zero throughout. Returns the first row of points that is not finite, or −1.
+    """
+    begin = 0
+    try:
+        for taps in field.batches(points, placement, filter, gradient=bool(gradients)):
+            here = slice(begin, begin + taps.starts.size - 1)
+            covered = taps if alpha is None else _covered(taps, alpha)
+            for number, channel in enumerate(channels):
+                values = np.empty((taps.rows.size, channel.format.components), np.float32)
+                gather(channel, taps.rows, values)
+                used = taps if channel is alpha else covered
+                _blend(
+                    *(used.starts, used.weights, used.slopes, values, answers[number][here]),
+                    gradients[number][here] if gradients else NO_GRADIENTS,
+                )
+            begin = here.stop
+    except NotFiniteError as error:
+        return error.row
+    return -1
+
+
+def _covered(taps: Taps, alpha: Channel) -> Taps:
+    """Return taps weighted by their alpha, too."""
+    coverage = np.empty((taps.rows.size, 1), np.float32)
+    gather(alpha, taps.rows, coverage)
+    taps = taps._replace(weights=taps.weights.copy(), slopes=taps.slopes.copy())
+    _cover(taps.starts, coverage, taps.weights, taps.slopes)
+    return taps
+
+
+def gather(channel: Channel, rows: Rows, result: Floats) -> None:
+    """Write the decoded values of rows, cells' and then kept nodes', to ``result``."""
+    values, kept_values, space = channel.values, channel.kept_values, channel.format.space
+    if values.dtype == np.float32:
+        _gather_singles(values, kept_values, rows, result)
+        if space == "srgb":
+            result[:] = decode(result, space)
+    elif values.dtype == np.float16:
+        _gather_codes(values.view(np.uint16), kept_values.view(np.uint16), _half_table(space), rows, result)
+    else:
+        _gather_codes(values, kept_values, decode_table(values.dtype.name, space), rows, result)
+
+
+@cache
+def _half_table(space: ColorSpace) -> Floats:
+    """Decode all bit patterns of float16."""
+    with np.errstate(invalid="ignore"):  # NaNs are among them
+        return decode(np.arange(1 << 16, dtype=np.uint16).view(np.float16), space)
+
+
+@kernel
+def _gather_codes(
+    values: npt.NDArray[np.uint8 | np.uint16],
+    kept_values: npt.NDArray[np.uint8 | np.uint16],
+    table: Floats,
+    rows: Rows,
+    result: Floats,
+) -> None:
+    for n in range(rows.size):
+        row = np.int64(rows[n])
+        kept = row - values.shape[0]
+        for component in range(values.shape[1]):
+            code = values[row, component] if kept < 0 else kept_values[kept, component]
+            result[n, component] = table[code]
+
+
+@kernel
+def _gather_singles(values: Floats, kept_values: Floats, rows: Rows, result: Floats) -> None:
+    for n in range(rows.size):
+        row = np.int64(rows[n])
+        kept = row - values.shape[0]
+        for component in range(values.shape[1]):
+            result[n, component] = values[row, component] if kept < 0 else kept_values[kept, component]
+
+
+@kernel
+def _blend(
+    starts: npt.NDArray[np.int64],
+    weights: Floats,
+    slopes: Floats,
+    values: Floats,
+    answers: Floats,
+    gradients: Floats,
+) -> None:
+    """Write Σ w·v / Σ w, and Σ w′·(v − that): so constants are exact, however the weights are rounded."""
+    for n in range(starts.size - 1):
+        for component in range(values.shape[1]):
+            total = sum_of_weights = 0.0
+            for tap in range(starts[n], starts[n + 1]):
+                total += np.float64(weights[tap]) * np.float64(values[tap, component])
+                sum_of_weights += np.float64(weights[tap])
+            answers[n, component] = total / sum_of_weights if sum_of_weights > 0.0 else 0.0
+            if gradients.shape[0] > 0:
+                x = y = z = 0.0
+                for tap in range(starts[n], starts[n + 1]):
+                    apart = np.float64(values[tap, component]) - np.float64(answers[n, component])
+                    x += np.float64(slopes[tap, 0]) * apart
+                    y += np.float64(slopes[tap, 1]) * apart
+                    z += np.float64(slopes[tap, 2]) * apart
+                gradients[n, component, 0], gradients[n, component, 1] = x, y
+                gradients[n, component, 2] = z
+
+
+@kernel
+def _cover(starts: npt.NDArray[np.int64], alpha: Floats, weights: Floats, slopes: Floats) -> None:
+    """Multiply the weights of each point by alpha and divide by their sum, unless that is zero."""
+    for n in range(starts.size - 1):
+        total = 0.0
+        for tap in range(starts[n], starts[n + 1]):
+            total += np.float64(weights[tap]) * np.float64(alpha[tap, 0])
+        if not total > 0.0:
+            continue
+        for axis in range(3 if slopes.shape[0] > 0 else 0):
+            slope = 0.0
+            for tap in range(starts[n], starts[n + 1]):
+                slope += np.float64(slopes[tap, axis]) * np.float64(alpha[tap, 0])
+            slope /= total
+            for tap in range(starts[n], starts[n + 1]):
+                own = np.float64(slopes[tap, axis]) - np.float64(weights[tap]) * slope
+                slopes[tap, axis] = own * np.float64(alpha[tap, 0]) / total
+        for tap in range(starts[n], starts[n + 1]):
+            weights[tap] = np.float64(weights[tap]) * np.float64(alpha[tap, 0]) / total
+
+
+@kernel
+def make_unit(vectors: Floats, gradients: Floats) -> None:
+    """Make vectors (n, components) of length 1, in place; zeros stay.
+
+    ``gradients`` (n or 0, components, 3) become those of the unit vectors: what of them is across the vector,
+    divided by its length; zeros where it has none.
+    """
+    components = vectors.shape[1]
+    for n in range(vectors.shape[0]):
+        square = 0.0
+        for component in range(components):
+            square += np.float64(vectors[n, component]) ** 2
+        inverse = 1.0 / np.sqrt(square) if square > 0.0 else 0.0
+        if square > 0.0:
+            for component in range(components):
+                vectors[n, component] *= inverse
+        for axis in range(3 if gradients.shape[0] > 0 else 0):
+            along = 0.0
+            for component in range(components):
+                along += np.float64(vectors[n, component]) * np.float64(gradients[n, component, axis])
+            for component in range(components):
+                across = np.float64(gradients[n, component, axis]) - along * np.float64(vectors[n, component])
+                gradients[n, component, axis] = across * inverse
