@@ -10,7 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.field.neighborhood import MOST_TAPS, new_walk, walk_all
-from octex.field.plain import BLOCK, WINDOW_MASKS, WINDOW_PLACES, tiled_taps
+from octex.field.plain import (
+    BLOCK,
+    WINDOW_MASKS,
+    WINDOW_PLACES,
+    linear_colors,
+    nearest_colors,
+    quadratic_colors,
+    tiled_taps,
+)
 from octex.field.splines import FILTERS
 from octex.field.tiles import Tiles, build_tiles, can_be_tiled
 from octex.tree.octree import Octree
@@ -100,3 +108,33 @@ class Field:
             end = starts[done]
             yield Taps(starts[: done + 1], rows[:end], weights[:end], slopes[:end])
             begin += done
+
+    def colors(
+        self,
+        points: Points,
+        placement: Placement,
+        filter: str,
+        values: npt.NDArray[np.uint8 | np.uint16],
+        table: Float32s,
+        results: Float32s,
+    ) -> npt.NDArray[np.int64] | None:
+        """Write the field of three components (cells, 3) at rest positions (n, 3) to ``results`` (n, 3).
+
+        The shortest way through all, for what is asked for most. ``table`` decodes the values. Returns the
+        points that are off the surface, whose results are not written; or None, and nothing is written, if
+        the tree has no tiles or the filter none of its own. Raises NotFiniteError.
+        """
+        if filter == "quartic" or self.tiles is None:
+            return None
+        missed = np.empty(len(points), np.int64)
+        what = values, table, results, missed
+        if filter == "nearest":
+            n_missed, fault = nearest_colors(self.tiles, points, *placement, *what)
+        elif filter == "linear":
+            n_missed, fault = linear_colors(self.tiles, points, *placement, *what)
+        else:
+            tables = WINDOW_MASKS, WINDOW_PLACES
+            n_missed, fault = quadratic_colors(self.tiles, points, *placement, *what, *tables)
+        if fault >= 0:
+            raise NotFiniteError(fault)
+        return missed[:n_missed]

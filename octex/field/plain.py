@@ -20,7 +20,7 @@ from octex.tree.layout import GRID_BITS, TreeArrays
 from octex.tree.search import Origin
 
 #: Points in a block: enough that all can wait for memory at once, few enough to stay in the nearest cache.
-BLOCK = 16
+BLOCK = 64
 
 Points = npt.NDArray[np.float32 | np.float64]
 Values = npt.NDArray[np.uint8 | np.uint16]
@@ -88,14 +88,14 @@ WINDOW_MASKS, WINDOW_PLACES = _window_masks()
 def _locate(x: float, depth: int, filter_code: int) -> tuple[int, np.float32]:
     """Find the lowest cell read along an axis, and how far from it the point is: LINEAR from its centre."""
     x = min(max(x, 0.0), 1.0)
-    shift = GRID_BITS - depth
-    fixed = min(int(x * (1 << GRID_BITS) + 0.5), (1 << GRID_BITS) - 1)
+    cells = 1 << depth
+    if filter_code == NEAREST:  # a surface lies in the cells of its vertices, which are rounded too
+        return min(int(x * (1 << GRID_BITS) + 0.5) >> (GRID_BITS - depth), cells - 1), np.float32(0.0)
+    x *= cells
     if filter_code == LINEAR:
-        cell = fixed - (1 << shift - 1) >> shift
-        return cell, np.float32(x * (1 << depth) - cell - 0.5)
-    cell = fixed >> shift
-    step = np.float32(x * (1 << depth) - cell)
-    return (cell - 1 if filter_code == QUADRATIC else cell), step
+        x -= 0.5
+    cell = min(np.floor(x), cells - 1.0)
+    return int(cell) - (1 if filter_code == QUADRATIC else 0), np.float32(x - cell)
 
 
 @inlined
@@ -126,11 +126,12 @@ def place_block(
             scratch.corners[first + np.uint64(1)],
             scratch.corners[first + np.uint64(2)],
         ) = a, b, c
-        scratch.steps[first], scratch.steps[first + np.uint64(1)], scratch.steps[first + np.uint64(2)] = (
-            r,
-            s,
-            t,
-        )
+        if filter_code != NEAREST:
+            (
+                scratch.steps[first],
+                scratch.steps[first + np.uint64(1)],
+                scratch.steps[first + np.uint64(2)],
+            ) = r, s, t
         a, b, c = a >> 3, b >> 3, c >> 3
         if a != i or b != j or c != k:
             i, j, k = a, b, c
