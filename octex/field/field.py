@@ -127,14 +127,16 @@ class Field:
         if filter == "quartic" or self.tiles is None:
             return None
         missed = np.empty(len(points), np.int64)
-        what = values, table, results, missed
+        origin, size = placement
         if filter == "nearest":
-            n_missed, fault = nearest_colors(self.tiles, points, *placement, *what)
+            n_missed, fault = nearest_colors(self.tiles, points, origin, size, values, table, results, missed)
         elif filter == "linear":
-            n_missed, fault = linear_colors(self.tiles, points, *placement, *what)
+            n_missed, fault = linear_colors(self.tiles, points, origin, size, values, table, results, missed)
         else:
             tables = WINDOW_MASKS, WINDOW_PLACES
-            n_missed, fault = quadratic_colors(self.tiles, points, *placement, *what, *tables)
+            n_missed, fault = quadratic_colors(
+                self.tiles, points, origin, size, values, table, results, missed, *tables
+            )
         if fault >= 0:
             raise NotFiniteError(fault)
         return missed[:n_missed]
