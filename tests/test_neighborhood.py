@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from octex.field.neighborhood import MOST_TAPS, Walk, new_walk, walk_all
 from octex.field.splines import FILTERS
-from octex.tree.layout import TreeArrays
+from octex.tree.layout import KEPT, TreeArrays
 from octex.tree.octree import Octree
 from tests import naive
 from tests.strategies import leaf_sets, points_around, with_random_data
@@ -99,3 +99,100 @@ def test_taps_are_what_the_field_is_made_of(filter: str, drawn: Drawn) -> None:
         np.testing.assert_allclose(weights, by_axis[0][0], atol=1e-6)
         for own, expected in zip(slopes, by_axis, strict=True):
             np.testing.assert_allclose(own * edge, expected[1] * edge, atol=1e-5)
+
+
+@each_filter
+@given(trees_and_points())
+def test_taps_do_not_depend_on_the_points_before_them(filter: str, drawn: Drawn) -> None:
+    arrays, kept_cells = drawn.tree.arrays, drawn.tree.kept.cells
+    together = taps(arrays, kept_cells, drawn.points, filter)
+    for n in range(len(drawn.points)):
+        alone = taps(arrays, kept_cells, drawn.points[n : n + 1], filter)
+        here = slice(together.starts[n], together.starts[n + 1])
+        for own, of_all in zip(alone[1:], together[1:], strict=True):
+            np.testing.assert_array_equal(own, of_all[here])
+
+
+@given(trees_and_points())
+def test_one_walk_serves_all_filters_and_slopes_do_not_change_weights(drawn: Drawn) -> None:
+    walk = new_walk()
+    for filter in (*FILTERS[1:], *FILTERS[:0:-1]):
+        found = taps(drawn.tree.arrays, drawn.tree.kept.cells, drawn.points, filter, walk, gradient=False)
+        expected = taps(drawn.tree.arrays, drawn.tree.kept.cells, drawn.points, filter)
+        assert found.slopes.size == 0
+        for n in range(len(drawn.points)):
+            here, there = (slice(each.starts[n], each.starts[n + 1]) for each in (found, expected))
+            shares = dict(zip(expected.rows[there].tolist(), expected.weights[there].tolist(), strict=True))
+            own = dict(zip(found.rows[here].tolist(), found.weights[here].tolist(), strict=True))
+            assert own == {row: share for row, share in shares.items() if row in own}
+            assert all(share == 0 for row, share in shares.items() if row not in own)
+
+
+@given(trees_and_points())
+def test_points_outside_have_the_taps_of_the_nearest_point_of_the_root(drawn: Drawn) -> None:
+    arrays, kept_cells = drawn.tree.arrays, drawn.tree.kept.cells
+    outside = drawn.points + np.where(drawn.points == 0, -0.3, 0) + np.where(drawn.points == 1, 0.3, 0)
+    for found, expected in zip(
+        taps(arrays, kept_cells, outside, "quadratic"),
+        taps(arrays, kept_cells, drawn.points, "quadratic"),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_slopes_are_by_rest_position() -> None:
+    arrays, kept_cells = Octree.from_leaves(np.arange(8), 1).arrays, np.zeros(0, np.uint32)
+    rest = np.array([[10.5, -3.0, 1.0]], np.float32)
+    room = MOST_TAPS
+    starts, rows = np.zeros(2, np.int64), np.zeros(room, np.uint32)
+    weights, slopes = np.zeros(room, np.float32), np.zeros((room, 3), np.float32)
+    placed = walk_all(
+        arrays, kept_cells, rest, 0, (10.0, -4.0, 0.0), 2.0, 2, new_walk(), starts, rows, weights, slopes
+    )
+    assert placed == 1
+    expected = taps(arrays, kept_cells, np.array([[0.25, 0.5, 0.5]]), "quadratic")
+    np.testing.assert_array_equal(weights[: starts[1]], expected.weights)
+    np.testing.assert_array_equal(slopes[: starts[1]], expected.slopes / 2)
+
+
+def test_points_are_done_until_there_might_be_no_room_for_more() -> None:
+    points = np.random.default_rng(5).random((40, 3))
+    arrays, kept_cells = Octree.from_leaves(np.arange(64), 2).arrays, np.zeros(0, np.uint32)
+    at_once = taps(arrays, kept_cells, points, "quadratic", room=MOST_TAPS + 40 * 27)
+    in_blocks = taps(arrays, kept_cells, points, "quadratic", room=MOST_TAPS + 50)
+    for found, expected in zip(in_blocks, at_once, strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_points_that_are_not_finite_are_reported(value: float) -> None:
+    arrays, kept_cells = Octree.from_leaves(np.arange(8), 1).arrays, np.zeros(0, np.uint32)
+    points = np.full((3, 3), 0.5)
+    points[1, 2] = value
+    starts, rows = np.zeros(4, np.int64), np.zeros(2 * MOST_TAPS, np.uint32)
+    weights, slopes = np.zeros(rows.size, np.float32), np.zeros((0, 3), np.float32)
+    done = walk_all(arrays, kept_cells, points, 0, *UNIT, 2, new_walk(), starts, rows, weights, slopes)
+    assert done == -2
+
+
+@each_filter
+@given(trees_and_points(), st.integers(0, 2**32 - 1))
+def test_damaged_structures_are_walked_without_harm(filter: str, drawn: Drawn, seed: int) -> None:
+    arrays = drawn.tree.arrays
+    noise = np.random.default_rng(seed)
+    damaged = arrays._replace(
+        groups=noise.integers(0, 2**64, arrays.groups.shape, dtype=np.uint64),
+        flags=noise.integers(0, 256, arrays.flags.shape, dtype=np.uint8),
+    )
+    kept_cells = noise.integers(0, 2**32, 5, dtype=np.uint32)
+    found = taps(damaged, kept_cells, drawn.points, filter)
+    assert found.rows.max(initial=0) < drawn.tree.n_cells + kept_cells.size
+
+
+def test_a_node_that_is_flagged_but_not_listed_has_no_taps() -> None:
+    tree = Octree.from_leaves(np.arange(16), 2)
+    flags = tree.arrays.flags.copy()
+    flags[1] |= KEPT
+    arrays = tree.arrays._replace(flags=flags)
+    found = taps(arrays, np.array([3], np.uint32), np.array([[0.2, 0.3, 0.1]]), "quadratic")
+    assert found.rows.max() < tree.n_cells

@@ -6,8 +6,6 @@ those of the cells from the lowest to the highest; slopes are their derivatives 
 
 from __future__ import annotations
 
-import numpy as np
-
 from octex.jit import inlined
 
 #: How a texture is looked up. Kernels know them by their index.
@@ -77,23 +75,12 @@ def quartic_slopes(t: float) -> Five:
     return -s * s * s / 6.0, -_quartic_flank_slope(s), middle, _quartic_flank_slope(t), t * t * t / 6.0
 
 
-#: [o, fine, coarse]: coefficients by which the cells around a cell are refined from those around its parent,
-#: along one axis. o = 0 where the cell is its parent's lower half, 1 where it is the upper one.
-REFINE_THREE = (
-    np.array(
-        [
-            [[3, 1, 0], [1, 3, 0], [0, 3, 1]],
-            [[1, 3, 0], [0, 3, 1], [0, 1, 3]],
-        ]
-    )
-    / 4.0
-)
-REFINE_FIVE = (
-    np.array(
-        [
-            [[5, 10, 1, 0, 0], [1, 10, 5, 0, 0], [0, 5, 10, 1, 0], [0, 1, 10, 5, 0], [0, 0, 5, 10, 1]],
-            [[1, 10, 5, 0, 0], [0, 5, 10, 1, 0], [0, 1, 10, 5, 0], [0, 0, 5, 10, 1], [0, 0, 1, 10, 5]],
-        ]
-    )
-    / 16.0
-)
+@inlined
+def refinement(quartic: bool) -> Three:
+    """Coefficients that refine a cell, along an axis, from its parent and the cells on both sides of that.
+
+    First that of the parent's neighbour on the cell's side, then the parent's, then the other neighbour's.
+    """
+    if quartic:
+        return 0.3125, 0.625, 0.0625
+    return 0.25, 0.75, 0.0
