@@ -113,7 +113,7 @@ def difference(
     channels: Sequence[str] | None = None,
     points: int = DEFAULT_POINTS,
     width: float | None = None,
-    filter: str = "nearest",
+    filter: str = "quadratic",
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Differences:

@@ -31,13 +31,13 @@ def eight_colors(**changes: Any) -> OctreeTexture:
     return OctreeTexture(**arguments)
 
 
-def shell(depth: int) -> OctreeTexture:
+def shell(depth: int, keep: float = 0.3) -> OctreeTexture:
     """A spherical shell of about 4 · 4^depth leaves, coloured at random."""
     random = np.random.default_rng(depth)
     directions = random.normal(size=(10 * 4**depth, 3))
     points = 0.5 + 0.45 * directions / np.linalg.norm(directions, axis=1)[:, None]
     codes = np.unique(encode_cells((points * 2**depth).astype(np.int64)))
-    tree = with_random_data(Octree.from_leaves(codes, depth), depth, keep=0.3)
+    tree = with_random_data(Octree.from_leaves(codes, depth), depth, keep)
     values = random.integers(0, 256, (tree.n_cells, 3), dtype=np.uint8)
     split_values = random.integers(0, 256, (tree.split.areas.size, 3), dtype=np.uint8)
     kept_values = random.integers(0, 256, (tree.kept.cells.size, 3), dtype=np.uint8)

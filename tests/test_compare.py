@@ -96,6 +96,16 @@ def test_two_textures_are_compared_leaf_by_leaf() -> None:
     assert found.uncovered == (0.0, 0.0)
 
 
+def test_textures_are_read_with_the_filter_asked_for() -> None:
+    values = np.zeros((8, 8, 1))
+    values[2, 5] = 1.0
+    a, b = sheet({ROUGHNESS: 0.0}), sheet({ROUGHNESS: values})
+    for options, filter, most in (({}, "quadratic", 0.75**2), ({"filter": "nearest"}, "nearest", 1.0)):
+        found = difference(a, b, **options)
+        assert found.filter == filter
+        assert found["roughness"].maximum == pytest.approx(most)  # the spline's weight in the middle
+
+
 def test_a_texture_does_not_differ_from_itself() -> None:
     texture = sheet({BASE_COLOR: noise(1), ROUGHNESS: noise(2, 1)})
     found = difference(texture, texture)
@@ -119,12 +129,12 @@ def test_leaves_count_by_their_area() -> None:
     values[2, 5] = 1.0
     areas[2, 5] += 16  # four times as much
     a, b = sheet({ROUGHNESS: 0.0}, areas=areas), sheet({ROUGHNESS: values}, areas=areas)
-    result = difference(a, b)["roughness"]
+    result = difference(a, b, filter="nearest")["roughness"]
     assert result.rms == pytest.approx(math.sqrt(4 / 67))
     assert result.p99 == 1.0
     areas[2, 5] -= 32
     a, b = sheet({ROUGHNESS: 0.0}, areas=areas), sheet({ROUGHNESS: values}, areas=areas)
-    result = difference(a, b)["roughness"]
+    result = difference(a, b, filter="nearest")["roughness"]
     assert result.rms == pytest.approx(math.sqrt(0.25 / 63.25))
     assert (result.p99, result.maximum) == (0.0, 1.0)  # less than a hundredth of the area
 
@@ -136,7 +146,7 @@ def test_textures_of_another_placement_and_depth_are_compared_where_they_are() -
     fine = np.zeros((32, 32, 3))
     fine[8:24, 8:24] = values.repeat(2, axis=0).repeat(2, axis=1)
     whole = sheet({BASE_COLOR: fine}, 5, placement=Placement((-0.5, -0.5, -0.01), 2.0))
-    found = difference(a, whole)
+    found = difference(a, whole, filter="nearest")
     assert found["base_color"].maximum < 1e-4
     assert found.areas == pytest.approx((1.0, 4.0))
     assert found.uncovered == (0.0, 0.75)
@@ -215,7 +225,7 @@ def test_directions_are_compared_by_components_and_by_angle() -> None:
     b[3, 4] = [0.0, math.sin(math.radians(10)), math.cos(math.radians(10))]
     b[5, 6] = [0.0, 0.0, 0.5]  # a shorter mean of the same direction
     b[7, 7] = 0.0  # no direction at all
-    result = difference(sheet({NORMAL: a}), sheet({NORMAL: b}))["normal"]
+    result = difference(sheet({NORMAL: a}), sheet({NORMAL: b}), filter="nearest")["normal"]
     assert (result.measure, result.maximum) == ("components", 1.0)
     angle = result.angle
     assert angle is not None

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from octex.errors import ArgumentError
-from octex.texture import OctreeTexture, lookup
+from octex.texture import FILTERS, OctreeTexture, lookup
 from tests.conftest import needs_jit
 from tests.small_textures import eight_colors, shell
 
@@ -126,15 +126,21 @@ def test_unknown_channels_and_filters_are_refused_with_the_choices() -> None:
             texture.sample(POINTS, unknown)
     with pytest.raises(ArgumentError, match="unknown channel 3; there are: base_color, height"):
         texture.sample(POINTS, 3)  # type: ignore[call-overload]
-    with pytest.raises(ArgumentError, match="unknown filter 'cubic'; there are: nearest"):
+    with pytest.raises(
+        ArgumentError, match="unknown filter 'cubic'; there are: nearest, linear, quadratic, quartic"
+    ):
         texture.sample(POINTS, filter="cubic")
     with pytest.raises(ArgumentError, match="unknown filter None"):
         texture.sample(POINTS, filter=None)  # type: ignore[call-overload]
 
 
 def test_nearest_has_no_gradient() -> None:
-    with pytest.raises(ArgumentError, match="nearest has no gradient"):
+    with pytest.raises(ArgumentError, match="nearest has no gradient; linear, quadratic, quartic have one"):
         eight_colors().sample(POINTS, filter="nearest", gradient=True)
+
+
+def test_the_filter_is_quadratic_unless_told_otherwise() -> None:
+    assert np.array_equal(shell(3).sample(POINTS), shell(3).sample(POINTS, "base_color", "quadratic"))
 
 
 # --- answers
@@ -161,6 +167,38 @@ def test_answers_are_written_where_the_caller_wants_them() -> None:
     for name, values in found.items():
         assert values is out[name]
         assert np.array_equal(values, texture.sample(points, name))
+
+
+def test_gradients_are_written_beside_the_values() -> None:
+    texture = two_channels()
+    values, gradients = texture.sample(POINTS, gradient=True)
+    assert (values.shape, gradients.shape, gradients.dtype) == ((3, 3), (3, 3, 3), np.float32)
+    assert np.array_equal(values, texture.sample(POINTS))
+    out = np.empty((3, 3), np.float32), np.empty((3, 3, 3), np.float32)
+    found = texture.sample(POINTS, gradient=True, out=out)
+    assert found[0] is out[0] and found[1] is out[1]
+    assert np.array_equal(out[0], values) and np.array_equal(out[1], gradients)
+    both = texture.sample(POINTS, ["height", "base_color"], gradient=True)
+    assert [list(each) for each in both] == [["height", "base_color"]] * 2
+    assert np.array_equal(both[1]["base_color"], gradients)
+    assert texture.sample([], gradient=True)[1].shape == (0, 3, 3)
+
+
+@pytest.mark.parametrize(
+    ("out", "message"),
+    [
+        (np.empty((3, 3), np.float32), "out must be a pair, for values and for gradients"),
+        ((np.empty((3, 3), np.float32),), "out must be a pair"),
+        ((np.empty((3, 3), np.float32),) * 2, r"the gradients' out for 'base_color' must be .* \(3, 3, 3\)"),
+        (
+            (np.empty((3, 3, 3), np.float32),) * 2,
+            r"out for 'base_color' must be a float32 array of shape \(3, 3\), not float32 \(3, 3, 3\)",
+        ),
+    ],
+)
+def test_gradients_take_a_pair_of_arrays(out: Any, message: str) -> None:
+    with pytest.raises(ArgumentError, match=message):
+        eight_colors().sample(POINTS, gradient=True, out=out)
 
 
 @pytest.mark.parametrize(
@@ -211,32 +249,41 @@ def test_many_points_are_looked_up_in_blocks_alike() -> None:
     texture = shell(5)
     points = np.random.default_rng(0).random((40_000, 3))
     pieces = np.array_split(points, 7)
-    for look_up in (texture.sample, texture.contains):
-        assert np.array_equal(look_up(points), np.concatenate([look_up(piece) for piece in pieces]))
+    assert np.array_equal(texture.contains(points), np.concatenate(list(map(texture.contains, pieces))))
+    for name in FILTERS:
+        found = np.concatenate([texture.sample(piece, filter=name) for piece in pieces])
+        assert np.array_equal(texture.sample(points, filter=name), found)
 
 
 @pytest.mark.usefixtures("small_blocks")
 def test_an_executor_gives_the_same_answers() -> None:
     texture = shell(3)
     points = np.random.default_rng(0).random((301, 3))
+    expected = texture.sample(points, gradient=True)
     with ThreadPoolExecutor(3) as pool:
         for executor in (pool, Elsewhere()):
-            out = np.empty((301, 3), np.float32)
-            assert texture.sample(points, out=out, executor=executor) is out
-            assert np.array_equal(out, texture.sample(points))
             assert np.array_equal(texture.contains(points, executor=executor), texture.contains(points))
+            for name in FILTERS:
+                out = np.empty((301, 3), np.float32)
+                assert texture.sample(points, filter=name, out=out, executor=executor) is out
+                assert np.array_equal(out, texture.sample(points, filter=name))
+            for ours, theirs in zip(
+                texture.sample(points, gradient=True, executor=executor), expected, strict=True
+            ):
+                assert np.array_equal(ours, theirs)
 
 
 @needs_jit
-def test_memory_does_not_grow_with_the_points() -> None:
-    texture = shell(3)
+@pytest.mark.parametrize("filter", ["nearest", "quadratic"])
+def test_memory_does_not_grow_with_the_points(filter: str) -> None:
+    texture = shell(3, keep=0.0)
     count = 2_000_000
     points = np.broadcast_to(np.array([0.5, 0.5, 0.05]), (count, 3))
     out = np.empty((count, 3), np.float32)
-    texture.sample(points[:1], out=out[:1])
+    texture.sample(points[:1], filter=filter, out=out[:1])
     tracemalloc.start()
     try:
-        texture.sample(points, out=out)
+        texture.sample(points, filter=filter, out=out)
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()

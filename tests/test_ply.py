@@ -78,9 +78,10 @@ def test_another_reader_finds_the_same_points_colours_and_normals(tmp_path: Path
     centres = PLACEMENT.origin + (decode_cells(codes) + 0.5) / 2.0 ** depths[:, None] * PLACEMENT.size
     np.testing.assert_allclose(columns(vertices, *"xyz"), centres, rtol=1e-6)
     (leaves,) = walk_leaves(texture.tree.arrays)
-    stored = texture.channels["base_color"].values[leaves.cells]
-    np.testing.assert_array_equal(columns(vertices, "red", "green", "blue"), stored)
-    np.testing.assert_array_equal(vertices["alpha"], texture.channels["alpha"].values[leaves.cells, 0])
+    values = texture.sample(centres, ["base_color", "alpha"])
+    colors = np.rint(255 * linear_to_srgb(values["base_color"]))
+    np.testing.assert_array_equal(columns(vertices, "red", "green", "blue"), colors)
+    np.testing.assert_array_equal(columns(vertices, "alpha"), np.rint(255 * values["alpha"]))
     normals = estimate_normals(texture.tree.arrays, *leaves)
     np.testing.assert_array_equal(columns(vertices, "nx", "ny", "nz"), normals)
 

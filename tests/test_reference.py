@@ -88,7 +88,7 @@ def converted_differences(path: Path, depth: int, points: int) -> dict[str, Diff
         beside = as_codes(reference.values(channel.name, near, at), channel)
         far = (np.abs(beside - expected[owners]) > CODE).any(axis=1) | np.isnan(beside).any(axis=1)
         smooth = np.bincount(owners[far], minlength=points) == 0
-        values = as_codes(texture.sample(samples.rest, channel.name), channel)
+        values = as_codes(texture.sample(samples.rest, channel.name, "nearest"), channel)
         found[channel.name] = difference(values, expected, smooth)
     return found
 

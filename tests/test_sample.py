@@ -118,6 +118,16 @@ def test_outside_the_root_the_nearest_point_inside_answers(filter: str) -> None:
     assert np.array_equal(found, texture.sample(np.clip(points, 0.0, 1.0), filter=filter))
 
 
+def test_alpha_of_several_components_is_a_channel_like_others() -> None:
+    color = eight_colors().channels["base_color"]
+    alpha = color._replace(format=color.format._replace(name="alpha"))
+    texture = eight_colors(channels={"base_color": color, "alpha": alpha})
+    points = np.random.default_rng(0).random((9, 3))
+    assert np.array_equal(
+        texture.sample(points, filter="linear"), eight_colors().sample(points, filter="linear")
+    )
+
+
 def test_gradients_of_unit_vectors_are_across_them() -> None:
     texture = eight_colors()
     color = texture.channels["base_color"]

@@ -12,6 +12,7 @@ import octex
 from octex.formats.ply import write_points
 from octex.parallel import Progress
 from octex.preview import write_preview
+from octex.texture import FILTERS
 from octex.tree.morton import encode_cells
 
 # A needle: few cells, but at a depth at which cells come in several blocks.
@@ -91,10 +92,14 @@ def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
     texture.validate()
     for points in (samples.rest, samples.rest.astype(np.float32)):
         texture.contains(points)
-        texture.sample(points, list(texture.channels))
-        texture.level(2).sample(points)
+        for filter in FILTERS:
+            texture.sample(points, list(texture.channels), filter)
+            texture.level(2).sample(points, filter=filter)
+        texture.sample(points, list(texture.channels), gradient=True)
     for dtype in ("uint16", "float16", "float32"):
-        octex.convert(surface, 2, dtype=dtype).sample(samples.rest, list(texture.channels))
+        coarse = octex.convert(surface, 2, dtype=dtype)
+        for filter in ("nearest", "quadratic"):
+            coarse.sample(samples.rest, list(texture.channels), filter)
     encode_cells([(1, 2, 3)])
     texture.tree.level_codes(6)
     write_points(texture, folder / "points.ply")

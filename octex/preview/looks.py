@@ -114,7 +114,7 @@ def source_look(surface: Surface, channel: str | None = None) -> Look:
 
 
 def texture_look(texture: OctreeTexture, channel: str | None = None) -> Look:
-    """Show a surface by the nearest cells of a texture, of the level that suits what each sample covers.
+    """Show a surface by the field of a texture, of the level that suits what each sample covers.
 
     ``channel`` as for ``source_look``. Raises ArgumentError for a channel that is not there.
     """

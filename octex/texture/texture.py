@@ -79,7 +79,7 @@ class OctreeTexture:
         self,
         points: npt.ArrayLike,
         channel: str = "base_color",
-        filter: str = "nearest",
+        filter: str = "quadratic",
         *,
         normalize: bool = True,
         gradient: Literal[False] = False,
@@ -91,7 +91,7 @@ class OctreeTexture:
         self,
         points: npt.ArrayLike,
         channel: list[str] | tuple[str, ...],
-        filter: str = "nearest",
+        filter: str = "quadratic",
         *,
         normalize: bool = True,
         gradient: Literal[False] = False,
@@ -103,7 +103,7 @@ class OctreeTexture:
         self,
         points: npt.ArrayLike,
         channel: str = "base_color",
-        filter: str = "nearest",
+        filter: str = "quadratic",
         *,
         normalize: bool = True,
         gradient: Literal[True],
@@ -115,7 +115,7 @@ class OctreeTexture:
         self,
         points: npt.ArrayLike,
         channel: list[str] | tuple[str, ...],
-        filter: str = "nearest",
+        filter: str = "quadratic",
         *,
         normalize: bool = True,
         gradient: Literal[True],
@@ -126,31 +126,40 @@ class OctreeTexture:
         self,
         points: npt.ArrayLike,
         channel: str | list[str] | tuple[str, ...] = "base_color",
-        filter: str = "nearest",
+        filter: str = "quadratic",
         *,
         normalize: bool = True,
         gradient: bool = False,
         out: Any = None,
         executor: Executor | None = None,
     ) -> Any:
-        """Look up values at rest positions (n, 3), float32 or float64.
+        """Look up the field at rest positions (n, 3), float32 or float64.
 
         Returns float32 (n, components): linear light for colours, −1 … 1 for directions, 0 … 1 for other
-        integers. A list of channel names gives a dict. ``nearest``: the leaf that holds the point; else the
-        nearest cell among the 27 around it at the deepest level that has one there, so that every point has
-        a value.
+        integers. A list of channel names gives a dict. Every point has a value: off the surface, where none
+        of the cells that a filter reads is stored, that of coarser averages; outside the root cell, that of
+        the nearest point inside.
 
-        Directions come back as unit vectors; without ``normalize`` as the means that are stored, whose
-        length, 1 where all directions agree, tells how far they spread. A mean of zero stays zeros in floats;
-        integers have no code for zero, so it has no direction worth the name there.
-
+        filter    what lies between the stored values. ``quadratic``: a spline over 3×3×3 cells, with
+                  continuous slopes across every change of depth (the neighbourhood of paper 3.4, after
+                  Kobbelt et al. 1997). ``quartic``: likewise over 5×5×5 cells, continuous to the third
+                  derivative. ``linear``: the paper's own rule, which jumps where the depth changes.
+                  ``nearest``: what is stored of the leaf that holds the point; else of the nearest cell among
+                  the 27 around it at the deepest level that has one there.
+        normalize directions come back as unit vectors; without, as the means that are stored, whose length,
+                  1 where all directions agree, tells how far they spread. A mean of zero stays zeros in
+                  floats; integers have no code for zero, so it has no direction worth the name there.
+        gradient  return a pair: the values, and their derivatives by rest position, float32
+                  (n, components, 3), per unit of the model's length. ``nearest`` has none.
         out       where to write and what to return: a C-ordered float32 array of the answer's shape, a dict
-                  of them for a list of channels; else new arrays
+                  of them for a list of channels, with ``gradient`` a pair of either; else new arrays
         executor  spreads blocks of points over its threads; by default the calling thread does all
+
+        Blending is done in linear light. Where the texture has a channel ``alpha``, all others weigh by it.
 
         Memory does not grow with the points but for the answers. Raises ArgumentError for positions that are
         not finite (n, 3), naming the first row (``out`` is then written in part), for unknown channels and
-        filters, listing those there are, and for an ``out`` that does not fit.
+        filters, listing those there are, for gradients of ``nearest``, and for an ``out`` that does not fit.
         """
         points = as_point_rows(points)
         as_choice(filter, FILTERS, "filter")
@@ -189,6 +198,8 @@ class OctreeTexture:
                     gather(channel, cells, rows)
         else:
             alpha = self.channels.get("alpha")
+            if alpha and alpha.format.components != 1:
+                alpha = None
             fault = blend(self._field, self.placement, points, filter, channels, alpha, values, gradients)
         if fault < 0 and normalize:
             for number, channel in enumerate(channels):
