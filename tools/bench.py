@@ -21,11 +21,25 @@ from tempfile import TemporaryDirectory
 
 from bench_conversion import boombox, large, torus
 from bench_images import filters, materials
-from bench_texture import lookup, paper, psnr
+from bench_lookups import kinds, lookup, resident, today
+from bench_texture import paper, psnr
 from bench_tools import Report, Setup
 
 BENCHMARKS = {
-    each.__name__: each for each in (paper, torus, boombox, materials, filters, large, psnr, lookup)
+    each.__name__: each
+    for each in (
+        paper,
+        torus,
+        boombox,
+        materials,
+        filters,
+        large,
+        psnr,
+        lookup,
+        kinds,
+        resident,
+        today,
+    )
 }
 
 

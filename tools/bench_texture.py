@@ -1,9 +1,8 @@
-"""Benchmarks of textures: their size beside the maps that they replace, their colours, and lookups."""
+"""Benchmarks of textures: their size beside the maps that they replace, and their colours."""
 
 from __future__ import annotations
 
 import io
-import re
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -12,20 +11,14 @@ import numpy as np
 from bench_inputs import (
     coloured_models,
     painted_torus,
-    scattered_on_sphere,
-    seen_on_sphere,
-    sphere_cells,
 )
-from bench_tools import Report, Setup, in_turns, millions, pinned, run_program, timed
+from bench_tools import Report, Setup
 from PIL import Image, ImageDraw
 
 import octex
-from octex.channels import BASE_COLOR, linear_to_srgb
+from octex.channels import linear_to_srgb
 from octex.source.models.gltf_file import Document
-from octex.texture import Channel
 from octex.tree.layout import SPLIT
-from octex.tree.octree import Octree
-from octex.tree.placement import Placement
 from octex.tree.search import nearest_cells
 
 DROID = Path(__file__).parent.parent / "samples" / "droid.glb"
@@ -186,52 +179,3 @@ def _remark(decibels: list[float], elsewhere: float, inside: float) -> str:
     if decibels[-1] < 45 and elsewhere - decibels[0] < 2 * (len(decibels) - 1):
         remarks.append("hardly nearer with depth")
     return "   ← " + ", ".join(remarks) if remarks else ""
-
-
-def lookup(setup: Setup, report: Report) -> None:
-    """Nearest lookups in a band of cells around a sphere, beside OpenVDB and NanoVDB, on one thread."""
-    depth = 6 if setup.quick else 9
-    codes = sphere_cells(depth)
-    report.title(f"lookup: sphere of {len(codes):,} cells, {1 << depth} along an edge, nearest, one thread")
-    tree = Octree.from_leaves(codes, depth)
-    values = np.random.default_rng(0).integers(0, 256, (tree.n_cells, 3), np.uint8)
-    channel = Channel(BASE_COLOR, values, values[:0], values[:0])
-    unit = Placement((0.0, 0.0, 0.0), 1.0)
-    texture = octex.OctreeTexture(tree, {"base_color": channel}, unit, [[0, 0, 0], [1, 1, 1]])
-    small = setup.quick
-    points = {
-        "coherent": seen_on_sphere(*((64, 36) if small else (1920, 1080))),
-        "random": scattered_on_sphere(2000 if small else 2_000_000),
-    }
-    for each in points.values():
-        texture.sample(each[:100])
-    with pinned({setup.core}):
-        spent = in_turns(
-            {name: lambda each=each: timed(lambda: texture.sample(each))[0] for name, each in points.items()},  # type: ignore[misc]
-            setup.repeats,
-        )
-        gathers = {name: _gather_time(each, setup.repeats) for name, each in points.items()}
-    for name, each in points.items():
-        report.line(f"octex, {name}", f"{millions(len(each) / spent[name].cpu)} lookups/s")
-        report.line(
-            f"limit: copying as many points in and values out, {name}",
-            f"{millions(len(each) / gathers[name])} lookups/s",
-        )
-    if not setup.peers:
-        report.note("left out: OpenVDB and NanoVDB (--peers)")
-        return
-    output = run_program(
-        [str(setup.peers / "vdb_bench"), "0", str(1 << depth), "1"], setup.core, setup.folder
-    )
-    for name, pattern in (("OpenVDB", "OVDB acc"), ("NanoVDB", "NANO acc")):
-        found = re.search(pattern + r" Mlookups/s\s+point coh ([0-9.]+) rnd ([0-9.]+)", output.text)
-        assert found, output.text
-        for order, text in zip(points, found.groups(), strict=True):
-            rate = float(text) * 1e6 / output.share
-            ours = len(points[order]) / spent[order].cpu
-            report.line(f"{name}, {order}", f"{millions(rate)} lookups/s: octex {ours / rate:.2f} × as fast")
-
-
-def _gather_time(points: np.ndarray, repeats: int) -> float:
-    target = np.empty_like(points)
-    return min(timed(lambda: np.copyto(target, points))[0].cpu for _ in range(max(repeats, 5)))

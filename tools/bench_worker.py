@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from bench_inputs import NoChannels, painted_torus, torus
+from bench_inputs import NoChannels, painted_torus, scattered_on_sphere, torus
 from bench_tools import memory, timed
 
 import octex
@@ -129,6 +129,27 @@ def look(path: str, level: int) -> Callable[[], Answer]:
     return task
 
 
+def resident(path: str, count: int) -> Callable[[], Answer]:
+    """Open a file and look up random points of the sphere in it; say how much memory that takes."""
+    points = scattered_on_sphere(count)
+    out = np.zeros((count, 3), np.float32)
+    with TemporaryDirectory() as folder:
+        small = Path(folder, "small.octex")
+        octex.convert(painted_torus(20, 10, 16), 5, fit=False).save(small)
+        octex.open(small).sample(points[:1000], out=out[:1000])
+
+    def task() -> Answer:
+        before = memory("VmRSS")
+        texture = octex.open(path)
+        texture.sample(points, out=out)
+        grown = memory("VmRSS") - before
+        tiles = texture._field.tiles
+        assert tiles is not None
+        return {"grown": grown, "tiles": tiles.top.nbytes + tiles.masks.nbytes + tiles.firsts.nbytes}
+
+    return task
+
+
 def drop_from_cache(path: str) -> None:
     descriptor = os.open(path, os.O_RDONLY)
     os.fsync(descriptor)
@@ -158,6 +179,7 @@ TASKS: dict[str, Callable[..., Callable[[], Answer]]] = {
     "keys": keys,
     "large": large,
     "look": look,
+    "resident": resident,
 }
 
 
