@@ -6,8 +6,8 @@ With ``NUMBA_DISABLE_JIT=1`` every kernel runs as plain Python; the intrinsics t
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,6 +16,7 @@ import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -97,6 +98,22 @@ if DISABLED:
     def prefetch(array: np.ndarray[Any, Any], row: int) -> None:
         """Ask for the memory of a row of an array ahead of its use."""
 
+    def weighted_rows(rows: Any, numbers: Any, weights: Any, first: int, end: int) -> Any:
+        """Return Σ weights[i] · rows[numbers[i]] for i from ``first`` to ``end`` − 1: four float32.
+
+        ``rows`` (n, 4) and ``weights`` are float32, ``numbers`` int32, all C-ordered.
+        """
+        total = np.zeros(4, np.float32)
+        for i in range(first, end):
+            total += weights[i] * rows[numbers[i]]
+        return tuple(total)
+
+    def add_to_rows(rows: Any, numbers: Any, weights: Any, first: int, end: int, step: Any) -> None:
+        """Add weights[i] · row[3] · step to row = rows[numbers[i]], for i from ``first`` to ``end`` − 1."""
+        for i in range(first, end):
+            row = rows[numbers[i]]
+            row += weights[i] * row[3] * np.array(step, np.float32)
+
 else:
 
     @intrinsic  # type: ignore[untyped-decorator]
@@ -135,6 +152,71 @@ else:
             return context.get_dummy_value()
 
         return types.void(array, types.int64), codegen
+
+    # Rows of four as vectors, which the compiler does not make by itself: a sweep of the fit takes 55 to
+    # 65 ns a leaf so, where scalars take 86 to 91.
+
+    _FOUR = ir.VectorType(ir.FloatType(), 4)
+    _NOTHING = ir.Constant(_FOUR, ir.Undefined)
+
+    def _lane(k: int) -> Any:
+        return ir.Constant(ir.IntType(32), k)
+
+    def _pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
+        return builder.gep(context.make_array(array_type)(context, builder, array).data, [index])
+
+    def _fill(builder: Any, value: Any) -> Any:
+        """Put a number into all four lanes."""
+        zeros = ir.Constant(ir.VectorType(ir.IntType(32), 4), [0] * 4)
+        return builder.shuffle_vector(builder.insert_element(_NOTHING, value, _lane(0)), _NOTHING, zeros)
+
+    @contextmanager
+    def _each_row(context: Any, builder: Any, signature: Any, arguments: Any) -> Iterator[Any]:
+        """Loop over the rows that are named: yield the place and the content of each, and its weight."""
+        rows, numbers, weights, first, end = arguments[:5]
+        with cgutils.for_range_slice(builder, first, end, ir.Constant(first.type, 1)) as (index, _):
+            number = builder.load(_pointer(context, builder, signature.args[1], numbers, index))
+            start = builder.shl(builder.sext(number, index.type), ir.Constant(index.type, 2))
+            row = _pointer(context, builder, signature.args[0], rows, start)
+            place = builder.bitcast(row, _FOUR.as_pointer())
+            content = builder.load(place)
+            content.align = 4
+            yield place, content, builder.load(_pointer(context, builder, signature.args[2], weights, index))
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def weighted_rows(_context: Any, rows: Any, numbers: Any, weights: Any, _first: Any, _end: Any) -> Any:
+        """Return Σ weights[i] · rows[numbers[i]] for i from ``first`` to ``end`` − 1: four float32."""
+
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            total = cgutils.alloca_once_value(builder, ir.Constant(_FOUR, [0.0] * 4))
+            with _each_row(context, builder, signature, arguments) as (_, content, weight):
+                product = builder.fmul(_fill(builder, weight), content)
+                builder.store(builder.fadd(builder.load(total), product), total)
+            result = builder.load(total)
+            lanes = [builder.extract_element(result, _lane(k)) for k in range(4)]
+            return context.make_tuple(builder, signature.return_type, lanes)
+
+        four = types.UniTuple(types.float32, 4)
+        return four(rows, numbers, weights, types.int64, types.int64), codegen
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def add_to_rows(
+        _context: Any, rows: Any, numbers: Any, weights: Any, _first: Any, _end: Any, _step: Any
+    ) -> Any:
+        """Add weights[i] · row[3] · step to row = rows[numbers[i]], for i from ``first`` to ``end`` − 1."""
+
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            step = _NOTHING
+            for k in range(4):
+                step = builder.insert_element(step, builder.extract_value(arguments[5], k), _lane(k))
+            with _each_row(context, builder, signature, arguments) as (place, content, weight):
+                factor = builder.fmul(weight, builder.extract_element(content, _lane(3)))
+                change = builder.fmul(_fill(builder, factor), step)
+                builder.store(builder.fadd(content, change), place).align = 4
+            return context.get_dummy_value()
+
+        four = types.UniTuple(types.float32, 4)
+        return types.void(rows, numbers, weights, types.int64, types.int64, four), codegen
 
 
 @kernel

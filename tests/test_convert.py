@@ -28,7 +28,7 @@ from tests import naive_cells
 from tests.conftest import needs_jit
 from tests.small_surfaces import FACES, TETRAHEDRON, FaceSource, tetrahedron
 
-means = partial(octex.convert, fit=False)
+convert_means = partial(octex.convert, fit=False)
 
 
 def sphere(around: int = 48) -> Surface:
@@ -82,7 +82,7 @@ def leaf_means(surface: Surface, texture: OctreeTexture) -> dict[tuple[int, ...]
 @pytest.mark.parametrize("depth", [0, 1, 2, 4])
 def test_a_leaf_holds_the_area_weighted_mean_of_the_surface_inside(depth: int) -> None:
     surface = tetrahedron()
-    texture = means(surface, depth=depth)
+    texture = convert_means(surface, depth=depth)
     texture.validate()
     expected = leaf_means(surface, texture)
     cells = [tuple(cell) for cell in decode_cells(texture.tree.level_codes(depth)).tolist()]
@@ -98,7 +98,7 @@ def test_a_leaf_holds_the_area_weighted_mean_of_the_surface_inside(depth: int) -
 
 @needs_jit
 def test_a_node_averages_the_surface_below_it_in_linear_light() -> None:
-    texture = means(sphere(), depth=7)
+    texture = convert_means(sphere(), depth=7)
     texture.validate()
     points = sphere().scatter(200_000)
     values = sphere().evaluate(points)
@@ -148,7 +148,7 @@ def test_a_sheet_keeps_a_value_for_each_side() -> None:
     vertices = np.vstack([square + np.array([0, 0, 0.002]), square])
     triangles = np.array([[0, 1, 2], [0, 2, 3], [4, 6, 5], [4, 7, 6]], np.int32)
     colors = np.repeat([[1.0, 0, 0], [0, 0, 1.0]], 4, axis=0)
-    texture = means(Surface.from_arrays(vertices, triangles, colors=colors), depth=4)
+    texture = convert_means(Surface.from_arrays(vertices, triangles, colors=colors), depth=4)
     texture.validate()
     split = texture.tree.split
     assert (texture.tree.arrays.flags & SPLIT).all()
@@ -175,7 +175,7 @@ def test_colours_are_averaged_with_coverage() -> None:
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
     triangles = np.array([[0, 1, 2], [1, 3, 2]], np.int32)
     face_colors = np.array([[1.0, 0, 0, 1.0], [0, 1.0, 0, 0.25]])
-    texture = means(Surface.from_arrays(vertices, triangles, face_colors=face_colors), depth=0)
+    texture = convert_means(Surface.from_arrays(vertices, triangles, face_colors=face_colors), depth=0)
     assert list(texture.channels) == ["base_color", "alpha"]
     color, alpha = (texture.channels[name].values[0] for name in ("base_color", "alpha"))
     assert np.abs(linear_to_srgb([0.8, 0.2, 0.0]) * 255 - color).max() <= 0.5
@@ -198,7 +198,7 @@ def test_a_fine_image_does_not_alias_in_coarse_cells() -> None:
         square, np.array([[0, 1, 2], [0, 2, 3]], np.int32), uv=square[:, :2], image=checkers
     )
     for depth in (3, 5, 6):
-        texture = means(surface, depth=depth)
+        texture = convert_means(surface, depth=depth)
         leaves = texture.channels["base_color"].values[texture.tree.leaf_cells()].astype(int)
         areas = texture.tree.arrays.areas[texture.tree.leaf_cells()]
         assert np.abs(leaves[areas > AREA_ONE - 16] - 188).max() <= 3

@@ -31,6 +31,13 @@ class Source(ABC):
         Colours are linear light. Called from any number of threads at once.
         """
 
+    def texel_edges(self, triangles: npt.NDArray[np.int32]) -> npt.NDArray[np.float32]:
+        """Return the edge of a texel on triangles (n,), in rest units: what lies closer varies smoothly.
+
+        0 where that is not known, infinity where nothing limits it but the triangles.
+        """
+        return np.zeros(len(triangles), np.float32)
+
     def with_rest(self, rest: npt.NDArray[np.float64]) -> Source:  # noqa: ARG002
         """Return the same source with widths and directions measured on other rest positions (n, 3)."""
         return self
@@ -87,6 +94,11 @@ class Combined(Source):
                 values = source.evaluate(triangles, barycentric, widths)
                 found[id(source)] = by_channel(source.channels, values)
         return np.hstack([found[id(source)][name] for name, source in self._sources.items()])
+
+    def texel_edges(self, triangles: npt.NDArray[np.int32]) -> npt.NDArray[np.float32]:
+        """Return the finest of the sources' texels."""
+        sources = {id(source): source for source in self._sources.values()}.values()
+        return np.asarray(np.min([source.texel_edges(triangles) for source in sources], axis=0), np.float32)
 
     def with_rest(self, rest: npt.NDArray[np.float64]) -> Combined:
         """Return the same sources on other rest positions (n, 3)."""

@@ -102,6 +102,25 @@ def measure(
                 footprints[slot, triangle, 2] = vv / 12.0
 
 
+def texel_edges(
+    tables: Tables, images: Images, footprints: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float32]:
+    """Return the edge (triangles,) of a texel of the finest image on each triangle; infinity without images.
+
+    It is the root of a texel's area, in rest units; ``footprints`` are those of ``measure``.
+    """
+    finest = np.zeros((len(footprints), tables.first_stacks.size - 1))
+    for material in range(finest.shape[1]):
+        for stack in tables.stacks[tables.first_stacks[material] : tables.first_stacks[material + 1]]:
+            _, width, height = images.levels[images.layouts[stack[0], 0]][:3]
+            finest[stack[1], material] = max(finest[stack[1], material], width * height)
+    uu, uv, vv = np.moveaxis(footprints, 2, 0)
+    areas = 12.0 * np.sqrt(np.maximum(uu * vv - uv * uv, 0.0)) * finest[:, tables.materials]
+    with np.errstate(divide="ignore"):
+        edges = 1.0 / np.sqrt(np.max(areas, axis=0, initial=0.0))
+    return np.asarray(edges, np.float32)
+
+
 @kernel
 def evaluate(
     tables: Tables,

@@ -17,7 +17,7 @@ from octex.errors import ModelError
 from octex.jit import kernel
 from octex.source.base import Source, in_order
 from octex.source.corners import Corners, Frames
-from octex.source.evaluate import Columns, Tables, evaluate, measure
+from octex.source.evaluate import Columns, Tables, evaluate, measure, texel_edges
 from octex.source.images.filters import FILTERS, LEVELS_OF
 from octex.source.images.pyramid import REPEAT, Images, Picture, Texels, store
 from octex.source.tangents import carried
@@ -105,6 +105,7 @@ class MaterialSource(Source):
         self._lock = Lock()
         self._prepared: _Prepared | None = None
         self._footprints: npt.NDArray[np.float64] | None = None
+        self._texel_edges = np.empty(0, np.float32)
         self._check()
         stated = self._stated()
         if channels is not None:
@@ -143,6 +144,11 @@ class MaterialSource(Source):
         )
         return values
 
+    def texel_edges(self, triangles: npt.NDArray[np.int32]) -> npt.NDArray[np.float32]:
+        """Return the edges of texels, of the finest image on each triangle; infinity without images."""
+        self._prepare()
+        return self._texel_edges[triangles]
+
     def with_rest(self, rest: npt.NDArray[np.float64]) -> MaterialSource:
         """Return the same source with widths and directions measured on other rest positions (n, 3)."""
         other = self._copy()
@@ -168,7 +174,7 @@ class MaterialSource(Source):
             return self
         other = self._copy()
         other._channels = chosen
-        other._prepared = None
+        other._prepared = other._footprints = None
         return other
 
     def _copy(self) -> MaterialSource:
@@ -244,6 +250,7 @@ class MaterialSource(Source):
                 measure(
                     tables.coordinates, tables.coordinate_rows, self._rest, self._triangles, self._footprints
                 )
+                self._texel_edges = texel_edges(tables, self._prepared.images, self._footprints)
             return self._prepared, self._footprints
 
     def _tables(self) -> _Prepared:

@@ -1,0 +1,283 @@
+"""The pass over a surface: the means of all cells, block by block, and the samples of the finest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import ONE, ChannelFormat, encode, linear_to_srgb
+from octex.conversion.accumulate import (
+    Columns,
+    Sums,
+    by_channel,
+    count_entries,
+    level_means,
+    sum_children,
+    sum_pieces,
+)
+from octex.conversion.cells import BLOCK_BITS, SPREAD, load_triangle
+from octex.conversion.pieces import Blocks, bin_triangles, cut, most_pieces
+from octex.conversion.samples import Samples, Taken, join, take_samples
+from octex.errors import ArgumentError, ModelError
+from octex.jit import kernel
+from octex.parallel import Progress, memory_size, ordered_map
+from octex.source.surface import Surface
+from octex.texture.channel import Channel
+from octex.tree.layout import GRID_BITS, MAX_CELLS, SPLIT, SplitTable
+from octex.tree.octree import Octree
+from octex.tree.placement import Placement
+
+#: Bytes of memory that a conversion takes at least for each cell, and for each byte of the cell's values
+#: (measured at its peak: 27 bytes for 3 of values, 41 for 11, 113 for 44).
+CELL_MEMORY, VALUE_MEMORY = 18, 2
+#: Bound of the pieces in one task: enough to hide what a task costs, few enough to stay in the cache.
+TASK_PIECES = 400_000
+
+
+class Stored(NamedTuple):
+    """What is kept of one level's cells: means, encoded."""
+
+    flags: npt.NDArray[np.uint8]  # normal flags, and SPLIT
+    areas: npt.NDArray[np.uint8]
+    values: list[npt.NDArray[np.generic]]  # one array (cells, components) for each channel
+    split_cells: npt.NDArray[np.int64]  # index into these cells
+    split_facings: npt.NDArray[np.uint8]
+    split_areas: npt.NDArray[np.uint8]  # a row for each facing
+    split_values: list[npt.NDArray[np.generic]]
+
+
+class Part(NamedTuple):
+    """A run of blocks, converted."""
+
+    codes: npt.NDArray[np.int64]  # of the leaves
+    levels: list[Stored]  # from the leaves' level up to below the blocks' own
+    top: Sums  # of the blocks themselves
+    taken: Taken | None
+
+
+class Filled(NamedTuple):
+    """A surface, converted level by level."""
+
+    depth: int
+    codes: npt.NDArray[np.int64]  # of the finest cells
+    levels: list[list[Stored]]  # from the root down, each in parts
+    samples: Samples | None
+    degenerate: int  # triangles without area
+
+
+class Job(NamedTuple):
+    """All that a task needs."""
+
+    surface: Surface
+    channels: tuple[ChannelFormat, ...]  # as they are stored
+    columns: Columns
+    grid: npt.NDArray[np.int32]
+    blocks: Blocks
+    depth: int
+    block_level: int
+    cell: float  # edge of a leaf in rest units
+    with_samples: bool
+
+
+def on_grid(rest: npt.NDArray[np.float64], placement: Placement) -> npt.NDArray[np.int32]:
+    """Round rest positions (n, 3) to steps of 2⁻³⁰ of the root's edge."""
+    steps = placement.to_texture_space(rest)
+    steps *= 1 << GRID_BITS
+    np.rint(steps, out=steps)
+    np.clip(steps, 0, (1 << GRID_BITS) - 1, out=steps)
+    return steps.astype(np.int32)
+
+
+def fill(
+    surface: Surface,
+    channels: tuple[ChannelFormat, ...],
+    placement: Placement,
+    depth: int,
+    executor: Executor,
+    report: Progress,
+    *,
+    with_samples: bool,
+) -> Filled:
+    """Convert a surface into the means of all cells down to ``depth``, and samples if they are wanted.
+
+    Raises ModelError for a surface without area, ArgumentError for more cells than memory can hold.
+    """
+    grid = on_grid(surface.rest, placement)
+    degenerate, faces = _count_degenerate(grid, surface.triangles)
+    if degenerate == len(surface.triangles):
+        raise ModelError(
+            f"{surface.name}: all {degenerate} triangles are degenerate (without area in steps of "
+            f"{placement.size / 2**GRID_BITS:.3g}); there is nothing to convert"
+        )
+    # A surface meets at least as many cells as its area has faces, unless it is folded within them.
+    least = min(faces * 4.0 ** (depth - GRID_BITS), 8.0**depth)
+    row = sum(channel.components * np.dtype(channel.dtype).itemsize for channel in channels)
+    if least > min(MAX_CELLS, memory_size() / (CELL_MEMORY + VALUE_MEMORY * row)):
+        raise ArgumentError(
+            f"depth {depth} needs about {least:.2g} cells for {surface.name}, more than fit into memory "
+            "or can be numbered; use a smaller depth or a larger cell"
+        )
+    report("sort", 0, 1)
+    blocks = bin_triangles(grid, surface.triangles, depth)
+    report("sort", 1, 1)
+    block_level = max(depth - BLOCK_BITS, 0)
+    columns = Columns.of(channels)
+    cell = placement.size / 2**depth
+    job = Job(surface, channels, columns, grid, blocks, depth, block_level, cell, with_samples)
+    runs = _even_runs(most_pieces(grid, surface.triangles, blocks, depth))
+    converted = ordered_map(executor, partial(_convert_run, job), runs, stage="convert", progress=report)
+    parts = list(converted)
+    top = Sums(*(np.concatenate(arrays) for arrays in zip(*(part.top for part in parts), strict=True)))
+    upper, _ = _climb(top, block_level, channels, columns)
+    levels = [[stored] for stored in reversed(upper)]
+    levels += ([part.levels[step] for part in parts] for step in reversed(range(len(parts[0].levels))))
+    codes = np.concatenate([part.codes for part in parts])
+    taken = [part.taken for part in parts if part.taken is not None]
+    samples = join(depth, channels, codes, taken) if with_samples else None
+    return Filled(depth, codes, levels, samples, degenerate)
+
+
+class Run(NamedTuple):
+    """The work of one task: a run of blocks, with a bound of their pieces."""
+
+    first_block: int
+    last_block: int  # exclusive
+    most: int
+
+
+def _even_runs(bounds: npt.NDArray[np.int64]) -> list[Run]:
+    """Cut blocks into runs of about TASK_PIECES, by the bounds of their pieces."""
+    totals = np.cumsum(bounds)
+    ends = np.searchsorted(totals, np.arange(TASK_PIECES, totals[-1], TASK_PIECES)) + 1
+    ends = np.unique(np.append(ends, len(totals)))
+    starts = np.append(0, ends[:-1])
+    most = np.add.reduceat(bounds, starts)
+    return [Run(*row) for row in zip(starts.tolist(), ends.tolist(), most.tolist(), strict=True)]
+
+
+def _convert_run(job: Job, run: Run) -> Part:
+    """Convert a run of blocks."""
+    surface = job.surface
+    pieces = cut(
+        job.grid,
+        surface.triangles,
+        job.blocks,
+        run.first_block,
+        run.last_block,
+        job.depth,
+        run.most,
+        0,
+        SPREAD,
+    )
+    # A piece is read with a footprint of its own size: a cell's mean is then the mean over what lies in it.
+    widths = (np.sqrt(pieces.areas) * job.cell).astype(np.float32)
+    values = surface.evaluate_all(pieces.triangles, pieces.barycentric, widths)
+    n_entries = count_entries(pieces.flags)
+    sums = sum_pieces(pieces.entries, pieces.areas, values, job.columns.alpha, n_entries)
+    leaves = Sums(pieces.codes, pieces.flags, sums)
+    levels, top = _climb(leaves, job.depth - job.block_level, job.channels, job.columns)
+    levels.pop()  # the blocks themselves: in top
+    taken = None
+    if job.with_samples:
+        taken = take_samples(surface, job.grid, pieces, widths, values, job.depth, job.cell, job.channels)
+    return Part(pieces.codes, levels, top, taken)
+
+
+def _climb(
+    sums: Sums, steps: int, channels: Sequence[ChannelFormat], columns: Columns
+) -> tuple[list[Stored], Sums]:
+    """Store a level and the ``steps`` levels above it; return them, and the sums of the last."""
+    levels = [_stored(sums, channels, columns)]
+    for _ in range(steps):
+        sums = sum_children(sums)
+        levels.append(_stored(sums, channels, columns))
+    return levels, sums
+
+
+def _stored(level: Sums, channels: Sequence[ChannelFormat], columns: Columns) -> Stored:
+    """Encode a level's means; split the cells whose facings show something else than the whole."""
+    means = level_means(level, columns)
+    cells, facing_areas = means.two_sided, means.facing_areas
+    values = [
+        encode(each, channel.dtype, channel.space)
+        for channel, each in zip(channels, by_channel(means.values, channels), strict=True)
+    ]
+    facing_values = [
+        encode(each, channel.dtype, channel.space)
+        for channel, each in zip(channels, by_channel(means.facing_values, channels), strict=True)
+    ]
+    flags = level.flags
+    if len(cells):
+        counts = np.bitwise_count(flags[cells]).astype(np.int64)
+        owners = np.repeat(cells, counts)
+        differs = np.zeros(len(owners), np.bool_)
+        for channel, whole, facing in zip(channels, values, facing_values, strict=True):
+            apart = _in_codes(facing, channel) - _in_codes(whole[owners], channel)
+            differs |= (np.abs(apart) > 1.0).any(axis=1)
+        is_split = np.logical_or.reduceat(differs, np.cumsum(counts) - counts)
+        rows = np.repeat(is_split, counts)
+        cells, facing_areas = cells[is_split], facing_areas[rows]
+        facing_values = [each[rows] for each in facing_values]
+        flags = flags.copy()
+        flags[cells] |= SPLIT
+    return Stored(flags, means.areas, values, cells, level.flags[cells], facing_areas, facing_values)
+
+
+def _in_codes(stored: npt.NDArray[np.generic], channel: ChannelFormat) -> npt.NDArray[np.floating]:
+    """Return stored values on the scale of 8-bit codes: light on sRGB's curve, a logarithm from 1 on."""
+    if channel.space == "linear" and channel.dtype.startswith("float"):
+        light = stored.astype(np.float64)
+        slope = 1.055 / 2.4  # of the curve at 1
+        return 255.0 * (linear_to_srgb(np.minimum(light, 1.0)) + slope * np.log(np.maximum(light, 1.0)))
+    scale = 255.0 / ONE[channel.dtype]
+    if channel.space == "direction" and channel.dtype.startswith("float"):
+        scale /= 2  # −1 … 1
+    return stored.astype(np.float32) * np.float32(scale)
+
+
+def assemble(channels: Sequence[ChannelFormat], filled: Filled) -> tuple[Octree, dict[str, Channel]]:
+    """Build the tree, and lay the parts of each level end to end."""
+    tree = Octree.from_leaves(filled.codes, filled.depth)
+    parts = [part for level in filled.levels for part in level]
+    starts = np.cumsum([0, *(len(part.flags) for part in parts)])
+    split = SplitTable(
+        np.concatenate([part.split_cells + start for part, start in zip(parts, starts, strict=False)]).astype(
+            np.uint32
+        ),
+        np.concatenate([part.split_facings for part in parts]),
+        np.concatenate([part.split_areas for part in parts]),
+    )
+    tree = tree.with_cell_data(
+        np.concatenate([part.flags for part in parts]), np.concatenate([part.areas for part in parts]), split
+    )
+    values = {
+        channel.name: Channel(
+            channel,
+            np.concatenate([part.values[i] for part in parts]),
+            np.concatenate([part.split_values[i] for part in parts]),
+            np.empty((0, channel.components), channel.dtype),
+        )
+        for i, channel in enumerate(channels)
+    }
+    return tree, values
+
+
+@kernel
+def _count_degenerate(grid: npt.NDArray[np.int32], triangles: npt.NDArray[np.int32]) -> tuple[int, float]:
+    """Count the triangles that are degenerate on the grid; also add up all areas, in square grid steps."""
+    corners = np.empty((3, 3), np.int64)
+    normal = np.empty(3, np.int64)
+    count = 0
+    doubled = 0.0
+    for i in range(triangles.shape[0]):
+        if load_triangle(grid, triangles, i, corners, normal) < 0:
+            count += 1
+        else:
+            x, y, z = np.float64(normal[0]), np.float64(normal[1]), np.float64(normal[2])
+            doubled += np.sqrt(x * x + y * y + z * z)
+    return count, 0.5 * doubled
