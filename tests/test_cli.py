@@ -202,7 +202,7 @@ def recorded(function):
     wrapper.kernel = function.__module__ + "." + function.__name__
     return wrapper
 
-decorators = {"kernel", "inlined", "summing_kernel"}
+decorators = {"kernel", "inlined", "summing_kernel", "fused_kernel"}
 for name in decorators:
     setattr(jit, name, recorded)
 names = [module.name for module in pkgutil.walk_packages(octex.__path__, "octex.")]
