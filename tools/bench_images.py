@@ -186,7 +186,7 @@ def _round_trip(surface: octex.Surface, depth: int, report: Report, folder: str)
     averaged = surface.evaluate(samples, "normal", width=cell)
     angles = f"{_angle(source, found, 50):.2f}°, {_angle(source, found):.2f}° beside points"
     report.line(
-        "through the octree, nearest cell: 50th, 99th",
+        "through the octree: 50th, 99th",
         f"{angles}, {_angle(averaged, found):.2f}° beside cells",
     )
 
