@@ -14,6 +14,7 @@ from octex.field.field import Field, NotFiniteError, Taps
 from octex.jit import kernel
 from octex.texture.channel import Channel
 from octex.tree.placement import Placement
+from octex.tree.search import nearest_cells
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float32]
@@ -22,7 +23,7 @@ Rows = npt.NDArray[np.uint32 | np.int64]
 NO_GRADIENTS = np.empty((0, 4, 3), np.float32)
 
 
-def blend(
+def look_up(
     field: Field,
     placement: Placement,
     points: Array,
@@ -37,23 +38,62 @@ def blend(
     ``gradients`` (n, components, 3) or none. Channels other than ``alpha``, if there is one, weigh by it,
     except where it is zero throughout. Returns the first row of points that is not finite, or −1.
     """
-    begin = 0
     try:
-        for taps in field.batches(points, placement, filter, gradient=bool(gradients)):
-            here = slice(begin, begin + taps.starts.size - 1)
-            covered = taps if alpha is None else _covered(taps, alpha)
-            for number, channel in enumerate(channels):
-                values = np.empty((taps.rows.size, channel.format.components), np.float32)
-                gather(channel, taps.rows, values)
-                used = taps if channel is alpha else covered
-                _blend(
-                    *(used.starts, used.weights, used.slopes, values, answers[number][here]),
-                    gradients[number][here] if gradients else NO_GRADIENTS,
-                )
-            begin = here.stop
+        missed = None
+        if len(channels) == 1 and not gradients and (alpha is None or filter == "nearest"):
+            missed = _look_up_colors(field, placement, points, filter, channels[0], answers[0])
+        if missed is None:
+            _look_up(field, placement, points, filter, channels, alpha, answers, gradients)
+        elif missed.size:
+            found = np.empty((missed.size, channels[0].format.components), np.float32)
+            _look_up(field, placement, points[missed], filter, channels, alpha, [found], gradients)
+            answers[0][missed] = found
     except NotFiniteError as error:
         return error.row
     return -1
+
+
+def _look_up_colors(
+    field: Field, placement: Placement, points: Array, filter: str, channel: Channel, answers: Floats
+) -> npt.NDArray[np.int64] | None:
+    """Take the shortest way, if there is one: see `Field.colors`."""
+    codes = _codes(channel)
+    if channel.format.components != 3 or codes is None:
+        return None
+    return field.colors(points, placement, filter, codes[0], codes[2], answers)
+
+
+def _look_up(
+    field: Field,
+    placement: Placement,
+    points: Array,
+    filter: str,
+    channels: Sequence[Channel],
+    alpha: Channel | None,
+    answers: Sequence[Floats],
+    gradients: Sequence[Floats],
+) -> None:
+    if filter == "nearest":
+        cells = np.empty(len(points), np.int64)
+        fault = nearest_cells(field.tree.arrays, points, *placement, cells)
+        if fault >= 0:
+            raise NotFiniteError(fault)
+        for channel, answer in zip(channels, answers, strict=True):
+            gather(channel, cells, answer)
+        return
+    begin = 0
+    for taps in field.batches(points, placement, filter, gradient=bool(gradients)):
+        here = slice(begin, begin + taps.starts.size - 1)
+        covered = taps if alpha is None else _covered(taps, alpha)
+        for number, channel in enumerate(channels):
+            values = np.empty((taps.rows.size, channel.format.components), np.float32)
+            gather(channel, taps.rows, values)
+            used = taps if channel is alpha else covered
+            _blend(
+                *(used.starts, used.weights, used.slopes, values, answers[number][here]),
+                gradients[number][here] if gradients else NO_GRADIENTS,
+            )
+        begin = here.stop
 
 
 def _covered(taps: Taps, alpha: Channel) -> Taps:
@@ -67,15 +107,24 @@ def _covered(taps: Taps, alpha: Channel) -> Taps:
 
 def gather(channel: Channel, rows: Rows, result: Floats) -> None:
     """Write the decoded values of rows, cells' and then kept nodes', to ``result``."""
+    codes = _codes(channel)
+    if codes is not None:
+        values, kept_values, table = codes
+        _gather_codes(values, kept_values, table, rows, result)
+        return
+    _gather_singles(channel.values, channel.kept_values, rows, result)
+    if channel.format.space == "srgb":
+        result[:] = decode(result, "srgb")
+
+
+def _codes(channel: Channel) -> tuple[Array, Array, Floats] | None:
+    """Return a channel's values and kept values as codes, and what each stands for; None for float32."""
     values, kept_values, space = channel.values, channel.kept_values, channel.format.space
     if values.dtype == np.float32:
-        _gather_singles(values, kept_values, rows, result)
-        if space == "srgb":
-            result[:] = decode(result, space)
-    elif values.dtype == np.float16:
-        _gather_codes(values.view(np.uint16), kept_values.view(np.uint16), _half_table(space), rows, result)
-    else:
-        _gather_codes(values, kept_values, decode_table(values.dtype.name, space), rows, result)
+        return None
+    if values.dtype == np.float16:
+        return values.view(np.uint16), kept_values.view(np.uint16), _half_table(space)
+    return values, kept_values, decode_table(values.dtype.name, space)
 
 
 @cache

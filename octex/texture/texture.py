@@ -19,13 +19,13 @@ from octex.checks import as_choice, as_depth, as_point_rows
 from octex.errors import ArgumentError, InputError, TextureFileError
 from octex.field.field import Field
 from octex.field.splines import FILTERS
-from octex.texture.blend import NO_GRADIENTS, blend, gather, make_unit
+from octex.texture.blend import NO_GRADIENTS, look_up, make_unit
 from octex.texture.channel import Channel
 from octex.texture.file import ENDING, FORMAT, FORMAT_VERSION, File, Parts, taken, written
 from octex.texture.lookup import LookUp, answers_for, check_apart, in_blocks, pair_of
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
-from octex.tree.search import in_leaves, nearest_cells
+from octex.tree.search import in_leaves
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float32]
@@ -190,17 +190,10 @@ class OctreeTexture:
     ) -> int:
         """Look up a block: its values in ``answers``, then, if they are wanted, as many gradients."""
         values, gradients = answers[: len(channels)], answers[len(channels) :]
-        if filter == "nearest":
-            cells = np.empty(len(points), np.int64)
-            fault = nearest_cells(self.tree.arrays, points, *self.placement, cells)
-            if fault < 0:
-                for channel, rows in zip(channels, values, strict=True):
-                    gather(channel, cells, rows)
-        else:
-            alpha = self.channels.get("alpha")
-            if alpha and alpha.format.components != 1:
-                alpha = None
-            fault = blend(self._field, self.placement, points, filter, channels, alpha, values, gradients)
+        alpha = self.channels.get("alpha")
+        if alpha and alpha.format.components != 1:
+            alpha = None
+        fault = look_up(self._field, self.placement, points, filter, channels, alpha, values, gradients)
         if fault < 0 and normalize:
             for number, channel in enumerate(channels):
                 if channel.format.space == "direction":
