@@ -115,7 +115,7 @@ def place_block(
     for n in range(count):
         at = np.uint64(begin + n)
         x, y, z = np.float64(points[at, 0]), np.float64(points[at, 1]), np.float64(points[at, 2])
-        if 0.0 * x + 0.0 * y + 0.0 * z != 0.0:  # infinities too
+        if not (abs(x) < np.inf) & (abs(y) < np.inf) & (abs(z) < np.inf):
             return begin + n
         a, r = _locate((x - origin[0]) * inverse, tiles.depth, filter_code)
         b, s = _locate((y - origin[1]) * inverse, tiles.depth, filter_code)

@@ -1,0 +1,185 @@
+"""The taps of lookups beside the slow reference, whichever way they are found."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from octex.field.field import Field, NotFiniteError, Taps
+from octex.field.neighborhood import MOST_TAPS
+from octex.field.plain import BLOCK
+from octex.field.splines import FILTERS
+from octex.tree.octree import Octree
+from octex.tree.placement import Placement
+from tests import naive
+from tests.conftest import needs_jit
+from tests.strategies import Leaves, leaf_sets, points_around, with_random_data
+
+UNIT = Placement((0.0, 0.0, 0.0), 1.0)
+each_filter = pytest.mark.parametrize("filter", FILTERS[1:])
+
+
+def reference(tree: Octree, filter: str, values: npt.ArrayLike | None = None) -> naive.Field:
+    """The field of values (rows, components); without values, that of the rows' weights."""
+    cells = [
+        naive.Cell(level, naive.unmorton(code), not is_node)
+        for level, (codes, nodes) in enumerate(tree.walk())
+        for code, is_node in zip(codes.tolist(), nodes.tolist(), strict=True)
+    ]
+    kept = {node: len(cells) + row for row, node in enumerate(tree.kept.cells.tolist())}
+    return naive.Field(cells, np.eye(len(cells) + len(kept)) if values is None else values, filter, kept)
+
+
+class Drawn(NamedTuple):
+    tree: Octree
+    points: npt.NDArray[np.float64]  # multiples of 2⁻²⁴: no rounding moves one across a face
+
+
+@st.composite
+def trees_and_points(draw: st.DrawFn) -> Drawn:
+    """Trees of leaves at one depth, which have tiles, and at mixed ones, with kept nodes or without."""
+    leaves = draw(leaf_sets(deepest=12))
+    if draw(st.booleans()):
+        deepest = leaves.depths == leaves.depths.max(initial=0)
+        leaves = Leaves(leaves.codes[deepest], leaves.depths[deepest])
+    keep = draw(st.sampled_from([0.0, 0.0, 0.3, 1.0]))
+    tree = with_random_data(Octree.from_leaves(*leaves), draw(st.integers(0, 2**32 - 1)), keep)
+    points = draw(st.lists(points_around(leaves), min_size=1, max_size=6))
+    return Drawn(tree, np.round(np.array(points) * 2.0**24) / 2.0**24)
+
+
+def spread(taps: Taps, column: npt.NDArray[np.float32], n_rows: int) -> npt.NDArray[np.float64]:
+    """A column of the taps by point and row (points, rows); a row may have several taps."""
+    points = taps.starts.size - 1
+    spread = np.zeros((points, n_rows))
+    np.add.at(spread, (np.repeat(np.arange(points), np.diff(taps.starts)), taps.rows), column)
+    return spread
+
+
+def blended(taps: Taps, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    terms = taps.weights[:, None].astype(np.float64) * values[taps.rows]
+    return np.add.reduceat(terms, taps.starts[:-1])
+
+
+@each_filter
+@given(trees_and_points())
+def test_weights_and_slopes_are_those_of_the_reference(filter: str, drawn: Drawn) -> None:
+    tree, points = drawn
+    field = reference(tree, filter)
+    n_rows = len(field.values)
+    plain = Field(tree).taps(points, UNIT, filter)
+    with_slopes = Field(tree).taps(points, UNIT, filter, gradient=True)
+    expected = np.array([field.at(point) for point in points.tolist()])
+    for taps in (plain, with_slopes):
+        np.testing.assert_allclose(spread(taps, taps.weights, n_rows), expected, rtol=0, atol=1e-6)
+    edge = 2.0**-tree.max_depth
+    for axis, direction in enumerate(np.eye(3).tolist()):
+        slopes = [field.derivatives(point, direction, 1)[1] * edge for point in points.tolist()]
+        found = spread(with_slopes, with_slopes.slopes[:, axis], n_rows) * edge
+        np.testing.assert_allclose(found, slopes, rtol=0, atol=1e-5)
+    assert plain.slopes.shape == (0, 3)
+
+
+@needs_jit
+@each_filter
+@pytest.mark.parametrize("depth", [3, 12, 21])
+def test_weights_are_never_negative_and_sum_to_one(filter: str, depth: int) -> None:
+    """Beside faces and centres too, where a cell of the deepest level is but 512 steps of fixed point."""
+    places = np.stack(np.unravel_index(np.arange(64), (4, 4, 4)), 1) + 2**depth // 2 - 1
+    codes = sorted(naive.morton(place) for place in places.tolist())
+    random = np.random.default_rng(depth)
+    halves = random.integers(0, 8, (2_000, 3)) / 2
+    steps = halves + random.normal(size=(2_000, 3)) * random.choice([0, 1e-4, 1e-3, 0.3], (2_000, 3))
+    for tree in (Octree.from_leaves(codes, depth), Octree.from_leaves(codes[::3], depth)):
+        taps = Field(tree).taps((places[0] + steps) / 2.0**depth, UNIT, filter)
+        assert taps.weights.min() >= 0
+        assert np.abs(blended(taps, np.ones((tree.n_cells, 1))) - 1).max() <= 1e-6
+
+
+def shell(depth: int, fine: int) -> Octree:
+    """A spherical shell of leaves at ``depth``, at ``fine`` where x is above the middle."""
+    random = np.random.default_rng(0)
+    points = on_sphere(random.normal(size=(20_000, 3)))
+    depths = np.where(points[:, 0] > 0.5, fine, depth)
+    places = np.floor(points * 2.0 ** depths[:, None]).astype(int).tolist()
+    codes = [naive.morton(place, depth) for place, depth in zip(places, depths.tolist(), strict=True)]
+    firsts = np.array(codes) << 3 * (21 - depths)
+    order = np.unique(firsts, return_index=True)[1]
+    return Octree.from_leaves(np.array(codes)[order], depths[order].astype(np.uint8))
+
+
+def on_sphere(directions: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    return 0.5 + 0.31 * directions / np.linalg.norm(directions, axis=1)[:, None]
+
+
+@needs_jit
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("fine", [5, 7])
+@each_filter
+def test_values_on_and_beside_a_sphere_are_those_of_the_reference(
+    filter: str, fine: int, dtype: type
+) -> None:
+    tree = shell(5, fine)
+    random = np.random.default_rng(1)
+    values = random.random((tree.n_cells, 2))
+    field = reference(tree, filter, values)
+    directions = random.normal(size=(120, 3))
+    directions[60:] = [[0.0, 0.6, -0.8]] + np.linspace(-0.1, 0.1, 60)[:, None] * np.eye(3)[:1]  # in a row
+    beside = 1 + 0.2 * random.random((120, 1)) * (random.random((120, 1)) < 0.2)
+    placement = Placement((-3.0, 0.5, 10.0), 4.0)
+    points = placement.to_rest(0.5 + (on_sphere(directions) - 0.5) * beside).astype(dtype)
+    taps = Field(tree).taps(points, placement, filter)
+    expected = [field.at(point) for point in placement.to_texture_space(points).tolist()]
+    np.testing.assert_allclose(blended(taps, values), expected, rtol=0, atol=1e-5)
+
+
+@needs_jit
+@pytest.mark.parametrize("fine", [5, 7])
+@each_filter
+def test_taps_do_not_depend_on_the_points_before_them(
+    filter: str, fine: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tree = shell(5, fine)
+    random = np.random.default_rng(2)
+    points = on_sphere(random.normal(size=(2_000, 3)))
+    order = random.permutation(len(points))
+    values = random.random((tree.n_cells, 1))
+    found = blended(Field(tree).taps(points, UNIT, filter), values)
+    at_once = 1 if fine > 5 or filter == "quartic" else BLOCK
+    monkeypatch.setattr("octex.field.field._ROOM", at_once * MOST_TAPS + 1_000)
+    field = Field(tree)
+    again = field.taps(points[order], UNIT, filter)
+    assert len(list(field.batches(points, UNIT, filter))) > 1
+    assert (found[order] == blended(again, values)).all()
+
+
+@each_filter
+def test_no_points_have_no_taps(filter: str) -> None:
+    for gradient in (False, True):
+        taps = Field(shell(3, 3)).taps(np.empty((0, 3)), UNIT, filter, gradient=gradient)
+        assert taps.starts.tolist() == [0]
+        assert taps.rows.size == taps.weights.size == len(taps.slopes) == 0
+
+
+@pytest.mark.parametrize("gradient", [False, True])
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
+def test_a_point_that_is_not_finite_is_named(wrong: float, gradient: bool) -> None:
+    points = np.full((40, 3), 0.5)
+    points[[23, 31], 1] = wrong
+    with pytest.raises(NotFiniteError, match=r"points\[23\]") as caught:
+        Field(shell(3, 3)).taps(points, UNIT, gradient=gradient)
+    assert caught.value.row == 23
+
+
+def test_outside_the_root_slopes_are_those_of_the_nearest_point_inside() -> None:
+    tree = Octree.from_leaves([0, 7], 1)
+    outside = np.array([[1.5, 0.25, -0.5]])
+    found, inside = (
+        Field(tree).taps(points, UNIT, gradient=True) for points in (outside, outside.clip(0, 1))
+    )
+    assert all((one == other).all() for one, other in zip(found, inside, strict=True))
