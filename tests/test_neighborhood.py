@@ -38,7 +38,7 @@ class Drawn(NamedTuple):
 def trees_and_points(draw: st.DrawFn) -> Drawn:
     leaves = draw(leaf_sets())
     tree = with_random_data(Octree.from_leaves(*leaves), draw(st.integers(0, 2**32 - 1)))
-    points = np.array(draw(st.lists(points_around(leaves), min_size=1, max_size=6)))
+    points = np.array(draw(st.lists(points_around(leaves), min_size=1, max_size=3)))
     return Drawn(tree, naive.cells_of(leaves.places()), points.clip(0, 1) + 1 - 1)  # whole 2⁻⁵²
 
 

@@ -25,18 +25,21 @@ def test_the_outermost_weights_end_at_exactly_zero() -> None:
         assert weights(0.0)[-1] == weights(1.0)[0] == 0
 
 
+@pytest.mark.parametrize("upper", [0, 1])
 @pytest.mark.parametrize("filter", ["quadratic", "quartic"])
-def test_refined_cells_carry_the_same_spline(filter: str) -> None:
+def test_refined_cells_carry_the_same_spline(filter: str, upper: int) -> None:
     weights, _ = FUNCTIONS[filter]
-    near, middle, far = splines.refinement(filter == "quartic")
-    reach = 2 if filter == "quartic" else 1
-    values = np.random.default_rng(3).random(9)
-    fine = {}
-    for cell in range(2, 16):
-        parent, side = cell >> 1, 2 * (cell & 1) - 1
-        fine[cell] = near * values[parent + side] + middle * values[parent] + far * values[parent - side]
-    for x in np.linspace(4, 5, 17)[:-1].tolist():
-        coarse = weights(x - 4) @ values[4 - reach : 5 + reach]
-        cell = int(2 * x)
-        refined = [fine[cell + n] for n in range(-reach, reach + 1)]
-        assert weights(2 * x - cell) @ np.array(refined) == pytest.approx(coarse, abs=1e-15)
+    cells = 5 if filter == "quartic" else 3
+    around = np.pad(np.random.default_rng(3).random(cells), (0, 5 - cells))
+    way = -1 if upper else 1
+    refined = splines.refine(cells == 5, *around[:cells][::way], *around[cells:])[:cells][::way]
+    for t in np.linspace(0, 1, 17).tolist():
+        assert np.dot(weights(t), refined) == pytest.approx(np.dot(weights((t + upper) / 2), around[:cells]))
+
+
+@pytest.mark.parametrize("quartic", [False, True])
+def test_what_is_sent_up_weighs_as_what_is_refined(quartic: bool) -> None:
+    units = np.eye(5)
+    down = np.array([splines.refine(quartic, *unit) for unit in units])
+    up = np.array([splines.send_up(quartic, *unit) for unit in units])
+    np.testing.assert_array_equal(down, up.T)

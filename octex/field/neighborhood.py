@@ -32,7 +32,8 @@ from octex.field.splines import (
     quadratic_weights,
     quartic_slopes,
     quartic_weights,
-    refinement,
+    refine,
+    send_up,
 )
 from octex.jit import inlined, kernel, popcount, trailing_zeros
 from octex.tree.layout import KEPT, MAX_DEPTH, TreeArrays
@@ -47,60 +48,65 @@ Uint32s = npt.NDArray[np.uint32]
 #: No point has more taps: every cell of every window.
 MOST_TAPS = (MAX_DEPTH + 1) * 125
 
-# Columns of Walk.levels. Slots number the parents of a block, x fastest.
+# Columns of Walk.levels.
 NODES = 0  # whether the window has nodes
 CONTENT = 1  # whether it or one above has leaves or kept coefficients
-REFINED = 2  # bits of the slots whose parent is no node: their children are refined
-BELOW_LEAF = 3  # bits of those among them that are below a leaf
-BELOW_KEPT = 4  # bits of the slots whose parent is a node with a kept coefficient
-ABOVE = 5  # where the block begins among the children of the block above: x + 3·y + 9·z, each 0 to 2
-BEGIN = 6  # where the window begins among the children of the block: x + 2·y + 4·z, each 0 or 1
+KEEPING = 2  # whether parents have kept coefficients
+ABOVE = 3  # where the block begins among the children of the block above: x + 3·y + 9·z, each 0 to 2
+BEGIN = 4  # where the window begins among the children of the block: x + 2·y + 4·z, each 0 or 1
+UPPER = 5  # in which half of its parent the cell in the middle lies: x + 2·y + 4·z
 
 # Rows of Walk.windows.
 COVER = 0  # 22 rows: of each level, the weights of the window's coefficients
-REFINED_COVER = 22  # 22 rows: of each level, the weights refined from the window above
-COLOR = 44  # which cells of a window have a colour
-SHARES = 45  # 2 × 4 rows: weights and slopes that fall on a window's cells
+REFINED = 22  # 22 rows: of each level, the weights refined from the window above
+COLOR = 44  # how much of a refined cell's colour comes from coloured cells
+SHARES = 45  # 4 rows: weights and slopes that fall on a window's cells
 
 
 class Walk(NamedTuple):
     """What walks through one tree remember from one point to the next, and where they work.
 
-    Child 8·slot + octant of a block has bit (child & 63) of the words [level, child >> 6].
+    Slots number the parents of a block, and places the cells of a window, x fastest. Child 8·slot + octant of
+    a block has bit (child & 63) of the words [level, child >> 6].
     """
 
     previous: Int64s  # (6,)   the previous position; its last level; filter; last level of COVER
-    levels: Int64s  # (22, 7)   what is known of each level
-    nodes: Uint64s  # (22, 4)   which children are nodes
+    levels: Int64s  # (22, 6)   what is known of each level
+    real: Uint64s  # (22, 4)   which children have a parent that is a node; the others are refined
+    nodes: Uint64s  # (22, 4)   which of them are nodes
     cells: Uint64s  # (22, 4)   which are stored
     kept: Uint64s  # (22, 4)   which are nodes with kept coefficients
+    below_kept: Uint64s  # (22, 4)   which have such a parent
+    below_leaves: Uint64s  # (22, 4)   which are below a leaf; for LINEAR
     first_nodes: Int64s  # (22, 27)   by slot: node number of the parent's first child node
     first_cells: Int64s  # (22, 27)   by slot: cell number of its first child
-    windows: Float64s  # (53, 512)   what lies on the children of a block, in a frame that is one wider
+    windows: Float64s  # (49, 125)   what lies on a window's cells, by place
     taps: Float64s  # (4, MOST_TAPS)   weights and slopes before they are normalized
 
 
 Table = npt.NDArray[np.uint8]
 
+BYTE = np.uint64(0xFF)
 
-def _tables() -> tuple[Table, Table, Uint64s, npt.NDArray[np.uint16], Uint64s]:
+
+def _tables() -> tuple[Table, Table, Uint64s, Table, Uint64s]:
     """Tabulate what is where in blocks of 2³ and of 3³ parents."""
     parent_at, slot_at = np.zeros((2, 27, 27), np.uint8), np.zeros((2, 27, 216), np.uint8)
     parents_of, inside = np.zeros((2, 27, 4), np.uint64), np.zeros((2, 8, 4), np.uint64)
-    places = np.zeros((2, 216), np.uint16)
+    places = np.zeros((2, 8, 216), np.uint8)
+    octants = [(x, y, z) for z, y, x in product(range(2), repeat=3)]
     for which, parents in enumerate((2, 3)):
-        frame = 2 * parents + 2
+        side = 2 * parents - 1
         slots = [(x, y, z) for z, y, x in product(range(parents), repeat=3)]
-        octants = [(x, y, z) for z, y, x in product(range(2), repeat=3)]
         children = {}
         for slot, octant in product(range(len(slots)), range(8)):
-            x, y, z = (2 * q + o for q, o in zip(slots[slot], octants[octant], strict=True))
-            child = 8 * slot + octant
-            children[x, y, z] = child
-            places[which, child] = x + 1 + frame * (y + 1 + frame * (z + 1))
+            at = [2 * q + o for q, o in zip(slots[slot], octants[octant], strict=True)]
+            child = children[tuple(at)] = 8 * slot + octant
             for begin, starts in enumerate(octants):
-                if all(0 <= c - start <= 2 * parents - 2 for c, start in zip((x, y, z), starts, strict=True)):
+                x, y, z = (c - start for c, start in zip(at, starts, strict=True))
+                if 0 <= min(x, y, z) <= max(x, y, z) < side:
                     inside[which, begin, child >> 6] |= np.uint64(1 << (child & 63))
+                    places[which, begin, child] = x + side * (y + side * z)
         for above, slot in product(range(27), range(len(slots))):
             firsts = (above % 3, above // 3 % 3, above // 9)
             x, y, z = (first + q for first, q in zip(firsts, slots[slot], strict=True))
@@ -115,7 +121,7 @@ def _tables() -> tuple[Table, Table, Uint64s, npt.NDArray[np.uint16], Uint64s]:
 # PARENT_AT [ABOVE, slot]    which child of the block above a parent is
 # SLOT_AT [ABOVE, child]     the slot of a child of the block above
 # PARENTS [ABOVE, word]      which children of the block above are parents
-# PLACES [child]             a child's place in a window's frame
+# PLACES [BEGIN, child]      a child's place in the window
 # INSIDE [BEGIN, word]       which children are in the window
 PARENT_AT, SLOT_AT, PARENTS, PLACES, INSIDE = _tables()
 
@@ -123,15 +129,19 @@ PARENT_AT, SLOT_AT, PARENTS, PLACES, INSIDE = _tables()
 @kernel
 def new_walk() -> Walk:
     """Return a walk without memory. A walk serves one tree, and all filters."""
+    levels = MAX_DEPTH + 1
     return Walk(
         np.full(6, -1, np.int64),
-        np.zeros((MAX_DEPTH + 1, 7), np.int64),
-        np.zeros((MAX_DEPTH + 1, 4), np.uint64),
-        np.zeros((MAX_DEPTH + 1, 4), np.uint64),
-        np.zeros((MAX_DEPTH + 1, 4), np.uint64),
-        np.zeros((MAX_DEPTH + 1, 27), np.int64),
-        np.zeros((MAX_DEPTH + 1, 27), np.int64),
-        np.zeros((SHARES + 8, 512), np.float64),
+        np.zeros((levels, 6), np.int64),
+        np.zeros((levels, 4), np.uint64),
+        np.zeros((levels, 4), np.uint64),
+        np.zeros((levels, 4), np.uint64),
+        np.zeros((levels, 4), np.uint64),
+        np.zeros((levels, 4), np.uint64),
+        np.zeros((levels, 4), np.uint64),
+        np.zeros((levels, 27), np.int64),
+        np.zeros((levels, 27), np.int64),
+        np.zeros((SHARES + 4, 125), np.float64),
         np.zeros((4, MOST_TAPS), np.float64),
     )
 
@@ -181,7 +191,7 @@ def _walk_taps(
     first: int,
 ) -> int:
     x, y, z = _rounded(x), _rounded(y), _rounded(z)
-    i, j, k = _place(x), _place(y), _place(z)
+    i, j, k = _finest(x), _finest(y), _finest(z)
     columns = 4 if slopes.shape[0] > 0 else 1
     level = _follow(arrays, kept_cells, walk, i, j, k, filter_code, parents)
     truncated = False
@@ -210,7 +220,7 @@ def _rounded(x: float) -> float:
 
 
 @inlined
-def _place(x: float) -> int:
+def _finest(x: float) -> int:
     """Fixed-point position, 0 … 2²¹ − 1: of the finest cell that holds a coordinate 0 … 1."""
     return min(int(x * UNITS), UNITS - 1)
 
@@ -231,6 +241,24 @@ def _normalize(
             total_slope += taps[axis + 1, n]
         for n in range(n_taps):
             slopes[first + n, axis] = (taps[axis + 1, n] - taps[0, n] * scale * total_slope) * scale
+
+
+@inlined
+def _parent(parents: int, above: int, slot: int) -> int:
+    """Say which child of the block above a parent is."""
+    return int(np.int64(PARENT_AT[parents - 2, above, slot]))
+
+
+@inlined
+def _slot(parents: int, above: int, child: int) -> int:
+    """Say in which slot a child of the block above is a parent."""
+    return int(np.int64(SLOT_AT[parents - 2, above, child]))
+
+
+@inlined
+def _place(parents: int, begin: int, child: int) -> int:
+    """Say where a child lies in a window."""
+    return int(np.int64(PLACES[parents - 2, begin, child]))
 
 
 @inlined
@@ -282,27 +310,26 @@ def _enter(arrays: TreeArrays, kept_cells: Uint32s, walk: Walk, parents: int) ->
     """Write the root's window: it is the first child of the slot in the middle, the others have none."""
     is_node = arrays.groups.shape[0] > 0
     keeps = is_node and kept_cells.size > 0 and arrays.flags[0] & KEPT != 0
-    for word in range(4):
-        walk.nodes[0, word] = walk.cells[0, word] = walk.kept[0, word] = 0
     middle = 1 + parents + parents * parents
-    word, bit = middle >> 3, _bit(8 * (middle & 7))
-    walk.cells[0, word] = bit
-    if is_node:
-        walk.nodes[0, word] = bit
-    if keeps:
-        walk.kept[0, word] = bit
+    for word in range(4):
+        root = _bit(8 * (middle & 7)) if word == middle >> 3 else np.uint64(0)
+        walk.real[0, word] = ~np.uint64(0)
+        walk.cells[0, word] = root
+        walk.nodes[0, word] = root if is_node else np.uint64(0)
+        walk.kept[0, word] = root if keeps else np.uint64(0)
+        walk.below_kept[0, word] = walk.below_leaves[0, word] = 0
     walk.first_nodes[0, middle] = walk.first_cells[0, middle] = 0
     levels = walk.levels
     levels[0, NODES] = is_node
     levels[0, CONTENT] = keeps or not is_node
-    levels[0, REFINED] = levels[0, BELOW_LEAF] = levels[0, BELOW_KEPT] = levels[0, ABOVE] = 0
+    levels[0, KEEPING] = 0
     levels[0, BEGIN] = 7 if parents == 2 else 0
 
 
 @inlined
 def _go_down(arrays: TreeArrays, walk: Walk, i: int, j: int, k: int, level: int, parents: int) -> None:
     """Find the window of a level from that of the level above."""
-    levels, nodes, cells = walk.levels, walk.nodes, walk.cells
+    levels, real, nodes, cells = walk.levels, walk.real, walk.nodes, walk.cells
     groups = arrays.groups
     words = 1 if parents == 2 else 4
     # the first cells of this window and of that above
@@ -312,17 +339,16 @@ def _go_down(arrays: TreeArrays, walk: Walk, i: int, j: int, k: int, level: int,
     u, v, w = (i >> shift + 1) - reach, (j >> shift + 1) - reach, (k >> shift + 1) - reach
     above = (a >> 1) - (u & ~1) + 3 * ((b >> 1) - (v & ~1)) + 9 * ((c >> 1) - (w & ~1))
     begin = a & 1 | (b & 1) << 1 | (c & 1) << 2
+    upper = i >> shift & 1 | (j >> shift & 1) << 1 | (k >> shift & 1) << 2
     for word in range(words):
-        nodes[level, word] = cells[level, word] = 0
-    slots = 0
+        real[level, word] = nodes[level, word] = cells[level, word] = 0
     for word in range(words):
         above_nodes = nodes[level - 1, word]
         bits = above_nodes & PARENTS[parents - 2, above, word]
         while bits != 0:
             place = trailing_zeros(bits)
             bits &= bits - np.uint64(1)
-            slot = np.int64(SLOT_AT[parents - 2, above, 64 * word + place])
-            slots |= 1 << slot
+            slot = _slot(parents, above, 64 * word + place)
             node = walk.first_nodes[level - 1, 8 * word + (place >> 3)] + _rank(above_nodes, place)
             group = min(node >> 3, groups.shape[0] - 1)
             in_group = 8 * (node & 7)
@@ -331,47 +357,48 @@ def _go_down(arrays: TreeArrays, walk: Walk, i: int, j: int, k: int, level: int,
             group_cells = group_nodes | groups[group, 1]
             firsts = groups[group, 2]
             first_node, first_cell = firsts & np.uint64(0xFFFFFFFF), firsts >> np.uint64(32)
-            walk.first_nodes[level, slot] = np.int64(first_node) + popcount(group_nodes & below)
-            walk.first_cells[level, slot] = np.int64(first_cell) + popcount(group_cells & below)
+            walk.first_nodes[level, slot] = int(np.int64(first_node)) + popcount(group_nodes & below)
+            walk.first_cells[level, slot] = int(np.int64(first_cell)) + popcount(group_cells & below)
             at = np.uint64(8 * (slot & 7))
-            nodes[level, slot >> 3] |= (group_nodes >> np.uint64(in_group) & np.uint64(0xFF)) << at
-            cells[level, slot >> 3] |= (group_cells >> np.uint64(in_group) & np.uint64(0xFF)) << at
+            real[level, slot >> 3] |= BYTE << at
+            nodes[level, slot >> 3] |= (group_nodes >> np.uint64(in_group) & BYTE) << at
+            cells[level, slot >> 3] |= (group_cells >> np.uint64(in_group) & BYTE) << at
     has_nodes = has_leaves = np.uint64(0)
     for word in range(words):
         has_nodes |= nodes[level, word] & INSIDE[parents - 2, begin, word]
         has_leaves |= (nodes[level, word] ^ cells[level, word]) & INSIDE[parents - 2, begin, word]
     levels[level, NODES] = has_nodes != 0
     levels[level, CONTENT] = has_leaves != 0 or levels[level - 1, CONTENT]
-    levels[level, REFINED] = slots ^ (1 << parents * parents * parents) - 1
-    levels[level, BELOW_KEPT] = 0
+    levels[level, KEEPING] = 0
     levels[level, ABOVE] = above
     levels[level, BEGIN] = begin
+    levels[level, UPPER] = upper
 
 
 @inlined
 def _find_below_leaves(walk: Walk, level: int) -> None:
-    """Find the parents of a block that are leaves or below one."""
-    leaves = walk.cells[level - 1, 0] ^ walk.nodes[level - 1, 0]
-    slots = 0
+    """Find which children of a block are below a leaf."""
+    leaves = walk.cells[level - 1, 0] ^ walk.nodes[level - 1, 0] | walk.below_leaves[level - 1, 0]
+    walk.below_leaves[level, 0] = 0
     for slot in range(8):
-        child = np.int64(PARENT_AT[0, walk.levels[level, ABOVE], slot])
-        if leaves & _bit(child) != 0 or walk.levels[level - 1, BELOW_LEAF] >> (child >> 3) & 1:
-            slots |= 1 << slot
-    walk.levels[level, BELOW_LEAF] = slots
+        if leaves & _bit(_parent(2, walk.levels[level, ABOVE], slot)) != 0:
+            walk.below_leaves[level, 0] |= BYTE << np.uint64(8 * slot)
 
 
 @inlined
 def _find_kept(arrays: TreeArrays, walk: Walk, level: int, parents: int) -> None:
-    """Find the parents of a block and the nodes of a window that have kept coefficients."""
-    levels = walk.levels
-    for word in range(1 if parents == 2 else 4):
+    """Find which nodes of a window, and which parents of its block, have kept coefficients."""
+    levels, below_kept = walk.levels, walk.below_kept
+    words = 1 if parents == 2 else 4
+    for word in range(words):
+        below_kept[level, word] = 0
+    for word in range(words):
         bits = walk.kept[level - 1, word] & PARENTS[parents - 2, levels[level, ABOVE], word]
         while bits != 0:
-            place = trailing_zeros(bits)
+            slot = _slot(parents, levels[level, ABOVE], 64 * word + trailing_zeros(bits))
             bits &= bits - np.uint64(1)
-            levels[level, BELOW_KEPT] |= 1 << np.int64(
-                SLOT_AT[parents - 2, levels[level, ABOVE], 64 * word + place]
-            )
+            below_kept[level, slot >> 3] |= BYTE << np.uint64(8 * (slot & 7))
+            levels[level, KEEPING] = 1
         kept = np.uint64(0)
         bits = walk.nodes[level, word] & INSIDE[parents - 2, levels[level, BEGIN], word]
         while bits != 0:
@@ -394,7 +421,7 @@ def _rank(word: np.uint64, place: int) -> int:
 def _cell(arrays: TreeArrays, walk: Walk, level: int, word: int, place: int) -> int:
     """Cell number of a block's child."""
     cell = walk.first_cells[level, 8 * word + (place >> 3)] + _rank(walk.cells[level, word], place)
-    return min(cell, arrays.flags.size - 1)
+    return min(int(cell), arrays.flags.size - 1)
 
 
 @inlined
@@ -413,25 +440,19 @@ def _fill(
 ) -> None:
     """Let the spline's weights and slopes fall on the cells of a window."""
     windows = walk.windows
-    frame = 2 * parents + 2
-    begin = walk.levels[level, BEGIN]
-    first = 1 + (begin & 1) + frame * (1 + (begin >> 1 & 1) + frame * (1 + (begin >> 2)))
+    side = 2 * parents - 1
     shift = MAX_DEPTH - level
     cells = float(1 << level)
     x, y, z = x * cells - (i >> shift), y * cells - (j >> shift), z * cells - (k >> shift)
-    clears = level > 0 and walk.levels[level - 1, CONTENT] != 0  # for what is sent up
     for column in range(columns):
-        if clears:
-            windows[SHARES + column, : frame * frame * frame] = 0.0
         of_x = _spline(filter_code, column == 1, x, cells)
         of_y = _spline(filter_code, column == 2, y, cells)
         of_z = _spline(filter_code, column == 3, z, cells)
-        for dz in range(2 * parents - 1):
-            for dy in range(2 * parents - 1):
+        for dz in range(side):
+            for dy in range(side):
                 share = of_z[dz] * of_y[dy]
-                at = first + frame * (dy + frame * dz)
-                for dx in range(2 * parents - 1):
-                    windows[SHARES + column, at + dx] = share * of_x[dx]
+                for dx in range(side):
+                    windows[SHARES + column, dx + side * (dy + side * dz)] = share * of_x[dx]
 
 
 @inlined
@@ -470,7 +491,6 @@ def _collect(
 
     If ``truncated``, the level's nodes count as leaves. Returns the number of taps and their weight.
     """
-    row, other = SHARES, SHARES + 4
     n_taps = 0
     total = 0.0
     while True:
@@ -483,7 +503,6 @@ def _collect(
             filter_code,
             parents,
             columns,
-            row,
             rows,
             first,
             n_taps,
@@ -491,9 +510,10 @@ def _collect(
         )
         if level == 0 or walk.levels[level - 1, CONTENT] == 0:
             break
-        if not _send_up(walk, level, filter_code, parents, columns, row, other):
+        if not _leave_refined(walk, level, filter_code, parents, columns):
             break
-        row, other = other, row
+        for column in range(columns):
+            _change_level(walk, SHARES + column, level, parents, False)
         level -= 1
         truncated = False
     return n_taps, total
@@ -509,7 +529,6 @@ def _settle(
     filter_code: int,
     parents: int,
     columns: int,
-    row: int,
     rows: Uint32s,
     first: int,
     n_taps: int,
@@ -517,33 +536,32 @@ def _settle(
 ) -> tuple[int, float]:
     """Write taps for what falls on the leaves and kept nodes of a window; return number and weight of all."""
     windows = walk.windows
-    below_kept = 0 if filter_code == LINEAR else walk.levels[level, BELOW_KEPT]
-    if below_kept:
+    begin = walk.levels[level, BEGIN]
+    keeping = filter_code != LINEAR and walk.levels[level, KEEPING] != 0
+    if keeping:
         _weigh(walk, level, parents)
     for word in range(1 if parents == 2 else 4):
         nodes, stored, kept = walk.nodes[level, word], walk.cells[level, word], np.uint64(0)
         if kept_cells.size > 0 and not truncated:
             kept = walk.kept[level, word]
-        bits = (stored if truncated else stored ^ nodes | kept) & INSIDE[
-            parents - 2, walk.levels[level, BEGIN], word
-        ]
+        bits = (stored if truncated else stored ^ nodes | kept) & INSIDE[parents - 2, begin, word]
         while bits != 0:
             place = trailing_zeros(bits)
             bits &= bits - np.uint64(1)
             cell = _cell(arrays, walk, level, word, place)
-            at = np.int64(PLACES[parents - 2, 64 * word + place])
+            at = _place(parents, begin, 64 * word + place)
             factor = 1.0
             if kept_cells.size > 0:
-                if below_kept >> 8 * word + (place >> 3) & 1:
-                    factor = windows[REFINED_COVER + level, at]
+                if keeping and walk.below_kept[level, word] & _bit(place) != 0:
+                    factor = windows[REFINED + level, at]
                 if kept & _bit(place) != 0:
                     cell = _kept_row(kept_cells, cell, arrays.flags.size)
-            share = windows[row, at] * factor
+            share = windows[SHARES, at] * factor
             walk.taps[0, n_taps] = share
             rows[first + n_taps] = max(cell, 0)
             any_share = share != 0.0
             for column in range(1, columns):
-                slope = windows[row + column, at] * factor
+                slope = windows[SHARES + column, at] * factor
                 walk.taps[column, n_taps] = slope
                 any_share |= slope != 0.0
             if cell >= 0:
@@ -566,154 +584,105 @@ def _kept_row(kept_cells: Uint32s, cell: int, n_cells: int) -> int:
 
 
 @inlined
-def _send_up(
-    walk: Walk, level: int, filter_code: int, parents: int, columns: int, row: int, other: int
-) -> bool:
-    """Send what falls on refined cells up to those that they are refined from.
-
-    Returns whether there was any. What falls on the window above stands in the rows from ``other`` on.
-    """
+def _leave_refined(walk: Walk, level: int, filter_code: int, parents: int, columns: int) -> bool:
+    """Leave in a window what falls on cells that are refined, and nothing else; say whether there is any."""
     windows, levels = walk.windows, walk.levels
-    frame = 2 * parents + 2
-    slots = levels[level, REFINED]
+    begin = levels[level, BEGIN]
     if filter_code == LINEAR:
-        slots &= levels[level, BELOW_LEAF]
-        if slots:
-            _find_colors(walk, level - 1)
-    else:
-        slots |= levels[level, BELOW_KEPT]
-    moved = False
-    while slots:
-        slot = trailing_zeros(slots)
-        slots &= slots - 1
-        first = np.int64(PLACES[parents - 2, 8 * slot])
-        if levels[level, BELOW_KEPT] >> slot & 1:  # only its empty cells are refined
-            for octant in range(8):
-                if walk.cells[level, slot >> 3] & _bit(8 * (slot & 7) + octant) != 0:
-                    for column in range(columns):
-                        windows[row + column, np.int64(PLACES[parents - 2, 8 * slot + octant])] = 0.0
-        if not _any(windows, row, first, frame, columns):
-            continue
-        if not moved:
-            for column in range(columns):
-                windows[other + column, : frame * frame * frame] = 0.0
-            moved = True
-        parent = np.int64(PLACES[parents - 2, np.int64(PARENT_AT[parents - 2, levels[level, ABOVE], slot])])
-        if filter_code == LINEAR:
-            for octant in range(8):
-                total = _refined(windows, COLOR, parent, frame, octant)
-                at = first + (octant & 1) + frame * ((octant >> 1 & 1) + frame * (octant >> 2))
-                for column in range(columns):
-                    windows[row + column, at] /= total
-        for column in range(columns):
-            _spread(windows, row + column, first, other + column, parent, frame)
-    return moved
-
-
-@inlined
-def _any(windows: Float64s, row: int, first: int, frame: int, columns: int) -> bool:
-    """Say whether anything falls on the eight children of a parent, of which the first is at ``first``."""
+        _find_colors(walk, level)
     found = False
-    for column in range(columns):
-        for octant in range(8):
-            at = first + (octant & 1) + frame * ((octant >> 1 & 1) + frame * (octant >> 2))
-            found |= windows[row + column, at] != 0.0
+    for word in range(1 if parents == 2 else 4):
+        inside = INSIDE[parents - 2, begin, word]
+        refined = ~walk.real[level, word]
+        if filter_code == LINEAR:
+            refined = walk.below_leaves[level, word]
+        elif levels[level, KEEPING]:
+            refined |= walk.below_kept[level, word] & ~walk.cells[level, word]
+        bits = inside & ~refined
+        while bits != 0:
+            at = _place(parents, begin, 64 * word + trailing_zeros(bits))
+            bits &= bits - np.uint64(1)
+            for column in range(columns):
+                windows[SHARES + column, at] = 0.0
+        bits = inside & refined
+        while bits != 0:
+            at = _place(parents, begin, 64 * word + trailing_zeros(bits))
+            bits &= bits - np.uint64(1)
+            for column in range(columns):
+                found |= windows[SHARES + column, at] != 0.0
+                if filter_code == LINEAR:
+                    windows[SHARES + column, at] /= windows[COLOR, at]
     return found
 
 
 @inlined
-def _spread(windows: Float64s, row: int, first: int, row_above: int, parent: int, frame: int) -> None:
-    """Spread what falls on the eight children of a parent over it and the cells around it."""
-    near, middle, far = refinement(frame == 8)
-    up, back = frame, frame * frame
-    for dz in range(3):
-        low, high = (
-            near if dz == 0 else middle if dz == 1 else far,
-            far if dz == 0 else middle if dz == 1 else near,
-        )
-        a = low * windows[row, first] + high * windows[row, first + back]
-        b = low * windows[row, first + 1] + high * windows[row, first + 1 + back]
-        c = low * windows[row, first + up] + high * windows[row, first + up + back]
-        d = low * windows[row, first + 1 + up] + high * windows[row, first + 1 + up + back]
-        for dy in range(3):
-            low, high = (
-                near if dy == 0 else middle if dy == 1 else far,
-                far if dy == 0 else middle if dy == 1 else near,
-            )
-            e, f = low * a + high * c, low * b + high * d
-            at = parent + up * (dy - 1) + back * (dz - 1)
-            windows[row_above, at - 1] += near * e + far * f
-            windows[row_above, at] += middle * (e + f)
-            windows[row_above, at + 1] += far * e + near * f
-
-
-@inlined
-def _refined(windows: Float64s, row: int, parent: int, frame: int, octant: int) -> float:
-    """Refine a child of a parent from it and the cells around it."""
-    near, middle, far = refinement(frame == 8)
-    # toward the child's side
-    x, y, z = 2 * (octant & 1) - 1, 2 * (octant >> 1 & 1) - 1, 2 * (octant >> 2) - 1
-    total = 0.0
-    for dz in range(-1, 2):
-        factor_z = middle if dz == 0 else near if dz == z else far
-        for dy in range(-1, 2):
-            factor_yz = factor_z * (middle if dy == 0 else near if dy == y else far)
-            at = parent + frame * (dy + frame * dz)
-            total += factor_yz * (
-                near * windows[row, at + x] + middle * windows[row, at] + far * windows[row, at - x]
-            )
-    return total
+def _change_level(walk: Walk, row: int, level: int, parents: int, down: bool) -> None:
+    """Refine a row from the window above a level to that of the level, or send it up to the one above."""
+    windows = walk.windows
+    side = 2 * parents - 1
+    for axis in range(3):
+        step = 1 if axis == 0 else side if axis == 1 else side * side
+        upper = walk.levels[level, UPPER] >> axis & 1
+        first = (side - 1) * step if upper else 0
+        way = -step if upper else step
+        for m in range(side):
+            for n in range(side):
+                at = first + (n if axis else side * n) + (m * side if axis == 2 else side * side * m)
+                a, b, c = windows[row, at], windows[row, at + way], windows[row, at + 2 * way]
+                d = e = 0.0
+                if side == 5:
+                    d, e = windows[row, at + 3 * way], windows[row, at + 4 * way]
+                a, b, c, d, e = (
+                    refine(side == 5, a, b, c, d, e) if down else send_up(side == 5, a, b, c, d, e)
+                )
+                windows[row, at], windows[row, at + way], windows[row, at + 2 * way] = a, b, c
+                if side == 5:
+                    windows[row, at + 3 * way], windows[row, at + 4 * way] = d, e
 
 
 @inlined
 def _find_colors(walk: Walk, level: int) -> None:
-    """Write 1 for the cells of a window that have a colour as ``linear`` sees it, and 0 for the others."""
-    windows, levels = walk.windows, walk.levels
-    windows[COLOR, :216] = 0.0
-    nodes, cells, kept = walk.nodes[level, 0], walk.cells[level, 0], walk.kept[level, 0]
-    inside = INSIDE[0, levels[level, BEGIN], 0]
-    for slot in range(8):
-        below_leaf = levels[level, BELOW_LEAF] >> slot & 1
-        for octant in range(8):
-            bit = _bit(8 * slot + octant)
-            if inside & bit != 0 and (below_leaf or (cells ^ nodes | kept) & bit != 0):
-                windows[COLOR, np.int64(PLACES[0, 8 * slot + octant])] = 1.0
+    """Find how much of the refined cells of a window comes from cells with a colour, as ``linear`` has it."""
+    windows = walk.windows
+    begin = walk.levels[level - 1, BEGIN]
+    windows[COLOR, :27] = 0.0
+    nodes, cells, kept = walk.nodes[level - 1, 0], walk.cells[level - 1, 0], walk.kept[level - 1, 0]
+    bits = (cells ^ nodes | kept | walk.below_leaves[level - 1, 0]) & INSIDE[0, begin, 0]
+    while bits != 0:
+        windows[COLOR, _place(2, begin, trailing_zeros(bits))] = 1.0
+        bits &= bits - np.uint64(1)
+    _change_level(walk, COLOR, level, 2, True)
 
 
 @inlined
 def _weigh(walk: Walk, level: int, parents: int) -> None:
     """Find the weights of the coefficients in the windows down to a level."""
     windows, levels = walk.windows, walk.levels
-    frame = 2 * parents + 2
+    places = 125 if parents == 3 else 27
     if walk.previous[5] < 0:
-        windows[COVER, : frame * frame * frame] = 0.0
-        middle = 1 + parents + parents * parents
-        windows[COVER, np.int64(PLACES[parents - 2, 8 * middle])] = levels[0, CONTENT]
+        windows[COVER, :places] = 0.0
+        windows[COVER, places // 2] = levels[0, CONTENT]
         walk.previous[5] = 0
     while walk.previous[5] < level:
         walk.previous[5] += 1
-        below = walk.previous[5]
-        for slot in range(parents * parents * parents):
-            word = slot >> 3
-            parent = np.int64(
-                PLACES[parents - 2, np.int64(PARENT_AT[parents - 2, levels[below, ABOVE], slot])]
-            )
-            is_refined = levels[below, REFINED] >> slot & 1
-            is_below_kept = levels[below, BELOW_KEPT] >> slot & 1
-            for octant in range(8):
-                bit = _bit(8 * (slot & 7) + octant)
-                if INSIDE[parents - 2, levels[below, BEGIN], word] & bit == 0:
-                    continue
-                at = np.int64(PLACES[parents - 2, 8 * slot + octant])
-                weight = 0.0
-                if is_refined or is_below_kept:
-                    weight = _refined(windows, COVER + below - 1, parent, frame, octant)
-                    windows[REFINED_COVER + below, at] = weight
-                if not is_refined:
-                    if walk.nodes[below, word] & ~walk.kept[below, word] & bit != 0:
-                        weight = 0.0
-                    elif walk.cells[below, word] & bit != 0 and not is_below_kept:
-                        weight = 1.0
+        below = int(walk.previous[5])
+        begin = levels[below, BEGIN]
+        for at in range(places):
+            windows[REFINED + below, at] = windows[COVER + below - 1, at]
+        _change_level(walk, REFINED + below, below, parents, True)
+        for word in range(1 if parents == 2 else 4):
+            real, below_kept = walk.real[below, word], walk.below_kept[below, word]
+            nodes, cells, kept = walk.nodes[below, word], walk.cells[below, word], walk.kept[below, word]
+            refined = ~real | below_kept & ~(nodes & ~kept)
+            ones = (cells ^ nodes | kept) & ~below_kept
+            bits = INSIDE[parents - 2, begin, word]
+            while bits != 0:
+                place = trailing_zeros(bits)
+                bits &= bits - np.uint64(1)
+                at = _place(parents, begin, 64 * word + place)
+                weight = 1.0 if ones & _bit(place) != 0 else 0.0
+                if refined & _bit(place) != 0:
+                    weight = windows[REFINED + below, at]
                 windows[COVER + below, at] = weight
 
 

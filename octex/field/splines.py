@@ -76,11 +76,31 @@ def quartic_slopes(t: float) -> Five:
 
 
 @inlined
-def refinement(quartic: bool) -> Three:
-    """Coefficients that refine a cell, along an axis, from its parent and the cells on both sides of that.
+def refine(quartic: bool, a: float, b: float, c: float, d: float, e: float) -> Five:
+    """Refine the cells around one, from the lowest to the highest: the finer ones around its lower half.
 
-    First that of the parent's neighbour on the cell's side, then the parent's, then the other neighbour's.
+    For the upper half, give and take all in reverse. Without ``quartic`` there are three of each.
     """
     if quartic:
-        return 0.3125, 0.625, 0.0625
-    return 0.25, 0.75, 0.0
+        return (
+            (5.0 * a + 10.0 * b + c) / 16.0,
+            (a + 10.0 * b + 5.0 * c) / 16.0,
+            (5.0 * b + 10.0 * c + d) / 16.0,
+            (b + 10.0 * c + 5.0 * d) / 16.0,
+            (5.0 * c + 10.0 * d + e) / 16.0,
+        )
+    return 0.75 * a + 0.25 * b, 0.25 * a + 0.75 * b, 0.75 * b + 0.25 * c, 0.0, 0.0
+
+
+@inlined
+def send_up(quartic: bool, a: float, b: float, c: float, d: float, e: float) -> Five:
+    """Send weights of finer cells up to those that they are refined from: the transpose of ``refine``."""
+    if quartic:
+        return (
+            (5.0 * a + b) / 16.0,
+            (10.0 * (a + b) + 5.0 * c + d) / 16.0,
+            (a + 5.0 * b + 10.0 * (c + d) + 5.0 * e) / 16.0,
+            (c + 5.0 * d + 10.0 * e) / 16.0,
+            e / 16.0,
+        )
+    return 0.75 * a + 0.25 * b, 0.25 * a + 0.75 * (b + c), 0.25 * c, 0.0, 0.0
