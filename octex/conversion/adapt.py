@@ -1,0 +1,323 @@
+"""Adaptive trees: which cells become leaves, so that the field stays near the source.
+
+Everything here counts in the finest cells, those of the tree that a conversion fills: the state is the depth
+of the leaf that each of them lies in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.conversion.measure import exceeding
+from octex.conversion.samples import Samples, sample_points
+from octex.errors import ArgumentError
+from octex.parallel import Progress
+from octex.texture.channel import Channel
+from octex.texture.texture import OctreeTexture
+from octex.tree.layout import SplitTable
+from octex.tree.morton import decode_cells, encode_cells
+from octex.tree.octree import Octree
+from octex.tree.placement import Placement
+
+Channels: TypeAlias = Mapping[str, Channel]
+#: Fits the leaves of a tree whose values are means: a conversion's `fitted` with all but these two given.
+Fit: TypeAlias = Callable[[Octree, Channels], Channels]
+Bools: TypeAlias = npt.NDArray[np.bool_]
+Depths: TypeAlias = npt.NDArray[np.uint8]
+
+#: Finest cells whose samples are looked up at once.
+_BLOCK = 1 << 17
+#: What samples, float16 numbers, are rounded by at most, in codes: so much more is allowed.
+_ROUNDING = 1 / 16
+#: Leaves that fail are split by a level, which mostly is enough; after so many rounds, to the finest cells.
+_GENTLE_ROUNDS = 6
+
+
+def as_max_error(max_error: float) -> float:
+    """Return a number of 8-bit codes, finite and 0 or more, or raise ArgumentError."""
+    try:
+        number = float(max_error)
+    except (TypeError, ValueError):
+        raise ArgumentError(f"max_error must be a number of 8-bit codes, not {max_error!r}") from None
+    if not 0.0 <= number < np.inf:
+        raise ArgumentError(f"max_error must be finite and not negative, not {number:g}")
+    return number
+
+
+class Finest(NamedTuple):
+    """The finest cells of a full tree, and which of them the cells above hold."""
+
+    tree: Octree
+    codes: npt.NDArray[np.int64]  # (n,)   Morton codes, ascending
+    firsts: list[npt.NDArray[np.int64]]  # for each level above, the first finest cell in each of its cells
+
+    @classmethod
+    def of(cls, tree: Octree) -> Finest:
+        """List the finest cells below each cell of a tree whose leaves are all of one level."""
+        codes = tree.level_codes(tree.max_depth)
+        firsts: list[npt.NDArray[np.int64]] = []
+        above = codes
+        for _ in range(tree.max_depth):
+            above = above >> 3
+            starts = np.flatnonzero(np.diff(above, prepend=-1))
+            above = above[starts]
+            firsts.append(firsts[-1][starts] if firsts else starts)
+        return cls(tree, codes, firsts[::-1])
+
+    def first(self, level: int) -> npt.NDArray[np.int64] | slice:
+        """Return what picks the first finest cell in each cell of a level."""
+        return self.firsts[level] if level < self.tree.max_depth else slice(None)
+
+    def spread(self, level: int, values: Bools) -> Bools:
+        """Give each finest cell what the cell of ``level`` that holds it has."""
+        return np.repeat(values, np.diff(self.firsts[level], append=self.codes.size))
+
+
+class Pruned(NamedTuple):
+    """A tree with some nodes as leaves, and where its cells were."""
+
+    tree: Octree
+    cells: npt.NDArray[np.int64]  # (cells,)   their numbers in the full tree
+    leaves: Bools  # (cells,)
+    starts: npt.NDArray[np.int64]  # (leaves,)   the first finest cell of each leaf, in Morton order
+    split_rows: Bools  # (rows of the full tree's split table,)   those that are left
+
+    def carried(self, channels: Channels) -> dict[str, Channel]:
+        """Return the values of the full tree's channels in this tree."""
+        return {
+            name: channel._replace(
+                values=channel.values[self.cells], split_values=channel.split_values[self.split_rows]
+            )
+            for name, channel in channels.items()
+        }
+
+
+def prune(finest: Finest, depths: Depths) -> Pruned:
+    """Make leaves of the nodes at ``depths`` (n,) above the finest cells; flags and areas are taken over."""
+    tree = finest.tree
+    roots = finest.codes >> 3 * (tree.max_depth - depths.astype(np.int64))
+    starts = np.flatnonzero((np.diff(roots, prepend=-1) != 0) | (np.diff(depths, prepend=depths[:1]) != 0))
+    full = tree.arrays
+    cells, leaves = [], []
+    for level, first in enumerate(full.level_cells[:-1]):
+        depths_there = depths[finest.first(level)]
+        stored = np.flatnonzero(depths_there >= level)
+        cells.append(stored + first)
+        leaves.append(depths_there[stored] == level)
+    numbers = np.concatenate(cells)
+    is_left = np.zeros(tree.n_cells, np.bool_)
+    is_left[numbers] = True
+    split = tree.split
+    is_split = is_left[split.cells]
+    rows = np.repeat(is_split, np.bitwise_count(split.facings))
+    split = SplitTable(
+        np.searchsorted(numbers, split.cells[is_split]).astype(np.uint32),
+        split.facings[is_split],
+        split.areas[rows],
+    )
+    pruned = Octree.from_leaves(roots[starts], depths[starts])
+    pruned = pruned.with_cell_data(full.flags[numbers], full.areas[numbers], split)
+    return Pruned(pruned, numbers, np.concatenate(leaves), starts, rows)
+
+
+def limits_of(finest: Finest, wanted: Depths | None) -> Depths:
+    """Return the depth that each finest cell's leaf must not go below, for the depths wanted in them.
+
+    A node becomes a leaf if no cell in it wants to go deeper.
+    """
+    depth = finest.tree.max_depth
+    limits = np.full(finest.codes.size, depth, np.uint8)
+    if wanted is not None:
+        for level in range(depth - 1, -1, -1):
+            shallow = np.maximum.reduceat(wanted, finest.firsts[level]) <= level
+            limits[finest.spread(level, shallow)] = level
+    return limits
+
+
+def adapted(
+    tree: Octree,
+    channels: Channels,
+    samples: Samples | None,
+    placement: Placement,
+    *,
+    max_error: float | None,
+    wanted: Depths | None,
+    fit: Fit | None,
+    executor: Executor | None,
+    progress: Progress,
+) -> tuple[Octree, dict[str, Channel]]:
+    """Return the tree with fewer leaves, and its channels, fitted if there is a ``fit``.
+
+    ``tree`` is full: all its leaves have its depth; channels hold the source's means. ``wanted`` (finest
+    cells,) are the depths wanted there, in Morton order. Without samples none can merge.
+
+    With ``max_error``, in 8-bit codes of what is encoded (see `measure`), leaves merge upward from there.
+    Then at every sample in a leaf that is less deep than what is wanted, the quadratic field as it is stored
+    differs from the source by at most that and 1/8 (what samples are rounded by, and what is allowed for it).
+    Leaves as deep as wanted stay, whatever their error.
+    """
+    finest = Finest.of(tree)
+    limits = limits_of(finest, wanted)
+    if max_error is None or samples is None:
+        pruned = prune(finest, limits)
+        carried = pruned.carried(channels)
+        return pruned.tree, dict(fit(pruned.tree, carried) if fit else carried)
+    return _Merger(finest, channels, samples, placement, max_error, limits, executor, progress).merged(fit)
+
+
+class _Merger:
+    """Merges leaves and splits them again until every merged one is near the source."""
+
+    def __init__(
+        self,
+        finest: Finest,
+        channels: Channels,
+        samples: Samples,
+        placement: Placement,
+        max_error: float,
+        limits: Depths,
+        executor: Executor | None,
+        progress: Progress,
+    ) -> None:
+        self._finest = finest
+        self._channels = channels
+        self._samples = samples
+        self._placement = placement
+        self._most = max_error + _ROUNDING
+        self._limits = limits
+        self._executor = executor
+        self._progress = progress
+
+    def merged(self, fit: Fit | None) -> tuple[Octree, dict[str, Channel]]:
+        """Return the tree of fewest leaves that was found, and its channels."""
+        depth = self._finest.tree.max_depth
+        depths = self._limits.copy()
+        for done, level in enumerate(range(depth - 1, -1, -1)):
+            self._progress("adapt", done, depth + 3)
+            self._merge(level, depths)
+        self._progress("adapt", depth, depth + 3)
+        # What was judged on even trees is judged again on the tree of many depths: first in a quarter of the
+        # cells, then in all, and as the leaves were fitted. What that splits is worth another fit.
+        pruned, values = self._split(depths, None, self._one_of_each(depth - 1))
+        everywhere = np.ones(depths.size, np.bool_)
+        for done in (1, 2):
+            self._progress("adapt", depth + done, depth + 3)
+            before = pruned
+            fitted = fit and (before, fit(before.tree, before.carried(self._channels)))
+            pruned, values = self._split(depths, fitted, everywhere)
+            if not fit or pruned.tree.n_leaves == before.tree.n_leaves:
+                break
+        self._progress("adapt", depth + 3, depth + 3)
+        return pruned.tree, values
+
+    def _merge(self, level: int, depths: Depths) -> None:
+        """Make leaves of the nodes of a level all of whose children are, where that seems to be near enough.
+
+        Either the averages of this level, as a field, are near the source in the node, or the node's own
+        average is: beside an edge the former are not, but finer leaves on the edge will keep it.
+        """
+        finest = self._finest
+        firsts = finest.firsts[level]
+        may = np.maximum.reduceat(depths, firsts) == level + 1
+        if not may.any():
+            return
+        texture = self._texture(finest.tree, self._channels).level(level)
+        smooth = self._near(level, texture, "quadratic", may)
+        flat = self._near(level, texture, "nearest", may & ~smooth)
+        depths[finest.spread(level, smooth | flat)] = level
+
+    def _near(self, level: int, texture: OctreeTexture, filter: str, may: Bools) -> Bools:
+        """Say which of some nodes of a level a texture is near enough to the source in."""
+        finest = self._finest
+        firsts = finest.firsts[level]
+        # Most nodes that fail do so in their first finest cell.
+        first = np.zeros(finest.codes.size, np.bool_)
+        first[firsts[may]] = True
+        may = may & ~self._fails(texture, filter, first)[firsts]
+        # What is small, finer levels have seen: one of the finest cells in each child will do.
+        tested = self._one_of_each(level + 1) & finest.spread(level, may)
+        failing = self._fails(texture, filter, tested)
+        return may & ~np.logical_or.reduceat(failing, firsts)
+
+    def _one_of_each(self, level: int) -> Bools:
+        """Mark the first finest cell in each cell of a level."""
+        marked = np.zeros(self._finest.codes.size, np.bool_)
+        marked[self._finest.first(level)] = True
+        return marked
+
+    def _split(
+        self, depths: Depths, fitted: tuple[Pruned, Channels] | None, tested: Bools
+    ) -> tuple[Pruned, dict[str, Channel]]:
+        """Split merged leaves until the field is near the source in each that is left; changes ``depths``.
+
+        ``tested`` says in which of the finest cells. Leaves have ``fitted`` values; new ones, their means.
+        """
+        finest, limits = self._finest, self._limits
+        suspects = tested
+        for attempt in range(finest.codes.size):
+            pruned = prune(finest, depths)
+            values = pruned.carried(self._channels)
+            if fitted:
+                _take_leaves(pruned, values, *fitted)
+            texture = self._texture(pruned.tree, values)
+            failing = self._fails(texture, "quadratic", suspects & (depths < limits))
+            failing = np.logical_or.reduceat(failing, pruned.starts)
+            if not failing.any():
+                break
+            suspects = tested & self._around(pruned.starts[failing], depths)
+            failing = np.repeat(failing, np.diff(pruned.starts, append=depths.size))
+            depths[failing] = depths[failing] + 1 if attempt < _GENTLE_ROUNDS else limits[failing]
+        return pruned, values
+
+    def _around(self, starts: npt.NDArray[np.int64], depths: Depths) -> Bools:
+        """Mark the finest cells in leaves and in the cells of their sizes around: as far as splits reach."""
+        codes, depth = self._finest.codes, self._finest.tree.max_depth
+        changes = np.zeros(codes.size + 1, np.int64)
+        offsets = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), axis=-1).reshape(-1, 3)
+        for level in np.unique(depths[starts]).tolist():
+            shift = 3 * (depth - level)
+            cells = decode_cells(codes[starts[depths[starts] == level]] >> shift)
+            around = (cells[:, None] + offsets).reshape(-1, 3)
+            around = around[((around >= 0) & (around < 1 << level)).all(axis=1)]
+            held = encode_cells(around)
+            np.add.at(changes, np.searchsorted(codes, held << shift), 1)
+            np.add.at(changes, np.searchsorted(codes, held + 1 << shift), -1)
+        return np.cumsum(changes[:-1]) > 0
+
+    def _fails(self, texture: OctreeTexture, filter: str, chosen: Bools) -> Bools:
+        """Say in which of the chosen finest cells a texture is too far from the source at a sample."""
+        samples = self._samples
+        names = [form.name for form in samples.channels]
+        fails = np.zeros(chosen.size, np.bool_)
+        for begin in range(0, chosen.size, _BLOCK):
+            cells = np.flatnonzero(chosen[begin : begin + _BLOCK]) + begin
+            if cells.size == 0:
+                continue
+            firsts = samples.firsts[cells]
+            counts = samples.firsts[cells + 1] - firsts
+            owners = np.repeat(cells, counts)
+            rows = np.arange(owners.size) + np.repeat(firsts - np.cumsum(counts) + counts, counts)
+            points = sample_points(samples, rows, self._placement)
+            found = texture.sample(points, names, filter, normalize=False, executor=self._executor)
+            far = exceeding(found, samples.values[rows], samples.channels, self._most)
+            fails[owners[far]] = True
+        return fails
+
+    def _texture(self, tree: Octree, channels: Channels) -> OctreeTexture:
+        origin = np.array(self._placement.origin)
+        return OctreeTexture(tree, channels, self._placement, [origin, origin + self._placement.size])
+
+
+def _take_leaves(pruned: Pruned, values: Mapping[str, Channel], earlier: Pruned, fitted: Channels) -> None:
+    """Write the values that leaves had in an earlier tree; what was no leaf there keeps its mean."""
+    _, to, of = np.intersect1d(
+        pruned.cells[pruned.leaves], earlier.cells[earlier.leaves], assume_unique=True, return_indices=True
+    )
+    to, of = np.flatnonzero(pruned.leaves)[to], np.flatnonzero(earlier.leaves)[of]
+    for name, channel in values.items():
+        channel.values[to] = fitted[name].values[of]

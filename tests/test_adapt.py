@@ -1,0 +1,403 @@
+"""Adaptive trees: what merges, what stays, and what is guaranteed then."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from octex.channels import (
+    ALPHA,
+    BASE_COLOR,
+    EMISSIVE,
+    NORMAL,
+    ROUGHNESS,
+    ChannelFormat,
+    decode,
+    encode,
+    linear_to_srgb,
+    srgb_to_linear,
+)
+from octex.conversion.adapt import Finest, Fit, adapted, as_max_error, limits_of, prune
+from octex.conversion.measure import exceeding
+from octex.conversion.samples import Samples
+from octex.errors import ArgumentError
+from octex.parallel import silent
+from octex.texture import Channel, OctreeTexture
+from octex.tree.morton import decode_cells, encode_cells
+from octex.tree.octree import Octree
+from octex.tree.placement import Placement
+from tests import naive
+from tests.strategies import with_random_data
+
+ROUNDING = 1 / 8  # of samples, and what is allowed for that, in codes
+UNIT = Placement((0.0, 0.0, 0.0), 1.0)
+Floats = npt.NDArray[np.floating]
+
+
+def plane(depth: int) -> Octree:
+    """A full tree of the cells of a plane: x and y everywhere, z in the middle."""
+    steps = np.arange(1 << depth)
+    x, y = np.meshgrid(steps, steps)
+    codes = np.sort(encode_cells(np.stack([x, y, np.full_like(x, 1 << depth >> 1)], axis=-1).reshape(-1, 3)))
+    return Octree.from_leaves(codes, depth)
+
+
+def places(tree: Octree, level: int | None = None) -> npt.NDArray[np.float64]:
+    """The middles (n, 3) of the cells of a level, by default the deepest, in texture space."""
+    level = tree.max_depth if level is None else level
+    return (decode_cells(tree.level_codes(level)) + 0.5) / (1 << level)
+
+
+def means(tree: Octree, leaves: Floats, form: ChannelFormat) -> Channel:
+    """A channel of leaves' values (n, components), linear, and their means above."""
+    levels = [leaves.astype(np.float64)]
+    for level in range(tree.max_depth, 0, -1):
+        codes = tree.level_codes(level) >> 3
+        starts = np.flatnonzero(np.diff(codes, prepend=-1))
+        counts = np.diff(starts, append=codes.size)[:, None]
+        levels.append(np.add.reduceat(levels[-1], starts) / counts)
+    values = encode(np.concatenate(levels[::-1]), form.dtype, form.space)
+    return Channel(form, values, values[:0], values[:0])
+
+
+def sampled(tree: Octree, channels: Mapping[str, Channel]) -> Samples:
+    """A sample in the middle of each finest cell that sees its leaf's value."""
+    n = tree.n_leaves
+    forms = tuple(channel.format for channel in channels.values())
+    values = [decode(channel.values[-n:], channel.format.space) for channel in channels.values()]
+    return Samples(
+        depth=tree.max_depth,
+        channels=forms,
+        codes=tree.level_codes(tree.max_depth),
+        firsts=np.arange(n + 1),
+        places=np.full((n, 3), 1 << 15, np.uint16),
+        shares=np.full(n, 255, np.uint8),
+        values=np.hstack(values).astype(np.float16),
+    )
+
+
+def merge(
+    tree: Octree,
+    channels: Mapping[str, Channel],
+    max_error: float | None,
+    wanted: npt.NDArray[np.uint8] | None = None,
+    fit: Fit | None = None,
+) -> OctreeTexture:
+    """Adapt a tree to what its finest cells hold."""
+    found, values = adapted(
+        tree,
+        channels,
+        sampled(tree, channels),
+        UNIT,
+        max_error=max_error,
+        wanted=wanted,
+        fit=fit,
+        executor=None,
+        progress=silent,
+    )
+    found.validate()
+    return OctreeTexture(found, values, UNIT, [[0, 0, 0], [1, 1, 1]])
+
+
+def painted(tree: Octree, color: Floats, form: ChannelFormat = BASE_COLOR) -> dict[str, Channel]:
+    return {form.name: means(tree, color, form)}
+
+
+def errors(texture: OctreeTexture, full: Octree, channel: Channel) -> npt.NDArray[np.float64]:
+    """How far the field of colours is from the full tree's leaves in their middles, in codes (n,)."""
+    found = texture.sample(places(full), "base_color", "quadratic")
+    return np.abs(255 * linear_to_srgb(found) - channel.values[-full.n_leaves :]).max(axis=1)
+
+
+def is_merged(texture: OctreeTexture, full: Octree) -> npt.NDArray[np.bool_]:
+    """Say of each finest cell whether the leaf that holds it is less deep."""
+    deepest = texture.tree.level_codes(full.max_depth) if texture.tree.max_depth == full.max_depth else []
+    return ~np.isin(full.level_codes(full.max_depth), deepest)
+
+
+def noise(tree: Octree, seed: int = 0) -> npt.NDArray[np.float64]:
+    return np.random.default_rng(seed).random((tree.n_leaves, 3))
+
+
+def ramp(tree: Octree) -> npt.NDArray[np.float64]:
+    """Light that rises along x by a code a cell."""
+    codes = 100 + (places(tree)[:, :1] * [1, 1, 1]) * (1 << tree.max_depth)
+    return decode(np.rint(codes).astype(np.uint8), "srgb").astype(np.float64)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 4))
+def test_pruned_cells_are_those_of_the_full_tree_with_all_that_they_hold(seed: int, depth: int):
+    random = np.random.default_rng(seed)
+    codes = np.unique(random.integers(0, 8**depth, random.integers(1, 40)))
+    full = with_random_data(Octree.from_leaves(codes, depth), seed, keep=0.0)
+    finest = Finest.of(full)
+    depths = limits_of(finest, random.integers(0, depth + 1, codes.size).astype(np.uint8))
+    pruned = prune(finest, depths)
+    tree = pruned.tree
+    tree.validate()
+    assert int((np.diff(pruned.starts, append=codes.size)).sum()) == codes.size
+    for level, (codes_left, is_node) in enumerate(tree.walk()):
+        rows = slice(*tree.arrays.level_cells[level : level + 2])
+        numbers = pruned.cells[rows] - full.arrays.level_cells[level]
+        np.testing.assert_array_equal(full.level_codes(level)[numbers], codes_left)
+        np.testing.assert_array_equal(pruned.leaves[rows], ~is_node)
+    np.testing.assert_array_equal(tree.arrays.flags, full.arrays.flags[pruned.cells])
+    np.testing.assert_array_equal(tree.arrays.areas, full.arrays.areas[pruned.cells])
+    # A value for each cell and each row of the split table, by which they are known again.
+    rows_of = np.repeat(full.split.cells, np.bitwise_count(full.split.facings))
+    form = ChannelFormat("number", 1, "data", "float32")
+    channel = Channel(
+        form,
+        np.arange(full.n_cells, dtype=np.float32)[:, None],
+        rows_of.astype(np.float32)[:, None],
+        np.empty((0, 1), np.float32),
+    )
+    carried = pruned.carried({"number": channel})["number"]
+    carried.check("number", tree)
+    np.testing.assert_array_equal(carried.values[:, 0], pruned.cells)
+    owners = np.repeat(tree.split.cells, np.bitwise_count(tree.split.facings))
+    np.testing.assert_array_equal(carried.split_values[:, 0], pruned.cells[owners])
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_node_becomes_a_leaf_where_nothing_in_it_wants_to_go_deeper(seed: int):
+    random = np.random.default_rng(seed)
+    depth = 3
+    codes = np.unique(random.integers(0, 8**depth, 60))
+    wanted = random.integers(0, depth + 1, codes.size).astype(np.uint8)
+    limits = limits_of(Finest.of(Octree.from_leaves(codes, depth)), wanted)
+    for code, limit in zip(codes, limits, strict=True):
+        inside = [wanted[codes >> 3 * (depth - level) == code >> 3 * (depth - level)] for level in range(4)]
+        assert limit == next(level for level in range(4) if inside[level].max() <= level)
+
+
+def test_without_wishes_nothing_is_pruned():
+    tree = plane(3)
+    color = noise(tree)
+    texture = merge(tree, painted(tree, color), None)
+    assert texture.tree.n_leaves == tree.n_leaves
+    np.testing.assert_array_equal(
+        texture.channels["base_color"].values, painted(tree, color)["base_color"].values
+    )
+
+
+def test_constants_merge_into_the_root():
+    tree = plane(5)
+    texture = merge(tree, painted(tree, np.full((tree.n_leaves, 3), 0.3)), 0)
+    assert texture.tree.n_cells == 1
+
+
+def test_with_no_error_allowed_what_varies_stays():
+    tree = plane(4)
+    texture = merge(tree, painted(tree, noise(tree)), 0)
+    assert texture.tree.n_leaves == tree.n_leaves
+
+
+def test_slow_changes_merge_and_stay_near():
+    tree = plane(7)
+    channels = painted(tree, ramp(tree))
+    texture = merge(tree, channels, 2)
+    assert texture.tree.n_leaves < 0.1 * tree.n_leaves
+    assert errors(texture, tree, channels["base_color"]).max() <= 2 + ROUNDING
+
+
+@pytest.mark.parametrize("most", [1, 2, 8])
+def test_samples_in_merged_leaves_are_as_near_as_asked_for(most: float):
+    tree = plane(6)
+    random = np.random.default_rng(3)
+    color = ramp(tree)
+    spots = places(tree)[random.integers(0, tree.n_leaves, 8)]
+    for spot in spots:  # hard edges
+        near = np.abs(places(tree)[:, :2] - spot[:2]).max(axis=1) < 0.05 * random.random()
+        color[near] = random.random(3)
+    channels = painted(tree, color)
+    texture = merge(tree, channels, most)
+    merged = is_merged(texture, tree)
+    assert 0.2 < merged.mean() < 1
+    assert errors(texture, tree, channels["base_color"])[merged].max() <= most + ROUNDING
+
+
+def test_the_slow_field_agrees_that_merged_leaves_are_near():
+    tree = plane(4)
+    color = ramp(tree)
+    color[:20] = noise(tree)[:20]
+    channels = painted(tree, color)
+    texture = merge(tree, channels, 3)
+    merged = is_merged(texture, tree)
+    assert merged.any()
+    leaves = [
+        (level, naive.unmorton(code))
+        for level in range(texture.tree.max_depth + 1)
+        for code in texture.tree.level_codes(level)[~texture.tree.is_node(level)].tolist()
+    ]
+    values = decode(texture.channels["base_color"].values, "srgb")
+    field = naive.Field(naive.cells_of(leaves), values, "quadratic").at
+    for place, code in zip(
+        places(tree)[merged], channels["base_color"].values[-tree.n_leaves :][merged], strict=True
+    ):
+        assert np.abs(255 * linear_to_srgb(field(place)) - code).max() <= 3 + ROUNDING + 1e-3
+
+
+def test_a_decal_keeps_its_detail_on_a_body_that_costs_nothing():
+    tree = plane(8)
+    middle = np.abs(places(tree)[:, :2] - [0.3, 0.6]).max(axis=1) < 0.04
+    color = np.full((tree.n_leaves, 3), 0.2)
+    color[middle] = noise(tree)[middle]
+    texture = merge(tree, painted(tree, color), 2)
+    assert texture.tree.n_leaves < 0.05 * tree.n_leaves
+    finest = texture.tree.level_codes(8)
+    assert np.isin(tree.level_codes(8)[middle], finest).all()
+
+
+def test_every_channel_must_be_near():
+    tree = plane(5)
+    flat = painted(tree, np.full((tree.n_leaves, 3), 0.3))
+    rough = painted(tree, noise(tree)[:, :1], ROUGHNESS)
+    assert merge(tree, flat, 2).tree.n_leaves == 1
+    assert merge(tree, flat | rough, 2).tree.n_leaves == tree.n_leaves
+
+
+def test_what_is_transparent_may_be_of_any_colour():
+    tree = plane(5)
+    noisy = painted(tree, noise(tree))
+    clear = painted(tree, np.zeros((tree.n_leaves, 1)), ALPHA)
+    assert merge(tree, noisy | clear, 2).tree.n_leaves == 1
+
+
+def test_what_a_fit_breaks_is_split_again():
+    tree = plane(6)
+    channels = painted(tree, ramp(tree))
+    plain = merge(tree, channels, 2)
+
+    def fit(pruned: Octree, values: Mapping[str, Channel]) -> dict[str, Channel]:
+        spoilt = values["base_color"].values.copy()
+        broken = pruned.leaf_cells()[::5]
+        spoilt[broken] = 255 - spoilt[broken]
+        return {"base_color": values["base_color"]._replace(values=spoilt)}
+
+    texture = merge(tree, channels, 2, fit=fit)
+    assert texture.tree.n_leaves > plain.tree.n_leaves
+    merged = is_merged(texture, tree)
+    assert errors(texture, tree, channels["base_color"])[merged].max(initial=0) <= 2 + ROUNDING
+
+
+def test_leaves_hold_what_was_fitted_and_nodes_the_means():
+    tree = plane(5)
+
+    def fit(pruned: Octree, values: Mapping[str, Channel]) -> dict[str, Channel]:
+        fitted = values["base_color"].values.copy()
+        fitted[pruned.leaf_cells()] += 1
+        return {"base_color": values["base_color"]._replace(values=fitted)}
+
+    color = np.full((tree.n_leaves, 3), 0.3)
+    color[:16] = [0.9, 0.1, 0.5]
+    for most in (None, 3):
+        plain, fitted = (merge(tree, painted(tree, color), most, fit=each) for each in (None, fit))
+        assert fitted.tree.n_leaves == plain.tree.n_leaves
+        shift = fitted.channels["base_color"].values - plain.channels["base_color"].values
+        is_leaf = np.isin(np.arange(plain.tree.n_cells), plain.tree.leaf_cells())
+        np.testing.assert_array_equal(shift[:, 0], is_leaf)
+
+
+def test_wishes_and_errors_combine():
+    tree = plane(6)
+    x, y, _ = places(tree).T
+    color = noise(tree)
+    color[y < 0.5] = 0.3
+    texture = merge(tree, painted(tree, color), 2, np.where(x < 0.5, 4, 6).astype(np.uint8))
+
+    def depths(low: tuple[float, float], high: tuple[float, float]) -> set[int]:
+        return {
+            level
+            for level in range(texture.tree.max_depth + 1)
+            for middle in places(texture.tree, level)[~texture.tree.is_node(level)]
+            if (low < middle[:2]).all() and (middle[:2] < high).all()
+        }
+
+    assert depths((0, 0.5), (0.5, 1)) == {4}  # noise, but no more is wanted
+    assert depths((0.5, 0.5), (1, 1)) == {6}
+    assert max(depths((0, 0), (1, 0.4))) < 4
+
+
+def test_the_result_does_not_depend_on_the_order_of_work():
+    tree = plane(6)
+    color = ramp(tree)
+    color[:300] = noise(tree)[:300]
+    first, second = (merge(tree, painted(tree, color), 2) for _ in range(2))
+    for one, other in zip(first.tree.arrays, second.tree.arrays, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize(
+    ("given_error", "message"),
+    [
+        (-1, "max_error must be finite and not negative, not -1"),
+        (np.nan, "max_error must be finite and not negative, not nan"),
+        (np.inf, "max_error must be finite and not negative, not inf"),
+        ("two", "max_error must be a number of 8-bit codes, not 'two'"),
+        ([], r"max_error must be a number of 8-bit codes, not \[\]"),
+    ],
+)
+def test_an_error_must_be_a_number_from_zero_on(given_error: object, message: str):
+    with pytest.raises(ArgumentError, match=message):
+        as_max_error(given_error)  # type: ignore[arg-type]
+
+
+def test_errors_are_numbers():
+    assert as_max_error(0) == 0.0
+    assert as_max_error(np.float32(2)) == 2.0
+
+
+@pytest.mark.parametrize("form", [BASE_COLOR, EMISSIVE._replace(space="linear", dtype="float16")])
+@given(st.floats(0, 1, width=32), st.floats(0, 255))
+def test_light_is_apart_by_codes_of_its_curve(form: ChannelFormat, light: float, code: float):
+    other = srgb_to_linear(code / 255)
+    apart = abs(255 * linear_to_srgb(light) - code)
+    assert far(form, light, other, apart - 1e-3)
+    assert not far(form, light, other, apart + 1e-3)
+
+
+def test_light_above_one_is_apart_by_ratio():
+    form = EMISSIVE._replace(space="linear", dtype="float16")
+    expected = 255 * 1.055 / 2.4 * np.log(1.5)
+    assert not far(form, 6.0, 4.0, expected + 1e-3)
+    assert far(form, 6.0, 4.0, expected - 1e-3)
+    assert not far(form, 1.0 + 1e-6, 1.0 - 1e-6, 1e-3)
+
+
+def test_fractions_and_directions_are_apart_by_their_codes():
+    assert far(ROUGHNESS, 0.5, 0.5 + 2.01 / 255, 2)
+    assert not far(ROUGHNESS, 0.5, 0.5 + 1.99 / 255, 2)
+    assert far(NORMAL, -0.5, -0.5 + 2.01 / 127.5, 2)
+    assert not far(NORMAL, -0.5, -0.5 + 1.99 / 127.5, 2)
+
+
+def test_what_is_not_a_number_is_far_from_anything():
+    assert far(ROUGHNESS, np.nan, 0.5, 1e9)
+    assert far(ROUGHNESS, 0.5, np.nan, 1e9)
+
+
+def test_what_is_covered_in_part_counts_by_as_much():
+    found = {
+        "base_color": np.full((2, 3), 0.5, np.float32),
+        "alpha": np.full((2, 1), 0.5, np.float32),
+    }
+    source = np.array([[0.5, 0.5, 0.4, 1.0], [0.5, 0.5, 0.4, 0.5]])
+    apart = 255 * abs(linear_to_srgb(0.5) - linear_to_srgb(0.4))
+    assert list(exceeding(found, source, (BASE_COLOR, ALPHA), 200)) == [False, False]
+    assert list(exceeding(found, source, (BASE_COLOR, ALPHA), apart - 0.1)) == [True, False]
+    assert list(exceeding({**found, "alpha": found["alpha"] / 2}, source, (BASE_COLOR, ALPHA), 100)) == [
+        True,
+        False,
+    ]
+
+
+def far(form: ChannelFormat, found: float, source: float, most: float) -> bool:
+    """Whether two values, in each component, are farther apart than ``most`` codes."""
+    rows = np.full((1, form.components), found, np.float32)
+    return bool(exceeding({form.name: rows}, np.full(rows.shape, source), (form,), most)[0])
