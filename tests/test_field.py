@@ -14,6 +14,7 @@ from octex.field.field import Field, NotFiniteError, Taps
 from octex.field.neighborhood import MOST_TAPS
 from octex.field.plain import BLOCK
 from octex.field.splines import FILTERS
+from octex.field.tiles import can_be_tiled
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from tests import naive
@@ -158,6 +159,33 @@ def test_taps_do_not_depend_on_the_points_before_them(
     assert (found[order] == blended(again, values)).all()
 
 
+@pytest.mark.parametrize("filter", ["nearest", "linear", "quadratic"])
+@given(trees_and_points(), st.sampled_from([np.uint8, np.uint16]))
+def test_colors_are_those_of_the_reference_where_leaves_reach(filter: str, drawn: Drawn, dtype: type) -> None:
+    tree, points = drawn
+    table = np.random.default_rng(0).random(np.iinfo(dtype).max + 1, np.float32)
+    values = np.random.default_rng(1).integers(0, table.size, (tree.n_cells, 3), dtype)
+    results = np.full((len(points), 3), -1.0, np.float32)
+    missed = Field(tree).colors(points, UNIT, filter, values, table, results)
+    if not can_be_tiled(tree):
+        assert missed is None
+        assert (results == -1).all()
+        return
+    assert missed is not None
+    cells = reference(tree, "linear", np.zeros((tree.n_cells, 1))).cells
+    for n, point in enumerate(points.tolist()):
+        if filter == "nearest":
+            number = naive.find(cells, np.clip(point, 0, 1 - 2.0**-30).tolist())
+            reached = cells[number].is_leaf
+            expected = table[values[number]]
+        else:
+            field = reference(tree, filter, table[values])
+            reached = field.weight(point) > 0
+            expected = field.at(point)
+        assert reached == (n not in missed)
+        np.testing.assert_allclose(results[n], expected if reached else -1.0, rtol=0, atol=1e-5)
+
+
 @each_filter
 def test_no_points_have_no_taps(filter: str) -> None:
     for gradient in (False, True):
@@ -174,6 +202,10 @@ def test_a_point_that_is_not_finite_is_named(wrong: float, gradient: bool) -> No
     with pytest.raises(NotFiniteError, match=r"points\[23\]") as caught:
         Field(shell(3, 3)).taps(points, UNIT, gradient=gradient)
     assert caught.value.row == 23
+    values, table = np.zeros((shell(3, 3).n_cells, 3), np.uint8), np.zeros(256, np.float32)
+    for filter in FILTERS[:3]:
+        with pytest.raises(NotFiniteError, match=r"points\[23\]"):
+            Field(shell(3, 3)).colors(points, UNIT, filter, values, table, points.astype(np.float32))
 
 
 def test_outside_the_root_slopes_are_those_of_the_nearest_point_inside() -> None:
