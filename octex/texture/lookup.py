@@ -19,8 +19,9 @@ Floats = npt.NDArray[np.float32]
 #: finite or −1.
 LookUp = Callable[[Array, list[Array]], int]
 
-#: Points looked up at once: what is kept of them stays in the processor's cache.
-BLOCK = 1 << 14
+#: Points looked up at once: what is kept of them stays in the processor's cache, and a thread that takes them
+#: is busy for a millisecond or more, beside which handing them over (50 µs) is little.
+BLOCK = 1 << 16
 
 
 class _Blocks(Sequence[tuple[Array, list[Array]]]):
