@@ -1,0 +1,306 @@
+"""The cells around a point, level by level: which are nodes, which are leaves, and their numbers.
+
+The *window* of a level is the 3×3×3 cells of that level around the cell that holds the point, 5×5×5 for
+quartic. They are children of a *block* of 2×2×2 (3×3×3) parents, which lie in the window of the level above:
+
+    window      + + +        the block's children are one more along each axis than the window, which begins
+                + c +        at the first or the second of them
+                + + +
+
+A window depends only on the cell that holds the point, so what the previous point shares is kept. Each block
+is a few words of bits, and a group is read for each parent that is a node. Every index is clamped and every
+descent bounded, so that no content of the arrays makes a kernel read outside them.
+
+(Paper 3.4, after Kobbelt et al. 1997.)
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.field.splines import LINEAR
+from octex.jit import inlined, kernel, popcount, trailing_zeros
+from octex.tree.layout import KEPT, MAX_DEPTH, TreeArrays
+
+Int64s = npt.NDArray[np.int64]
+Uint64s = npt.NDArray[np.uint64]
+Float64s = npt.NDArray[np.float64]
+Uint32s = npt.NDArray[np.uint32]
+Table = npt.NDArray[np.uint8]
+
+BYTE = np.uint64(0xFF)
+
+#: No point has more taps: every cell of every window.
+MOST_TAPS = (MAX_DEPTH + 1) * 125
+
+# Columns of Walk.levels.
+NODES = 0  # whether the window has nodes
+CONTENT = 1  # whether it or one above has leaves or kept coefficients
+KEEPING = 2  # whether parents have kept coefficients
+ABOVE = 3  # where the block begins among the children of the block above: x + 3·y + 9·z, each 0 to 2
+BEGIN = 4  # where the window begins among the children of the block: x + 2·y + 4·z, each 0 or 1
+UPPER = 5  # in which half of its parent the cell in the middle lies: x + 2·y + 4·z
+
+# Rows of Walk.windows.
+COVER = 0  # 22 rows: of each level, the weights of the window's coefficients
+REFINED = 22  # 22 rows: of each level, the weights refined from the window above
+COLOR = 44  # how much of a refined cell's colour comes from coloured cells
+SHARES = 45  # 4 rows: weights and slopes that fall on a window's cells
+
+
+class Walk(NamedTuple):
+    """What walks through one tree remember from one point to the next, and where they work.
+
+    Slots number the parents of a block, and places the cells of a window, x fastest. Child 8·slot + octant of
+    a block has bit (child & 63) of the words [level, child >> 6].
+    """
+
+    previous: Int64s  # (6,)   the previous position; its last level; filter; last level of COVER
+    levels: Int64s  # (22, 6)   what is known of each level
+    real: Uint64s  # (22, 4)   which children have a parent that is a node; the others are refined
+    nodes: Uint64s  # (22, 4)   which of them are nodes
+    cells: Uint64s  # (22, 4)   which are stored
+    kept: Uint64s  # (22, 4)   which are nodes with kept coefficients
+    below_kept: Uint64s  # (22, 4)   which have such a parent
+    below_leaves: Uint64s  # (22, 4)   which are below a leaf; for LINEAR
+    first_nodes: Int64s  # (22, 27)   by slot: node number of the parent's first child node
+    first_cells: Int64s  # (22, 27)   by slot: cell number of its first child
+    windows: Float64s  # (49, 125)   what lies on a window's cells, by place
+    taps: Float64s  # (4, MOST_TAPS)   weights and slopes before they are normalized
+
+
+def _tables() -> tuple[Table, Uint64s, Table, Uint64s]:
+    """Tabulate what is where in blocks of 2³ and of 3³ parents."""
+    slot_at, parents_of = np.zeros((2, 27, 216), np.uint8), np.zeros((2, 27, 4), np.uint64)
+    places, inside = np.zeros((2, 8, 216), np.uint8), np.zeros((2, 8, 4), np.uint64)
+    octants = [(x, y, z) for z, y, x in product(range(2), repeat=3)]
+    for which, parents in enumerate((2, 3)):
+        side = 2 * parents - 1
+        slots = [(x, y, z) for z, y, x in product(range(parents), repeat=3)]
+        children = {}
+        for slot, octant in product(range(len(slots)), range(8)):
+            at = [2 * q + o for q, o in zip(slots[slot], octants[octant], strict=True)]
+            child = children[tuple(at)] = 8 * slot + octant
+            for begin, starts in enumerate(octants):
+                x, y, z = (c - start for c, start in zip(at, starts, strict=True))
+                if 0 <= min(x, y, z) <= max(x, y, z) < side:
+                    inside[which, begin, child >> 6] |= np.uint64(1 << (child & 63))
+                    places[which, begin, child] = x + side * (y + side * z)
+        for above, slot in product(range(27), range(len(slots))):
+            firsts = (above % 3, above // 3 % 3, above // 9)
+            x, y, z = (first + q for first, q in zip(firsts, slots[slot], strict=True))
+            child = children[x, y, z]
+            slot_at[which, above, child] = slot
+            parents_of[which, above, child >> 6] |= np.uint64(1 << (child & 63))
+    return slot_at, parents_of, places, inside
+
+
+# All [parents − 2, …]:
+# SLOT_AT [ABOVE, child]     the slot of a child of the block above
+# PARENTS [ABOVE, word]      which children of the block above are parents
+# PLACES [BEGIN, child]      a child's place in the window
+# INSIDE [BEGIN, word]       which children are in the window
+SLOT_AT, PARENTS, PLACES, INSIDE = _tables()
+
+
+@kernel
+def new_walk() -> Walk:
+    """Return a walk without memory. A walk serves one tree, and all filters."""
+    levels = MAX_DEPTH + 1
+    return Walk(
+        np.full(6, -1, np.int64),
+        np.zeros((levels, 6), np.int64),
+        np.zeros((levels, 4), np.uint64),
+        np.zeros((levels, 4), np.uint64),
+        np.zeros((levels, 4), np.uint64),
+        np.zeros((levels, 4), np.uint64),
+        np.zeros((levels, 4), np.uint64),
+        np.zeros((levels, 4), np.uint64),
+        np.zeros((levels, 27), np.int64),
+        np.zeros((levels, 27), np.int64),
+        np.zeros((SHARES + 4, 125), np.float64),
+        np.zeros((4, MOST_TAPS), np.float64),
+    )
+
+
+@inlined
+def follow(
+    arrays: TreeArrays,
+    kept_cells: Uint32s,
+    walk: Walk,
+    i: int,
+    j: int,
+    k: int,
+    filter_code: int,
+    parents: int,
+) -> int:
+    """Go down to the first level whose window holds no node, and return it."""
+    previous = walk.previous
+    difference = (i ^ previous[0]) | (j ^ previous[1]) | (k ^ previous[2])
+    level = int(previous[3])
+    if level < 0 or previous[4] != filter_code:
+        _enter(arrays, kept_cells, walk, parents)
+        previous[4], previous[5] = filter_code, -1
+        level = 0
+    while level > 0 and difference >> (MAX_DEPTH - level) != 0:
+        level -= 1
+    previous[5] = min(previous[5], level)
+    deepest = min(arrays.level_cells.size - 2, MAX_DEPTH)
+    while walk.levels[level, NODES] and level < deepest:
+        level += 1
+        _go_down(arrays, walk, i, j, k, level, parents)
+        if filter_code == LINEAR:
+            _find_below_leaves(walk, level)
+        if kept_cells.size > 0:
+            _find_kept(arrays, walk, level, parents)
+    previous[0], previous[1], previous[2], previous[3] = i, j, k, level
+    return level
+
+
+@inlined
+def _enter(arrays: TreeArrays, kept_cells: Uint32s, walk: Walk, parents: int) -> None:
+    """Write the root's window: it is the first child of the slot in the middle, the others have none."""
+    is_node = arrays.groups.shape[0] > 0
+    keeps = is_node and kept_cells.size > 0 and arrays.flags[0] & KEPT != 0
+    middle = 1 + parents + parents * parents
+    for word in range(4):
+        root = bit_at(8 * (middle & 7)) if word == middle >> 3 else np.uint64(0)
+        walk.real[0, word] = ~np.uint64(0)
+        walk.cells[0, word] = root
+        walk.nodes[0, word] = root if is_node else np.uint64(0)
+        walk.kept[0, word] = root if keeps else np.uint64(0)
+        walk.below_kept[0, word] = walk.below_leaves[0, word] = 0
+    walk.first_nodes[0, middle] = walk.first_cells[0, middle] = 0
+    levels = walk.levels
+    levels[0, NODES] = is_node
+    levels[0, CONTENT] = keeps or not is_node
+    levels[0, KEEPING] = 0
+    levels[0, BEGIN] = 7 if parents == 2 else 0
+
+
+@inlined
+def _go_down(arrays: TreeArrays, walk: Walk, i: int, j: int, k: int, level: int, parents: int) -> None:
+    """Find the window of a level from that of the level above."""
+    levels, real, nodes, cells = walk.levels, walk.real, walk.nodes, walk.cells
+    groups = arrays.groups
+    words = 1 if parents == 2 else 4
+    # the first cells of this window and of that above
+    shift = MAX_DEPTH - level
+    reach = parents - 1
+    a, b, c = (i >> shift) - reach, (j >> shift) - reach, (k >> shift) - reach
+    u, v, w = (i >> shift + 1) - reach, (j >> shift + 1) - reach, (k >> shift + 1) - reach
+    above = (a >> 1) - (u & ~1) + 3 * ((b >> 1) - (v & ~1)) + 9 * ((c >> 1) - (w & ~1))
+    begin = a & 1 | (b & 1) << 1 | (c & 1) << 2
+    upper = i >> shift & 1 | (j >> shift & 1) << 1 | (k >> shift & 1) << 2
+    for word in range(words):
+        real[level, word] = nodes[level, word] = cells[level, word] = 0
+    for word in range(words):
+        above_nodes = nodes[level - 1, word]
+        bits = above_nodes & PARENTS[parents - 2, above, word]
+        while bits != 0:
+            place = trailing_zeros(bits)
+            bits &= bits - np.uint64(1)
+            slot = _slot(parents, above, 64 * word + place)
+            node = walk.first_nodes[level - 1, 8 * word + (place >> 3)] + _rank(above_nodes, place)
+            group = min(node >> 3, groups.shape[0] - 1)
+            in_group = 8 * (node & 7)
+            below = _below(in_group)
+            group_nodes = groups[group, 0]
+            group_cells = group_nodes | groups[group, 1]
+            firsts = groups[group, 2]
+            first_node, first_cell = firsts & np.uint64(0xFFFFFFFF), firsts >> np.uint64(32)
+            walk.first_nodes[level, slot] = int(np.int64(first_node)) + popcount(group_nodes & below)
+            walk.first_cells[level, slot] = int(np.int64(first_cell)) + popcount(group_cells & below)
+            at = np.uint64(8 * (slot & 7))
+            real[level, slot >> 3] |= BYTE << at
+            nodes[level, slot >> 3] |= (group_nodes >> np.uint64(in_group) & BYTE) << at
+            cells[level, slot >> 3] |= (group_cells >> np.uint64(in_group) & BYTE) << at
+    has_nodes = has_leaves = np.uint64(0)
+    for word in range(words):
+        has_nodes |= nodes[level, word] & INSIDE[parents - 2, begin, word]
+        has_leaves |= (nodes[level, word] ^ cells[level, word]) & INSIDE[parents - 2, begin, word]
+    levels[level, NODES] = has_nodes != 0
+    levels[level, CONTENT] = has_leaves != 0 or levels[level - 1, CONTENT]
+    levels[level, KEEPING] = 0
+    levels[level, ABOVE] = above
+    levels[level, BEGIN] = begin
+    levels[level, UPPER] = upper
+
+
+@inlined
+def _find_below_leaves(walk: Walk, level: int) -> None:
+    """Find which children of a block are below a leaf."""
+    walk.below_leaves[level, 0] = 0
+    above = walk.levels[level, ABOVE]
+    leaves = walk.cells[level - 1, 0] ^ walk.nodes[level - 1, 0] | walk.below_leaves[level - 1, 0]
+    bits = leaves & PARENTS[0, above, 0]
+    while bits != 0:
+        slot = _slot(2, above, trailing_zeros(bits))
+        bits &= bits - np.uint64(1)
+        walk.below_leaves[level, 0] |= BYTE << np.uint64(8 * slot)
+
+
+@inlined
+def _find_kept(arrays: TreeArrays, walk: Walk, level: int, parents: int) -> None:
+    """Find which nodes of a window, and which parents of its block, have kept coefficients."""
+    levels, below_kept = walk.levels, walk.below_kept
+    words = 1 if parents == 2 else 4
+    for word in range(words):
+        below_kept[level, word] = 0
+    for word in range(words):
+        bits = walk.kept[level - 1, word] & PARENTS[parents - 2, levels[level, ABOVE], word]
+        while bits != 0:
+            slot = _slot(parents, levels[level, ABOVE], 64 * word + trailing_zeros(bits))
+            bits &= bits - np.uint64(1)
+            below_kept[level, slot >> 3] |= BYTE << np.uint64(8 * (slot & 7))
+            levels[level, KEEPING] = 1
+        kept = np.uint64(0)
+        bits = walk.nodes[level, word] & INSIDE[parents - 2, levels[level, BEGIN], word]
+        while bits != 0:
+            place = trailing_zeros(bits)
+            bits &= bits - np.uint64(1)
+            if arrays.flags[cell_at(arrays, walk, level, word, place)] & KEPT:
+                kept |= bit_at(place)
+        walk.kept[level, word] = kept
+        if kept != 0:
+            levels[level, CONTENT] = 1
+
+
+@inlined
+def cell_at(arrays: TreeArrays, walk: Walk, level: int, word: int, place: int) -> int:
+    """Cell number of a block's child."""
+    cell = walk.first_cells[level, 8 * word + (place >> 3)] + _rank(walk.cells[level, word], place)
+    return min(int(cell), arrays.flags.size - 1)
+
+
+@inlined
+def _rank(word: np.uint64, place: int) -> int:
+    """Count a parent's children, of those in a word, that are before the one at a place."""
+    return popcount(word >> np.uint64(place & 56) & _below(place & 7))
+
+
+@inlined
+def place_of(parents: int, begin: int, child: int) -> int:
+    """Say where a child lies in a window."""
+    return int(np.int64(PLACES[parents - 2, begin, child]))
+
+
+@inlined
+def _slot(parents: int, above: int, child: int) -> int:
+    """Say in which slot a child of the block above is a parent."""
+    return int(np.int64(SLOT_AT[parents - 2, above, child]))
+
+
+@inlined
+def bit_at(place: int) -> np.uint64:
+    """Return the bit at a place of a word."""
+    return np.uint64(1) << np.uint64(place)
+
+
+@inlined
+def _below(place: int) -> np.uint64:
+    return (np.uint64(1) << np.uint64(place)) - np.uint64(1)
