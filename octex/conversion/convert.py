@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from functools import partial
 from pathlib import Path
 
 import numpy.typing as npt
@@ -12,6 +13,8 @@ import numpy.typing as npt
 import octex
 from octex.channels import ONE, ChannelFormat
 from octex.checks import as_choice, as_depth
+from octex.conversion.adapt import adapted, as_max_error
+from octex.conversion.detail import DetailFunction, channel_of, wanted_levels
 from octex.conversion.fill import assemble, fill
 from octex.conversion.fit import fitted
 from octex.errors import ArgumentError
@@ -36,6 +39,8 @@ def convert(
     dtype: str | Mapping[str, str] | None = None,
     filter: str | None = None,
     fit: bool = True,
+    max_error: float | None = None,
+    detail: DetailFunction | str | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> OctreeTexture:
@@ -61,35 +66,63 @@ def convert(
     values with which the field, read with the filter "quadratic", comes nearest to the source; without
     ``fit`` their means, as nodes do.
 
+    Leaves are as deep as the finest cells unless ``max_error`` or ``detail`` say otherwise. ``max_error``, in
+    8-bit codes of what is encoded, merges leaves wherever the field then stays that near to the source: see
+    ``adapt.adapted``. ``detail`` says how deep to go where: a function of rest positions (n, 3) that returns
+    levels (n,), the name of a channel of one component that holds the resolution relative to the finest, or
+    "stretch", which evens out the resolution of the posed surface: see ``detail.wanted_levels``. A channel
+    that only steers is not stored if ``channels`` do not name it.
+
     Raises ModelError and ImageError for a model that cannot be used, ArgumentError for a depth out of range,
     a cell too small, more cells than can be numbered, unknown names, and an integer type for a channel that
-    goes above 1.
+    goes above 1, for a ``max_error`` that is no number or negative, and a ``detail`` that cannot be used.
     """
     report = progress or silent
+    most = None if max_error is None else as_max_error(max_error)
     if depth is not None and cell is not None:
         raise ArgumentError("give depth or cell, not both")
     if depth is not None:
         as_depth(depth)
-    surface = _surface(model, rest, channels, sources or {}, filter, report)
+    names = [channels] if isinstance(channels, str) else channels
+    steering = channel_of(detail)
+    if names is None or steering is None or steering in names:
+        whole = surface = _surface(model, rest, names, sources or {}, filter, report)
+    else:
+        whole = _surface(model, rest, [*names, steering], sources or {}, filter, report)
+        surface = whole.with_channels(names)
     stored = _stored_as(surface, dtype)
     if cell is not None:
         placement, depth = Placement.with_cell(surface.bounds, cell)
     else:
         depth = DEFAULT_DEPTH if depth is None else depth
         placement = Placement.around(surface.bounds, depth)
+    wanted = None if detail is None else wanted_levels(detail, whole, depth)
     with workers(executor) as pool:
-        filled = fill(surface, stored, placement, depth, pool, report, with_samples=fit)
+        has_samples = fit or most is not None
+        filled = fill(surface, stored, placement, depth, pool, report, has_samples=has_samples, wanted=wanted)
         report("build", 0, 1)
         tree, values = assemble(stored, filled)
         report("build", 1, 1)
-        if filled.samples is not None:
-            values = fitted(tree, values, filled.samples, placement, executor=pool, progress=report)
+        samples, degenerate, deepest = filled.samples, filled.degenerate, filled.wanted
+        del filled  # holds all values once more
+        fitting = None
+        if samples is not None and fit:
+            fitting = partial(fitted, samples=samples, placement=placement, executor=pool, progress=report)
+        if most is not None or deepest is not None:
+            tree, values = adapted(
+                tree, values, samples, placement,
+                max_error=most, wanted=deepest, fit=fitting, executor=pool, progress=report,
+            )  # fmt: skip
+        elif fitting is not None:
+            values = fitting(tree, values)
     options = {
         **({"depth": depth} if cell is None else {"cell": float(cell)}),
         "fit": fit,
+        **({} if most is None else {"max_error": most}),
+        **({} if detail is None else {"detail": detail if isinstance(detail, str) else "function"}),
         "channels": {channel.name: channel.dtype for channel in stored},
         "triangles": len(surface.triangles),
-        "degenerate": filled.degenerate,
+        "degenerate": degenerate,
     }
     metadata = {**surface.provenance, "octex": octex.__version__, "convert": json.dumps(options)}
     return OctreeTexture(tree, values, placement, surface.bounds, metadata)

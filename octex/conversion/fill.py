@@ -21,6 +21,7 @@ from octex.conversion.accumulate import (
     sum_pieces,
 )
 from octex.conversion.cells import BLOCK_BITS, SPREAD, load_triangle
+from octex.conversion.detail import Wanted, deepest_wanted
 from octex.conversion.pieces import Blocks, bin_triangles, cut, most_pieces
 from octex.conversion.samples import Samples, Taken, join, take_samples
 from octex.errors import ArgumentError, ModelError
@@ -58,6 +59,7 @@ class Part(NamedTuple):
     levels: list[Stored]  # from the leaves' level up to below the blocks' own
     top: Sums  # of the blocks themselves
     taken: Taken | None
+    wanted: npt.NDArray[np.uint8] | None  # (leaves,)   the levels wanted there
 
 
 class Filled(NamedTuple):
@@ -67,6 +69,7 @@ class Filled(NamedTuple):
     codes: npt.NDArray[np.int64]  # of the finest cells
     levels: list[list[Stored]]  # from the root down, each in parts
     samples: Samples | None
+    wanted: npt.NDArray[np.uint8] | None  # (finest cells,)   the levels wanted there
     degenerate: int  # triangles without area
 
 
@@ -81,7 +84,8 @@ class Job(NamedTuple):
     depth: int
     block_level: int
     cell: float  # edge of a leaf in rest units
-    with_samples: bool
+    has_samples: bool
+    wanted: Wanted | None
 
 
 def on_grid(rest: npt.NDArray[np.float64], placement: Placement) -> npt.NDArray[np.int32]:
@@ -101,9 +105,10 @@ def fill(
     executor: Executor,
     report: Progress,
     *,
-    with_samples: bool,
+    has_samples: bool,
+    wanted: Wanted | None = None,
 ) -> Filled:
-    """Convert a surface into the means of all cells down to ``depth``, and samples if they are wanted.
+    """Convert a surface into the means of all cells down to ``depth``, and samples if it ``has_samples``.
 
     Raises ModelError for a surface without area, ArgumentError for more cells than memory can hold.
     """
@@ -128,7 +133,7 @@ def fill(
     block_level = max(depth - BLOCK_BITS, 0)
     columns = Columns.of(channels)
     cell = placement.size / 2**depth
-    job = Job(surface, channels, columns, grid, blocks, depth, block_level, cell, with_samples)
+    job = Job(surface, channels, columns, grid, blocks, depth, block_level, cell, has_samples, wanted)
     runs = _even_runs(most_pieces(grid, surface.triangles, blocks, depth))
     converted = ordered_map(executor, partial(_convert_run, job), runs, stage="convert", progress=report)
     parts = list(converted)
@@ -138,8 +143,10 @@ def fill(
     levels += ([part.levels[step] for part in parts] for step in reversed(range(len(parts[0].levels))))
     codes = np.concatenate([part.codes for part in parts])
     taken = [part.taken for part in parts if part.taken is not None]
-    samples = join(depth, channels, codes, taken) if with_samples else None
-    return Filled(depth, codes, levels, samples, degenerate)
+    samples = join(depth, channels, codes, taken) if has_samples else None
+    levels_wanted = [part.wanted for part in parts if part.wanted is not None]
+    deepest = np.concatenate(levels_wanted) if wanted is not None else None
+    return Filled(depth, codes, levels, samples, deepest, degenerate)
 
 
 class Run(NamedTuple):
@@ -182,10 +189,11 @@ def _convert_run(job: Job, run: Run) -> Part:
     leaves = Sums(pieces.codes, pieces.flags, sums)
     levels, top = _climb(leaves, job.depth - job.block_level, job.channels, job.columns)
     levels.pop()  # the blocks themselves: in top
+    wanted = None if job.wanted is None else deepest_wanted(job.wanted, pieces, widths)
     taken = None
-    if job.with_samples:
+    if job.has_samples:
         taken = take_samples(surface, job.grid, pieces, widths, values, job.depth, job.cell, job.channels)
-    return Part(pieces.codes, levels, top, taken)
+    return Part(pieces.codes, levels, top, taken, wanted)
 
 
 def _climb(

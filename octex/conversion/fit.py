@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import ChannelFormat, decode, encode
+from octex.channels import CHANNELS, ChannelFormat, decode, encode
 from octex.conversion.numbering import Leaves, members_of, number
 from octex.conversion.samples import SHARE_STEPS, Samples, sample_points
-from octex.conversion.solve import Codes, covered, diagonal, residuals, sweep, transpose
+from octex.conversion.solve import Codes, approach, covered, diagonal, residuals, sweep, transpose
 from octex.field.field import Field
 from octex.jit import kernel
 from octex.parallel import Progress, ordered_map
@@ -35,7 +35,7 @@ RINGS = 2
 LEAF_SAMPLES = 64
 #: Sweeps over the leaves, back and forth, and with weights renewed the last ones, which round for 8 bits.
 #: Twice as many win 0.2 dB.
-SWEEPS, LAST_SWEEPS = 4, 2
+SWEEPS, LAST_SWEEPS = 3, 2
 #: What samples that nothing covers still weigh.
 LEAST_COVERAGE = 2.0**-10
 
@@ -48,11 +48,11 @@ class Group(NamedTuple):
 
     @property
     def range(self) -> tuple[float, float]:
-        """The least and the largest value that can be stored."""
+        """The least and the largest value that can be stored, or that a material's channel can have."""
         space, dtype = self.format.space, self.format.dtype
         if space == "direction":
             return -1.0, 1.0
-        if not dtype.startswith("float"):
+        if not dtype.startswith("float") or (space == "data" and self.format.name in CHANNELS):
             return 0.0, 1.0
         largest = float(np.finfo(dtype).max)
         return 0.0 if space != "data" else -largest, largest
@@ -100,7 +100,7 @@ def fitted(
     their types' ranges. The result does not depend on the executor.
     """
     leaves = Leaves.of(tree, samples)
-    cuts = _cuts(leaves.firsts)
+    cuts = _cuts(leaves.firsts, BRICK_SAMPLES, LEAF_SAMPLES)
     bricks = list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
     given = [channels[form.name] for form in samples.channels]
     field = Field(tree)
@@ -122,14 +122,14 @@ def fitted(
 
 
 @kernel
-def _cuts(firsts: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Cut leaves into runs of about BRICK_SAMPLES."""
+def _cuts(firsts: npt.NDArray[np.int64], brick: int, most: int) -> npt.NDArray[np.int64]:
+    """Cut leaves into runs of about ``brick`` samples, of which a leaf has ``most`` at most."""
     cuts = np.zeros(firsts.size + 1, np.int64)
     n_cuts = 1
     size = 0
     for leaf in range(firsts.size - 1):
-        size += min(firsts[leaf + 1] - firsts[leaf], LEAF_SAMPLES)
-        if size >= BRICK_SAMPLES or leaf == firsts.size - 2:
+        size += min(firsts[leaf + 1] - firsts[leaf], most)
+        if size >= brick or leaf == firsts.size - 2:
             cuts[n_cuts] = leaf + 1
             n_cuts += 1
             size = 0
@@ -173,6 +173,9 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[npt.NDArray[np.generic]
         means, wanted = _four(values[:, group.columns]), _four(targets[:, group.columns])
         found = means.copy()
         to_codes = Codes.of_bytes(group.format.space) if group.format.dtype == "uint8" else Codes.none()
+        rows = residuals(starts, leaves, weights, found, wanted, shares, components, is_light)
+        approach(equations, rows, found)
+        found[: lookups.unknowns][is_fixed] = means[: lookups.unknowns][is_fixed]
         for codes, sweeps in ((Codes.none(), SWEEPS), (to_codes, LAST_SWEEPS)):
             rows = residuals(starts, leaves, weights, found, wanted, shares, components, is_light)
             sums, is_flat = diagonal(equations, rows, wanted)

@@ -164,10 +164,32 @@ def diagonal(equations: Equations, rows: Floats, targets: Floats) -> tuple[Float
     return sums, is_flat
 
 
+@kernel
+def approach(equations: Equations, rows: Floats, values: Floats) -> None:
+    """Move each unknown's ``values`` (leaves, 4) by the mean of what its samples miss.
+
+    Means are stored rounded. Sweeps that start with a share of that error in every leaf overshoot in the
+    first and need several more to calm down; this takes it away at once.
+    """
+    starts, samples, weights = equations
+    for leaf in range(starts.size - 1):
+        x, y, z, total = weighted_rows(rows, samples, weights, starts[leaf], starts[leaf + 1])
+        if total > _ZERO:
+            values[leaf, 0] -= x / total
+            values[leaf, 1] -= y / total
+            values[leaf, 2] -= z / total
+
+
 @inlined
-def _rounded(value: np.float32, codes: Codes, scale: np.float32) -> np.float32:
-    guess = int(codes.guesses[int((value - codes.values[0]) * scale)])
-    return np.float32(codes.values[guess + (value >= codes.middles[guess])])
+def _rounded(
+    value: np.float32, mean: np.float32, codes: Codes, scale: np.float32, is_flat: bool
+) -> np.float32:
+    values = codes.values
+    guess = int(codes.guesses[int((value - values[0]) * scale)])
+    code = guess + (value >= codes.middles[guess])
+    if is_flat and values[max(code - 1, 0)] <= mean <= values[min(code + 1, values.size - 1)]:
+        return mean
+    return np.float32(values[code])
 
 
 @kernel
@@ -186,8 +208,8 @@ def sweep(
 ) -> None:
     """Improve each unknown's ``values`` (leaves, 4) in turn, and ``rows`` with them.
 
-    With ``codes`` they become stored numbers; leaves whose samples have one value take the nearest, for what
-    others are rounded by is no reason to stir them.
+    With ``codes`` they become stored numbers. Leaves whose samples have one value then stay at their means if
+    they are less than two codes away: what others are rounded by is no reason to stir them.
     """
     starts, samples, weights = equations
     is_rounding = codes.values.size > 0
@@ -212,7 +234,9 @@ def sweep(
         y = min(max(y, least), most)
         z = min(max(z, least), most)
         if is_rounding:
-            x, y, z = _rounded(x, codes, scale), _rounded(y, codes, scale), _rounded(z, codes, scale)
+            x = _rounded(x, means[leaf, 0], codes, scale, is_flat[leaf])
+            y = _rounded(y, means[leaf, 1], codes, scale, is_flat[leaf])
+            z = _rounded(z, means[leaf, 2], codes, scale, is_flat[leaf])
         y = y if components > 1 else zero
         z = z if components > 2 else zero
         if x == a and y == b and z == c:
