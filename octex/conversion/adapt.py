@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -29,13 +29,14 @@ Channels: TypeAlias = Mapping[str, Channel]
 Fit: TypeAlias = Callable[[Octree, Channels], Channels]
 Bools: TypeAlias = npt.NDArray[np.bool_]
 Depths: TypeAlias = npt.NDArray[np.uint8]
+Values: TypeAlias = npt.NDArray[Any]
 
 #: Finest cells whose samples are looked up at once.
 _BLOCK = 1 << 17
 #: What samples, float16 numbers, are rounded by at most, in codes: so much more is allowed.
 _ROUNDING = 1 / 16
 #: Leaves that fail are split by a level, which mostly is enough; after so many rounds, to the finest cells.
-_GENTLE_ROUNDS = 6
+_GENTLE_ROUNDS = 3
 
 
 def as_max_error(max_error: float) -> float:
@@ -95,6 +96,13 @@ class Pruned(NamedTuple):
             )
             for name, channel in channels.items()
         }
+
+    def scattered(self, fitted: Channels, means: Channels) -> dict[str, Values]:
+        """Return the values of this tree's leaves where they are in the full tree, between its means."""
+        found = {name: channel.values.copy() for name, channel in means.items()}
+        for name, values in found.items():
+            values[self.cells[self.leaves]] = fitted[name].values[self.leaves]
+        return found
 
 
 def prune(finest: Finest, depths: Depths) -> Pruned:
@@ -208,7 +216,9 @@ class _Merger:
         for done in (1, 2):
             self._progress("adapt", depth + done, depth + 3)
             before = pruned
-            fitted = fit and (before, fit(before.tree, before.carried(self._channels)))
+            fitted = None
+            if fit:
+                fitted = before.scattered(fit(before.tree, before.carried(self._channels)), self._channels)
             pruned, values = self._split(depths, fitted, everywhere)
             if not fit or pruned.tree.n_leaves == before.tree.n_leaves:
                 break
@@ -251,19 +261,20 @@ class _Merger:
         return marked
 
     def _split(
-        self, depths: Depths, fitted: tuple[Pruned, Channels] | None, tested: Bools
+        self, depths: Depths, fitted: Mapping[str, Values] | None, tested: Bools
     ) -> tuple[Pruned, dict[str, Channel]]:
         """Split merged leaves until the field is near the source in each that is left; changes ``depths``.
 
-        ``tested`` says in which of the finest cells. Leaves have ``fitted`` values; new ones, their means.
+        ``tested`` says in which of the finest cells. Leaves have ``fitted`` values, by cells of the full
+        tree; new ones have their means there.
         """
         finest, limits = self._finest, self._limits
         suspects = tested
         for attempt in range(finest.codes.size):
             pruned = prune(finest, depths)
             values = pruned.carried(self._channels)
-            if fitted:
-                _take_leaves(pruned, values, *fitted)
+            for name, leaf_values in (fitted or {}).items():
+                values[name].values[pruned.leaves] = leaf_values[pruned.cells[pruned.leaves]]
             texture = self._texture(pruned.tree, values)
             failing = self._fails(texture, "quadratic", suspects & (depths < limits))
             failing = np.logical_or.reduceat(failing, pruned.starts)
@@ -311,13 +322,3 @@ class _Merger:
     def _texture(self, tree: Octree, channels: Channels) -> OctreeTexture:
         origin = np.array(self._placement.origin)
         return OctreeTexture(tree, channels, self._placement, [origin, origin + self._placement.size])
-
-
-def _take_leaves(pruned: Pruned, values: Mapping[str, Channel], earlier: Pruned, fitted: Channels) -> None:
-    """Write the values that leaves had in an earlier tree; what was no leaf there keeps its mean."""
-    _, to, of = np.intersect1d(
-        pruned.cells[pruned.leaves], earlier.cells[earlier.leaves], assume_unique=True, return_indices=True
-    )
-    to, of = np.flatnonzero(pruned.leaves)[to], np.flatnonzero(earlier.leaves)[of]
-    for name, channel in values.items():
-        channel.values[to] = fitted[name].values[of]

@@ -54,7 +54,8 @@ def _code(value: float, kind: int, curve: npt.NDArray[np.float64]) -> float:
         return 255.0 + _SLOPE * math.log(value)
     place = math.sqrt(max(value, 0.0)) * _STEPS
     step = int(place)
-    return curve[step] + (place - step) * (curve[step + 1] - curve[step])
+    low, high = float(curve[step]), float(curve[step + 1])
+    return low + (place - step) * (high - low)
 
 
 @kernel
