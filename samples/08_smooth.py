@@ -1,7 +1,7 @@
 """An adaptive texture, close up: the paper's interpolation beside the smooth field.
 
-A plate is stored with cells of several sizes, small in the middle, larger outwards. Its light and dark are read
-as heights, lit from one side: what jumps or bends too sharply casts a line.
+A plate is stored with cells of several sizes, small in the middle, larger outwards. Its light and dark are
+read as heights, lit from one side: what jumps or bends too sharply casts a line.
 
     python samples/08_smooth.py [FOLDER]      writes FOLDER/smooth.png (default: out)
 """
