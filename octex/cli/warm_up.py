@@ -100,6 +100,7 @@ def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
         coarse = octex.convert(surface, 2, dtype=dtype)
         for filter in ("nearest", "quadratic"):
             coarse.sample(samples.rest, list(texture.channels), filter)
+    octex.convert(surface, 4, max_error=2, detail="stretch")
     encode_cells([(1, 2, 3)])
     texture.tree.level_codes(6)
     write_points(texture, folder / "points.ply")
