@@ -368,10 +368,13 @@ def _weigh(walk: Walk, level: int, parents: int) -> None:
     """Find the weights of the coefficients in the windows down to a level."""
     windows, levels = walk.windows, walk.levels
     places = 125 if parents == 3 else 27
-    if walk.previous[5] < 0:
-        windows[COVER, :places] = 0.0
-        windows[COVER, places // 2] = levels[0, CONTENT]
-        walk.previous[5] = 0
+    if walk.previous[5] < 0 or levels[walk.previous[5], CONTENT] == 0:
+        above = 0
+        while levels[above + 1, CONTENT] == 0:
+            above += 1
+        windows[COVER + above, :places] = 0.0
+        windows[COVER + above, places // 2] = levels[above, CONTENT]  # the root's, or nothing
+        walk.previous[5] = above
     while walk.previous[5] < level:
         walk.previous[5] += 1
         below = int(walk.previous[5])

@@ -156,7 +156,7 @@ def follow(
         if filter_code == LINEAR:
             _find_below_leaves(walk, level)
         if kept_cells.size > 0:
-            _find_kept(arrays, walk, level, parents)
+            _find_kept(arrays, kept_cells, walk, level, parents)
     previous[0], previous[1], previous[2], previous[3] = i, j, k, level
     return level
 
@@ -245,7 +245,7 @@ def _find_below_leaves(walk: Walk, level: int) -> None:
 
 
 @inlined
-def _find_kept(arrays: TreeArrays, walk: Walk, level: int, parents: int) -> None:
+def _find_kept(arrays: TreeArrays, kept_cells: Uint32s, walk: Walk, level: int, parents: int) -> None:
     """Find which nodes of a window, and which parents of its block, have kept coefficients."""
     levels, below_kept = walk.levels, walk.below_kept
     words = 1 if parents == 2 else 4
@@ -259,7 +259,10 @@ def _find_kept(arrays: TreeArrays, walk: Walk, level: int, parents: int) -> None
             below_kept[level, slot >> 3] |= BYTE << np.uint64(8 * (slot & 7))
             levels[level, KEEPING] = 1
         kept = np.uint64(0)
-        bits = walk.nodes[level, word] & INSIDE[parents - 2, levels[level, BEGIN], word]
+        if kept_cells[kept_cells.size - 1] >= arrays.level_cells[level] and (
+            kept_cells[0] < arrays.level_cells[level + 1]
+        ):
+            bits = walk.nodes[level, word] & INSIDE[parents - 2, levels[level, BEGIN], word]
         while bits != 0:
             place = trailing_zeros(bits)
             bits &= bits - np.uint64(1)
