@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import octex
 from octex.channels import (
     ALPHA,
     BASE_COLOR,
@@ -32,6 +35,7 @@ from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from tests import naive
+from tests.fixtures import SQUARE, SQUARE_TRIANGLES
 from tests.strategies import with_random_data
 
 ROUNDING = 1 / 8  # of samples, and what is allowed for that, in codes
@@ -401,3 +405,66 @@ def far(form: ChannelFormat, found: float, source: float, most: float) -> bool:
     """Whether two values, in each component, are farther apart than ``most`` codes."""
     rows = np.full((1, form.components), found, np.float32)
     return bool(exceeding({form.name: rows}, np.full(rows.shape, source), (form,), most)[0])
+
+
+def body(size: int = 64) -> octex.Surface:
+    """A square in one colour with a small speckled decal."""
+    image = np.full((size, size, 3), 90, np.uint8)
+    decal = size // 16
+    image[decal : 2 * decal, decal : 2 * decal] = np.random.default_rng(0).integers(0, 256, (decal, decal, 3))
+    return octex.Surface.from_arrays(SQUARE, SQUARE_TRIANGLES, uv=SQUARE[:, :2], image=image)
+
+
+def test_a_conversion_spends_its_leaves_on_the_decal():
+    surface = body(128)
+    full, adaptive = octex.convert(surface, 8), octex.convert(surface, 8, max_error=2)
+    adaptive.validate()
+    assert adaptive.tree.n_leaves < 0.05 * full.tree.n_leaves
+    points = surface.scatter(20_000).rest
+    apart = 255 * (
+        linear_to_srgb(adaptive.sample(points, filter="quadratic"))
+        - linear_to_srgb(full.sample(points, filter="quadratic"))
+    )
+    assert np.sqrt(np.mean(apart**2)) < 1
+    assert np.quantile(np.abs(apart), 0.999) < 3
+
+
+def test_conversions_do_not_depend_on_threads():
+    with ThreadPoolExecutor(1) as one, ThreadPoolExecutor(3) as three:
+        first, second = (octex.convert(body(), 7, max_error=2, executor=pool) for pool in (one, three))
+    np.testing.assert_array_equal(first.tree.arrays.groups, second.tree.arrays.groups)
+    np.testing.assert_array_equal(first.channels["base_color"].values, second.channels["base_color"].values)
+
+
+def test_a_conversion_goes_as_deep_as_a_function_says():
+    texture = octex.convert(body(), 6, detail=lambda points: np.where(points[:, 0] < 0.5, 3, 5.5), fit=False)
+    full = octex.convert(body(), 6, fit=False)
+    for level, (leaves, _) in enumerate(texture.tree.cells_by_depth()):
+        assert (leaves > 0) == (level in (3, 6))
+    right = full.tree.level_codes(6)
+    middles = full.placement.to_rest((decode_cells(right) + 0.5) / 64)
+    right = right[middles[:, 0] > 0.52]
+    assert np.isin(right, texture.tree.level_codes(6)).all()
+    coarse = texture.tree.leaves(3)
+    np.testing.assert_array_equal(
+        texture.channels["base_color"].values[coarse],
+        full.channels["base_color"].values[: full.tree.arrays.level_cells[4]][
+            full.tree.arrays.level_cells[3]
+            + np.searchsorted(full.tree.level_codes(3), texture.tree.level_codes(3)[~texture.tree.is_node(3)])
+        ],
+    )
+
+
+def test_provenance_says_how_a_tree_was_adapted():
+    options = json.loads(octex.convert(body(), 3, max_error=2, detail="stretch").metadata["convert"])
+    assert (options["max_error"], options["detail"]) == (2, "stretch")
+    options = json.loads(octex.convert(body(), 3, detail=lambda points: points[:, 0]).metadata["convert"])
+    assert options["detail"] == "function"
+    assert "max_error" not in options
+
+
+def test_a_conversion_refuses_errors_and_details_that_make_no_sense():
+    with pytest.raises(ArgumentError, match="max_error must be finite and not negative, not -1"):
+        octex.convert(body(), 3, max_error=-1)
+    with pytest.raises(ArgumentError, match="unknown detail 'wear'"):
+        octex.convert(body(), 3, detail="wear")

@@ -190,7 +190,7 @@ def test_a_pose_without_area_has_no_stretch():
 
 def test_a_cell_goes_as_deep_as_any_surface_in_it_wants():
     def wanted(*_: object) -> npt.NDArray[np.float64]:
-        return np.array([3.0, 5.0, 2.2, 4.0004])
+        return np.array([3.0, 5.0, 2.2, 4.04])
 
     pieces = Pieces(
         codes=np.array([4, 7]),
@@ -201,3 +201,19 @@ def test_a_cell_goes_as_deep_as_any_surface_in_it_wants():
         areas=np.ones(4),
     )
     assert list(deepest_wanted(wanted, pieces, np.zeros(4, np.float32))) == [5, 4]
+
+
+@pytest.mark.parametrize(
+    ("code", "level"), [(255, 10), (134, 10), (128, 9), (64, 8), (65, 8), (1, 2), (0, 2)]
+)
+def test_halves_in_eight_bits_are_whole_levels(code: int, level: int):
+    surface = painted([code / 255] * 2)
+    pieces = Pieces(
+        codes=np.array([4]),
+        flags=np.array([1], np.uint8),
+        entries=np.zeros(1, np.int32),
+        triangles=np.zeros(1, np.int32),
+        barycentric=MIDDLES[:1],
+        areas=np.ones(1),
+    )
+    assert deepest_wanted(wanted_levels("wear", surface, DEPTH), pieces, NO_WIDTHS[:1]) == [level]

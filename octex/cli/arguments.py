@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-#: What octex stores (octex.channels.ONE), and how it reads images (octex.source.images.filters.FILTERS).
+#: What octex stores (octex.channels.ONE), how it reads images (octex.source.images.filters.FILTERS), and what
+#: steers its depth but channels (octex.conversion.detail.STRETCH).
 DTYPES = ("uint8", "uint16", "float16", "float32")
 FILTERS = ("nearest", "bilinear", "bicubic", "trilinear", "ripmap", "sat", "ewa")
+STRETCH = "stretch"
 
 #: What a channel is to come from: an image file, or a number for each component.
 Given = Path | float | tuple[float, ...]
@@ -37,6 +39,17 @@ def length(text: str) -> float:
         raise argparse.ArgumentTypeError(f"{text!r} is no number") from None
     if not 0.0 < number < float("inf"):
         raise argparse.ArgumentTypeError(f"{text} is not a finite number above zero")
+    return number
+
+
+def error_codes(text: str) -> float:
+    """Read a number of 8-bit codes: finite, 0 or more."""
+    try:
+        number = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number") from None
+    if not 0.0 <= number < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} is not a finite number from 0 on")
     return number
 
 

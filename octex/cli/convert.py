@@ -18,6 +18,7 @@ from octex.cli.arguments import (
     channel_names,
     count,
     dtypes,
+    error_codes,
     image_filter,
     length,
     source,
@@ -40,15 +41,24 @@ OUTPUT_ENDINGS = (TEXTURE_ENDING, ".ply")
 # Which options go with which work; INPUT and OUTPUT are options here too.
 _MATERIALS = {"--channels", "--source", "--filter", "--rest"}
 _OPTIONS = {
-    "a conversion": {"INPUT", "OUTPUT", "--depth", "--cell", "--dtype", "--preview", "--force", "--threads"}
-    | {"--quiet", "--json"}
+    "a conversion": {"INPUT", "OUTPUT", "--depth", "--cell", "--max-error", "--detail", "--no-fit", "--dtype"}
+    | {"--preview", "--force", "--threads", "--quiet", "--json"}
     | _MATERIALS,
     "--diff": {"--points", "--preview", "--force", "--quiet", "--json"} | _MATERIALS,
     "--info": {"--json"},
     "--validate": {"--json", "--quiet"},
     "--warm-up": {"--quiet"},
 }
-_NEEDS_A_MODEL = ("--cell", "--rest", "--dtype", "--source", "--filter")
+_NEEDS_A_MODEL = (
+    "--cell",
+    "--max-error",
+    "--detail",
+    "--no-fit",
+    "--rest",
+    "--dtype",
+    "--source",
+    "--filter",
+)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -56,7 +66,8 @@ def parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog=COMMAND,
         description="Convert a textured model (glTF, GLB, OBJ, PLY, OFF, STL) to an octree texture.",
-        usage=f"{COMMAND} INPUT OUTPUT [--depth N | --cell SIZE] [--rest MESH] [--channels NAMES]\n"
+        usage=f"{COMMAND} INPUT OUTPUT [--depth N | --cell SIZE] [--max-error CODES]\n"
+        f"{'':29}[--detail stretch|CHANNEL] [--no-fit] [--rest MESH] [--channels NAMES]\n"
         f"{'':29}[--source CHANNEL=FILE ...] [--filter NAME] [--dtype TYPE]\n"
         f"{'':29}[--preview PNG] [--force] [--threads N] [--quiet] [--json]\n"
         f"       {COMMAND} --diff A B [--channels NAMES] [--points N] [--rest MESH] [--filter NAME]\n"
@@ -81,6 +92,19 @@ def parser() -> argparse.ArgumentParser:
         type=length,
         help="edge of the finest cells in the model's units, not --depth",
     )
+    add(
+        "--max-error",
+        metavar="CODES",
+        type=error_codes,
+        help="merge leaves where what is looked up then stays this near to the model, in 8-bit codes, like 2",
+    )
+    add(
+        "--detail",
+        metavar="stretch|CHANNEL",
+        help="go less deep where the pose stretches less than elsewhere, or where a channel is below 1 (1/2: "
+        "a level less); --source detail=mask.png paints one",
+    )
+    add("--no-fit", action="store_true", help="store plain averages; lookups are then softer")
     add("--rest", metavar="MESH", type=Path, help="the undeformed model, of the same topology as INPUT")
     add(
         "--channels",
@@ -208,7 +232,11 @@ def _convert(options: argparse.Namespace) -> int:
                     surface,
                     options.depth,
                     cell=options.cell,
+                    channels=options.channels,
                     dtype=options.dtype,
+                    fit=not options.no_fit,
+                    max_error=options.max_error,
+                    detail=options.detail,
                     executor=executor,
                     progress=progress,
                 )

@@ -35,8 +35,9 @@ Values: TypeAlias = npt.NDArray[Any]
 _BLOCK = 1 << 17
 #: What samples, float16 numbers, are rounded by at most, in codes: so much more is allowed.
 _ROUNDING = 1 / 16
-#: Leaves that fail are split by a level, which mostly is enough; after so many rounds, to the finest cells.
-_GENTLE_ROUNDS = 3
+#: Leaves that fail are split by a level, which mostly is enough; by one more after each so many rounds, since
+#: their neighbours may fail in turn.
+_PATIENCE = 6
 
 
 def as_max_error(max_error: float) -> float:
@@ -282,7 +283,7 @@ class _Merger:
                 break
             suspects = tested & self._around(pruned.starts[failing], depths)
             failing = np.repeat(failing, np.diff(pruned.starts, append=depths.size))
-            depths[failing] = depths[failing] + 1 if attempt < _GENTLE_ROUNDS else limits[failing]
+            depths[failing] = np.minimum(depths[failing] + 1 + attempt // _PATIENCE, limits[failing])
         return pruned, values
 
     def _around(self, starts: npt.NDArray[np.int64], depths: Depths) -> Bools:

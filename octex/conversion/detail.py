@@ -26,6 +26,8 @@ Wanted: TypeAlias = Callable[
 STRETCH = "stretch"
 #: Neither a channel nor a stretch makes cells wider than 2⁸ of the finest: the least that 8 bits can say.
 MOST_LEVELS = 8
+#: By so much the level of a leaf may fall short: 128, a half in 8 bits, must not take a whole level more.
+_SLACK = 0.05
 #: The part of the posed surface that is stretched less than what gets the full depth. The largest stretch of
 #: all is often a sliver's, beside which everything else would be coarse.
 _REFERENCE_SHARE = 0.99
@@ -65,9 +67,9 @@ def wanted_levels(detail: DetailFunction | str, surface: Surface, depth: int) ->
 
 
 def deepest_wanted(wanted: Wanted, pieces: Pieces, widths: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
-    """Return the deepest level (cells,) that is wanted at the middles of the pieces in each cell."""
+    """Return the whole level (cells,) that the middles of the pieces in each cell want to go to."""
     levels = wanted(pieces.triangles, pieces.barycentric, widths)
-    levels = np.ceil(np.round(levels, 3)).astype(np.uint8)  # rounding alone takes no whole level more
+    levels = np.maximum(np.ceil(levels - _SLACK), 0.0).astype(np.uint8)
     cells = np.repeat(np.arange(pieces.codes.size), np.bitwise_count(pieces.flags))
     deepest = np.zeros(pieces.codes.size, np.uint8)
     np.maximum.at(deepest, cells[pieces.entries], levels)
