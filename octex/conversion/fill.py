@@ -34,8 +34,10 @@ from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 
 #: Bytes of memory that a conversion takes at least for each cell, and for each byte of the cell's values
-#: (measured at its peak: 27 bytes for 3 of values, 41 for 11, 113 for 44).
+#: (measured at its peak: 27 bytes for 3 of values, 41 for 11, 113 for 44); and with samples more for each
+#: (58 bytes for 3).
 CELL_MEMORY, VALUE_MEMORY = 18, 2
+SAMPLE_MEMORY, SAMPLE_VALUE_MEMORY = 28, 2
 #: Bound of the pieces in one task: enough to hide what a task costs, few enough to stay in the cache.
 TASK_PIECES = 400_000
 
@@ -122,7 +124,10 @@ def fill(
     # A surface meets at least as many cells as its area has faces, unless it is folded within them.
     least = min(faces * 4.0 ** (depth - GRID_BITS), 8.0**depth)
     row = sum(channel.components * np.dtype(channel.dtype).itemsize for channel in channels)
-    if least > min(MAX_CELLS, memory_size() / (CELL_MEMORY + VALUE_MEMORY * row)):
+    per_cell = CELL_MEMORY + VALUE_MEMORY * row
+    if has_samples:
+        per_cell += SAMPLE_MEMORY + SAMPLE_VALUE_MEMORY * row
+    if least > min(MAX_CELLS, memory_size() / per_cell):
         raise ArgumentError(
             f"depth {depth} needs about {least:.2g} cells for {surface.name}, more than fit into memory "
             "or can be numbered; use a smaller depth or a larger cell"

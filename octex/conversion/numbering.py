@@ -65,78 +65,89 @@ def members_of(firsts: Int64s, leaves: Int64s, most: int) -> tuple[Int64s, npt.N
     total = 0
     for leaf in leaves:
         count = firsts[leaf + 1] - firsts[leaf]
-        stride = max((count + most - 1) // most, 1)
-        total += (count + stride - 1) // stride
+        total += count if count <= most else most + 1
     members = np.empty(total, np.int64)
     strides = np.empty(total, np.float32)
     n = 0
     for leaf in leaves:
         count = firsts[leaf + 1] - firsts[leaf]
-        stride = max((count + most - 1) // most, 1)
+        stride = 1 if count <= most else (count + most - 1) // most  # dividing takes longer than all else
         for sample in range(firsts[leaf], firsts[leaf + 1], stride):
             members[n] = sample
             strides[n] = stride
             n += 1
-    return members, strides
+    return members[:n].copy(), strides[:n].copy()
 
 
-def number(
-    rows: npt.NDArray[np.uint32], leaves: Leaves, first: int, end: int, outside: Int64s
-) -> tuple[npt.NDArray[np.int32], Int64s, Int64s]:
-    """Give numbers to what lookups touch: leaves ``first`` … ``end`` − 1 from 0 on, then all outside.
+class Outside(NamedTuple):
+    """The rows that lookups touch outside a run of leaves, numbered as they come: a hash table."""
 
-    ``outside`` are the rows that are numbered already. Returns the numbers, all rows outside, and the places
-    of the leaves that are new among them.
-    """
-    numbers, found = _number(rows, leaves.ranks, leaves.offset, first, end, outside)
-    ranks = leaves.ranks_of(found[len(outside) :])
-    return numbers, found, ranks[ranks >= 0]
+    keys: Int64s  # (2 · room,)   a power of two; −1: free
+    numbers: npt.NDArray[np.int32]  # (2 · room,)
+    rows: Int64s  # (room,)   by number
+    total: Int64s  # (1,)
+
+    @classmethod
+    def of(cls, room: int) -> Outside:
+        """Return an empty table with at least this room."""
+        size = 1 << max(2 * room - 1, 15).bit_length()
+        return cls(
+            np.full(size, -1, np.int64),
+            np.empty(size, np.int32),
+            np.empty(size // 2, np.int64),
+            np.zeros(1, np.int64),
+        )
+
+    def with_room(self, room: int) -> Outside:
+        """Return the table, or a larger one that holds the same if it has not this room left."""
+        if self.total[0] + room <= self.rows.size:
+            return self
+        larger = Outside.of(2 * (int(self.total[0]) + room))
+        _extend(larger, self.found())
+        return larger
+
+    def found(self) -> Int64s:
+        """Return the rows by number."""
+        return self.rows[: self.total[0]]
 
 
 @inlined
-def _slot(keys: Int64s, row: int, bits: int) -> int:
-    """Where a row stands in a hash table, or is to stand (Knuth's multiplicative hashing)."""
-    slot = (row * 0x9E3779B1 & 0xFFFFFFFF) >> 32 - bits
-    while keys[slot] >= 0 and keys[slot] != row:
-        slot = (slot + 1) & (keys.size - 1)
-    return slot
+def _number(outside: Outside, row: int) -> int:
+    """Return a row's number (Knuth's multiplicative hashing)."""
+    slot = row * 0x9E3779B1 & outside.keys.size - 1
+    while outside.keys[slot] != row:
+        if outside.keys[slot] < 0:
+            outside.keys[slot] = row
+            outside.numbers[slot] = outside.total[0]
+            outside.rows[outside.total[0]] = row
+            outside.total[0] += 1
+            break
+        slot = slot + 1 & outside.keys.size - 1
+    return int(outside.numbers[slot])
 
 
 @kernel
-def _number(
-    rows: npt.NDArray[np.uint32], ranks: Int64s, offset: int, first: int, end: int, outside: Int64s
-) -> tuple[npt.NDArray[np.int32], Int64s]:
-    numbers = np.empty(rows.size, np.int32)
-    n_outside = 0
+def _extend(outside: Outside, rows: Int64s) -> None:
+    for i in range(rows.size):
+        _number(outside, int(rows[i]))
+
+
+@kernel
+def number(
+    rows: npt.NDArray[np.uint32],
+    leaves: Leaves,
+    first: int,
+    end: int,
+    outside: Outside,
+    numbers: npt.NDArray[np.int32],
+) -> None:
+    """Give numbers to the rows that lookups touch: leaves ``first`` … ``end`` − 1 from 0 on, then the rest.
+
+    ``outside``, which must have room for all of them, takes what it does not have yet.
+    """
     for i in range(rows.size):
         row = int(rows[i])
-        rank = row - offset
-        if ranks.size > 0:
-            rank = int(ranks[row]) if row < ranks.size else -1
-        numbers[i] = rank - first if first <= rank < end else -1
-        n_outside += numbers[i] < 0
-    bits = 4
-    while (1 << bits) < 2 * (n_outside + outside.size):
-        bits += 1
-    keys = np.full(1 << bits, -1, np.int64)
-    places = np.empty(1 << bits, np.int32)
-    found = np.empty(n_outside + outside.size, np.int64)
-    n_found = 0
-    for i in range(outside.size):
-        row = int(outside[i])
-        slot = _slot(keys, row, bits)
-        keys[slot] = row
-        places[slot] = n_found
-        found[n_found] = row
-        n_found += 1
-    for i in range(rows.size):
-        if numbers[i] < 0:
-            row = int(rows[i])
-            slot = _slot(keys, row, bits)
-            if keys[slot] < 0:
-                keys[slot] = row
-                places[slot] = n_found
-                found[n_found] = row
-                n_found += 1
-            numbers[i] = end - first + places[slot]
-    return numbers, found[:n_found].copy()
+        rank = row - leaves.offset
+        if leaves.ranks.size > 0:
+            rank = int(leaves.ranks[row]) if row < leaves.ranks.size else -1
+        numbers[i] = rank - first if first <= rank < end else end - first + _number(outside, row)

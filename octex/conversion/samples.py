@@ -82,7 +82,9 @@ def take_samples(
     is_fine = any(channel.dtype in ("uint16", "float32") for channel in channels)
     rows = np.empty(found.shape, np.float32 if is_fine else np.float16)
     most = np.finfo(rows.dtype).max
-    rows[entries] = np.clip(np.nan_to_num(found, copy=False), -most, most)
+    if not (np.abs(found) <= most).all():
+        found = np.clip(np.nan_to_num(found), -most, most)
+    rows[entries] = found.astype(rows.dtype)
     places = np.empty((len(entries), 3), np.uint16)
     _place(grid, surface.triangles, triangles, barycentric, entries, pieces.codes, counts, depth, places)
     return Taken(counts, places, shares, rows)
