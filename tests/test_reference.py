@@ -75,7 +75,7 @@ def differences(path: Path, points: int) -> dict[str, Difference]:
 def converted_differences(path: Path, depth: int, points: int) -> dict[str, Difference]:
     """An octree beside the reference, at points around which the reference is within a code of itself."""
     surface, reference = octex.load_surface(path), Reference(path)
-    texture = octex.convert(surface, depth)
+    texture = octex.convert(surface, depth, fit=False)
     samples = surface.scatter(points)
     triangles, barycentric = samples.triangles.astype(np.int64), samples.barycentric
     cell = texture.placement.size / 2**depth
