@@ -35,6 +35,7 @@ from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from tests import naive
+from tests.conftest import needs_jit
 from tests.fixtures import SQUARE, SQUARE_TRIANGLES
 from tests.strategies import with_random_data
 
@@ -202,6 +203,7 @@ def test_with_no_error_allowed_what_varies_stays():
     assert texture.tree.n_leaves == tree.n_leaves
 
 
+@needs_jit
 def test_slow_changes_merge_and_stay_near():
     tree = plane(7)
     channels = painted(tree, ramp(tree))
@@ -247,6 +249,7 @@ def test_the_slow_field_agrees_that_merged_leaves_are_near():
         assert np.abs(255 * linear_to_srgb(field(place)) - code).max() <= 3 + ROUNDING + 1e-3
 
 
+@needs_jit
 def test_a_decal_keeps_its_detail_on_a_body_that_costs_nothing():
     tree = plane(8)
     middle = np.abs(places(tree)[:, :2] - [0.3, 0.6]).max(axis=1) < 0.04
@@ -273,6 +276,7 @@ def test_what_is_transparent_may_be_of_any_colour():
     assert merge(tree, noisy | clear, 2).tree.n_leaves == 1
 
 
+@needs_jit
 def test_what_a_fit_breaks_is_split_again():
     tree = plane(6)
     channels = painted(tree, ramp(tree))
@@ -415,6 +419,7 @@ def body(size: int = 64) -> octex.Surface:
     return octex.Surface.from_arrays(SQUARE, SQUARE_TRIANGLES, uv=SQUARE[:, :2], image=image)
 
 
+@needs_jit
 def test_a_conversion_spends_its_leaves_on_the_decal():
     surface = body(128)
     full, adaptive = octex.convert(surface, 8), octex.convert(surface, 8, max_error=2)
@@ -429,6 +434,7 @@ def test_a_conversion_spends_its_leaves_on_the_decal():
     assert np.quantile(np.abs(apart), 0.999) < 3
 
 
+@needs_jit
 def test_conversions_do_not_depend_on_threads():
     with ThreadPoolExecutor(1) as one, ThreadPoolExecutor(3) as three:
         first, second = (octex.convert(body(), 7, max_error=2, executor=pool) for pool in (one, three))
@@ -436,6 +442,7 @@ def test_conversions_do_not_depend_on_threads():
     np.testing.assert_array_equal(first.channels["base_color"].values, second.channels["base_color"].values)
 
 
+@needs_jit
 def test_a_conversion_goes_as_deep_as_a_function_says():
     texture = octex.convert(body(), 6, detail=lambda points: np.where(points[:, 0] < 0.5, 3, 5.5), fit=False)
     full = octex.convert(body(), 6, fit=False)
