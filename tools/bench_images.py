@@ -147,7 +147,7 @@ def materials(setup: Setup, report: Report) -> None:
 
     def convert(model: octex.Surface) -> Spent:
         with pinned({setup.core}), ThreadPoolExecutor(1) as pool:
-            return timed(lambda: octex.convert(model, depth, executor=pool))[0]
+            return timed(lambda: octex.convert(model, depth, fit=False, executor=pool))[0]
 
     for folder in ("BoomBoxWithAxes", "Avocado"):
         path = setup.models / folder / f"{folder}.gltf" if setup.models else None
@@ -180,7 +180,7 @@ def _round_trip(surface: octex.Surface, depth: int, report: Report, folder: str)
     report.at_most(
         f"materials: normals through rest space, 99th percentile, {folder}", _angle(tangential, back), 1, "°"
     )
-    texture = octex.convert(surface, depth, channels=["normal"])
+    texture = octex.convert(surface, depth, channels=["normal"], fit=False)
     cell = texture.placement.size / 2**depth
     found = texture.sample(samples.rest, "normal")
     averaged = surface.evaluate(samples, "normal", width=cell)

@@ -22,8 +22,8 @@ from bench_inputs import NoChannels, painted_torus, scattered_on_sphere, torus
 from bench_tools import memory, timed
 
 import octex
-from octex.conversion import convert as conversion
 from octex.conversion.cells import SPREAD
+from octex.conversion.fill import assemble, fill, on_grid
 from octex.conversion.pieces import bin_triangles, cut, most_pieces
 from octex.parallel import silent
 from octex.tree.octree import Octree
@@ -41,8 +41,8 @@ def tree(around: int, across: int, depth: int) -> Callable[[], Answer]:
     def build() -> Octree:
         surface = octex.Surface(vertices.astype(np.float64), triangles, NoChannels(), name="torus")
         with ThreadPoolExecutor(1) as pool:
-            levels, codes, _ = conversion._fill(surface, (), UNIT_CUBE, depth, pool, silent)
-        return conversion._assemble((), depth, levels, codes)[0]
+            filled = fill(surface, (), UNIT_CUBE, depth, pool, silent, has_samples=False)
+        return assemble((), filled)[0]
 
     def task() -> Answer:
         spent, built = timed(build)
@@ -61,7 +61,7 @@ def keys(around: int, across: int, depth: int) -> Callable[[], Answer]:
     vertices, triangles, _ = torus(around, across)
 
     def build() -> np.ndarray:
-        grid = conversion.on_grid(vertices.astype(np.float64), UNIT_CUBE)
+        grid = on_grid(vertices.astype(np.float64), UNIT_CUBE)
         blocks = bin_triangles(grid, triangles, depth)
         most = int(most_pieces(grid, triangles, blocks, depth).sum())
         return cut(grid, triangles, blocks, 0, len(blocks.codes), depth, most, 1, SPREAD).codes
