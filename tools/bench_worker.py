@@ -132,7 +132,7 @@ def look(path: str, level: int) -> Callable[[], Answer]:
 def resident(path: str, count: int) -> Callable[[], Answer]:
     """Open a file and look up random points of the sphere in it; say how much memory that takes."""
     points = scattered_on_sphere(count)
-    out = np.zeros((count, 3), np.float32)
+    out = np.ones((count, 3), np.float32)  # written to, so that it is there
     with TemporaryDirectory() as folder:
         small = Path(folder, "small.octex")
         octex.convert(painted_torus(20, 10, 16), 5, fit=False).save(small)
