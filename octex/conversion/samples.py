@@ -1,8 +1,8 @@
 """Points of the surface with the source's values: what leaves are fitted to, and fields are measured against.
 
-A finest cell gives a point for each facing of the surface in it: the middle of the largest piece that faces
-so. More points were not worth their time in trials (0.3 dB for eight), and one for the whole cell misses what
-folds in it (0.8 dB where a cell is many texels).
+A finest cell gives points for each facing of the surface in it: the middle of the largest piece that faces
+so, and of the next if it is not much smaller. More are not worth their time where cells are small (0.3 dB for
+eight, in trials); fewer miss what folds in a cell, where that is many texels (0.8 dB).
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ PLACE_STEPS, SHARE_STEPS = 65536, 255
 #: The least width over which the source is read, in cells. Half a cell costs 0.1 dB to points, and wins
 #: 1 dB against the source filtered to the cell.
 LEAST_WIDTH = 0.5
+#: A second piece is a sample if its area is at least this part of the largest's.
+LEAST_PART = 0.1
 #: Widths that differ by less than this factor count as one.
 SAME_WIDTH = 1.25
 
@@ -70,7 +72,7 @@ def take_samples(
     as a cell, and the source already as wide as a texel. What a piece was read over will do if it is nearly
     that.
     """
-    counts, entries, chosen, shares = _largest(pieces.flags, pieces.entries, pieces.areas)
+    counts, order, chosen, shares = _largest(pieces.flags, pieces.entries, pieces.areas)
     triangles, barycentric = pieces.triangles[chosen], pieces.barycentric[chosen]
     texels = surface.source.texel_edges(triangles).astype(np.float64)
     wanted = np.sqrt(np.maximum(cell * cell - texels * texels, (LEAST_WIDTH * cell) ** 2))
@@ -84,9 +86,9 @@ def take_samples(
     most = np.finfo(rows.dtype).max
     if not (np.abs(found) <= most).all():
         found = np.clip(np.nan_to_num(found), -most, most)
-    rows[entries] = found.astype(rows.dtype)
-    places = np.empty((len(entries), 3), np.uint16)
-    _place(grid, surface.triangles, triangles, barycentric, entries, pieces.codes, counts, depth, places)
+    rows[order] = found.astype(rows.dtype)
+    places = np.empty((len(order), 3), np.uint16)
+    _place(grid, surface.triangles, triangles, barycentric, order, pieces.codes, counts, depth, places)
     return Taken(counts, places, shares, rows)
 
 
@@ -138,44 +140,63 @@ def _points(
 
 @kernel
 def _largest(
-    flags: npt.NDArray[np.uint8], piece_entries: npt.NDArray[np.int32], areas: npt.NDArray[np.float64]
+    flags: npt.NDArray[np.uint8], entries: npt.NDArray[np.int32], areas: npt.NDArray[np.float64]
 ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int32], npt.NDArray[np.int64], npt.NDArray[np.uint8]]:
-    """Choose the largest piece of each entry.
+    """Choose the largest piece of each entry, and the next if it is not much smaller.
 
-    Returns how many entries each cell has; the chosen pieces' entries and numbers, in the pieces' order; and
-    each entry's share of its cell's area.
+    Returns how many samples each cell has; the chosen pieces' samples and numbers, in the pieces' order; and
+    each sample's share of its cell's area.
     """
-    counts = np.empty(flags.size, np.uint8)
+    counts = np.zeros(flags.size, np.uint8)
     n_entries = 0
     for cell in range(flags.size):
-        counts[cell] = popcount(np.uint64(flags[cell]))
-        n_entries += counts[cell]
-    largest = np.full(n_entries, -1, np.int64)
+        n_entries += popcount(np.uint64(flags[cell]))
+    largest = np.full((n_entries, 2), -1, np.int64)
     totals = np.zeros(n_entries, np.float64)
-    for piece in range(piece_entries.size):
-        entry = piece_entries[piece]
+    for piece in range(entries.size):
+        entry = entries[piece]
         totals[entry] += areas[piece]
-        if largest[entry] < 0 or areas[piece] > areas[largest[entry]]:
-            largest[entry] = piece
-    shares = np.empty(n_entries, np.uint8)
+        if largest[entry, 0] < 0 or areas[piece] > areas[largest[entry, 0]]:
+            largest[entry, 1] = largest[entry, 0]
+            largest[entry, 0] = piece
+        elif largest[entry, 1] < 0 or areas[piece] > areas[largest[entry, 1]]:
+            largest[entry, 1] = piece
+    firsts = np.empty(n_entries, np.int32)
+    shares = np.empty(2 * n_entries, np.uint8)
+    n_samples = 0
     entry = 0
     for cell in range(flags.size):
-        end = entry + np.int64(counts[cell])
-        total = 0.0
+        end = entry + popcount(np.uint64(flags[cell]))
+        first = n_samples
+        whole = 0.0
         for i in range(entry, end):
-            total += totals[i]
+            whole += totals[i]
         for i in range(entry, end):
-            shares[i] = max(int(totals[i] / total * SHARE_STEPS + 0.5), 1)
+            firsts[i] = n_samples
+            area = areas[largest[i, 0]]
+            next_area = areas[largest[i, 1]] if largest[i, 1] >= 0 else 0.0
+            share = totals[i] / whole * SHARE_STEPS
+            if next_area < LEAST_PART * area:
+                largest[i, 1] = -1
+                shares[n_samples] = max(int(share + 0.5), 1)
+                n_samples += 1
+            else:
+                part = area / (area + next_area)
+                shares[n_samples] = max(int(share * part + 0.5), 1)
+                shares[n_samples + 1] = max(int(share * (1.0 - part) + 0.5), 1)
+                n_samples += 2
+        counts[cell] = n_samples - first
         entry = end
-    entries = np.empty(n_entries, np.int32)
-    chosen = np.empty(n_entries, np.int64)
+    order = np.empty(n_samples, np.int32)
+    chosen = np.empty(n_samples, np.int64)
     n = 0
-    for piece in range(piece_entries.size):  # in the order in which a source is read fastest
-        if largest[piece_entries[piece]] == piece:
-            entries[n] = piece_entries[piece]
+    for piece in range(entries.size):  # in the order in which a source is read fastest
+        entry = entries[piece]
+        if largest[entry, 0] == piece or largest[entry, 1] == piece:
+            order[n] = firsts[entry] + (largest[entry, 1] == piece)
             chosen[n] = piece
             n += 1
-    return counts, entries, chosen, shares
+    return counts, order, chosen, shares[:n_samples].copy()
 
 
 @inlined
@@ -189,25 +210,25 @@ def _place(
     corners: npt.NDArray[np.int32],
     triangles: npt.NDArray[np.int32],
     barycentric: npt.NDArray[np.float64],
-    entries: npt.NDArray[np.int32],
+    order: npt.NDArray[np.int32],
     codes: npt.NDArray[np.int64],
     counts: npt.NDArray[np.uint8],
     depth: int,
     places: npt.NDArray[np.uint16],
 ) -> None:
-    """Write where points of triangles lie in the cells of their entries."""
-    cells = np.empty(entries.size, np.int32)
+    """Write where points of triangles lie in their cells; point i is sample order[i]."""
+    cells = np.empty(order.size, np.int32)
     n = 0
     for cell in range(counts.size):
         for _ in range(counts[cell]):
             cells[n] = cell
             n += 1
     scale = 1.0 / (1 << (GRID_BITS - depth))
-    for i in range(entries.size):
-        entry = entries[i]
+    for i in range(order.size):
+        row = order[i]
         a, b, c = corners[triangles[i], 0], corners[triangles[i], 1], corners[triangles[i], 2]
         p, q, r = barycentric[i, 0] * scale, barycentric[i, 1] * scale, barycentric[i, 2] * scale
-        u, v, w = decode(codes[cells[entry]])
-        places[entry, 0] = _step(p * grid[a, 0] + q * grid[b, 0] + r * grid[c, 0], u)
-        places[entry, 1] = _step(p * grid[a, 1] + q * grid[b, 1] + r * grid[c, 1], v)
-        places[entry, 2] = _step(p * grid[a, 2] + q * grid[b, 2] + r * grid[c, 2], w)
+        u, v, w = decode(codes[cells[row]])
+        places[row, 0] = _step(p * grid[a, 0] + q * grid[b, 0] + r * grid[c, 0], u)
+        places[row, 1] = _step(p * grid[a, 1] + q * grid[b, 1] + r * grid[c, 1], v)
+        places[row, 2] = _step(p * grid[a, 2] + q * grid[b, 2] + r * grid[c, 2], w)

@@ -92,15 +92,16 @@ def transpose(starts: Int64s, leaves: Int32s, weights: Floats, unknowns: int) ->
 
 
 @inlined
-def _squared_slope(value: np.float32, other: np.float32) -> np.float32:
-    """Squared slope of the secant of sRGB's curve between two lights, and from 1 on of a logarithm.
+def _curve(target: np.float32, found: np.float32) -> np.float32:
+    """Weight with which (found − target)² has the gradient of the square on sRGB's curve.
 
-    The tangent's would misjudge a hard edge by up to 8 dB.
+    It is the curve's slope at what is found, times that of the secant to the target; from 1 on, where the
+    curve becomes a logarithm, less. (Slopes at the target alone misjudge a hard edge by up to 8 dB.)
     """
-    value, other = np.float32(max(value, _ZERO)), np.float32(max(other, _ZERO))
-    root = np.sqrt(value + _DARK) + np.sqrt(other + _DARK)
-    square = np.float32(1) / (root * root)
-    return np.float32(square * min(np.float32(1), np.float32(4) * square))
+    target, found = np.float32(max(target, _ZERO)), np.float32(max(found, _ZERO))
+    root = np.sqrt(found + _DARK)
+    slopes = np.float32(0.5) / (root * (root + np.sqrt(target + _DARK)))
+    return np.float32(slopes * min(np.float32(1), np.float32(4) * slopes))
 
 
 @kernel
@@ -117,7 +118,7 @@ def residuals(
     """Return (samples, 4): the weighted residuals of up to three components, and the weight.
 
     ``values`` (leaves, 4) and ``targets`` (samples, 4) have zeros where there is no component. The weight is
-    the sample's share, times the squared slope of sRGB's curve if ``is_light``.
+    the sample's share, times what sRGB's curve makes of it if ``is_light``.
     """
     rows = np.empty((starts.size - 1, 4), np.float32)
     for sample in range(starts.size - 1):
@@ -125,11 +126,11 @@ def residuals(
         a, b, c = targets[sample, 0], targets[sample, 1], targets[sample, 2]
         weight = shares[sample]
         if is_light:
-            slope = _squared_slope(a, x)
+            slope = _curve(a, x)
             if components > 1:
-                slope += _squared_slope(b, y)
+                slope += _curve(b, y)
             if components > 2:
-                slope += _squared_slope(c, z)
+                slope += _curve(c, z)
             weight *= slope
         rows[sample, 0] = weight * (x - a)
         rows[sample, 1] = weight * (y - b)
