@@ -16,6 +16,7 @@ import numpy.typing as npt
 from octex.conversion.measure import exceeding
 from octex.conversion.samples import Samples, sample_points
 from octex.errors import ArgumentError
+from octex.jit import kernel
 from octex.parallel import Progress
 from octex.texture.channel import Channel
 from octex.texture.texture import OctreeTexture
@@ -35,6 +36,8 @@ Values: TypeAlias = npt.NDArray[Any]
 _BLOCK = 1 << 17
 #: What samples, float16 numbers, are rounded by at most, in codes: so much more is allowed.
 _ROUNDING = 1 / 16
+#: A leaf is tested at a sample in each cell so many levels below it: at most 16 or so where it is flat.
+_TESTED_BELOW = 2
 #: Leaves that fail are split by a level, which mostly is enough; by one more after each so many rounds, since
 #: their neighbours may fail in turn.
 _PATIENCE = 6
@@ -109,8 +112,7 @@ class Pruned(NamedTuple):
 def prune(finest: Finest, depths: Depths) -> Pruned:
     """Make leaves of the nodes at ``depths`` (n,) above the finest cells; flags and areas are taken over."""
     tree = finest.tree
-    roots = finest.codes >> 3 * (tree.max_depth - depths.astype(np.int64))
-    starts = np.flatnonzero((np.diff(roots, prepend=-1) != 0) | (np.diff(depths, prepend=depths[:1]) != 0))
+    starts, codes = _leaves_of(finest.codes, depths, tree.max_depth)
     full = tree.arrays
     cells, leaves = [], []
     for level, first in enumerate(full.level_cells[:-1]):
@@ -129,9 +131,28 @@ def prune(finest: Finest, depths: Depths) -> Pruned:
         split.facings[is_split],
         split.areas[rows],
     )
-    pruned = Octree.from_leaves(roots[starts], depths[starts])
+    pruned = Octree.from_leaves(codes, depths[starts])
     pruned = pruned.with_cell_data(full.flags[numbers], full.areas[numbers], split)
     return Pruned(pruned, numbers, np.concatenate(leaves), starts, rows)
+
+
+@kernel
+def _leaves_of(
+    codes: npt.NDArray[np.int64], depths: Depths, depth: int
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return the first finest cell of each leaf, and the leaf's Morton code at its own level."""
+    starts = np.empty(codes.size, np.int64)
+    leaves = np.empty(codes.size, np.int64)
+    count = 0
+    end = np.int64(-1)  # of the latest leaf, as a code of the deepest level
+    for n in range(codes.size):
+        if codes[n] >= end:
+            shift = 3 * (depth - np.int64(depths[n]))
+            starts[count] = n
+            leaves[count] = codes[n] >> shift
+            end = (leaves[count] + 1) << shift
+            count += 1
+    return starts[:count].copy(), leaves[:count].copy()
 
 
 def limits_of(finest: Finest, wanted: Depths | None) -> Depths:
@@ -166,9 +187,10 @@ def adapted(
     cells,) are the depths wanted there, in Morton order. Without samples none can merge.
 
     With ``max_error``, in 8-bit codes of what is encoded (see `measure`), leaves merge upward from there.
-    Then at every sample in a leaf that is less deep than what is wanted, the quadratic field as it is stored
-    differs from the source by at most that and 1/8 (what samples are rounded by, and what is allowed for it).
-    Leaves as deep as wanted stay, whatever their error.
+    Then the quadratic field, as it is stored, differs from the source by at most that and 1/8 (what samples
+    are rounded by, and what is allowed for it) in all leaves that are less deep than what is wanted: at every
+    sample of those one or two levels above the finest cells, at one in each cell two levels below of those
+    further up. Leaves as deep as wanted stay, whatever their error.
     """
     finest = Finest.of(tree)
     limits = limits_of(finest, wanted)
@@ -210,17 +232,16 @@ class _Merger:
             self._progress("adapt", done, depth + 3)
             self._merge(level, depths)
         self._progress("adapt", depth, depth + 3)
-        # What was judged on even trees is judged again on the tree of many depths: first in a quarter of the
-        # cells, then in all, and as the leaves were fitted. What that splits is worth another fit.
-        pruned, values = self._split(depths, None, self._one_of_each(depth - 1))
-        everywhere = np.ones(depths.size, np.bool_)
+        # What was judged on even trees is judged again on the tree of many depths: first at few samples, then
+        # at more, and as the leaves were fitted. What that splits is worth another fit.
+        pruned, values = self._split(depths, None, 1)
         for done in (1, 2):
             self._progress("adapt", depth + done, depth + 3)
             before = pruned
             fitted = None
             if fit:
                 fitted = before.scattered(fit(before.tree, before.carried(self._channels)), self._channels)
-            pruned, values = self._split(depths, fitted, everywhere)
+            pruned, values = self._split(depths, fitted, _TESTED_BELOW)
             if not fit or pruned.tree.n_leaves == before.tree.n_leaves:
                 break
         self._progress("adapt", depth + 3, depth + 3)
@@ -251,37 +272,41 @@ class _Merger:
         first[firsts[may]] = True
         may = may & ~self._fails(texture, filter, first)[firsts]
         # What is small, finer levels have seen: one of the finest cells in each child will do.
-        tested = self._one_of_each(level + 1) & finest.spread(level, may)
-        failing = self._fails(texture, filter, tested)
+        children = np.zeros(finest.codes.size, np.bool_)
+        children[finest.first(level + 1)] = True
+        failing = self._fails(texture, filter, children & finest.spread(level, may))
         return may & ~np.logical_or.reduceat(failing, firsts)
 
-    def _one_of_each(self, level: int) -> Bools:
-        """Mark the first finest cell in each cell of a level."""
-        marked = np.zeros(self._finest.codes.size, np.bool_)
-        marked[self._finest.first(level)] = True
-        return marked
+    def _probes(self, depths: Depths, below: int) -> Bools:
+        """Mark the first finest cell in each cell ``below`` levels below a leaf that may be split."""
+        finest = self._finest
+        marked = np.zeros(depths.size, np.bool_)
+        for level in range(finest.tree.max_depth):
+            first = finest.first(min(level + below, finest.tree.max_depth))
+            marked[first] |= depths[first] == level
+        return marked & (depths < self._limits)
 
     def _split(
-        self, depths: Depths, fitted: Mapping[str, Values] | None, tested: Bools
+        self, depths: Depths, fitted: Mapping[str, Values] | None, below: int
     ) -> tuple[Pruned, dict[str, Channel]]:
         """Split merged leaves until the field is near the source in each that is left; changes ``depths``.
 
-        ``tested`` says in which of the finest cells. Leaves have ``fitted`` values, by cells of the full
-        tree; new ones have their means there.
+        Tested is a finest cell in each cell ``below`` levels below a leaf. Leaves have ``fitted`` values, by
+        cells of the full tree; new ones have their means there.
         """
         finest, limits = self._finest, self._limits
-        suspects = tested
+        suspects = np.ones(depths.size, np.bool_)
         for attempt in range(finest.codes.size):
             pruned = prune(finest, depths)
             values = pruned.carried(self._channels)
             for name, leaf_values in (fitted or {}).items():
                 values[name].values[pruned.leaves] = leaf_values[pruned.cells[pruned.leaves]]
             texture = self._texture(pruned.tree, values)
-            failing = self._fails(texture, "quadratic", suspects & (depths < limits))
+            failing = self._fails(texture, "quadratic", suspects & self._probes(depths, below))
             failing = np.logical_or.reduceat(failing, pruned.starts)
             if not failing.any():
                 break
-            suspects = tested & self._around(pruned.starts[failing], depths)
+            suspects = self._around(pruned.starts[failing], depths)
             failing = np.repeat(failing, np.diff(pruned.starts, append=depths.size))
             depths[failing] = np.minimum(depths[failing] + 1 + attempt // _PATIENCE, limits[failing])
         return pruned, values
@@ -289,7 +314,7 @@ class _Merger:
     def _around(self, starts: npt.NDArray[np.int64], depths: Depths) -> Bools:
         """Mark the finest cells in leaves and in the cells of their sizes around: as far as splits reach."""
         codes, depth = self._finest.codes, self._finest.tree.max_depth
-        changes = np.zeros(codes.size + 1, np.int64)
+        changes = np.zeros(codes.size + 1, np.int32)
         offsets = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), axis=-1).reshape(-1, 3)
         for level in np.unique(depths[starts]).tolist():
             shift = 3 * (depth - level)
@@ -299,7 +324,8 @@ class _Merger:
             held = encode_cells(around)
             np.add.at(changes, np.searchsorted(codes, held << shift), 1)
             np.add.at(changes, np.searchsorted(codes, held + 1 << shift), -1)
-        return np.cumsum(changes[:-1]) > 0
+        np.cumsum(changes, out=changes)
+        return changes[:-1] > 0
 
     def _fails(self, texture: OctreeTexture, filter: str, chosen: Bools) -> Bools:
         """Say in which of the chosen finest cells a texture is too far from the source at a sample."""
