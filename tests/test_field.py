@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from octex.field.blocks import BLOCK
 from octex.field.field import Field, NotFiniteError, Taps
 from octex.field.neighborhood import MOST_TAPS
-from octex.field.plain import BLOCK
 from octex.field.splines import FILTERS
 from octex.field.tiles import can_be_tiled
 from octex.tree.octree import Octree

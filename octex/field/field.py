@@ -9,17 +9,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from octex.field.blocks import BLOCK
+from octex.field.linear import linear_colors
+from octex.field.nearest import nearest_colors
 from octex.field.neighborhood import MOST_TAPS, new_walk, walk_all
-from octex.field.plain import (
-    BLOCK,
-    WINDOW_MASKS,
-    WINDOW_PLACES,
-    linear_colors,
-    nearest_colors,
-    quadratic_colors,
-    tiled_taps,
-)
+from octex.field.quadratic import WINDOW_TABLES, quadratic_colors
 from octex.field.splines import FILTERS
+from octex.field.tiled import tiled_taps
 from octex.field.tiles import Tiles, build_tiles, can_be_tiled
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -102,7 +98,7 @@ class Field:
             if tiles is None:
                 done = walk_all(arrays, kept_cells, *where, *target)
             else:
-                done = tiled_taps(tiles, arrays, kept_cells, *where, *target, WINDOW_MASKS, WINDOW_PLACES)
+                done = tiled_taps(tiles, arrays, kept_cells, *where, *target, *WINDOW_TABLES)
             if done < 0:
                 raise NotFiniteError(-1 - done)
             end = starts[done]
@@ -128,15 +124,13 @@ class Field:
             return None
         missed = np.empty(len(points), np.int64)
         origin, size = placement
+        task = self.tiles, points, origin, size, values, table, results, missed
         if filter == "nearest":
-            n_missed, fault = nearest_colors(self.tiles, points, origin, size, values, table, results, missed)
+            n_missed, fault = nearest_colors(*task)
         elif filter == "linear":
-            n_missed, fault = linear_colors(self.tiles, points, origin, size, values, table, results, missed)
+            n_missed, fault = linear_colors(*task)
         else:
-            tables = WINDOW_MASKS, WINDOW_PLACES
-            n_missed, fault = quadratic_colors(
-                self.tiles, points, origin, size, values, table, results, missed, *tables
-            )
+            n_missed, fault = quadratic_colors(*task, *WINDOW_TABLES)
         if fault >= 0:
             raise NotFiniteError(fault)
         return missed[:n_missed]

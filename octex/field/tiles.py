@@ -12,7 +12,7 @@ from trees whose leaves all lie at the deepest level, and take 1.5 bytes a leaf.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,10 @@ from octex.tree.octree import Octree
 #: Deepest level of the dense grid, which then takes 128 kB.
 MOST_TOP_LEVEL = 5
 
+#: Bytes that memory is read in.
+CACHE_LINE = 64
+
+Integer: TypeAlias = int | np.integer[Any]
 Groups = npt.NDArray[np.uint64]
 Masks = npt.NDArray[np.uint64]
 Firsts = npt.NDArray[np.uint32]
@@ -67,9 +71,19 @@ def build_tiles(tree: Octree) -> Tiles:
         depth,
         top_level,
         top.reshape(-1),
-        np.concatenate([*masks, np.zeros(8, np.uint64)]),
-        np.concatenate([*firsts, np.zeros(8, np.uint32)]),
+        _joined(masks, np.uint64),
+        _joined(firsts, np.uint32),
     )
+
+
+def _joined(parts: list[npt.NDArray[Any]], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+    """Join parts, and a row of zeros, so that no row straddles two cache lines."""
+    size = sum(part.size for part in parts) + 8
+    memory = np.empty(size * np.dtype(dtype).itemsize + CACHE_LINE, np.uint8)
+    start = -memory.ctypes.data % CACHE_LINE
+    joined = memory[start : start + memory.size - CACHE_LINE].view(dtype)
+    np.concatenate([*parts, np.zeros(8, dtype)], out=joined)
+    return joined
 
 
 @inlined
@@ -113,15 +127,19 @@ def _fill_tiles(
 
 
 @inlined
-def octant_of(i: int, j: int, k: int) -> int:
-    """Return the octant of a tile that holds the cell with these low bits."""
-    return i >> 2 & 1 | (j >> 1 & 2) | (k & 4)
+def _spread(i: Integer) -> Any:
+    """Move the four low bits of an integer, of 32 or 64 bits, to bits 0, 3, 8 and 11."""
+    one, two, four, eight, six = np.int32(1), np.int32(2), np.int32(4), np.int32(8), np.int32(6)
+    return (i & one) | (i & two) << two | (i & four) << six | (i & eight) << eight
 
 
 @inlined
-def bit_of(i: int, j: int, k: int) -> np.uint64:
-    """Return the bit of a cell in its octant, by its coordinates' two low bits."""
-    return np.uint64((i & 1) | (i & 2) << 2 | (j & 1) << 1 | (j & 2) << 3 | (k & 1) << 2 | (k & 2) << 4)
+def code_in_tile(i: Integer, j: Integer, k: Integer) -> Any:
+    """Say where a cell is in its tile: its bit, and 256 times its octant.
+
+    Coordinates are taken from a tile's corner on, 0 … 15: from 8 on the octants are those of the next tiles.
+    """
+    return _spread(i) | _spread(j) << np.int32(1) | _spread(k) << np.int32(2)
 
 
 @inlined
@@ -136,8 +154,9 @@ def tile_row(tiles: Tiles, i: int, j: int, k: int) -> int:
     while shift > 0:
         shift -= 3
         a, b, c = i >> shift, j >> shift, k >> shift
-        octant = np.uint64(8 * row + octant_of(a, b, c))
-        bit = bit_of(a, b, c)
+        code = code_in_tile(a & 7, b & 7, c & 7)
+        octant = np.uint64(8 * row + (code >> 8))
+        bit = np.uint64(code & 63)
         mask = tiles.masks[octant]
         if (mask >> bit) & np.uint64(1) == np.uint64(0):
             return none

@@ -1,0 +1,162 @@
+"""Points by the block, as lookups by tiles take them: placed by vectors, then each in the tile that holds it.
+
+All points of a block are placed before any tile is read, and all tiles are found before any value: of random
+points most of the time is waiting for memory, and so they wait together. What is known of a tile is kept
+while points stay in it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.field.tiles import Integer, Tiles, tile_row
+from octex.jit import inlined, kernel, prefetch, trailing_zeros
+from octex.tree.search import Origin
+
+#: Points in a block: enough that all can wait for memory at once, few enough to stay in the nearest cache.
+BLOCK = 64
+
+Points = npt.NDArray[np.float32 | np.float64]
+Values = npt.NDArray[np.uint8 | np.uint16]
+Rows = npt.NDArray[np.uint8 | np.uint16]  # (cells,) or (cells, components)
+Float32s = npt.NDArray[np.float32]
+Int64s = npt.NDArray[np.int64]
+Uint32s = npt.NDArray[np.uint32]
+Bytes = npt.NDArray[np.uint8]
+
+_AXIS_BITS = 20  # of a tile's coordinate plus one, in a key
+
+
+class Near(NamedTuple):
+    """The tiles around each point of a block. Octants are counted over all tiles."""
+
+    keys: Int64s  # (BLOCK,)   the tile of the lowest cell that is read, see `tile_key`
+    reached: Bytes  # (BLOCK,)   whether cells of the next tile are read too: a bit for each axis
+    slots: Int64s  # (BLOCK,)   where `octants` of the point begin
+    octants: Int64s  # (8 · (BLOCK + 1),)   the first of each of 2×2×2 tiles, as far as they are reached
+    latest: Int64s  # (3,)   the latest key, its slot, and which of its tiles are known
+
+
+@kernel
+def new_near() -> Near:
+    """Return what knows nothing. It serves one tree."""
+    return Near(
+        np.zeros(BLOCK, np.int64),
+        np.zeros(BLOCK, np.uint8),
+        np.zeros(BLOCK, np.int64),
+        np.zeros(8 * (BLOCK + 1), np.int64),
+        np.array([-1, 0, 0]),
+    )
+
+
+@inlined
+def tile_key(i: Integer, j: Integer, k: Integer) -> Any:
+    """Return one number for a tile's coordinates, each from −1 on."""
+    one = np.int64(1)
+    return i + one | (j + one) << np.int64(_AXIS_BITS) | (k + one) << np.int64(2 * _AXIS_BITS)
+
+
+@inlined
+def _find(tiles: Tiles, key: int, other: int) -> int:
+    """Find the first octant of one of the 2×2×2 tiles from that of a key on, and ask for it."""
+    low = (1 << _AXIS_BITS) - 1
+    i = (key & low) - 1 + (other & 1)
+    j = (key >> _AXIS_BITS & low) - 1 + (other >> 1 & 1)
+    k = (key >> 2 * _AXIS_BITS) - 1 + (other >> 2)
+    octant = 8 * tile_row(tiles, i, j, k)
+    prefetch(tiles.masks, octant)
+    prefetch(tiles.firsts, octant)
+    return octant
+
+
+@inlined
+def find_tiles(tiles: Tiles, near: Near, count: int) -> None:
+    """Find the tiles of a block of points, whose keys and reach are known, and ask for them."""
+    octants = near.octants
+    key, slot, known = near.latest[0], near.latest[1], near.latest[2]
+    for other in range(8):
+        octants[other] = octants[slot + other]
+    slot = 0
+    for n in range(count):
+        at = np.uint64(n)
+        if near.keys[at] != key:
+            key = near.keys[at]
+            slot += 8
+            octants[np.uint64(slot)] = _find(tiles, key, 0)
+            known = np.int64(1)
+        near.slots[at] = slot
+        reached = np.int64(near.reached[at])
+        if reached != 0:
+            wanted = 1 | (reached & 1) << 1
+            wanted |= wanted << 2 & -(reached >> 1 & 1)
+            wanted |= wanted << 4 & -(reached >> 2)
+            missing = wanted & ~known
+            known |= missing
+            while missing != 0:
+                other = trailing_zeros(np.uint64(missing))
+                missing &= missing - 1
+                octants[np.uint64(slot + other)] = _find(tiles, key, other)
+    near.latest[0], near.latest[1], near.latest[2] = key, slot, known
+
+
+@inlined
+def in_root(points: Points, point: int, origin: Origin, inverse: float) -> tuple[float, float, float, int]:
+    """Map a rest position, of flat ``points``, into the root cell, 0 … 1; and say if it is not finite (1).
+
+    What is no number is mapped to 0.
+    """
+    at = np.uint64(3 * point)
+    x = np.float64(points[at])
+    y = np.float64(points[at + np.uint64(1)])
+    z = np.float64(points[at + np.uint64(2)])
+    fault = int(not ((abs(x) < np.inf) & (abs(y) < np.inf) & (abs(z) < np.inf)))
+    a = min(max(0.0, (x - origin[0]) * inverse), 1.0)
+    b = min(max(0.0, (y - origin[1]) * inverse), 1.0)
+    c = min(max(0.0, (z - origin[2]) * inverse), 1.0)
+    return a, b, c, fault
+
+
+@inlined
+def first_fault(points: Points, begin: int, count: int, origin: Origin, inverse: float) -> int:
+    """Return the first of a block of points that is not finite, or −1."""
+    for n in range(begin, begin + count):
+        if in_root(points, n, origin, inverse)[3] != 0:
+            return n
+    return -1
+
+
+@inlined
+def blend_color(
+    cells: Uint32s,
+    weights: Float32s,
+    first: int,
+    end: int,
+    step: int,
+    values: Values,
+    table: Float32s,
+    results: Float32s,
+    point: int,
+) -> bool:
+    """Write the mean of three components under taps ``first``, ``first + step`` …, unless they weigh nothing.
+
+    ``values`` and ``results`` are flat.
+    """
+    a = b = c = total = np.float32(0.0)
+    for tap in range(first, end, step):
+        weight = weights[np.uint64(tap)]
+        row = np.uint64(3) * np.uint64(cells[np.uint64(tap)])
+        a += weight * table[values[row]]
+        b += weight * table[values[row + np.uint64(1)]]
+        c += weight * table[values[row + np.uint64(2)]]
+        total += weight
+    if total > np.float32(0.0):
+        inverse = np.float32(1.0) / total
+        row = np.uint64(3 * point)
+        results[row] = a * inverse
+        results[row + np.uint64(1)] = b * inverse
+        results[row + np.uint64(2)] = c * inverse
+        return True
+    return False
