@@ -121,11 +121,11 @@ def in_root(points: Points, point: int, origin: Origin, inverse: float) -> tuple
 
 @inlined
 def first_fault(points: Points, begin: int, count: int, origin: Origin, inverse: float) -> int:
-    """Return the first of a block of points that is not finite, or −1."""
-    for n in range(begin, begin + count):
-        if in_root(points, n, origin, inverse)[3] != 0:
-            return n
-    return -1
+    """Return the first of a block of points that is not finite; at least one is."""
+    point = begin
+    while point < begin + count - 1 and in_root(points, point, origin, inverse)[3] == 0:
+        point += 1
+    return point
 
 
 @inlined

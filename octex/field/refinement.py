@@ -1,4 +1,4 @@
-"""What passes between the windows of a walk: coefficients down to finer cells, and shares up to coarser ones."""
+"""What passes between the windows of a walk: coefficients down to finer cells, shares up to coarser ones."""
 
 from __future__ import annotations
 
