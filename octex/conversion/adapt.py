@@ -39,10 +39,12 @@ _ROUNDING = 1 / 16
 #: A leaf is tested at a sample in each cell so many levels below it: at most 16 or so where it is flat.
 _TESTED_BELOW = 2
 #: If no more than this part of all leaves fail, only those around them are tested again.
-_FEW = 0.01
-#: Leaves that fail are split by a level, which mostly is enough; by one more after each so many rounds, since
-#: their neighbours may fail in turn.
+_FEW = 0.05
+#: Leaves that fail are split by a level, which mostly is enough; after so many rounds into the finest cells,
+#: since their neighbours may fail in turn.
 _PATIENCE = 3
+#: Rounds of tests before the fit; they find nearly all that is to be split.
+_FIRST_ROUNDS = 2
 
 
 def as_max_error(max_error: float) -> float:
@@ -233,11 +235,11 @@ class _Merger:
         self._progress("adapt", depth, depth + 3)
         # What was judged on even trees is judged again on the tree of many depths: first at few samples, then
         # at more, and as the leaves were fitted. What that splits, hardly a hundredth, stays at its means.
-        pruned, values = self._split(depths, None, 1)
+        pruned, values = self._split(depths, None, 1, _FIRST_ROUNDS)
         self._progress("adapt", depth + 1, depth + 3)
         fitted = pruned.scattered(fit(pruned.tree, values), self._channels) if fit else None
         self._progress("adapt", depth + 2, depth + 3)
-        pruned, values = self._split(depths, fitted, _TESTED_BELOW)
+        pruned, values = self._split(depths, fitted, _TESTED_BELOW, depths.size)
         self._progress("adapt", depth + 3, depth + 3)
         return pruned.tree, values
 
@@ -285,31 +287,38 @@ class _Merger:
         return marked & (depths < self._limits)
 
     def _split(
-        self, depths: Depths, fitted: Mapping[str, Values] | None, below: int
+        self, depths: Depths, fitted: Mapping[str, Values] | None, below: int, rounds: int
     ) -> tuple[Pruned, dict[str, Channel]]:
         """Split merged leaves until the field is near the source in each that is left; changes ``depths``.
 
-        Tested is a finest cell in each cell ``below`` levels below a leaf. Leaves have ``fitted`` values, by
-        cells of the full tree; new ones have their means there.
+        Tested is a finest cell in each cell ``below`` levels below a leaf, at most ``rounds`` times. Leaves
+        have ``fitted`` values, by cells of the full tree; new ones have their means there.
         """
-        finest, limits = self._finest, self._limits
         suspects = np.ones(depths.size, np.bool_)
-        for attempt in range(finest.codes.size):
-            pruned = prune(finest, depths)
-            values = pruned.carried(self._channels)
-            for name, leaf_values in (fitted or {}).items():
-                values[name].values[pruned.leaves] = leaf_values[pruned.cells[pruned.leaves]]
+        for attempt in range(rounds):
+            pruned, values = self._pruned(depths, fitted)
             field = Coefficients.of(pruned.tree, values, self._samples)
             failing = self._fails(field, suspects & self._probes(depths, below))
             failing = np.logical_or.reduceat(failing, pruned.starts)
             if not failing.any():
-                break
+                return pruned, values
             if np.count_nonzero(failing) > _FEW * failing.size:
                 suspects = np.ones(depths.size, np.bool_)
             else:
                 suspects = self._around(pruned.starts[failing], depths)
             failing = np.repeat(failing, np.diff(pruned.starts, append=depths.size))
-            depths[failing] = np.minimum(depths[failing] + 1 + attempt // _PATIENCE, limits[failing])
+            steps = 1 if attempt < _PATIENCE else self._finest.tree.max_depth
+            depths[failing] = np.minimum(depths[failing] + steps, self._limits[failing])
+        return self._pruned(depths, fitted)
+
+    def _pruned(
+        self, depths: Depths, fitted: Mapping[str, Values] | None
+    ) -> tuple[Pruned, dict[str, Channel]]:
+        """Return the tree whose leaves have some depths, and their values: ``fitted`` ones, or means."""
+        pruned = prune(self._finest, depths)
+        values = pruned.carried(self._channels)
+        for name, leaf_values in (fitted or {}).items():
+            values[name].values[pruned.leaves] = leaf_values[pruned.cells[pruned.leaves]]
         return pruned, values
 
     def _around(self, starts: npt.NDArray[np.int64], depths: Depths) -> Bools:
