@@ -40,9 +40,9 @@ _ROUNDING = 1 / 16
 _TESTED_BELOW = 2
 #: If no more than this part of all leaves fail, only those around them are tested again.
 _FEW = 0.05
-#: Leaves that fail are split by a level, which mostly is enough; after so many rounds into the finest cells,
-#: since their neighbours may fail in turn.
-_PATIENCE = 3
+#: Leaves that fail are split by a level, which mostly is enough; by one more after each so many rounds, since
+#: their neighbours may fail in turn.
+_PATIENCE = 6
 #: Rounds of tests before the fit; they find nearly all that is to be split.
 _FIRST_ROUNDS = 2
 
@@ -193,7 +193,8 @@ def adapted(
     Then the quadratic field, as it is stored, differs from the source by at most that and 1/8 (what samples
     are rounded by, and what is allowed for it) in all leaves that are less deep than what is wanted: at every
     sample of those one or two levels above the finest cells, at one in each cell two levels below of those
-    further up. Leaves as deep as wanted stay, whatever their error.
+    further up. Leaves as deep as wanted stay, whatever their error. What the last tests split,
+    some percent of the leaves, has means, unfitted.
     """
     finest = Finest.of(tree)
     limits = limits_of(finest, wanted)
@@ -233,8 +234,8 @@ class _Merger:
             self._progress("adapt", done, depth + 3)
             self._merge(level, depths)
         self._progress("adapt", depth, depth + 3)
-        # What was judged on even trees is judged again on the tree of many depths: first at few samples, then
-        # at more, and as the leaves were fitted. What that splits, hardly a hundredth, stays at its means.
+        # What was judged on even trees is judged again on the tree of many depths: first at few samples, then,
+        # as the leaves were fitted, at more. What that splits is not worth another fit.
         pruned, values = self._split(depths, None, 1, _FIRST_ROUNDS)
         self._progress("adapt", depth + 1, depth + 3)
         fitted = pruned.scattered(fit(pruned.tree, values), self._channels) if fit else None
@@ -307,7 +308,7 @@ class _Merger:
             else:
                 suspects = self._around(pruned.starts[failing], depths)
             failing = np.repeat(failing, np.diff(pruned.starts, append=depths.size))
-            steps = 1 if attempt < _PATIENCE else self._finest.tree.max_depth
+            steps = 1 + attempt // _PATIENCE
             depths[failing] = np.minimum(depths[failing] + steps, self._limits[failing])
         return self._pruned(depths, fitted)
 

@@ -8,7 +8,7 @@ their sum under the spline's weights.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +26,10 @@ from octex.tree.octree import Octree
 Floats = npt.NDArray[np.float32]
 Int64s = npt.NDArray[np.int64]
 
+Four: TypeAlias = tuple[np.float32, np.float32, np.float32, np.float32]
+
 _PLACES = 27
+_ZERO = np.float32(0)
 _NO_KEPT = np.empty(0, np.uint32)
 
 
@@ -63,8 +66,6 @@ class Windows(NamedTuple):
     numbers: npt.NDArray[np.int32]  # (vectors, levels · places)   their rows, one after another
     weights: Floats  # (levels · places,)   the spline's, in the window that is read
     known: npt.NDArray[np.bool_]  # (levels,)   whether the level's coefficients are written
-    parents: npt.NDArray[np.int32]  # (8,)   rows that a coefficient is refined from
-    shares: Floats  # (8,)   by how much
 
 
 @kernel
@@ -76,13 +77,14 @@ def _new_windows(vectors: int) -> Windows:
         np.arange(rows).astype(np.int32).reshape(vectors, -1),
         np.zeros(levels * _PLACES, np.float32),
         np.zeros(levels, np.bool_),
-        np.zeros(8, np.int32),
-        np.zeros(8, np.float32),
     )
 
 
 def values_at(coefficients: Coefficients, samples: Samples, cells: Int64s) -> Floats:
-    """Return the field (n, components) at all samples of finest cells, which ascend."""
+    """Return the field (n, components) at all samples of finest cells, which ascend.
+
+    Every one of the cells must lie in a leaf of the tree. What nothing covers is black.
+    """
     counts = samples.firsts[cells + 1] - samples.firsts[cells]
     found = np.empty((int(counts.sum()), coefficients.components), np.float32)
     arrays = samples.codes, samples.firsts, samples.places
@@ -108,7 +110,7 @@ def values_of(coefficients: Coefficients, samples: Samples, cells: Int64s, nodes
 def source_at(samples: Samples, cells: Int64s) -> npt.NDArray[np.floating]:
     """Return the source (n, components) at the same samples."""
     values = samples.values
-    bits = values.view(np.uint16 if values.dtype == np.float16 else np.uint32)
+    bits: npt.NDArray[Any] = values.view(np.uint16 if values.dtype == np.float16 else np.uint32)
     counts = samples.firsts[cells + 1] - samples.firsts[cells]
     found = np.empty((int(counts.sum()), values.shape[1]), bits.dtype)
     _copy_rows(bits, samples.firsts, cells, found)
@@ -215,7 +217,7 @@ def _weigh(windows: Windows, first: int, x: float, y: float, z: float) -> None:
 def _find(arrays: TreeArrays, rows: Floats, vectors: int, walk: Walk, windows: Windows, level: int) -> None:
     """Write the coefficients of a level's window, and before it of those that it is refined from."""
     top = level
-    while not windows.known[top] and _refined(walk, top) != 0:
+    while not windows.known[top] and _is_refined(walk, top):
         top -= 1
     for each in range(top, level + 1):
         if not windows.known[each]:
@@ -223,65 +225,76 @@ def _find(arrays: TreeArrays, rows: Floats, vectors: int, walk: Walk, windows: W
 
 
 @inlined
-def _refined(walk: Walk, level: int) -> np.uint64:
-    """Return the cells of a window that are below leaves, or below nothing beside these."""
+def _is_refined(walk: Walk, level: int) -> bool:
+    """Say whether a window has cells below leaves, or below nothing beside these."""
     if level == 0 or walk.levels[level - 1, CONTENT] == 0:
-        return np.uint64(0)
-    return np.uint64(INSIDE[0, walk.levels[level, BEGIN], 0] & ~walk.real[level, 0])
+        return False
+    return bool(INSIDE[0, walk.levels[level, BEGIN], 0] & ~walk.real[level, 0] != 0)
 
 
 @inlined
 def _gather(arrays: TreeArrays, rows: Floats, vectors: int, walk: Walk, windows: Windows, level: int) -> None:
     """Write the coefficients of a level's window."""
     begin = walk.levels[level, BEGIN]
+    inside = INSIDE[0, begin, 0]
+    leaves = (walk.cells[level, 0] ^ walk.nodes[level, 0]) & inside
     stride = (MAX_DEPTH + 1) * _PLACES
-    first = level * _PLACES
-    for vector in range(vectors):
-        for row in range(first + vector * stride, first + vector * stride + _PLACES):
-            for column in range(4):
-                windows.rows[row, column] = 0.0
-    bits = (walk.cells[level, 0] ^ walk.nodes[level, 0]) & INSIDE[0, begin, 0]
-    while bits != 0:
-        child = trailing_zeros(bits)
-        bits &= bits - np.uint64(1)
-        at = first + place_of(2, begin, child)
+    empty = inside
+    if _is_refined(walk, level):
+        for vector in range(vectors):
+            _refine(windows.rows, level * _PLACES + vector * stride, walk.levels[level, UPPER])
+        empty = inside & walk.real[level, 0] & ~leaves
+    while empty != 0:
+        at = level * _PLACES + place_of(2, begin, trailing_zeros(empty))
+        empty &= empty - np.uint64(1)
+        for vector in range(vectors):
+            _write(windows.rows, at + vector * stride, (_ZERO, _ZERO, _ZERO, _ZERO))
+    while leaves != 0:
+        child = trailing_zeros(leaves)
+        leaves &= leaves - np.uint64(1)
+        at = level * _PLACES + place_of(2, begin, child)
         cell = cell_at(arrays, walk, level, 0, child) * vectors
         for vector in range(vectors):
-            for column in range(4):
-                windows.rows[at + vector * stride, column] = rows[cell + vector, column]
-    bits = _refined(walk, level)
-    while bits != 0:
-        place = place_of(2, begin, trailing_zeros(bits))
-        bits &= bits - np.uint64(1)
-        _refine(vectors, windows, first, place, walk.levels[level, UPPER])
+            _write(windows.rows, at + vector * stride, _read(rows, cell + vector))
     windows.known[level] = True
 
 
 @inlined
-def _refine(vectors: int, windows: Windows, first: int, place: int, upper: int) -> None:
-    """Write a coefficient of the window from row ``first`` on, refined from the window above.
+def _refine(rows: Floats, first: int, upper: int) -> None:
+    """Refine the window above into that from row ``first`` on; ``upper`` is the half of its parent."""
+    step = 1
+    for axis in range(3):
+        turn = 2 * step if upper >> axis & 1 else 0  # begin at the other end
+        source = first - _PLACES if axis == 0 else first
+        for block in range(0, _PLACES, 3 * step):
+            for at in range(block, block + step):
+                low, middle, high = at + turn, at + step, at + 2 * step - turn
+                a, b, c = _read(rows, source + low), _read(rows, source + middle), _read(rows, source + high)
+                _write(rows, first + low, _blended(a, b))
+                _write(rows, first + middle, _blended(b, a))
+                _write(rows, first + high, _blended(b, c))
+        step *= 3
 
-    The window is around the half ``upper`` of its parent.
-    """
-    x, of_x = _parent(place % 3, upper & 1)
-    y, of_y = _parent(place // 3 % 3, upper >> 1 & 1)
-    z, of_z = _parent(place // 9, upper >> 2)
-    stride = (MAX_DEPTH + 1) * _PLACES
-    for vector in range(vectors):
-        above = first - _PLACES + vector * stride + x + 3 * y + 9 * z
-        for corner in range(8):
-            i, j, k = corner & 1, corner >> 1 & 1, corner >> 2
-            windows.parents[corner] = above + i + 3 * j + 9 * k
-            share = (1.0 - of_x if i else of_x) * (1.0 - of_y if j else of_y)
-            windows.shares[corner] = share * (1.0 - of_z if k else of_z)
-        a, b, c, d = weighted_rows(windows.rows, windows.parents, windows.shares, 0, 8)
-        row = first + vector * stride + place
-        windows.rows[row, 0], windows.rows[row, 1] = a, b
-        windows.rows[row, 2], windows.rows[row, 3] = c, d
+
+# Rows are read as a whole before one is written: the compiler makes vectors of that.
 
 
 @inlined
-def _parent(place: int, upper: int) -> tuple[int, float]:
-    """Say which of three cells and the next one a finer cell is refined from, and the share of the first."""
-    child = place + upper  # 0: in the upper half of the first, 1 and 2: of the second, 3: of the third
-    return child >> 1, 0.25 if child & 1 else 0.75
+def _read(rows: Floats, row: int) -> Four:
+    return rows[row, 0], rows[row, 1], rows[row, 2], rows[row, 3]
+
+
+@inlined
+def _write(rows: Floats, row: int, values: Four) -> None:
+    rows[row, 0], rows[row, 1], rows[row, 2], rows[row, 3] = values
+
+
+@inlined
+def _blended(near: Four, far: Four) -> Four:
+    a, b = np.float32(0.75), np.float32(0.25)
+    return (
+        a * near[0] + b * far[0],
+        a * near[1] + b * far[1],
+        a * near[2] + b * far[2],
+        a * near[3] + b * far[3],
+    )
