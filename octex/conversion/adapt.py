@@ -234,8 +234,8 @@ class _Merger:
             self._progress("adapt", done, depth + 3)
             self._merge(level, depths)
         self._progress("adapt", depth, depth + 3)
-        # What was judged on even trees is judged again on the tree of many depths: first at few samples, then,
-        # as the leaves were fitted, at more. What that splits is not worth another fit.
+        # What was judged on even trees is judged again on the tree of many depths: first at few samples, and
+        # at more as the leaves were fitted. What that splits is not worth another fit.
         pruned, values = self._split(depths, None, 1, _FIRST_ROUNDS)
         self._progress("adapt", depth + 1, depth + 3)
         fitted = pruned.scattered(fit(pruned.tree, values), self._channels) if fit else None
