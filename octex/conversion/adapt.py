@@ -43,7 +43,7 @@ _FEW = 0.05
 #: Leaves that fail are split by a level, which mostly is enough; by one more after each so many rounds, since
 #: their neighbours may fail in turn.
 _PATIENCE = 6
-#: Rounds of tests before the fit; they find nearly all that is to be split.
+#: Rounds of tests after the first fit; they find nearly all that is to be split.
 _FIRST_ROUNDS = 2
 
 
@@ -193,8 +193,8 @@ def adapted(
     Then the quadratic field, as it is stored, differs from the source by at most that and 1/8 (what samples
     are rounded by, and what is allowed for it) in all leaves that are less deep than what is wanted: at every
     sample of those one or two levels above the finest cells, at one in each cell two levels below of those
-    further up. Leaves as deep as wanted stay, whatever their error. What the last tests split,
-    some percent of the leaves, has means, unfitted.
+    further up. Leaves as deep as wanted stay, whatever their error. What the last tests split
+    has means, unfitted.
     """
     finest = Finest.of(tree)
     limits = limits_of(finest, wanted)
@@ -235,12 +235,17 @@ class _Merger:
             self._merge(level, depths)
         self._progress("adapt", depth, depth + 3)
         # What was judged on even trees is judged again on the tree of many depths: first at few samples, and
-        # at more as the leaves were fitted. What that splits is not worth another fit.
-        pruned, values = self._split(depths, None, 1, _FIRST_ROUNDS)
-        self._progress("adapt", depth + 1, depth + 3)
-        fitted = pruned.scattered(fit(pruned.tree, values), self._channels) if fit else None
-        self._progress("adapt", depth + 2, depth + 3)
-        pruned, values = self._split(depths, fitted, _TESTED_BELOW, depths.size)
+        # at more as the leaves were fitted. What that splits is worth another fit.
+        pruned, values = self._split(depths, None, 1, 1)
+        for done, rounds in ((1, _FIRST_ROUNDS if fit else depths.size), (2, depths.size)):
+            self._progress("adapt", depth + done, depth + 3)
+            before = pruned
+            fitted = None
+            if fit:
+                fitted = before.scattered(fit(before.tree, before.carried(self._channels)), self._channels)
+            pruned, values = self._split(depths, fitted, _TESTED_BELOW, rounds)
+            if not fit or pruned.tree.n_leaves == before.tree.n_leaves:
+                break
         self._progress("adapt", depth + 3, depth + 3)
         return pruned.tree, values
 
