@@ -26,8 +26,9 @@ from octex.channels import (
     srgb_to_linear,
 )
 from octex.conversion.adapt import Finest, Fit, adapted, as_max_error, limits_of, prune
+from octex.conversion.lookups import Coefficients, source_at, values_at, values_of
 from octex.conversion.measure import exceeding
-from octex.conversion.samples import Samples
+from octex.conversion.samples import Samples, sample_points
 from octex.errors import ArgumentError
 from octex.parallel import silent
 from octex.texture import Channel, OctreeTexture
@@ -98,7 +99,6 @@ def merge(
         tree,
         channels,
         sampled(tree, channels),
-        UNIT,
         max_error=max_error,
         wanted=wanted,
         fit=fit,
@@ -187,6 +187,42 @@ def test_a_node_becomes_a_leaf_where_nothing_in_it_wants_to_go_deeper(seed: int)
     for code, limit in zip(codes, limits, strict=True):
         inside = [wanted[codes >> 3 * (depth - level) == code >> 3 * (depth - level)] for level in range(4)]
         assert limit == next(level for level in range(4) if inside[level].max() <= level)
+
+
+@given(st.integers(0, 2**32 - 1), st.booleans())
+def test_values_at_samples_are_those_of_the_field(seed: int, has_alpha: bool):
+    random = np.random.default_rng(seed)
+    codes = np.unique(random.integers(0, 8**4, 300))
+    full = Octree.from_leaves(codes, 4)
+    channels = painted(full, noise(full, seed)) | painted(full, noise(full, seed + 1), NORMAL)
+    if has_alpha:
+        channels |= painted(full, noise(full, seed + 2)[:, :1], ALPHA)
+    samples = sampled(full, channels)
+    places = random.integers(0, 1 << 16, (full.n_leaves, 3)).astype(np.uint16)
+    samples = samples._replace(places=places)
+    finest = Finest.of(full)
+    pruned = prune(finest, limits_of(finest, random.integers(2, 5, codes.size).astype(np.uint8)))
+    values = pruned.carried(channels)
+    texture = OctreeTexture(pruned.tree, values, UNIT, [[0, 0, 0], [1, 1, 1]])
+    chosen = np.flatnonzero(random.random(codes.size) < 0.7)
+    found = values_at(Coefficients.of(pruned.tree, values, samples), samples, chosen)
+    expected = texture.sample(sample_points(samples, chosen, UNIT), list(channels), normalize=False)
+    np.testing.assert_allclose(found, np.hstack(list(expected.values())), atol=2e-5)
+    np.testing.assert_array_equal(source_at(samples, chosen), samples.values[chosen])
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_cells_by_themselves_show_their_own_values(seed: int):
+    tree = plane(3)
+    channels = painted(tree, noise(tree, seed)) | painted(tree, noise(tree, seed)[:, :1], ALPHA)
+    samples, finest = sampled(tree, channels), Finest.of(tree)
+    averages = Coefficients.of(tree.truncated(2), channels, samples)
+    chosen = np.arange(0, tree.n_leaves, 3)
+    found = values_of(averages, samples, chosen, finest.firsts[2])
+    owners = np.searchsorted(tree.level_codes(2), tree.level_codes(3)[chosen] >> 3)
+    rows = tree.arrays.level_cells[2] + owners
+    expected = [decode(each.values[rows], each.format.space) for each in channels.values()]
+    np.testing.assert_allclose(found, np.hstack(expected), atol=1e-6)
 
 
 def test_without_wishes_nothing_is_pruned():
@@ -401,24 +437,19 @@ def test_what_is_not_a_number_is_far_from_anything():
 
 
 def test_what_is_covered_in_part_counts_by_as_much():
-    found = {
-        "base_color": np.full((2, 3), 0.5, np.float32),
-        "alpha": np.full((2, 1), 0.5, np.float32),
-    }
+    found = np.full((2, 4), 0.5, np.float32)
     source = np.array([[0.5, 0.5, 0.4, 1.0], [0.5, 0.5, 0.4, 0.5]])
     apart = 255 * abs(linear_to_srgb(0.5) - linear_to_srgb(0.4))
     assert list(exceeding(found, source, (BASE_COLOR, ALPHA), 200)) == [False, False]
     assert list(exceeding(found, source, (BASE_COLOR, ALPHA), apart - 0.1)) == [True, False]
-    assert list(exceeding({**found, "alpha": found["alpha"] / 2}, source, (BASE_COLOR, ALPHA), 100)) == [
-        True,
-        False,
-    ]
+    found[:, 3] /= 2
+    assert list(exceeding(found, source, (BASE_COLOR, ALPHA), 100)) == [True, False]
 
 
 def far(form: ChannelFormat, found: float, source: float, most: float) -> bool:
     """Whether two values, in each component, are farther apart than ``most`` codes."""
     rows = np.full((1, form.components), found, np.float32)
-    return bool(exceeding({form.name: rows}, np.full(rows.shape, source), (form,), most)[0])
+    return bool(exceeding(rows, np.full(rows.shape, source), (form,), most)[0])
 
 
 def body(size: int = 64) -> octex.Surface:

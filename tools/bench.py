@@ -19,6 +19,7 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from bench_adaptive import adaptive
 from bench_conversion import boombox, large, torus
 from bench_images import filters, materials
 from bench_lookups import kinds, lookup, resident, today
@@ -34,6 +35,7 @@ BENCHMARKS = {
         materials,
         filters,
         large,
+        adaptive,
         psnr,
         lookup,
         kinds,

@@ -8,22 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
+from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from octex.conversion.lookups import Coefficients, source_at, values_at, values_of
 from octex.conversion.measure import exceeding
-from octex.conversion.samples import Samples, sample_points
+from octex.conversion.samples import Samples
 from octex.errors import ArgumentError
 from octex.jit import kernel
-from octex.parallel import Progress
+from octex.parallel import Progress, ordered_map
 from octex.texture.channel import Channel
-from octex.texture.texture import OctreeTexture
 from octex.tree.layout import SplitTable
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
-from octex.tree.placement import Placement
 
 Channels: TypeAlias = Mapping[str, Channel]
 #: Fits the leaves of a tree whose values are means: a conversion's `fitted` with all but these two given.
@@ -33,14 +33,18 @@ Depths: TypeAlias = npt.NDArray[np.uint8]
 Values: TypeAlias = npt.NDArray[Any]
 
 #: Finest cells whose samples are looked up at once.
-_BLOCK = 1 << 17
+_BLOCK = 1 << 15
 #: What samples, float16 numbers, are rounded by at most, in codes: so much more is allowed.
 _ROUNDING = 1 / 16
 #: A leaf is tested at a sample in each cell so many levels below it: at most 16 or so where it is flat.
 _TESTED_BELOW = 2
+#: If no more than this part of all leaves fail, only those around them are tested again.
+_FEW = 0.05
 #: Leaves that fail are split by a level, which mostly is enough; by one more after each so many rounds, since
 #: their neighbours may fail in turn.
 _PATIENCE = 6
+#: Rounds of tests after the first fit; they find nearly all that is to be split.
+_FIRST_ROUNDS = 2
 
 
 def as_max_error(max_error: float) -> float:
@@ -173,7 +177,6 @@ def adapted(
     tree: Octree,
     channels: Channels,
     samples: Samples | None,
-    placement: Placement,
     *,
     max_error: float | None,
     wanted: Depths | None,
@@ -190,7 +193,8 @@ def adapted(
     Then the quadratic field, as it is stored, differs from the source by at most that and 1/8 (what samples
     are rounded by, and what is allowed for it) in all leaves that are less deep than what is wanted: at every
     sample of those one or two levels above the finest cells, at one in each cell two levels below of those
-    further up. Leaves as deep as wanted stay, whatever their error.
+    further up. Leaves as deep as wanted stay, whatever their error. What the last tests split
+    has means, unfitted.
     """
     finest = Finest.of(tree)
     limits = limits_of(finest, wanted)
@@ -198,7 +202,7 @@ def adapted(
         pruned = prune(finest, limits)
         carried = pruned.carried(channels)
         return pruned.tree, dict(fit(pruned.tree, carried) if fit else carried)
-    return _Merger(finest, channels, samples, placement, max_error, limits, executor, progress).merged(fit)
+    return _Merger(finest, channels, samples, max_error, limits, executor, progress).merged(fit)
 
 
 class _Merger:
@@ -209,7 +213,6 @@ class _Merger:
         finest: Finest,
         channels: Channels,
         samples: Samples,
-        placement: Placement,
         max_error: float,
         limits: Depths,
         executor: Executor | None,
@@ -218,7 +221,6 @@ class _Merger:
         self._finest = finest
         self._channels = channels
         self._samples = samples
-        self._placement = placement
         self._most = max_error + _ROUNDING
         self._limits = limits
         self._executor = executor
@@ -232,16 +234,16 @@ class _Merger:
             self._progress("adapt", done, depth + 3)
             self._merge(level, depths)
         self._progress("adapt", depth, depth + 3)
-        # What was judged on even trees is judged again on the tree of many depths: first at few samples, then
-        # at more, and as the leaves were fitted. What that splits is worth another fit.
-        pruned, values = self._split(depths, None, 1)
-        for done in (1, 2):
+        # What was judged on even trees is judged again on the tree of many depths: first at few samples, and
+        # at more as the leaves were fitted. What that splits is worth another fit.
+        pruned, values = self._split(depths, None, 1, 1)
+        for done, rounds in ((1, _FIRST_ROUNDS if fit else depths.size), (2, depths.size)):
             self._progress("adapt", depth + done, depth + 3)
             before = pruned
             fitted = None
             if fit:
                 fitted = before.scattered(fit(before.tree, before.carried(self._channels)), self._channels)
-            pruned, values = self._split(depths, fitted, _TESTED_BELOW)
+            pruned, values = self._split(depths, fitted, _TESTED_BELOW, rounds)
             if not fit or pruned.tree.n_leaves == before.tree.n_leaves:
                 break
         self._progress("adapt", depth + 3, depth + 3)
@@ -258,23 +260,27 @@ class _Merger:
         may = np.maximum.reduceat(depths, firsts) == level + 1
         if not may.any():
             return
-        texture = self._texture(finest.tree, self._channels).level(level)
-        smooth = self._near(level, texture, "quadratic", may)
-        flat = self._near(level, texture, "nearest", may & ~smooth)
+        averages = Coefficients.of(finest.tree.truncated(level), self._channels, self._samples)
+        smooth = self._near(level, averages, may)
+        flat = self._near(level, averages, may & ~smooth, by_itself=True)
         depths[finest.spread(level, smooth | flat)] = level
 
-    def _near(self, level: int, texture: OctreeTexture, filter: str, may: Bools) -> Bools:
-        """Say which of some nodes of a level a texture is near enough to the source in."""
+    def _near(self, level: int, averages: Coefficients, may: Bools, *, by_itself: bool = False) -> Bools:
+        """Say in which of some nodes of a level its averages are near enough to the source.
+
+        Each ``by_itself``, or as a field.
+        """
         finest = self._finest
         firsts = finest.firsts[level]
         # Most nodes that fail do so in their first finest cell.
         first = np.zeros(finest.codes.size, np.bool_)
         first[firsts[may]] = True
-        may = may & ~self._fails(texture, filter, first)[firsts]
+        nodes = firsts if by_itself else None
+        may = may & ~self._fails(averages, first, nodes)[firsts]
         # What is small, finer levels have seen: one of the finest cells in each child will do.
         children = np.zeros(finest.codes.size, np.bool_)
         children[finest.first(level + 1)] = True
-        failing = self._fails(texture, filter, children & finest.spread(level, may))
+        failing = self._fails(averages, children & finest.spread(level, may), nodes)
         return may & ~np.logical_or.reduceat(failing, firsts)
 
     def _probes(self, depths: Depths, below: int) -> Bools:
@@ -287,28 +293,38 @@ class _Merger:
         return marked & (depths < self._limits)
 
     def _split(
-        self, depths: Depths, fitted: Mapping[str, Values] | None, below: int
+        self, depths: Depths, fitted: Mapping[str, Values] | None, below: int, rounds: int
     ) -> tuple[Pruned, dict[str, Channel]]:
         """Split merged leaves until the field is near the source in each that is left; changes ``depths``.
 
-        Tested is a finest cell in each cell ``below`` levels below a leaf. Leaves have ``fitted`` values, by
-        cells of the full tree; new ones have their means there.
+        Tested is a finest cell in each cell ``below`` levels below a leaf, at most ``rounds`` times. Leaves
+        have ``fitted`` values, by cells of the full tree; new ones have their means there.
         """
-        finest, limits = self._finest, self._limits
         suspects = np.ones(depths.size, np.bool_)
-        for attempt in range(finest.codes.size):
-            pruned = prune(finest, depths)
-            values = pruned.carried(self._channels)
-            for name, leaf_values in (fitted or {}).items():
-                values[name].values[pruned.leaves] = leaf_values[pruned.cells[pruned.leaves]]
-            texture = self._texture(pruned.tree, values)
-            failing = self._fails(texture, "quadratic", suspects & self._probes(depths, below))
+        for attempt in range(rounds):
+            pruned, values = self._pruned(depths, fitted)
+            field = Coefficients.of(pruned.tree, values, self._samples)
+            failing = self._fails(field, suspects & self._probes(depths, below))
             failing = np.logical_or.reduceat(failing, pruned.starts)
             if not failing.any():
-                break
-            suspects = self._around(pruned.starts[failing], depths)
+                return pruned, values
+            if np.count_nonzero(failing) > _FEW * failing.size:
+                suspects = np.ones(depths.size, np.bool_)
+            else:
+                suspects = self._around(pruned.starts[failing], depths)
             failing = np.repeat(failing, np.diff(pruned.starts, append=depths.size))
-            depths[failing] = np.minimum(depths[failing] + 1 + attempt // _PATIENCE, limits[failing])
+            steps = 1 + attempt // _PATIENCE
+            depths[failing] = np.minimum(depths[failing] + steps, self._limits[failing])
+        return self._pruned(depths, fitted)
+
+    def _pruned(
+        self, depths: Depths, fitted: Mapping[str, Values] | None
+    ) -> tuple[Pruned, dict[str, Channel]]:
+        """Return the tree whose leaves have some depths, and their values: ``fitted`` ones, or means."""
+        pruned = prune(self._finest, depths)
+        values = pruned.carried(self._channels)
+        for name, leaf_values in (fitted or {}).items():
+            values[name].values[pruned.leaves] = leaf_values[pruned.cells[pruned.leaves]]
         return pruned, values
 
     def _around(self, starts: npt.NDArray[np.int64], depths: Depths) -> Bools:
@@ -327,25 +343,30 @@ class _Merger:
         np.cumsum(changes, out=changes)
         return changes[:-1] > 0
 
-    def _fails(self, texture: OctreeTexture, filter: str, chosen: Bools) -> Bools:
-        """Say in which of the chosen finest cells a texture is too far from the source at a sample."""
-        samples = self._samples
-        names = [form.name for form in samples.channels]
+    def _fails(self, field: Coefficients, chosen: Bools, nodes: npt.NDArray[np.int64] | None = None) -> Bools:
+        """Say in which of the chosen finest cells a field is too far from the source at a sample.
+
+        With ``nodes``, the first finest cells in those of the field's last level, it is their own values.
+        """
         fails = np.zeros(chosen.size, np.bool_)
-        for begin in range(0, chosen.size, _BLOCK):
-            cells = np.flatnonzero(chosen[begin : begin + _BLOCK]) + begin
-            if cells.size == 0:
-                continue
-            firsts = samples.firsts[cells]
-            counts = samples.firsts[cells + 1] - firsts
-            owners = np.repeat(cells, counts)
-            rows = np.arange(owners.size) + np.repeat(firsts - np.cumsum(counts) + counts, counts)
-            points = sample_points(samples, rows, self._placement)
-            found = texture.sample(points, names, filter, normalize=False, executor=self._executor)
-            far = exceeding(found, samples.values[rows], samples.channels, self._most)
-            fails[owners[far]] = True
+        cells = np.flatnonzero(chosen)
+        blocks = [cells[begin : begin + _BLOCK] for begin in range(0, cells.size, _BLOCK)]
+        work = partial(_failing, field, self._samples, self._most, nodes)
+        done = map(work, blocks) if self._executor is None else ordered_map(self._executor, work, blocks)
+        for failing in done:
+            fails[failing] = True
         return fails
 
-    def _texture(self, tree: Octree, channels: Channels) -> OctreeTexture:
-        origin = np.array(self._placement.origin)
-        return OctreeTexture(tree, channels, self._placement, [origin, origin + self._placement.size])
+
+def _failing(
+    field: Coefficients,
+    samples: Samples,
+    most: float,
+    nodes: npt.NDArray[np.int64] | None,
+    cells: npt.NDArray[np.int64],
+) -> npt.NDArray[np.int64]:
+    """Return the finest cells, of some, where a field is more than ``most`` codes from the source."""
+    found = values_at(field, samples, cells) if nodes is None else values_of(field, samples, cells, nodes)
+    far = exceeding(found, source_at(samples, cells), samples.channels, most)
+    counts = samples.firsts[cells + 1] - samples.firsts[cells]
+    return np.repeat(cells, counts)[far]

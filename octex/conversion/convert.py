@@ -110,7 +110,7 @@ def convert(
             fitting = partial(fitted, samples=samples, placement=placement, executor=pool, progress=report)
         if most is not None or deepest is not None:
             tree, values = adapted(
-                tree, values, samples, placement,
+                tree, values, samples,
                 max_error=most, wanted=deepest, fit=fitting, executor=pool, progress=report,
             )  # fmt: skip
         elif fitting is not None:

@@ -7,7 +7,7 @@ component of a direction in 1/127.5. What an alpha covers in part counts by as m
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -24,23 +24,23 @@ _SLOPE = 255.0 * 1.055 / 2.4  # of the curve at 1
 
 
 def exceeding(
-    found: Mapping[str, npt.NDArray[np.float32]],
+    found: npt.NDArray[np.float32],
     source: npt.NDArray[np.floating],
     channels: Sequence[ChannelFormat],
     most: float,
 ) -> npt.NDArray[np.bool_]:
     """Say of each point whether a component of any channel differs by more than ``most`` codes.
 
-    ``found`` has values (n, components) by channel; ``source`` (n, all components) those of ``channels`` side
-    by side. Light is linear.
+    Both have the values (n, components) of ``channels`` side by side. Light is linear.
     """
     source = np.ascontiguousarray(source, np.float32)
-    columns = np.cumsum([0, *(form.components for form in channels)]).tolist()
-    firsts = dict(zip((form.name for form in channels), columns, strict=False))
+    ends = np.cumsum([0, *(form.components for form in channels)]).tolist()
+    firsts = dict(zip((form.name for form in channels), ends, strict=False))
     exceeds = np.zeros(len(source), np.bool_)
     for form in channels:
         alpha = firsts.get("alpha", -1) if form.name != "alpha" else -1
-        _mark(found[form.name], source, firsts[form.name], alpha, _KINDS[form.space], most, _CURVE, exceeds)
+        columns = firsts[form.name], firsts[form.name] + form.components
+        _mark(found, source, *columns, alpha, _KINDS[form.space], most, _CURVE, exceeds)
     return exceeds
 
 
@@ -63,6 +63,7 @@ def _mark(
     found: npt.NDArray[np.float32],
     source: npt.NDArray[np.float32],
     first: int,
+    end: int,
     alpha: int,
     kind: int,
     most: float,
@@ -71,9 +72,10 @@ def _mark(
 ) -> None:
     for n in range(found.shape[0]):
         coverage = 1.0 if alpha < 0 else np.float64(source[n, alpha])
-        for component in range(found.shape[1]):
+        for component in range(first, end):
             apart = _code(np.float64(found[n, component]), kind, curve) - _code(
-                np.float64(source[n, first + component]), kind, curve
+                np.float64(source[n, component]), kind, curve
             )
             if not abs(apart) * coverage <= most:  # what is not a number is far from anything
                 exceeds[n] = True
+                break

@@ -46,6 +46,10 @@ class Leaves(NamedTuple):
         """Return the cell numbers of leaves ``first`` … ``end`` − 1 of the order."""
         return self.cells[first:end] if self.cells.size else np.arange(first, end) + self.offset
 
+    def where(self, first: int, end: int) -> Int64s | slice:
+        """Return what picks the same leaves among all cells."""
+        return self.cells[first:end] if self.cells.size else slice(first + self.offset, end + self.offset)
+
     def ranks_of(self, rows: Int64s) -> Int64s:
         """Return the places in the order of rows that lookups touch, −1 for what is no leaf."""
         ranks = np.full(len(rows), -1, np.int64)
@@ -143,7 +147,8 @@ def number(
 ) -> None:
     """Give numbers to the rows that lookups touch: leaves ``first`` … ``end`` − 1 from 0 on, then the rest.
 
-    ``outside``, which must have room for all of them, takes what it does not have yet.
+    ``outside``, which must have room for all of them, takes what it does not have yet. ``numbers`` may be
+    longer than ``rows``.
     """
     for i in range(rows.size):
         row = int(rows[i])

@@ -86,7 +86,8 @@ def take_samples(
     most = np.finfo(rows.dtype).max
     if not (np.abs(found) <= most).all():
         found = np.clip(np.nan_to_num(found), -most, most)
-    rows[order] = found.astype(rows.dtype)
+    bits = np.uint32 if is_fine else np.uint16
+    _reorder(found.astype(rows.dtype).view(bits), order, rows.view(bits))
     places = np.empty((len(order), 3), np.uint16)
     _place(grid, surface.triangles, triangles, barycentric, order, pieces.codes, counts, depth, places)
     return Taken(counts, places, shares, rows)
@@ -197,6 +198,18 @@ def _largest(
             chosen[n] = piece
             n += 1
     return counts, order, chosen, shares[:n_samples].copy()
+
+
+@kernel
+def _reorder(
+    rows: npt.NDArray[np.uint16 | np.uint32],
+    order: npt.NDArray[np.int32],
+    found: npt.NDArray[np.uint16 | np.uint32],
+) -> None:
+    """Write row i to row order[i]."""
+    for i in range(order.size):
+        for column in range(rows.shape[1]):
+            found[order[i], column] = rows[i, column]
 
 
 @inlined
