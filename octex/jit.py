@@ -98,6 +98,10 @@ if DISABLED:
     def prefetch(array: np.ndarray[Any, Any], row: int) -> None:
         """Ask for the memory of a row of an array ahead of its use."""
 
+    def decoded(table: Any, code: Any) -> Any:
+        """Return what ``table`` has for an unsigned code; a float32 number as it is."""
+        return code if isinstance(code, np.floating) else table[code]
+
     def weighted_rows(rows: Any, numbers: Any, weights: Any, first: int, end: int) -> Any:
         """Return Σ weights[i] · rows[numbers[i]] for i from ``first`` to ``end`` − 1: four float32.
 
@@ -152,6 +156,18 @@ else:
             return context.get_dummy_value()
 
         return types.void(array, types.int64), codegen
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def decoded(_context: Any, table: Any, code: Any) -> Any:
+        """Return what ``table`` has for an unsigned code; a float32 number as it is."""
+
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            if signature.args[1] == types.float32:
+                return arguments[1]
+            index = builder.zext(arguments[1], ir.IntType(64))
+            return builder.load(_pointer(context, builder, signature.args[0], arguments[0], index))
+
+        return types.float32(table, code), codegen
 
     # Rows of four as vectors, which the compiler does not make by itself: a sweep of the fit takes 55 to
     # 65 ns a leaf so, where scalars take 86 to 91.

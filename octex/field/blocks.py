@@ -13,15 +13,15 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.field.tiles import Integer, Tiles, tile_row
-from octex.jit import inlined, kernel, prefetch, trailing_zeros
+from octex.jit import decoded, inlined, kernel, prefetch, trailing_zeros
 from octex.tree.search import Origin
 
 #: Points in a block: enough that all can wait for memory at once, few enough to stay in the nearest cache.
 BLOCK = 64
 
 Points = npt.NDArray[np.float32 | np.float64]
-Values = npt.NDArray[np.uint8 | np.uint16]
-Rows = npt.NDArray[np.uint8 | np.uint16]  # (cells,) or (cells, components)
+Values = npt.NDArray[np.uint8 | np.uint16 | np.float32]
+Rows = npt.NDArray[Any]  # (cells,) or (cells, components)
 Float32s = npt.NDArray[np.float32]
 Int64s = npt.NDArray[np.int64]
 Uint32s = npt.NDArray[np.uint32]
@@ -148,9 +148,9 @@ def blend_color(
     for tap in range(first, end, step):
         weight = weights[np.uint64(tap)]
         row = np.uint64(3) * np.uint64(cells[np.uint64(tap)])
-        a += weight * table[values[row]]
-        b += weight * table[values[row + np.uint64(1)]]
-        c += weight * table[values[row + np.uint64(2)]]
+        a += weight * decoded(table, values[row])
+        b += weight * decoded(table, values[row + np.uint64(1)])
+        c += weight * decoded(table, values[row + np.uint64(2)])
         total += weight
     if total > np.float32(0.0):
         inverse = np.float32(1.0) / total

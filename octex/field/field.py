@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.field.blocks import BLOCK
+from octex.field.blocks import BLOCK, Values
 from octex.field.linear import linear_colors
 from octex.field.nearest import nearest_colors
 from octex.field.neighborhood import MOST_TAPS, new_walk, walk_all
@@ -110,15 +110,15 @@ class Field:
         points: Points,
         placement: Placement,
         filter: str,
-        values: npt.NDArray[np.uint8 | np.uint16],
+        values: Values,
         table: Float32s,
         results: Float32s,
     ) -> npt.NDArray[np.int64] | None:
         """Write the field of three components (cells, 3) at rest positions (n, 3) to ``results`` (n, 3).
 
-        The shortest way through all, for what is asked for most. ``table`` decodes the values. Returns the
-        points that are off the surface, whose results are not written; or None, and nothing is written, if
-        the tree has no tiles or the filter none of its own. Raises NotFiniteError.
+        The shortest way through all, for what is asked for most. ``table`` decodes the values, unless they
+        are float32. Returns the points that are off the surface, whose results are not written; or None, and
+        nothing is written, if the tree has no tiles or the filter none of its own. Raises NotFiniteError.
         """
         if filter == "quartic" or self.tiles is None:
             return None

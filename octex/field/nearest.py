@@ -18,7 +18,7 @@ from octex.field.blocks import (
     tile_key,
 )
 from octex.field.tiles import Tiles, code_in_tile
-from octex.jit import fused_kernel, inlined, popcount, prefetch
+from octex.jit import decoded, fused_kernel, inlined, popcount, prefetch
 from octex.tree.layout import GRID_BITS
 from octex.tree.search import Origin
 
@@ -66,9 +66,9 @@ def nearest_colors(
 ) -> tuple[int, int]:
     """Write the colours of the cells that hold rest positions (n, 3) to ``results`` (n, 3).
 
-    ``values`` (cells, 3) are codes, which ``table`` decodes. Where no cell is stored the point's index is
-    written to ``missed`` instead. Returns the number of these, and the index of the first position that is
-    not finite, where all stopped, or −1.
+    ``values`` (cells, 3) are codes, which ``table`` decodes, or float32 numbers. Where no cell is stored the
+    point's index is written to ``missed`` instead. Returns the number of these, and the index of the first
+    position that is not finite, where all stopped, or −1.
     """
     near, codes = new_near(), np.zeros(BLOCK, np.int32)
     cells, stored = np.zeros(BLOCK, np.uint32), np.zeros(BLOCK, np.uint8)
@@ -96,9 +96,9 @@ def nearest_colors(
             if stored[np.uint64(n)]:
                 row = np.uint64(3) * np.uint64(cells[np.uint64(n)])
                 result = np.uint64(3 * (begin + n))
-                flat_results[result] = table[flat_values[row]]
-                flat_results[result + np.uint64(1)] = table[flat_values[row + np.uint64(1)]]
-                flat_results[result + np.uint64(2)] = table[flat_values[row + np.uint64(2)]]
+                flat_results[result] = decoded(table, flat_values[row])
+                flat_results[result + np.uint64(1)] = decoded(table, flat_values[row + np.uint64(1)])
+                flat_results[result + np.uint64(2)] = decoded(table, flat_values[row + np.uint64(2)])
             else:
                 missed[n_missed] = begin + n
                 n_missed += 1

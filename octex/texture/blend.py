@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from octex.channels import ColorSpace, decode, decode_table
 from octex.field.field import Field, NotFiniteError, Taps
-from octex.jit import kernel
+from octex.jit import decoded, kernel
 from octex.texture.channel import Channel
 from octex.tree.placement import Placement
 from octex.tree.search import nearest_cells
@@ -21,6 +21,7 @@ Floats = npt.NDArray[np.float32]
 Rows = npt.NDArray[np.uint32 | np.int64]
 
 NO_GRADIENTS = np.empty((0, 4, 3), np.float32)
+NO_TABLE = np.empty(0, np.float32)
 
 
 def look_up(
@@ -57,10 +58,10 @@ def _look_up_colors(
     field: Field, placement: Placement, points: Array, filter: str, channel: Channel, answers: Floats
 ) -> npt.NDArray[np.int64] | None:
     """Take the shortest way, if there is one: see `Field.colors`."""
-    codes = _codes(channel)
-    if channel.format.components != 3 or codes is None:
+    if channel.format.components != 3 or _is_encoded(channel):
         return None
-    return field.colors(points, placement, filter, codes[0], codes[2], answers)
+    values, _, table = _codes(channel)
+    return field.colors(points, placement, filter, values, table, answers)
 
 
 def _look_up(
@@ -107,21 +108,21 @@ def _covered(taps: Taps, alpha: Channel) -> Taps:
 
 def gather(channel: Channel, rows: Rows, result: Floats) -> None:
     """Write the decoded values of rows, cells' and then kept nodes', to ``result``."""
-    codes = _codes(channel)
-    if codes is not None:
-        values, kept_values, table = codes
-        _gather_codes(values, kept_values, table, rows, result)
-        return
-    _gather_singles(channel.values, channel.kept_values, rows, result)
-    if channel.format.space == "srgb":
-        result[:] = decode(result, "srgb")
+    _gather(*_codes(channel), rows, result)
+    if _is_encoded(channel):
+        result[:] = decode(result, channel.format.space)
 
 
-def _codes(channel: Channel) -> tuple[Array, Array, Floats] | None:
-    """Return a channel's values and kept values as codes, and what each stands for; None for float32."""
+def _is_encoded(channel: Channel) -> bool:
+    """Say whether the values are float32 numbers that are still to be decoded."""
+    return channel.values.dtype == np.float32 and channel.format.space == "srgb"
+
+
+def _codes(channel: Channel) -> tuple[Array, Array, Floats]:
+    """Return a channel's values and kept values as codes, and what each stands for; or float32 as it is."""
     values, kept_values, space = channel.values, channel.kept_values, channel.format.space
     if values.dtype == np.float32:
-        return None
+        return values, kept_values, NO_TABLE
     if values.dtype == np.float16:
         return values.view(np.uint16), kept_values.view(np.uint16), _half_table(space)
     return values, kept_values, decode_table(values.dtype.name, space)
@@ -135,9 +136,9 @@ def _half_table(space: ColorSpace) -> Floats:
 
 
 @kernel
-def _gather_codes(
-    values: npt.NDArray[np.uint8 | np.uint16],
-    kept_values: npt.NDArray[np.uint8 | np.uint16],
+def _gather(
+    values: npt.NDArray[np.uint8 | np.uint16 | np.float32],
+    kept_values: npt.NDArray[np.uint8 | np.uint16 | np.float32],
     table: Floats,
     rows: Rows,
     result: Floats,
@@ -147,16 +148,7 @@ def _gather_codes(
         kept = row - values.shape[0]
         for component in range(values.shape[1]):
             code = values[row, component] if kept < 0 else kept_values[kept, component]
-            result[n, component] = table[code]
-
-
-@kernel
-def _gather_singles(values: Floats, kept_values: Floats, rows: Rows, result: Floats) -> None:
-    for n in range(rows.size):
-        row = np.int64(rows[n])
-        kept = row - values.shape[0]
-        for component in range(values.shape[1]):
-            result[n, component] = values[row, component] if kept < 0 else kept_values[kept, component]
+            result[n, component] = decoded(table, code)
 
 
 @kernel
