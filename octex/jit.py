@@ -40,7 +40,7 @@ def inlined(function: Function) -> Function:
     without numba's runtime they count no references, which otherwise costs 100 to 200 ns a call with a tuple
     of arrays (coherent lookups: 24 million a second instead of 4).
     """
-    return _compiled(function, forceinline=True, _nrt=False)
+    return _compiled(function, forceinline=True, _nrt=False, no_cpython_wrapper=True)
 
 
 def summing_kernel(function: Function) -> Function:
@@ -54,17 +54,27 @@ def fused_kernel(function: Function) -> Function:
 
 
 def _compiled(function: Function, **options: Any) -> Function:
-    compiler = partial(numba.njit, nogil=True, error_model="numpy", **options)
+    compiler = partial(numba.njit, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)
     try:
         compiled = compiler(cache=True)(function)
     except RuntimeError:  # no folder that numba could write its cache to: compile in every process
         return compiler(cache=False)(function)  # type: ignore[no-any-return]
+    compiled.get_call_template = partial(_call_template, compiled.get_call_template)
     # What a kernel calls is compiled into it, but numba looks for changes in the kernel's own file only.
     with suppress(AttributeError):
         cache_file = compiled._cache._cache_file
         cache_file._source_stamp = (cache_file._source_stamp, _digest_of_sources())
         cache_file._load_index = partial(_load_index, cache_file._load_index)
     return compiled  # type: ignore[no-any-return]
+
+
+def _call_template(resolve: Callable[..., Any], arguments: Any, keywords: Any) -> Any:
+    """Choose what a call in a kernel compiles: one version for all numbers, not one for each constant.
+
+    What is inlined gets its constants all the same.
+    """
+    keywords = {name: types.unliteral(each) for name, each in dict(keywords).items()}
+    return resolve(tuple(types.unliteral(each) for each in arguments), keywords)
 
 
 def _load_index(load: Callable[[], dict[Any, Any]]) -> dict[Any, Any]:
