@@ -5,6 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from octex import jit
+from octex.jit import kernel
 from octex.tree.layout import TreeArrays
 from octex.tree.octree import Octree
 from octex.tree.search import child, find, in_leaves, nearest_cells
@@ -21,6 +23,20 @@ def trees_and_points(draw: st.DrawFn) -> tuple[Leaves, np.ndarray]:
     return leaves, np.array(points)
 
 
+@kernel
+def child_of(arrays: TreeArrays, node: int, octant: int) -> tuple[int, int]:
+    return child(arrays, node, octant)
+
+
+@pytest.mark.skipif(jit.DISABLED, reason="what is not compiled can be called anywhere")
+def test_what_is_inlined_is_not_called_from_python() -> None:
+    tree = Octree.from_leaves([0], 1)
+    child_of(tree.arrays, 0, 0)
+    for _ in range(2):
+        with pytest.raises(TypeError, match="child can be called in kernels only"):
+            child(tree.arrays, 0, 0)
+
+
 @given(leaf_sets(deepest=5))
 def test_children_are_found_from_the_masks(leaves: Leaves) -> None:
     tree = Octree.from_leaves(*leaves)
@@ -33,7 +49,7 @@ def test_children_are_found_from_the_masks(leaves: Leaves) -> None:
             below = tuple(2 * x + (octant >> axis & 1) for axis, x in enumerate(place))
             expected = numbers.get((level + 1, below), -1)
             expected_node = nodes.index(expected) if expected in nodes else -1
-            assert child(tree.arrays, node, octant) == (expected, expected_node)
+            assert child_of(tree.arrays, node, octant) == (expected, expected_node)
 
 
 @given(trees_and_points(), st.integers(0, 21))
