@@ -1,16 +1,32 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 
 from octex.field import splines
+from octex.jit import kernel
 from tests import naive
 
+
+def called(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a kernel that calls what only kernels can call."""
+
+    @kernel
+    def call(*arguments: Any) -> Any:
+        return function(*arguments)
+
+    return call
+
+
 FUNCTIONS = {
-    "linear": (splines.linear_weights, splines.linear_slopes),
-    "quadratic": (splines.quadratic_weights, splines.quadratic_slopes),
-    "quartic": (splines.quartic_weights, splines.quartic_slopes),
+    "linear": (called(splines.linear_weights), called(splines.linear_slopes)),
+    "quadratic": (called(splines.quadratic_weights), called(splines.quadratic_slopes)),
+    "quartic": (called(splines.quartic_weights), called(splines.quartic_slopes)),
 }
+refine, send_up = called(splines.refine), called(splines.send_up)
 
 
 @pytest.mark.parametrize("filter", FUNCTIONS)
@@ -32,7 +48,7 @@ def test_refined_cells_carry_the_same_spline(filter: str, upper: int) -> None:
     cells = 5 if filter == "quartic" else 3
     around = np.pad(np.random.default_rng(3).random(cells), (0, 5 - cells))
     way = -1 if upper else 1
-    refined = splines.refine(cells == 5, *around[:cells][::way], *around[cells:])[:cells][::way]
+    refined = refine(cells == 5, *around[:cells][::way], *around[cells:])[:cells][::way]
     for t in np.linspace(0, 1, 17).tolist():
         assert np.dot(weights(t), refined) == pytest.approx(np.dot(weights((t + upper) / 2), around[:cells]))
 
@@ -40,6 +56,6 @@ def test_refined_cells_carry_the_same_spline(filter: str, upper: int) -> None:
 @pytest.mark.parametrize("quartic", [False, True])
 def test_what_is_sent_up_weighs_as_what_is_refined(quartic: bool) -> None:
     units = np.eye(5)
-    down = np.array([splines.refine(quartic, *unit) for unit in units])
-    up = np.array([splines.send_up(quartic, *unit) for unit in units])
+    down = np.array([refine(quartic, *unit) for unit in units])
+    up = np.array([send_up(quartic, *unit) for unit in units])
     np.testing.assert_array_equal(down, up.T)
