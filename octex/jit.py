@@ -72,7 +72,7 @@ def _compiled(function: Function, **options: Any) -> Function:
     try:
         compiled = compiler(cache=True)(function)
     except RuntimeError:  # no folder that numba could write its cache to: compile in every process
-        return compiler(cache=False)(function)  # type: ignore[no-any-return]
+        compiled = compiler(cache=False)(function)
     if not DISABLED:
         compiled.get_call_template = partial(_call_template, compiled.get_call_template)
     # What a kernel calls is compiled into it, but numba looks for changes in the kernel's own file only.
