@@ -55,6 +55,18 @@ def as_choice(value: str, choices: Iterable[str], name: str) -> str:
     return value
 
 
+def as_number(value: float, name: str, least: float, most: float) -> float:
+    """Return a number from ``least`` to ``most``, or raise ArgumentError."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise ArgumentError(f"{name} must be a number, not {value!r}") from None
+    if not least <= number <= most:
+        above = f" to {most:g}" if most < np.finfo(np.float64).max else " on"
+        raise ArgumentError(f"{name} must be from {least:g}{above}, not {number:g}")
+    return number
+
+
 def as_positive(value: float, name: str) -> float:
     """Return a finite number above zero, or raise ArgumentError."""
     try:

@@ -79,7 +79,7 @@ def taps(
     done = 0
     while done < len(points):
         own = starts[done:].copy()
-        n = walk_all(arrays, kept_cells, points, done, *UNIT, code, walk, own, rows, weights, slopes)
+        n = walk_all(arrays, kept_cells, points, done, *UNIT, code, walk, own, rows, weights, slopes, covers)
         assert n > 0
         starts[done : done + n + 1] = starts[done] + own[: n + 1]
         parts.append([array[: own[n]].copy() for array in (rows, weights, slopes)])

@@ -213,7 +213,7 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
         samples.append(members)
         strides.append(stride)
         points = sample_points(job.samples, members, job.placement)
-        for starts, rows, found, _ in job.field.batches(points, job.placement):
+        for starts, rows, found, *_ in job.field.batches(points, job.placement):
             if n_taps + rows.size > numbers.size:
                 room = (n_taps + rows.size) * 2 + TAPS * len(members)
                 numbers, weights = _with_room(numbers, n_taps, room), _with_room(weights, n_taps, room)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.field.tiles import Integer, Tiles, tile_row
-from octex.jit import decoded, inlined, kernel, prefetch, trailing_zeros
+from octex.jit import inlined, kernel, prefetch, trailing_zeros
 from octex.tree.search import Origin
 
 #: Points in a block: enough that all can wait for memory at once, few enough to stay in the nearest cache.
@@ -126,37 +126,3 @@ def first_fault(points: Points, begin: int, count: int, origin: Origin, inverse:
     while point < begin + count - 1 and in_root(points, point, origin, inverse)[3] == 0:
         point += 1
     return point
-
-
-@inlined
-def blend_color(
-    cells: Uint32s,
-    weights: Float32s,
-    first: int,
-    end: int,
-    step: int,
-    values: Values,
-    table: Float32s,
-    results: Float32s,
-    point: int,
-) -> bool:
-    """Write the mean of three components under taps ``first``, ``first + step`` …, unless they weigh nothing.
-
-    ``values`` and ``results`` are flat.
-    """
-    a = b = c = total = np.float32(0.0)
-    for tap in range(first, end, step):
-        weight = weights[np.uint64(tap)]
-        row = np.uint64(3) * np.uint64(cells[np.uint64(tap)])
-        a += weight * decoded(table, values[row])
-        b += weight * decoded(table, values[row + np.uint64(1)])
-        c += weight * decoded(table, values[row + np.uint64(2)])
-        total += weight
-    if total > np.float32(0.0):
-        inverse = np.float32(1.0) / total
-        row = np.uint64(3 * point)
-        results[row] = a * inverse
-        results[row + np.uint64(1)] = b * inverse
-        results[row + np.uint64(2)] = c * inverse
-        return True
-    return False

@@ -9,7 +9,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.field.blocks import BLOCK, Values
+from octex.field.blend import Codes, Colors, Task
+from octex.field.blocks import BLOCK
+from octex.field.facings import Facings, Sight, facings_of
 from octex.field.linear import linear_colors
 from octex.field.nearest import nearest_colors
 from octex.field.neighborhood import MOST_TAPS, new_walk, walk_all
@@ -19,6 +21,7 @@ from octex.field.tiled import tiled_taps
 from octex.field.tiles import Tiles, build_tiles, can_be_tiled
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
+from octex.tree.search import nearest_cells
 
 Points = npt.NDArray[np.float32 | np.float64]
 Float32s = npt.NDArray[np.float32]
@@ -38,6 +41,7 @@ class Taps(NamedTuple):
     rows: npt.NDArray[np.uint32]  # (taps,)
     weights: Float32s  # (taps,)   none negative, 1 in sum for each point
     slopes: Float32s  # (taps, 3)   derivatives of the weights by rest position; (0, 3) if they are not wanted
+    covers: Float32s  # (points,)   how much of the spline's weight falls on leaves; 0 off the surface
 
 
 class NotFiniteError(ValueError):
@@ -53,6 +57,20 @@ class Field:
 
     def __init__(self, tree: Octree) -> None:
         self.tree = tree
+        self._levels: dict[int, Field] = {}
+
+    def level(self, level: int) -> Field:
+        """Return the field over the averages of a level, whose cells have the same numbers."""
+        if level >= self.tree.max_depth:
+            return self
+        if level not in self._levels:
+            self._levels[level] = Field(self.tree.truncated(level))
+        return self._levels[level]
+
+    @cached_property
+    def facings(self) -> Facings:
+        """The tree's facings, indexed on first use."""
+        return facings_of(self.tree)
 
     @cached_property
     def tiles(self) -> Tiles | None:
@@ -64,10 +82,16 @@ class Field:
     ) -> Taps:
         """Find the taps of rest positions (n, 3), with their slopes if ``gradient``.
 
-        ``filter`` is any but nearest. Raises NotFiniteError.
+        Raises NotFiniteError.
         """
         found = [
-            Taps(taps.starts.copy(), taps.rows.copy(), taps.weights.copy(), taps.slopes.copy())
+            Taps(
+                taps.starts.copy(),
+                taps.rows.copy(),
+                taps.weights.copy(),
+                taps.slopes.copy(),
+                taps.covers.copy(),
+            )
             for taps in self.batches(points, placement, filter, gradient=gradient)
         ]
         if len(found) == 1:
@@ -79,17 +103,22 @@ class Field:
             np.concatenate([np.empty(0, np.uint32), *(taps.rows for taps in found)]),
             np.concatenate([np.empty(0, np.float32), *(taps.weights for taps in found)]),
             np.concatenate([np.empty((0, 3), np.float32), *(taps.slopes for taps in found)]),
+            np.concatenate([np.empty(0, np.float32), *(taps.covers for taps in found)]),
         )
 
     def batches(
         self, points: Points, placement: Placement, filter: str = "quadratic", *, gradient: bool = False
     ) -> Iterator[Taps]:
         """Yield the taps of consecutive runs of rest positions, each valid until the next. See ``taps``."""
+        if filter == "nearest":
+            yield self._nearest(points, placement)
+            return
         code, walk = FILTERS.index(filter), new_walk()
         starts = np.empty(len(points) + 1, np.int64)
         rows, weights = np.empty(_ROOM, np.uint32), np.empty(_ROOM, np.float32)
         slopes = np.empty((_ROOM if gradient else 0, 3), np.float32)
-        target = starts, rows, weights, slopes
+        covers = np.empty(len(points), np.float32)
+        target = starts, rows, weights, slopes, covers
         arrays, kept_cells = self.tree.arrays, self.tree.kept.cells
         tiles = None if gradient or filter == "quartic" else self.tiles
         begin = 0
@@ -102,29 +131,39 @@ class Field:
             if done < 0:
                 raise NotFiniteError(-1 - done)
             end = starts[done]
-            yield Taps(starts[: done + 1], rows[:end], weights[:end], slopes[:end])
+            yield Taps(starts[: done + 1], rows[:end], weights[:end], slopes[:end], covers[:done])
             begin += done
+
+    def _nearest(self, points: Points, placement: Placement) -> Taps:
+        n = len(points)
+        cells = np.empty(n, np.int64)
+        fault = nearest_cells(self.tree.arrays, points, *placement, cells)
+        if fault >= 0:
+            raise NotFiniteError(fault)
+        ones = np.ones(n, np.float32)
+        return Taps(np.arange(n + 1), cells.astype(np.uint32), ones, np.empty((0, 3), np.float32), ones)
 
     def colors(
         self,
         points: Points,
         placement: Placement,
         filter: str,
-        values: Values,
-        table: Float32s,
+        sight: Sight,
+        codes: Codes,
         results: Float32s,
+        covers: Float32s,
+        left: Float32s,
     ) -> npt.NDArray[np.int64] | None:
-        """Write the field of three components (cells, 3) at rest positions (n, 3) to ``results`` (n, 3).
+        """Write the field of three components at rest positions (n, 3) to ``results`` (n, 3).
 
-        The shortest way through all, for what is asked for most. ``table`` decodes the values, unless they
-        are float32. Returns the points that are off the surface, whose results are not written; or None, and
-        nothing is written, if the tree has no tiles or the filter none of its own. Raises NotFiniteError.
+        The shortest way through all, for what is asked for most. See `Colors` for ``covers`` and ``left``.
+        Returns the points that are off the surface, whose results are not written; or None, and nothing is
+        written, if the tree has no tiles or the filter none of its own. Raises NotFiniteError.
         """
         if filter == "quartic" or self.tiles is None:
             return None
         missed = np.empty(len(points), np.int64)
-        origin, size = placement
-        task = self.tiles, points, origin, size, values, table, results, missed
+        task = self.tiles, *placement, Task(points, sight, codes, Colors(results, covers, left, missed))
         if filter == "nearest":
             n_missed, fault = nearest_colors(*task)
         elif filter == "linear":

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from octex.field.blend import Task, color_point, new_seen
 from octex.field.blocks import (
     BLOCK,
     Bytes,
@@ -15,8 +16,6 @@ from octex.field.blocks import (
     Points,
     Rows,
     Uint32s,
-    Values,
-    blend_color,
     find_tiles,
     first_fault,
     in_root,
@@ -154,19 +153,15 @@ def linear_block(
 
 
 @fused_kernel
-def linear_colors(
-    tiles: Tiles,
-    points: Points,
-    origin: Origin,
-    size: float,
-    values: Values,
-    table: Float32s,
-    results: Float32s,
-    missed: npt.NDArray[np.int64],
-) -> tuple[int, int]:
+def linear_colors(tiles: Tiles, origin: Origin, size: float, task: Task) -> tuple[int, int]:
     """Interpolate between the 2×2×2 nearest cells. See `nearest_colors`."""
-    block = new_linear_block()
-    flat_points, flat_values, flat_results = points.reshape(-1), values.reshape(-1), results.reshape(-1)
+    block, seen = new_linear_block(), new_seen()
+    points, values = task.points, task.codes.values
+    flat_points, flat_values, flat_results = (
+        points.reshape(-1),
+        values.reshape(-1),
+        task.colors.results.reshape(-1),
+    )
     n_missed = 0
     for begin in range(0, points.shape[0], BLOCK):
         count = min(BLOCK, points.shape[0] - begin)
@@ -174,10 +169,10 @@ def linear_colors(
         if fault >= 0:
             return n_missed, fault
         for n in range(count):
-            end = n + 8 * BLOCK
-            if not blend_color(
-                block.cells, block.weights, n, end, BLOCK, flat_values, table, flat_results, begin + n
+            if not color_point(
+                *(task, begin + n, block.cells, block.weights, n, n + 8 * BLOCK, BLOCK),
+                *(seen, flat_values, flat_results),
             ):
-                missed[n_missed] = begin + n
+                task.colors.missed[n_missed] = begin + n
                 n_missed += 1
     return n_missed, -1

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from octex.field.blend import Task, color_point, new_seen
 from octex.field.blocks import (
     BLOCK,
-    Float32s,
     Near,
     Points,
-    Values,
     find_tiles,
     first_fault,
     in_root,
@@ -18,7 +17,7 @@ from octex.field.blocks import (
     tile_key,
 )
 from octex.field.tiles import Tiles, code_in_tile
-from octex.jit import decoded, fused_kernel, inlined, popcount, prefetch
+from octex.jit import fused_kernel, inlined, popcount, prefetch
 from octex.tree.layout import GRID_BITS
 from octex.tree.search import Origin
 
@@ -54,25 +53,20 @@ def _place(
 
 
 @fused_kernel
-def nearest_colors(
-    tiles: Tiles,
-    points: Points,
-    origin: Origin,
-    size: float,
-    values: Values,
-    table: Float32s,
-    results: Float32s,
-    missed: npt.NDArray[np.int64],
-) -> tuple[int, int]:
-    """Write the colours of the cells that hold rest positions (n, 3) to ``results`` (n, 3).
+def nearest_colors(tiles: Tiles, origin: Origin, size: float, task: Task) -> tuple[int, int]:
+    """Write the colours of the cells that hold rest positions.
 
-    ``values`` (cells, 3) are codes, which ``table`` decodes, or float32 numbers. Where no cell is stored the
-    point's index is written to ``missed`` instead. Returns the number of these, and the index of the first
-    position that is not finite, where all stopped, or −1.
+    Where no cell is stored the point's index is written to ``missed`` instead. Returns the number of these,
+    and the index of the first position that is not finite, where all stopped, or −1.
     """
-    near, codes = new_near(), np.zeros(BLOCK, np.int32)
-    cells, stored = np.zeros(BLOCK, np.uint32), np.zeros(BLOCK, np.uint8)
-    flat_points, flat_values, flat_results = points.reshape(-1), values.reshape(-1), results.reshape(-1)
+    near, codes, seen = new_near(), np.zeros(BLOCK, np.int32), new_seen()
+    cells, stored = np.zeros(BLOCK, np.uint32), np.zeros(BLOCK, np.float32)
+    points, values = task.points, task.codes.values
+    flat_points, flat_values, flat_results = (
+        points.reshape(-1),
+        values.reshape(-1),
+        task.colors.results.reshape(-1),
+    )
     last = values.shape[0] - 1
     n_missed = 0
     for begin in range(0, points.shape[0], BLOCK):
@@ -90,16 +84,10 @@ def nearest_colors(
             below = mask & ((np.uint64(1) << bit) - np.uint64(1))
             cell = min(np.int64(tiles.firsts[octant]) + popcount(below), last)
             cells[at] = cell
-            stored[at] = (mask >> bit) & np.uint64(1)
+            stored[at] = np.float32((mask >> bit) & np.uint64(1))
             prefetch(values, cell)
         for n in range(count):
-            if stored[np.uint64(n)]:
-                row = np.uint64(3) * np.uint64(cells[np.uint64(n)])
-                result = np.uint64(3 * (begin + n))
-                flat_results[result] = decoded(table, flat_values[row])
-                flat_results[result + np.uint64(1)] = decoded(table, flat_values[row + np.uint64(1)])
-                flat_results[result + np.uint64(2)] = decoded(table, flat_values[row + np.uint64(2)])
-            else:
-                missed[n_missed] = begin + n
+            if not color_point(task, begin + n, cells, stored, n, n + 1, 1, seen, flat_values, flat_results):
+                task.colors.missed[n_missed] = begin + n
                 n_missed += 1
     return n_missed, -1

@@ -60,16 +60,16 @@ def walk_taps(
     weights: Float32s,
     slopes: Float32s,
     first: int,
-) -> int:
-    """Write the taps of a point of texture space from index ``first`` on; return the end.
+) -> tuple[int, float]:
+    """Write the taps of a point of texture space from index ``first`` on; return the end, and the cover.
 
     ``filter_code`` is 1 linear, 2 quadratic, 3 quartic. ``rows``, ``weights`` (m,) and ``slopes`` (m, 3), or
     (0, 3) if they are not wanted, must have room for MOST_TAPS. A row is a cell's number, or the number of
     cells + r for row r of ``kept_cells`` (ascending, the nodes flagged KEPT). Weights sum to 1; slopes are
     their derivatives by x, y and z. The point is first clamped into the root; it must be finite.
 
-    Where the weights of all leaves are zero, the taps are those of the tree truncated at the deepest level
-    that has any there.
+    The cover is how much of the spline's weight falls on leaves, 0 … 1. Where it is zero, the taps are those
+    of the tree truncated at the deepest level that has any there.
     """
     if filter_code == QUARTIC:
         return _walk_taps(arrays, kept_cells, x, y, z, QUARTIC, 3, walk, rows, weights, slopes, first)
@@ -90,7 +90,7 @@ def _walk_taps(
     weights: Float32s,
     slopes: Float32s,
     first: int,
-) -> int:
+) -> tuple[int, float]:
     x, y, z = _rounded(x), _rounded(y), _rounded(z)
     i, j, k = _finest(x), _finest(y), _finest(z)
     columns = 4 if slopes.shape[0] > 0 else 1
@@ -108,7 +108,7 @@ def _walk_taps(
             level -= 1
         truncated = True
     _normalize(walk, n_taps, total, weights, slopes, first)
-    return first + n_taps
+    return first + n_taps, 0.0 if truncated else total
 
 
 @inlined
@@ -317,12 +317,14 @@ def walk_all(
     rows: Uint32s,
     weights: Float32s,
     slopes: Float32s,
+    covers: Float32s,
 ) -> int:
     """Write the taps of rest positions (n, 3) from index ``first_point`` on, one point after another.
 
     Point n of them has taps ``starts[n]`` to ``starts[n + 1]`` − 1; ``starts`` has room for all and one more,
-    the others are as in ``walk_taps``, slopes by rest position. Stops where there might be no room for a
-    point's taps. Returns the number of points done, or −1 − the index of a point that is not finite.
+    ``covers`` for all; the others are as in ``walk_taps``, slopes by rest position. Stops where there might
+    be no room for a point's taps. Returns the number of points done, or −1 − the index of a point that is not
+    finite.
     """
     end = 0
     done = 0
@@ -334,7 +336,8 @@ def walk_all(
         if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
             return -1 - n
         x, y, z = (x - origin[0]) / size, (y - origin[1]) / size, (z - origin[2]) / size
-        end = walk_taps(arrays, kept_cells, x, y, z, filter_code, walk, rows, weights, slopes, end)
+        end, cover = walk_taps(arrays, kept_cells, x, y, z, filter_code, walk, rows, weights, slopes, end)
+        covers[done] = cover
         done += 1
         starts[done] = end
     if slopes.shape[0] > 0:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from octex.field.blend import Task, color_point, new_seen
 from octex.field.blocks import (
     BLOCK,
     Bytes,
@@ -19,8 +20,6 @@ from octex.field.blocks import (
     Points,
     Rows,
     Uint32s,
-    Values,
-    blend_color,
     find_tiles,
     first_fault,
     in_root,
@@ -226,20 +225,16 @@ def quadratic_block(
 
 @fused_kernel
 def quadratic_colors(
-    tiles: Tiles,
-    points: Points,
-    origin: Origin,
-    size: float,
-    values: Values,
-    table: Float32s,
-    results: Float32s,
-    missed: Int64s,
-    masks: Uint64s,
-    places: Uint16s,
+    tiles: Tiles, origin: Origin, size: float, task: Task, masks: Uint64s, places: Uint16s
 ) -> tuple[int, int]:
     """Blend 3×3×3 cells under the quadratic spline. See `nearest_colors` and `quadratic_block`."""
-    block = new_quadratic_block()
-    flat_points, flat_values, flat_results = points.reshape(-1), values.reshape(-1), results.reshape(-1)
+    block, seen = new_quadratic_block(), new_seen()
+    points, values = task.points, task.codes.values
+    flat_points, flat_values, flat_results = (
+        points.reshape(-1),
+        values.reshape(-1),
+        task.colors.results.reshape(-1),
+    )
     n_missed = 0
     for begin in range(0, points.shape[0], BLOCK):
         count = min(BLOCK, points.shape[0] - begin)
@@ -249,10 +244,10 @@ def quadratic_colors(
         tap = 0
         for n in range(count):
             end = block.ends[np.uint64(n)]
-            if not blend_color(
-                block.cells, block.weights, tap, end, 1, flat_values, table, flat_results, begin + n
+            if not color_point(
+                task, begin + n, block.cells, block.weights, tap, end, 1, seen, flat_values, flat_results
             ):
-                missed[n_missed] = begin + n
+                task.colors.missed[n_missed] = begin + n
                 n_missed += 1
             tap = end
     return n_missed, -1

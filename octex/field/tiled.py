@@ -25,8 +25,8 @@ def _take(
     rows: Uint32s,
     parts: Float32s,
     end: int,
-) -> int:
-    """Write the taps that weigh, with weights of sum 1, from ``end`` on; return their end."""
+) -> tuple[int, np.float32]:
+    """Write the taps that weigh, with weights of sum 1, from ``end`` on; return their end, and the cover."""
     total = np.float32(0.0)
     for tap in range(first, last, step):
         total += weights[tap]
@@ -35,7 +35,7 @@ def _take(
             rows[end] = cells[tap]
             parts[end] = weights[tap] / total
             end += weights[tap] > np.float32(0.0)
-    return end
+    return end, total
 
 
 @kernel
@@ -53,6 +53,7 @@ def tiled_taps(
     rows: Uint32s,
     weights: Float32s,
     slopes: Float32s,
+    covers: Float32s,
     masks: Uint64s,
     places: Uint16s,
 ) -> int:
@@ -78,15 +79,19 @@ def tiled_taps(
         for n in range(count):
             start = end
             if filter_code == LINEAR:
-                end = _take(linear.cells, linear.weights, n, n + 8 * BLOCK, BLOCK, rows, weights, end)
+                end, covers[done] = _take(
+                    linear.cells, linear.weights, n, n + 8 * BLOCK, BLOCK, rows, weights, end
+                )
             else:
-                end = _take(quadratic.cells, quadratic.weights, tap, quadratic.ends[n], 1, rows, weights, end)
+                end, covers[done] = _take(
+                    quadratic.cells, quadratic.weights, tap, quadratic.ends[n], 1, rows, weights, end
+                )
                 tap = quadratic.ends[n]
             if end == start:
                 point, ends = points[begin + n : begin + n + 1], starts[done : done + 2]
                 walk_all(
                     *(arrays, kept_cells, point, 0, origin, size, filter_code, walk),
-                    *(ends, rows[start:], weights[start:], slopes),
+                    *(ends, rows[start:], weights[start:], slopes, covers[done : done + 1]),
                 )
                 end = start + ends[1]
                 starts[done] = start

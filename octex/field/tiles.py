@@ -7,7 +7,8 @@ octants are a word each, 4×4×4 cells in Morton order, a bit for each that is s
 
 Tiles of the deepest level name cells. Those three, six … levels above name, in the same way, the rows of the
 tiles below them, and a dense grid of the rows of some level is where every search begins. They are derived
-from trees whose leaves all lie at the deepest level, and take 1.5 bytes a leaf.
+from trees whose leaves all lie at the deepest level, and take 1.5 bytes a leaf. A tree of less than three
+levels is one tile, filled in part.
 """
 
 from __future__ import annotations
@@ -44,13 +45,15 @@ class Tiles(NamedTuple):
 
 
 def can_be_tiled(tree: Octree) -> bool:
-    """Say whether a tree has three levels or more, all leaves at the deepest, and no kept coefficients."""
+    """Say whether a tree has leaves, all of them at the deepest level, and no kept coefficients."""
     counts = tree.cells_by_depth()
-    return tree.max_depth >= 3 and not any(leaves for leaves, _ in counts[:-1]) and not tree.kept.cells.size
+    return tree.n_leaves > 0 and not any(leaves for leaves, _ in counts[:-1]) and not tree.kept.cells.size
 
 
 def build_tiles(tree: Octree) -> Tiles:
     """Derive the tiles of a tree that can be tiled."""
+    if tree.max_depth < 3:
+        return _one_tile(tree)
     depth, groups, level_nodes = tree.max_depth, tree.arrays.groups, tree.arrays.level_nodes.tolist()
     top_level = depth - 3 * max(-(-(depth - MOST_TOP_LEVEL) // 3), 1)
     masks, firsts = [], []
@@ -74,6 +77,16 @@ def build_tiles(tree: Octree) -> Tiles:
         _joined(masks, np.uint64),
         _joined(firsts, np.uint32),
     )
+
+
+def _one_tile(tree: Octree) -> Tiles:
+    """Derive the only tile of a tree of less than three levels: its cells lie in the first octant."""
+    depth = tree.max_depth
+    masks, firsts = np.zeros(8, np.uint64), np.zeros(8, np.uint32)
+    masks[0] = np.bitwise_or.reduce(np.uint64(1) << tree.level_codes(depth).astype(np.uint64))
+    firsts[0] = tree.arrays.level_cells[depth]
+    top = np.zeros(1, np.int32)
+    return Tiles(depth, 0, top, _joined([masks], np.uint64), _joined([firsts], np.uint32))
 
 
 def _joined(parts: list[npt.NDArray[Any]], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
@@ -146,7 +159,7 @@ def code_in_tile(i: Integer, j: Integer, k: Integer) -> Any:
 def tile_row(tiles: Tiles, i: int, j: int, k: int) -> int:
     """Row of the tile at a place of the grid of tiles; places outside have the empty one."""
     none = (tiles.masks.size >> 3) - 1
-    level = tiles.depth - 3
+    level = max(tiles.depth - 3, 0)
     if (i | j | k) >> level != 0:
         return none
     top, shift = tiles.top_level, level - tiles.top_level

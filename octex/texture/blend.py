@@ -10,11 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ColorSpace, decode, decode_table
+from octex.field.blend import Codes
+from octex.field.facings import all_in_sight, spreads_of
 from octex.field.field import Field, NotFiniteError, Taps
+from octex.field.filtered import Query, filtered_colors, filtered_taps
 from octex.jit import decoded, kernel
 from octex.texture.channel import Channel
+from octex.tree.octree import Octree
 from octex.tree.placement import Placement
-from octex.tree.search import nearest_cells
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float32]
@@ -28,7 +31,7 @@ def look_up(
     field: Field,
     placement: Placement,
     points: Array,
-    filter: str,
+    query: Query,
     channels: Sequence[Channel],
     alpha: Channel | None,
     answers: Sequence[Floats],
@@ -41,13 +44,13 @@ def look_up(
     """
     try:
         missed = None
-        if len(channels) == 1 and not gradients and (alpha is None or filter == "nearest"):
-            missed = _look_up_colors(field, placement, points, filter, channels[0], answers[0])
+        if len(channels) == 1 and not gradients and (alpha is None or query.filter == "nearest"):
+            missed = _look_up_colors(field, placement, points, query, channels[0], answers[0])
         if missed is None:
-            _look_up(field, placement, points, filter, channels, alpha, answers, gradients)
+            _look_up(field, placement, points, query, channels, alpha, answers, gradients)
         elif missed.size:
             found = np.empty((missed.size, channels[0].format.components), np.float32)
-            _look_up(field, placement, points[missed], filter, channels, alpha, [found], gradients)
+            _look_up(field, placement, points[missed], query.of(missed), channels, alpha, [found], gradients)
             answers[0][missed] = found
     except NotFiniteError as error:
         return error.row
@@ -55,35 +58,36 @@ def look_up(
 
 
 def _look_up_colors(
-    field: Field, placement: Placement, points: Array, filter: str, channel: Channel, answers: Floats
+    field: Field, placement: Placement, points: Array, query: Query, channel: Channel, answers: Floats
 ) -> npt.NDArray[np.int64] | None:
     """Take the shortest way, if there is one: see `Field.colors`."""
     if channel.format.components != 3 or _is_encoded(channel):
         return None
-    values, _, table = _codes(channel)
-    return field.colors(points, placement, filter, values, table, answers)
+    values, _, split_values, table = _codes(channel)
+    codes = Codes(values, split_values, table)
+    if query.is_plain:
+        return field.colors(
+            points, placement, query.filter, all_in_sight(), codes, answers, NO_TABLE, NO_TABLE
+        )
+    return filtered_colors(field, points, placement, query, codes, answers)
 
 
 def _look_up(
     field: Field,
     placement: Placement,
     points: Array,
-    filter: str,
+    query: Query,
     channels: Sequence[Channel],
     alpha: Channel | None,
     answers: Sequence[Floats],
     gradients: Sequence[Floats],
 ) -> None:
-    if filter == "nearest":
-        cells = np.empty(len(points), np.int64)
-        fault = nearest_cells(field.tree.arrays, points, *placement, cells)
-        if fault >= 0:
-            raise NotFiniteError(fault)
-        for channel, answer in zip(channels, answers, strict=True):
-            gather(channel, cells, answer)
-        return
+    if query.is_plain:
+        batches = field.batches(points, placement, query.filter, gradient=bool(gradients))
+    else:
+        batches = filtered_taps(field, points, placement, query, gradient=bool(gradients))
     begin = 0
-    for taps in field.batches(points, placement, filter, gradient=bool(gradients)):
+    for taps in batches:
         here = slice(begin, begin + taps.starts.size - 1)
         covered = taps if alpha is None else _covered(taps, alpha)
         for number, channel in enumerate(channels):
@@ -107,10 +111,26 @@ def _covered(taps: Taps, alpha: Channel) -> Taps:
 
 
 def gather(channel: Channel, rows: Rows, result: Floats) -> None:
-    """Write the decoded values of rows, cells' and then kept nodes', to ``result``."""
+    """Write the decoded values of rows, cells', then kept nodes' and then facings', to ``result``."""
     _gather(*_codes(channel), rows, result)
     if _is_encoded(channel):
         result[:] = decode(result, channel.format.space)
+
+
+def facing_spreads(channel: Channel, tree: Octree, level: int) -> Floats:
+    """Say how far the values of opposite facings differ in the split cells of levels 0 … ``level`` (cells,).
+
+    Only that level's are looked at; the others are 0.
+    """
+    tree = tree.truncated(level)
+    spreads = np.zeros(tree.split.cells.size, np.float32)
+    first = int(np.searchsorted(tree.split.cells, tree.arrays.level_cells[level]))
+    row = int(np.bitwise_count(tree.split.facings[:first]).sum())
+    _, _, split_values, table = _codes(channel)
+    if _is_encoded(channel):
+        split_values = decode(split_values, channel.format.space)
+    spreads_of(table, split_values, tree.split.facings[first:], row, spreads[first:])
+    return spreads
 
 
 def _is_encoded(channel: Channel) -> bool:
@@ -118,14 +138,16 @@ def _is_encoded(channel: Channel) -> bool:
     return channel.values.dtype == np.float32 and channel.format.space == "srgb"
 
 
-def _codes(channel: Channel) -> tuple[Array, Array, Floats]:
-    """Return a channel's values and kept values as codes, and what each stands for; or float32 as it is."""
-    values, kept_values, space = channel.values, channel.kept_values, channel.format.space
-    if values.dtype == np.float32:
-        return values, kept_values, NO_TABLE
-    if values.dtype == np.float16:
-        return values.view(np.uint16), kept_values.view(np.uint16), _half_table(space)
-    return values, kept_values, decode_table(values.dtype.name, space)
+def _codes(channel: Channel) -> tuple[Array, Array, Array, Floats]:
+    """Return values, kept values and split values as codes, and what each stands for; or float32 as it is."""
+    arrays = channel.values, channel.kept_values, channel.split_values
+    dtype, space = channel.values.dtype, channel.format.space
+    if dtype == np.float32:
+        return *arrays, NO_TABLE
+    if dtype == np.float16:
+        values, kept_values, split_values = (array.view(np.uint16) for array in arrays)
+        return values, kept_values, split_values, _half_table(space)
+    return *arrays, decode_table(dtype.name, space)
 
 
 @cache
@@ -139,6 +161,7 @@ def _half_table(space: ColorSpace) -> Floats:
 def _gather(
     values: npt.NDArray[np.uint8 | np.uint16 | np.float32],
     kept_values: npt.NDArray[np.uint8 | np.uint16 | np.float32],
+    split_values: npt.NDArray[np.uint8 | np.uint16 | np.float32],
     table: Floats,
     rows: Rows,
     result: Floats,
@@ -146,8 +169,14 @@ def _gather(
     for n in range(rows.size):
         row = np.int64(rows[n])
         kept = row - values.shape[0]
+        split = min(kept - kept_values.shape[0], split_values.shape[0] - 1)
         for component in range(values.shape[1]):
-            code = values[row, component] if kept < 0 else kept_values[kept, component]
+            if kept < 0:
+                code = values[row, component]
+            elif split < 0:
+                code = kept_values[kept, component]
+            else:
+                code = split_values[split, component]
             result[n, component] = decoded(table, code)
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,54 +15,74 @@ from octex.parallel import ordered_map
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float32]
-#: Looks up the points of a block, writes to arrays of as many rows, and returns the first row that is not
-#: finite or −1.
-LookUp = Callable[[Array, list[Array]], int]
+#: What is given of points: arrays of a row each by name, "points" (n, 3) among them.
+Given = Mapping[str, Array]
+#: Looks up the points of a block, writes to arrays of as many rows, and returns the first row of points that
+#: is not finite or −1.
+LookUp = Callable[[Given, list[Array]], int]
 
 #: Points looked up at once: what is kept of them stays in the processor's cache, and a thread that takes them
 #: is busy for a millisecond or more, beside which handing them over (50 µs) is little.
 BLOCK = 1 << 16
 
 
-class _Blocks(Sequence[tuple[Array, list[Array]]]):
-    """Points and the rows of their answers, block by block."""
+class _Fault(NamedTuple):
+    name: str
+    row: int
 
-    def __init__(self, points: Array, answers: list[Array]) -> None:
-        self._points, self._answers = points, answers
+
+class _Blocks(Sequence[tuple[Given, list[Array]]]):
+    """What is given of points and the rows of their answers, block by block."""
+
+    def __init__(self, given: Given, answers: list[Array]) -> None:
+        self._given, self._answers = given, answers
 
     def __len__(self) -> int:
-        return -(-len(self._points) // BLOCK)
+        return -(-len(self._given["points"]) // BLOCK)
 
     def __getitem__(self, number: Any) -> Any:
         rows = slice(number * BLOCK, (number + 1) * BLOCK)
-        return self._points[rows], [answer[rows] for answer in self._answers]
+        given = {name: array[rows] for name, array in self._given.items()}
+        return given, [answer[rows] for answer in self._answers]
 
-    def __iter__(self) -> Iterator[tuple[Array, list[Array]]]:
+    def __iter__(self) -> Iterator[tuple[Given, list[Array]]]:
         return (self[number] for number in range(len(self)))
 
 
-def in_blocks(points: Array, answers: list[Array], look_up: LookUp, executor: Executor | None) -> None:
-    """Look up points (n, 3) of any real type, and write to ``answers``, arrays of n rows.
+def in_blocks(given: Given, answers: list[Array], look_up: LookUp, executor: Executor | None) -> None:
+    """Look up points by what is given of them, of any real type, and write to ``answers``, arrays of n rows.
 
-    Only a block is copied, and only if the points are not as kernels take them. Raises ArgumentError naming
-    the first row that is not finite; the answers are then written in part.
+    Only a block is copied, and only if it is not as kernels take it. Raises ArgumentError naming the first
+    row that is not finite, or a width that is below zero; the answers are then written in part.
     """
-    blocks = _Blocks(points, answers)
+    blocks = _Blocks(given, answers)
     work = partial(_look_up_block, look_up)
     done = map(work, blocks) if executor is None else ordered_map(executor, work, blocks)
     for number, (fault, found) in enumerate(done):
-        if fault >= 0:
-            row = number * BLOCK + fault
-            raise ArgumentError(f"points must be finite, but points[{row}] is {points[row].tolist()}")
+        if fault is not None:
+            name, row = fault.name, number * BLOCK + fault.row
+            kind = "finite and not below zero" if name == "width" else "finite"
+            raise ArgumentError(f"{name} must be {kind}, but {name}[{row}] is {given[name][row].tolist()}")
         for answer, rows in zip(blocks[number][1], found, strict=True):
             if not np.may_share_memory(answer, rows):  # the executor works in other processes
                 answer[:] = rows
 
 
-def _look_up_block(look_up: LookUp, block: tuple[Array, list[Array]]) -> tuple[int, list[Array]]:
-    points, answers = block
-    dtype = np.float32 if points.dtype == np.float32 else np.float64
-    return look_up(np.require(points, dtype, ["C", "A", "W"]), answers), answers
+def _look_up_block(look_up: LookUp, block: tuple[Given, list[Array]]) -> tuple[_Fault | None, list[Array]]:
+    given, answers = block
+    taken = {name: _as_kernels_take_it(array) for name, array in given.items()}
+    for name, array in taken.items():
+        sound = np.isfinite(array) if name != "points" else np.True_
+        if name == "width":
+            sound = sound & (array >= 0)
+        if not sound.all():
+            return _Fault(name, int(np.argmin(sound)) // (array.size // len(array))), answers
+    row = look_up(taken, answers)
+    return (_Fault("points", row) if row >= 0 else None), answers
+
+
+def _as_kernels_take_it(array: Array) -> Array:
+    return np.require(array, np.float32 if array.dtype == np.float32 else np.float64, ["C", "A", "W"])
 
 
 def answers_for(
@@ -99,8 +119,10 @@ def pair_of(out: Any) -> tuple[Any, Any]:
     return out[0], out[1]
 
 
-def check_apart(arrays: Sequence[Array]) -> None:
-    """Raise ArgumentError if any of the points and the answers share memory."""
-    for number, array in enumerate(arrays):
-        if any(np.may_share_memory(array, other) for other in arrays[:number]):
+def check_apart(given: Iterable[Array], answers: Sequence[Array]) -> None:
+    """Raise ArgumentError if an answer shares memory with another or with what is given."""
+    known = list(given)
+    for answer in answers:
+        if any(np.may_share_memory(answer, other) for other in known):
             raise ArgumentError("the arrays in out must not share memory with each other or with the points")
+        known.append(answer)

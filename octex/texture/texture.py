@@ -19,10 +19,11 @@ from octex.checks import as_choice, as_depth, as_point_rows
 from octex.errors import ArgumentError, InputError, TextureFileError
 from octex.field.field import Field
 from octex.field.splines import FILTERS
-from octex.texture.blend import NO_GRADIENTS, look_up, make_unit
+from octex.texture.asked import BLEED_THRESHOLD, Look
+from octex.texture.blend import NO_GRADIENTS, facing_spreads, look_up, make_unit
 from octex.texture.channel import Channel
 from octex.texture.file import ENDING, FORMAT, FORMAT_VERSION, File, Parts, taken, written
-from octex.texture.lookup import LookUp, answers_for, check_apart, in_blocks, pair_of
+from octex.texture.lookup import Given, LookUp, answers_for, check_apart, in_blocks, pair_of
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.search import in_leaves
@@ -39,7 +40,7 @@ class OctreeTexture:
     Raises ArgumentError if tree, channels, placement and bounds do not fit together.
     """
 
-    __slots__ = ("_field", "_file", "bounds", "channels", "metadata", "placement", "tree")
+    __slots__ = ("_field", "_file", "_known_spreads", "bounds", "channels", "metadata", "placement", "tree")
 
     def __init__(
         self,
@@ -56,6 +57,7 @@ class OctreeTexture:
         self.bounds = np.asarray(bounds, np.float64)
         self.metadata = MappingProxyType(dict(metadata or {}))
         self._field = Field(tree)
+        self._known_spreads: dict[tuple[str, int], Floats] = {}
         self._file: File | None = None
         if not all(isinstance(text, str) for pair in self.metadata.items() for text in pair):
             raise ArgumentError("metadata must map strings to strings")
@@ -81,6 +83,14 @@ class OctreeTexture:
         channel: str = "base_color",
         filter: str = "quadratic",
         *,
+        width: npt.ArrayLike | None = None,
+        normals: npt.ArrayLike | None = None,
+        dPdx: npt.ArrayLike | None = None,
+        dPdy: npt.ArrayLike | None = None,
+        anisotropy: float = 16.0,
+        blur: float = 0.0,
+        sharpness: float = 0.0,
+        bleed_threshold: float = BLEED_THRESHOLD,
         normalize: bool = True,
         gradient: Literal[False] = False,
         out: Floats | None = None,
@@ -93,6 +103,14 @@ class OctreeTexture:
         channel: list[str] | tuple[str, ...],
         filter: str = "quadratic",
         *,
+        width: npt.ArrayLike | None = None,
+        normals: npt.ArrayLike | None = None,
+        dPdx: npt.ArrayLike | None = None,
+        dPdy: npt.ArrayLike | None = None,
+        anisotropy: float = 16.0,
+        blur: float = 0.0,
+        sharpness: float = 0.0,
+        bleed_threshold: float = BLEED_THRESHOLD,
         normalize: bool = True,
         gradient: Literal[False] = False,
         out: Mapping[str, Floats] | None = None,
@@ -105,6 +123,14 @@ class OctreeTexture:
         channel: str = "base_color",
         filter: str = "quadratic",
         *,
+        width: npt.ArrayLike | None = None,
+        normals: npt.ArrayLike | None = None,
+        dPdx: npt.ArrayLike | None = None,
+        dPdy: npt.ArrayLike | None = None,
+        anisotropy: float = 16.0,
+        blur: float = 0.0,
+        sharpness: float = 0.0,
+        bleed_threshold: float = BLEED_THRESHOLD,
         normalize: bool = True,
         gradient: Literal[True],
         out: tuple[Floats, Floats] | None = None,
@@ -117,6 +143,14 @@ class OctreeTexture:
         channel: list[str] | tuple[str, ...],
         filter: str = "quadratic",
         *,
+        width: npt.ArrayLike | None = None,
+        normals: npt.ArrayLike | None = None,
+        dPdx: npt.ArrayLike | None = None,
+        dPdy: npt.ArrayLike | None = None,
+        anisotropy: float = 16.0,
+        blur: float = 0.0,
+        sharpness: float = 0.0,
+        bleed_threshold: float = BLEED_THRESHOLD,
         normalize: bool = True,
         gradient: Literal[True],
         out: tuple[Mapping[str, Floats], Mapping[str, Floats]] | None = None,
@@ -128,6 +162,14 @@ class OctreeTexture:
         channel: str | list[str] | tuple[str, ...] = "base_color",
         filter: str = "quadratic",
         *,
+        width: npt.ArrayLike | None = None,
+        normals: npt.ArrayLike | None = None,
+        dPdx: npt.ArrayLike | None = None,
+        dPdy: npt.ArrayLike | None = None,
+        anisotropy: float = 16.0,
+        blur: float = 0.0,
+        sharpness: float = 0.0,
+        bleed_threshold: float = BLEED_THRESHOLD,
         normalize: bool = True,
         gradient: bool = False,
         out: Any = None,
@@ -139,6 +181,22 @@ class OctreeTexture:
         integers. A list of channel names gives a dict. Every point has a value: off the surface, where none
         of the cells that a filter reads is stored, that of coarser averages; outside the root cell, that of
         the nearest point inside.
+
+        width     side of the square to average over, in the model's units: one for all, or (n,). Averages of
+                  the source are read at the two levels whose cells suit it, and blended. None: the leaves.
+        dPdx, dPdy  instead of a width: how rest positions change from one pixel to the next, (n, 3) each. The
+                  footprint is then the pixel's parallelogram: several looks along its longer axis, and, but
+                  for ``nearest`` and ``linear``, two across.
+        anisotropy  how much longer than wide such a footprint may be; a narrower one is widened
+        blur      width that is added to both sides of a footprint, in the model's units
+        sharpness  0 … 1: from the mean over the footprint to a kernel of variance zero, whose results may
+                  leave the range of the stored values. Leaves are not sharpened.
+        normals   shading normals (n, 3) of any length, in rest space. What faces away from them weighs
+                  nothing, and cells where a front and a back meet answer with what faces the normal; where
+                  nothing faces it (double-sided materials), everything counts.
+        bleed_threshold  for footprints without normals (paper 3.5.2): a coarse cell whose means over opposite
+                  facings differ by this or more, in any component as it is answered, is left to the next
+                  finer level.
 
         filter    what lies between the stored values. ``quadratic``: a spline over 3×3×3 cells, with
                   continuous slopes across every change of depth (the neighbourhood of paper 3.4, after
@@ -158,10 +216,12 @@ class OctreeTexture:
         Blending is done in linear light. Where the texture has a channel ``alpha``, all others weigh by it.
 
         Memory does not grow with the points but for the answers. Raises ArgumentError for positions that are
-        not finite (n, 3), naming the first row (``out`` is then written in part), for unknown channels and
-        filters, listing those there are, for gradients of ``nearest``, and for an ``out`` that does not fit.
+        not finite (n, 3), naming the first row (``out`` is then written in part), likewise for normals,
+        widths and derivatives, for unknown channels and filters, listing those there are, for gradients of
+        ``nearest``, and for an ``out`` that does not fit.
         """
-        points = as_point_rows(points)
+        given = {"points": as_point_rows(points)}
+        points = given["points"]
         as_choice(filter, FILTERS, "filter")
         if gradient and filter == "nearest":
             raise ArgumentError(f"nearest has no gradient; {', '.join(FILTERS[1:])} have one")
@@ -179,26 +239,45 @@ class OctreeTexture:
             gradients = {}
         values = answers_for(shapes, out, single)
         answers = [*values.values(), *gradients.values()]
-        check_apart([points, *answers])
-        self._look_up(points, answers, partial(self._sampled, channels, filter, normalize), executor)
+        look = Look(filter, anisotropy, blur, sharpness, bleed_threshold)
+        look.check(given, width=width, normals=normals, dPdx=dPdx, dPdy=dPdy)
+        check_apart(given.values(), answers)
+        self._look_up(given, answers, partial(self._sampled, channels, look, normalize), executor)
         if single:
             return (values[names[0]], gradients[names[0]]) if gradient else values[names[0]]
         return (values, gradients) if gradient else values
 
     def _sampled(
-        self, channels: list[Channel], filter: str, normalize: bool, points: Array, answers: list[Array]
+        self, channels: list[Channel], look: Look, normalize: bool, given: Given, answers: list[Array]
     ) -> int:
         """Look up a block: its values in ``answers``, then, if they are wanted, as many gradients."""
         values, gradients = answers[: len(channels)], answers[len(channels) :]
         alpha = self.channels.get("alpha")
         if alpha and alpha.format.components != 1:
             alpha = None
-        fault = look_up(self._field, self.placement, points, filter, channels, alpha, values, gradients)
+        query = look.query(given)
+        groups = [slice(0, len(channels))]
+        if query.footprints is not None and query.normals is None and self.tree.split.cells.size:
+            groups = [slice(n, n + 1) for n in range(len(channels))]  # each has its own spreads
+        fault = -1
+        for group in groups:
+            if len(groups) == len(channels):
+                query = query._replace(spreads=partial(self._spreads, channels[group.start]))
+            fault = look_up(
+                *(self._field, self.placement, given["points"], query, channels[group], alpha),
+                *(values[group], gradients[group]),
+            )
         if fault < 0 and normalize:
             for number, channel in enumerate(channels):
                 if channel.format.space == "direction":
                     make_unit(values[number], gradients[number] if gradients else NO_GRADIENTS)
         return fault
+
+    def _spreads(self, channel: Channel, level: int) -> Floats:
+        key = channel.format.name, level
+        if key not in self._known_spreads:
+            self._known_spreads[key] = facing_spreads(channel, self.tree, level)
+        return self._known_spreads[key]
 
     def contains(self, points: npt.ArrayLike, *, executor: Executor | None = None) -> npt.NDArray[np.bool_]:
         """Say of each rest position (n, 3) whether a leaf holds it.
@@ -208,19 +287,21 @@ class OctreeTexture:
         points = as_point_rows(points)
         inside = np.empty(len(points), np.bool_)
         self._look_up(
-            points,
+            {"points": points},
             [inside],
-            lambda block, rows: in_leaves(self.tree.arrays, block, *self.placement, rows[0]),
+            lambda given, rows: in_leaves(self.tree.arrays, given["points"], *self.placement, rows[0]),
             executor,
         )
         return inside
 
     def _look_up(
-        self, points: Array, answers: list[Array], look_up: LookUp, executor: Executor | None
+        self, given: Given, answers: list[Array], look_up: LookUp, executor: Executor | None
     ) -> None:
-        if len(points) * mmap.PAGESIZE > self.nbytes:  # about a page a point: most of the file will be read
+        if (
+            len(given["points"]) * mmap.PAGESIZE > self.nbytes
+        ):  # about a page a point: most of the file will be read
             self._read_ahead()
-        in_blocks(points, answers, look_up, executor)
+        in_blocks(given, answers, look_up, executor)
 
     def level(self, level: int) -> OctreeTexture:
         """Return the texture of levels 0 … ``level``, whose leaves include the averages stored there.
@@ -229,9 +310,11 @@ class OctreeTexture:
         """
         if as_depth(level, "level") >= self.tree.max_depth:
             return self
-        tree = self.tree.truncated(level)
-        channels = {name: channel.of(tree) for name, channel in self.channels.items()}
-        return OctreeTexture(tree, channels, self.placement, self.bounds, self.metadata)
+        field = self._field.level(level)
+        channels = {name: channel.of(field.tree) for name, channel in self.channels.items()}
+        texture = OctreeTexture(field.tree, channels, self.placement, self.bounds, self.metadata)
+        texture._field = field
+        return texture
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write an ``.octex`` file; the same texture gives the same bytes.

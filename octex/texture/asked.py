@@ -1,0 +1,76 @@
+"""How a lookup looks: what users ask of it, checked, and as the field takes it."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.checks import as_number, as_point_rows
+from octex.errors import ArgumentError
+from octex.field.filtered import Query
+from octex.field.footprints import Footprints, long_footprints, round_footprints
+from octex.texture.lookup import Given
+
+#: Difference of a front and a back, of 1, that footprints without normals may mix.
+BLEED_THRESHOLD = 1 / 32
+
+
+class Look(NamedTuple):
+    """What is the same for all points of a lookup; see `OctreeTexture.sample`."""
+
+    filter: str
+    anisotropy: float
+    blur: float
+    sharpness: float
+    bleed_threshold: float
+
+    def check(self, given: dict[str, npt.NDArray[Any]], **more: npt.ArrayLike | None) -> None:
+        """Add what else is given of points, a row for each. Raises ArgumentError for what does not fit."""
+        as_number(self.anisotropy, "anisotropy", 1.0, np.inf)
+        as_number(self.blur, "blur", 0.0, np.finfo(np.float64).max)
+        as_number(self.sharpness, "sharpness", 0.0, 1.0)
+        as_number(self.bleed_threshold, "bleed_threshold", 0.0, np.inf)
+        n = len(given["points"])
+        for name, array in more.items():
+            if array is None:
+                continue
+            if name == "width":
+                given[name] = _as_widths(array, n)
+            else:
+                given[name] = as_point_rows(array, name)
+                if len(given[name]) != n:
+                    raise ArgumentError(
+                        f"{name} must have a row for each of {n} points, not {len(given[name])}"
+                    )
+        if ("dPdx" in given) != ("dPdy" in given):
+            raise ArgumentError("dPdx and dPdy are given together or not at all")
+        if "width" in given and "dPdx" in given:
+            raise ArgumentError("a footprint has a width, or dPdx and dPdy, not both")
+        if self.sharpness > 0 and not self._has_footprints(given):
+            raise ArgumentError("sharpness is for footprints: give a width, or dPdx and dPdy, or blur")
+
+    def _has_footprints(self, given: Given) -> bool:
+        return "width" in given or "dPdx" in given or self.blur > 0
+
+    def query(self, given: Given) -> Query:
+        """Return what is asked of a block of points, whose arrays are as kernels take them."""
+        footprints: Footprints | None = None
+        if "dPdx" in given:
+            derivatives = given["dPdx"], given["dPdy"]
+            footprints = long_footprints(*derivatives, self.blur, self.anisotropy, self.sharpness)
+        elif self._has_footprints(given):
+            widths = given["width"].astype(np.float64) if "width" in given else np.zeros(len(given["points"]))
+            footprints = round_footprints(widths + self.blur, self.sharpness)
+        normals = given.get("normals")
+        if normals is not None:
+            normals = normals.astype(np.float32, copy=False)
+        return Query(self.filter, footprints, normals, threshold=self.bleed_threshold)
+
+
+def _as_widths(width: npt.ArrayLike, n: int) -> npt.NDArray[Any]:
+    array = np.asarray(width)
+    if array.dtype.kind not in "fiu" or array.shape not in ((), (n,)):
+        raise ArgumentError(f"width must be a real number or (n,) of them, not {array.dtype} {array.shape}")
+    return np.broadcast_to(array, (n,))
