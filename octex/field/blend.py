@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.field.blocks import Float32s, Int64s, Points, Uint32s, Values
-from octex.field.facings import ALL, MOST_SEEN, Sight, take_seen
-from octex.jit import decoded, inlined, kernel
+from octex.field.blocks import BLOCK, Float32s, Int64s, Points, Uint32s, Values
+from octex.field.facings import GROUP, MOST_SEEN, Sight, take_seen
+from octex.jit import decoded, inlined, kernel, prefetch
 
 
 class Codes(NamedTuple):
@@ -38,16 +38,24 @@ class Task(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """Room for what is seen of the taps of one point."""
+    """What is seen of the taps of a block of points, one point's after another's."""
 
     rows: Uint32s
     weights: Float32s
+    ends: Int64s  # (BLOCK,)   of each point's
+    totals: Float32s  # (BLOCK,)   weight of all taps of each point
 
 
 @kernel
 def new_seen() -> Seen:
-    """Return room for 27 taps."""
-    return Seen(np.zeros(27 * MOST_SEEN, np.uint32), np.zeros(27 * MOST_SEEN, np.float32))
+    """Return room for 27 taps a point."""
+    room = 27 * BLOCK * MOST_SEEN
+    return Seen(
+        np.zeros(room, np.uint32),
+        np.zeros(room, np.float32),
+        np.zeros(BLOCK, np.int64),
+        np.zeros(BLOCK, np.float32),
+    )
 
 
 @inlined
@@ -84,15 +92,72 @@ def _blend_cells(
 
 
 @inlined
-def _blend_seen(seen: Seen, end: int, first_row: int, task: Task, point: int) -> np.float32:
-    """Do as `_blend_cells` for what is seen of the taps."""
+def blend_all(
+    task: Task,
+    point: int,
+    cells: Uint32s,
+    weights: Float32s,
+    first: int,
+    end: int,
+    step: int,
+    flat_values: Values,
+    flat_results: Float32s,
+) -> bool:
+    """Write the colour of a point under taps ``first``, ``first + step`` …; say whether it has any."""
+    table = task.codes.table
+    total = _blend_cells(cells, weights, first, end, step, flat_values, table, flat_results, point)
+    if task.colors.covers.size > 0:
+        task.colors.covers[point] = total
+    return bool(total > np.float32(0.0))
+
+
+@inlined
+def ask_for_facings(sight: Sight, cells: Uint32s, end: int) -> None:
+    """Ask for what is read of cells to see them."""
+    for tap in range(0, end, 4):  # the others mostly lie beside these
+        cell = int(cells[np.uint64(tap)])
+        prefetch(sight.facings.flags, cell)
+        prefetch(sight.facings.rows, cell // GROUP)
+
+
+@inlined
+def see_taps(
+    task: Task,
+    begin: int,
+    n: int,
+    cells: Uint32s,
+    weights: Float32s,
+    first: int,
+    end: int,
+    step: int,
+    seen: Seen,
+) -> None:
+    """See taps ``first``, ``first + step`` … of point n of a block, and ask for their split values."""
+    total = np.float32(0.0)
+    for tap in range(first, end, step):
+        total += weights[tap]
+    seen.totals[n] = total
+    at = seen.ends[n - 1] if n > 0 else 0
+    first_row = task.sight.first_row
+    last = take_seen(task.sight, begin + n, cells, weights, first, end, step, seen.rows, seen.weights, at)
+    for tap in range(at, last):
+        row = int(seen.rows[tap]) - first_row
+        if row >= 0:
+            prefetch(task.codes.split_values, row)
+    seen.ends[n] = last
+
+
+@inlined
+def blend_seen(task: Task, begin: int, n: int, seen: Seen) -> bool:
+    """Write the colour of point n of a block under what is seen of its taps; say whether it has any."""
+    point = begin + n
+    first_row = task.sight.first_row
     values, split_values, table = task.codes
-    results = task.colors.results
-    a = b = c = total = np.float32(0.0)
+    a = b = c = cover = np.float32(0.0)
     last = split_values.shape[0] - 1
-    for tap in range(end):
+    for tap in range(seen.ends[n - 1] if n > 0 else 0, seen.ends[n]):
         weight, row = seen.weights[tap], np.int64(seen.rows[tap])
-        total += weight
+        cover += weight
         if row < first_row:
             a += weight * decoded(table, values[row, 0])
             b += weight * decoded(table, values[row, 1])
@@ -102,40 +167,9 @@ def _blend_seen(seen: Seen, end: int, first_row: int, task: Task, point: int) ->
             a += weight * decoded(table, split_values[row, 0])
             b += weight * decoded(table, split_values[row, 1])
             c += weight * decoded(table, split_values[row, 2])
-    inverse = np.float32(1.0) / total if total > np.float32(0.0) else np.float32(0.0)
+    inverse = np.float32(1.0) / cover if cover > np.float32(0.0) else np.float32(0.0)
+    results, total = task.colors.results, seen.totals[n]
     results[point, 0], results[point, 1], results[point, 2] = a * inverse, b * inverse, c * inverse
-    return total
-
-
-@inlined
-def color_point(
-    task: Task,
-    point: int,
-    cells: Uint32s,
-    weights: Float32s,
-    first: int,
-    end: int,
-    step: int,
-    seen: Seen,
-    flat_values: Values,
-    flat_results: Float32s,
-) -> bool:
-    """Write the colour of a point under taps ``first``, ``first + step`` …; say whether it has any."""
-    if task.sight.mode == ALL:
-        total = _blend_cells(
-            cells, weights, first, end, step, flat_values, task.codes.table, flat_results, point
-        )
-        if task.colors.covers.size > 0:
-            task.colors.covers[point] = total
-        return bool(total > np.float32(0.0))
-    total = np.float32(0.0)
-    for tap in range(first, end, step):
-        total += weights[tap]
-    if not total > np.float32(0.0):
-        task.colors.covers[point] = task.colors.left[point] = np.float32(0.0)
-        return False
-    n_seen = take_seen(task.sight, point, cells, weights, first, end, step, seen.rows, seen.weights, 0)
-    cover = _blend_seen(seen, n_seen, task.sight.first_row, task, point)
     task.colors.covers[point] = cover
-    task.colors.left[point] = max(total - cover, np.float32(0.0)) / total
-    return True
+    task.colors.left[point] = max(total - cover, np.float32(0.0)) / total if total > np.float32(0.0) else 0.0
+    return bool(total > np.float32(0.0))

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from octex.field.blocks import Bytes, Float32s, Int64s, Rows, Uint32s
 from octex.jit import decoded, inlined, kernel, popcount
-from octex.tree.layout import POSITIVE_FACINGS, SPLIT
+from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
 from octex.tree.octree import Octree
 
 Uint64s = npt.NDArray[np.uint64]
@@ -31,6 +31,9 @@ _NEAR = np.float32(0.2)
 #: Weight of what faces away: decides only where nothing else is there, as behind double-sided materials.
 _AWAY = np.float32(1e-6)
 
+#: Cells whose rows are counted from one known row on.
+GROUP = 4
+
 #: Most taps that stand for one: a facing of each axis.
 MOST_SEEN = 3
 
@@ -39,9 +42,7 @@ class Facings(NamedTuple):
     """Which ways the cells of a tree face, and where the rows of its split cells are."""
 
     flags: Bytes  # (cells,)
-    split: Uint64s  # (⌈cells / 64⌉,)   a bit for each split cell
-    before: Uint32s  # (⌈cells / 64⌉,)   the split cells before each word
-    rows: Uint32s  # (split cells,)   the first row of each in the split table
+    rows: Uint32s  # (⌈cells / 4⌉,)   rows of the split table before those of each four cells; or (0,)
 
 
 class Sight(NamedTuple):
@@ -51,18 +52,16 @@ class Sight(NamedTuple):
     facings: Facings
     first_row: int  # what the first row of the split table is counted as
     normals: Float32s  # (n, 3)   for FACING
-    spreads: Float32s  # (split cells,)   for UNMIXED: how far opposite facings differ
+    spreads: Float32s  # (rows,)   for UNMIXED: how far a cell's opposite facings differ, at its first row
     threshold: float  # from what spread on a cell is left out
 
 
 def facings_of(tree: Octree) -> Facings:
     """Index the split cells of a tree."""
     cells, facings, _ = tree.split
-    words = -(-tree.n_cells // 64)
-    split, before = np.zeros(words, np.uint64), np.zeros(words, np.uint32)
-    rows = np.zeros(cells.size, np.uint32)
-    _index(cells, facings, split, before, rows)
-    return Facings(tree.arrays.flags, split, before, rows)
+    rows = np.zeros(-(-tree.n_cells // GROUP) if cells.size else 0, np.uint32)
+    _index(cells, facings, rows)
+    return Facings(tree.arrays.flags, rows)
 
 
 def all_in_sight() -> Sight:
@@ -72,7 +71,7 @@ def all_in_sight() -> Sight:
 
 _ALL = Sight(
     ALL,
-    Facings(np.zeros(1, np.uint8), np.zeros(1, np.uint64), np.zeros(1, np.uint32), np.zeros(0, np.uint32)),
+    Facings(np.zeros(1, np.uint8), np.zeros(0, np.uint32)),
     0,
     np.zeros((0, 3), np.float32),
     np.zeros(0, np.float32),
@@ -81,25 +80,22 @@ _ALL = Sight(
 
 
 @kernel
-def _index(cells: Uint32s, facings: Bytes, split: Uint64s, before: Uint32s, rows: Uint32s) -> None:
-    row = 0
+def _index(cells: Uint32s, facings: Bytes, rows: Uint32s) -> None:
+    group = row = 0
     for n in range(cells.size):
-        cell = np.int64(cells[n])
-        if cell >> 6 < split.size:
-            split[cell >> 6] |= np.uint64(1) << np.uint64(cell & 63)
-        rows[n] = row
-        row += popcount(np.uint64(facings[n]))
-    count = 0
-    for word in range(split.size):
-        before[word] = count
-        count += popcount(split[word])
+        while group < rows.size and group <= int(cells[n]) // GROUP:
+            rows[group] = row
+            group += 1
+        row += popcount(np.uint64(facings[n] & np.uint8(FACING_FLAGS)))
+    rows[group:] = row
 
 
 @kernel
 def spreads_of(table: Float32s, values: Rows, facings: Bytes, first_row: int, spreads: Float32s) -> None:
-    """Write how far the decoded values of opposite facings differ, in any component, to ``spreads`` (n,).
+    """Write how far the decoded values of opposite facings differ, in any component, to ``spreads`` (rows,).
 
-    The rows of n consecutive split cells begin at ``first_row`` of ``values`` (rows, components).
+    The rows of consecutive split cells begin at ``first_row`` of ``values`` (rows, components) and
+    ``spreads``; only each cell's first is written.
     """
     row = first_row
     for n in range(facings.size):
@@ -112,19 +108,28 @@ def spreads_of(table: Float32s, values: Rows, facings: Bytes, first_row: int, sp
                 for component in range(values.shape[1]):
                     apart = decoded(table, values[at, component]) - decoded(table, values[at + 1, component])
                     largest = max(largest, abs(apart))
-        spreads[n] = largest
-        row += popcount(flags)
+        if row < spreads.size:
+            spreads[row] = largest
+        row += popcount(flags & np.uint64(FACING_FLAGS))
 
 
 @inlined
-def _split_number(facings: Facings, cell: int) -> int:
-    """Say which of the split cells a cell is, or −1."""
-    word = np.uint64(cell >> 6)
-    bit = np.uint64(1) << np.uint64(cell & 63)
-    if facings.split[word] & bit == np.uint64(0):
-        return -1
-    number = int(facings.before[word]) + popcount(facings.split[word] & (bit - np.uint64(1)))
-    return min(number, facings.rows.size - 1)
+def _rows_of(facings: Facings, cell: int) -> int:
+    """Say how many rows a cell has in the split table."""
+    flags = np.uint64(facings.flags[cell])
+    return popcount(flags & np.uint64(FACING_FLAGS)) if flags & np.uint64(SPLIT) != 0 else 0
+
+
+@inlined
+def _first_row(facings: Facings, cell: int) -> int:
+    """Return the first row of a split cell in the split table."""
+    if facings.rows.size == 0:
+        return 0
+    first = cell // GROUP * GROUP
+    row = int(facings.rows[cell // GROUP])
+    for other in range(GROUP - 1):  # without branches
+        row += _rows_of(facings, min(first + other, cell)) * (first + other < cell)
+    return row
 
 
 @inlined
@@ -132,6 +137,46 @@ def _ramp(cosine: np.float32) -> np.float32:
     """Rise from 0 to 1 between no and the full cosine, without a bend."""
     t = min(cosine / _FULL, np.float32(1.0))
     return t * t * (np.float32(3.0) - np.float32(2.0) * t)
+
+
+@inlined
+def _share_of_split(
+    sight: Sight,
+    cell: np.uint32,
+    flags: np.uint64,
+    x: np.float32,
+    y: np.float32,
+    z: np.float32,
+    bits: tuple[np.uint64, np.uint64, np.uint64],
+    weight: np.float32,
+    rows: Uint32s,
+    seen: Float32s,
+    at: int,
+) -> int:
+    """Write a split cell's rows that face the normal; x, y and z are 0 where it has none such."""
+    none, one = np.float32(0.0), np.uint64(1)
+    least = max(x, max(y, z)) - _NEAR
+    x = max(x - least, none) if x > none else none
+    y = max(y - least, none) if y > none else none
+    z = max(z - least, none) if z > none else none
+    total = x + y + z
+    if total > max(x, max(y, z)):
+        x, y, z = x / total, y / total, z / total
+    else:  # one alone
+        x = np.float32(1.0) if x > none else none
+        y = np.float32(1.0) if y > none else none
+        z = np.float32(1.0) if z > none else none
+    row = sight.first_row + _first_row(sight.facings, int(cell))
+    if x > none:
+        rows[at], seen[at] = row + popcount(flags & ((one << bits[0]) - one)), weight * x
+        at += 1
+    if y > none:
+        rows[at], seen[at] = row + popcount(flags & ((one << bits[1]) - one)), weight * y
+        at += 1
+    if z > none:
+        rows[at], seen[at] = row + popcount(flags & ((one << bits[2]) - one)), weight * z
+        at += 1
+    return at
 
 
 @inlined
@@ -152,45 +197,27 @@ def _take_facing(
     x, y, z = sight.normals[point, 0], sight.normals[point, 1], sight.normals[point, 2]
     square = x * x + y * y + z * z
     scale = np.float32(1.0) / np.sqrt(square) if square > np.float32(0.0) else np.float32(0.0)
-    bit_x, bit_y, bit_z = np.uint64(x < 0), np.uint64(2 + (y < 0)), np.uint64(4 + (z < 0))
+    bits = np.uint64(x < 0), np.uint64(2 + (y < 0)), np.uint64(4 + (z < 0))
     x, y, z = abs(x) * scale, abs(y) * scale, abs(z) * scale
     ramp_x, ramp_y, ramp_z = _ramp(x), _ramp(y), _ramp(z)
-    one, none = np.uint64(1), np.float32(0.0)
+    none, one = np.float32(0.0), np.uint64(1)
     for tap in range(first, end, step):
-        cell, weight = cells[tap], weights[tap]
-        if weight == none:
+        cell = cells[tap]
+        if weights[tap] == none:
             continue
         flags = np.uint64(facings.flags[cell]) if cell < n_cells else np.uint64(0)
-        has_x, has_y, has_z = flags >> bit_x & one, flags >> bit_y & one, flags >> bit_z & one
-        part = np.float32(1.0)
-        if flags & np.uint64(0b111111) != np.uint64(0):
-            part = max(ramp_x if has_x else none, max(ramp_y if has_y else none, ramp_z if has_z else none))
-            part += _AWAY
-        weight *= part
-        number = -1
-        if flags & np.uint64(SPLIT) != np.uint64(0) and has_x | has_y | has_z:
-            number = _split_number(facings, int(cell))
-        if number < 0:
+        part_x = ramp_x if flags >> bits[0] & one else none
+        part_y = ramp_y if flags >> bits[1] & one else none
+        part_z = ramp_z if flags >> bits[2] & one else none
+        part = max(part_x, max(part_y, part_z))
+        if flags & np.uint64(FACING_FLAGS) == np.uint64(0):
+            part = np.float32(1.0)
+        weight = weights[tap] * (part + _AWAY)
+        if flags & np.uint64(SPLIT) != np.uint64(0) and part > none:
+            a, b, c = x if part_x > none else none, y if part_y > none else none, z if part_z > none else none
+            at = _share_of_split(sight, cell, flags, a, b, c, bits, weight, rows, seen, at)
+        else:
             rows[at], seen[at] = cell, weight
-            at += 1
-            continue
-        a, b, c = (x if has_x else none), (y if has_y else none), (z if has_z else none)
-        least = max(a, max(b, c)) - _NEAR
-        a, b, c = (
-            max(a - least, none) if has_x else none,
-            max(b - least, none) if has_y else none,
-            max(c - least, none) if has_z else none,
-        )
-        weight /= a + b + c
-        row = sight.first_row + np.int64(facings.rows[number])
-        if a > none:
-            rows[at], seen[at] = row + popcount(flags & ((one << bit_x) - one)), weight * a
-            at += 1
-        if b > none:
-            rows[at], seen[at] = row + popcount(flags & ((one << bit_y) - one)), weight * b
-            at += 1
-        if c > none:
-            rows[at], seen[at] = row + popcount(flags & ((one << bit_z) - one)), weight * c
             at += 1
     return at
 
@@ -213,8 +240,8 @@ def _take_unmixed(
         cell = cells[tap]
         flags = facings.flags[cell] if cell < n_cells else np.uint8(0)
         if flags & np.uint8(SPLIT) != 0 and flags & (flags >> np.uint8(1)) & np.uint8(POSITIVE_FACINGS) != 0:
-            number = _split_number(facings, int(cell))
-            if number >= 0 and sight.spreads[number] >= sight.threshold:
+            row = min(_first_row(facings, int(cell)), sight.spreads.size - 1)
+            if row >= 0 and sight.spreads[row] >= sight.threshold:
                 continue
         rows[at], seen[at] = cell, weights[tap]
         at += 1

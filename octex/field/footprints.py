@@ -27,12 +27,13 @@ Int32s = npt.NDArray[np.int32]
 
 #: Looks made at once: few enough to stay in the processor's cache.
 _ROOM = 1 << 14
-#: By filter: levels by which looks are finer than cells of the footprint's width, for round footprints and, per
-#: row of looks, for long ones.
+#: By filter: levels by which looks are finer than cells of the footprint's width, for round footprints and,
+#: beyond those for its rows of looks, for long ones. Errors were least so, or nearly, for painted content on
+#: a sphere seen in 20², 64² and 256² pixels.
 ROUND_FINER = 0.85, 0.6, 0.85, 1.15
 LONG_FINER = 1.0, 0.85, 1.0, 1.2
-#: What is as near as this to a whole level is read there alone: a third of what lies between is saved, for 3 %
-#: more error. So one look does for widths of 1, 2, 4 … cells.
+#: What is as near as this to a whole level is read there alone. That saves 15 % of all looks, for 3 % more
+#: error, and one look does for widths of 1, 2, 4 … cells.
 WHOLE = 0.1501
 
 
@@ -162,7 +163,7 @@ def _steps(half: float) -> int:
 def _count(
     shape: Footprints, levels: Float32s, first: int, depth: int, rows: int, room: int, counts: Int64s
 ) -> int:
-    """Count looks (depth + 1,) of points from ``first`` on by level, as many as fit; return the points' end."""
+    """Count looks by level (depth + 1,) for points from ``first`` on, as many as fit; return their end."""
     total = 0
     looks = 1
     for n in range(first, levels.size):

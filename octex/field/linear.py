@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.field.blend import Task, color_point, new_seen
+from octex.field.blend import Task, ask_for_facings, blend_all, blend_seen, new_seen, see_taps
 from octex.field.blocks import (
     BLOCK,
     Bytes,
@@ -22,6 +22,7 @@ from octex.field.blocks import (
     new_near,
     tile_key,
 )
+from octex.field.facings import ALL
 from octex.field.tiles import Tiles, code_in_tile
 from octex.jit import fused_kernel, inlined, kernel, popcount, prefetch
 from octex.tree.search import Origin
@@ -168,11 +169,19 @@ def linear_colors(tiles: Tiles, origin: Origin, size: float, task: Task) -> tupl
         fault = linear_block(tiles, flat_points, begin, count, origin, size, values, block)
         if fault >= 0:
             return n_missed, fault
+        if task.sight.mode != ALL:
+            ask_for_facings(task.sight, block.cells, 8 * BLOCK)
+            for n in range(count):
+                see_taps(task, begin, n, block.cells, block.weights, n, n + 8 * BLOCK, BLOCK, seen)
         for n in range(count):
-            if not color_point(
-                *(task, begin + n, block.cells, block.weights, n, n + 8 * BLOCK, BLOCK),
-                *(seen, flat_values, flat_results),
-            ):
+            if task.sight.mode == ALL:
+                found = blend_all(
+                    *(task, begin + n, block.cells, block.weights, n, n + 8 * BLOCK, BLOCK),
+                    *(flat_values, flat_results),
+                )
+            else:
+                found = blend_seen(task, begin, n, seen)
+            if not found:
                 task.colors.missed[n_missed] = begin + n
                 n_missed += 1
     return n_missed, -1

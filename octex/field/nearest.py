@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from octex.field.blend import Task, color_point, new_seen
+from octex.field.blend import Task, ask_for_facings, blend_all, blend_seen, new_seen, see_taps
 from octex.field.blocks import (
     BLOCK,
     Near,
@@ -16,6 +16,7 @@ from octex.field.blocks import (
     new_near,
     tile_key,
 )
+from octex.field.facings import ALL
 from octex.field.tiles import Tiles, code_in_tile
 from octex.jit import fused_kernel, inlined, popcount, prefetch
 from octex.tree.layout import GRID_BITS
@@ -86,8 +87,16 @@ def nearest_colors(tiles: Tiles, origin: Origin, size: float, task: Task) -> tup
             cells[at] = cell
             stored[at] = np.float32((mask >> bit) & np.uint64(1))
             prefetch(values, cell)
+        if task.sight.mode != ALL:
+            ask_for_facings(task.sight, cells, count)
+            for n in range(count):
+                see_taps(task, begin, n, cells, stored, n, n + 1, 1, seen)
         for n in range(count):
-            if not color_point(task, begin + n, cells, stored, n, n + 1, 1, seen, flat_values, flat_results):
+            if task.sight.mode == ALL:
+                found = blend_all(task, begin + n, cells, stored, n, n + 1, 1, flat_values, flat_results)
+            else:
+                found = blend_seen(task, begin, n, seen)
+            if not found:
                 task.colors.missed[n_missed] = begin + n
                 n_missed += 1
     return n_missed, -1

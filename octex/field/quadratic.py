@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.field.blend import Task, color_point, new_seen
+from octex.field.blend import Task, ask_for_facings, blend_all, blend_seen, new_seen, see_taps
 from octex.field.blocks import (
     BLOCK,
     Bytes,
@@ -26,6 +26,7 @@ from octex.field.blocks import (
     new_near,
     tile_key,
 )
+from octex.field.facings import ALL
 from octex.field.tiles import Tiles, code_in_tile
 from octex.jit import fused_kernel, inlined, kernel, popcount, prefetch, trailing_zeros
 from octex.tree.search import Origin
@@ -242,11 +243,21 @@ def quadratic_colors(
         if fault >= 0:
             return n_missed, fault
         tap = 0
+        if task.sight.mode != ALL:
+            ask_for_facings(task.sight, block.cells, block.ends[count - 1])
+            for n in range(count):
+                see_taps(task, begin, n, block.cells, block.weights, tap, block.ends[n], 1, seen)
+                tap = block.ends[n]
+            tap = 0
         for n in range(count):
             end = block.ends[np.uint64(n)]
-            if not color_point(
-                task, begin + n, block.cells, block.weights, tap, end, 1, seen, flat_values, flat_results
-            ):
+            if task.sight.mode == ALL:
+                found = blend_all(
+                    task, begin + n, block.cells, block.weights, tap, end, 1, flat_values, flat_results
+                )
+            else:
+                found = blend_seen(task, begin, n, seen)
+            if not found:
                 task.colors.missed[n_missed] = begin + n
                 n_missed += 1
             tap = end

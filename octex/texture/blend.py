@@ -117,19 +117,15 @@ def gather(channel: Channel, rows: Rows, result: Floats) -> None:
         result[:] = decode(result, channel.format.space)
 
 
-def facing_spreads(channel: Channel, tree: Octree, level: int) -> Floats:
-    """Say how far the values of opposite facings differ in the split cells of levels 0 … ``level`` (cells,).
-
-    Only that level's are looked at; the others are 0.
-    """
-    tree = tree.truncated(level)
-    spreads = np.zeros(tree.split.cells.size, np.float32)
-    first = int(np.searchsorted(tree.split.cells, tree.arrays.level_cells[level]))
+def facing_spreads(channel: Channel, tree: Octree) -> Floats:
+    """Say how far opposite facings differ in split cells of the tree's deepest level, at their first rows."""
+    spreads = np.zeros(tree.split.areas.size, np.float32)
+    first = int(np.searchsorted(tree.split.cells, tree.arrays.level_cells[tree.max_depth]))
     row = int(np.bitwise_count(tree.split.facings[:first]).sum())
     _, _, split_values, table = _codes(channel)
     if _is_encoded(channel):
         split_values = decode(split_values, channel.format.space)
-    spreads_of(table, split_values, tree.split.facings[first:], row, spreads[first:])
+    spreads_of(table, split_values, tree.split.facings[first:], row, spreads)
     return spreads
 
 

@@ -276,7 +276,7 @@ class OctreeTexture:
     def _spreads(self, channel: Channel, level: int) -> Floats:
         key = channel.format.name, level
         if key not in self._known_spreads:
-            self._known_spreads[key] = facing_spreads(channel, self.tree, level)
+            self._known_spreads[key] = facing_spreads(channel, self._field.level(level).tree)
         return self._known_spreads[key]
 
     def contains(self, points: npt.ArrayLike, *, executor: Executor | None = None) -> npt.NDArray[np.bool_]:
