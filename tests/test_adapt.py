@@ -92,7 +92,7 @@ def merge(
     fit: Fit | None = None,
 ) -> OctreeTexture:
     """Adapt a tree to what its finest cells hold."""
-    found, values = adapted(
+    found, _, values = adapted(
         tree,
         channels,
         sampled(tree, channels),

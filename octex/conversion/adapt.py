@@ -183,8 +183,8 @@ def adapted(
     fit: Fit | None,
     executor: Executor | None,
     progress: Progress,
-) -> tuple[Octree, dict[str, Channel]]:
-    """Return the tree with fewer leaves, and its channels, fitted if there is a ``fit``.
+) -> tuple[Octree, dict[str, Channel], dict[str, Channel]]:
+    """Return the tree with fewer leaves, its channels' means, and its channels, fitted if there is a ``fit``.
 
     ``tree`` is full: all its leaves have its depth; channels hold the source's means. ``wanted`` (finest
     cells,) are the depths wanted there, in Morton order. Without samples none can merge.
@@ -201,7 +201,7 @@ def adapted(
     if max_error is None or samples is None:
         pruned = prune(finest, limits)
         carried = pruned.carried(channels)
-        return pruned.tree, dict(fit(pruned.tree, carried) if fit else carried)
+        return pruned.tree, carried, dict(fit(pruned.tree, carried) if fit else carried)
     return _Merger(finest, channels, samples, max_error, limits, executor, progress).merged(fit)
 
 
@@ -226,8 +226,8 @@ class _Merger:
         self._executor = executor
         self._progress = progress
 
-    def merged(self, fit: Fit | None) -> tuple[Octree, dict[str, Channel]]:
-        """Return the tree of fewest leaves that was found, and its channels."""
+    def merged(self, fit: Fit | None) -> tuple[Octree, dict[str, Channel], dict[str, Channel]]:
+        """Return the tree of fewest leaves that was found, and its channels' means and values."""
         depth = self._finest.tree.max_depth
         depths = self._limits.copy()
         for done, level in enumerate(range(depth - 1, -1, -1)):
@@ -247,7 +247,7 @@ class _Merger:
             if not fit or pruned.tree.n_leaves == before.tree.n_leaves:
                 break
         self._progress("adapt", depth + 3, depth + 3)
-        return pruned.tree, values
+        return pruned.tree, pruned.carried(self._channels), values
 
     def _merge(self, level: int, depths: Depths) -> None:
         """Make leaves of the nodes of a level all of whose children are, where that seems to be near enough.

@@ -15,6 +15,7 @@ from octex.channels import ONE, ChannelFormat
 from octex.checks import as_choice, as_depth
 from octex.conversion.adapt import adapted, as_max_error
 from octex.conversion.detail import DetailFunction, channel_of, wanted_levels
+from octex.conversion.facings import separated
 from octex.conversion.fill import assemble, fill
 from octex.conversion.fit import fitted
 from octex.errors import ArgumentError
@@ -62,7 +63,8 @@ def convert(
     by alpha too if it is among them (Benson & Davis 2002, 3.1, 3.5 and 5). Directions are averaged as
     vectors: the less they agree, the shorter is the mean. A cell in which the surface shows both ways along
     an axis keeps a mean for each facing too, if one differs from the whole by more than 1/255 of the encoded
-    range; light stored as floats is compared on sRGB's curve, and above 1 by ratio (0.9 %). Leaves hold the
+    range; light stored as floats is compared on sRGB's curve, and above 1 by ratio (0.9 %). So do fitted
+    leaves beside others that face the other way, if they differ as much from their means. Leaves hold the
     values with which the field, read with the filter "quadratic", comes nearest to the source; without
     ``fit`` their means, as nodes do.
 
@@ -109,12 +111,14 @@ def convert(
         if samples is not None and fit:
             fitting = partial(fitted, samples=samples, placement=placement, executor=pool, progress=report)
         if most is not None or deepest is not None:
-            tree, values = adapted(
+            tree, means, values = adapted(
                 tree, values, samples,
                 max_error=most, wanted=deepest, fit=fitting, executor=pool, progress=report,
             )  # fmt: skip
         elif fitting is not None:
-            values = fitting(tree, values)
+            means, values = values, fitting(tree, values)
+        if fitting is not None:
+            tree, values = separated(tree, means, values)
     options = {
         **({"depth": depth} if cell is None else {"cell": float(cell)}),
         "fit": fit,

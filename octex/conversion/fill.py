@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import ONE, ChannelFormat, encode, linear_to_srgb
+from octex.channels import ChannelFormat, encode
 from octex.conversion.accumulate import (
     Columns,
     Sums,
@@ -22,6 +22,7 @@ from octex.conversion.accumulate import (
 )
 from octex.conversion.cells import BLOCK_BITS, SPREAD, load_triangle
 from octex.conversion.detail import Wanted, deepest_wanted
+from octex.conversion.facings import MOST, in_codes
 from octex.conversion.pieces import Blocks, bin_triangles, cut, most_pieces
 from octex.conversion.samples import Samples, Taken, join, take_samples
 from octex.errors import ArgumentError, ModelError
@@ -230,8 +231,8 @@ def _stored(level: Sums, channels: Sequence[ChannelFormat], columns: Columns) ->
         owners = np.repeat(cells, counts)
         differs = np.zeros(len(owners), np.bool_)
         for channel, whole, facing in zip(channels, values, facing_values, strict=True):
-            apart = _in_codes(facing, channel) - _in_codes(whole[owners], channel)
-            differs |= (np.abs(apart) > 1.0).any(axis=1)
+            apart = in_codes(facing, channel) - in_codes(whole[owners], channel)
+            differs |= (np.abs(apart) > MOST).any(axis=1)
         is_split = np.logical_or.reduceat(differs, np.cumsum(counts) - counts)
         rows = np.repeat(is_split, counts)
         cells, facing_areas = cells[is_split], facing_areas[rows]
@@ -239,18 +240,6 @@ def _stored(level: Sums, channels: Sequence[ChannelFormat], columns: Columns) ->
         flags = flags.copy()
         flags[cells] |= SPLIT
     return Stored(flags, means.areas, values, cells, level.flags[cells], facing_areas, facing_values)
-
-
-def _in_codes(stored: npt.NDArray[np.generic], channel: ChannelFormat) -> npt.NDArray[np.floating]:
-    """Return stored values on the scale of 8-bit codes: light on sRGB's curve, a logarithm from 1 on."""
-    if channel.space == "linear" and channel.dtype.startswith("float"):
-        light = stored.astype(np.float64)
-        slope = 1.055 / 2.4  # of the curve at 1
-        return 255.0 * (linear_to_srgb(np.minimum(light, 1.0)) + slope * np.log(np.maximum(light, 1.0)))
-    scale = 255.0 / ONE[channel.dtype]
-    if channel.space == "direction" and channel.dtype.startswith("float"):
-        scale /= 2  # −1 … 1
-    return stored.astype(np.float32) * np.float32(scale)
 
 
 def assemble(channels: Sequence[ChannelFormat], filled: Filled) -> tuple[Octree, dict[str, Channel]]:
