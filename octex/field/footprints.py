@@ -142,33 +142,46 @@ def _shares_of(level: np.float32, depth: int, sharpness: float) -> tuple[int, fl
 
 
 @inlined
-def _half_length(width: float, length: float, rows: int) -> float:
-    """Half of the length along which looks are made, in steps from one to the next.
+def _lay(width: float, length: float, rows: int, least: float) -> tuple[float, float, float]:
+    """Lay looks out over a long footprint: how far apart they are, and how far they reach along and across.
 
-    What the looks' own width adds to the variance is taken off.
+    They reach to both sides, along in steps from one to the next, and two rows of them across. The variances
+    are then the footprint's; what the looks' own width adds to them is taken off. Looks are not nearer to
+    each other than ``least``, a leaf's edge.
     """
-    if not width > 0.0:
-        return 0.0
-    steps = length / width * rows
-    return float(0.5 * np.sqrt(max(steps * steps - 2.0, 0.0)))
+    apart = max(width / rows, least)
+    if not apart > 0.0:
+        return 0.0, 0.0, 0.0
+    steps = length / apart
+    along = 0.5 * np.sqrt(max(steps * steps - 2.0, 0.0))
+    across = np.sqrt(max(width * width - apart * apart, 0.0) / 12.0) if rows > 1 else 0.0
+    return apart, float(along), float(across)
 
 
 @inlined
-def _steps(half: float) -> int:
+def _steps(along: float) -> int:
     """How many looks are made to each side of the middle."""
-    return int(np.ceil(max(half - 0.5, 0.0)))
+    return int(np.ceil(max(along - 0.5, 0.0)))
 
 
 @kernel
 def _count(
-    shape: Footprints, levels: Float32s, first: int, depth: int, rows: int, room: int, counts: Int64s
+    shape: Footprints,
+    levels: Float32s,
+    first: int,
+    depth: int,
+    rows: int,
+    least: float,
+    room: int,
+    counts: Int64s,
 ) -> int:
     """Count looks by level (depth + 1,) for points from ``first`` on, as many as fit; return their end."""
     total = 0
     looks = 1
     for n in range(first, levels.size):
         if rows > 0:
-            looks = rows * (2 * _steps(_half_length(shape.widths[n], shape.lengths[n], rows)) + 1)
+            _, along, across = _lay(shape.widths[n], shape.lengths[n], rows, least)
+            looks = (2 * _steps(along) + 1) * (2 if across > 0.0 else 1)
         total += looks
         if total > room and n > first:
             return n
@@ -209,6 +222,7 @@ def _spread(
     end: int,
     depth: int,
     rows: int,
+    least: float,
     ends: Int64s,
     places: Points,
     owners: Int32s,
@@ -224,15 +238,15 @@ def _spread(
             _put(ends, lower, own, x, y, z, *target)
             _put(ends, lower + 1, after, x, y, z, *target)
             continue
-        width = shape.widths[n]
-        half = _half_length(width, shape.lengths[n], rows)
-        steps = _steps(half)
+        apart, along, across = _lay(shape.widths[n], shape.lengths[n], rows, least)
+        steps = _steps(along)
+        n_rows = 2 if across > 0.0 else 1
         for step in range(-steps, steps + 1):
-            part = 1.0 / rows
-            if half > 0.5:
-                part *= (min(step + 0.5, half) - max(step - 0.5, -half)) / (2.0 * half)
-            for row in range(rows):
-                a, b = step * width / rows, ((row + 0.5) / rows - 0.5) * width
+            part = 1.0 / n_rows
+            if along > 0.5:
+                part *= (min(step + 0.5, along) - max(step - 0.5, -along)) / (2.0 * along)
+            for row in range(n_rows):
+                a, b = step * apart, (2 * row - 1) * across
                 u = x + a * shape.along[n, 0] + b * shape.across[n, 0]
                 v = y + a * shape.along[n, 1] + b * shape.across[n, 1]
                 w = z + a * shape.along[n, 2] + b * shape.across[n, 2]
@@ -254,15 +268,16 @@ def spread(
     if rows == 0 and levels.size and (levels == levels[0]).all():
         yield from _alike(points, levels[0], shape.sharpness, depth, room)
         return
+    least = size / 2**depth
     first = 0
     while first < len(points):
         counts = np.zeros(depth + 1, np.int64)
-        end = _count(shape, levels, first, depth, rows, room, counts)
+        end = _count(shape, levels, first, depth, rows, least, room, counts)
         starts = np.concatenate([[0], np.cumsum(counts)])
         places, owners = np.empty((starts[-1], 3), points.dtype), np.empty(starts[-1], np.int32)
         shares = np.empty(starts[-1], np.float32)
         ends = starts[:-1].copy()
-        _spread(points, shape, levels, first, end, depth, rows, ends, places, owners, shares)
+        _spread(points, shape, levels, first, end, depth, rows, least, ends, places, owners, shares)
         looks = {}
         for level in np.flatnonzero(counts).tolist():
             at = slice(starts[level], starts[level + 1])
