@@ -10,7 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from octex.field.blend import Codes
 from octex.field.blocks import BLOCK
+from octex.field.facings import all_in_sight
 from octex.field.field import Field, NotFiniteError, Taps
 from octex.field.neighborhood import MOST_TAPS
 from octex.field.splines import FILTERS
@@ -172,7 +174,9 @@ def test_colors_are_those_of_the_reference_where_leaves_reach(filter: str, drawn
         values = random.integers(0, table.size, (tree.n_cells, 3), dtype)
         decoded = table[values]
     results = np.full((len(points), 3), -1.0, np.float32)
-    missed = Field(tree).colors(points, UNIT, filter, values, table, results)
+    none = np.empty(0, np.float32)
+    codes = Codes(values, values[:0], table)
+    missed = Field(tree).colors(points, UNIT, filter, all_in_sight(), codes, results, none, none)
     if not can_be_tiled(tree):
         assert missed is None
         assert (results == -1).all()
@@ -208,10 +212,12 @@ def test_a_point_that_is_not_finite_is_named(wrong: float, gradient: bool) -> No
     with pytest.raises(NotFiniteError, match=r"points\[23\]") as caught:
         Field(shell(3, 3)).taps(points, UNIT, gradient=gradient)
     assert caught.value.row == 23
-    values, table = np.zeros((shell(3, 3).n_cells, 3), np.uint8), np.zeros(256, np.float32)
+    values, none = np.zeros((shell(3, 3).n_cells, 3), np.uint8), np.empty(0, np.float32)
+    codes = Codes(values, values[:0], np.zeros(256, np.float32))
+    results = points.astype(np.float32)
     for filter in FILTERS[:3]:
         with pytest.raises(NotFiniteError, match=r"points\[23\]"):
-            Field(shell(3, 3)).colors(points, UNIT, filter, values, table, points.astype(np.float32))
+            Field(shell(3, 3)).colors(points, UNIT, filter, all_in_sight(), codes, results, none, none)
 
 
 def test_outside_the_root_slopes_are_those_of_the_nearest_point_inside() -> None:

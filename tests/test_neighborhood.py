@@ -47,6 +47,7 @@ class Taps(NamedTuple):
     rows: npt.NDArray[np.uint32]
     weights: npt.NDArray[np.float32]
     slopes: npt.NDArray[np.float32]
+    covers: npt.NDArray[np.float32]
 
     def spread(self, n: int, n_rows: int) -> npt.NDArray[np.float64]:
         """Weight and slopes of every row in point n: (4, rows)."""
@@ -74,17 +75,21 @@ def taps(
     starts = np.zeros(len(points) + 1, np.int64)
     rows, weights = np.zeros(room, np.uint32), np.zeros(room, np.float32)
     slopes = np.zeros((room * gradient, 3), np.float32)
+    covers = np.zeros(len(points), np.float32)
     code = FILTERS.index(filter)
     parts = []
     done = 0
     while done < len(points):
         own = starts[done:].copy()
-        n = walk_all(arrays, kept_cells, points, done, *UNIT, code, walk, own, rows, weights, slopes, covers)
+        n = walk_all(
+            *(arrays, kept_cells, points, done, *UNIT, code, walk),
+            *(own, rows, weights, slopes, covers[done:]),
+        )
         assert n > 0
         starts[done : done + n + 1] = starts[done] + own[: n + 1]
         parts.append([array[: own[n]].copy() for array in (rows, weights, slopes)])
         done += n
-    return Taps(starts, *(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    return Taps(starts, *(np.concatenate(columns) for columns in zip(*parts, strict=True)), covers)
 
 
 @each_filter
@@ -109,8 +114,9 @@ def test_taps_do_not_depend_on_the_points_before_them(filter: str, drawn: Drawn)
     for n in range(len(drawn.points)):
         alone = taps(arrays, kept_cells, drawn.points[n : n + 1], filter)
         here = slice(together.starts[n], together.starts[n + 1])
-        for own, of_all in zip(alone[1:], together[1:], strict=True):
+        for own, of_all in zip(alone[1:4], together[1:4], strict=True):
             np.testing.assert_array_equal(own, of_all[here])
+        assert alone.covers == together.covers[n]
 
 
 @given(trees_and_points())
@@ -146,8 +152,10 @@ def test_slopes_are_by_rest_position() -> None:
     room = MOST_TAPS
     starts, rows = np.zeros(2, np.int64), np.zeros(room, np.uint32)
     weights, slopes = np.zeros(room, np.float32), np.zeros((room, 3), np.float32)
+    covers = np.zeros(1, np.float32)
     placed = walk_all(
-        arrays, kept_cells, rest, 0, (10.0, -4.0, 0.0), 2.0, 2, new_walk(), starts, rows, weights, slopes
+        *(arrays, kept_cells, rest, 0, (10.0, -4.0, 0.0), 2.0, 2, new_walk()),
+        *(starts, rows, weights, slopes, covers),
     )
     assert placed == 1
     expected = taps(arrays, kept_cells, np.array([[0.25, 0.5, 0.5]]), "quadratic")
@@ -171,7 +179,10 @@ def test_points_that_are_not_finite_are_reported(value: float) -> None:
     points[1, 2] = value
     starts, rows = np.zeros(4, np.int64), np.zeros(2 * MOST_TAPS, np.uint32)
     weights, slopes = np.zeros(rows.size, np.float32), np.zeros((0, 3), np.float32)
-    done = walk_all(arrays, kept_cells, points, 0, *UNIT, 2, new_walk(), starts, rows, weights, slopes)
+    covers = np.zeros(3, np.float32)
+    done = walk_all(
+        arrays, kept_cells, points, 0, *UNIT, 2, new_walk(), starts, rows, weights, slopes, covers
+    )
     assert done == -2
 
 

@@ -139,27 +139,25 @@ def test_pictures_do_not_depend_on_the_size_of_the_blocks(monkeypatch):
     assert np.allclose(render(surface, _camera(), source_look(surface)), whole, atol=1e-7)
 
 
-def test_a_texture_is_read_at_the_level_of_the_samples_width():
+def test_a_texture_is_read_with_the_footprints_and_normals_of_the_samples():
     asked = []
 
-    def at_level(level):
-        def sample(points, names):
-            asked.append((level, len(points)))
-            return {name: np.full((len(points), 3), level) for name in names}
+    def sample(points, names, **footprint):
+        asked.append((points, footprint))
+        return {name: np.zeros((len(points), 3)) for name in names}
 
-        return SimpleNamespace(sample=sample)
-
-    texture = SimpleNamespace(
-        channels={"base_color": SimpleNamespace(format=BASE_COLOR)},
-        level=at_level,
-        placement=SimpleNamespace(size=8.0),
-        tree=SimpleNamespace(max_depth=6),
-    )
-    width = np.array([8.0, 1.0, 1.1, 0.9, 1e-9, 0.0, 100.0], np.float32)
-    hits = Hits(np.zeros(7, np.int32), np.zeros((7, 3)), np.zeros((7, 3)), width)
-    colors = texture_look(texture)(hits)
-    assert colors.reflected[:, 0].tolist() == [0, 3, 3, 4, 6, 6, 0]
-    assert sorted(asked) == [(0, 2), (3, 2), (4, 1), (6, 2)]
+    texture = SimpleNamespace(channels={"base_color": SimpleNamespace(format=BASE_COLOR)}, sample=sample)
+    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    stretched = np.array([[2.0, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, 1.0]])
+    posed = Surface.from_arrays(SQUARE @ turned.T + [1.0, 0.0, 0.0], TWO, rest=SQUARE @ stretched + 3.0)
+    render(posed, _camera(5), texture_look(texture), supersample=2)
+    points, footprint = asked[0]
+    assert len(asked) == 1
+    assert points.shape == (100, 3)
+    # A step to the right in the picture is one down at rest, and a step down one to the left.
+    assert np.allclose(footprint["dPdx"], [0.0, -0.5 * 0.1, 0.0], atol=1e-9)
+    assert np.allclose(footprint["dPdy"], [-2.0 * 0.1, 0.0, 0.0], atol=1e-9)
+    assert np.allclose(footprint["normals"], [0.0, 0.0, 1.0])
 
 
 def test_alpha_is_shown_from_both_sides():

@@ -142,7 +142,5 @@ def view(n: int) -> View:
     rays = rays[hit]
     deep = ((points - EYE) @ forward)[:, None]
     facing = (normals * rays).sum(axis=1)[:, None]
-    dPdx, dPdy = (
-        pixel * deep * (step - rays * (normals @ step)[:, None] / facing) for step in (right, -up)
-    )
+    dPdx, dPdy = (pixel * deep * (step - rays * (normals @ step)[:, None] / facing) for step in (right, -up))
     return View(hit, points, dPdx, dPdy, normals)

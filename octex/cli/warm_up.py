@@ -95,7 +95,12 @@ def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
         for filter in FILTERS:
             texture.sample(points, list(texture.channels), filter)
             texture.level(2).sample(points, filter=filter)
+            texture.sample(points, filter=filter, width=0.1)
         texture.sample(points, list(texture.channels), gradient=True)
+        right, down = points * 0.1, points[:, ::-1] * 0.2
+        texture.sample(points, dPdx=right, dPdy=down)
+        texture.sample(points, list(texture.channels), dPdx=right, dPdy=down, normals=points)
+        texture.sample(points, list(texture.channels), width=0.1, gradient=True)
     for dtype in ("uint16", "float16", "float32"):
         coarse = octex.convert(surface, 2, dtype=dtype)
         for filter in ("nearest", "quadratic"):

@@ -84,9 +84,10 @@ def separated(
 
 
 def _beside_opposite(tree: Octree) -> npt.NDArray[np.int64]:
-    """Numbers of the leaves that have opposite facings among their 3×3×3 cells, one of them their own.
+    """Numbers of the leaves that have cells around them, 3×3×3, which do not show what the leaf itself faces.
 
-    Found from the root down: where the cells around a node have none, those around its children have none.
+    Found from the root down: where the cells around a node have no opposite facings, those around its
+    children have none.
     """
     field, flags = Field(tree), tree.arrays.flags
     found = [np.empty(0, np.int64)]
@@ -98,14 +99,19 @@ def _beside_opposite(tree: Octree) -> npt.NDArray[np.int64]:
         for begin in range(0, len(chosen), _BLOCK):
             some = chosen[begin : begin + _BLOCK]
             centres = (decode_cells(codes[some]) + np.float64(0.5)) / 2**level
-            around = _flags_around(field.level(level), centres)
-            opposite = (around & POSITIVE_FACINGS) << 1 | around >> 1 & POSITIVE_FACINGS
-            meets[some] = flags[first + some] & opposite != 0
-        found.append(first + np.flatnonzero(meets & ~is_node))
+            # The spline's weight in the middle of a cell falls on all 3×3×3 cells.
+            taps = field.level(level).taps(centres, Placement((0.0, 0.0, 0.0), 1.0))
+            around, own = flags[taps.rows], np.repeat(flags[first + some], np.diff(taps.starts))
+            opposite = _opposite(own) & around
+            is_beside = (opposite != 0) & ((_opposite(opposite) & ~around | around & SPLIT) != 0)
+            starts = taps.starts[:-1]
+            meets[some] = np.logical_or.reduceat(opposite != 0, starts)
+            leaves = some[np.logical_or.reduceat(is_beside, starts) & ~is_node[some]]
+            found.append(first + leaves)
     return np.concatenate(found)
 
 
-def _flags_around(field: Field, centres: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
-    """Join the flags of the cells under the spline at cells' centres: those of 3×3×3 cells."""
-    taps = field.taps(centres, Placement((0.0, 0.0, 0.0), 1.0))
-    return np.bitwise_or.reduceat(field.tree.arrays.flags[taps.rows], taps.starts[:-1])
+def _opposite(flags: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """Return the flags of the opposite facings."""
+    positive = np.uint8(POSITIVE_FACINGS)
+    return (flags & positive) << np.uint8(1) | flags >> np.uint8(1) & positive

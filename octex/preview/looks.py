@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -28,6 +27,9 @@ class Hits(NamedTuple):
     barycentric: npt.NDArray[np.float64]  # (n, 3)
     rest: npt.NDArray[np.float64]  # (n, 3)   rest positions
     width: npt.NDArray[np.float32]  # (n,)   what a sample covers there, in rest units
+    dPdx: npt.NDArray[np.float64]  # (n, 3)   how rest positions change to the sample at its right
+    dPdy: npt.NDArray[np.float64]  # (n, 3)   and to the one below
+    normals: npt.NDArray[np.float64]  # (n, 3)   of the surface at rest
 
 
 class Appearance(NamedTuple):
@@ -114,25 +116,14 @@ def source_look(surface: Surface, channel: str | None = None) -> Look:
 
 
 def texture_look(texture: OctreeTexture, channel: str | None = None) -> Look:
-    """Show a surface by the field of a texture, of the level that suits what each sample covers.
+    """Show a surface by the field of a texture, averaged over what each sample covers, on the side it sees.
 
     ``channel`` as for ``source_look``. Raises ArgumentError for a channel that is not there.
     """
     shown = Shown.of((stored.format for stored in texture.channels.values()), channel)
-    level_of = cache(texture.level)
 
     def look(hits: Hits) -> Appearance:
-        # The first level whose cells are no larger than what the sample covers.
-        levels = np.ceil(np.log2(texture.placement.size / np.maximum(hits.width, 1e-30)))
-        levels = np.clip(levels, 0, texture.tree.max_depth).astype(np.int64)
-        values = {
-            name: np.empty((len(levels), texture.channels[name].format.components), np.float32)
-            for name in shown.names
-        }
-        for level in np.unique(levels):
-            at = levels == level
-            for name, found in level_of(int(level)).sample(hits.rest[at], shown.names).items():
-                values[name][at] = found
+        values = texture.sample(hits.rest, shown.names, dPdx=hits.dPdx, dPdy=hits.dPdy, normals=hits.normals)
         return shown.appearance(values)
 
     return look

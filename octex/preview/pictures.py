@@ -53,9 +53,11 @@ def seen_hits(surface: Surface, camera: Camera) -> Iterator[tuple[npt.NDArray[np
     """Yield what the camera's pixels see, some at a time, with their numbers row by row."""
     buffers = rasterize(surface.vertices, surface.triangles, camera)
     # What is one wide on the posed model is so wide at rest.
-    _, posed_areas = face_normals(surface.vertices, surface.triangles)
+    faces, posed_areas = face_normals(surface.vertices, surface.triangles)
     _, rest_areas = face_normals(surface.rest, surface.triangles)
     stretch = np.sqrt(rest_areas / np.maximum(posed_areas, 1e-300))
+    is_posed = not np.array_equal(surface.rest, surface.vertices)
+    smooth = corner_normals(surface.rest, surface.triangles)
     seen = np.flatnonzero(buffers.triangle >= 0)
     for first in range(0, len(seen), _BLOCK):
         pixels = seen[first : first + _BLOCK]
@@ -63,7 +65,24 @@ def seen_hits(surface: Surface, camera: Camera) -> Iterator[tuple[npt.NDArray[np
         barycentric = buffers.barycentric.reshape(-1, 3)[pixels].astype(np.float64)
         width = camera.pixel_width(buffers.depth.ravel()[pixels]) * stretch[triangles]
         rest = _between(barycentric, surface.rest[surface.triangles[triangles]])
-        yield pixels, Hits(triangles, barycentric, rest, width.astype(np.float32))
+        posed = _between(barycentric, surface.vertices[surface.triangles[triangles]])
+        right, down = camera.differentials(posed, faces[triangles])
+        if is_posed:
+            right, down = _at_rest(surface, triangles, right, down)
+        normals = _between(barycentric, smooth[triangles])
+        yield pixels, Hits(triangles, barycentric, rest, width.astype(np.float32), right, down, normals)
+
+
+def _at_rest(
+    surface: Surface, triangles: npt.NDArray[np.int32], *steps: npt.NDArray[np.float64]
+) -> Iterator[npt.NDArray[np.float64]]:
+    """Yield what steps (n, 3) on posed triangles (n,) are at rest."""
+    used, places = np.unique(triangles, return_inverse=True)
+    posed, rest = (
+        np.diff(positions[surface.triangles[used]], axis=1) for positions in (surface.vertices, surface.rest)
+    )
+    maps = np.einsum("mki,mjk->mij", rest, np.linalg.pinv(posed))
+    return (np.einsum("nij,nj->ni", maps[places], step) for step in steps)
 
 
 class Film:

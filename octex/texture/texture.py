@@ -257,11 +257,12 @@ class OctreeTexture:
             alpha = None
         query = look.query(given)
         groups = [slice(0, len(channels))]
-        if query.footprints is not None and query.normals is None and self.tree.split.cells.size:
-            groups = [slice(n, n + 1) for n in range(len(channels))]  # each has its own spreads
+        is_ruled = query.footprints is not None and query.normals is None and self.tree.split.cells.size > 0
+        if is_ruled:  # each channel has its own spreads
+            groups = [slice(n, n + 1) for n in range(len(channels))]
         fault = -1
         for group in groups:
-            if len(groups) == len(channels):
+            if is_ruled:
                 query = query._replace(spreads=partial(self._spreads, channels[group.start]))
             fault = look_up(
                 *(self._field, self.placement, given["points"], query, channels[group], alpha),

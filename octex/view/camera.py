@@ -177,6 +177,27 @@ class Camera:
             directions, axis=1, keepdims=True
         )
 
+    def differentials(self, points: npt.ArrayLike, normals: npt.ArrayLike) -> tuple[Floats, Floats]:
+        """Return how seen points (n, 3) move, in the world, from a pixel to the next: to the right and down.
+
+        What is seen there is taken for planes with ``normals`` (n, 3) (Igehy, "Tracing Ray Differentials",
+        1999). Planes that are seen edge-on are taken as turned by 0.06°.
+        """
+        points, normals = as_points(points), as_points(normals, "normals")
+        rotation = self.world_to_camera[:3, :3]
+        steps = (np.linalg.inv(self.K)[:, :2].T * [1.0, 1.0, 0.0]) @ rotation  # at depth 1
+        if self.projection == "pinhole":
+            rays = points - self.position
+            depths = rays @ rotation[2]
+            rays, scale = rays / depths[:, None], depths[:, None]
+        else:
+            rays, scale = np.broadcast_to(rotation[2], points.shape), np.ones((len(points), 1))
+        facing = np.einsum("nk,nk->n", normals, rays)
+        least = 1e-3 * np.linalg.norm(rays, axis=1)
+        facing = np.where(np.abs(facing) < least, np.copysign(least, facing), facing)
+        right, down = (scale * (step - rays * ((normals @ step) / facing)[:, None]) for step in steps)
+        return right, down
+
     def pixel_width(self, depth: npt.ArrayLike) -> Floats:
         """Return how wide a pixel is in the world, across the view, at depths of any shape."""
         focal = np.sqrt(self.K[0, 0] * self.K[1, 1])
