@@ -16,7 +16,7 @@ from octex.channels import ChannelFormat, linear_to_srgb
 from octex.errors import ArgumentError
 from octex.field.blend import Codes
 from octex.field.filtered import Query, filtered_colors
-from octex.source import Surface
+from octex.source.surface import Surface
 from octex.texture import FILTERS, Channel, OctreeTexture
 from octex.tree.layout import SPLIT, SplitTable
 from octex.tree.morton import decode_cells, encode_cells
@@ -44,7 +44,7 @@ def as_list(texture: OctreeTexture, points: Array, filter: str, **views: Any) ->
     """What the way through lists of taps finds, which a dtype that is decoded late must take."""
     form = texture.channels["base_color"].format._replace(name="other", components=4)
     channel = texture.channels["base_color"]
-    wide = [np.repeat(part, 2, axis=1)[:, :4] for part in channel[1:]]
+    wide = [np.ascontiguousarray(np.repeat(part, 2, axis=1)[:, :4]) for part in channel[1:]]
     both = OctreeTexture(texture.tree, {"other": Channel(form, *wide)}, texture.placement, texture.bounds)
     return both.sample(points, "other", filter, **views)[:, [0, 2]]
 
@@ -232,27 +232,42 @@ def test_a_mean_is_a_mean_however_it_is_looked_at() -> None:
             np.testing.assert_allclose(texture.sample(points, filter=filter, **views), expected, atol=1e-6)
 
 
-@pytest.mark.parametrize("normal", [None, (0.0, 0.6, 0.8)])
-def test_nothing_jumps_along_a_slow_zoom_or_a_slow_path(normal: tuple[float, ...] | None) -> None:
-    texture = shell(5, 0.0)
-    point, _ = on_shell(1)
+def bent(thickness: float) -> Surface:
+    """A strip bent to a half circle, each side with bands of its own colours."""
+    turn, along = (grid.ravel() for grid in np.meshgrid(np.linspace(0, np.pi, 61), np.linspace(0, 1, 11)))
+    outward = np.column_stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)])
+    axis = np.column_stack([np.zeros_like(turn), np.zeros_like(turn), along])
+    grid = np.arange(11 * 61).reshape(11, 61)
+    a, b, c, d = (part.ravel() for part in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]))
+    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    vertices = np.concatenate([outward + axis, (1 - thickness) * outward + axis])
+    bands = 0.5 + 0.5 * np.sin(9 * turn)
+    none = np.zeros_like(bands)
+    colors = np.concatenate([np.column_stack([bands, none, none]), np.column_stack([none, bands, none])])
+    return Surface.from_arrays(vertices, np.concatenate([faces, faces[:, ::-1] + 11 * 61]), colors=colors)
+
+
+@pytest.mark.parametrize("facing", [False, True])
+def test_nothing_jumps_along_a_slow_zoom_or_a_slow_path(facing: bool) -> None:
+    texture = octex.convert(bent(0.02), depth=5)
     steps = 20_000
-    normals = None if normal is None else np.tile([normal], (steps, 1))
-    widths = np.exp(np.linspace(np.log(0.005), np.log(4.0), steps))
-    zoom = texture.sample(np.repeat(point, steps, axis=0), width=widths, normals=normals)
-    assert np.abs(np.diff(zoom, axis=0)).max() < 0.01
-    right, down = np.tile([[1.0, 0.3, 0.0]], (steps, 1)), np.tile([[0.0, 0.2, 0.2]], (steps, 1))
-    scale = widths[:, None]
-    long = texture.sample(
-        np.repeat(point, steps, axis=0), dPdx=right * scale, dPdy=down * scale, normals=normals
-    )
-    assert np.abs(np.diff(long, axis=0)).max() < 0.01
-    turn = np.linspace(0, 2 * np.pi, steps)
-    away = np.column_stack([np.cos(turn), 0.3 * np.sin(turn), np.sin(turn)])
-    path = 0.5 + 0.45 * unit(away)
-    for width in (0.02, 0.1, 0.4):
-        found = texture.sample(path, width=width, normals=None if normal is None else away)
-        assert np.abs(np.diff(found, axis=0)).max() < 0.02
+    turn = np.linspace(0.3, 2.8, steps)
+    outward = np.column_stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)])
+    path = outward + np.array([0.0, 0.0, 0.43])
+    for width in (0.0, 0.05, 0.3, 1.0):
+        found = texture.sample(path, width=width, normals=outward if facing else None)
+        assert np.abs(np.diff(found, axis=0)).max() < 0.003
+        assert np.ptp(found) > 0.05
+    point = np.repeat(path[5000:5001], steps, axis=0)
+    normals = np.repeat(outward[5000:5001], steps, axis=0) if facing else None
+    widths = np.exp(np.linspace(np.log(0.005), np.log(9.0), steps))
+    zoom = texture.sample(point, width=widths, normals=normals)
+    assert np.abs(np.diff(zoom, axis=0)).max() < 0.003
+    right, down = np.array([[1.0, 0.3, 0.0]]), np.array([[0.0, 0.2, 0.2]])
+    long = texture.sample(point, dPdx=right * widths[:, None], dPdy=down * widths[:, None], normals=normals)
+    assert np.abs(np.diff(long, axis=0)).max() < 0.003
+    blind = texture.sample(point, width=widths, bleed_threshold=np.inf)
+    assert np.abs(np.diff(blind, axis=0)).max() < 0.003
 
 
 def test_sharpness_sharpens_what_is_coarser_than_leaves() -> None:
@@ -262,7 +277,7 @@ def test_sharpness_sharpens_what_is_coarser_than_leaves() -> None:
     points = np.column_stack([x, np.full_like(x, 0.41), np.full_like(x, 0.502)])
     contrasts = [np.ptp(texture.sample(points, width=0.1, sharpness=s)[:, 0]) for s in (0, 0.5, 1)]
     assert contrasts[0] < contrasts[1] < contrasts[2]
-    assert contrasts[2] == pytest.approx(1.0, abs=0.06)
+    assert contrasts[2] == pytest.approx(1.0, abs=0.1)
     fine = [texture.sample(points, width=1e-4, sharpness=s) for s in (0, 1)]
     np.testing.assert_array_equal(*fine)
 
@@ -379,7 +394,10 @@ def test_the_papers_rule_goes_down_to_where_sides_are_apart() -> None:
     is_front = (samples.triangles < len(surface.triangles) // 2)[:, None]
     expected = np.where(is_front, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
     for width in (0.01, 0.2, 1.0, 10.0):
-        assert np.abs(texture.sample(samples.rest, width=width) - expected).max() <= 1 / 255
+        found = texture.sample(samples.rest, filter="nearest", width=width)
+        assert np.abs(found - expected).max() <= 1 / 255
+        # The spline between cells reaches the other side's cells where they are the next ones.
+        assert np.abs(texture.sample(samples.rest, width=width) - expected).max() < 0.45
     blind = texture.sample(samples.rest, width=10.0, bleed_threshold=2.0)
     np.testing.assert_allclose(blind, [[0.5, 0.5, 0.0]] * 300, atol=0.01)
 
@@ -392,9 +410,9 @@ def test_a_front_and_a_back_that_are_nearly_alike_may_mix() -> None:
     texture = octex.convert(alike, depth=6, fit=False)
     assert texture.tree.arrays.flags[0] & SPLIT
     rest = alike.scatter(50).rest
-    np.testing.assert_allclose(texture.sample(rest, width=10.0), 0.51, atol=0.002)
-    apart = texture.sample(rest, width=10.0, bleed_threshold=0.01)
-    assert (np.abs(apart - 0.51) > 0.008).all()
+    np.testing.assert_allclose(texture.sample(rest, width=10.0), 0.51, atol=0.003)
+    apart = texture.sample(rest, filter="nearest", width=10.0, bleed_threshold=0.01)
+    assert (np.abs(apart - 0.51) > 0.006).all()
 
 
 def test_sheets_that_face_the_same_way_cannot_be_told_apart() -> None:
@@ -441,7 +459,11 @@ def test_averages_are_the_sources_whether_fitted_or_not() -> None:
     assert not np.array_equal(a, b)
     samples = surface.scatter(400_000)
     source = surface.evaluate(samples)
-    cells = np.floor(means.placement.to_texture(samples.rest) * 2).astype(int) @ [1, 2, 4]
+    cells = np.floor((samples.rest - means.placement.origin) / means.placement.size * 2).astype(int) @ [
+        1,
+        2,
+        4,
+    ]
     at_level_one = means.level(1)
     for code, octant in enumerate(at_level_one.tree.level_codes(1).tolist()):
         mean = source[cells == octant].mean(axis=0)
@@ -493,7 +515,7 @@ def test_colours_of_trees_without_tiles_take_the_other_way() -> None:
         ),
         ({"normals": [[0, 0, 1]]}, "normals must have a row for each of 3 points, not 1"),
         ({"normals": [0, 0, 1]}, r"normals must have shape \(n, 3\)"),
-        ({"anisotropy": 0.5}, "anisotropy must be from 1 on, not 0.5"),
+        ({"anisotropy": 0.5}, "anisotropy must be from 1 to 256, not 0.5"),
         ({"anisotropy": "much"}, "anisotropy must be a number, not 'much'"),
         ({"blur": -1}, "blur must be from 0 on, not -1"),
         ({"blur": np.inf}, "blur must be from 0 on, not inf"),

@@ -6,8 +6,9 @@
     python tools/bench.py boombox psnr --models FOLDER
     python tools/bench.py --quick                   everything on tiny sizes: does it still run?
 
-Peers are a folder with the programs mesh_bench (OpenVDB's meshToVolume) and vdb_bench (lookups of OpenVDB and
-NanoVDB), and a Python that has Open3D. What is not given is left out, and said to be.
+Peers are a folder with the programs mesh_bench (OpenVDB's meshToVolume), vdb_bench (lookups of OpenVDB and
+NanoVDB) and oiiobench (OpenImageIO's), and a Python that has Open3D. What is not given is left out, and said
+to be.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from tempfile import TemporaryDirectory
 
 from bench_adaptive import adaptive
 from bench_conversion import boombox, large, torus
+from bench_filtered import far, footprints, pages, stretched
 from bench_images import filters, materials
 from bench_lookups import kinds, lookup, resident, today
 from bench_texture import paper, psnr
@@ -41,6 +43,10 @@ BENCHMARKS = {
         kinds,
         resident,
         today,
+        far,
+        footprints,
+        stretched,
+        pages,
     )
 }
 
@@ -55,7 +61,7 @@ def main(arguments: list[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("names", nargs="*", metavar="BENCHMARK", help="all of them by default")
-    parser.add_argument("--peers", type=Path, metavar="FOLDER", help="of mesh_bench and vdb_bench")
+    parser.add_argument("--peers", type=Path, metavar="FOLDER", help="of mesh_bench, vdb_bench, oiiobench")
     parser.add_argument("--peer-python", metavar="PYTHON", help="one that has Open3D")
     parser.add_argument("--models", type=Path, metavar="FOLDER", help="of real models")
     parser.add_argument("--repeats", type=int, default=5, help="rounds, of which medians are taken (5)")

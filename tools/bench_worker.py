@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from bench_inputs import NoChannels, painted_torus, scattered_on_sphere, torus
 from bench_tools import memory, timed
+from painted_sphere import view
 
 import octex
 from octex.conversion.cells import SPREAD
@@ -129,6 +130,24 @@ def look(path: str, level: int) -> Callable[[], Answer]:
     return task
 
 
+def picture(path: str, pixels: int) -> Callable[[], Answer]:
+    """Open a file that is not in the system's cache, and look at all of the sphere in pixels²."""
+    seen = view(pixels)
+    with TemporaryDirectory() as folder:
+        small = Path(folder, "small.octex")
+        octex.convert(painted_torus(20, 10, 16), 5, fit=False).save(small)
+        octex.open(small).sample(seen.points[:100], dPdx=seen.dPdx[:100], dPdy=seen.dPdy[:100])
+
+    def task() -> Answer:
+        drop_from_cache(path)
+        left = cached_bytes(path)
+        texture = octex.open(path)
+        spent, _ = timed(lambda: texture.sample(seen.points, dPdx=seen.dPdx, dPdy=seen.dPdy))
+        return {"touched": cached_bytes(path) - left, "wall": spent.wall}
+
+    return task
+
+
 def resident(path: str, count: int) -> Callable[[], Answer]:
     """Open a file and look up random points of the sphere in it; say how much memory that takes."""
     points = scattered_on_sphere(count)
@@ -180,6 +199,7 @@ TASKS: dict[str, Callable[..., Callable[[], Answer]]] = {
     "large": large,
     "look": look,
     "resident": resident,
+    "picture": picture,
 }
 
 

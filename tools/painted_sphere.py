@@ -12,7 +12,7 @@ from bench_inputs import RADIUS, sphere_cells
 import octex
 from octex.channels import ChannelFormat
 from octex.texture import Channel
-from octex.tree.morton import decode_cells
+from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 
@@ -98,17 +98,10 @@ def _areas(codes: Array, depth: int) -> Array:
     for _ in range(16):
         points = random.normal(size=(2 * len(codes), 3))
         points = 0.5 + RADIUS * points / np.linalg.norm(points, axis=1)[:, None]
-        own = octex_codes(points, depth)
+        own = encode_cells((points * 2**depth).astype(np.int64))
         at = np.minimum(np.searchsorted(codes, np.sort(own)), len(codes) - 1)
         counts += np.bincount(at, minlength=len(codes))
     return counts
-
-
-def octex_codes(points: Array, depth: int) -> Array:
-    """Morton codes of the cells that hold points of the root cell."""
-    from octex.tree.morton import encode_cells
-
-    return encode_cells((points * 2**depth).astype(np.int64))
 
 
 class View(NamedTuple):

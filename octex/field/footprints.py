@@ -32,6 +32,10 @@ _ROOM = 1 << 14
 #: a sphere seen in 20², 64² and 256² pixels.
 ROUND_FINER = 0.85, 0.6, 0.85, 1.15
 LONG_FINER = 1.0, 0.85, 1.0, 1.2
+#: What is shorter has no direction; what is longer is cut off.
+_SHORTEST, _LONGEST = 1e-150, 1e150
+#: What is longer than so many root cells is cut off.
+_ROOTS = 4.0
 #: What is as near as this to a whole level is read there alone. That saves 15 % of all looks, for 3 % more
 #: error, and one look does for widths of 1, 2, 4 … cells.
 WHOLE = 0.1501
@@ -91,9 +95,13 @@ def _principal_axes(
     across: Float64s,
 ) -> None:
     for n in range(widths.size):
+        scale = 0.0
+        for axis in range(3):
+            scale = max(scale, max(abs(np.float64(dPdx[n, axis])), abs(np.float64(dPdy[n, axis]))))
+        scale = max(scale, _SHORTEST)
         a = b = c = 0.0
         for axis in range(3):
-            x, y = np.float64(dPdx[n, axis]), np.float64(dPdy[n, axis])
+            x, y = np.float64(dPdx[n, axis]) / scale, np.float64(dPdy[n, axis]) / scale
             a, b, c = a + x * x, b + x * y, c + y * y
         # Eigenvalues and the eigenvector of the larger one, of [[a, b], [b, c]].
         apart = np.sqrt((a - c) * (a - c) + 4.0 * b * b)
@@ -103,17 +111,17 @@ def _principal_axes(
         p, q = (p / norm, q / norm) if norm > 0.0 else (1.0, 0.0)
         length, width = np.sqrt(larger), np.sqrt(smaller)
         for axis in range(3):
-            x, y = np.float64(dPdx[n, axis]), np.float64(dPdy[n, axis])
+            x, y = np.float64(dPdx[n, axis]) / scale, np.float64(dPdy[n, axis]) / scale
             along[n, axis] = (p * x + q * y) / length if length > 0.0 else 0.0
             across[n, axis] = (p * y - q * x) / width if width > 0.0 else 0.0
-        lengths[n] = length + blur
-        widths[n] = max(width + blur, lengths[n] / anisotropy)
+        lengths[n] = min(length * scale, _LONGEST) + blur
+        widths[n] = max(min(width * scale, _LONGEST) + blur, lengths[n] / anisotropy)
 
 
 def _levels_of(widths: Float64s, size: float, depth: int, finer: float) -> Float32s:
     """Say at which level, 0 … depth and between, looks of some widths are made."""
-    least = size * 0.25**MAX_DEPTH
-    levels = np.log2((size / np.maximum(widths, least)).astype(np.float32)) + np.float32(finer)
+    cells = size / np.clip(widths, size * 0.25**MAX_DEPTH, size * 4.0**MAX_DEPTH)
+    levels = np.log2(cells.astype(np.float32)) + np.float32(finer)
     whole = np.floor(levels)
     part = (levels - whole - np.float32(WHOLE)) / np.float32(1 - 2 * WHOLE)
     levels = np.clip(whole + np.clip(part, 0, 1), 0, depth)
@@ -265,6 +273,9 @@ def spread(
     rows = 0 if not shape.lengths.size else 1 if filter_code <= LINEAR else 2
     finer = LONG_FINER[filter_code] + np.log2(rows) if rows else ROUND_FINER[filter_code]
     levels = _levels_of(shape.widths, size, depth, finer)
+    shape = shape._replace(
+        widths=np.minimum(shape.widths, _ROOTS * size), lengths=np.minimum(shape.lengths, _ROOTS * size)
+    )
     if rows == 0 and levels.size and (levels == levels[0]).all():
         yield from _alike(points, levels[0], shape.sharpness, depth, room)
         return

@@ -16,6 +16,8 @@ from octex.texture.lookup import Given
 #: Difference of a front and a back, of 1, that footprints without normals may mix.
 BLEED_THRESHOLD = 1 / 32
 
+MOST_ANISOTROPY = 256.0
+
 
 class Look(NamedTuple):
     """What is the same for all points of a lookup; see `OctreeTexture.sample`."""
@@ -28,7 +30,7 @@ class Look(NamedTuple):
 
     def check(self, given: dict[str, npt.NDArray[Any]], **more: npt.ArrayLike | None) -> None:
         """Add what else is given of points, a row for each. Raises ArgumentError for what does not fit."""
-        as_number(self.anisotropy, "anisotropy", 1.0, np.inf)
+        as_number(self.anisotropy, "anisotropy", 1.0, MOST_ANISOTROPY)
         as_number(self.blur, "blur", 0.0, np.finfo(np.float64).max)
         as_number(self.sharpness, "sharpness", 0.0, 1.0)
         as_number(self.bleed_threshold, "bleed_threshold", 0.0, np.inf)

@@ -187,7 +187,7 @@ class OctreeTexture:
         dPdx, dPdy  instead of a width: how rest positions change from one pixel to the next, (n, 3) each. The
                   footprint is then the pixel's parallelogram: several looks along its longer axis, and, but
                   for ``nearest`` and ``linear``, two across.
-        anisotropy  how much longer than wide such a footprint may be; a narrower one is widened
+        anisotropy  how much longer than wide such a footprint may be, up to 256; a narrower one is widened
         blur      width that is added to both sides of a footprint, in the model's units
         sharpness  0 … 1: from the mean over the footprint to a kernel of variance zero, whose results may
                   leave the range of the stored values. Leaves are not sharpened.
