@@ -26,22 +26,21 @@ WAYS = {"averaged blindly": {"bleed_threshold": np.inf}, "the paper's flags": {"
 
 
 def main(folder: Path) -> None:
-    surface = ribbon()
-    texture = octex.convert(surface, depth=DEPTH)
+    texture = octex.convert(surface := ribbon(), depth=DEPTH)
 
     def looks(hits, **how):  # the footprint of a pixel, of which 4×4 samples are hits
         return Appearance(texture.sample(hits.rest, dPdx=4 * hits.dPdx, dPdy=4 * hits.dPdy, **how))
 
-    ways = [lambda hits, how=how: looks(hits, **how) for how in WAYS.values()]
-    ways, rows = [*ways, lambda hits: looks(hits, normals=hits.normals)], []
+    ways, rows = [lambda hits, how=how: looks(hits, **how) for how in WAYS.values()], []
+    ways.append(lambda hits: looks(hits, normals=hits.normals))
     for pixels in (96, 48, 24, 12):
         camera = Camera.fitted(surface.vertices, (0.1, 0.25, 1.0), size=(pixels, pixels * 5 // 8))
         truth = film_surface(surface, camera, [source_look(surface)], 64 if SIZE >= 240 else 8)
         pictures = [film.picture() for film in film_surface(surface, camera, ways, 4) + truth]
-        errors = [np.sqrt(((each - pictures[-1]) ** 2).mean()) for each in pictures[:-1]]
-        print(f"{pixels} pixels wide, RMS:", *(f"{error:.2%}" for error in errors))
+        errors = (np.sqrt(((each - pictures[-1]) ** 2).mean()) for each in pictures[:-1])
+        print(f"{pixels} pixels wide, RMS:", *map("{:.2%}".format, errors))
         tiles = [Image.fromarray(encode(each, "uint8", "srgb")) for each in pictures]
-        rows.append(np.hstack([each.resize((SIZE, SIZE * 5 // 8), 0) for each in tiles]))
+        rows.append(np.hstack([tile.resize((SIZE, SIZE * 5 // 8), 0) for tile in tiles]))
     folder.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.vstack(rows)).save(folder / "thin.png")
     print(f"{folder / 'thin.png'}: {', '.join(WAYS)}, octex, truth")
