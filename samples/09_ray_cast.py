@@ -18,7 +18,7 @@ from octex.channels import encode
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "9"))
 WIDTH = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "480"))
-CORNERS = np.array([[-4.0, 0.0, 1.0], [4.0, 0.0, 1.0], [4.0, 0.0, -9.0], [-4.0, 0.0, -9.0]])
+CORNERS = np.array([[-8.0, 0.0, 1.4], [8.0, 0.0, 1.4], [8.0, 0.0, -7.0], [-8.0, 0.0, -7.0]])
 EYE, NORMAL = np.array([0.0, 0.4, 1.4]), np.array([0.0, 1.0, 0.0])
 
 
@@ -32,7 +32,7 @@ def main(folder: Path) -> None:
     right, down = np.array([step, 0.0, 0.0]), np.array([0.0, -step, 0.0])
     y, x = np.mgrid[-height / 2 : height / 2, -WIDTH / 2 : WIDTH / 2].reshape(2, -1) + 0.5
     rays = np.array([0.15, -0.4, -1.0]) + np.outer(x, right) + np.outer(y, down)
-    rays = rays[rays @ NORMAL < -0.02]
+    rays = rays[rays @ NORMAL < -0.048]
     distance = -(EYE @ NORMAL) / (rays @ NORMAL)[:, None]
     points = EYE + distance * rays  # the floor is not posed: it rests where it was hit
     dPdx, dPdy = (distance * (d - rays * ((d @ NORMAL) / (rays @ NORMAL))[:, None]) for d in (right, down))

@@ -194,3 +194,38 @@ def test_a_fit_that_cannot_be_is_refused(changes, complaint):
 def test_pixels_of_another_shape_are_refused():
     with pytest.raises(ArgumentError, match="pixels must have shape"):
         _pinhole().rays([1.0, 2.0])
+
+
+@pytest.mark.parametrize("projection", ["pinhole", "orthographic"])
+def test_differentials_are_how_hits_on_a_plane_move_from_pixel_to_pixel(projection):
+    pose = np.eye(4)
+    pose[:3, :3], _ = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))
+    pose[:3, :3] *= np.linalg.det(pose[:3, :3])
+    pose[:3, 3] = 1.0, -2.0, 3.0
+    if projection == "pinhole":
+        camera = Camera.pinhole((200, 100), pose=pose, convention="opengl", focal=(150.0, 170.0))
+    else:
+        camera = Camera.orthographic((200, 100), pose=pose, convention="opengl", pixels_per_unit=40.0)
+    normal = pose[:3, :3] @ unit([0.3, -0.4, 0.8])
+    foot = pose[:3, 3] - 4.0 * pose[:3, 2]
+
+    def hits(pixels):
+        origins, rays = camera.rays(pixels)
+        return origins + ((foot - origins) @ normal / (rays @ normal))[:, None] * rays
+
+    pixels = np.random.default_rng(3).uniform([40, 20], [160, 80], (50, 2))
+    found = camera.differentials(hits(pixels), np.tile(normal, (50, 1)))
+    for step, along in zip(([1e-4, 0], [0, 1e-4]), found, strict=True):
+        expected = (hits(pixels + step) - hits(pixels - np.array(step))) / 2e-4
+        np.testing.assert_allclose(along, expected, rtol=1e-5, atol=1e-7)
+
+
+def test_differentials_on_planes_seen_edge_on_are_finite():
+    camera = Camera.orthographic((8, 8), pose=np.eye(4), convention="opengl", pixels_per_unit=4.0)
+    right, down = camera.differentials([[0.0, 0.0, -1.0]] * 2, [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    assert np.isfinite(right).all()
+    assert np.isfinite(down).all()
+
+
+def unit(vector):
+    return np.array(vector) / np.linalg.norm(vector)

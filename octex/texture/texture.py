@@ -19,10 +19,10 @@ from octex.checks import as_choice, as_depth, as_point_rows
 from octex.errors import ArgumentError, InputError, TextureFileError
 from octex.field.field import Field
 from octex.field.splines import FILTERS
-from octex.texture.asked import BLEED_THRESHOLD, Look
 from octex.texture.blend import NO_GRADIENTS, facing_spreads, look_up, make_unit
 from octex.texture.channel import Channel
 from octex.texture.file import ENDING, FORMAT, FORMAT_VERSION, File, Parts, taken, written
+from octex.texture.lens import BLEED_THRESHOLD, Lens
 from octex.texture.lookup import Given, LookUp, answers_for, check_apart, in_blocks, pair_of
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -239,23 +239,23 @@ class OctreeTexture:
             gradients = {}
         values = answers_for(shapes, out, single)
         answers = [*values.values(), *gradients.values()]
-        look = Look(filter, anisotropy, blur, sharpness, bleed_threshold)
-        look.check(given, width=width, normals=normals, dPdx=dPdx, dPdy=dPdy)
+        lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
+        lens.check(given, width=width, normals=normals, dPdx=dPdx, dPdy=dPdy)
         check_apart(given.values(), answers)
-        self._look_up(given, answers, partial(self._sampled, channels, look, normalize), executor)
+        self._look_up(given, answers, partial(self._sampled, channels, lens, normalize), executor)
         if single:
             return (values[names[0]], gradients[names[0]]) if gradient else values[names[0]]
         return (values, gradients) if gradient else values
 
     def _sampled(
-        self, channels: list[Channel], look: Look, normalize: bool, given: Given, answers: list[Array]
+        self, channels: list[Channel], lens: Lens, normalize: bool, given: Given, answers: list[Array]
     ) -> int:
         """Look up a block: its values in ``answers``, then, if they are wanted, as many gradients."""
         values, gradients = answers[: len(channels)], answers[len(channels) :]
         alpha = self.channels.get("alpha")
         if alpha and alpha.format.components != 1:
             alpha = None
-        query = look.query(given)
+        query = lens.query(given)
         groups = [slice(0, len(channels))]
         is_ruled = query.footprints is not None and query.normals is None and self.tree.split.cells.size > 0
         if is_ruled:  # each channel has its own spreads

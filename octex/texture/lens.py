@@ -1,4 +1,4 @@
-"""How a lookup looks: what users ask of it, checked, and as the field takes it."""
+"""How points are looked at: what users ask for, checked, and as the field takes it."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from octex.texture.lookup import Given
 #: Difference of a front and a back, of 1, that footprints without normals may mix.
 BLEED_THRESHOLD = 1 / 32
 
+#: Most that a footprint may be longer than wide.
 MOST_ANISOTROPY = 256.0
 
 
-class Look(NamedTuple):
+class Lens(NamedTuple):
     """What is the same for all points of a lookup; see `OctreeTexture.sample`."""
 
     filter: str
