@@ -59,7 +59,7 @@ class Sight(NamedTuple):
 def facings_of(tree: Octree) -> Facings:
     """Index the split cells of a tree."""
     cells, facings, _ = tree.split
-    rows = np.zeros(-(-tree.n_cells // GROUP) if cells.size else 0, np.uint32)
+    rows = np.zeros(-(-tree.n_cells // GROUP) if tree.split.areas.size else 0, np.uint32)
     _index(cells, facings, rows)
     return Facings(tree.arrays.flags, rows)
 
@@ -123,8 +123,6 @@ def _rows_of(facings: Facings, cell: int) -> int:
 @inlined
 def _first_row(facings: Facings, cell: int) -> int:
     """Return the first row of a split cell in the split table."""
-    if facings.rows.size == 0:
-        return 0
     first = cell // GROUP * GROUP
     row = int(facings.rows[cell // GROUP])
     for other in range(GROUP - 1):  # without branches
@@ -201,6 +199,7 @@ def _take_facing(
     x, y, z = abs(x) * scale, abs(y) * scale, abs(z) * scale
     ramp_x, ramp_y, ramp_z = _ramp(x), _ramp(y), _ramp(z)
     none, one = np.float32(0.0), np.uint64(1)
+    has_rows = facings.rows.size > 0
     for tap in range(first, end, step):
         cell = cells[tap]
         if weights[tap] == none:
@@ -213,7 +212,7 @@ def _take_facing(
         if flags & np.uint64(FACING_FLAGS) == np.uint64(0):
             part = np.float32(1.0)
         weight = weights[tap] * (part + _AWAY)
-        if flags & np.uint64(SPLIT) != np.uint64(0) and part > none:
+        if has_rows and flags & np.uint64(SPLIT) != np.uint64(0) and part > none:
             a, b, c = x if part_x > none else none, y if part_y > none else none, z if part_z > none else none
             at = _share_of_split(sight, cell, flags, a, b, c, bits, weight, rows, seen, at)
         else:
@@ -240,7 +239,8 @@ def _take_unmixed(
         cell = cells[tap]
         flags = facings.flags[cell] if cell < n_cells else np.uint8(0)
         if flags & np.uint8(SPLIT) != 0 and flags & (flags >> np.uint8(1)) & np.uint8(POSITIVE_FACINGS) != 0:
-            row = min(_first_row(facings, int(cell)), sight.spreads.size - 1)
+            row = _first_row(facings, int(cell)) if facings.rows.size > 0 else -1
+            row = min(row, sight.spreads.size - 1)
             if row >= 0 and sight.spreads[row] >= sight.threshold:
                 continue
         rows[at], seen[at] = cell, weights[tap]

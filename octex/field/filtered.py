@@ -79,7 +79,7 @@ def filtered_colors(
             missing = here.colors(looks.points, placement, query.filter, sight, codes, found, covers, left)
             if missing is None:
                 return None
-            if alone:
+            if alone:  # nothing to put together
                 missed.append(run.start + missing)
                 break
             _add_colors(_owners(looks), looks.shares, covers, found, sums, totals)
