@@ -42,10 +42,8 @@ def _far(texture: octex.OctreeTexture, n: int, across: int, kind: str, report: R
     pixels = pixels // (n * across) // across * n + pixels % (n * across) // across
     count = np.bincount(pixels, minlength=n * n)
     colors = 255 * texture.sample(fine.points).astype(np.float64)
-    squares = (np.bincount(pixels, weights, n * n) for weights in (colors**2).T)
     sums = np.stack([np.bincount(pixels, weights, n * n) for weights in colors.T], axis=1)
     truth = sums / np.maximum(count, 1)[:, None]
-    variances = np.stack(list(squares), axis=1) / np.maximum(count, 1)[:, None] - truth**2
     seen = view(n)
     at = np.flatnonzero(seen.hit)
     at, points = at[count[at] > 0], count[at] > 0
@@ -59,8 +57,9 @@ def _far(texture: octex.OctreeTexture, n: int, across: int, kind: str, report: R
         "round": texture.sample(seen.points, width=np.sqrt(area))[points],
         "no footprint": texture.sample(seen.points)[points],
     }
-    cells = _cells_of_pixels(seen, texture)[points]
-    own = np.sqrt((variances[at] / cells[:, None]).mean())
+    first_leaf = texture.tree.arrays.level_cells[texture.tree.max_depth]
+    deviation = texture.channels["base_color"].values[first_leaf:].std()
+    own = deviation * np.sqrt((1 / _cells_of_pixels(seen, texture)[points]).mean())
     for name, values in found.items():
         errors = 255 * values - truth[at]
         everywhere, inside = (np.sqrt((each**2).mean()) for each in (errors, errors[is_inside]))
@@ -81,7 +80,8 @@ def _far(texture: octex.OctreeTexture, n: int, across: int, kind: str, report: R
                 report.at_most(f"far: {n}², derivatives, all pixels", everywhere, whole, "levels")
                 report.at_most(f"far: {n}², derivatives, inside", inside, own_inside, "levels")
         else:
-            report.at_most(f"far: noise, {n}², {name}, of a mean's own deviation", everywhere / own, 1.5)
+            what = f"far: noise, {n}², {name}, of a mean's own deviation, {own:.2f}"
+            report.at_most(what, everywhere / own, 1.5, "×")
 
 
 def _cells_of_pixels(seen: View, texture: octex.OctreeTexture) -> Array:
