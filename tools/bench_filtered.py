@@ -200,9 +200,9 @@ def _long(
         some = each[: 200_000 if not setup.quick else 2000].astype(np.float64)
         along, across = _tangents(some)
         for cells in (1.0, 4.0):
-            right, down = 8 * cells * cell * along, cells * cell * across
+            right, down = ((each * cells * cell).astype(np.float32) for each in (8 * along, across))
             works = {
-                filter: partial(texture.sample, some, filter=filter, dPdx=right, dPdy=down)
+                filter: partial(texture.sample, some.astype(np.float32), filter=filter, dPdx=right, dPdy=down)
                 for filter in ("quadratic", "linear")
             }
             for filter, rate in _rates(works, len(some), setup).items():

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.field.blocks import BLOCK, Float32s, Int64s, Points, Uint32s, Values
-from octex.field.facings import GROUP, MOST_SEEN, Sight, take_seen
+from octex.field.facings import MOST_SEEN, Sight, take_seen
 from octex.jit import decoded, inlined, kernel, prefetch
 
 
@@ -117,7 +117,7 @@ def ask_for_facings(sight: Sight, cells: Uint32s, end: int) -> None:
     for tap in range(0, end, 4):  # the others mostly lie beside these
         cell = int(cells[np.uint64(tap)])
         prefetch(sight.facings.flags, cell)
-        prefetch(sight.facings.rows, cell // GROUP)
+        prefetch(sight.facings.rows, cell)
 
 
 @inlined

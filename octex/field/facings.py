@@ -31,9 +31,6 @@ _NEAR = np.float32(0.2)
 #: Weight of what faces away: decides only where nothing else is there, as behind double-sided materials.
 _AWAY = np.float32(1e-6)
 
-#: Cells whose rows are counted from one known row on.
-GROUP = 4
-
 #: Most taps that stand for one: a facing of each axis.
 MOST_SEEN = 3
 
@@ -42,7 +39,7 @@ class Facings(NamedTuple):
     """Which ways the cells of a tree face, and where the rows of its split cells are."""
 
     flags: Bytes  # (cells,)
-    rows: Uint32s  # (⌈cells / 4⌉,)   rows of the split table before those of each four cells; or (0,)
+    rows: Uint32s  # (cells,)   a split cell's first row in the split table; or (0,) if that is empty
 
 
 class Sight(NamedTuple):
@@ -57,9 +54,12 @@ class Sight(NamedTuple):
 
 
 def facings_of(tree: Octree) -> Facings:
-    """Index the split cells of a tree."""
-    cells, facings, _ = tree.split
-    rows = np.zeros(-(-tree.n_cells // GROUP) if tree.split.areas.size else 0, np.uint32)
+    """Index the split cells of a tree.
+
+    Only where they are is the index written to: the rest of it takes no memory.
+    """
+    cells, facings, areas = tree.split
+    rows = np.zeros(tree.n_cells if areas.size else 0, np.uint32)
     _index(cells, facings, rows)
     return Facings(tree.arrays.flags, rows)
 
@@ -81,13 +81,11 @@ _ALL = Sight(
 
 @kernel
 def _index(cells: Uint32s, facings: Bytes, rows: Uint32s) -> None:
-    group = row = 0
+    row = 0
     for n in range(cells.size):
-        while group < rows.size and group <= int(cells[n]) // GROUP:
-            rows[group] = row
-            group += 1
+        if np.int64(cells[n]) < rows.size:
+            rows[cells[n]] = row
         row += popcount(np.uint64(facings[n] & np.uint8(FACING_FLAGS)))
-    rows[group:] = row
 
 
 @kernel
@@ -111,23 +109,6 @@ def spreads_of(table: Float32s, values: Rows, facings: Bytes, first_row: int, sp
         if row < spreads.size:
             spreads[row] = largest
         row += popcount(flags & np.uint64(FACING_FLAGS))
-
-
-@inlined
-def _rows_of(facings: Facings, cell: int) -> int:
-    """Say how many rows a cell has in the split table."""
-    flags = np.uint64(facings.flags[cell])
-    return popcount(flags & np.uint64(FACING_FLAGS)) if flags & np.uint64(SPLIT) != 0 else 0
-
-
-@inlined
-def _first_row(facings: Facings, cell: int) -> int:
-    """Return the first row of a split cell in the split table."""
-    first = cell // GROUP * GROUP
-    row = int(facings.rows[cell // GROUP])
-    for other in range(GROUP - 1):  # without branches
-        row += _rows_of(facings, min(first + other, cell)) * (first + other < cell)
-    return row
 
 
 @inlined
@@ -164,7 +145,7 @@ def _share_of_split(
         x = np.float32(1.0) if x > none else none
         y = np.float32(1.0) if y > none else none
         z = np.float32(1.0) if z > none else none
-    row = sight.first_row + _first_row(sight.facings, int(cell))
+    row = sight.first_row + np.int64(sight.facings.rows[cell])
     if x > none:
         rows[at], seen[at] = row + popcount(flags & ((one << bits[0]) - one)), weight * x
         at += 1
@@ -239,7 +220,7 @@ def _take_unmixed(
         cell = cells[tap]
         flags = facings.flags[cell] if cell < n_cells else np.uint8(0)
         if flags & np.uint8(SPLIT) != 0 and flags & (flags >> np.uint8(1)) & np.uint8(POSITIVE_FACINGS) != 0:
-            row = _first_row(facings, int(cell)) if facings.rows.size > 0 else -1
+            row = np.int64(facings.rows[cell]) if facings.rows.size > 0 else -1
             row = min(row, sight.spreads.size - 1)
             if row >= 0 and sight.spreads[row] >= sight.threshold:
                 continue
