@@ -427,6 +427,19 @@ def test_sheets_that_face_the_same_way_cannot_be_told_apart() -> None:
     np.testing.assert_allclose(found, [[0.5, 0.0, 0.5]], atol=0.1)
 
 
+def test_the_outside_and_the_inside_of_a_hairpin_cannot_be_told_apart() -> None:
+    upper, lower = sheet(np.eye(3), 0.004, gap=0.01), sheet(np.diag([1.0, -1.0, -1.0]), 0.004, gap=0.01)
+    surface = Surface.from_arrays(
+        np.concatenate([upper.vertices, lower.vertices]),
+        np.concatenate([upper.triangles, lower.triangles + len(upper.vertices)]),
+        colors=np.tile(np.repeat([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], 49, axis=0), (2, 1)),
+    )
+    texture = octex.convert(surface, depth=4)
+    outside = np.column_stack([np.linspace(-0.4, 0.4, 50), np.zeros(50), np.full(50, 0.012)])
+    found = texture.sample(outside, width=0.2, normals=np.tile([[0.0, 0.0, 1.0]], (50, 1)))
+    np.testing.assert_allclose(found, [[0.5, 0.5, 0.0]] * 50, atol=0.05)
+
+
 def test_a_model_without_thin_places_has_no_leaf_split_and_pays_nothing() -> None:
     steps = np.linspace(0, 2 * np.pi, 41)
     u, v = (grid.ravel() for grid in np.meshgrid(steps, np.linspace(0, np.pi, 21)))

@@ -32,6 +32,8 @@ _ROOM = 1 << 14
 #: a sphere seen in 20², 64² and 256² pixels.
 ROUND_FINER = 0.85, 0.6, 0.85, 1.15
 LONG_FINER = 1.0, 0.85, 1.0, 1.2
+#: How far apart the looks of a single row are, in widths: a fifth fewer than at 1, hardly worse.
+_ROW_STEP = 1.15
 #: What is shorter has no direction; what is longer is cut off.
 _SHORTEST, _LONGEST = 1e-150, 1e150
 #: What is longer than so many root cells is cut off.
@@ -157,7 +159,7 @@ def _lay(width: float, length: float, rows: int, least: float) -> tuple[float, f
     are then the footprint's; what the looks' own width adds to them is taken off. Looks are not nearer to
     each other than ``least``, a leaf's edge.
     """
-    apart = max(width / rows, least)
+    apart = max(width * (0.5 if rows > 1 else _ROW_STEP), least)
     if not apart > 0.0:
         return 0.0, 0.0, 0.0
     steps = length / apart
