@@ -21,6 +21,7 @@ from octex.texture import FILTERS, Channel, OctreeTexture
 from octex.tree.layout import SPLIT, SplitTable
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
+from tests.conftest import needs_jit
 from tests.naive_views import Views
 from tests.small_textures import UNIT, UNIT_BOUNDS, shell
 from tests.strategies import textures
@@ -247,6 +248,7 @@ def bent(thickness: float) -> Surface:
     return Surface.from_arrays(vertices, np.concatenate([faces, faces[:, ::-1] + 11 * 61]), colors=colors)
 
 
+@needs_jit
 @pytest.mark.parametrize("facing", [False, True])
 def test_nothing_jumps_along_a_slow_zoom_or_a_slow_path(facing: bool) -> None:
     texture = octex.convert(bent(0.02), depth=5)
@@ -360,6 +362,7 @@ def turned(seed: int) -> Array:
     return np.asarray(q * np.linalg.det(q))
 
 
+@needs_jit
 @pytest.mark.parametrize("fit", [False, True])
 @pytest.mark.parametrize("thickness", [0.0, 0.004, 0.02, 0.035])  # cells are 0.038 or so wide
 @pytest.mark.parametrize("seed", range(5))
@@ -440,6 +443,7 @@ def test_the_outside_and_the_inside_of_a_hairpin_cannot_be_told_apart() -> None:
     np.testing.assert_allclose(found, [[0.5, 0.5, 0.0]] * 50, atol=0.05)
 
 
+@needs_jit
 def test_a_model_without_thin_places_has_no_leaf_split_and_pays_nothing() -> None:
     steps = np.linspace(0, 2 * np.pi, 41)
     u, v = (grid.ravel() for grid in np.meshgrid(steps, np.linspace(0, np.pi, 21)))
@@ -460,6 +464,7 @@ def test_leaves_that_only_look_moved_are_not_split() -> None:
 # --- averages
 
 
+@needs_jit
 def test_averages_are_the_sources_whether_fitted_or_not() -> None:
     random = np.random.default_rng(3)
     surface = sheet(turned(3), 0.3)
