@@ -162,6 +162,7 @@ def test_the_numbered_scripts_run_from_anywhere(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(SAMPLES)
     monkeypatch.setenv("OCTEX_SAMPLE_DEPTH", "6")
     monkeypatch.setenv("OCTEX_SAMPLE_WIDTH", "160")
     monkeypatch.setattr(sys, "argv", [script])

@@ -174,10 +174,13 @@ def _take_facing(
     facings = sight.facings
     n_cells = np.uint32(facings.flags.size)
     x, y, z = sight.normals[point, 0], sight.normals[point, 1], sight.normals[point, 2]
-    square = x * x + y * y + z * z
-    scale = np.float32(1.0) / np.sqrt(square) if square > np.float32(0.0) else np.float32(0.0)
     bits = np.uint64(x < 0), np.uint64(2 + (y < 0)), np.uint64(4 + (z < 0))
-    x, y, z = abs(x) * scale, abs(y) * scale, abs(z) * scale
+    x, y, z = abs(x), abs(y), abs(z)
+    largest = max(x, max(y, z))
+    if largest > np.float32(0.0):  # before anything is squared
+        x, y, z = x / largest, y / largest, z / largest
+        length = np.sqrt(x * x + y * y + z * z)
+        x, y, z = x / length, y / length, z / length
     ramp_x, ramp_y, ramp_z = _ramp(x), _ramp(y), _ramp(z)
     none, one = np.float32(0.0), np.uint64(1)
     has_rows = facings.rows.size > 0

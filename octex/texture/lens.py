@@ -68,7 +68,8 @@ class Lens(NamedTuple):
             footprints = round_footprints(widths + self.blur, self.sharpness)
         normals = given.get("normals")
         if normals is not None:
-            normals = normals.astype(np.float32, copy=False)
+            most = np.finfo(np.float32).max
+            normals = np.clip(normals, -most, most).astype(np.float32, copy=False)
         return Query(self.filter, footprints, normals, threshold=self.bleed_threshold)
 
 
