@@ -26,7 +26,11 @@ TARGETS = {20: (2.0, 0.9, 3.0), 64: (1.1, 0.35, 1.9), 256: (0.35, 0.2, 0.7)}
 
 
 def far(setup: Setup, report: Report) -> None:
-    """Pictures of few pixels of a painted sphere, and of white noise, beside the true averages."""
+    """Pictures of few pixels of a painted sphere, and of white noise, beside the true averages.
+
+    These are averages of the field; for white noise of the leaves, since the field between leaves that are
+    not fitted weighs them by other shares than the surface in them has.
+    """
     depth, fine = (6, 160) if setup.quick else (10, 2560)
     for painted in (True, False):
         texture = painted_sphere(depth, painted=painted)
@@ -41,7 +45,8 @@ def _far(texture: octex.OctreeTexture, n: int, across: int, kind: str, report: R
     pixels = np.flatnonzero(fine.hit)
     pixels = pixels // (n * across) // across * n + pixels % (n * across) // across
     count = np.bincount(pixels, minlength=n * n)
-    colors = 255 * texture.sample(fine.points).astype(np.float64)
+    truth_filter = "quadratic" if kind == "painted" else "nearest"
+    colors = 255 * texture.sample(fine.points, filter=truth_filter).astype(np.float64)
     sums = np.stack([np.bincount(pixels, weights, n * n) for weights in colors.T], axis=1)
     truth = sums / np.maximum(count, 1)[:, None]
     seen = view(n)
