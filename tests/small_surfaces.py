@@ -51,3 +51,42 @@ WHOLE_VALUES = [
 
 def whole() -> Surface:
     return Surface(TETRAHEDRON, FACES, FaceSource(WHOLE, WHOLE_VALUES))
+
+
+def sheet(turn: npt.NDArray[np.float64], thickness: float, *, gap: float = 0.0) -> Surface:
+    """A square, red on its front and green on its back, so thick."""
+    steps = np.linspace(-0.5, 0.5, 7)
+    x, y = (grid.ravel() for grid in np.meshgrid(steps, steps))
+    flat = np.column_stack([x, y, np.full(49, gap)])
+    grid = np.arange(49).reshape(7, 7)
+    a, b, c, d = (part.ravel() for part in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]))
+    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    half = np.array([0.0, 0.0, thickness / 2])
+    vertices = np.concatenate([flat + half, flat - half])
+    colors = np.repeat([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], 49, axis=0)
+    return Surface.from_arrays(vertices @ turn.T, np.concatenate([faces, faces[:, ::-1] + 49]), colors=colors)
+
+
+def turned(seed: int) -> npt.NDArray[np.float64]:
+    """An axis-aligned pose, one across an edge of cells, or any other."""
+    if seed == 0:
+        return np.eye(3)
+    if seed == 1:
+        return np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+    q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    return np.asarray(q * np.linalg.det(q))
+
+
+def bent(thickness: float) -> Surface:
+    """A strip bent to a half circle, each side with bands of its own colours."""
+    turn, along = (grid.ravel() for grid in np.meshgrid(np.linspace(0, np.pi, 61), np.linspace(0, 1, 11)))
+    outward = np.column_stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)])
+    axis = np.column_stack([np.zeros_like(turn), np.zeros_like(turn), along])
+    grid = np.arange(11 * 61).reshape(11, 61)
+    a, b, c, d = (part.ravel() for part in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]))
+    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    vertices = np.concatenate([outward + axis, (1 - thickness) * outward + axis])
+    bands = 0.5 + 0.5 * np.sin(9 * turn)
+    none = np.zeros_like(bands)
+    colors = np.concatenate([np.column_stack([bands, none, none]), np.column_stack([none, bands, none])])
+    return Surface.from_arrays(vertices, np.concatenate([faces, faces[:, ::-1] + 11 * 61]), colors=colors)

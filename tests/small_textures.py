@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from octex.channels import BASE_COLOR
 from octex.texture import Channel, OctreeTexture
@@ -43,3 +44,7 @@ def shell(depth: int, keep: float = 0.3) -> OctreeTexture:
     kept_values = random.integers(0, 256, (tree.kept.cells.size, 3), dtype=np.uint8)
     channel = Channel(BASE_COLOR, values, split_values, kept_values)
     return OctreeTexture(tree, {"base_color": channel}, UNIT, UNIT_BOUNDS)
+
+
+def unit(vectors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)

@@ -11,19 +11,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import octex
-from octex.channels import ChannelFormat, linear_to_srgb
+from octex.channels import ChannelFormat
 from octex.errors import ArgumentError
 from octex.field.blend import Codes
 from octex.field.filtered import Query, filtered_colors
-from octex.source.surface import Surface
 from octex.texture import FILTERS, Channel, OctreeTexture
-from octex.tree.layout import SPLIT, SplitTable
+from octex.tree.layout import SplitTable
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
-from tests.conftest import needs_jit
 from tests.naive_views import Views
-from tests.small_textures import UNIT, UNIT_BOUNDS, shell
+from tests.small_textures import UNIT, UNIT_BOUNDS, shell, unit
 from tests.strategies import textures
 
 Array = npt.NDArray[Any]
@@ -35,10 +32,6 @@ def on_shell(count: int, seed: int = 0) -> tuple[Array, Array]:
     random = np.random.default_rng(seed)
     away, normals = random.normal(size=(2, count, 3))
     return 0.5 + 0.45 * away / np.linalg.norm(away, axis=1)[:, None], normals
-
-
-def unit(vectors: Array) -> Array:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def as_list(texture: OctreeTexture, points: Array, filter: str, **views: Any) -> Array:
@@ -117,17 +110,6 @@ def test_a_width_of_nothing_is_the_field_and_a_great_one_the_roots_average() -> 
     np.testing.assert_allclose(texture.sample(points, width=0.0), texture.sample(points), atol=1e-6)
     whole = texture.level(0).sample(points)
     np.testing.assert_allclose(texture.sample(points, width=1e30, bleed_threshold=9), whole, atol=1e-6)
-    np.testing.assert_allclose(
-        texture.sample(points, width=1e30), as_blind(texture).sample(points, width=1e30), atol=1
-    )
-
-
-def as_blind(texture: OctreeTexture) -> OctreeTexture:
-    """A texture without facings."""
-    tree = texture.tree.with_cell_data(np.zeros(texture.tree.n_cells, np.uint8), texture.tree.arrays.areas)
-    channel = texture.channels["base_color"]
-    channel = channel._replace(split_values=channel.split_values[:0], kept_values=channel.kept_values[:0])
-    return OctreeTexture(tree, {"base_color": channel}, UNIT, UNIT_BOUNDS)
 
 
 def test_one_width_and_one_for_each_point_are_alike() -> None:
@@ -233,45 +215,6 @@ def test_a_mean_is_a_mean_however_it_is_looked_at() -> None:
             np.testing.assert_allclose(texture.sample(points, filter=filter, **views), expected, atol=1e-6)
 
 
-def bent(thickness: float) -> Surface:
-    """A strip bent to a half circle, each side with bands of its own colours."""
-    turn, along = (grid.ravel() for grid in np.meshgrid(np.linspace(0, np.pi, 61), np.linspace(0, 1, 11)))
-    outward = np.column_stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)])
-    axis = np.column_stack([np.zeros_like(turn), np.zeros_like(turn), along])
-    grid = np.arange(11 * 61).reshape(11, 61)
-    a, b, c, d = (part.ravel() for part in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]))
-    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    vertices = np.concatenate([outward + axis, (1 - thickness) * outward + axis])
-    bands = 0.5 + 0.5 * np.sin(9 * turn)
-    none = np.zeros_like(bands)
-    colors = np.concatenate([np.column_stack([bands, none, none]), np.column_stack([none, bands, none])])
-    return Surface.from_arrays(vertices, np.concatenate([faces, faces[:, ::-1] + 11 * 61]), colors=colors)
-
-
-@needs_jit
-@pytest.mark.parametrize("facing", [False, True])
-def test_nothing_jumps_along_a_slow_zoom_or_a_slow_path(facing: bool) -> None:
-    texture = octex.convert(bent(0.02), depth=5)
-    steps = 20_000
-    turn = np.linspace(0.3, 2.8, steps)
-    outward = np.column_stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)])
-    path = outward + np.array([0.0, 0.0, 0.43])
-    for width in (0.0, 0.05, 0.3, 1.0):
-        found = texture.sample(path, width=width, normals=outward if facing else None)
-        assert np.abs(np.diff(found, axis=0)).max() < 0.003
-        assert np.ptp(found) > 0.05
-    point = np.repeat(path[5000:5001], steps, axis=0)
-    normals = np.repeat(outward[5000:5001], steps, axis=0) if facing else None
-    widths = np.exp(np.linspace(np.log(0.005), np.log(9.0), steps))
-    zoom = texture.sample(point, width=widths, normals=normals)
-    assert np.abs(np.diff(zoom, axis=0)).max() < 0.003
-    right, down = np.array([[1.0, 0.3, 0.0]]), np.array([[0.0, 0.2, 0.2]])
-    long = texture.sample(point, dPdx=right * widths[:, None], dPdy=down * widths[:, None], normals=normals)
-    assert np.abs(np.diff(long, axis=0)).max() < 0.003
-    blind = texture.sample(point, width=widths, bleed_threshold=np.inf)
-    assert np.abs(np.diff(blind, axis=0)).max() < 0.003
-
-
 def test_sharpness_sharpens_what_is_coarser_than_leaves() -> None:
     frequency = 2 * np.pi * 3
     texture = wavy(8, frequency)
@@ -333,160 +276,6 @@ def test_alpha_weighs_levels_too() -> None:
         np.testing.assert_allclose(found["alpha"][n], alpha_there, atol=1e-4)
         expected = colors.value(points[n], 0.3, None, 9) / alpha_there
         np.testing.assert_allclose(found["base_color"][n], expected, atol=1e-3)
-
-
-# --- thin things
-
-
-def sheet(turn: Array, thickness: float, *, gap: float = 0.0) -> Surface:
-    """A square, red on its front and green on its back, so thick."""
-    steps = np.linspace(-0.5, 0.5, 7)
-    x, y = (grid.ravel() for grid in np.meshgrid(steps, steps))
-    flat = np.column_stack([x, y, np.full(49, gap)])
-    grid = np.arange(49).reshape(7, 7)
-    a, b, c, d = (part.ravel() for part in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]))
-    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    half = np.array([0.0, 0.0, thickness / 2])
-    vertices = np.concatenate([flat + half, flat - half])
-    colors = np.repeat([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], 49, axis=0)
-    return Surface.from_arrays(vertices @ turn.T, np.concatenate([faces, faces[:, ::-1] + 49]), colors=colors)
-
-
-def turned(seed: int) -> Array:
-    """An axis-aligned pose, one across an edge of cells, or any other."""
-    if seed == 0:
-        return np.eye(3)
-    if seed == 1:
-        return np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
-    q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
-    return np.asarray(q * np.linalg.det(q))
-
-
-@needs_jit
-@pytest.mark.parametrize("fit", [False, True])
-@pytest.mark.parametrize("thickness", [0.0, 0.004, 0.02, 0.035])  # cells are 0.038 or so wide
-@pytest.mark.parametrize("seed", range(5))
-def test_each_side_of_something_thin_shows_its_own_colour(seed: int, thickness: float, fit: bool) -> None:
-    turn = turned(seed)
-    surface = sheet(turn, thickness)
-    texture = octex.convert(surface, depth=5, fit=fit)
-    texture.validate()
-    cell = texture.placement.size / 32
-    samples = surface.scatter(150)
-    is_front = (samples.triangles < len(surface.triangles) // 2)[:, None]
-    normals = np.where(is_front, turn[:, 2], -turn[:, 2])
-    expected = np.where(is_front, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-    tangents = unit(np.cross(normals, [0.3, 0.5, 0.8]))
-    across = np.cross(normals, tangents)
-    for cells in (0.1, 0.7, 1, 3, 10, 40):
-        width = cells * cell
-        for filter in FILTERS:
-            found = texture.sample(samples.rest, filter=filter, width=width, normals=normals)
-            assert np.abs(found - expected).max() <= 1 / 255
-        found = texture.sample(samples.rest, dPdx=5 * width * tangents, dPdy=width * across, normals=normals)
-        assert np.abs(found - expected).max() <= 1 / 255
-    away = np.cross(normals, [[0.3, -0.5, 0.1]])  # what faces neither shows both
-    both = texture.sample(samples.rest, width=40 * cell, normals=1e-3 * away)
-    assert (both[:, 2] < 0.01).all()
-
-
-def test_the_papers_rule_goes_down_to_where_sides_are_apart() -> None:
-    surface = sheet(np.eye(3), 0.2)
-    texture = octex.convert(surface, depth=6, fit=False)
-    samples = surface.scatter(300)
-    is_front = (samples.triangles < len(surface.triangles) // 2)[:, None]
-    expected = np.where(is_front, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-    for width in (0.01, 0.2, 1.0, 10.0):
-        found = texture.sample(samples.rest, filter="nearest", width=width)
-        assert np.abs(found - expected).max() <= 1 / 255
-        # The spline between cells reaches the other side's cells where they are the next ones.
-        assert np.abs(texture.sample(samples.rest, width=width) - expected).max() < 0.45
-    blind = texture.sample(samples.rest, width=10.0, bleed_threshold=2.0)
-    np.testing.assert_allclose(blind, [[0.5, 0.5, 0.0]] * 300, atol=0.01)
-
-
-def test_a_front_and_a_back_that_are_nearly_alike_may_mix() -> None:
-    surface = sheet(np.eye(3), 0.2)
-    half = len(surface.triangles) // 2
-    colors = np.where(np.arange(2 * half)[:, None] < half, 0.5, 0.52) * np.ones(3)
-    alike = Surface.from_arrays(surface.vertices, surface.triangles, face_colors=colors)
-    texture = octex.convert(alike, depth=6, fit=False)
-    assert texture.tree.arrays.flags[0] & SPLIT
-    rest = alike.scatter(50).rest
-    np.testing.assert_allclose(texture.sample(rest, width=10.0), 0.51, atol=0.003)
-    apart = texture.sample(rest, filter="nearest", width=10.0, bleed_threshold=0.01)
-    assert (np.abs(apart - 0.51) > 0.006).all()
-
-
-def test_sheets_that_face_the_same_way_cannot_be_told_apart() -> None:
-    below, above = sheet(np.eye(3), 0.0), sheet(np.eye(3), 0.0, gap=0.01)
-    half = len(below.triangles) // 2
-    vertices = np.concatenate([below.vertices, above.vertices])
-    triangles = np.concatenate([below.triangles[:half], above.triangles[:half] + len(below.vertices)])
-    colors = np.repeat([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], len(below.vertices), axis=0)
-    surface = Surface.from_arrays(vertices, triangles, colors=colors)
-    texture = octex.convert(surface, depth=5)
-    found = texture.sample([[0.0, 0.0, 0.0]], width=0.1, normals=[[0.0, 0.0, 1.0]])
-    np.testing.assert_allclose(found, [[0.5, 0.0, 0.5]], atol=0.1)
-
-
-def test_the_outside_and_the_inside_of_a_hairpin_cannot_be_told_apart() -> None:
-    upper, lower = sheet(np.eye(3), 0.004, gap=0.01), sheet(np.diag([1.0, -1.0, -1.0]), 0.004, gap=0.01)
-    surface = Surface.from_arrays(
-        np.concatenate([upper.vertices, lower.vertices]),
-        np.concatenate([upper.triangles, lower.triangles + len(upper.vertices)]),
-        colors=np.tile(np.repeat([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], 49, axis=0), (2, 1)),
-    )
-    texture = octex.convert(surface, depth=4)
-    outside = np.column_stack([np.linspace(-0.4, 0.4, 50), np.zeros(50), np.full(50, 0.012)])
-    found = texture.sample(outside, width=0.2, normals=np.tile([[0.0, 0.0, 1.0]], (50, 1)))
-    np.testing.assert_allclose(found, [[0.5, 0.5, 0.0]] * 50, atol=0.05)
-
-
-@needs_jit
-def test_a_model_without_thin_places_has_no_leaf_split_and_pays_nothing() -> None:
-    steps = np.linspace(0, 2 * np.pi, 41)
-    u, v = (grid.ravel() for grid in np.meshgrid(steps, np.linspace(0, np.pi, 21)))
-    vertices = np.column_stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)])
-    grid = np.arange(21 * 41).reshape(21, 41)
-    a, b, c, d = (part.ravel() for part in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]))
-    faces = np.concatenate([np.column_stack([a, c, b]), np.column_stack([a, d, c])])
-    surface = Surface.from_arrays(vertices, faces, colors=np.abs(np.sin(5 * vertices)))
-    texture = octex.convert(surface, depth=6)
-    assert (texture.tree.split.cells < texture.tree.arrays.level_cells[3]).all()
-
-
-def test_leaves_that_only_look_moved_are_not_split() -> None:
-    tree = octex.convert(sheet(np.eye(3), 0.0), depth=4, fit=False).tree
-    assert np.array_equal(tree.split.cells, np.arange(tree.n_cells))
-
-
-# --- averages
-
-
-@needs_jit
-def test_averages_are_the_sources_whether_fitted_or_not() -> None:
-    random = np.random.default_rng(3)
-    surface = sheet(turned(3), 0.3)
-    colors = random.random((len(surface.vertices), 3))
-    surface = Surface.from_arrays(surface.vertices, surface.triangles, colors=colors)
-    fitted, means = octex.convert(surface, depth=5), octex.convert(surface, depth=5, fit=False)
-    nodes = slice(0, int(means.tree.arrays.level_cells[5]))
-    a, b = (each.channels["base_color"].values for each in (fitted, means))
-    assert np.array_equal(a[nodes], b[nodes])
-    assert not np.array_equal(a, b)
-    samples = surface.scatter(400_000)
-    source = surface.evaluate(samples)
-    cells = np.floor((samples.rest - means.placement.origin) / means.placement.size * 2).astype(int) @ [
-        1,
-        2,
-        4,
-    ]
-    at_level_one = means.level(1)
-    for code, octant in enumerate(at_level_one.tree.level_codes(1).tolist()):
-        mean = source[cells == octant].mean(axis=0)
-        stored = at_level_one.channels["base_color"].values[1 + code]
-        assert np.abs(255 * linear_to_srgb(mean) - stored).max() < 1.0
 
 
 # --- levels
