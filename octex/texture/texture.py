@@ -298,9 +298,8 @@ class OctreeTexture:
     def _look_up(
         self, given: Given, answers: list[Array], look_up: LookUp, executor: Executor | None
     ) -> None:
-        if (
-            len(given["points"]) * mmap.PAGESIZE > self.nbytes
-        ):  # about a page a point: most of the file will be read
+        # About a page a point: most of the file will be read.
+        if len(given["points"]) * mmap.PAGESIZE > self.nbytes:
             self._read_ahead()
         in_blocks(given, answers, look_up, executor)
 
