@@ -148,7 +148,7 @@ def see_taps(
 
 
 @inlined
-def blend_seen(task: Task, begin: int, n: int, seen: Seen) -> bool:
+def _blend_seen(task: Task, begin: int, n: int, seen: Seen) -> bool:
     """Write the colour of point n of a block under what is seen of its taps; say whether it has any."""
     point = begin + n
     first_row = task.sight.first_row
@@ -173,3 +173,16 @@ def blend_seen(task: Task, begin: int, n: int, seen: Seen) -> bool:
     task.colors.covers[point] = cover
     task.colors.left[point] = max(total - cover, np.float32(0.0)) / total if total > np.float32(0.0) else 0.0
     return bool(total > np.float32(0.0))
+
+
+@inlined
+def blend_seen(task: Task, begin: int, count: int, seen: Seen, n_missed: int) -> int:
+    """Write the colours of a block of points under what is seen of their taps.
+
+    Those that have no taps are written to ``missed`` from ``n_missed`` on; returns their number.
+    """
+    for n in range(count):
+        if not _blend_seen(task, begin, n, seen):
+            task.colors.missed[n_missed] = begin + n
+            n_missed += 1
+    return n_missed

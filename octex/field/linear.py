@@ -169,19 +169,17 @@ def linear_colors(tiles: Tiles, origin: Origin, size: float, task: Task) -> tupl
         fault = linear_block(tiles, flat_points, begin, count, origin, size, values, block)
         if fault >= 0:
             return n_missed, fault
-        if task.sight.mode != ALL:
-            ask_for_facings(task.sight, block.cells, 8 * BLOCK)
+        if task.sight.mode == ALL:
             for n in range(count):
-                see_taps(task, begin, n, block.cells, block.weights, n, n + 8 * BLOCK, BLOCK, seen)
-        for n in range(count):
-            if task.sight.mode == ALL:
-                found = blend_all(
+                if not blend_all(
                     *(task, begin + n, block.cells, block.weights, n, n + 8 * BLOCK, BLOCK),
                     *(flat_values, flat_results),
-                )
-            else:
-                found = blend_seen(task, begin, n, seen)
-            if not found:
-                task.colors.missed[n_missed] = begin + n
-                n_missed += 1
+                ):
+                    task.colors.missed[n_missed] = begin + n
+                    n_missed += 1
+            continue
+        ask_for_facings(task.sight, block.cells, 8 * BLOCK)
+        for n in range(count):
+            see_taps(task, begin, n, block.cells, block.weights, n, n + 8 * BLOCK, BLOCK, seen)
+        n_missed = blend_seen(task, begin, count, seen, n_missed)
     return n_missed, -1

@@ -87,16 +87,14 @@ def nearest_colors(tiles: Tiles, origin: Origin, size: float, task: Task) -> tup
             cells[at] = cell
             stored[at] = np.float32((mask >> bit) & np.uint64(1))
             prefetch(values, cell)
-        if task.sight.mode != ALL:
-            ask_for_facings(task.sight, cells, count)
+        if task.sight.mode == ALL:
             for n in range(count):
-                see_taps(task, begin, n, cells, stored, n, n + 1, 1, seen)
+                if not blend_all(task, begin + n, cells, stored, n, n + 1, 1, flat_values, flat_results):
+                    task.colors.missed[n_missed] = begin + n
+                    n_missed += 1
+            continue
+        ask_for_facings(task.sight, cells, count)
         for n in range(count):
-            if task.sight.mode == ALL:
-                found = blend_all(task, begin + n, cells, stored, n, n + 1, 1, flat_values, flat_results)
-            else:
-                found = blend_seen(task, begin, n, seen)
-            if not found:
-                task.colors.missed[n_missed] = begin + n
-                n_missed += 1
+            see_taps(task, begin, n, cells, stored, n, n + 1, 1, seen)
+        n_missed = blend_seen(task, begin, count, seen, n_missed)
     return n_missed, -1

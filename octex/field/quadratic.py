@@ -243,22 +243,19 @@ def quadratic_colors(
         if fault >= 0:
             return n_missed, fault
         tap = 0
-        if task.sight.mode != ALL:
-            ask_for_facings(task.sight, block.cells, block.ends[count - 1])
+        if task.sight.mode == ALL:
             for n in range(count):
-                see_taps(task, begin, n, block.cells, block.weights, tap, block.ends[n], 1, seen)
-                tap = block.ends[n]
-            tap = 0
-        for n in range(count):
-            end = block.ends[np.uint64(n)]
-            if task.sight.mode == ALL:
-                found = blend_all(
+                end = block.ends[np.uint64(n)]
+                if not blend_all(
                     task, begin + n, block.cells, block.weights, tap, end, 1, flat_values, flat_results
-                )
-            else:
-                found = blend_seen(task, begin, n, seen)
-            if not found:
-                task.colors.missed[n_missed] = begin + n
-                n_missed += 1
-            tap = end
+                ):
+                    task.colors.missed[n_missed] = begin + n
+                    n_missed += 1
+                tap = end
+            continue
+        ask_for_facings(task.sight, block.cells, block.ends[count - 1])
+        for n in range(count):
+            see_taps(task, begin, n, block.cells, block.weights, tap, block.ends[n], 1, seen)
+            tap = block.ends[n]
+        n_missed = blend_seen(task, begin, count, seen, n_missed)
     return n_missed, -1
