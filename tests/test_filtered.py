@@ -267,7 +267,12 @@ def test_alpha_weighs_levels_too() -> None:
         UNIT,
         UNIT_BOUNDS,
     )
-    points, _ = on_shell(60)
+    points, normals = on_shell(60)
+    for filter in FILTERS:
+        for views in ({"width": 0.35}, {"normals": normals}, {"width": 0.35, "normals": normals}):
+            alone = both.sample(points, "base_color", filter, **views)
+            beside = both.sample(points, ["base_color", "alpha"], filter, **views)["base_color"]
+            np.testing.assert_allclose(alone, beside, atol=1e-6)
     found = both.sample(points, ["base_color", "alpha"], width=0.3, bleed_threshold=9)
     colors, covers = Views(both, "base_color", "quadratic"), Views(both, "alpha", "quadratic")
     colors.values *= covers.values

@@ -10,14 +10,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from octex.field.blocks import Bytes, Float32s, Int64s, Rows, Uint32s
 from octex.jit import decoded, inlined, kernel, popcount
 from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
 from octex.tree.octree import Octree
-
-Uint64s = npt.NDArray[np.uint64]
 
 #: What of its taps a lookup sees: all; what faces its normal; or all but cells that mix opposite facings.
 ALL, FACING, UNMIXED = range(3)

@@ -37,6 +37,7 @@ from octex.preview.pictures import (
     Leaves,
     film_leaves,
     film_surface,
+    rest_normals,
     seen_hits,
     visible_level,
 )
@@ -164,7 +165,7 @@ def _row_on_model(
     *films, film = film_surface(model, camera, [*looks, difference_look], supersample)
     where = np.array((found[channel].angle or found[channel]).where)
     nearest, ring = np.inf, None
-    for pixels, hits in seen_hits(model, camera):
+    for pixels, hits in seen_hits(model, camera, rest_normals(model)):
         distances = np.linalg.norm(hits.rest - where, axis=1)
         n = int(distances.argmin())
         if distances[n] < min(nearest, 3 * hits.width[n]):

@@ -16,7 +16,7 @@ from octex.container import replacing
 from octex.errors import ArgumentError
 from octex.preview.directions import best_direction, view_directions
 from octex.preview.looks import Floats, Look, Shown, source_look, texture_look
-from octex.preview.pictures import Leaves, film_surface, render_leaves, seen_hits, visible_level
+from octex.preview.pictures import Leaves, film_surface, render_leaves, rest_normals, seen_hits, visible_level
 from octex.view.camera import Camera
 from octex.view.shading import face_normals
 
@@ -107,10 +107,11 @@ def _leaf_panels(texture: OctreeTexture, size: tuple[int, int], supersample: int
 
 def surface_camera(surface: Surface, look: Look, size: tuple[int, int], room: int) -> Camera:
     """Make a camera that sees a model from the side that shows most, above ``room`` for a caption."""
+    normals = rest_normals(surface)
 
     def unlit(camera: Camera) -> Floats:
         picture = np.full((camera.height * camera.width, 3), np.nan)
-        for pixels, hits in seen_hits(surface, camera):
+        for pixels, hits in seen_hits(surface, camera, normals):
             picture[pixels] = linear_to_srgb(look(hits).unlit())
         return picture.reshape(camera.height, camera.width, 3)
 

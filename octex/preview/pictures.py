@@ -40,8 +40,9 @@ def film_surface(surface: Surface, camera: Camera, looks: list[Look], supersampl
     """Expose a film to a surface for each look."""
     faces, _ = face_normals(surface.vertices, surface.triangles)
     smooth = corner_normals(surface.vertices, surface.triangles)
+    resting = rest_normals(surface) if _is_posed(surface) else smooth
     films = [Film(camera, supersample) for _ in looks]
-    for samples, hits in seen_hits(surface, camera.scaled(supersample)):
+    for samples, hits in seen_hits(surface, camera.scaled(supersample), resting):
         points = _between(hits.barycentric, surface.vertices[surface.triangles[hits.triangles]])
         lit = light(camera, points, faces[hits.triangles], _between(hits.barycentric, smooth[hits.triangles]))
         for film, look in zip(films, looks, strict=True):
@@ -49,15 +50,28 @@ def film_surface(surface: Surface, camera: Camera, looks: list[Look], supersampl
     return films
 
 
-def seen_hits(surface: Surface, camera: Camera) -> Iterator[tuple[npt.NDArray[np.int64], Hits]]:
-    """Yield what the camera's pixels see, some at a time, with their numbers row by row."""
+def rest_normals(surface: Surface) -> npt.NDArray[np.float32]:
+    """Return smooth normals (m, 3, 3) at the corners of triangles at rest."""
+    return corner_normals(surface.rest, surface.triangles)
+
+
+def _is_posed(surface: Surface) -> bool:
+    return not np.array_equal(surface.rest, surface.vertices)
+
+
+def seen_hits(
+    surface: Surface, camera: Camera, normals: npt.NDArray[np.float32]
+) -> Iterator[tuple[npt.NDArray[np.int64], Hits]]:
+    """Yield what the camera's pixels see, some at a time, with their numbers row by row.
+
+    ``normals`` are the surface's ``rest_normals``.
+    """
     buffers = rasterize(surface.vertices, surface.triangles, camera)
     # What is one wide on the posed model is so wide at rest.
     faces, posed_areas = face_normals(surface.vertices, surface.triangles)
     _, rest_areas = face_normals(surface.rest, surface.triangles)
     stretch = np.sqrt(rest_areas / np.maximum(posed_areas, 1e-300))
-    is_posed = not np.array_equal(surface.rest, surface.vertices)
-    smooth = corner_normals(surface.rest, surface.triangles)
+    is_posed = _is_posed(surface)
     seen = np.flatnonzero(buffers.triangle >= 0)
     for first in range(0, len(seen), _BLOCK):
         pixels = seen[first : first + _BLOCK]
@@ -69,8 +83,8 @@ def seen_hits(surface: Surface, camera: Camera) -> Iterator[tuple[npt.NDArray[np
         right, down = camera.differentials(posed, faces[triangles])
         if is_posed:
             right, down = _at_rest(surface, triangles, right, down)
-        normals = _between(barycentric, smooth[triangles])
-        yield pixels, Hits(triangles, barycentric, rest, width.astype(np.float32), right, down, normals)
+        facing = _between(barycentric, normals[triangles])
+        yield pixels, Hits(triangles, barycentric, rest, width.astype(np.float32), right, down, facing)
 
 
 def _at_rest(

@@ -44,7 +44,8 @@ def look_up(
     """
     try:
         missed = None
-        if len(channels) == 1 and not gradients and (alpha is None or query.filter == "nearest"):
+        is_one_cell = query.is_plain and query.filter == "nearest"  # which alpha does not weigh
+        if len(channels) == 1 and not gradients and (alpha is None or is_one_cell):
             missed = _look_up_colors(field, placement, points, query, channels[0], answers[0])
         if missed is None:
             _look_up(field, placement, points, query, channels, alpha, answers, gradients)
