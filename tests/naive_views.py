@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import decode
+from octex.field.blend import AREA_WEIGHTS
 from octex.field.field import Field
 from octex.field.footprints import ROUND_FINER, WHOLE
 from octex.field.splines import FILTERS
@@ -47,7 +48,15 @@ class Views:
         taps = field.taps(point[None], self.texture.placement, self.filter)
         moved = self.tree.n_cells - field.tree.n_cells
         rows = [row + (moved if row >= field.tree.n_cells else 0) for row in taps.rows.tolist()]
-        return list(zip(rows, taps.weights.tolist(), strict=True)), float(taps.covers[0])
+        found = list(zip(rows, taps.weights.tolist(), strict=True))
+        if level < self.tree.max_depth:  # averages weigh by the roots of areas
+            areas = self.tree.arrays.areas
+            found = [
+                (row, weight * (float(AREA_WEIGHTS[areas[row]]) if row < field.tree.n_cells else 1.0))
+                for row, weight in found
+            ]
+        total = sum(weight for _, weight in found)
+        return [(row, weight / total) for row, weight in found], float(taps.covers[0]) * total
 
     def facing(self, row: int, normal: Array) -> tuple[Array, float]:
         """What a row shows of what faces a normal, and how much it counts."""

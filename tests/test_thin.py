@@ -143,7 +143,7 @@ def test_averages_are_the_sources_whether_fitted_or_not() -> None:
 @pytest.mark.parametrize("facing", [False, True])
 def test_nothing_jumps_along_a_slow_zoom_or_a_slow_path(facing: bool) -> None:
     texture = octex.convert(bent(0.02), depth=5)
-    steps = 20_000
+    steps = 30_000
     turn = np.linspace(0.3, 2.8, steps)
     outward = np.column_stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)])
     path = outward + np.array([0.0, 0.0, 0.43])

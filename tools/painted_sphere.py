@@ -12,6 +12,7 @@ from bench_inputs import RADIUS, sphere_cells
 import octex
 from octex.channels import ChannelFormat
 from octex.texture import Channel
+from octex.tree.layout import AREA_ONE, AREA_STEPS
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -76,19 +77,28 @@ def painted_sphere(depth: int, *, painted: bool = True) -> octex.OctreeTexture:
     colors = np.empty((len(codes), 3), np.uint8)
     _shade(painted, centres / np.linalg.norm(centres, axis=1)[:, None], colors)
     areas = _areas(codes, depth)
+    areas *= 4 * np.pi * RADIUS**2 * 4.0**depth / areas.sum()  # in faces of the finest cells
     values, sums = np.zeros((tree.n_cells, 3), np.uint8), colors * areas[:, None]
     first = tree.arrays.level_cells
     values[first[depth] :] = colors
+    coded = np.zeros(tree.n_cells, np.uint8)
+    coded[first[depth] :] = _coded(areas)
     for level in range(depth - 1, -1, -1):
         parents = codes >> 3
         starts = np.flatnonzero(np.diff(parents, prepend=-1))
         codes, areas, sums = parents[starts], np.add.reduceat(areas, starts), np.add.reduceat(sums, starts)
         values[first[level] : first[level + 1]] = np.floor(sums / areas[:, None] + 0.5)
+        coded[first[level] : first[level + 1]] = _coded(areas / 4.0 ** (depth - level))
+    tree = tree.with_cell_data(tree.arrays.flags, coded)
     none = np.empty((0, 3), np.uint8)
     channel = Channel(ChannelFormat("base_color", 3, "data", "uint8"), values, none, none)
     return octex.OctreeTexture(
         tree, {"base_color": channel}, Placement((0.0, 0.0, 0.0), 1.0), [[0, 0, 0], [1, 1, 1]]
     )
+
+
+def _coded(areas: Array) -> Array:
+    return np.clip(np.rint(AREA_STEPS * np.log2(areas) + AREA_ONE), 1, 255)
 
 
 def _areas(codes: Array, depth: int) -> Array:

@@ -150,20 +150,23 @@ class Field:
         filter: str,
         sight: Sight,
         codes: Codes,
+        areas: npt.NDArray[np.uint8],
         results: Float32s,
         covers: Float32s,
         left: Float32s,
     ) -> npt.NDArray[np.int64] | None:
         """Write the field of three components at rest positions (n, 3) to ``results`` (n, 3).
 
-        The shortest way through all, for what is asked for most. See `Colors` for ``covers`` and ``left``.
+        The shortest way through all, for what is asked for most. See `Colors` for ``covers`` and ``left``,
+        `Task` for ``areas``.
         Returns the points that are off the surface, whose results are not written; or None, and nothing is
         written, if the tree has no tiles or the filter none of its own. Raises NotFiniteError.
         """
         if filter == "quartic" or self.tiles is None:
             return None
         missed = np.empty(len(points), np.int64)
-        task = self.tiles, *placement, Task(points, sight, codes, Colors(results, covers, left, missed))
+        colors = Colors(results, covers, left, missed)
+        task = self.tiles, *placement, Task(points, sight, codes, areas, colors)
         if filter == "nearest":
             n_missed, fault = nearest_colors(*task)
         elif filter == "linear":

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.field.blend import Codes
+from octex.field.blend import AREA_WEIGHTS, Codes
 from octex.field.blocks import Points
 from octex.field.facings import ALL, FACING, MOST_SEEN, UNMIXED, Sight, all_in_sight, see_all
 from octex.field.field import Field, Taps
@@ -20,6 +20,10 @@ from octex.tree.placement import Placement
 Float32s = npt.NDArray[np.float32]
 Int64s = npt.NDArray[np.int64]
 Int32s = npt.NDArray[np.int32]
+Uint8s = npt.NDArray[np.uint8]
+
+#: What leaves are looked up with: they do not weigh by their areas.
+NO_AREAS: Uint8s = np.empty(0, np.uint8)
 
 #: Looks whose taps are kept at once.
 _LOOKS_OF_TAPS = 1 << 13
@@ -76,7 +80,10 @@ def filtered_colors(
             found = results[run] if alone else np.zeros((n, 3), np.float32)
             covers = np.empty(n, np.float32)
             left = np.empty(0 if sight.mode == ALL else n, np.float32)
-            missing = here.colors(looks.points, placement, query.filter, sight, codes, found, covers, left)
+            areas = _areas(field, here)
+            missing = here.colors(
+                looks.points, placement, query.filter, sight, codes, areas, found, covers, left
+            )
             if missing is None:
                 return None
             if alone:  # nothing to put together
@@ -104,6 +111,7 @@ def filtered_taps(
         for level, looks in _levels(field, by_level):
             here = field.level(level)
             taps = here.taps(looks.points, placement, query.filter, gradient=gradient)
+            _weigh_by_area(_areas(field, here)[: here.tree.n_cells], *taps)
             if here.tree.kept.cells.size:
                 kept = taps.rows >= here.tree.n_cells
                 taps.rows[kept] += np.uint32(field.tree.n_cells - here.tree.n_cells)
@@ -137,6 +145,11 @@ def _levels(field: Field, by_level: dict[int, Looks]) -> Iterator[tuple[int, Loo
     for level in range(field.tree.max_depth + 1):
         if level in by_level:
             yield level, by_level[level]
+
+
+def _areas(field: Field, here: Field) -> Uint8s:
+    """Return the areas that a level's averages weigh by; none for the leaves."""
+    return NO_AREAS if here is field else field.tree.arrays.areas
 
 
 def _owners(looks: Looks) -> Int32s:
@@ -210,6 +223,34 @@ def _joined(found: list[_Found], n_points: int, gradient: bool) -> Taps:
         _add_taps(_owners(looks), looks.shares, *taps, ends, *joined[1:4], covers)
     _normalize(starts, joined.weights, joined.slopes)
     return joined
+
+
+@kernel
+def _weigh_by_area(
+    areas: Uint8s,
+    starts: Int64s,
+    rows: npt.NDArray[np.uint32],
+    weights: Float32s,
+    slopes: Float32s,
+    covers: Float32s,
+) -> None:
+    """Let averages weigh by their areas. Weights still sum to 1; what they summed to is in the covers."""
+    if areas.size == 0:
+        return
+    for n in range(starts.size - 1):
+        total = 0.0
+        for tap in range(starts[n], starts[n + 1]):
+            factor = AREA_WEIGHTS[areas[rows[tap]]] if rows[tap] < areas.size else np.float32(1.0)
+            weights[tap] *= factor
+            total += np.float64(weights[tap])
+            for axis in range(3 if slopes.shape[0] > 0 else 0):
+                slopes[tap, axis] *= factor
+        covers[n] *= total
+        inverse = 1.0 / total if total > 0.0 else 0.0
+        for tap in range(starts[n], starts[n + 1]):
+            weights[tap] *= inverse
+            for axis in range(3 if slopes.shape[0] > 0 else 0):
+                slopes[tap, axis] *= inverse
 
 
 @kernel

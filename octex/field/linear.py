@@ -7,7 +7,15 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.field.blend import Task, ask_for_facings, blend_all, blend_seen, new_seen, see_taps
+from octex.field.blend import (
+    Task,
+    ask_for_facings,
+    blend_all,
+    blend_seen,
+    new_seen,
+    see_taps,
+    weigh_by_area,
+)
 from octex.field.blocks import (
     BLOCK,
     Bytes,
@@ -169,6 +177,7 @@ def linear_colors(tiles: Tiles, origin: Origin, size: float, task: Task) -> tupl
         fault = linear_block(tiles, flat_points, begin, count, origin, size, values, block)
         if fault >= 0:
             return n_missed, fault
+        weigh_by_area(task.areas, block.cells, block.weights, 8 * BLOCK)
         if task.sight.mode == ALL:
             for n in range(count):
                 if not blend_all(

@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from octex.field.blend import Task, ask_for_facings, blend_all, blend_seen, new_seen, see_taps
+from octex.field.blend import (
+    Task,
+    ask_for_facings,
+    blend_all,
+    blend_seen,
+    new_seen,
+    see_taps,
+    weigh_by_area,
+)
 from octex.field.blocks import (
     BLOCK,
     Near,
@@ -87,6 +95,7 @@ def nearest_colors(tiles: Tiles, origin: Origin, size: float, task: Task) -> tup
             cells[at] = cell
             stored[at] = np.float32((mask >> bit) & np.uint64(1))
             prefetch(values, cell)
+        weigh_by_area(task.areas, cells, stored, count)
         if task.sight.mode == ALL:
             for n in range(count):
                 if not blend_all(task, begin + n, cells, stored, n, n + 1, 1, flat_values, flat_results):

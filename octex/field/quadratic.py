@@ -10,7 +10,15 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.field.blend import Task, ask_for_facings, blend_all, blend_seen, new_seen, see_taps
+from octex.field.blend import (
+    Task,
+    ask_for_facings,
+    blend_all,
+    blend_seen,
+    new_seen,
+    see_taps,
+    weigh_by_area,
+)
 from octex.field.blocks import (
     BLOCK,
     Bytes,
@@ -242,6 +250,7 @@ def quadratic_colors(
         fault = quadratic_block(tiles, flat_points, begin, count, origin, size, values, masks, places, block)
         if fault >= 0:
             return n_missed, fault
+        weigh_by_area(task.areas, block.cells, block.weights, block.ends[np.uint64(count - 1)])
         tap = 0
         if task.sight.mode == ALL:
             for n in range(count):

@@ -13,7 +13,7 @@ from octex.channels import ColorSpace, decode, decode_table
 from octex.field.blend import Codes
 from octex.field.facings import all_in_sight, spreads_of
 from octex.field.field import Field, NotFiniteError, Taps
-from octex.field.filtered import Query, filtered_colors, filtered_taps
+from octex.field.filtered import NO_AREAS, Query, filtered_colors, filtered_taps
 from octex.jit import decoded, kernel
 from octex.texture.channel import Channel
 from octex.tree.octree import Octree
@@ -68,7 +68,7 @@ def _look_up_colors(
     codes = Codes(values, split_values, table)
     if query.is_plain:
         return field.colors(
-            points, placement, query.filter, all_in_sight(), codes, answers, NO_TABLE, NO_TABLE
+            points, placement, query.filter, all_in_sight(), codes, NO_AREAS, answers, NO_TABLE, NO_TABLE
         )
     return filtered_colors(field, points, placement, query, codes, answers)
 

@@ -183,7 +183,8 @@ class OctreeTexture:
         the nearest point inside.
 
         width     side of the square to average over, in the model's units: one for all, or (n,). Averages of
-                  the source are read at the two levels whose cells suit it, and blended. None: the leaves.
+                  the source are read at the two levels whose cells suit it, and blended; they weigh by the
+                  root of the area in their cells. None: the leaves.
         dPdx, dPdy  instead of a width: how rest positions change from one pixel to the next, (n, 3) each. The
                   footprint is then the pixel's parallelogram: several looks along its longer axis, and, but
                   for ``nearest`` and ``linear``, two across.
