@@ -160,6 +160,9 @@ def test_a_nearly_exact_rotation_becomes_exact():
         ({"focal": None, "K": np.eye(4)}, "K must be a finite"),
         ({"focal": None, "K": np.diag([1.0, -1.0, 1.0])}, "focal lengths must be above zero"),
         ({"focal": None, "K": np.ones((3, 3))}, "K must be upper triangular"),
+        ({"distortion": (0.1,)}, "distortion must be two or four finite numbers"),
+        ({"distortion": (0.1, np.nan)}, "distortion must be two or four finite numbers"),
+        ({"distortion": "fisheye"}, "distortion must be two or four finite numbers"),
         ({"convention": "blender"}, "unknown camera convention 'blender'; there are: opengl, opencv"),
         ({"pose": np.eye(3)}, "pose must be a finite"),
         ({"pose": np.full((4, 4), np.nan)}, "pose must be a finite"),
@@ -194,6 +197,109 @@ def test_a_fit_that_cannot_be_is_refused(changes, complaint):
 def test_pixels_of_another_shape_are_refused():
     with pytest.raises(ArgumentError, match="pixels must have shape"):
         _pinhole().rays([1.0, 2.0])
+
+
+LENSES = [
+    (-0.3, 0.1, 1e-3, -2e-3),
+    (-0.25, 0.0, 0.0, 0.0),
+    (0.2, -0.05, 0.0, 0.0),
+    (0.1, 0.05, 0.01, 0.02),
+    (-0.5, 0.2, -1e-3, 1e-3),
+]
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_a_lens_distorts_as_the_radial_tangential_model_says(lens):
+    k1, k2, p1, p2 = lens
+    camera = _pinhole(pose=_pose(6), distortion=lens, focal=None, K=[[500, 3, 300], [0, 400, 250], [0, 0, 1]])
+    points = camera.undistorted.rays(np.random.default_rng(6).uniform([100, 50], [500, 400], (40, 2)))[1]
+    seen, depth = camera.project(points * 3.0 + camera.position)
+    for point, pixel in zip(points, seen, strict=True):
+        x, y, z = camera.world_to_camera[:3, :3] @ point
+        x, y = x / z, y / z
+        r2 = x**2 + y**2
+        radial = 1 + k1 * r2 + k2 * r2**2
+        right = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2)
+        down = y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y
+        assert np.allclose(pixel, [500 * right + 3 * down + 300, 400 * down + 250], rtol=0, atol=1e-10)
+    assert np.allclose(depth, 3.0 * points @ camera.world_to_camera[2, :3])
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_rays_are_the_inverse_of_project_through_a_lens(lens):
+    camera = _pinhole(pose=_pose(7), convention="opengl", distortion=lens, focal=900.0)
+    pixels = np.random.default_rng(7).uniform([0, 0], [640, 480], (500, 2))
+    origins, directions = camera.rays(pixels)
+    seen, _ = camera.project(origins + 5.0 * directions)
+    assert np.abs(seen - pixels).max() < 1e-9
+    assert np.allclose(np.linalg.norm(directions, axis=1), 1.0)
+
+
+def test_points_beyond_where_a_lens_would_fold_have_no_pixel():
+    camera = _pinhole(distortion=(-1 / 3, 0.0))  # r − r³/3 rises up to r = 1, where it is 2/3
+    seen, depth = camera.project([[0.999, 0.0, 1.0], [1.001, 0.0, 1.0], [0.0, -40.0, 1.0], [0.0, 0.0, -1.0]])
+    assert np.allclose(seen[0], [320 + 500 * 2 / 3, 240], atol=1e-2)
+    assert np.isnan(seen[1:]).all()
+    assert np.allclose(depth, [1.0, 1.0, 1.0, -1.0])
+
+
+def test_pixels_that_no_point_reaches_have_no_ray():
+    camera = _pinhole(distortion=(-1 / 3, 0.0))
+    _, directions = camera.rays([[320 + 500 * 0.66, 240], [320 + 500 * 0.67, 240], [320, 240 + 500 * 1e6]])
+    assert np.isfinite(directions[0]).all()
+    assert np.isnan(directions[1:]).all()
+    assert camera.rays(np.zeros((0, 2)))[1].shape == (0, 3)
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        (-0.3, 0.0),
+        (0.0, -0.2),
+        (0.1, -0.2),
+        (-1.0, 0.4),
+        (0.3, 0.1),
+        (-0.3, 0.1),
+    ],
+)
+def test_a_lens_is_used_up_to_its_first_turning_point(lens):
+    camera = _pinhole(distortion=lens)
+    radii = np.linspace(1e-4, 3.0, 30000)
+    found = camera.distort(np.column_stack([radii, np.zeros_like(radii)]))[:, 0]
+    rising = radii[np.isfinite(found)]
+    k1, k2 = lens
+    slope = 1 + 3 * k1 * radii**2 + 5 * k2 * radii**4
+    turn = radii[slope <= 0.0].min(initial=np.inf)
+    assert rising.max() < turn
+    assert rising.max() > min(turn, 3.0) - 2e-4
+    assert len(rising) == np.argmax(slope <= 0.0) or not (slope <= 0.0).any()
+    assert (np.diff(found[: len(rising)]) > 0.0).all()
+
+
+def test_a_camera_without_its_lens_has_the_matrix_of_the_one_with_it():
+    camera = _pinhole(pose=_pose(8), distortion=LENSES[0])
+    assert camera.undistorted.distortion == (0.0, 0.0, 0.0, 0.0)
+    assert np.array_equal(camera.undistorted.matrix, camera.matrix)
+    points = camera.position + camera.undistorted.rays([[100.0, 50.0]])[1]
+    assert np.allclose(camera.undistorted.project(points)[0], [[100.0, 50.0]])
+    assert not np.allclose(camera.project(points)[0], [[100.0, 50.0]], atol=1.0)
+
+
+def test_a_scaled_camera_keeps_its_lens():
+    camera = _pinhole(distortion=LENSES[0])
+    points = [[0.3, 0.2, 1.0], [-0.2, 0.1, 1.0]]
+    assert np.allclose(camera.scaled(3).project(points)[0], 3 * camera.project(points)[0])
+
+
+def test_two_numbers_of_distortion_are_the_radial_ones():
+    assert _pinhole(distortion=[0.1, 0.2]).distortion == (0.1, 0.2, 0.0, 0.0)
+    assert _pinhole(distortion=np.array([0.1, 0.2, 0.3, 0.4])).distortion == (0.1, 0.2, 0.3, 0.4)
+    assert _pinhole().distortion == (0.0, 0.0, 0.0, 0.0)
+
+
+def test_points_of_another_shape_are_not_distorted():
+    with pytest.raises(ArgumentError, match="points must have shape"):
+        _pinhole().distort([1.0, 2.0])
 
 
 @pytest.mark.parametrize("projection", ["pinhole", "orthographic"])

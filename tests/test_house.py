@@ -38,7 +38,10 @@ FORBIDDEN = {"source": STORED, "view": STORED}
 # Depth and cell limits are checked at the border too.
 EXCEPTIONS = {("checks", "octex.tree.layout")}
 
-EXPORTED = ["OctexError", "OctreeTexture", "Surface", "__version__", "convert", "load_surface", "open"]
+EXPORTED = [
+    *["Camera", "OctexError", "OctreeTexture", "Projection", "Surface", "__version__", "convert"],
+    *["load_surface", "merge", "open", "paint", "project", "read_cameras", "write_cameras"],
+]
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]
 
 PROJECT = tomllib.loads((ROOT.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]

@@ -98,7 +98,7 @@ def _walk_taps(
     truncated = False
     while True:
         _fill(walk, filter_code, parents, columns, x, y, z, i, j, k, level)
-        n_taps, total = _collect(
+        n_taps, total = collect(
             arrays, kept_cells, walk, level, truncated, filter_code, parents, columns, rows, first
         )
         if total > 0.0 or (level == 0 and truncated):
@@ -107,7 +107,7 @@ def _walk_taps(
         if truncated or walk.levels[level, NODES] == 0:
             level -= 1
         truncated = True
-    _normalize(walk, n_taps, total, weights, slopes, first)
+    normalize(walk, n_taps, total, weights, slopes, first)
     return first + n_taps, 0.0 if truncated else total
 
 
@@ -177,7 +177,7 @@ def _spline(
 
 
 @inlined
-def _collect(
+def collect(
     arrays: TreeArrays,
     kept_cells: Uint32s,
     walk: Walk,
@@ -286,9 +286,7 @@ def _kept_row(kept_cells: Uint32s, cell: int, n_cells: int) -> int:
 
 
 @inlined
-def _normalize(
-    walk: Walk, n_taps: int, total: float, weights: Float32s, slopes: Float32s, first: int
-) -> None:
+def normalize(walk: Walk, n_taps: int, total: float, weights: Float32s, slopes: Float32s, first: int) -> None:
     taps = walk.taps
     scale = 1.0 / total
     for n in range(n_taps):

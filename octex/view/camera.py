@@ -7,6 +7,8 @@ lies at depths above zero.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, cast, get_args
 
@@ -23,19 +25,29 @@ Floats = npt.NDArray[np.float64]
 #: ``opencv``: world-to-camera; the camera looks down its +z, +y is down (OpenCV, COLMAP).
 Convention = Literal["opengl", "opencv"]
 
+#: k1, k2, p1, p2 of OpenCV's radial-tangential model.
+Distortion = tuple[float, float, float, float]
+NO_DISTORTION: Distortion = (0.0, 0.0, 0.0, 0.0)
+
 #: From OpenGL's camera axes to ours, and back.
 _FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
+
+#: Bounds of the search for what a lens moved to a pixel.
+_MOST_STEPS = 100
+_LEAST_STEP = 1e-6
+_ROUNDING = 2.0**-51
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole or orthographic camera without lens distortion.
+    """A pinhole or orthographic camera; a pinhole camera may have lens distortion.
 
     Make one with ``Camera.pinhole``, ``Camera.orthographic`` or ``Camera.fitted``.
 
     width, height     picture size in pixels
     K                 (3, 3), to pixel coordinates. pinhole: K · (x/z, y/z, 1); orthographic: K · (x, y, 1)
     world_to_camera   (4, 4): a rotation and a translation into camera axes (x right, y down, z forward)
+    distortion        k1, k2, p1, p2: what ``distort`` does to (x/z, y/z) before K; zeros if orthographic
     """
 
     width: int
@@ -43,6 +55,7 @@ class Camera:
     K: Floats
     world_to_camera: Floats
     projection: Literal["pinhole", "orthographic"]
+    distortion: Distortion = NO_DISTORTION
 
     @classmethod
     def pinhole(
@@ -54,6 +67,7 @@ class Camera:
         K: npt.ArrayLike | None = None,
         focal: float | tuple[float, float] | None = None,
         center: tuple[float, float] | None = None,
+        distortion: Sequence[float] | None = None,
     ) -> Camera:
         """Make a perspective camera.
 
@@ -62,9 +76,10 @@ class Camera:
         K            (3, 3) intrinsics in pixels; or instead of it
         focal        focal length in pixels, one number or (x, y), and
         center       principal point in pixels; default: the middle of the picture
+        distortion   k1, k2, p1, p2 of OpenCV's radial-tangential model, or k1, k2; default: none
 
-        Raises ArgumentError for a matrix that is no pose or no intrinsics, and unless exactly one of K and
-        focal is given.
+        Raises ArgumentError for a matrix that is no pose or no intrinsics, for a distortion that is not two
+        or four finite numbers, and unless exactly one of K and focal is given.
         """
         width, height = _as_size(size)
         if (K is None) == (focal is None) or (K is not None and center is not None):
@@ -76,7 +91,14 @@ class Camera:
                 as_positive(cast(float, y), "focal"),
                 center if center is not None else (width / 2, height / 2),
             )
-        return cls(width, height, _as_intrinsics(K), _as_view(pose, convention), "pinhole")
+        return cls(
+            width,
+            height,
+            _as_intrinsics(K),
+            _as_view(pose, convention),
+            "pinhole",
+            _as_distortion(distortion),
+        )
 
     @classmethod
     def orthographic(
@@ -146,28 +168,68 @@ class Camera:
 
     @property
     def matrix(self) -> Floats:
-        """(4, 4): a world point (x, y, z, 1) to (i·w, j·w, w, depth), where (i, j) are pixel coordinates."""
+        """(4, 4): a world point (x, y, z, 1) to (i·w, j·w, w, depth), where (i, j) are pixel coordinates.
+
+        Without the lens distortion, which no matrix can express: ``undistorted`` has the same matrix.
+        """
         view = self.world_to_camera
         last = view[2] if self.projection == "pinhole" else np.array([0.0, 0.0, 0.0, 1.0])
         return np.vstack([self.K[:2] @ np.vstack([view[:2], last]), last, view[2]])
 
+    @property
+    def undistorted(self) -> Camera:
+        """The same camera without lens distortion."""
+        return replace(self, distortion=NO_DISTORTION)
+
+    def distort(self, points: npt.ArrayLike) -> Floats:
+        """Return where the lens moves normalised coordinates (x/z, y/z), (n, 2).
+
+        NaN from where the radial polynomial r · (1 + k1 · r² + k2 · r⁴) stops rising: points farther out
+        would be folded back into the picture.
+        """
+        points = np.asarray(points, np.float64)
+        if points.ndim != 2 or points.shape[1] != 2:
+            raise ArgumentError(f"points must have shape (n, 2), not {points.shape}")
+        k1, k2, p1, p2 = self.distortion
+        with np.errstate(over="ignore", invalid="ignore"):
+            x, y = points.T
+            square = x * x + y * y
+            square = np.where(square < _rising_until(k1, k2), square, np.nan)
+            radial = 1.0 + square * (k1 + square * k2)
+            return np.column_stack(
+                [
+                    x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x),
+                    y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y,
+                ]
+            )
+
     def project(self, points: npt.ArrayLike) -> tuple[Floats, Floats]:
         """Return the pixel coordinates (n, 2) and depths (n,) of world points (n, 3).
 
-        Where a pinhole camera's depth is not above zero, the pixel coordinates are NaN.
+        Where a pinhole camera's depth is not above zero, and where ``distort`` gives NaN, the pixel
+        coordinates are NaN.
         """
         points = as_points(points)
-        x, y, w, depth = self.matrix[:, :3] @ points.T + self.matrix[:, 3:]
-        w = np.where(w > 0.0, w, np.nan)
-        return np.column_stack([x / w, y / w]), depth
+        if self.distortion == NO_DISTORTION:
+            x, y, w, depth = self.matrix[:, :3] @ points.T + self.matrix[:, 3:]
+            w = np.where(w > 0.0, w, np.nan)
+            return np.column_stack([x / w, y / w]), depth
+        x, y, depth = self.world_to_camera[:3, :3] @ points.T + self.world_to_camera[:3, 3:]
+        z = np.where(depth > 0.0, depth, np.nan)
+        return self.distort(np.column_stack([x / z, y / z])) @ self.K[:2, :2].T + self.K[:2, 2], depth
 
     def rays(self, pixels: npt.ArrayLike) -> tuple[Floats, Floats]:
-        """Return rays through pixel coordinates (n, 2): origins at depth 0 and unit directions, (n, 3)."""
+        """Return rays through pixel coordinates (n, 2): origins at depth 0 and unit directions, (n, 3).
+
+        Directions are NaN for pixels that no point reaches through the lens.
+        """
         pixels = np.asarray(pixels, np.float64)
         if pixels.ndim != 2 or pixels.shape[1] != 2:
             raise ArgumentError(f"pixels must have shape (n, 2), not {pixels.shape}")
         on_plane = np.linalg.solve(self.K, np.column_stack([pixels, np.ones(len(pixels))]).T).T
         if self.projection == "pinhole":
+            if self.distortion != NO_DISTORTION:
+                on_plane[:, :2] = self._undistort(on_plane[:, :2])
             origins, directions = np.zeros_like(on_plane), on_plane
         else:
             origins, directions = on_plane * [1.0, 1.0, 0.0], np.tile([0.0, 0.0, 1.0], (len(pixels), 1))
@@ -181,7 +243,7 @@ class Camera:
         """Return how seen points (n, 3) move, in the world, from a pixel to the next: to the right and down.
 
         What is seen there is taken for planes with ``normals`` (n, 3) (Igehy, "Tracing Ray Differentials",
-        1999). Planes that are seen edge-on are taken as turned by 0.06°.
+        1999). Planes that are seen edge-on are taken as turned by 0.06°. Lens distortion is left out.
         """
         points, normals = as_points(points), as_points(normals, "normals")
         rotation = self.world_to_camera[:3, :3]
@@ -199,7 +261,10 @@ class Camera:
         return right, down
 
     def pixel_width(self, depth: npt.ArrayLike) -> Floats:
-        """Return how wide a pixel is in the world, across the view, at depths of any shape."""
+        """Return how wide a pixel is in the world, across the view, at depths of any shape.
+
+        Lens distortion is left out.
+        """
         focal = np.sqrt(self.K[0, 0] * self.K[1, 1])
         depth = np.asarray(depth, np.float64)
         return depth / focal if self.projection == "pinhole" else np.full(depth.shape, 1.0 / focal)
@@ -212,6 +277,56 @@ class Camera:
             height=self.height * factor,
             K=np.diag([factor, factor, 1.0]) @ self.K,
         )
+
+    def _undistort(self, seen: Floats) -> Floats:
+        """Return the inverse of ``distort``: what the lens moves to ``seen`` (n, 2); NaN where there is none.
+
+        Newton's method from the middle. A step that does not come closer, or that leaves the part where
+        ``distort`` is a number, is halved.
+        """
+        points, missed = np.zeros_like(seen), seen - self.distort(np.zeros_like(seen))
+        size = 1.0 + np.abs(seen).max(axis=1, initial=0.0)
+        part = np.ones(len(seen))
+        rows = np.arange(len(seen))
+        for _ in range(_MOST_STEPS):
+            now, error = points[rows], missed[rows]
+            trial = now + part[rows, None] * self._newton_step(now, error)
+            left = seen[rows] - self.distort(trial)
+            closer = np.linalg.norm(left, axis=1) < np.linalg.norm(error, axis=1)
+            points[rows[closer]], missed[rows[closer]] = trial[closer], left[closer]
+            part[rows] = np.where(closer, 1.0, part[rows] / 2.0)
+            far = np.abs(missed[rows]).max(axis=1) > _ROUNDING * size[rows]
+            rows = rows[far & (part[rows] > _LEAST_STEP)]
+            if not rows.size:
+                break
+        found = np.abs(missed).max(axis=1, initial=0.0) <= 1e-12 * size
+        return np.where(found[:, None], points, np.nan)
+
+    def _newton_step(self, points: Floats, missed: Floats) -> Floats:
+        """Return steps that would bring ``distort`` of points on by ``missed`` if it were linear there."""
+        k1, k2, p1, p2 = self.distortion
+        x, y = points.T
+        square = x * x + y * y
+        radial, slope = 1.0 + square * (k1 + square * k2), 2.0 * k1 + 4.0 * k2 * square
+        xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
+        yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+        xy = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
+        with np.errstate(all="ignore"):
+            across = np.column_stack(
+                [yy * missed[:, 0] - xy * missed[:, 1], xx * missed[:, 1] - xy * missed[:, 0]]
+            )
+            return cast(Floats, across / (xx * yy - xy * xy)[:, None])
+
+
+def _rising_until(k1: float, k2: float) -> float:
+    """Return the r² up to which r · (1 + k1 · r² + k2 · r⁴) rises."""
+    # The derivative 1 + 3 k1 r² + 5 k2 r⁴ is zero at u² + 3 k1 u + 5 k2 = 0, u = 1/r²; the largest u counts.
+    half, inside = -1.5 * k1, 2.25 * k1 * k1 - 5.0 * k2
+    if inside < 0.0:
+        return math.inf
+    root = math.sqrt(inside)
+    largest = half + root if half >= 0.0 else -5.0 * k2 / (root - half)
+    return 1.0 / largest if largest > 0.0 else math.inf
 
 
 def _intrinsics(focal_x: float, focal_y: float, center: tuple[float, float]) -> Floats:
@@ -244,6 +359,19 @@ def _as_intrinsics(K: npt.ArrayLike) -> Floats:
     if matrix[1, 0] != 0.0 or (matrix[2] != [0.0, 0.0, 1.0]).any():
         raise ArgumentError("K must be upper triangular with the last row 0 0 1")
     return matrix
+
+
+def _as_distortion(distortion: Sequence[float] | None) -> Distortion:
+    if distortion is None:
+        return NO_DISTORTION
+    try:
+        numbers = np.asarray(distortion, np.float64)
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    if numbers.shape not in ((2,), (4,)) or not np.isfinite(numbers).all():
+        raise ArgumentError("distortion must be two or four finite numbers: k1, k2, p1, p2")
+    k1, k2, p1, p2 = np.append(numbers, np.zeros(4 - len(numbers))).tolist()
+    return k1, k2, p1, p2
 
 
 def _as_view(pose: npt.ArrayLike, convention: Convention) -> Floats:

@@ -174,7 +174,7 @@ def _fill(picture: Picture, what: int, rows: Texels) -> None:
     for number, (wide, high) in enumerate(shapes[1:], 1):
         # From the level of half the reduction: one step down, or for ripmaps one across.
         below = number - 1 if what == MIPS or number % across else number - across
-        done[number] = _resized(done[below], high, wide) if below else _shrunk(picture, high, wide)
+        done[number] = resized(done[below], high, wide) if below else _shrunk(picture, high, wide)
         rim = rims[number] = rims[below].resized(high, wide)
         target = _take(rows, first, wide, high)
         first += target.shape[0] * target.shape[1]
@@ -267,15 +267,15 @@ class _Rim(NamedTuple):
 
     def resized(self, height: int, width: int) -> _Rim:
         return _Rim(
-            _resized(self.left, height, 1),
-            _resized(self.right, height, 1),
-            _resized(self.top, 1, width),
-            _resized(self.bottom, 1, width),
+            resized(self.left, height, 1),
+            resized(self.right, height, 1),
+            resized(self.top, 1, width),
+            resized(self.bottom, 1, width),
             self.corners,
         )
 
 
-def _resized(values: npt.NDArray[np.float32], height: int, width: int) -> npt.NDArray[np.float32]:
+def resized(values: npt.NDArray[np.float32], height: int, width: int) -> npt.NDArray[np.float32]:
     """Return exact means (height, width, 4) over each texel's area, for a size that is no larger."""
     smaller = np.empty((height, width, 4), np.float32)
     _reduce(values, smaller)

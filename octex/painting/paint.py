@@ -1,0 +1,169 @@
+"""Painting: pictures, cameras and a surface in; the texture with their paint out (paper 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from itertools import groupby
+
+import numpy as np
+
+from octex.channels import ALPHA, CHANNELS, ChannelFormat
+from octex.checks import as_choice, as_depth, as_number
+from octex.errors import ArgumentError
+from octex.painting.merge import merge
+from octex.painting.pictures import Projection, check_projections
+from octex.painting.projected import Projected, take_shot, terms_of
+from octex.painting.rasterize import empty_texture, rasterize_paint, wanted_depth
+from octex.parallel import Progress, silent, workers
+from octex.source.surface import Surface
+from octex.texture import OctreeTexture
+from octex.tree.placement import Placement
+
+#: Pictures get no deeper than this on their own: cells of a 16,000th of the model.
+_DEEPEST = 14
+
+
+def paint(
+    texture: OctreeTexture | None,
+    surface: Surface,
+    projections: Projection | Sequence[Projection],
+    *,
+    channel: str = "base_color",
+    max_depth: int | None = None,
+    max_angle: float = 75.0,
+    edge_feather: float = 0.0,
+    balance: bool = False,
+    back_faces: bool = False,
+    fit: bool = True,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> OctreeTexture:
+    """Paint pictures through their cameras onto a surface; return the texture with the paint.
+
+    The cameras see the surface's posed positions, and paint lands at its rest positions. Only what a camera
+    sees is painted: not what something hides, and not what faces away. The texture that is given stays as it
+    is, which is the undo; None stands for one without any cell.
+
+    projections  pictures that follow each other with one blend mode are one layer: in each cell they are
+                 averaged, the finer one outweighing the coarser, and then merged once
+    channel      what is painted, of any type; colours are blended in linear light
+    max_depth    the deepest level that paint goes to; by default that at which its cells are half as wide as
+                 the pixels, or 14
+    max_angle    degrees between the surface's normal and the way to the camera from which on no paint is
+                 put; over the last 10 it fades. From 90 on all that faces the camera is painted in full
+    edge_feather  pixels over which paint fades towards the picture's rim and towards edges in depth
+    balance      multiply each picture, by component, so that overlapping ones agree
+    back_faces   paint also what faces away
+    fit          store what makes the field meet the pictures, as ``convert`` does, instead of plain means
+    executor     spreads the work, by default over a thread for each processor; it does not change the result
+    progress     is called with a stage's name, the units done and the units in all
+
+    Where nothing is painted the texture itself is returned. Raises ArgumentError for a channel that the
+    texture does not have, for a surface that reaches out of its root cell, for numbers out of range and
+    pictures of another size than their cameras', ImageError for files that are no pictures. (Benson & Davis
+    2002, 4.1 and 4.2.)
+    """
+    given = check_projections(projections)
+    report = progress or silent
+    made = texture
+    with workers(executor) as pool:
+        for blend, group in groupby(given, key=lambda projection: projection.blend):
+            pictures = list(group)
+            opacity = max(picture.opacity for picture in pictures)
+            layer = project(
+                surface, pictures, like=made, channel=channel, max_depth=max_depth, max_angle=max_angle,
+                edge_feather=edge_feather, balance=balance, back_faces=back_faces, fit=fit,
+                executor=pool, progress=report,
+            )  # fmt: skip
+            if made is None:
+                made = empty_texture([_format(None, channel)], layer.placement, layer.bounds)
+            made = merge(made, layer, surface, opacity=opacity, blend=blend, executor=pool, progress=report)
+    assert made is not None
+    return made
+
+
+def project(
+    surface: Surface,
+    projections: Projection | Sequence[Projection],
+    *,
+    like: OctreeTexture | None = None,
+    channel: str = "base_color",
+    max_depth: int | None = None,
+    max_angle: float = 75.0,
+    edge_feather: float = 0.0,
+    balance: bool = False,
+    back_faces: bool = False,
+    fit: bool = True,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> OctreeTexture:
+    """Project pictures onto a surface; return a layer, to be merged as often and as opaque as wanted.
+
+    A layer is a texture of the painted channel and of ``alpha``, what of each cell paint covers. Opacities
+    count relative to the largest of them; that itself, and blend modes, are the merge's. ``like`` is the
+    texture that it will be merged into, or None for a new one. All else as for ``paint``.
+    """
+    given = check_projections(projections)
+    report = progress or silent
+    form = _format(like, channel)
+    as_number(max_angle, "max_angle", 0.0, 180.0)
+    as_number(edge_feather, "edge_feather", 0.0, 1e6)
+    deepest = _DEEPEST if max_depth is None else as_depth(max_depth, "max_depth")
+    terms = terms_of(max_angle, edge_feather, back_faces)
+    largest = max(projection.opacity for projection in given) or 1.0
+    shots = []
+    for number, projection in enumerate(given):
+        report("look", number, len(given))
+        scale = projection.opacity / largest
+        shots.append(take_shot(projection, form, surface.vertices, surface.triangles, edge_feather, scale))
+    report("look", len(given), len(given))
+    source = Projected(shots, form, terms, surface.vertices, surface.rest, surface.triangles)
+    extent = float(np.ptp(surface.bounds, axis=0).max())
+    size = like.placement.size if like is not None else extent
+    depth = min(wanted_depth(shots, source, size), deepest)
+    placement = Placement.around(surface.bounds, depth) if like is None else like.placement
+    if like is not None:
+        _check_inside(surface, placement)
+    gains = None
+    if balance and len(shots) > 1:
+        from octex.painting.balance import balanced
+
+        gains = balanced(source, surface)
+    with workers(executor) as pool:
+        return rasterize_paint(
+            surface,
+            shots,
+            form,
+            terms,
+            placement,
+            depth,
+            gains=gains,
+            fit=fit,
+            executor=pool,
+            progress=report,
+        )
+
+
+def _format(texture: OctreeTexture | None, channel: str) -> ChannelFormat:
+    """Return how a channel is stored, in a texture or in a new one."""
+    if texture is not None:
+        as_choice(channel, texture.channels, "channel of the texture")
+        form = texture.channels[channel].format
+    else:
+        form = CHANNELS[as_choice(channel, CHANNELS, "channel")]
+    if channel == ALPHA.name:
+        raise ArgumentError('alpha is painted with blend="erase", or as the alpha of pictures')
+    if form.components > 3:
+        raise ArgumentError(f"channel {channel!r} has {form.components} components; pictures have three")
+    return form
+
+
+def _check_inside(surface: Surface, placement: Placement) -> None:
+    low, high = placement.to_texture_space(surface.bounds)
+    if (low < 0).any() or (high > 1).any():
+        raise ArgumentError(
+            f"{surface.name} at rest reaches from {surface.bounds[0].round(6).tolist()} to "
+            f"{surface.bounds[1].round(6).tolist()}, out of the texture's root cell at {placement.origin} of "
+            f"size {placement.size:g}: the texture belongs to another model, or to other rest positions"
+        )

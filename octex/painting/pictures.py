@@ -1,0 +1,219 @@
+"""Pictures to paint with: what is given, and the levels from which paint is read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+import numpy.typing as npt
+import PIL.Image
+
+from octex.channels import ChannelFormat, decode_table
+from octex.checks import as_choice, as_number
+from octex.errors import ArgumentError, ImageError
+from octex.jit import inlined
+from octex.source.images.decode import as_texels, decode_image
+from octex.source.images.pyramid import resized
+from octex.view.camera import Camera
+
+Floats = npt.NDArray[np.float32]
+Image = str | Path | PIL.Image.Image | npt.ArrayLike
+
+#: How paint p of coverage a meets what is there, b, in linear light:
+#: ``over`` (1−a)·b + a·p, ``multiply`` and ``screen`` likewise with b·p and 1 − (1−b)(1−p) for p, ``add``
+#: b + a·p; ``erase`` takes a of the texture's alpha away; ``replace`` puts p, whatever its coverage.
+Blend = Literal["over", "multiply", "screen", "add", "erase", "replace"]
+BLENDS: tuple[Blend, ...] = get_args(Blend)
+
+#: Codes of images.
+_MOST_CODE = 65535.0
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """A picture to be painted through a camera.
+
+    image      a file, a Pillow image, or an array as for ``Surface.from_arrays``: codes, or linear floats.
+               Its size is the camera's; its alpha, if it has one, is how opaque the paint is
+    camera     where it was taken, or what it was painted over
+    mask       another image of that size, white where paint goes, black where none does; grey is in between
+    opacity    0 … 1, multiplies the alpha
+    blend      how paint meets what is there: one of BLENDS
+    """
+
+    image: Image
+    camera: Camera
+    mask: Image | None = None
+    opacity: float = 1.0
+    blend: Blend = "over"
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.camera, Camera):
+            raise ArgumentError(f"camera must be an octex.Camera, not {type(self.camera).__name__}")
+        as_number(self.opacity, "opacity", 0.0, 1.0)
+        as_choice(self.blend, BLENDS, "blend")
+
+    @property
+    def name(self) -> str:
+        """What messages call the picture."""
+        return _name_of(self.image, "the image")
+
+
+class Levels(NamedTuple):
+    """A picture and smaller ones, each half as wide and high, as kernels read them.
+
+    A row is a pixel: up to three components as the channel has them decoded, multiplied by alpha, and alpha.
+    """
+
+    pixels: Floats  # (pixels of all levels, 4)
+    sizes: npt.NDArray[np.int64]  # (levels, 3)   first row, width, height
+
+
+def levels_of(projection: Projection, form: ChannelFormat, scale: float = 1.0) -> Levels:
+    """Decode a projection's image and mask for a channel; alpha is multiplied by ``scale``.
+
+    Raises ImageError for files and arrays that cannot be used, ArgumentError for sizes that are not the
+    camera's.
+    """
+    width, height = projection.camera.width, projection.camera.height
+    texels = _texels(projection.image, "the image")
+    _check_size(texels, width, height, projection.name)
+    pixels = _decoded(texels, form)
+    factor = np.float32(scale)
+    if projection.mask is not None:
+        mask = _texels(projection.mask, "the mask")
+        _check_size(mask, width, height, _name_of(projection.mask, "the mask"))
+        shown = mask[:, :, :3].mean(axis=2, dtype=np.float32) * _as_fractions(mask[:, :, 3])
+        factor = shown / np.float32(_MOST_CODE if mask.dtype == np.uint16 else 1.0) * factor
+    pixels[:, :, 3] *= np.clip(factor, 0.0, 1.0)
+    pixels[:, :, :3] *= pixels[:, :, 3:]
+    levels = [pixels]
+    while min(levels[-1].shape[:2]) > 1:
+        rows, columns = levels[-1].shape[:2]
+        levels.append(resized(levels[-1], rows // 2, columns // 2))
+    counts = [level.shape[0] * level.shape[1] for level in levels]
+    firsts = np.cumsum([0, *counts[:-1]])
+    sizes = [(first, level.shape[1], level.shape[0]) for first, level in zip(firsts, levels, strict=True)]
+    return Levels(np.concatenate([level.reshape(-1, 4) for level in levels]), np.array(sizes, np.int64))
+
+
+def _name_of(image: Image, otherwise: str) -> str:
+    return str(image) if isinstance(image, (str, Path)) else otherwise
+
+
+def _texels(image: Image, otherwise: str) -> npt.NDArray[np.uint16 | np.float32]:
+    if not isinstance(image, (str, Path)):
+        try:
+            return as_texels(image)
+        except ImageError as error:
+            raise ImageError(f"{otherwise}: {error}") from None
+    path = Path(image)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ImageError(f"{path} cannot be read: {error.strerror or error}") from None
+    return decode_image(data, path.name)
+
+
+def _check_size(texels: npt.NDArray[np.generic], width: int, height: int, name: str) -> None:
+    rows, columns = texels.shape[:2]
+    if (columns, rows) != (width, height):
+        raise ArgumentError(
+            f"{name} has {columns}×{rows} pixels, its camera {width}×{height}; scale the picture, or give "
+            "the camera that it was taken with"
+        )
+
+
+def _as_fractions(alpha: npt.NDArray[np.uint16 | np.float32]) -> Floats:
+    scale = np.float32(1.0 / _MOST_CODE if alpha.dtype == np.uint16 else 1.0)
+    fractions: Floats = np.clip(alpha.astype(np.float32) * scale, 0.0, 1.0)
+    return fractions
+
+
+def _decoded(texels: npt.NDArray[np.uint16 | np.float32], form: ChannelFormat) -> Floats:
+    """Return colours as the channel has them decoded, and alpha (height, width, 4)."""
+    pixels = np.empty((*texels.shape[:2], 4), np.float32)
+    if texels.dtype == np.uint16:
+        is_light = form.space in ("srgb", "linear")
+        table = decode_table("uint16", "srgb" if is_light else form.space)
+        for component in range(3):
+            pixels[:, :, component] = table[texels[:, :, component]]
+    else:
+        pixels[:, :, :3] = texels[:, :, :3]
+    pixels[:, :, 3] = _as_fractions(texels[:, :, 3])
+    return pixels
+
+
+def check_projections(projections: Projection | Sequence[Projection]) -> list[Projection]:
+    """Return projections as a list, or raise ArgumentError if there is none or another thing among them."""
+    given: list[Projection] = [projections] if isinstance(projections, Projection) else list(projections)
+    if not given:
+        raise ArgumentError("there is no projection to paint")
+    for each in given:
+        if not isinstance(each, Projection):
+            raise ArgumentError(f"projections must be octex.Projection, not {type(each).__name__}")
+    return given
+
+
+@inlined
+def read_paint(
+    levels: Levels, x: float, y: float, width: float
+) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+    """Return paint at pixel coordinates as a box of ``width`` pixels sees it: times alpha, and alpha.
+
+    Read by the spline of Catmull and Rom, which keeps what bilinear reading would blur (5 dB where cells are
+    as large as pixels): at the point if the box is a pixel or less; else at four points about it, in the
+    level whose pixels are next smaller, so that the variance is the box's.
+    """
+    level = min(int(np.log2(max(width, 1.0))), levels.sizes.shape[0] - 1)
+    scale_x = levels.sizes[level, 1] / levels.sizes[0, 1]
+    scale_y = levels.sizes[level, 2] / levels.sizes[0, 2]
+    x, y = x * scale_x, y * scale_y
+    apart = np.sqrt(max((width * scale_x) ** 2 - 1.0, 0.0) / 12.0)
+    if not apart > 0.0:
+        return _bicubic(levels, level, x, y)
+    a = b = c = d = np.float32(0.0)
+    for corner in range(4):
+        u = x + (apart if corner & 1 else -apart)
+        v = y + (apart if corner & 2 else -apart)
+        e, f, g, h = _bicubic(levels, level, u, v)
+        a, b, c, d = a + e, b + f, c + g, d + h
+    quarter = np.float32(0.25)
+    return a * quarter, b * quarter, c * quarter, d * quarter
+
+
+@inlined
+def _cubic(t: np.float32) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+    half, one = np.float32(0.5), np.float32(1.0)
+    square, s = t * t, one - t
+    return (
+        -half * t * s * s,
+        one - half * square * (np.float32(5.0) - np.float32(3.0) * t),
+        half * t * (one + np.float32(4.0) * t - np.float32(3.0) * square),
+        -half * square * s,
+    )
+
+
+@inlined
+def _bicubic(
+    levels: Levels, level: int, x: float, y: float
+) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+    start, width, height = levels.sizes[level, 0], levels.sizes[level, 1], levels.sizes[level, 2]
+    u, v = x - 0.5, y - 0.5
+    i, j = int(np.floor(u)), int(np.floor(v))
+    of_x, of_y = _cubic(np.float32(u - i)), _cubic(np.float32(v - j))
+    none = np.float32(0.0)
+    a = b = c = d = none
+    for row in range(4):
+        first = start + min(max(j + row - 1, 0), height - 1) * width
+        for column in range(4):
+            at = first + min(max(i + column - 1, 0), width - 1)
+            weight = of_y[row] * of_x[column]
+            a += weight * levels.pixels[at, 0]
+            b += weight * levels.pixels[at, 1]
+            c += weight * levels.pixels[at, 2]
+            d += weight * levels.pixels[at, 3]
+    return a, b, c, min(max(d, none), np.float32(1.0))

@@ -1,0 +1,212 @@
+"""Trees made from trees: leaves raised to nodes, cells added and dropped (paper 4.1, steps 2, 4, 5 and 7).
+
+Trees are immutable: an edit gives a new one, and says which of its cells were in the old one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.jit import kernel, popcount
+from octex.tree.layout import FACING_FLAGS, KEPT, MAX_DEPTH, KeptTable, SplitTable, TreeArrays
+from octex.tree.morton import decode
+from octex.tree.octree import Octree, distinct
+from octex.tree.search import descend
+
+Int64s = npt.NDArray[np.int64]
+Bools = npt.NDArray[np.bool_]
+
+
+class Edited(NamedTuple):
+    """A tree made from another, with the flags, areas, split cells and kept nodes that are left of it."""
+
+    tree: Octree
+    old: Int64s  # (cells,)   each cell's number in the old tree; −1: it was not there
+    split_rows: Bools  # (rows of the old split table,)   those that are left
+    kept_rows: Bools  # (rows of the old kept table,)   those that are left
+
+    def carried(self, values: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+        """Return the old cells' values (cells, …) for the new cells; zeros for those that were not there."""
+        found = values[np.maximum(self.old, 0)]
+        found[self.old < 0] = 0
+        return found
+
+
+class Located(NamedTuple):
+    """Where cells of one level are in a tree."""
+
+    cells: Int64s  # (n,)   the deepest stored cell that holds each, down to its own level
+    levels: Int64s  # (n,)   that cell's level
+    is_leaf: Bools  # (n,)
+
+
+def locate(tree: Octree, codes: Int64s, level: int) -> Located:
+    """Find cells (n,) of a level, by their Morton codes, or what holds them."""
+    found = Located(
+        np.empty(codes.size, np.int64), np.empty(codes.size, np.int64), np.empty(codes.size, np.bool_)
+    )
+    _locate(tree.arrays, codes, level, *found)
+    return found
+
+
+@kernel
+def _locate(
+    arrays: TreeArrays, codes: Int64s, level: int, cells: Int64s, levels: Int64s, is_leaf: Bools
+) -> None:
+    shift = MAX_DEPTH - level
+    for n in range(codes.size):
+        i, j, k = decode(codes[n])
+        cells[n], levels[n], node = descend(arrays, i << shift, j << shift, k << shift, level)
+        is_leaf[n] = node < 0
+
+
+def cull(tree: Octree, is_kept: Bools) -> Edited:
+    """Return the tree of some of its leaves (paper 4.1, step 7); nodes without any go too.
+
+    ``is_kept`` (cells,) counts for leaves only.
+    """
+    first = tree.arrays.level_cells
+    leaves = [
+        codes[~is_node & is_kept[first[level] : first[level + 1]]]
+        for level, (codes, is_node) in enumerate(tree.walk())
+    ]
+    return rebuilt(tree, leaves)
+
+
+def raised(
+    tree: Octree,
+    wanted: Sequence[Int64s],
+    met: Sequence[Int64s],
+    added: Sequence[Int64s],
+) -> Edited:
+    """Return a tree that goes down to wanted cells, by splitting the leaves above them (paper 4.1, step 4).
+
+    wanted   for each level, Morton codes, ascending: cells below leaves of the tree
+    met      for each level, Morton codes, ascending: of all cells below these leaves those that are to be
+    added    for each level, Morton codes, ascending: leaves to add where the tree has nothing
+
+    A leaf that none of ``met`` is below stays. Nodes that were leaves, and new nodes, are flagged KEPT: their
+    coefficients, in the order of the kept table, are for the caller to fill in.
+    """
+    depth = max(tree.max_depth, len(wanted) - 1, len(added) - 1)
+    none = np.empty(0, np.int64)
+    wanted = [*wanted, *[none] * (depth + 1 - len(wanted))]
+    added = [*added, *[none] * (depth + 1 - len(added))]
+    met = [*met, *[none] * (depth + 1 - len(met))]
+    needed = [none] * (depth + 2)  # as nodes
+    for level in range(depth, 0, -1):
+        needed[level - 1] = distinct(np.concatenate([needed[level], wanted[level]]) >> 3)
+    walk = tree.walk()
+    leaves: list[Int64s] = []
+    keeping: list[Int64s] = []  # nodes that were leaves, and below them
+    split_codes = none  # those of the level above
+    for level in range(depth + 1):
+        codes, is_node = next(walk, (none, np.empty(0, np.bool_)))
+        own = codes[~is_node]
+        below = met[level + 1] >> 3 if level < depth else none
+        may = among(own, needed[level]) & among(own, below)
+        children = (split_codes[:, None] << 3 | np.arange(8)).reshape(-1)
+        children = children[among(children, met[level])]
+        on = among(children, needed[level])
+        leaves.append(np.sort(np.concatenate([own[~may], children[~on], added[level]])))
+        split_codes = np.sort(np.concatenate([own[may], children[on]]))
+        keeping.append(split_codes)
+    edited = rebuilt(tree, leaves)
+    return _keeping(edited, keeping)
+
+
+def among(codes: Int64s, known: Int64s) -> Bools:
+    """Say which codes (n,) are among ascending ones."""
+    if not known.size:
+        return np.zeros(codes.size, np.bool_)
+    found: Bools = known[np.minimum(np.searchsorted(known, codes), known.size - 1)] == codes
+    return found
+
+
+def rebuilt(tree: Octree, leaves: Sequence[Int64s]) -> Edited:
+    """Build a tree of other leaves, ascending Morton codes for each level, and carry over what it shares."""
+    built = Octree.from_levels(leaves)
+    n_old = tree.n_cells
+    old = np.full(built.n_cells, -1, np.int64)
+    starts, old_starts = built.arrays.level_cells, tree.arrays.level_cells
+    is_node = np.zeros(built.n_cells, np.bool_)
+    for level, ((codes, nodes), (old_codes, _)) in enumerate(zip(built.walk(), tree.walk(), strict=False)):
+        here = slice(int(starts[level]), int(starts[level + 1]))
+        is_node[here] = nodes
+        _match(codes, old_codes, int(old_starts[level]), old[here])
+    flags, areas = np.zeros((2, built.n_cells), np.uint8)
+    there = old >= 0
+    flags[there], areas[there] = tree.arrays.flags[old[there]], tree.arrays.areas[old[there]]
+    flags[there & ~is_node] &= np.uint8(0xFF ^ KEPT)
+    new = np.full(n_old, -1, np.int64)
+    new[old[there]] = np.flatnonzero(there)
+    split_cells = new[tree.split.cells]
+    rows = np.repeat(split_cells >= 0, np.bitwise_count(tree.split.facings & np.uint8(FACING_FLAGS)))
+    kept_cells = new[tree.kept.cells]
+    kept_rows = (kept_cells >= 0) & is_node[kept_cells]
+    split = SplitTable(
+        split_cells[split_cells >= 0].astype(np.uint32),
+        tree.split.facings[split_cells >= 0],
+        tree.split.areas[rows],
+    )
+    kept = KeptTable(kept_cells[kept_rows].astype(np.uint32))
+    return Edited(built.with_cell_data(flags, areas, split, kept), old, rows, kept_rows)
+
+
+@kernel
+def _match(codes: Int64s, known: Int64s, first: int, found: Int64s) -> None:
+    """Write where codes are among known ones, counted from ``first``; both ascend. Others are left."""
+    at = 0
+    for n in range(codes.size):
+        while at < known.size and known[at] < codes[n]:
+            at += 1
+        if at < known.size and known[at] == codes[n]:
+            found[n] = first + at
+
+
+def _keeping(edited: Edited, nodes: Sequence[Int64s]) -> Edited:
+    """Flag nodes, given by level, as KEPT, beside those that are."""
+    tree = edited.tree
+    cells = [tree.kept.cells.astype(np.int64)]
+    for first, (codes, _), keeping in zip(tree.arrays.level_cells, tree.walk(), nodes, strict=False):
+        cells.append(first + np.searchsorted(codes, keeping))
+    kept = np.sort(np.concatenate(cells))
+    flags = tree.arrays.flags.copy()
+    flags[kept] |= np.uint8(KEPT)
+    table = KeptTable(kept.astype(np.uint32))
+    return edited._replace(tree=tree.with_cell_data(flags, tree.arrays.areas, tree.split, table))
+
+
+def facings_of_nodes(tree: Octree) -> npt.NDArray[np.uint8]:
+    """Return the cells' flags (cells,) with the facings of nodes made anew: those of their children."""
+    flags = tree.arrays.flags.copy()
+    first = tree.arrays.level_cells
+    facing = np.uint8(FACING_FLAGS)
+    for level in range(tree.max_depth - 1, -1, -1):
+        starts = first_children(tree, level) - first[level + 1]
+        if starts.size:
+            nodes = np.flatnonzero(tree.is_node(level)) + first[level]
+            below = flags[first[level + 1] : first[level + 2]] & facing
+            flags[nodes] = flags[nodes] & ~facing | np.bitwise_or.reduceat(below, starts)
+    return flags
+
+
+def first_children(tree: Octree, level: int) -> Int64s:
+    """Return the number of the first child of each node of a level."""
+    nodes = tree.arrays.level_nodes
+    firsts = np.empty(int(nodes[level + 1] - nodes[level]), np.int64)
+    _first_children(tree.arrays.groups, int(nodes[level]), firsts)
+    return firsts
+
+
+@kernel
+def _first_children(groups: npt.NDArray[np.uint64], first_node: int, firsts: Int64s) -> None:
+    for n in range(firsts.size):
+        node = first_node + n
+        group = groups[node >> 3]
+        below = (np.uint64(1) << np.uint64(8 * (node & 7))) - np.uint64(1)
+        firsts[n] = np.int64(group[2] >> np.uint64(32)) + popcount((group[0] | group[1]) & below)

@@ -1,0 +1,281 @@
+"""Which points of a surface a camera sees, decided point by point against what its pixels see.
+
+Every pixel keeps the plane of the triangle that it sees, as the *nearness* of that plane over the picture: 1
+over depth for pinhole cameras, minus depth for orthographic ones. Nearness is linear in pixel coordinates, so
+that the plane of a pixel can be read at a point beside it, and the plane of a point at a pixel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.jit import inlined, kernel
+from octex.view.camera import Camera
+from octex.view.rasterize import rasterize
+
+Floats = npt.NDArray[np.float64]
+
+#: Surfaces nearer to each other than this, in pixels as they are there, are not told apart ...
+_CLOSE = 0.01
+#: ... and where triangles are smaller than pixels, this much more: a rough surface hides none of itself.
+_ROUGH = 0.5
+#: How far beyond the picture a camera without distortion may look for what one with distortion sees.
+_WIDEST = 4.0
+
+
+class Seen(NamedTuple):
+    """What the pixels of a camera without distortion see; row 0 is the top of the picture."""
+
+    triangle: npt.NDArray[np.int32]  # (height, width)   −1: none
+    planes: npt.NDArray[np.float32]  # (height, width, 3)   nearness, and its slopes to the right and down
+
+
+class View(NamedTuple):
+    """A camera as kernels see it."""
+
+    world_to_camera: Floats  # (4, 4)
+    K: Floats  # (3, 3)
+    inverse_k: Floats  # (3, 3)
+    is_pinhole: bool
+
+
+def view_of(camera: Camera) -> View:
+    """Return a camera, without distortion, as kernels see it."""
+    inverse = np.linalg.inv(camera.K).astype(np.float64)
+    return View(camera.world_to_camera, camera.K, inverse, camera.projection == "pinhole")
+
+
+def look(
+    vertices: Floats, triangles: npt.NDArray[np.int32], camera: Camera
+) -> tuple[Seen, npt.NDArray[np.float32]]:
+    """Find what the pixels of a camera without distortion see of triangles (m, 3) of vertices (n, 3).
+
+    Returns also where on its triangle each centre lies, (height, width, 3).
+    """
+    seen, barycentric, _ = rasterize(vertices, triangles, camera)
+    planes = np.zeros((*seen.shape, 3), np.float32)
+    _find_planes(vertices, triangles, view_of(camera), seen, planes)
+    return Seen(seen, planes), barycentric
+
+
+def straight(camera: Camera) -> Camera:
+    """Return a camera without distortion whose picture holds all that ``camera`` sees, as fine."""
+    if not any(camera.distortion):
+        return camera
+    width, height = camera.width, camera.height
+    x, y = np.arange(width + 1.0), np.arange(height + 1.0)
+    rim = np.concatenate(
+        [np.column_stack([x, np.full(x.size, row)]) for row in (0.0, float(height))]
+        + [np.column_stack([np.full(y.size, column), y]) for column in (0.0, float(width))]
+    )
+    pinhole = camera.undistorted
+    origins, directions = camera.rays(rim)
+    there, _ = pinhole.project(origins + directions)
+    there = there[np.isfinite(there).all(axis=1)]
+    middle, most = np.array([width, height]) / 2, np.array([width, height]) * _WIDEST / 2
+    low = np.floor(np.clip(np.minimum(there.min(axis=0, initial=0.0), 0.0), middle - most, 0.0))
+    high = np.maximum(there.max(axis=0, initial=0.0), [width, height])
+    high = np.ceil(np.clip(high, [width, height], middle + most))
+    shift = np.array([[1.0, 0.0, -low[0]], [0.0, 1.0, -low[1]], [0.0, 0.0, 1.0]])
+    across, along = (high - low).astype(int).tolist()
+    return replace(pinhole, width=across, height=along, K=shift @ pinhole.K)
+
+
+@inlined
+def transformed(view: View, points: Floats, row: int) -> tuple[float, float, float]:
+    """Return a point of the world in camera axes."""
+    M = view.world_to_camera
+    x, y, z = points[row, 0], points[row, 1], points[row, 2]
+    return (
+        M[0, 0] * x + M[0, 1] * y + M[0, 2] * z + M[0, 3],
+        M[1, 0] * x + M[1, 1] * y + M[1, 2] * z + M[1, 3],
+        M[2, 0] * x + M[2, 1] * y + M[2, 2] * z + M[2, 3],
+    )
+
+
+@inlined
+def plane_through(
+    a: tuple[float, float, float], b: tuple[float, float, float], c: tuple[float, float, float]
+) -> tuple[float, float, float, float]:
+    """Return normal and offset, n · x = d, of the plane through three points; n is twice the area long."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    return x, y, z, x * a[0] + y * a[1] + z * a[2]
+
+
+@inlined
+def nearness(view: View, plane: tuple[float, float, float, float]) -> tuple[float, float, float]:
+    """Return the nearness of a plane at pixel coordinates (0, 0), and its slopes; zeros if seen edge-on."""
+    L = view.inverse_k
+    x, y, z, d = plane
+    right = x * L[0, 0]
+    down = x * L[0, 1] + y * L[1, 1]
+    base = x * L[0, 2] + y * L[1, 2]
+    if view.is_pinhole:
+        if d == 0.0:
+            return 0.0, 0.0, 0.0
+        return (base + z) / d, right / d, down / d
+    if z == 0.0:
+        return 0.0, 0.0, 0.0
+    return (base - d) / z, right / z, down / z
+
+
+@kernel
+def _find_planes(
+    vertices: Floats,
+    triangles: npt.NDArray[np.int32],
+    view: View,
+    seen: npt.NDArray[np.int32],
+    planes: npt.NDArray[np.float32],
+) -> None:
+    last = -1
+    base = right = down = 0.0
+    for row in range(seen.shape[0]):
+        for column in range(seen.shape[1]):
+            triangle = int(seen[row, column])
+            if triangle < 0:
+                continue
+            if triangle != last:
+                last = triangle
+                a = transformed(view, vertices, triangles[triangle, 0])
+                b = transformed(view, vertices, triangles[triangle, 1])
+                c = transformed(view, vertices, triangles[triangle, 2])
+                base, right, down = nearness(view, plane_through(a, b, c))
+            planes[row, column, 0] = base + right * (column + 0.5) + down * (row + 0.5)
+            planes[row, column, 1] = right
+            planes[row, column, 2] = down
+
+
+@inlined
+def tolerance(view: View, near: float, right: float, down: float, size: float) -> float:
+    """Return how much nearer something must be to hide a point of some nearness.
+
+    ``right`` and ``down`` are the slopes of its plane, ``size`` the pixels that its triangle covers.
+    """
+    pixel = (abs(near) if view.is_pinhole else 1.0) / np.sqrt(view.K[0, 0] * view.K[1, 1])
+    return float((_CLOSE + _ROUGH / (1.0 + size)) * (abs(right) + abs(down) + pixel))
+
+
+@inlined
+def hides(
+    seen: Seen,
+    row: int,
+    column: int,
+    x: float,
+    y: float,
+    near: float,
+    right: float,
+    down: float,
+    slack: float,
+) -> bool:
+    """Say whether what a pixel sees hides a point at (x, y), by its own plane and by that of the point.
+
+    Either alone errs: the planes of the two faces of a crease, drawn out, pass before each other.
+    """
+    dx, dy = column + 0.5 - x, row + 0.5 - y
+    there, slope_x, slope_y = (
+        seen.planes[row, column, 0],
+        seen.planes[row, column, 1],
+        seen.planes[row, column, 2],
+    )
+    if near + right * dx + down * dy >= there - slack:
+        return False
+    return bool(there - slope_x * dx - slope_y * dy > near + slack)
+
+
+@inlined
+def seen_part(
+    seen: Seen,
+    triangle: int,
+    x: float,
+    y: float,
+    near: float,
+    right: float,
+    down: float,
+    slack: float,
+) -> float:
+    """Return how much of the four pixels around a point sees it, 0 … 1, by their bilinear weights."""
+    height, width = seen.triangle.shape
+    left, top = np.floor(x - 0.5), np.floor(y - 0.5)
+    part_x, part_y = x - 0.5 - left, y - 0.5 - top
+    total = 0.0
+    for corner in range(4):
+        weight = (part_x if corner & 1 else 1.0 - part_x) * (part_y if corner & 2 else 1.0 - part_y)
+        column = min(max(int(left) + (corner & 1), 0), width - 1)
+        row = min(max(int(top) + (corner >> 1), 0), height - 1)
+        other = seen.triangle[row, column]
+        if other < 0 or other == triangle or not hides(seen, row, column, x, y, near, right, down, slack):
+            total += weight
+    return total
+
+
+@kernel
+def distances_to_edges(seen: Seen, view: View, reach: float) -> npt.NDArray[np.float32]:
+    """Return how far each pixel's centre is from where the surface that it sees ends, in pixels, to ``reach``.
+
+    It ends at the rim of the picture, at the background, and where one part of it hides another. Distances
+    are chamfered: of steps to the 8 pixels around, at most 8 % too long.
+    """
+    height, width = seen.triangle.shape
+    distances = np.empty((height, width), np.float32)
+    for row in range(height):
+        for column in range(width):
+            rim = min(min(row, height - 1 - row), min(column, width - 1 - column)) + 0.5
+            distances[row, column] = min(rim, reach)
+            if seen.triangle[row, column] < 0:
+                distances[row, column] = 0.0
+            elif (column + 1 < width and _parts(seen, view, row, column, row, column + 1)) or (
+                row + 1 < height and _parts(seen, view, row, column, row + 1, column)
+            ):
+                distances[row, column] = min(distances[row, column], 0.5)
+            if row > 0 and _parts(seen, view, row - 1, column, row, column):
+                distances[row, column] = min(distances[row, column], 0.5)
+            if column > 0 and _parts(seen, view, row, column - 1, row, column):
+                distances[row, column] = min(distances[row, column], 0.5)
+    diagonal = np.float32(np.sqrt(2.0))
+    for turn in range(2):
+        step = 1 if turn == 0 else -1
+        for n_row in range(height):
+            row = n_row if turn == 0 else height - 1 - n_row
+            for n_column in range(width):
+                column = n_column if turn == 0 else width - 1 - n_column
+                nearest = distances[row, column]
+                before, above = column - step, row - step
+                if 0 <= before < width:
+                    nearest = min(nearest, distances[row, before] + np.float32(1.0))
+                if 0 <= above < height:
+                    nearest = min(nearest, distances[above, column] + np.float32(1.0))
+                    if column > 0:
+                        nearest = min(nearest, distances[above, column - 1] + diagonal)
+                    if column + 1 < width:
+                        nearest = min(nearest, distances[above, column + 1] + diagonal)
+                distances[row, column] = nearest
+    return distances
+
+
+@inlined
+def _parts(seen: Seen, view: View, row: int, column: int, other_row: int, other_column: int) -> bool:
+    """Say whether two pixels beside each other see what does not hang together."""
+    here, there = seen.triangle[row, column], seen.triangle[other_row, other_column]
+    if here == there:
+        return False
+    if here < 0 or there < 0:
+        return True
+    return _is_hidden(seen, view, row, column, other_row, other_column) or _is_hidden(
+        seen, view, other_row, other_column, row, column
+    )
+
+
+@inlined
+def _is_hidden(seen: Seen, view: View, row: int, column: int, other_row: int, other_column: int) -> bool:
+    """Say whether what the second pixel sees goes on behind what the first one sees."""
+    near = np.float64(seen.planes[other_row, other_column, 0])
+    right = np.float64(seen.planes[other_row, other_column, 1])
+    down = np.float64(seen.planes[other_row, other_column, 2])
+    slack = tolerance(view, near, right, down, 0.0)
+    return hides(seen, row, column, other_column + 0.5, other_row + 0.5, near, right, down, slack)

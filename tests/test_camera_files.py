@@ -1,0 +1,682 @@
+"""Files of cameras, each written here by hand from known poses."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from octex.errors import CameraError, OutputError
+from octex.view.camera import Camera
+from octex.view.camera_files import find_frame, read_frames, write_cameras
+
+POINTS = np.random.default_rng(0).uniform(-0.2, 0.2, (20, 3))
+LENS = (-0.2, 0.05, 1e-3, -2e-3)
+
+
+def view(seed):
+    """Return a world-to-camera matrix that sees POINTS."""
+    rotation, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation * np.sign(np.linalg.det(rotation))
+    matrix[:3, 3] = 0.1, -0.1, 3.0
+    return matrix
+
+
+def to_opengl(matrix):
+    """Return the camera-to-world matrix, in OpenGL's axes, of a world-to-camera matrix."""
+    return np.linalg.inv(matrix) @ np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def expected(matrix, focal_x, focal_y, center, lens=(0.0, 0.0, 0.0, 0.0)):
+    """Return where POINTS land, written out."""
+    k1, k2, p1, p2 = lens
+    pixels = []
+    for point in POINTS:
+        x, y, z = matrix[:3, :3] @ point + matrix[:3, 3]
+        x, y = x / z, y / z
+        r2 = x * x + y * y
+        radial = 1 + k1 * r2 + k2 * r2 * r2
+        right = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+        down = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        pixels.append([focal_x * right + center[0], focal_y * down + center[1]])
+    return np.array(pixels)
+
+
+def quaternion(rotation):
+    """Return w, x, y, z of a rotation matrix."""
+    matrix = np.array(
+        [
+            [rotation[0, 0] - rotation[1, 1] - rotation[2, 2], 0, 0, 0],
+            [rotation[0, 1] + rotation[1, 0], rotation[1, 1] - rotation[0, 0] - rotation[2, 2], 0, 0],
+            [
+                rotation[0, 2] + rotation[2, 0],
+                rotation[1, 2] + rotation[2, 1],
+                rotation[2, 2] - rotation[0, 0] - rotation[1, 1],
+                0,
+            ],
+            [
+                rotation[2, 1] - rotation[1, 2],
+                rotation[0, 2] - rotation[2, 0],
+                rotation[1, 0] - rotation[0, 1],
+                np.trace(rotation),
+            ],
+        ]
+    )
+    x, y, z, w = np.linalg.eigh(matrix)[1][:, -1]
+    return np.array([w, x, y, z])
+
+
+def write_json(path, document):
+    path.write_text(json.dumps(document), encoding="utf-8")
+    return path
+
+
+def sees(camera, pixels):
+    np.testing.assert_allclose(camera.project(POINTS)[0], pixels, rtol=0, atol=1e-8)
+
+
+def refusal(path):
+    with pytest.raises(CameraError) as caught:
+        read_frames(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+# transforms.json
+
+
+def transforms(**changes):
+    fields = {
+        "camera_model": "OPENCV",
+        "fl_x": 500.0, "fl_y": 510, "cx": 310.0, "cy": 250.0, "w": 640, "h": 480.0,
+        "k1": LENS[0], "k2": LENS[1], "p1": LENS[2], "p2": LENS[3],
+        "aabb_scale": 16,
+        "frames": [
+            {"file_path": "./images/a.png", "transform_matrix": to_opengl(view(1)).tolist()},
+            {"file_path": "images/b", "transform_matrix": to_opengl(view(2))[:3].tolist(), "fl_x": 700.0},
+        ],
+    }  # fmt: skip
+    return {key: value for key, value in (fields | changes).items() if value is not None}
+
+
+def test_transforms_share_intrinsics_and_frames_may_have_their_own(tmp_path):
+    first, second = read_frames(write_json(tmp_path / "transforms.json", transforms()))
+    assert (first.name, second.name) == ("./images/a.png", "images/b")
+    assert first.size == (640, 480)
+    sees(first.camera(), expected(view(1), 500.0, 510.0, (310.0, 250.0), LENS))
+    sees(second.camera((640, 480)), expected(view(2), 700.0, 510.0, (310.0, 250.0), LENS))
+
+
+def test_transforms_find_their_pictures_with_and_without_an_ending(tmp_path):
+    (tmp_path / "images").mkdir()
+    (tmp_path / "images/b.jpg").touch()
+    frames = read_frames(write_json(tmp_path / "transforms.json", transforms()))
+    assert frames[0].image == tmp_path / "images/a.png"
+    assert frames[1].image == tmp_path / "images/b.jpg"
+
+
+def test_a_picture_may_have_a_name_that_no_file_can_have(tmp_path):
+    document = transforms()
+    document["frames"][0]["file_path"] = "long" * 2000
+    document["frames"][1]["file_path"] = "a\0\ud800"
+    frames = read_frames(write_json(tmp_path / "t.json", document))
+    assert [frame.image.name for frame in frames] == ["long" * 2000, "a\0\ud800"]
+
+
+def test_transforms_may_give_angles_and_leave_the_size_to_the_picture(tmp_path):
+    gone = dict.fromkeys(("fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "p1", "p2"))
+    document = transforms(**gone, camera_angle_x=0.8)
+    del document["frames"][1]["fl_x"]
+    document["frames"][1]["camera_angle_y"] = 0.5
+    first, second = read_frames(write_json(tmp_path / "t.json", document))
+    assert first.size is None
+    focal = 400 / np.tan(0.4)
+    sees(first.camera((800, 600)), expected(view(1), focal, focal, (400, 300)))
+    sees(second.camera((800, 600)), expected(view(2), focal, 300 / np.tan(0.25), (400, 300)))
+    with pytest.raises(CameraError, match=r"frame '\./images/a\.png' of .*t\.json does not say how large"):
+        first.camera()
+
+
+def test_a_picture_of_another_size_is_refused(tmp_path):
+    frame = read_frames(write_json(tmp_path / "t.json", transforms()))[0]
+    with pytest.raises(CameraError, match=r"is for 640×480 pixels, the picture has 320×240; "):
+        frame.camera((320, 240))
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"camera_model": "OPENCV_FISHEYE"}, "camera_model 'OPENCV_FISHEYE' is not known"),
+        ({"camera_model": 3}, "camera_model must be a text, not 3"),
+        ({"is_fisheye": True}, "is_fisheye is set"),
+        ({"k3": 0.1}, "k3 must be zero"),
+        ({"k1": "a"}, "k1 must be a finite number, not 'a'"),
+        ({"fl_y": 0}, "fl_y must be above zero, not 0"),
+        ({"fl_y": True}, "fl_y must be a finite number, not True"),
+        ({"cx": float("nan")}, "cx must be a finite number, not nan"),
+        ({"cx": 1e300}, "cx must be a finite number"),
+        ({"w": 1.5}, "w must be a whole number from 1 to 1000000"),
+        ({"w": None}, "w is missing; it must be a number"),
+        ({"fl_x": None}, "fl_x is missing, and so is camera_angle_x"),
+        ({"fl_x": None, "camera_angle_x": 4.0}, "camera_angle_x must be above zero and below 3.14159, not 4"),
+        ({"frames": []}, "has no cameras"),
+        ({"frames": {}}, "frames must be a list of objects"),
+        ({"frames": [1]}, "frames must be a list of objects, not of 1"),
+        ({"frames": [{}]}, "frame 0: file_path is missing"),
+        ({"frames": [{"file_path": "x"}]}, "frame 'x': transform_matrix is missing"),
+        (
+            {"frames": [{"file_path": "x", "transform_matrix": [[1, 2], [3]]}]},
+            "must be a matrix of 4×4 or 3×4 numbers",
+        ),
+        ({"frames": [{"file_path": "x", "transform_matrix": [*np.eye(4).tolist()[:2], 0, 1]}]}, "4×4 or 3×4"),
+        (
+            {"frames": [{"file_path": "x", "transform_matrix": np.zeros((4, 4)).tolist()}]},
+            "transform_matrix: a camera's pose must have the last row",
+        ),
+        (
+            {"frames": [{"file_path": "x", "transform_matrix": np.diag([1, 1, 0, 1]).tolist()}]},
+            "transform_matrix: a camera's pose must not scale",
+        ),
+    ],
+)
+def test_transforms_that_cannot_be_used_are_refused_by_field(tmp_path, changes, complaint):
+    path = write_json(tmp_path / "transforms.json", transforms(**changes))
+    message = refusal(path)
+    assert message.startswith(f"{path}: ")
+    assert complaint in message
+
+
+# COLMAP
+
+CAMERAS = [
+    (1, "SIMPLE_PINHOLE", (500.0, 310.0, 250.0)),
+    (2, "PINHOLE", (500.0, 510.0, 310.0, 250.0)),
+    (3, "SIMPLE_RADIAL", (500.0, 310.0, 250.0, -0.1)),
+    (4, "RADIAL", (500.0, 310.0, 250.0, -0.1, 0.02)),
+    (7, "OPENCV", (500.0, 510.0, 310.0, 250.0, *LENS)),
+]
+NUMBERS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4}
+
+
+def colmap_text(folder):
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = ["# Camera list"]
+    lines += [f"{key} {model} 640 480 {' '.join(map(repr, values))}" for key, model, values in CAMERAS]
+    (folder / "cameras.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    lines = ["# Image list", "#   POINTS2D[] as (X, Y, POINT3D_ID)"]
+    for key, _, _ in CAMERAS:
+        numbers = [*(2.0 * quaternion(view(key)[:3, :3])), *view(key)[:3, 3]]
+        lines += [f"{key} {' '.join(repr(float(n)) for n in numbers)} {key} dir/im {key}.jpg"]
+        lines += ["1.5 2.5 -1 3.0 4.0 17" if key == 2 else ""]
+    (folder / "images.txt").write_text("\n".join(lines), encoding="utf-8")
+    return folder
+
+
+def colmap_binary(folder):
+    folder.mkdir(parents=True, exist_ok=True)
+    content = struct.pack("<Q", len(CAMERAS))
+    for key, model, values in CAMERAS:
+        content += struct.pack(f"<iiQQ{len(values)}d", key, NUMBERS[model], 640, 480, *values)
+    (folder / "cameras.bin").write_bytes(content)
+    content = struct.pack("<Q", len(CAMERAS))
+    for key, _, _ in CAMERAS:
+        numbers = [*(2.0 * quaternion(view(key)[:3, :3])), *view(key)[:3, 3]]
+        content += struct.pack("<i7di", key, *numbers, key) + f"dir/im {key}.jpg\0".encode()
+        points = [(1.5, 2.5, -1), (3.0, 4.0, 17)] if key == 2 else []
+        content += struct.pack("<Q", len(points)) + b"".join(struct.pack("<ddq", *point) for point in points)
+    (folder / "images.bin").write_bytes(content)
+    return folder
+
+
+def colmap_pixels(model, values, matrix):
+    if model in ("PINHOLE", "OPENCV"):
+        focal_x, focal_y, x, y, *lens = values
+    else:
+        focal_x, x, y, *lens = values
+        focal_y = focal_x
+    return expected(matrix, focal_x, focal_y, (x, y), (*lens, 0, 0, 0, 0)[:4])
+
+
+@pytest.mark.parametrize("write", [colmap_text, colmap_binary])
+def test_colmap_cameras_see_what_their_numbers_say(tmp_path, write):
+    frames = read_frames(write(tmp_path))
+    assert [frame.name for frame in frames] == [f"dir/im {key}.jpg" for key, _, _ in CAMERAS]
+    for frame, (key, model, values) in zip(frames, CAMERAS, strict=True):
+        assert frame.size == (640, 480)
+        assert frame.image is None
+        sees(frame.camera(), colmap_pixels(model, values, view(key)))
+
+
+def test_both_forms_of_a_colmap_model_give_the_same_cameras(tmp_path):
+    frames = read_frames(colmap_text(tmp_path / "text")), read_frames(colmap_binary(tmp_path / "binary"))
+    for text, binary in zip(*frames, strict=True):
+        assert text.name == binary.name
+        assert text.size == binary.size
+        assert np.array_equal(text.camera().K, binary.camera().K)
+        assert np.array_equal(text.camera().world_to_camera, binary.camera().world_to_camera)
+        assert text.camera().distortion == binary.camera().distortion
+
+
+def test_a_colmap_model_is_found_below_its_folder_and_by_each_of_its_files(tmp_path):
+    colmap_binary(tmp_path / "a/sparse/0")
+    colmap_text(tmp_path / "b/sparse")
+    for path in ("a", "a/sparse/0/images.bin", "a/sparse/0/cameras.bin", "b", "b/sparse/cameras.txt"):
+        assert len(read_frames(tmp_path / path)) == len(CAMERAS)
+
+
+def test_a_folder_without_a_model_is_refused(tmp_path):
+    assert "has no COLMAP model; choose a folder with" in refusal(tmp_path)
+    colmap_text(tmp_path)
+    (tmp_path / "cameras.txt").unlink()
+    assert "has no COLMAP model" in refusal(tmp_path)
+    assert "cameras.txt: cannot be read: No such file" in refusal(tmp_path / "images.txt")
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "complaint"),
+    [
+        ("cameras.txt", "PINHOLE", "FISHEYE", "line 2: model 'SIMPLE_FISHEYE' is not known; undistort"),
+        ("cameras.txt", "2 PINHOLE 640", "2 PINHOLE 0", "line 3: width must be a whole number from 1"),
+        ("cameras.txt", "2 PINHOLE 640", "2 PINHOLE x", "line 3: WIDTH must be a whole number, not 'x'"),
+        ("cameras.txt", "2 PINHOLE", "2", "line 3: model '640' is not known"),
+        ("cameras.txt", "310.0 250.0\n", "310.0\n", "SIMPLE_PINHOLE must have 3 parameters, not 2"),
+        ("cameras.txt", "500.0", "nan", "line 2: parameters must be a finite number, not nan"),
+        ("cameras.txt", "500.0", "-1", "line 2: focal lengths must be above zero"),
+        ("cameras.txt", "500.0", "f", "line 2: parameters must be numbers, not 'f'"),
+        ("images.txt", " dir/im 1.jpg", "", "line 3: must have the columns IMAGE_ID QW"),
+        (
+            "images.txt",
+            " 3.0 1 dir",
+            " 3.0 9 dir",
+            "frame 'dir/im 1.jpg': camera 9 does not stand in cameras",
+        ),
+        ("images.txt", " 3.0 1 dir", " 3.0 x dir", "CAMERA_ID must be a whole number, not 'x'"),
+        ("images.txt", " 3.0 1 dir", " inf 1 dir", "must be a finite number, not inf"),
+        ("images.txt", "\n\n", "\n", "each image must have two lines"),
+    ],
+)
+def test_a_broken_text_model_is_refused_by_line(tmp_path, file, old, new, complaint):
+    path = colmap_text(tmp_path) / file
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace("im ", "im") if new == "\n" else text, encoding="utf-8")
+    path.write_text(path.read_text(encoding="utf-8").replace(old, new, 1), encoding="utf-8")
+    message = refusal(tmp_path)
+    assert message.startswith(f"{path}: ")
+    assert complaint in message
+
+
+def test_a_binary_model_that_lies_about_its_length_is_refused(tmp_path):
+    colmap_binary(tmp_path)
+    whole = (tmp_path / "images.bin").read_bytes()
+    for count in (6, 2**64 - 1):
+        (tmp_path / "images.bin").write_bytes(struct.pack("<Q", count) + whole[8:])
+        assert f"images.bin: image 6 of {count}: the file ends here" in refusal(tmp_path)
+    (tmp_path / "images.bin").write_bytes(whole[:-8] + struct.pack("<Q", 2**63))
+    assert "image 5 of 5: the file ends here" in refusal(tmp_path)
+    (tmp_path / "images.bin").write_bytes(whole[:80])
+    assert "image 1 of 5: the file ends in a name" in refusal(tmp_path)
+    (tmp_path / "images.bin").write_bytes(struct.pack("<Q", 0))
+    assert "has no cameras" in refusal(tmp_path)
+    (tmp_path / "images.bin").write_bytes(whole.replace(b"dir", b"\xff\xfe\xfd"))
+    assert "images.bin: is not UTF-8 text" in refusal(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("number", "name"), [(5, "'OPENCV_FISHEYE'"), (99, "'number 99'"), (-1, "'number -1'")]
+)
+def test_a_binary_model_of_an_unknown_kind_is_refused_by_name(tmp_path, number, name):
+    colmap_binary(tmp_path)
+    (tmp_path / "cameras.bin").write_bytes(struct.pack("<QiiQQ", 1, 1, number, 640, 480))
+    assert f"cameras.bin: camera 1 of 1: model {name} is not known" in refusal(tmp_path)
+
+
+def test_a_quaternion_of_nothing_is_refused(tmp_path):
+    colmap_binary(tmp_path)
+    content = struct.pack("<Qi7di", 1, 1, *np.zeros(7), 1) + b"a\0" + struct.pack("<Q", 0)
+    (tmp_path / "images.bin").write_bytes(content)
+    assert "images.bin: frame 'a': quaternion must not be zero" in refusal(tmp_path)
+
+
+# glTF
+
+
+def gltf(**changes):
+    """Return two cameras that stand where view(1) and view(2) do, below scaled and turned nodes."""
+    parent = np.eye(4)
+    parent[:3, :3] = 2.0 * view(5)[:3, :3]
+    parent[:3, 3] = 1.0, 2.0, 3.0
+    w, x, y, z = quaternion(view(6)[:3, :3])
+    middle = np.eye(4)
+    middle[:3, :3] = 0.25 * view(6)[:3, :3]
+    middle[:3, 3] = -1.0, 0.0, 0.5
+    local = np.linalg.inv(parent @ middle) @ to_opengl(view(1))
+    return {
+        "asset": {"version": "2.0"},
+        "scene": 1,
+        "scenes": [{"nodes": [4]}, {"nodes": [0, 3]}],
+        "nodes": [
+            {"matrix": parent.T.ravel().tolist(), "children": [1]},
+            {"rotation": [x, y, z, w], "scale": [0.25] * 3, "translation": [-1.0, 0.0, 0.5], "children": [2]},
+            {"matrix": local.T.ravel().tolist(), "camera": 0, "name": "eye"},
+            {"matrix": to_opengl(view(2)).T.ravel().tolist(), "camera": 1},
+            {"camera": 0, "name": "of another scene"},
+        ],
+        "cameras": [
+            {
+                "type": "perspective",
+                "name": "lens",
+                "perspective": {"yfov": 0.7, "aspectRatio": 9.0, "znear": 0.1},
+            },
+            {"type": "orthographic", "orthographic": {"xmag": 2.0, "ymag": 1.5, "zfar": 9, "znear": 0.1}},
+        ],
+    } | changes
+
+
+def glb(document):
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    return b"glTF" + struct.pack("<IIII", 2, 20 + len(text), len(text), 0x4E4F534A) + text
+
+
+@pytest.mark.parametrize("ending", [".gltf", ".glb"])
+def test_cameras_of_nested_gltf_nodes_stand_where_the_scene_puts_them(tmp_path, ending):
+    path = tmp_path / f"scene{ending}"
+    path.write_bytes(glb(gltf()) if ending == ".glb" else json.dumps(gltf()).encode())
+    first, second = read_frames(path)
+    assert (first.name, second.name) == ("eye", "camera_1")
+    assert first.size is None
+    focal = 240 / np.tan(0.35)
+    sees(first.camera((640, 480)), expected(view(1), focal, focal, (320, 240)))
+    camera = second.camera((640, 480))
+    assert camera.projection == "orthographic"
+    turned = POINTS @ view(2)[:3, :3].T + view(2)[:3, 3]
+    sees(camera, 160.0 * turned[:, :2] + [320, 240])
+
+
+def test_a_gltf_file_without_scenes_shows_all_its_nodes(tmp_path):
+    document = gltf()
+    del document["scenes"], document["scene"]
+    frames = read_frames(write_json(tmp_path / "a.gltf", document))
+    assert [frame.name for frame in frames] == ["eye", "camera_1", "of another scene"]
+    sees(frames[0].camera((64, 48)), expected(view(1), *[24 / np.tan(0.35)] * 2, (32, 24)))
+
+
+def test_gltf_cameras_of_one_name_are_numbered(tmp_path):
+    nodes = [{"camera": 0}, {"camera": 0, "name": "lens_2"}, {"camera": 0}, {"camera": 0}]
+    document = gltf(nodes=nodes, scenes=[{"nodes": [0, 1, 2, 3]}], scene=0)
+    names = [frame.name for frame in read_frames(write_json(tmp_path / "a.gltf", document))]
+    assert names == ["lens", "lens_2", "lens_3", "lens_4"]
+
+
+def test_an_orthographic_camera_is_for_pictures_of_its_shape(tmp_path):
+    frame = read_frames(write_json(tmp_path / "a.gltf", gltf()))[1]
+    frame.camera((403, 300))
+    with pytest.raises(CameraError, match=r"'camera_1' of .*xmag 2 and ymag 1\.5 are not of the shape of"):
+        frame.camera((410, 300))
+
+
+def one_camera(**node):
+    return gltf(nodes=[{"camera": 0, "name": "eye"} | node], scenes=[{"nodes": [0]}], scene=0)
+
+
+@pytest.mark.parametrize(
+    ("document", "complaint"),
+    [
+        (one_camera(scale=[1, 1, -1]), "frame 'eye': a camera's pose must not mirror"),
+        (
+            one_camera(scale=[1, 0, 1]),
+            "frame 'eye': its node, with the nodes above it, must not scale to nothing",
+        ),
+        (one_camera(matrix=[1, 0.5, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]), "must not scale or shear"),
+        (one_camera(matrix=[1, 2]), "node 0: matrix must be 16 numbers, not 2"),
+        (one_camera(rotation=[0, 0, 0, 0]), "node 0: rotation must not be zero"),
+        (one_camera(rotation="x"), "node 0: rotation must be 4 numbers, not 'x'"),
+        (one_camera(camera=2), "node 0: camera must be an index below 2, not 2"),
+        (one_camera(children=[0]), "node 0 stands twice in the scene"),
+        (one_camera(children=[-1]), "node 0: children must be an index below 1, not -1"),
+        (gltf(scene=7), "scene must be an index below 2"),
+        (gltf(nodes={}), "nodes must be a list of objects"),
+        (gltf(scenes=[{}], scene=0), "has no cameras"),
+        (one_camera() | {"cameras": [{"type": "fisheye"}]}, "type must be one of perspective, orthographic"),
+        (one_camera() | {"cameras": [{"type": "perspective"}]}, "'eye': perspective is missing"),
+        (
+            one_camera() | {"cameras": [{"type": "perspective", "perspective": {"yfov": 0}}]},
+            "'eye': perspective: yfov must be above zero",
+        ),
+        (
+            one_camera() | {"cameras": [{"type": "orthographic", "orthographic": {"xmag": -1, "ymag": 1}}]},
+            "'eye': orthographic: xmag must be above zero",
+        ),
+    ],
+)
+def test_gltf_cameras_that_cannot_be_used_are_refused(tmp_path, document, complaint):
+    path = write_json(tmp_path / "a.gltf", document)
+    message = refusal(path)
+    assert message.startswith(f"{path}: ")
+    assert complaint in message
+
+
+def test_a_broken_glb_is_refused(tmp_path):
+    whole = glb(gltf())
+    path = tmp_path / "a.glb"
+    for content, complaint in [
+        (whole[:10], "ends in its header"),
+        (whole[:100], "ends in its JSON chunk"),
+        (whole[:4] + struct.pack("<I", 1) + whole[8:], "is glTF 1"),
+        (whole[:16] + b"BIN\0" + whole[20:], "does not begin with a JSON chunk"),
+    ]:
+        path.write_bytes(content)
+        assert complaint in refusal(path)
+
+
+# Our own
+
+
+def ours():
+    return {
+        "front": Camera.pinhole((640, 480), pose=view(1), convention="opencv", focal=501.3, distortion=LENS),
+        "ü/side": Camera.pinhole(
+            (64, 48), pose=to_opengl(view(2)), convention="opengl", K=[[50, 3, 30], [0, 40, 25], [0, 0, 1]]
+        ),
+        "top": Camera.orthographic((30, 40), pose=view(3), convention="opencv", pixels_per_unit=10 / 3),
+        "fitted": Camera.fitted(POINTS, (1.0, 2.0, 3.0), size=(100, 50)),
+    }
+
+
+def test_written_cameras_come_back_to_the_same_bits(tmp_path):
+    path = tmp_path / "cameras.json"
+    write_cameras(path, ours())
+    frames = read_frames(path)
+    assert [frame.name for frame in frames] == list(ours())
+    for frame, camera in zip(frames, ours().values(), strict=True):
+        back = frame.camera()
+        assert (back.width, back.height) == (camera.width, camera.height) == frame.size
+        assert back.projection == camera.projection
+        assert back.distortion == camera.distortion
+        assert back.K.tobytes() == camera.K.tobytes()
+        assert back.world_to_camera.tobytes() == camera.world_to_camera.tobytes()
+
+
+def test_our_file_may_have_opengl_poses_and_no_distortion(tmp_path):
+    write_cameras(tmp_path / "cameras.json", ours())
+    document = json.loads((tmp_path / "cameras.json").read_text(encoding="utf-8"))
+    record = document["cameras"][0]
+    del record["distortion"]
+    record |= {"convention": "opengl", "pose": to_opengl(view(1)).tolist()}
+    frame = read_frames(write_json(tmp_path / "b.json", document))[0]
+    sees(frame.camera(), expected(view(1), 501.3, 501.3, (320, 240)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"name": 3}, "camera 0: name must be a text, not 3"),
+        ({"width": 0}, "frame 'front': width must be a whole number"),
+        ({"projection": "fisheye"}, "projection must be one of pinhole, orthographic, not 'fisheye'"),
+        ({"convention": "blender"}, "convention must be one of opencv, opengl, not 'blender'"),
+        ({"projection": "orthographic"}, "distortion must be zeros for an orthographic camera"),
+        ({"distortion": [1, 2]}, "distortion must be 4 numbers, not 2"),
+        ({"K": np.ones((3, 3)).tolist()}, "frame 'front': K: K must be upper triangular"),
+        ({"pose": np.eye(3).tolist()}, "frame 'front': pose must be a matrix of 4×4 numbers"),
+        ({"pose": np.zeros((4, 4)).tolist()}, "frame 'front': pose: a camera's pose"),
+    ],
+)
+def test_our_file_is_refused_by_field(tmp_path, changes, complaint):
+    write_cameras(tmp_path / "cameras.json", ours())
+    document = json.loads((tmp_path / "cameras.json").read_text(encoding="utf-8"))
+    document["cameras"][0] |= changes
+    assert complaint in refusal(write_json(tmp_path / "b.json", document))
+
+
+@pytest.mark.parametrize(
+    ("version", "complaint"),
+    [(2, "octex_cameras is 2, from a newer octex"), ("1", "octex_cameras must be the number 1, not '1'")],
+)
+def test_our_file_of_another_version_is_refused(tmp_path, version, complaint):
+    assert complaint in refusal(write_json(tmp_path / "b.json", {"octex_cameras": version, "cameras": []}))
+
+
+def test_cameras_that_cannot_be_written_leave_what_was_there(tmp_path):
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(OutputError, match="is not a file that can be replaced"):
+        write_cameras(tmp_path / "folder", ours())
+    with pytest.raises(OutputError, match="cannot be written: No such file"):
+        write_cameras(tmp_path / "missing/cameras.json", ours())
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+def test_a_full_disk_leaves_the_cameras_that_were_there(tmp_path, monkeypatch):
+    path = tmp_path / "cameras.json"
+    path.write_text("old", encoding="utf-8")
+
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(OutputError, match=r"cameras\.json: cannot be written: No space left on device; "):
+        write_cameras(path, ours())
+    assert path.read_text(encoding="utf-8") == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+# Any file
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        (b"", "is not JSON"),
+        (b"{", "is not JSON"),
+        (b"\xff\xfe", "is not UTF-8 text"),
+        (b"[]", "its JSON must be an object"),
+        (b"{}", "is no file of cameras; give"),
+        (b"[" * 200_000, "is not JSON (a number or nesting too long)"),
+        (b'{"frames": ' + b"9" * 10_000 + b"}", "is not JSON (a number or nesting too long)"),
+        (b'{"frames": 1e999}', "frames must be a list of objects, not inf"),
+    ],
+)
+def test_a_file_of_another_kind_is_refused(tmp_path, content, complaint):
+    path = tmp_path / "cameras.json"
+    path.write_bytes(content)
+    message = refusal(path)
+    assert message.startswith(f"{path}: ")
+    assert complaint in message
+
+
+@pytest.mark.skipif(not Path("/dev/null").exists(), reason="this system has no devices among its files")
+def test_a_device_is_not_read():
+    assert "/dev/null: is not a file" in refusal("/dev/null")
+
+
+def test_a_file_that_cannot_be_is_refused(tmp_path):
+    assert "cannot be read: No such file" in refusal(tmp_path / "missing.json")
+    assert "cannot be read" in refusal(tmp_path / ("long" * 1000))
+    assert "cannot be read" in refusal("a\0b")
+
+
+@pytest.mark.parametrize("kind", ["ours", "transforms", "gltf", "glb", "text", "binary"])
+def test_a_damaged_file_of_each_kind_is_read_or_refused(tmp_path, kind):
+    path = {
+        "ours": tmp_path / "a.json",
+        "transforms": tmp_path / "transforms.json",
+        "gltf": tmp_path / "a.gltf",
+        "glb": tmp_path / "a.glb",
+        "text": tmp_path,
+        "binary": tmp_path,
+    }[kind]
+    if kind == "ours":
+        write_cameras(path, ours())
+    elif kind in ("text", "binary"):
+        (colmap_text if kind == "text" else colmap_binary)(path)
+    else:
+        path.write_bytes(
+            glb(gltf()) if kind == "glb" else json.dumps(transforms() if kind[0] == "t" else gltf()).encode()
+        )
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    wholes = [file.read_bytes() for file in files]
+    random = np.random.default_rng(0)
+    refused = 0
+    for turn in range(300):
+        which = turn % len(files)
+        content = bytearray(wholes[which])
+        for _ in range(random.integers(1, 4)):
+            at = random.integers(len(content))
+            match random.integers(4):
+                case 0:
+                    content[at] = random.integers(256)
+                case 1:
+                    content[at] = random.choice(list(b'09-e.,"[]{}: \n'))
+                case 2:
+                    del content[at : at + random.integers(1, 9)]
+                case 3:
+                    content[at:at] = content[random.integers(len(content)) :][: random.integers(1, 30)]
+        files[which].write_bytes(content)
+        try:
+            for frame in read_frames(path):
+                frame.camera(frame.size or (64, 48))
+        except CameraError:
+            refused += 1
+        files[which].write_bytes(wholes[which])
+    assert refused > 30
+    assert read_frames(path)
+
+
+# Names
+
+
+def named(*names):
+    frame = {"transform_matrix": np.eye(4).tolist(), "camera_angle_x": 1.0}
+    return {"frames": [frame | {"file_path": name} for name in names]}
+
+
+def test_a_frame_is_found_by_its_name_then_its_file_name_then_its_stem(tmp_path):
+    frames = read_frames(
+        write_json(tmp_path / "t.json", named("a/x.png", "b/y.png", "b\\z.jpg", "y.png", "w"))
+    )
+    for asked, found in [
+        ("a/x.png", "a/x.png"),
+        ("y.png", "y.png"),
+        ("elsewhere/x.png", "a/x.png"),
+        ("z.jpg", "b\\z.jpg"),
+        ("x.exr", "a/x.png"),
+        ("w.png", "w"),
+    ]:
+        assert find_frame(frames, asked).name == found
+
+
+def test_a_frame_that_is_not_there_or_not_one_is_refused_with_a_listing(tmp_path):
+    frames = read_frames(write_json(tmp_path / "t.json", named("a/x.png", "b/x.png", *"cdefghijklm")))
+    with pytest.raises(
+        CameraError, match=r"'x\.png' may be 2 frames: 'a/x\.png', 'b/x\.png'; give the whole name"
+    ):
+        find_frame(frames, "x.png")
+    with pytest.raises(CameraError, match=r"no frame 'q'; there are: 'a/x\.png', .* and 3 more"):
+        find_frame(frames, "q")
+    with pytest.raises(CameraError, match="there are: none"):
+        find_frame([], "q")
