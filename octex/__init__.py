@@ -12,12 +12,15 @@ if TYPE_CHECKING:
     from octex.painting.paint import paint as paint
     from octex.painting.paint import project as project
     from octex.painting.pictures import Projection as Projection
+    from octex.painting.region import Box as Box
+    from octex.painting.region import Sphere as Sphere
+    from octex.painting.region import fill as fill
     from octex.source.load import load_surface as load_surface
     from octex.source.surface import Surface as Surface
     from octex.texture import OctreeTexture as OctreeTexture
     from octex.texture import open_texture
     from octex.view.camera import Camera as Camera
-    from octex.view.camera_files import read_frames as read_cameras
+    from octex.view.camera_files import read_cameras as read_cameras
     from octex.view.camera_files import write_cameras as write_cameras
 
     open = open_texture
@@ -26,18 +29,21 @@ __version__ = "0.1.0"
 
 # Names are imported when they are first used: importing octex costs next to nothing.
 _HOMES = {
+    "Box": ("octex.painting.region", "Box"),
     "Camera": ("octex.view.camera", "Camera"),
     "OctexError": ("octex.errors", "OctexError"),
     "OctreeTexture": ("octex.texture", "OctreeTexture"),
     "Projection": ("octex.painting.pictures", "Projection"),
+    "Sphere": ("octex.painting.region", "Sphere"),
     "Surface": ("octex.source.surface", "Surface"),
     "convert": ("octex.conversion.convert", "convert"),
+    "fill": ("octex.painting.region", "fill"),
     "load_surface": ("octex.source.load", "load_surface"),
     "merge": ("octex.painting.merge", "merge"),
     "open": ("octex.texture", "open_texture"),
     "paint": ("octex.painting.paint", "paint"),
     "project": ("octex.painting.paint", "project"),
-    "read_cameras": ("octex.view.camera_files", "read_frames"),
+    "read_cameras": ("octex.view.camera_files", "read_cameras"),
     "write_cameras": ("octex.view.camera_files", "write_cameras"),
 }
 

@@ -11,7 +11,7 @@ import pytest
 
 from octex.errors import CameraError, OutputError
 from octex.view.camera import Camera
-from octex.view.camera_files import find_frame, read_frames, write_cameras
+from octex.view.camera_files import find_frame, read_cameras, write_cameras
 
 POINTS = np.random.default_rng(0).uniform(-0.2, 0.2, (20, 3))
 LENS = (-0.2, 0.05, 1e-3, -2e-3)
@@ -81,7 +81,7 @@ def sees(camera, pixels):
 
 def refusal(path):
     with pytest.raises(CameraError) as caught:
-        read_frames(path)
+        read_cameras(path)
     message = str(caught.value)
     assert "\n" not in message
     return message
@@ -105,7 +105,7 @@ def transforms(**changes):
 
 
 def test_transforms_share_intrinsics_and_frames_may_have_their_own(tmp_path):
-    first, second = read_frames(write_json(tmp_path / "transforms.json", transforms()))
+    first, second = read_cameras(write_json(tmp_path / "transforms.json", transforms()))
     assert (first.name, second.name) == ("./images/a.png", "images/b")
     assert first.size == (640, 480)
     sees(first.camera(), expected(view(1), 500.0, 510.0, (310.0, 250.0), LENS))
@@ -115,7 +115,7 @@ def test_transforms_share_intrinsics_and_frames_may_have_their_own(tmp_path):
 def test_transforms_find_their_pictures_with_and_without_an_ending(tmp_path):
     (tmp_path / "images").mkdir()
     (tmp_path / "images/b.jpg").touch()
-    frames = read_frames(write_json(tmp_path / "transforms.json", transforms()))
+    frames = read_cameras(write_json(tmp_path / "transforms.json", transforms()))
     assert frames[0].image == tmp_path / "images/a.png"
     assert frames[1].image == tmp_path / "images/b.jpg"
 
@@ -124,7 +124,7 @@ def test_a_picture_may_have_a_name_that_no_file_can_have(tmp_path):
     document = transforms()
     document["frames"][0]["file_path"] = "long" * 2000
     document["frames"][1]["file_path"] = "a\0\ud800"
-    frames = read_frames(write_json(tmp_path / "t.json", document))
+    frames = read_cameras(write_json(tmp_path / "t.json", document))
     assert [frame.image.name for frame in frames] == ["long" * 2000, "a\0\ud800"]
 
 
@@ -133,7 +133,7 @@ def test_transforms_may_give_angles_and_leave_the_size_to_the_picture(tmp_path):
     document = transforms(**gone, camera_angle_x=0.8)
     del document["frames"][1]["fl_x"]
     document["frames"][1]["camera_angle_y"] = 0.5
-    first, second = read_frames(write_json(tmp_path / "t.json", document))
+    first, second = read_cameras(write_json(tmp_path / "t.json", document))
     assert first.size is None
     focal = 400 / np.tan(0.4)
     sees(first.camera((800, 600)), expected(view(1), focal, focal, (400, 300)))
@@ -143,7 +143,7 @@ def test_transforms_may_give_angles_and_leave_the_size_to_the_picture(tmp_path):
 
 
 def test_a_picture_of_another_size_is_refused(tmp_path):
-    frame = read_frames(write_json(tmp_path / "t.json", transforms()))[0]
+    frame = read_cameras(write_json(tmp_path / "t.json", transforms()))[0]
     with pytest.raises(CameraError, match=r"is for 640×480 pixels, the picture has 320×240; "):
         frame.camera((320, 240))
 
@@ -244,7 +244,7 @@ def colmap_pixels(model, values, matrix):
 
 @pytest.mark.parametrize("write", [colmap_text, colmap_binary])
 def test_colmap_cameras_see_what_their_numbers_say(tmp_path, write):
-    frames = read_frames(write(tmp_path))
+    frames = read_cameras(write(tmp_path))
     assert [frame.name for frame in frames] == [f"dir/im {key}.jpg" for key, _, _ in CAMERAS]
     for frame, (key, model, values) in zip(frames, CAMERAS, strict=True):
         assert frame.size == (640, 480)
@@ -253,7 +253,7 @@ def test_colmap_cameras_see_what_their_numbers_say(tmp_path, write):
 
 
 def test_both_forms_of_a_colmap_model_give_the_same_cameras(tmp_path):
-    frames = read_frames(colmap_text(tmp_path / "text")), read_frames(colmap_binary(tmp_path / "binary"))
+    frames = read_cameras(colmap_text(tmp_path / "text")), read_cameras(colmap_binary(tmp_path / "binary"))
     for text, binary in zip(*frames, strict=True):
         assert text.name == binary.name
         assert text.size == binary.size
@@ -266,7 +266,7 @@ def test_a_colmap_model_is_found_below_its_folder_and_by_each_of_its_files(tmp_p
     colmap_binary(tmp_path / "a/sparse/0")
     colmap_text(tmp_path / "b/sparse")
     for path in ("a", "a/sparse/0/images.bin", "a/sparse/0/cameras.bin", "b", "b/sparse/cameras.txt"):
-        assert len(read_frames(tmp_path / path)) == len(CAMERAS)
+        assert len(read_cameras(tmp_path / path)) == len(CAMERAS)
 
 
 def test_a_folder_without_a_model_is_refused(tmp_path):
@@ -388,7 +388,7 @@ def glb(document):
 def test_cameras_of_nested_gltf_nodes_stand_where_the_scene_puts_them(tmp_path, ending):
     path = tmp_path / f"scene{ending}"
     path.write_bytes(glb(gltf()) if ending == ".glb" else json.dumps(gltf()).encode())
-    first, second = read_frames(path)
+    first, second = read_cameras(path)
     assert (first.name, second.name) == ("eye", "camera_1")
     assert first.size is None
     focal = 240 / np.tan(0.35)
@@ -402,7 +402,7 @@ def test_cameras_of_nested_gltf_nodes_stand_where_the_scene_puts_them(tmp_path, 
 def test_a_gltf_file_without_scenes_shows_all_its_nodes(tmp_path):
     document = gltf()
     del document["scenes"], document["scene"]
-    frames = read_frames(write_json(tmp_path / "a.gltf", document))
+    frames = read_cameras(write_json(tmp_path / "a.gltf", document))
     assert [frame.name for frame in frames] == ["eye", "camera_1", "of another scene"]
     sees(frames[0].camera((64, 48)), expected(view(1), *[24 / np.tan(0.35)] * 2, (32, 24)))
 
@@ -410,12 +410,12 @@ def test_a_gltf_file_without_scenes_shows_all_its_nodes(tmp_path):
 def test_gltf_cameras_of_one_name_are_numbered(tmp_path):
     nodes = [{"camera": 0}, {"camera": 0, "name": "lens_2"}, {"camera": 0}, {"camera": 0}]
     document = gltf(nodes=nodes, scenes=[{"nodes": [0, 1, 2, 3]}], scene=0)
-    names = [frame.name for frame in read_frames(write_json(tmp_path / "a.gltf", document))]
+    names = [frame.name for frame in read_cameras(write_json(tmp_path / "a.gltf", document))]
     assert names == ["lens", "lens_2", "lens_3", "lens_4"]
 
 
 def test_an_orthographic_camera_is_for_pictures_of_its_shape(tmp_path):
-    frame = read_frames(write_json(tmp_path / "a.gltf", gltf()))[1]
+    frame = read_cameras(write_json(tmp_path / "a.gltf", gltf()))[1]
     frame.camera((403, 300))
     with pytest.raises(CameraError, match=r"'camera_1' of .*xmag 2 and ymag 1\.5 are not of the shape of"):
         frame.camera((410, 300))
@@ -492,7 +492,7 @@ def ours():
 def test_written_cameras_come_back_to_the_same_bits(tmp_path):
     path = tmp_path / "cameras.json"
     write_cameras(path, ours())
-    frames = read_frames(path)
+    frames = read_cameras(path)
     assert [frame.name for frame in frames] == list(ours())
     for frame, camera in zip(frames, ours().values(), strict=True):
         back = frame.camera()
@@ -509,7 +509,7 @@ def test_our_file_may_have_opengl_poses_and_no_distortion(tmp_path):
     record = document["cameras"][0]
     del record["distortion"]
     record |= {"convention": "opengl", "pose": to_opengl(view(1)).tolist()}
-    frame = read_frames(write_json(tmp_path / "b.json", document))[0]
+    frame = read_cameras(write_json(tmp_path / "b.json", document))[0]
     sees(frame.camera(), expected(view(1), 501.3, 501.3, (320, 240)))
 
 
@@ -638,13 +638,13 @@ def test_a_damaged_file_of_each_kind_is_read_or_refused(tmp_path, kind):
                     content[at:at] = content[random.integers(len(content)) :][: random.integers(1, 30)]
         files[which].write_bytes(content)
         try:
-            for frame in read_frames(path):
+            for frame in read_cameras(path):
                 frame.camera(frame.size or (64, 48))
         except CameraError:
             refused += 1
         files[which].write_bytes(wholes[which])
     assert refused > 30
-    assert read_frames(path)
+    assert read_cameras(path)
 
 
 # Names
@@ -656,7 +656,7 @@ def named(*names):
 
 
 def test_a_frame_is_found_by_its_name_then_its_file_name_then_its_stem(tmp_path):
-    frames = read_frames(
+    frames = read_cameras(
         write_json(tmp_path / "t.json", named("a/x.png", "b/y.png", "b\\z.jpg", "y.png", "w"))
     )
     for asked, found in [
@@ -671,7 +671,7 @@ def test_a_frame_is_found_by_its_name_then_its_file_name_then_its_stem(tmp_path)
 
 
 def test_a_frame_that_is_not_there_or_not_one_is_refused_with_a_listing(tmp_path):
-    frames = read_frames(write_json(tmp_path / "t.json", named("a/x.png", "b/x.png", *"cdefghijklm")))
+    frames = read_cameras(write_json(tmp_path / "t.json", named("a/x.png", "b/x.png", *"cdefghijklm")))
     with pytest.raises(
         CameraError, match=r"'x\.png' may be 2 frames: 'a/x\.png', 'b/x\.png'; give the whole name"
     ):

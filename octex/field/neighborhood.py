@@ -287,6 +287,7 @@ def _kept_row(kept_cells: Uint32s, cell: int, n_cells: int) -> int:
 
 @inlined
 def normalize(walk: Walk, n_taps: int, total: float, weights: Float32s, slopes: Float32s, first: int) -> None:
+    """Write the weights and slopes of taps of weight ``total``: weights then sum to 1."""
     taps = walk.taps
     scale = 1.0 / total
     for n in range(n_taps):

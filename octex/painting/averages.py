@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ChannelFormat, decode
+from octex.tree.edit import first_children, nodes_by_level
 from octex.tree.layout import AREA_ONE, AREA_STEPS
-from octex.tree.edit import first_children
 from octex.tree.octree import Octree
 
 Int64s = npt.NDArray[np.int64]
@@ -58,13 +58,14 @@ def add_up_areas(
     """Give nodes above new cells the areas of all their children, in place."""
     first = tree.arrays.level_cells
     above = is_new.copy()
+    nodes_of = nodes_by_level(tree)
     for level in range(tree.max_depth - 1, -1, -1):
         starts = first_children(tree, level) - first[level + 1]
         if not starts.size:
             continue
         below = slice(int(first[level + 1]), int(first[level + 2]))
         changed = np.logical_or.reduceat(above[below], starts)
-        nodes = _nodes_of(tree, level)[changed]
+        nodes = nodes_of[level][changed]
         above[nodes] = True
         sums = np.add.reduceat(np.where(areas[below] > 0, _AREAS[areas[below]], 0.0), starts)[changed] / 4
         coded = np.rint(AREA_STEPS * np.log2(np.maximum(sums, 1e-30)) + AREA_ONE)
@@ -95,6 +96,7 @@ def updated_averages(
     touched[painted] = True
     cells, values = [np.empty(0, np.int64)], [np.empty((0, after.shape[1]))]
     exact: dict[int, tuple[Int64s, Float64s]] = {}
+    nodes_of = nodes_by_level(tree)
     for level in range(tree.max_depth - 1, -1, -1):
         begin, end = int(first[level + 1]), int(first[level + 2])
         starts = first_children(tree, level)
@@ -104,7 +106,7 @@ def updated_averages(
         chosen = np.flatnonzero(np.logical_or.reduceat(touched[begin:end], starts - begin))
         if not chosen.size:
             continue
-        nodes = _nodes_of(tree, level)[chosen]
+        nodes = nodes_of[level][chosen]
         counts = (ends - starts)[chosen]
         children = np.repeat(starts[chosen] - np.concatenate([[0], np.cumsum(counts[:-1])]), counts)
         children = children + np.arange(children.size)
@@ -131,8 +133,3 @@ def updated_averages(
         values.append(mean)
     nodes = np.concatenate(cells)
     return nodes, np.concatenate(values), part[nodes]
-
-
-def _nodes_of(tree: Octree, level: int) -> Int64s:
-    """Return the numbers of a level's nodes among all cells."""
-    return np.flatnonzero(tree.is_node(level)) + int(tree.arrays.level_cells[level])

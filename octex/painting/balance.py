@@ -27,7 +27,7 @@ def balanced(source: Projected, surface: Surface) -> npt.NDArray[np.float32]:
     logarithms sum to zero, so that the whole stays as light as it is; pictures that overlap no other keep 1.
     """
     samples = surface.scatter(_POINTS)
-    widths = source.pixel_widths(samples.triangles, samples.barycentric)
+    widths = source.widths(samples.triangles, samples.barycentric)
     widths = np.where(np.isfinite(widths), widths * np.float32(_WIDTH), np.float32(0))
     paint, weights = source.each(samples.triangles, samples.barycentric, widths)
     gains = np.ones((len(paint), 3), np.float32)

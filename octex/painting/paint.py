@@ -11,9 +11,10 @@ import numpy as np
 from octex.channels import ALPHA, CHANNELS, ChannelFormat
 from octex.checks import as_choice, as_depth, as_number
 from octex.errors import ArgumentError
+from octex.painting.balance import balanced
 from octex.painting.merge import merge
 from octex.painting.pictures import Projection, check_projections
-from octex.painting.projected import Projected, take_shot, terms_of
+from octex.painting.projected import Projected, stretches_of, take_shot, terms_of
 from octex.painting.rasterize import empty_texture, rasterize_paint, wanted_depth
 from octex.parallel import Progress, silent, workers
 from octex.source.surface import Surface
@@ -77,7 +78,7 @@ def paint(
                 executor=pool, progress=report,
             )  # fmt: skip
             if made is None:
-                made = empty_texture([_format(None, channel)], layer.placement, layer.bounds)
+                made = empty_texture([format_of(None, channel)], layer.placement, layer.bounds)
             made = merge(made, layer, surface, opacity=opacity, blend=blend, executor=pool, progress=report)
     assert made is not None
     return made
@@ -106,7 +107,7 @@ def project(
     """
     given = check_projections(projections)
     report = progress or silent
-    form = _format(like, channel)
+    form = format_of(like, channel)
     as_number(max_angle, "max_angle", 0.0, 180.0)
     as_number(edge_feather, "edge_feather", 0.0, 1e6)
     deepest = _DEEPEST if max_depth is None else as_depth(max_depth, "max_depth")
@@ -118,34 +119,21 @@ def project(
         scale = projection.opacity / largest
         shots.append(take_shot(projection, form, surface.vertices, surface.triangles, edge_feather, scale))
     report("look", len(given), len(given))
-    source = Projected(shots, form, terms, surface.vertices, surface.rest, surface.triangles)
+    stretches = stretches_of(surface.vertices, surface.rest, surface.triangles)
+    source = Projected(shots, form, terms, surface.vertices, surface.triangles, stretches)
     extent = float(np.ptp(surface.bounds, axis=0).max())
     size = like.placement.size if like is not None else extent
-    depth = min(wanted_depth(shots, source, size), deepest)
+    depth = min(wanted_depth(source, size), deepest)
     placement = Placement.around(surface.bounds, depth) if like is None else like.placement
     if like is not None:
-        _check_inside(surface, placement)
-    gains = None
+        check_inside(surface, placement)
     if balance and len(shots) > 1:
-        from octex.painting.balance import balanced
-
-        gains = balanced(source, surface)
+        source = source.with_gains(balanced(source, surface))
     with workers(executor) as pool:
-        return rasterize_paint(
-            surface,
-            shots,
-            form,
-            terms,
-            placement,
-            depth,
-            gains=gains,
-            fit=fit,
-            executor=pool,
-            progress=report,
-        )
+        return rasterize_paint(surface, source, placement, depth, fit=fit, executor=pool, progress=report)
 
 
-def _format(texture: OctreeTexture | None, channel: str) -> ChannelFormat:
+def format_of(texture: OctreeTexture | None, channel: str) -> ChannelFormat:
     """Return how a channel is stored, in a texture or in a new one."""
     if texture is not None:
         as_choice(channel, texture.channels, "channel of the texture")
@@ -159,7 +147,8 @@ def _format(texture: OctreeTexture | None, channel: str) -> ChannelFormat:
     return form
 
 
-def _check_inside(surface: Surface, placement: Placement) -> None:
+def check_inside(surface: Surface, placement: Placement) -> None:
+    """Raise ArgumentError for a surface that reaches out of a root cell."""
     low, high = placement.to_texture_space(surface.bounds)
     if (low < 0).any() or (high > 1).any():
         raise ArgumentError(

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import ALPHA, ChannelFormat
+from octex.channels import ChannelFormat
 from octex.jit import inlined, kernel
 from octex.painting.pictures import Levels, Projection, levels_of, read_paint
-from octex.source.base import Source
+from octex.painting.source import PaintSource
 from octex.view.shading import face_normals
 from octex.view.visibility import (
     Seen,
@@ -39,8 +39,6 @@ _LEAST_SEEN, _WELL_SEEN = 0.5, 1.0
 _TRUSTED = 4.0
 #: How strongly the finer of two pictures outweighs the other: by this power of their pixels on the surface.
 _FINER = 2.0
-#: Coverage is kept in 16 bits: 8 would change a wash by up to half a step.
-COVERAGE = ALPHA._replace(dtype="uint16")
 
 
 class Shot(NamedTuple):
@@ -97,10 +95,12 @@ def terms_of(max_angle: float, feather: float, back_faces: bool) -> Terms:
     )
 
 
-class Projected(Source):
-    """Paint from shots of a posed surface: a channel's components, and their coverage.
+class Projected(PaintSource):
+    """Paint from shots of a posed surface.
 
-    vertices (n, 3) posed positions; rest (n, 3); triangles (m, 3)
+    shots      what cameras see of it; stretches (m,) what is 1 long on a posed triangle is so long at rest
+    vertices   (n, 3) posed positions; triangles (m, 3)
+    gains      (shots, 3), factors of each shot's components
     """
 
     def __init__(
@@ -109,45 +109,48 @@ class Projected(Source):
         form: ChannelFormat,
         terms: Terms,
         vertices: Floats,
-        rest: Floats,
         triangles: Int32s,
+        stretches: npt.NDArray[np.float32],
         gains: npt.NDArray[np.float32] | None = None,
     ) -> None:
+        super().__init__(form)
         self._shots = list(shots)
-        self._channels = (form, COVERAGE)
         self._terms = terms
-        self._mesh = vertices, triangles
-        _, posed_areas = face_normals(vertices, triangles)
-        _, rest_areas = (None, posed_areas) if rest is vertices else face_normals(rest, triangles)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            stretches = np.sqrt(rest_areas / posed_areas)
-        #: What is 1 long on the posed triangle is so long at rest.
-        self._stretches = np.nan_to_num(stretches, nan=1.0, posinf=1e6).astype(np.float32)
+        self._mesh = vertices, triangles, stretches
         self._gains = np.ones((len(self._shots), 3), np.float32) if gains is None else gains
 
-    @property
-    def channels(self) -> tuple[ChannelFormat, ...]:
-        """The channel that is painted, and its coverage, ``alpha``."""
-        return self._channels
+    def with_gains(self, gains: npt.NDArray[np.float32]) -> Projected:
+        """Return the same paint with other gains."""
+        return Projected(self._shots, self._channels[0], self._terms, *self._mesh, gains)
+
+    def touched(self) -> Int32s:
+        """Return the triangles that own a pixel of a shot."""
+        is_seen = np.zeros(len(self._mesh[1]) + 1, np.bool_)
+        for shot in self._shots:
+            is_seen[shot.seen.triangle] = True  # none, −1, is the last
+        return np.flatnonzero(is_seen[:-1]).astype(np.int32)
+
+    def on(self, chosen: Int32s) -> Projected:
+        """Return the same paint for some of the triangles, among them all that own a pixel."""
+        vertices, triangles, stretches = self._mesh
+        names = np.full(len(triangles) + 1, -1, np.int32)  # none, −1, is the last
+        names[chosen] = np.arange(len(chosen), dtype=np.int32)
+        shots = [
+            shot._replace(seen=shot.seen._replace(triangle=names[shot.seen.triangle])) for shot in self._shots
+        ]
+        faces = np.ascontiguousarray(triangles[chosen])
+        return Projected(
+            shots, self._channels[0], self._terms, vertices, faces, stretches[chosen], self._gains
+        )
 
     def evaluate(
         self, triangles: Int32s, barycentric: Floats, widths: npt.NDArray[np.float32]
     ) -> npt.NDArray[np.float32]:
         """Return paint, linear for colours, and coverage (n, components + 1); zeros where there is none."""
         sums, clear = np.zeros((len(triangles), 4)), np.ones(len(triangles))
+        where = triangles, barycentric, widths
         for shot, gains in zip(self._shots, self._gains, strict=True):
-            _add(
-                shot,
-                self._terms,
-                *self._mesh,
-                self._stretches,
-                gains,
-                triangles,
-                barycentric,
-                widths,
-                sums,
-                clear,
-            )
+            _add(shot, self._terms, *self._mesh, gains, *where, sums, clear)
         found = np.zeros((len(triangles), self._channels[0].components + 1), np.float32)
         _finish(sums, clear, found)
         return found
@@ -158,41 +161,46 @@ class Projected(Source):
         """Return what each shot paints (shots, n, 3), and its weight (shots, n)."""
         paint = np.zeros((len(self._shots), len(triangles), 3), np.float32)
         weights = np.zeros((len(self._shots), len(triangles)), np.float32)
-        for number, shot in enumerate(self._shots):
+        where = triangles, barycentric, widths
+        for number, (shot, gains) in enumerate(zip(self._shots, self._gains, strict=True)):
             sums, clear = np.zeros((len(triangles), 4)), np.ones(len(triangles))
-            gains = self._gains[number]
-            _add(
-                shot,
-                self._terms,
-                *self._mesh,
-                self._stretches,
-                gains,
-                triangles,
-                barycentric,
-                widths,
-                sums,
-                clear,
-            )
+            _add(shot, self._terms, *self._mesh, gains, *where, sums, clear)
             weights[number] = sums[:, 3]
             paint[number] = sums[:, :3] / np.maximum(sums[:, 3:], 1e-300)
         return paint, weights
 
     def texel_edges(self, triangles: Int32s) -> npt.NDArray[np.float32]:
         """Return the edge of the finest pixel on triangles (n,), in rest units; infinity where none is."""
-        middles = np.full((len(triangles), 3), 1 / 3)
-        return self.pixel_widths(triangles, middles)
+        return self.widths(triangles, np.full((len(triangles), 3), 1 / 3))
 
-    def pixel_widths(self, triangles: Int32s, barycentric: Floats) -> npt.NDArray[np.float32]:
+    def widths(self, triangles: Int32s, barycentric: Floats) -> npt.NDArray[np.float32]:
         """Return how wide the finest pixel that looks toward points is there, across the view, in rest units.
 
         Infinity for points that no camera has before it.
         """
         widths = np.full(len(triangles), np.inf, np.float32)
         for shot in self._shots:
-            _narrow(
-                shot, *self._mesh, self._stretches, self._terms.back_faces, triangles, barycentric, widths
-            )
+            _narrow(shot, *self._mesh, self._terms.back_faces, triangles, barycentric, widths)
         return widths
+
+    def centres(self) -> Iterator[tuple[Int32s, Floats]]:
+        """Yield what the centres of each shot's pixels see."""
+        for shot in self._shots:
+            pixels = np.flatnonzero(shot.seen.triangle.ravel() >= 0)
+            yield (
+                shot.seen.triangle.ravel()[pixels],
+                shot.centres.reshape(-1, 3)[pixels].astype(np.float64),
+            )
+
+
+def stretches_of(vertices: Floats, rest: Floats, triangles: Int32s) -> npt.NDArray[np.float32]:
+    """Return how long on each triangle (m,) at rest is what is 1 long on the posed one, by their areas."""
+    if rest is vertices:
+        return np.ones(len(triangles), np.float32)
+    (_, posed), (_, resting) = face_normals(vertices, triangles), face_normals(rest, triangles)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        stretches = np.sqrt(resting / posed)
+    return np.nan_to_num(stretches, nan=1.0, posinf=1e6).astype(np.float32)
 
 
 @inlined
@@ -310,8 +318,8 @@ def _add(
         coverage = _smooth((part - _LEAST_SEEN) / (_WELL_SEEN - _LEAST_SEEN))
         if terms.vanishing > -1.0:
             coverage *= _smooth((cosine - terms.vanishing) / (terms.fading - terms.vanishing))
-        margin = min(min(u, columns - u), min(v, rows - v))
-        margin = min(margin, np.float64(shot.margins[int(py), int(px)]))
+        inside = min(min(u, columns - u), min(v, rows - v))
+        margin = float(min(inside, np.float64(shot.margins[int(py), int(px)])))
         if terms.feather > 0.0:
             coverage *= _smooth(margin / terms.feather)
         if not coverage > 0.0:
@@ -327,7 +335,7 @@ def _add(
         sums[n, 1] += weight * green * gains[1]
         sums[n, 2] += weight * blue * gains[2]
         sums[n, 3] += weight * alpha
-        clear[n] *= 1.0 - min(coverage * alpha, 1.0)
+        clear[n] *= max(1.0 - coverage * np.float64(alpha), 0.0)
 
 
 @kernel

@@ -43,6 +43,10 @@ class Located(NamedTuple):
     levels: Int64s  # (n,)   that cell's level
     is_leaf: Bools  # (n,)
 
+    def of(self, chosen: Bools) -> Located:
+        """Return those of some of the cells."""
+        return Located(self.cells[chosen], self.levels[chosen], self.is_leaf[chosen])
+
 
 def locate(tree: Octree, codes: Int64s, level: int) -> Located:
     """Find cells (n,) of a level, by their Morton codes, or what holds them."""
@@ -62,6 +66,12 @@ def _locate(
         i, j, k = decode(codes[n])
         cells[n], levels[n], node = descend(arrays, i << shift, j << shift, k << shift, level)
         is_leaf[n] = node < 0
+
+
+def unchanged(tree: Octree) -> Edited:
+    """Return a tree as it is."""
+    rows = np.ones(tree.split.areas.size, np.bool_)
+    return Edited(tree, np.arange(tree.n_cells), rows, np.ones(tree.kept.cells.size, np.bool_))
 
 
 def cull(tree: Octree, is_kept: Bools) -> Edited:
@@ -186,13 +196,20 @@ def facings_of_nodes(tree: Octree) -> npt.NDArray[np.uint8]:
     flags = tree.arrays.flags.copy()
     first = tree.arrays.level_cells
     facing = np.uint8(FACING_FLAGS)
+    nodes_of = nodes_by_level(tree)
     for level in range(tree.max_depth - 1, -1, -1):
         starts = first_children(tree, level) - first[level + 1]
         if starts.size:
-            nodes = np.flatnonzero(tree.is_node(level)) + first[level]
+            nodes = nodes_of[level]
             below = flags[first[level + 1] : first[level + 2]] & facing
             flags[nodes] = flags[nodes] & ~facing | np.bitwise_or.reduceat(below, starts)
     return flags
+
+
+def nodes_by_level(tree: Octree) -> list[Int64s]:
+    """Return the numbers of each level's nodes, among all cells."""
+    first = tree.arrays.level_cells
+    return [np.flatnonzero(is_node) + int(first[level]) for level, (_, is_node) in enumerate(tree.walk())]
 
 
 def first_children(tree: Octree, level: int) -> Int64s:

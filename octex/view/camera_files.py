@@ -94,7 +94,7 @@ class Frame(NamedTuple):
         return replace(camera, projection=self.projection, world_to_camera=self.world_to_camera)
 
 
-def read_frames(path: str | os.PathLike[str]) -> list[Frame]:
+def read_cameras(path: str | os.PathLike[str]) -> list[Frame]:
     """Read the cameras of a file, or of a folder with a COLMAP model, in the file's order.
 
     Raises CameraError if there is no such file, if it is of no known kind, damaged or without cameras, and
@@ -130,7 +130,7 @@ def find_frame(frames: Sequence[Frame], name: str) -> Frame:
 
 
 def write_cameras(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
-    """Write cameras, by name, to a JSON file that ``read_frames`` reads back to the same bits.
+    """Write cameras, by name, to a JSON file that ``read_cameras`` reads back to the same bits.
 
     What stood at ``path`` is replaced when all is written, or not at all: raises OutputError if it cannot be.
     """

@@ -216,7 +216,7 @@ def seen_part(
 
 @kernel
 def distances_to_edges(seen: Seen, view: View, reach: float) -> npt.NDArray[np.float32]:
-    """Return how far each pixel's centre is from where the surface that it sees ends, in pixels, to ``reach``.
+    """Return how far each pixel's centre is from where the surface that it sees ends: pixels, to ``reach``.
 
     It ends at the rim of the picture, at the background, and where one part of it hides another. Distances
     are chamfered: of steps to the 8 pixels around, at most 8 % too long.

@@ -1,0 +1,218 @@
+"""Paint as it lies on cells: on a layer's leaves, brought to a texture's (paper 4.1, steps 2 and 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import ALPHA, ChannelFormat, decode
+from octex.errors import ArgumentError
+from octex.field.refined import refined_taps
+from octex.texture import OctreeTexture
+from octex.texture.channel import Channel
+from octex.tree.edit import among
+from octex.tree.morton import decode_cells, encode_cells
+from octex.tree.octree import Octree, distinct
+
+Int64s = npt.NDArray[np.int64]
+Float32s = npt.NDArray[np.float32]
+
+_AROUND = np.array([[x, y, z] for z in (-1, 0, 1) for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y or z])
+#: Cells whose neighbours are listed at once.
+_BLOCK = 1 << 16
+#: What is transparent still weighs so much in what is refined from it.
+_FAINT = np.float32(1e-6)
+
+
+class Paint(NamedTuple):
+    """Paint on cells of one level."""
+
+    codes: Int64s  # (n,)   Morton codes, ascending
+    values: Float32s  # (n, components)   decoded
+    coverage: Float32s  # (n,)   0 … 1
+    cells: Int64s  # (n,)   the cells of the paint octree that say what each facing has
+
+
+def paint_of(layer: OctreeTexture, opacity: float) -> tuple[ChannelFormat, list[Paint]]:
+    """Return what a layer paints: its channel, and the paint on its leaves, level by level.
+
+    Raises ArgumentError for a texture that is no layer.
+    """
+    names = [name for name in layer.channels if name != ALPHA.name]
+    if len(names) != 1 or ALPHA.name not in layer.channels:
+        raise ArgumentError("a layer has one channel, and alpha: what paint covers")
+    values, coverage = layer.channels[names[0]], layer.channels[ALPHA.name]
+    found = []
+    for level, (codes, is_node) in enumerate(layer.tree.walk()):
+        cells = np.flatnonzero(~is_node) + int(layer.tree.arrays.level_cells[level])
+        part = decode(coverage.values[cells], "data")[:, 0] * np.float32(opacity)
+        has_paint = part > 0
+        cells = cells[has_paint]
+        own = codes[~is_node][has_paint]
+        found.append(
+            Paint(
+                own,
+                decode(values.values[cells], values.format.space),
+                part[has_paint],
+                cells,
+            )
+        )
+    return values.format, found
+
+
+def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opacity: float) -> list[Paint]:
+    """Bring paint to the resolution of a tree that is deeper, by the field's refinement (paper 4.1, step 2).
+
+    The paper does so where paint is translucent. Here opaque paint goes down too: a texture of even depth is
+    looked up four times as fast as one of many.
+    """
+    name = next(name for name in layer.channels if name != ALPHA.name)
+    found = list(paint)
+    walk = list(tree.walk())
+    while len(found) < len(walk):
+        found.append(_no_paint(layer.channels[name].format.components))
+    for level in range(len(walk) - 1):
+        codes, is_node = walk[level]
+        below = among(found[level].codes, codes[is_node])
+        if not below.any():
+            continue
+        coarse = found[level]
+        found[level] = _some(coarse, ~below)
+        parents, cells = coarse.codes[below], coarse.cells[below]
+        source_codes = parents
+        for deeper in range(level + 1, len(walk)):
+            codes, is_node = walk[deeper]
+            children = codes[among(codes >> 3, parents)]
+            if not children.size:
+                break
+            is_leaf = ~is_node[np.searchsorted(codes, children)]
+            leaves, parents = children[is_leaf], children[~is_leaf]
+            if leaves.size:
+                owners = np.searchsorted(source_codes, leaves >> 3 * (deeper - level))
+                values, coverage = _refined_paint(layer, name, leaves, deeper, opacity)
+                finer = Paint(leaves, values, coverage, cells[owners])
+                found[deeper] = _joined(found[deeper], finer)
+    return found
+
+
+def boundary(paint: Sequence[Paint]) -> list[Int64s]:
+    """Return the cells around paint, by level: the boundary layer (paper 4.1, step 3).
+
+    Of each level those beside its own paint, at faces, edges and corners; not the paint itself.
+    """
+    return [beside(each.codes, level) for level, each in enumerate(paint)]
+
+
+def beside(codes: Int64s, level: int) -> Int64s:
+    """Return the cells around some of a level that are not among them, ascending."""
+    found = [np.empty(0, np.int64)]
+    for begin in range(0, codes.size, _BLOCK):
+        cells = (decode_cells(codes[begin : begin + _BLOCK])[:, None] + _AROUND).reshape(-1, 3)
+        cells = cells[((cells >= 0) & (cells < 1 << level)).all(axis=1)]
+        found.append(distinct(encode_cells(cells)))
+    beside = distinct(np.concatenate(found))
+    return beside[~among(beside, codes)]
+
+
+def skirt_of(outer: Int64s, painted: Int64s, ring: Int64s, met: Int64s, level: int) -> Int64s:
+    """Return those cells beside paint, off the surface, that nothing but paint and its boundary is beside."""
+    inner = distinct(np.concatenate([painted, ring]))
+    free = np.ones(outer.size, np.bool_)
+    for step in _AROUND:
+        cells = decode_cells(outer) + step
+        inside = ((cells >= 0) & (cells < 1 << level)).all(axis=1)
+        codes = encode_cells(np.where(inside[:, None], cells, 0))
+        free &= ~(inside & among(codes, met) & ~among(codes, inner))
+    return outer[free]
+
+
+def with_skirt(paint: Paint, skirt: Int64s, level: int) -> Paint:
+    """Add a skirt: its paint is the mean of the paint beside it."""
+    if not skirt.size:
+        return paint
+    values = np.zeros((skirt.size, paint.values.shape[1]))
+    coverage, count = np.zeros(skirt.size), np.zeros(skirt.size)
+    cells = np.zeros(skirt.size, np.int64)
+    for step in _AROUND:
+        beside = decode_cells(skirt) + step
+        inside = ((beside >= 0) & (beside < 1 << level)).all(axis=1)
+        codes = encode_cells(np.where(inside[:, None], beside, 0))
+        at = np.minimum(np.searchsorted(paint.codes, codes), paint.codes.size - 1)
+        hit = inside & (paint.codes[at] == codes)
+        values[hit] += (paint.values * paint.coverage[:, None])[at[hit]]
+        coverage[hit] += paint.coverage[at[hit]]
+        count[hit] += 1
+        cells[hit] = paint.cells[at[hit]]
+    values /= np.maximum(coverage, 1e-30)[:, None]
+    coverage /= np.maximum(count, 1)
+    extra = Paint(skirt, values.astype(np.float32), coverage.astype(np.float32), cells)
+    return _joined(paint, extra)
+
+
+def _no_paint(components: int) -> Paint:
+    return Paint(
+        np.empty(0, np.int64),
+        np.empty((0, components), np.float32),
+        np.empty(0, np.float32),
+        np.empty(0, np.int64),
+    )
+
+
+def _some(paint: Paint, chosen: npt.NDArray[np.bool_]) -> Paint:
+    codes, values, coverage, cells = paint
+    return Paint(codes[chosen], values[chosen], coverage[chosen], cells[chosen])
+
+
+def _joined(one: Paint, other: Paint) -> Paint:
+    order = np.argsort(np.concatenate([one.codes, other.codes]), kind="stable")
+    return Paint(
+        np.concatenate([one.codes, other.codes])[order],
+        np.concatenate([one.values, other.values])[order],
+        np.concatenate([one.coverage, other.coverage])[order],
+        np.concatenate([one.cells, other.cells])[order],
+    )
+
+
+def refined_values(
+    tree: Octree, channels: Mapping[str, Channel], codes: Int64s, level: int
+) -> dict[str, Float32s]:
+    """Return what channels refine to in cells of a level below leaves, decoded; others weigh by alpha."""
+    starts, rows, weights = refined_taps(tree, codes, level)
+    found = {}
+    alpha = channels.get(ALPHA.name)
+    opaque = None if alpha is None else _rows_of(alpha, rows)[:, :1]
+    for name, channel in channels.items():
+        values = _rows_of(channel, rows)
+        own = weights[:, None]
+        if opaque is not None and name != ALPHA.name:
+            own = own * np.maximum(opaque, _FAINT)
+        sums = _sum_runs(np.hstack([values * own, own]), starts)
+        found[name] = np.asarray(sums[:, :-1] / np.maximum(sums[:, -1:], np.float32(1e-30)), np.float32)
+    return found
+
+
+def _sum_runs(values: Float32s, starts: Int64s) -> Float32s:
+    """Add up rows from each start to the next; zeros where there are none."""
+    sums = np.add.reduceat(np.vstack([values, np.zeros_like(values[:1])]), starts[:-1], axis=0)
+    sums[starts[1:] == starts[:-1]] = 0
+    return np.asarray(sums, np.float32)
+
+
+def _rows_of(channel: Channel, rows: npt.NDArray[np.uint32]) -> Float32s:
+    """Decode cells, and after them kept coefficients, by their rows."""
+    n_cells = len(channel.values)
+    found = decode(channel.values[np.minimum(rows, n_cells - 1)], channel.format.space)
+    is_kept = np.flatnonzero(rows >= n_cells)
+    if is_kept.size:
+        found[is_kept] = decode(channel.kept_values[rows[is_kept] - n_cells], channel.format.space)
+    return found
+
+
+def _refined_paint(
+    layer: OctreeTexture, name: str, codes: Int64s, level: int, opacity: float
+) -> tuple[Float32s, Float32s]:
+    found = refined_values(layer.tree, layer.channels, codes, level)
+    return found[name], found[ALPHA.name][:, 0] * np.float32(opacity)

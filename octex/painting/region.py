@@ -1,0 +1,227 @@
+"""Paint without a picture: one value over a region of the surface."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import ChannelFormat
+from octex.checks import as_depth, as_number, as_positive
+from octex.errors import ArgumentError
+from octex.painting.merge import merge
+from octex.painting.paint import check_inside, format_of
+from octex.painting.pictures import Blend
+from octex.painting.rasterize import empty_texture, rasterize_paint
+from octex.painting.source import PaintSource
+from octex.parallel import Progress, silent, workers
+from octex.source.surface import Surface
+from octex.texture import OctreeTexture
+from octex.tree.placement import Placement
+
+Floats = npt.NDArray[np.float64]
+Int32s = npt.NDArray[np.int32]
+
+#: Says how much of rest positions (n, 3) a region covers: (n,), 0 … 1.
+RegionFunction: TypeAlias = Callable[[Floats], npt.ArrayLike]
+
+_DEPTH = 10
+
+
+class Sphere(NamedTuple):
+    """What is within ``radius`` of ``center``; over the last ``soft`` of it coverage falls off."""
+
+    center: tuple[float, float, float]
+    radius: float
+    soft: float = 0.0
+
+    def covers(self, points: Floats) -> Floats:
+        """Return how much of points (n, 3) it covers, (n,)."""
+        inside = self.radius - np.linalg.norm(points - np.asarray(self.center, np.float64), axis=1)
+        return _falling_off(inside, self.soft)
+
+    def bounds(self) -> Floats:
+        """Return its lowest and highest corner (2, 3)."""
+        center = np.asarray(self.center, np.float64)
+        return np.stack([center - self.radius, center + self.radius])
+
+
+class Box(NamedTuple):
+    """What is between two corners; over the last ``soft`` inside its faces coverage falls off."""
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    soft: float = 0.0
+
+    def covers(self, points: Floats) -> Floats:
+        """Return how much of points (n, 3) it covers, (n,)."""
+        low, high = self.bounds()
+        return _falling_off(np.minimum(points - low, high - points).min(axis=1), self.soft)
+
+    def bounds(self) -> Floats:
+        """Return its lowest and highest corner (2, 3)."""
+        return np.stack([np.asarray(self.low, np.float64), np.asarray(self.high, np.float64)])
+
+
+def _falling_off(inside: Floats, soft: float) -> Floats:
+    if soft > 0.0:
+        return np.clip(inside / soft, 0.0, 1.0)
+    return (inside >= 0.0).astype(np.float64)
+
+
+Region: TypeAlias = Sphere | Box | RegionFunction | npt.ArrayLike
+
+
+def fill(
+    texture: OctreeTexture | None,
+    surface: Surface,
+    region: Region,
+    color: npt.ArrayLike,
+    *,
+    channel: str = "base_color",
+    opacity: float = 1.0,
+    blend: Blend = "over",
+    max_depth: int | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> OctreeTexture:
+    """Fill a region of the surface with one value; return the texture with it.
+
+    texture    None stands for one without any cell
+    region     at rest: a Sphere, a Box, a part of the surface as triangles (numbers, or one bool for each),
+               or a function of rest positions (n, 3) that returns how much it covers (n,), 0 … 1; it is
+               called with many at a time, from several threads
+    color      a number for each component of the channel; linear light for colours
+    max_depth  how fine the region's border becomes: by default as fine as the texture, 10 for a new one
+
+    All else, and what is returned, as for ``paint``: averages, facings and finer detail are kept likewise.
+    Raises ArgumentError for another kind of region, for a function that returns another shape, values that
+    are not in 0 … 1, or NaN, and as ``paint`` does.
+    """
+    form = format_of(texture, channel)
+    value = _value(form, color)
+    as_number(opacity, "opacity", 0.0, 1.0)
+    if max_depth is not None:
+        depth = as_depth(max_depth, "max_depth")
+    else:
+        depth = _DEPTH if texture is None or not texture.tree.n_leaves else texture.tree.max_depth
+    placement = Placement.around(surface.bounds, depth) if texture is None else texture.placement
+    check_inside(surface, placement)
+    source = Filled(form, value, surface.rest, surface.triangles, *_coverage(region, surface))
+    report = progress or silent
+    with workers(executor) as pool:
+        layer = rasterize_paint(surface, source, placement, depth, fit=False, executor=pool, progress=report)
+        base = texture or empty_texture([form], placement, surface.bounds)
+        return merge(base, layer, surface, opacity=opacity, blend=blend, executor=pool, progress=report)
+
+
+class Filled(PaintSource):
+    """One value; ``covers`` says where of rest positions, ``chosen`` (m,) on which triangles at all."""
+
+    def __init__(
+        self,
+        form: ChannelFormat,
+        value: npt.NDArray[np.float32],
+        rest: Floats,
+        triangles: Int32s,
+        chosen: npt.NDArray[np.bool_],
+        covers: RegionFunction,
+    ) -> None:
+        super().__init__(form)
+        self._value = value
+        self._mesh = rest, triangles
+        self._chosen = chosen
+        self._covers = covers
+
+    def touched(self) -> Int32s:
+        """Return the triangles that may be covered."""
+        return np.flatnonzero(self._chosen).astype(np.int32)
+
+    def on(self, chosen: Int32s) -> Filled:
+        """Return the same for some of the triangles."""
+        rest, triangles = self._mesh
+        return Filled(
+            self._channels[0], self._value, rest, triangles[chosen], self._chosen[chosen], self._covers
+        )
+
+    def evaluate(
+        self,
+        triangles: Int32s,
+        barycentric: Floats,
+        widths: npt.NDArray[np.float32],  # noqa: ARG002
+    ) -> npt.NDArray[np.float32]:
+        """Return the value and its coverage (n, components + 1)."""
+        rest, faces = self._mesh
+        found = np.zeros((len(triangles), len(self._value) + 1), np.float32)
+        found[:, :-1] = self._value
+        own = np.flatnonzero(self._chosen[triangles])
+        points = np.einsum("nc,ncx->nx", barycentric[own], rest[faces[triangles[own]]])
+        found[own, -1] = _checked(self._covers, points)
+        return found
+
+
+def _value(form: ChannelFormat, color: npt.ArrayLike) -> npt.NDArray[np.float32]:
+    value = np.atleast_1d(np.asarray(color, np.float32))
+    if value.shape != (form.components,) or not np.isfinite(value).all():
+        raise ArgumentError(
+            f"color must be {form.components} finite numbers for {form.name!r}, not {color!r}"
+        )
+    return value
+
+
+def _coverage(region: Region, surface: Surface) -> tuple[npt.NDArray[np.bool_], RegionFunction]:
+    """Return which triangles a region may cover, and what it covers of positions."""
+    count = len(surface.triangles)
+    if isinstance(region, (Sphere, Box)):
+        if isinstance(region, Sphere):
+            as_positive(region.radius, "radius")
+        as_number(region.soft, "soft", 0.0, np.inf)
+        low, high = region.bounds()
+        if low.shape != (3,) or not np.isfinite([low, high]).all() or (low > high).any():
+            raise ArgumentError(f"{region!r} is no region: its corners must be finite and in order")
+        corners = surface.rest[surface.triangles]
+        meets = (corners.min(axis=1) <= high).all(axis=1) & (corners.max(axis=1) >= low).all(axis=1)
+        return meets, region.covers
+    if callable(region):
+        return np.ones(count, np.bool_), region
+    part = np.asarray(region)
+    if part.dtype == np.bool_ and part.shape == (count,):
+        return part, _everywhere
+    if (
+        part.ndim == 1
+        and part.dtype.kind in "iu"
+        and (part.size == 0 or 0 <= part.min() <= part.max() < count)
+    ):
+        chosen = np.zeros(count, np.bool_)
+        chosen[part] = True
+        return chosen, _everywhere
+    raise ArgumentError(
+        "region must be a Sphere, a Box, a function, or triangles of the surface: numbers from 0 to "
+        f"{count - 1}, or {count} bools"
+    )
+
+
+def _everywhere(points: Floats) -> npt.ArrayLike:
+    return np.ones(len(points))
+
+
+def _checked(function: RegionFunction, points: Floats) -> npt.NDArray[np.float32]:
+    """Call a region's function; refuse what is no coverage."""
+    if not len(points):
+        return np.empty(0, np.float32)
+    try:
+        found = np.asarray(function(points), np.float64)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"region must return a number for each point: {error}") from error
+    if found.shape != (len(points),):
+        raise ArgumentError(f"region must return shape ({len(points)},), not {found.shape}")
+    bad = ~((found >= 0.0) & (found <= 1.0))
+    if bad.any():
+        first = int(np.argmax(bad))
+        raise ArgumentError(
+            f"region must return numbers in 0 … 1, but {found[first]:g} at {points[first].tolist()}"
+        )
+    return found.astype(np.float32)

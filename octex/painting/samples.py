@@ -1,0 +1,70 @@
+"""Samples that paint is fitted to: those of a conversion, and the centres of pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.conversion.fill import on_grid
+from octex.conversion.samples import PLACE_STEPS, SHARE_STEPS, Samples
+from octex.painting.source import PaintSource
+from octex.source.surface import Surface
+from octex.tree.layout import GRID_BITS
+from octex.tree.morton import encode_cells
+from octex.tree.placement import Placement
+
+#: How many times as much as other samples of a cell a centre in it counts.
+_OUTWEIGH = 16
+
+
+def of_cells(samples: Samples, cells: npt.NDArray[np.int64]) -> Samples:
+    """Return the samples of some cells, in order."""
+    counts = np.diff(samples.firsts)[cells]
+    firsts = np.concatenate([[0], np.cumsum(counts)])
+    rows = np.repeat(samples.firsts[cells] - firsts[:-1], counts) + np.arange(firsts[-1])
+    return samples._replace(
+        codes=samples.codes[cells],
+        firsts=firsts,
+        places=samples.places[rows],
+        shares=samples.shares[rows],
+        values=samples.values[rows],
+    )
+
+
+def with_centres(samples: Samples, source: PaintSource, surface: Surface, placement: Placement) -> Samples:
+    """Add a source's centres to samples, where cells are no larger than its detail.
+
+    A picture's pixels say what is at their centres; what lies between is only read from them.
+    """
+    edge = placement.size / 2**samples.depth
+    grid = on_grid(surface.rest, placement)
+    for triangles, barycentric in source.centres():
+        fine = source.widths(triangles, barycentric) >= edge
+        triangles, barycentric = triangles[fine], barycentric[fine]
+        steps = np.einsum("nc,ncx->nx", barycentric, grid[surface.triangles[triangles]].astype(np.float64))
+        places = steps / (1 << (GRID_BITS - samples.depth))
+        cells = np.floor(places).astype(np.int64)
+        codes = encode_cells(np.clip(cells, 0, (1 << samples.depth) - 1))
+        at = np.minimum(np.searchsorted(samples.codes, codes), samples.codes.size - 1)
+        there = np.flatnonzero(samples.codes[at] == codes)
+        values = source.evaluate(triangles[there], barycentric[there], np.zeros(there.size, np.float32))
+        opaque = values[:, -1] > 0
+        there, values = there[opaque], values[opaque]
+        order = np.argsort(at[there], kind="stable")
+        there, values = there[order], values[order]
+        own = at[there]
+        within = (places[there] - cells[there]) * PLACE_STEPS
+        counts = np.bincount(own, minlength=samples.codes.size)
+        shares = samples.shares.copy()
+        faint = np.repeat(counts > 0, np.diff(samples.firsts))
+        shares[faint] = np.maximum(shares[faint] // _OUTWEIGH, 1)
+        ends = samples.firsts[own + 1]
+        samples = samples._replace(
+            firsts=samples.firsts + np.concatenate([[0], np.cumsum(counts)]),
+            places=np.insert(
+                samples.places, ends, np.clip(within, 0, PLACE_STEPS - 1).astype(np.uint16), axis=0
+            ),
+            shares=np.insert(shares, ends, np.uint8(SHARE_STEPS)),
+            values=np.insert(samples.values, ends, values.astype(samples.values.dtype), axis=0),
+        )
+    return samples

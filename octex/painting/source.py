@@ -1,0 +1,49 @@
+"""What paint comes from: a source that also says where it is, and how fine."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import ALPHA, ChannelFormat
+from octex.source.base import Source
+
+Int32s = npt.NDArray[np.int32]
+
+#: Coverage is kept in 16 bits: 8 would change a wash by up to half a step.
+COVERAGE = ALPHA._replace(dtype="uint16")
+
+
+class PaintSource(Source):
+    """Gives a channel's components, and their coverage, to points of a surface."""
+
+    def __init__(self, form: ChannelFormat) -> None:
+        self._channels = (form, COVERAGE)
+
+    @property
+    def channels(self) -> tuple[ChannelFormat, ...]:
+        """The channel that is painted, and its coverage, ``alpha``."""
+        return self._channels
+
+    @abstractmethod
+    def touched(self) -> Int32s:
+        """Return triangles, ascending, in whose neighbourhood all paint lies."""
+
+    @abstractmethod
+    def on(self, chosen: Int32s) -> PaintSource:
+        """Return the same paint for a surface of some of the triangles, in that order."""
+
+    def widths(
+        self,
+        triangles: Int32s,
+        barycentric: npt.NDArray[np.float64],  # noqa: ARG002
+    ) -> npt.NDArray[np.float32]:
+        """Return how wide the finest detail of the paint is at points (n,), in rest units; 0: any."""
+        return np.zeros(len(triangles), np.float32)
+
+    def centres(self) -> Iterator[tuple[Int32s, npt.NDArray[np.float64]]]:
+        """Yield points, as triangles (n,) and barycentric coordinates (n, 3), where paint is to be exact."""
+        return iter(())
