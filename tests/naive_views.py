@@ -32,6 +32,8 @@ class Views:
         self.values = np.concatenate([decode(part, channel.format.space) for part in parts]).astype(float)
         self.texture, self.filter = texture, filter
         self.fields = [Field(self.tree.truncated(level)) for level in range(self.tree.max_depth + 1)]
+        self.areas = self.tree.arrays.areas.copy()
+        self.areas[self.tree.leaf_cells()] = 0  # leaves do not weigh by them
         self.rows: dict[int, dict[int, int]] = {}  # of each split cell, by facing
         row = self.tree.n_cells + self.tree.kept.cells.size
         for cell, facings in zip(
@@ -50,7 +52,7 @@ class Views:
         rows = [row + (moved if row >= field.tree.n_cells else 0) for row in taps.rows.tolist()]
         found = list(zip(rows, taps.weights.tolist(), strict=True))
         if level < self.tree.max_depth:  # averages weigh by the roots of areas
-            areas = self.tree.arrays.areas
+            areas = self.areas
             found = [
                 (row, weight * (float(AREA_WEIGHTS[areas[row]]) if row < field.tree.n_cells else 1.0))
                 for row, weight in found
@@ -60,7 +62,9 @@ class Views:
 
     def facing(self, row: int, normal: Array) -> tuple[Array, float]:
         """What a row shows of what faces a normal, and how much it counts."""
-        flags = int(self.tree.arrays.flags[row]) if row < self.tree.n_cells else 0
+        kept = row - self.tree.n_cells
+        source = row if kept < 0 else int(self.tree.kept.cells[kept])  # what is kept faces as its cell
+        flags = int(self.tree.arrays.flags[source])
         cosines = {facing: float(normal @ AXES[facing]) for facing in _bits(flags & 63)}
         toward = {facing: cosine for facing, cosine in cosines.items() if cosine > 0}
         part = max((_ramp(cosine) for cosine in toward.values()), default=0.0) if cosines else 1.0
@@ -68,7 +72,7 @@ class Views:
             return self.values[row], part + AWAY
         most = max(toward.values())
         shares = {facing: max(cosine - most + 0.2, 0.0) for facing, cosine in toward.items()}
-        mean = sum(share * self.values[self.rows[row][facing]] for facing, share in shares.items())
+        mean = sum(share * self.values[self.rows[source][facing]] for facing, share in shares.items())
         return mean / sum(shares.values()), part + AWAY
 
     def is_mixed(self, row: int, threshold: float) -> bool:

@@ -433,6 +433,7 @@ def test_exit_codes_are_the_shells_and_say_what_they_mean() -> None:
         "DONE": 0,
         "INVALID": 1,
         "REFUSED": 2,
+        "NOTHING_PAINTED": 3,
         "CRASHED": 70,
         "INTERRUPTED": 130,
     }

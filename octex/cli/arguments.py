@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
 
-#: What octex stores (octex.channels.ONE), how it reads images (octex.source.images.filters.FILTERS), and what
-#: steers its depth but channels (octex.conversion.detail.STRETCH).
+#: What octex stores (octex.channels.ONE), how it reads images (octex.source.images.filters.FILTERS), how
+#: paint meets what is there (octex.painting.pictures.BLENDS), and what steers the depth but channels
+#: (octex.conversion.detail.STRETCH).
 DTYPES = ("uint8", "uint16", "float16", "float32")
 FILTERS = ("nearest", "bilinear", "bicubic", "trilinear", "ripmap", "sat", "ewa")
+BLENDS = ("over", "multiply", "screen", "add", "erase", "replace")
 STRETCH = "stretch"
+
+#: The widest and highest picture that is drawn: as large as octex reads.
+MOST_PIXELS = 16384
 
 #: What a channel is to come from: an image file, or a number for each component.
 Given = Path | float | tuple[float, ...]
@@ -94,6 +100,74 @@ def source(text: str) -> tuple[str, Given]:
     except ValueError:
         return name, Path(given)
     return name, numbers[0] if len(numbers) == 1 else numbers
+
+
+def blend(text: str) -> str:
+    """Read the name of a blend mode."""
+    return _one_of(text, BLENDS)
+
+
+def opacity(text: str) -> float:
+    """Read a number from 0 to 1."""
+    return _within(text, 1.0)
+
+
+def angle(text: str) -> float:
+    """Read an angle in degrees, from 0 to 180."""
+    return _within(text, 180.0)
+
+
+def pixels(text: str) -> float:
+    """Read a number of pixels, from 0 to a million."""
+    return _within(text, 1e6)
+
+
+def camera(text: str) -> tuple[Path, str | None]:
+    """Read a file of cameras, and the name of one after a #; both may have more of these in them."""
+    places = [place for place, letter in enumerate(text) if letter == "#" and place > 0]
+    if not places or Path(text).exists():
+        return Path(text), None
+    place = next((place for place in places if Path(text[:place]).exists()), places[0])
+    name = text[place + 1 :]
+    if not name:
+        raise argparse.ArgumentTypeError(f"{text!r} names no camera; write FILE#NAME, or FILE")
+    return Path(text[:place]), name
+
+
+def picture_size(text: str) -> tuple[int, int]:
+    """Read a picture's width and height."""
+    try:
+        width, height = (int(number) for number in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not WIDTH,HEIGHT, like 1024,768") from None
+    if not (0 < width <= MOST_PIXELS and 0 < height <= MOST_PIXELS):
+        raise argparse.ArgumentTypeError(f"{text} is not from 1 to {MOST_PIXELS} pixels each way")
+    return width, height
+
+
+def color(text: str) -> tuple[int, int, int]:
+    """Read a colour as 8-bit codes: R,G,B or #rrggbb, or one number for a grey."""
+    try:
+        if re.fullmatch("#[0-9a-fA-F]{6}", text):
+            codes = list(bytes.fromhex(text[1:]))
+        else:
+            codes = [int(number) for number in text.split(",")]
+        red, green, blue = codes * 3 if len(codes) == 1 else codes
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not R,G,B from 0 to 255, nor #rrggbb") from None
+    if not all(0 <= code <= 255 for code in codes):
+        raise argparse.ArgumentTypeError(f"{text} is not from 0 to 255")
+    return red, green, blue
+
+
+def _within(text: str, most: float) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number") from None
+    if not 0.0 <= number <= most:
+        raise argparse.ArgumentTypeError(f"{text} is not from 0 to {most:.7g}")
+    return number
 
 
 def _one_of(text: str, known: tuple[str, ...]) -> str:

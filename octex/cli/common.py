@@ -8,8 +8,8 @@ import shutil
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NoReturn, Self, TextIO
@@ -49,21 +49,21 @@ def run(command: str, body: Callable[[], int]) -> int:
             code = int(wanted.code or 0)
         _write(sys.stdout, "")
     except OctexError as error:
-        return _fail(command, f"error: {error}", ExitCode.REFUSED)
+        return fail(command, f"error: {error}", ExitCode.REFUSED)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        return _fail(command, f"error: {where}{error.strerror or error}", ExitCode.REFUSED)
+        return fail(command, f"error: {where}{error.strerror or error}", ExitCode.REFUSED)
     except MemoryError as error:
         reason = f" ({error})" if str(error) else ""
-        return _fail(command, f"error: out of memory{reason}; a smaller depth needs less", ExitCode.REFUSED)
+        return fail(command, f"error: out of memory{reason}; a smaller depth needs less", ExitCode.REFUSED)
     except KeyboardInterrupt:
-        return _fail(command, "interrupted", ExitCode.INTERRUPTED)
+        return fail(command, "interrupted", ExitCode.INTERRUPTED)
     except Exception as error:
         if TRACEBACK_VARIABLE in os.environ:
             traceback.print_exc()
         defect = f"{type(error).__name__}: {error}".removesuffix(": ")
         hint = f"run with {TRACEBACK_VARIABLE}=1 for the traceback"
-        return _fail(command, f"this is a defect of octex: {defect}; {hint}", ExitCode.CRASHED)
+        return fail(command, f"this is a defect of octex: {defect}; {hint}", ExitCode.CRASHED)
     return code
 
 
@@ -90,7 +90,8 @@ def _write(stdout: TextIO | None, text: str) -> None:
             raise OutputError(f"standard output cannot be written: {error.strerror or error}") from error
 
 
-def _fail(command: str, message: str, code: ExitCode) -> ExitCode:
+def fail(command: str, message: str, code: ExitCode) -> ExitCode:
+    """Print why there is no result, in one line on stderr, and return the exit code."""
     if sys.stderr is not None:  # closed by whoever called
         with suppress(OSError):
             print(f"{command}: {' '.join(message.split())}", file=sys.stderr)
@@ -167,6 +168,13 @@ class Reporter:
         if not self._quiet:
             with suppress(OSError):
                 self._line(text)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Report a stage that tells nothing of its progress."""
+        self(name, 0, 1)
+        yield
+        self(name, 1, 1)
 
     def __enter__(self) -> Self:
         """Listen to the compiler."""

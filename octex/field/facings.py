@@ -37,6 +37,7 @@ class Facings(NamedTuple):
 
     flags: Bytes  # (cells,)
     rows: Uint32s  # (cells,)   a split cell's first row in the split table; or (0,) if that is empty
+    kept: Uint32s  # (kept nodes,)   the cells whose coefficients are kept: they face as these do
 
 
 class Sight(NamedTuple):
@@ -44,6 +45,7 @@ class Sight(NamedTuple):
 
     mode: int
     facings: Facings
+    first_kept: int  # what the first kept coefficient is counted as
     first_row: int  # what the first row of the split table is counted as
     normals: Float32s  # (n, 3)   for FACING
     spreads: Float32s  # (rows,)   for UNMIXED: how far a cell's opposite facings differ, at its first row
@@ -58,7 +60,7 @@ def facings_of(tree: Octree) -> Facings:
     cells, facings, areas = tree.split
     rows = np.zeros(tree.n_cells if areas.size else 0, np.uint32)
     _index(cells, facings, rows)
-    return Facings(tree.arrays.flags, rows)
+    return Facings(tree.arrays.flags, rows, tree.kept.cells)
 
 
 def all_in_sight() -> Sight:
@@ -68,7 +70,8 @@ def all_in_sight() -> Sight:
 
 _ALL = Sight(
     ALL,
-    Facings(np.zeros(1, np.uint8), np.zeros(0, np.uint32)),
+    Facings(np.zeros(1, np.uint8), np.zeros(0, np.uint32), np.zeros(0, np.uint32)),
+    0,
     0,
     np.zeros((0, 3), np.float32),
     np.zeros(0, np.float32),
@@ -185,7 +188,10 @@ def _take_facing(
         cell = cells[tap]
         if weights[tap] == none:
             continue
-        flags = np.uint64(facings.flags[cell]) if cell < n_cells else np.uint64(0)
+        source = cell
+        if cell >= n_cells and facings.kept.size > 0 and np.int64(cell) >= sight.first_kept:
+            source = facings.kept[min(int(cell) - sight.first_kept, facings.kept.size - 1)]
+        flags = np.uint64(facings.flags[source]) if source < n_cells else np.uint64(0)
         part_x = ramp_x if flags >> bits[0] & one else none
         part_y = ramp_y if flags >> bits[1] & one else none
         part_z = ramp_z if flags >> bits[2] & one else none
@@ -195,7 +201,7 @@ def _take_facing(
         weight = weights[tap] * (part + _AWAY)
         if has_rows and flags & np.uint64(SPLIT) != np.uint64(0) and part > none:
             a, b, c = x if part_x > none else none, y if part_y > none else none, z if part_z > none else none
-            at = _share_of_split(sight, cell, flags, a, b, c, bits, weight, rows, seen, at)
+            at = _share_of_split(sight, source, flags, a, b, c, bits, weight, rows, seen, at)
         else:
             rows[at], seen[at] = cell, weight
             at += 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cached_property
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -58,6 +59,7 @@ class Field:
     def __init__(self, tree: Octree) -> None:
         self.tree = tree
         self._levels: dict[int, Field] = {}
+        self._areas: dict[int, npt.NDArray[np.uint8]] = {}
 
     def level(self, level: int) -> Field:
         """Return the field over the averages of a level, whose cells have the same numbers."""
@@ -66,6 +68,19 @@ class Field:
         if level not in self._levels:
             self._levels[level] = Field(self.tree.truncated(level))
         return self._levels[level]
+
+    def areas_of_averages(self, level: int) -> npt.NDArray[np.uint8]:
+        """Return the codes of the areas of nodes down to a level (cells,), 0 for leaves: not known."""
+        areas = self.tree.arrays.areas
+        if not any(leaves for leaves, _ in self.tree.cells_by_depth()[: level + 1]):
+            return areas
+        if level not in self._areas:
+            found = np.zeros(areas.size, np.uint8)
+            for above, (_, is_node) in enumerate(islice(self.tree.walk(), level + 1)):
+                nodes = np.flatnonzero(is_node) + int(self.tree.arrays.level_cells[above])
+                found[nodes] = areas[nodes]
+            self._areas[level] = found
+        return self._areas[level]
 
     @cached_property
     def facings(self) -> Facings:

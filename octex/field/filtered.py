@@ -149,7 +149,7 @@ def _levels(field: Field, by_level: dict[int, Looks]) -> Iterator[tuple[int, Loo
 
 def _areas(field: Field, here: Field) -> Uint8s:
     """Return the areas that a level's averages weigh by; none for the leaves."""
-    return NO_AREAS if here is field else field.tree.arrays.areas
+    return NO_AREAS if here is field else field.areas_of_averages(here.tree.max_depth)
 
 
 def _owners(looks: Looks) -> Int32s:
@@ -158,16 +158,25 @@ def _owners(looks: Looks) -> Int32s:
 
 def _sight(field: Field, here: Field, query: Query, run: slice, looks: Looks) -> Sight:
     """Say what looks at a level see."""
-    first_row = field.tree.n_cells + field.tree.kept.cells.size
+    first_kept = field.tree.n_cells
+    first_row = first_kept + field.tree.kept.cells.size
     no_spreads = np.empty(0, np.float32)
     if query.normals is not None:
         normals = query.normals[run]
         if looks.owners is not None:
             normals = normals.take(looks.owners, axis=0)
-        return Sight(FACING, here.facings, first_row, normals, no_spreads, 0.0)
+        return Sight(FACING, here.facings, first_kept, first_row, normals, no_spreads, 0.0)
     if query.spreads is not None and here is not field and here.tree.split.cells.size:
         spreads = query.spreads(here.tree.max_depth)
-        return Sight(UNMIXED, here.facings, first_row, np.empty((0, 3), np.float32), spreads, query.threshold)
+        return Sight(
+            UNMIXED,
+            here.facings,
+            first_kept,
+            first_row,
+            np.empty((0, 3), np.float32),
+            spreads,
+            query.threshold,
+        )
     return all_in_sight()
 
 

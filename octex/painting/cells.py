@@ -13,7 +13,9 @@ from octex.errors import ArgumentError
 from octex.field.refined import refined_taps
 from octex.texture import OctreeTexture
 from octex.texture.channel import Channel
+from octex.texture.split import bits_of
 from octex.tree.edit import among
+from octex.tree.layout import FACING_FLAGS
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree, distinct
 
@@ -34,6 +36,7 @@ class Paint(NamedTuple):
     values: Float32s  # (n, components)   decoded
     coverage: Float32s  # (n,)   0 … 1
     cells: Int64s  # (n,)   the cells of the paint octree that say what each facing has
+    facings: npt.NDArray[np.uint8]  # (n,)   which of them have paint
 
 
 def paint_of(layer: OctreeTexture, opacity: float) -> tuple[ChannelFormat, list[Paint]]:
@@ -45,6 +48,7 @@ def paint_of(layer: OctreeTexture, opacity: float) -> tuple[ChannelFormat, list[
     if len(names) != 1 or ALPHA.name not in layer.channels:
         raise ArgumentError("a layer has one channel, and alpha: what paint covers")
     values, coverage = layer.channels[names[0]], layer.channels[ALPHA.name]
+    facings = _painted_facings(layer)
     found = []
     for level, (codes, is_node) in enumerate(layer.tree.walk()):
         cells = np.flatnonzero(~is_node) + int(layer.tree.arrays.level_cells[level])
@@ -58,9 +62,22 @@ def paint_of(layer: OctreeTexture, opacity: float) -> tuple[ChannelFormat, list[
                 decode(values.values[cells], values.format.space),
                 part[has_paint],
                 cells,
+                facings[cells],
             )
         )
     return values.format, found
+
+
+def _painted_facings(layer: OctreeTexture) -> npt.NDArray[np.uint8]:
+    """Return the facings of a layer's cells (cells,) that have paint: all, but in split cells."""
+    split = layer.tree.split
+    facings = layer.tree.arrays.flags & np.uint8(FACING_FLAGS)
+    bits = bits_of(split.facings)
+    bits = np.where(layer.channels[ALPHA.name].split_values[:, 0] > 0, bits, np.uint8(0))
+    if split.cells.size:
+        counts = np.bitwise_count(split.facings).astype(np.int64)
+        facings[split.cells] = np.bitwise_or.reduceat(bits, np.cumsum(counts) - counts)
+    return facings
 
 
 def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opacity: float) -> list[Paint]:
@@ -80,8 +97,8 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
         if not below.any():
             continue
         coarse = found[level]
-        found[level] = _some(coarse, ~below)
-        parents, cells = coarse.codes[below], coarse.cells[below]
+        found[level] = some(coarse, ~below)
+        parents, cells, facings = coarse.codes[below], coarse.cells[below], coarse.facings[below]
         source_codes = parents
         for deeper in range(level + 1, len(walk)):
             codes, is_node = walk[deeper]
@@ -93,7 +110,7 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
             if leaves.size:
                 owners = np.searchsorted(source_codes, leaves >> 3 * (deeper - level))
                 values, coverage = _refined_paint(layer, name, leaves, deeper, opacity)
-                finer = Paint(leaves, values, coverage, cells[owners])
+                finer = Paint(leaves, values, coverage, cells[owners], facings[owners])
                 found[deeper] = _joined(found[deeper], finer)
     return found
 
@@ -136,6 +153,7 @@ def with_skirt(paint: Paint, skirt: Int64s, level: int) -> Paint:
     values = np.zeros((skirt.size, paint.values.shape[1]))
     coverage, count = np.zeros(skirt.size), np.zeros(skirt.size)
     cells = np.zeros(skirt.size, np.int64)
+    facings = np.zeros(skirt.size, np.uint8)
     for step in _AROUND:
         beside = decode_cells(skirt) + step
         inside = ((beside >= 0) & (beside < 1 << level)).all(axis=1)
@@ -146,9 +164,10 @@ def with_skirt(paint: Paint, skirt: Int64s, level: int) -> Paint:
         coverage[hit] += paint.coverage[at[hit]]
         count[hit] += 1
         cells[hit] = paint.cells[at[hit]]
+        facings[hit] |= paint.facings[at[hit]]
     values /= np.maximum(coverage, 1e-30)[:, None]
     coverage /= np.maximum(count, 1)
-    extra = Paint(skirt, values.astype(np.float32), coverage.astype(np.float32), cells)
+    extra = Paint(skirt, values.astype(np.float32), coverage.astype(np.float32), cells, facings)
     return _joined(paint, extra)
 
 
@@ -158,12 +177,14 @@ def _no_paint(components: int) -> Paint:
         np.empty((0, components), np.float32),
         np.empty(0, np.float32),
         np.empty(0, np.int64),
+        np.empty(0, np.uint8),
     )
 
 
-def _some(paint: Paint, chosen: npt.NDArray[np.bool_]) -> Paint:
-    codes, values, coverage, cells = paint
-    return Paint(codes[chosen], values[chosen], coverage[chosen], cells[chosen])
+def some(paint: Paint, chosen: npt.NDArray[np.bool_]) -> Paint:
+    """Return the paint on some of the cells."""
+    codes, values, coverage, cells, facings = paint
+    return Paint(codes[chosen], values[chosen], coverage[chosen], cells[chosen], facings[chosen])
 
 
 def _joined(one: Paint, other: Paint) -> Paint:
@@ -173,6 +194,7 @@ def _joined(one: Paint, other: Paint) -> Paint:
         np.concatenate([one.values, other.values])[order],
         np.concatenate([one.coverage, other.coverage])[order],
         np.concatenate([one.cells, other.cells])[order],
+        np.concatenate([one.facings, other.facings])[order],
     )
 
 

@@ -59,6 +59,7 @@ def merge(
         )
     if not any(each.codes.size for each in paint):
         return texture
+    given = texture
     if target == ALPHA.name and target not in texture.channels:
         texture = _with_alpha(texture)
     as_choice(target, texture.channels, "channel to paint")
@@ -69,7 +70,11 @@ def merge(
             f"{stored.components}"
         )
     with workers(executor) as pool:
-        base, is_fresh, paint = raise_texture(texture, layer, paint, surface, pool, progress or silent)
+        base, is_fresh, paint = raise_texture(
+            texture, layer, paint, surface, pool, progress or silent, adds=blend != "erase"
+        )
+    if not any(each.codes.size for each in paint):
+        return given
     paint = refine_paint(paint, layer, base.tree, opacity)
     return _blended(base, is_fresh, paint, layer, target, blend, opacity)
 
@@ -128,6 +133,8 @@ def _blended(
     order = np.argsort(cells, kind="stable")
     cells, values, coverage, sources = cells[order], values[order], coverage[order], sources[order]
     stored = base.channels
+    if blend == "erase":
+        values = np.zeros((len(values), 1), np.float32)
     made = {target: values}
     parts = {target: coverage}
     if blend == "over" and target != ALPHA.name and ALPHA.name in stored:

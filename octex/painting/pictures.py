@@ -28,6 +28,8 @@ Image = str | Path | PIL.Image.Image | npt.ArrayLike
 Blend = Literal["over", "multiply", "screen", "add", "erase", "replace"]
 BLENDS: tuple[Blend, ...] = get_args(Blend)
 
+#: What is more opaque than this is so: the spline's weights sum to 1 but for rounding.
+_OPAQUE = np.float32(1.0 - 1e-6)
 #: Codes of images.
 _MOST_CODE = 65535.0
 
@@ -216,4 +218,5 @@ def _bicubic(
             b += weight * levels.pixels[at, 1]
             c += weight * levels.pixels[at, 2]
             d += weight * levels.pixels[at, 3]
-    return a, b, c, min(max(d, none), np.float32(1.0))
+    d = np.float32(1.0) if d > _OPAQUE else max(d, none)
+    return a, b, c, d

@@ -13,7 +13,7 @@ from octex.channels import decode, encode
 from octex.conversion.facings import MOST, in_codes
 from octex.conversion.fill import assemble, fill
 from octex.painting.averages import add_up_areas
-from octex.painting.cells import Paint, beside, refined_values, skirt_of, with_skirt
+from octex.painting.cells import Paint, beside, refined_values, skirt_of, some, with_skirt
 from octex.painting.flat import Flat
 from octex.painting.near import touching
 from octex.parallel import Progress
@@ -52,19 +52,29 @@ def raise_texture(
     surface: Surface,
     executor: Executor,
     progress: Progress,
+    *,
+    adds: bool,
 ) -> Raised:
     """Bring a texture's tree to where paint, or the boundary around it, is finer; its field does not move.
 
     Leaves above become nodes that keep their coefficients. Below them stand the cells that the surface meets,
     with what the field refines to; what it does not meet is culled. Where the texture has nothing, the
-    layer's cells are added, without values.
+    layer's cells are added, without values, if it ``adds``; else the paint there is dropped.
 
     Paint below what was a leaf gets a skirt: cells off the surface beside it, which would else be refined
     from the coefficients kept, and show through.
     """
+    if not adds:
+        paint = [_on(texture.tree, each, level) for level, each in enumerate(paint)]
     edited, paint, met = _raised(texture, paint, surface, executor, progress)
-    made, is_fresh = _carried(texture, edited, edited.tree, met, layer)
+    made, is_fresh = _carried(texture, edited, edited.tree, met, layer, paint)
     return Raised(made, is_fresh, paint)
+
+
+def _on(tree: Octree, paint: Paint, level: int) -> Paint:
+    """Return the paint that lies on cells of a tree."""
+    where = locate(tree, paint.codes, level)
+    return some(paint, (where.levels == level) | where.is_leaf)
 
 
 def _raised(
@@ -94,13 +104,14 @@ def _raised(
             where = locate(tree, around, level)
             flags = tree.arrays.flags[where.cells]
             is_refined = (where.levels < level) & (where.is_leaf | (flags & KEPT != 0))
-            is_skirt = (where.levels == level) & where.is_leaf & (flags & FACING_FLAGS == 0)
+            is_skirt = (where.levels == level) & where.is_leaf & (tree.arrays.areas[where.cells] == 0)
+            is_skirt &= bool(tree.kept.cells.size and tree.arrays.areas[0])
             virtual[-1] = around[is_refined | is_skirt]
             is_below = is_refined & where.is_leaf
             tops += _above(around[is_below], where.of(is_below), level)
     if not tops and not any(codes.size for codes in (*added, *virtual)):
         return unchanged(tree), paint, None
-    depth = max(level for level, each in enumerate(paint) if each.codes.size)
+    depth = max((level for level, each in enumerate(paint) if each.codes.size), default=0)
     met = _met_cells(surface, texture, tops, depth, executor, progress)
     wanted, skirts, with_skirts = [], [], []
     for level, each in enumerate(paint[: depth + 1]):
@@ -126,7 +137,7 @@ def _raised(
 def _facing_cells(tree: Octree, level: int) -> Int64s:
     """Return the Morton codes of a level's cells that a surface is in."""
     first, end = tree.arrays.level_cells[level : level + 2]
-    codes: Int64s = tree.level_codes(level)[tree.arrays.flags[first:end] & FACING_FLAGS != 0]
+    codes: Int64s = tree.level_codes(level)[tree.arrays.areas[first:end] > 0]
     return codes
 
 
@@ -159,7 +170,12 @@ def _met_cells(
 
 
 def _carried(
-    texture: OctreeTexture, edited: Edited, tree: Octree, met: Met | None, layer: OctreeTexture
+    texture: OctreeTexture,
+    edited: Edited,
+    tree: Octree,
+    met: Met | None,
+    layer: OctreeTexture,
+    paint: Sequence[Paint],
 ) -> tuple[OctreeTexture, npt.NDArray[np.bool_]]:
     """Give an edited tree the texture's values, and new cells what the field refines to.
 
@@ -213,6 +229,11 @@ def _carried(
                 )
                 flags[first + below[is_met]] |= met.tree.arrays.flags[source] & np.uint8(FACING_FLAGS)
                 areas[first + below[is_met]] = met.tree.arrays.areas[source]
+            if level < len(paint):  # skirts face as the paint beside them
+                own = paint[level]
+                bare = below[flags[first + below] & FACING_FLAGS == 0]
+                bare = bare[among(codes[bare], own.codes)]
+                flags[first + bare] |= own.facings[np.searchsorted(own.codes, codes[bare])]
         fresh = new[~where.is_leaf]
         if fresh.size:
             is_fresh[first + fresh] = True

@@ -1,0 +1,98 @@
+"""Small surfaces, cameras and pictures to paint with."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import linear_to_srgb
+from octex.preview.looks import Look, source_look
+from octex.preview.pictures import rest_normals, seen_hits
+from octex.source.surface import Surface
+from octex.view.camera import Camera
+
+Array = npt.NDArray[Any]
+
+
+def ball(rings: int = 24, radius: float = 1.0, **options: Any) -> Surface:
+    """A sphere of smoothly varying colours."""
+    around, up = np.meshgrid(np.linspace(0, 2 * np.pi, 2 * rings + 1), np.linspace(0, np.pi, rings + 1))
+    points = radius * np.column_stack(
+        [(np.sin(up) * np.cos(around)).ravel(), np.cos(up).ravel(), (np.sin(up) * np.sin(around)).ravel()]
+    )
+    width = 2 * rings + 1
+    first = (np.arange(rings)[:, None] * width + np.arange(2 * rings)).ravel()
+    triangles = np.concatenate(
+        [
+            np.column_stack([first, first + 1, first + width]),
+            np.column_stack([first + 1, first + width + 1, first + width]),
+        ]
+    )
+    colors = 0.5 + 0.4 * np.sin(3 * points / radius)
+    return Surface.from_arrays(points, triangles, colors=colors, **options)
+
+
+def square(height: float = 0.0, side: float = 1.0, steps: int = 4) -> tuple[Array, Array]:
+    """Vertices and triangles of a square across z that faces +z."""
+    line = np.linspace(-side / 2, side / 2, steps + 1)
+    x, y = np.meshgrid(line, line)
+    points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, height)])
+    first = (np.arange(steps)[:, None] * (steps + 1) + np.arange(steps)).ravel()
+    triangles = np.concatenate(
+        [
+            np.column_stack([first, first + 1, first + steps + 2]),
+            np.column_stack([first, first + steps + 2, first + steps + 1]),
+        ]
+    )
+    return points, triangles
+
+
+def together(*parts: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Put meshes into one."""
+    counts = np.cumsum([0, *(len(points) for points, _ in parts)])
+    return (
+        np.concatenate([points for points, _ in parts]),
+        np.concatenate([triangles + n for (_, triangles), n in zip(parts, counts, strict=False)]),
+    )
+
+
+def plain(mesh: tuple[Array, Array], color: tuple[float, float, float] = (0.5, 0.5, 0.5)) -> Surface:
+    return Surface.from_arrays(*mesh, factor=color)
+
+
+def above(distance: float = 3.0, size: int = 64, focal: float | None = None) -> Camera:
+    """A camera on the z axis that looks down at the origin; a unit there is ``focal / distance`` pixels."""
+    pose = np.eye(4)
+    pose[2, 3] = distance
+    return Camera.pinhole((size, size), pose=pose, convention="opengl", focal=float(focal or 2 * size))
+
+
+def picture_of(surface: Surface, camera: Camera, look: Look | None = None) -> Array:
+    """What a camera sees, unlit: linear light and alpha (height, width, 4)."""
+    image = np.zeros((camera.height * camera.width, 4), np.float32)
+    for pixels, hits in seen_hits(surface, camera, rest_normals(surface)):
+        image[pixels, :3] = (look or source_look(surface, "base_color"))(hits).unlit()
+        image[pixels, 3] = 1
+    return image.reshape(camera.height, camera.width, 4)
+
+
+def one_color(camera: Camera, color: tuple[float, ...], alpha: float = 1.0) -> Array:
+    image = np.empty((camera.height, camera.width, 4), np.float32)
+    image[..., :3], image[..., 3] = color, alpha
+    return image
+
+
+def centres(surface: Surface, camera: Camera) -> tuple[Array, Array, Array]:
+    """Pixels, and rest positions and normals of what their centres see."""
+    found = list(seen_hits(surface, camera, rest_normals(surface)))
+    return tuple(
+        np.concatenate([part(pixels, hits) for pixels, hits in found])
+        for part in (lambda p, _: p, lambda _, h: h.rest, lambda _, h: h.normals)
+    )  # type: ignore[return-value]
+
+
+def codes(linear: Array) -> Array:
+    """sRGB codes, 0 … 255."""
+    return 255 * linear_to_srgb(np.clip(linear, 0, 1))
