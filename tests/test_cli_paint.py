@@ -18,7 +18,8 @@ from PIL import Image
 
 import octex
 from octex.cli.arguments import BLENDS, camera
-from octex.cli.paint import COMMAND, DEFAULT_CHANNEL, main, parser
+from octex.cli.models import DEFAULT_CHANNEL
+from octex.cli.paint import COMMAND, main, parser
 from octex.errors import ExitCode
 from tests.command import colored_box, python
 from tests.conftest import needs_jit
@@ -87,6 +88,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 # --- painting
 
 
+@needs_jit
 def test_paint_is_where_the_camera_sees_it_and_nowhere_else(
     scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -172,18 +174,46 @@ def test_with_force_the_texture_itself_is_replaced(
     texture, out = tmp_path / "box.octex", tmp_path / "out.octex"
     texture.write_bytes(scene.texture.read_bytes())
     arguments = [scene.model, texture, *scene.shot[2:]]
-    message = complaint(capsys, *arguments, "--out", texture)
-    assert message == f"{texture}: exists already; --force overwrites it"
-    assert texture.read_bytes() == scene.texture.read_bytes()
     result(capsys, *arguments, "--out", out)
     opened = octex.open(texture)
     result(capsys, *arguments, "--out", texture, "--force")
     assert texture.read_bytes() == out.read_bytes()
     assert_same(opened, octex.open(scene.texture))  # what is mapped is the old file
-    message = complaint(capsys, *arguments, "--out", out, "--layer-out", texture, "--force")
-    assert message == f"{texture}: --layer-out is also an input; give it another name"
 
 
+def test_without_force_and_as_a_layer_the_texture_is_not_replaced(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = scene.texture.read_bytes()
+    message = complaint(capsys, *scene.shot, "--out", scene.texture)
+    assert message == f"{scene.texture}: exists already; --force overwrites it"
+    out = tmp_path / "out.octex"
+    message = complaint(capsys, *scene.shot, "--out", out, "--layer-out", scene.texture, "--force")
+    assert message == f"{scene.texture}: --layer-out is also an input; give it another name"
+    assert scene.texture.read_bytes() == before
+
+
+@needs_jit
+def test_erasing_takes_alpha_away(scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out.octex"
+    result(capsys, *scene.shot, "--out", out, "--blend", "erase", "--opacity", 0.5, "--quiet")
+    before, after = octex.open(scene.texture), octex.open(out)
+    after.validate()
+    assert list(before.channels) == ["base_color"]
+    assert list(after.channels) == ["base_color", "alpha"]
+    points, inside = scene.places(1.5)
+    np.testing.assert_allclose(after.sample(points[inside], "alpha"), 0.5, atol=0.02)
+    points, near = scene.places(-8.0)
+    np.testing.assert_allclose(after.sample(points[~near], "alpha"), 1.0, atol=1e-6)
+    away = scene.surface.scatter(1000)
+    hidden = away.rest[away.normals[:, 2] < -0.5]
+    np.testing.assert_allclose(after.sample(hidden, "alpha"), 1.0, atol=1e-6)
+    np.testing.assert_allclose(after.sample(hidden), before.sample(hidden), atol=1e-5)
+    told = json.loads(after.metadata["paint"])
+    assert [(entry["blend"], entry["opacity"]) for entry in told] == [("erase", 0.5)]
+
+
+@needs_jit
 def test_a_machine_reads_one_object_and_the_texture_knows_what_was_painted(
     scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -255,6 +285,7 @@ def test_nothing_painted_writes_nothing_and_has_an_exit_code_of_its_own(
 # --- new textures
 
 
+@needs_jit
 def test_a_texture_that_is_not_there_is_begun(
     scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -291,14 +322,21 @@ def test_a_new_texture_may_have_a_background(
     rough = [*arguments, "--channel", "roughness", "--force"]
     result(capsys, *rough, "--background", "51", "--quiet")
     assert octex.open(out).sample(away_points, "roughness") == pytest.approx(0.2, abs=1e-3)
-    assert "give a grey" in complaint(capsys, *rough, "--background", "1,2,3")
-    normal = [*arguments, "--channel", "normal", "--force"]
-    assert "normal has directions" in complaint(capsys, *normal, "--background", "1,2,3")
+
+
+def test_a_background_is_one_of_the_channels_values(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    new = [scene.model, tmp_path / "new.octex", *scene.shot[2:], "--out", tmp_path / "out.octex"]
+    given = [*new, "--background", "1,2,3", "--channel"]
+    assert "give a grey" in complaint(capsys, *given, "roughness")
+    assert "normal has directions" in complaint(capsys, *given, "normal")
 
 
 # --- pictures and frames
 
 
+@needs_jit
 def test_pictures_are_matched_to_frames_by_their_file_names(
     scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -306,20 +344,53 @@ def test_pictures_are_matched_to_frames_by_their_file_names(
     arguments = [scene.model, scene.texture, "--camera", scene.cameras, "--out", out, "--force"]
     made = json.loads(result(capsys, *arguments, scene.blue, scene.square, "--json", "--quiet"))
     assert made["painted"] == ["blue.png", "square.png"]
+
+
+def test_pictures_without_a_frame_are_refused(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.octex"
+    arguments = [scene.model, scene.texture, "--camera", scene.cameras, "--out", out]
     (tmp_path / "other.png").write_bytes(scene.blue.read_bytes())
     assert complaint(capsys, *arguments, tmp_path / "other.png", scene.blue) == (
         f"{scene.cameras}: there is no frame {(tmp_path / 'other.png').as_posix()!r}; "
         "there are: 'square.png', 'blue.png'"
     )
-    message = complaint(capsys, *scene.shot, scene.blue, "--out", out, "--force")
+    message = complaint(capsys, *scene.shot, scene.blue, "--out", out)
     assert message.startswith("--camera names one frame, 'square.png', for 2 IMAGEs; leave the name out")
     message = complaint(capsys, *arguments)
     assert message == f"{scene.cameras}: does not say where the pictures of its cameras are; give IMAGEs"
 
 
+@needs_jit
 def test_a_files_own_pictures_are_painted_and_missing_ones_skipped(
     scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    file, names = transforms(scene, tmp_path)
+    (tmp_path / "images").mkdir()
+    (tmp_path / names[0]).write_bytes(scene.blue.read_bytes())
+    arguments = [scene.model, scene.texture, "--camera", file, "--out", tmp_path / "out.octex"]
+    assert main([str(each) for each in [*arguments, "--json"]]) == ExitCode.DONE
+    captured = capsys.readouterr()
+    listing = ", ".join(map(repr, names[1:6]))
+    assert f"{COMMAND}: skipped 7 of 8 pictures: {listing} and 2 more\n" in captured.err
+    made = json.loads(captured.out)
+    assert (made["painted"], made["skipped"]) == (["blue.png"], names[1:])
+
+
+def test_a_file_none_of_whose_pictures_is_there_is_refused(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, names = transforms(scene, tmp_path)
+    arguments = [scene.model, scene.texture, "--camera", file, "--out", tmp_path / "out.octex"]
+    listing = ", ".join(map(repr, names[:5]))
+    assert complaint(capsys, *arguments) == (
+        f"{file}: none of the 8 pictures that it names is there: {listing} and 3 more; give IMAGEs"
+    )
+
+
+def transforms(scene: Scene, folder: Path) -> tuple[Path, list[str]]:
+    """Write a transforms.json that names eight pictures; return it and their names."""
     flip = np.diag([1.0, -1.0, -1.0, 1.0])
     pose = (np.linalg.inv(scene.camera.world_to_camera) @ flip).tolist()
     names = ["images/blue.png", *(f"images/{number}.png" for number in range(7))]
@@ -327,22 +398,9 @@ def test_a_files_own_pictures_are_painted_and_missing_ones_skipped(
         "fl_x": float(scene.camera.K[0, 0]),
         "frames": [{"file_path": name, "transform_matrix": pose} for name in names],
     }
-    file, out = tmp_path / "transforms.json", tmp_path / "out.octex"
+    file = folder / "transforms.json"
     file.write_text(json.dumps(document))
-    arguments = [scene.model, scene.texture, "--camera", file, "--out", out]
-    listing = ", ".join(repr(name) for name in names[1:6])
-    assert complaint(capsys, *arguments) == (
-        f"{file}: none of the 8 pictures that it names is there: {names[0]!r}, "
-        + ", ".join(repr(name) for name in names[1:5])
-        + " and 3 more; give IMAGEs"
-    )
-    (tmp_path / "images").mkdir()
-    (tmp_path / names[0]).write_bytes(scene.blue.read_bytes())
-    assert main([str(each) for each in [*arguments, "--json"]]) == ExitCode.DONE
-    captured = capsys.readouterr()
-    assert f"{COMMAND}: skipped 7 of 8 pictures: {listing} and 2 more\n" in captured.err
-    made = json.loads(captured.out)
-    assert (made["painted"], made["skipped"]) == (["blue.png"], names[1:])
+    return file, names
 
 
 def test_pictures_that_cannot_be_used_are_refused_by_file_and_frame(
@@ -392,11 +450,17 @@ def test_masks_are_one_for_all_or_one_each(
         ),
     )
     assert main([str(each) for each in [*both, "--mask", black, "--force"]]) == ExitCode.NOTHING_PAINTED
-    capsys.readouterr()
-    message = complaint(capsys, *both, "--force", *["--mask", black] * 3)
+
+
+def test_masks_of_another_number_than_the_pictures_are_refused(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    both = [scene.model, scene.texture, scene.square, scene.blue, "--camera", scene.cameras]
+    message = complaint(capsys, *both, "--out", tmp_path / "out.octex", *["--mask", scene.square] * 3)
     assert message == "--mask gives 3 for 2 IMAGEs; give one for all, or one for each IMAGE"
 
 
+@needs_jit
 def test_the_options_of_painting_reach_the_library(
     scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -423,6 +487,7 @@ def test_the_options_of_painting_reach_the_library(
     }
 
 
+@needs_jit
 def test_a_preview_is_drawn_of_what_was_painted(
     scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

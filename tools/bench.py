@@ -25,6 +25,7 @@ from bench_conversion import boombox, large, torus
 from bench_filtered import far, footprints, pages, stretched
 from bench_images import filters, materials
 from bench_lookups import kinds, lookup, resident, today
+from bench_painting import painting, ring
 from bench_texture import paper, psnr
 from bench_tools import Report, Setup
 
@@ -47,6 +48,8 @@ BENCHMARKS = {
         footprints,
         stretched,
         pages,
+        ring,
+        painting,
     )
 }
 

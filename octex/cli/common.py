@@ -98,6 +98,15 @@ def fail(command: str, message: str, code: ExitCode) -> ExitCode:
     return code
 
 
+def words_given(options: argparse.Namespace) -> list[str]:
+    """Return the words on the command line that were used, as the user knows them."""
+    return [
+        word if word.isupper() else "--" + word.replace("_", "-")
+        for word, value in vars(options).items()
+        if value is not None and value is not False and value != []
+    ]
+
+
 class Reporter:
     """Progress on stderr: a bar with the stage's name on a terminal, else a line for each finished stage.
 

@@ -6,8 +6,8 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,10 +24,10 @@ from octex.cli.arguments import (
     source,
     whole_number,
 )
-from octex.cli.common import Parser, Reporter, bytes_text, check_outputs, run, say
+from octex.cli.common import Parser, Reporter, bytes_text, check_outputs, run, say, words_given
 from octex.cli.diff import diff
 from octex.cli.inspect import info, validate
-from octex.cli.models import DEFAULT_FILTER, read_model, source_files, sources_of
+from octex.cli.models import DEFAULT_FILTER, TEXTURE_ENDING, read_model, source_files, sources_of
 from octex.errors import ArgumentError, ExitCode, InputError
 from octex.parallel import threads
 
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from octex.texture import OctreeTexture
 
 COMMAND = "octree-convert"
-TEXTURE_ENDING = ".octex"
 OUTPUT_ENDINGS = (TEXTURE_ENDING, ".ply")
 
 # Which options go with which work; INPUT and OUTPUT are options here too.
@@ -182,18 +181,9 @@ def _main(options: argparse.Namespace) -> int:
     return _convert(options)
 
 
-def _given(options: argparse.Namespace) -> list[str]:
-    """Return the words on the command line that were used, as the user knows them."""
-    return [
-        word if word.isupper() else "--" + word.replace("_", "-")
-        for word, value in vars(options).items()
-        if value is not None and value is not False
-    ]
-
-
 def _work(options: argparse.Namespace) -> str:
     """Return what is to be done, a key of _OPTIONS, or refuse options that make no sense together."""
-    given = _given(options)
+    given = words_given(options)
     work = next((word for word in given if word in _OPTIONS), "a conversion")
     for word in given:
         if word != work and word not in _OPTIONS[work]:
@@ -225,7 +215,7 @@ def _convert(options: argparse.Namespace) -> int:
         if options.INPUT.suffix.lower() == TEXTURE_ENDING:
             surface, texture = None, _reduced(options)
         else:
-            with _stage(progress, "read"):
+            with progress.stage("read"):
                 surface = read_model(options.INPUT, options)
             with nullcontext() if options.threads is None else threads(options.threads) as executor:
                 texture = octex.convert(
@@ -243,10 +233,10 @@ def _convert(options: argparse.Namespace) -> int:
         if options.preview is not None:  # first: without room for it, no OUTPUT is left unannounced
             from octex.preview import write_preview
 
-            with _stage(progress, "draw"):
+            with progress.stage("draw"):
                 write_preview(options.preview, surface, texture)
         if options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
-            with _stage(progress, "write"):
+            with progress.stage("write"):
                 texture.save(options.OUTPUT)
         else:
             from octex.formats.ply import write_points
@@ -258,17 +248,9 @@ def _convert(options: argparse.Namespace) -> int:
     return ExitCode.DONE
 
 
-@contextmanager
-def _stage(progress: Reporter, name: str) -> Iterator[None]:
-    """Report a stage that tells nothing of its progress."""
-    progress(name, 0, 1)
-    yield
-    progress(name, 1, 1)
-
-
 def _reduced(options: argparse.Namespace) -> OctreeTexture:
     """Open a texture, at a coarser depth or of fewer channels if that is asked for."""
-    for word in _given(options):
+    for word in words_given(options):
         if word in _NEEDS_A_MODEL:
             raise ArgumentError(
                 f"{options.INPUT}: {word} needs the model, and this is a texture made from one"

@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING, Any
 import octex
 from octex.cli.common import Reporter, check_outputs, say
 from octex.cli.inspect import triple
-from octex.cli.models import read_model, source_files
+from octex.cli.models import TEXTURE_ENDING, read_model, source_files
 from octex.errors import ArgumentError, ExitCode
 
 if TYPE_CHECKING:
     from octex.compare import Difference, Differences, Side
 
-TEXTURE_ENDING = ".octex"
 _NEEDS_A_MODEL = ("rest", "filter", "source", "points")
 
 
@@ -40,18 +39,16 @@ def diff(command: str, options: argparse.Namespace) -> int:
     from octex.compare import DEFAULT_POINTS, difference
 
     with Reporter(command, options.quiet) as progress:
-        progress("read", 0, 1)
-        a, b = (_side(path, options) for path in paths)
-        progress("read", 1, 1)
+        with progress.stage("read"):
+            a, b = (_side(path, options) for path in paths)
         found = difference(
             a, b, channels=options.channels, points=options.points or DEFAULT_POINTS, progress=progress
         )
         if options.preview is not None:
             from octex.preview import write_difference
 
-            progress("draw", 0, 1)
-            write_difference(options.preview, a, b, found, (paths[0].name, paths[1].name))
-            progress("draw", 1, 1)
+            with progress.stage("draw"):
+                write_difference(options.preview, a, b, found, (paths[0].name, paths[1].name))
     if options.json:
         say(json.dumps({"a": str(paths[0]), "b": str(paths[1]), **as_json(found)}))
     elif not options.quiet:

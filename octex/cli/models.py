@@ -1,4 +1,4 @@
-"""Reads models as the options say."""
+"""Models and textures as the options name them."""
 
 from __future__ import annotations
 
@@ -12,8 +12,11 @@ from octex.errors import ArgumentError
 
 if TYPE_CHECKING:
     from octex.source.surface import Surface
+    from octex.texture import OctreeTexture
 
+TEXTURE_ENDING = ".octex"
 DEFAULT_FILTER = "ewa"
+DEFAULT_CHANNEL = "base_color"  # what is painted
 
 
 def sources_of(options: argparse.Namespace) -> dict[str, object]:
@@ -54,3 +57,33 @@ def read_model(path: Path, options: argparse.Namespace) -> Surface:
         sources=sources_of(options),
         filter=options.filter or DEFAULT_FILTER,
     )
+
+
+def posed_inputs(options: argparse.Namespace) -> list[Path]:
+    """Return the files of a model that cameras see, and of the cameras."""
+    given = [options.MODEL, options.rest, None if options.camera is None else options.camera[0]]
+    return [path for path in given if path is not None]
+
+
+def read_posed(options: argparse.Namespace) -> Surface:
+    """Read a model that cameras see: of its materials what a preview shows, else nothing."""
+    if options.preview is not None:
+        return octex.load_surface(options.MODEL, options.rest)
+    surface = octex.load_surface(options.MODEL, options.rest, channels=["alpha"], sources={"alpha": 1.0})
+    del surface.provenance["source_alpha"]
+    return surface
+
+
+def texture_of(options: argparse.Namespace) -> OctreeTexture | None:
+    """Open the texture of a model, if it is there."""
+    return octex.open(options.TEXTURE) if options.TEXTURE.exists() else None
+
+
+def only(texture: OctreeTexture, channel: str) -> OctreeTexture:
+    """Return a texture with one channel, and alpha, by which it is looked up."""
+    from octex.checks import as_choice
+    from octex.texture import OctreeTexture
+
+    as_choice(channel, texture.channels, "channel of the texture")
+    kept = {name: each for name, each in texture.channels.items() if name in (channel, "alpha")}
+    return OctreeTexture(texture.tree, kept, texture.placement, texture.bounds, texture.metadata)

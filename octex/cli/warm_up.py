@@ -51,17 +51,19 @@ end_header
 
 
 def warm_up(progress: Progress) -> None:
-    """Read, convert, save, open, sample, validate and draw tiny models, so that all kernels are cached."""
+    """Read, convert, save, open, sample, validate, draw and paint tiny models, to cache all kernels."""
     with TemporaryDirectory() as name:
         folder = Path(name)
         surfaces = _surfaces(folder)
-        stages = 2 * len(surfaces)
+        stages = 2 * len(surfaces) + 1
         for number, surface in enumerate(surfaces):
             progress("compile", 2 * number, stages)
             _convert_and_look(surface, folder)
             progress("compile", 2 * number + 1, stages)
             write_preview(folder / "model.png", surface, octex.convert(surface, 3), (64, 64))
-            progress("compile", 2 * number + 2, stages)
+        progress("compile", stages - 1, stages)
+        _paint(surfaces[0], folder)
+        progress("compile", stages, stages)
 
 
 def _surfaces(folder: Path) -> list[octex.Surface]:
@@ -110,3 +112,13 @@ def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
     texture.tree.level_codes(6)
     write_points(texture, folder / "points.ply")
     write_preview(folder / "texture.png", None, texture, (64, 64))
+
+
+def _paint(surface: octex.Surface, folder: Path) -> None:
+    """Paint onto nothing, and onto a texture that is coarser than the pictures."""
+    camera = octex.Camera.fitted(surface.vertices, (0.4, 0.3, 1.0), size=(16, 4))
+    picture = octex.Projection(np.full((4, 16, 4), 128, np.uint8), camera)
+    octex.convert(surface, 2).save(folder / "coarse.octex")
+    for texture in (None, octex.open(folder / "coarse.octex")):
+        octex.paint(texture, surface, picture)
+    octex.fill(texture, surface, octex.Sphere((0.0, 0.0, 0.0), 0.1), (1.0, 0.0, 0.0))

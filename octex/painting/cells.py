@@ -134,16 +134,39 @@ def beside(codes: Int64s, level: int) -> Int64s:
     return beside[~among(beside, codes)]
 
 
-def skirt_of(outer: Int64s, painted: Int64s, ring: Int64s, met: Int64s, level: int) -> Int64s:
+def is_painted(codes: Int64s, paint: Sequence[Paint], level: int) -> npt.NDArray[np.bool_]:
+    """Say which cells of a level lie on paint, whose leaves may be larger."""
+    found = np.zeros(codes.size, np.bool_)
+    for above, each in enumerate(paint[: level + 1]):
+        found |= among(codes >> 3 * (level - above), each.codes)
+    return found
+
+
+def skirt_of(outer: Int64s, paint: Sequence[Paint], ring: Int64s, met: Int64s, level: int) -> Int64s:
     """Return those cells beside paint, off the surface, that nothing but paint and its boundary is beside."""
-    inner = distinct(np.concatenate([painted, ring]))
     free = np.ones(outer.size, np.bool_)
     for step in _AROUND:
         cells = decode_cells(outer) + step
         inside = ((cells >= 0) & (cells < 1 << level)).all(axis=1)
         codes = encode_cells(np.where(inside[:, None], cells, 0))
-        free &= ~(inside & among(codes, met) & ~among(codes, inner))
+        free &= ~inside | among(codes, ring) | is_painted(codes, paint, level) | ~among(codes, met)
     return outer[free]
+
+
+def skirt_on_nothing(
+    absent: Int64s, tops: Int64s, paint: Sequence[Paint], ring: Int64s, met: Int64s, level: int, top: int
+) -> Int64s:
+    """Return those of cells below nothing whose whole surroundings, a cell of level ``top``, are free.
+
+    A spline reaches half a cell beyond leaves, so that what was a leaf is refined to cells beside it too. A
+    single stored cell there makes all others below the same cell of level ``top`` count for nothing.
+    """
+    shift = 3 * (level - top)
+    near = distinct(np.concatenate([tops, beside(tops, top)]))
+    outer = met[among(met >> shift, near)]
+    outer = outer[~among(outer, ring) & ~is_painted(outer, paint, level)]
+    taken = distinct(np.concatenate([outer, beside(outer, level)]) >> shift)
+    return absent[~among(absent >> shift, taken)]
 
 
 def with_skirt(paint: Paint, skirt: Int64s, level: int) -> Paint:

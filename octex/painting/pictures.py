@@ -218,5 +218,8 @@ def _bicubic(
             b += weight * levels.pixels[at, 1]
             c += weight * levels.pixels[at, 2]
             d += weight * levels.pixels[at, 3]
-    d = np.float32(1.0) if d > _OPAQUE else max(d, none)
+    if not d > none:
+        return none, none, none, none
+    if d > _OPAQUE:  # the spline may overshoot; colours have done so with it
+        a, b, c, d = a / d, b / d, c / d, np.float32(1.0)
     return a, b, c, d

@@ -13,7 +13,15 @@ from octex.channels import decode, encode
 from octex.conversion.facings import MOST, in_codes
 from octex.conversion.fill import assemble, fill
 from octex.painting.averages import add_up_areas
-from octex.painting.cells import Paint, beside, refined_values, skirt_of, some, with_skirt
+from octex.painting.cells import (
+    Paint,
+    beside,
+    refined_values,
+    skirt_of,
+    skirt_on_nothing,
+    some,
+    with_skirt,
+)
 from octex.painting.flat import Flat
 from octex.painting.near import touching
 from octex.parallel import Progress
@@ -28,6 +36,10 @@ from octex.tree.octree import Octree, distinct
 
 Int64s = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
+
+
+#: The area that skirts have, the least there is: in averages they weigh next to nothing.
+_SKIRT = np.uint8(1)
 
 
 class Met(NamedTuple):
@@ -91,6 +103,7 @@ def _raised(
     added: list[Int64s] = []
     below: list[Int64s] = []
     virtual: list[Int64s] = []  # beside paint: refined from what is above, or skirts of earlier paint
+    absent: list[Int64s] = []  # beside paint below leaves: where nothing is
     tops: list[tuple[int, Int64s]] = []
     for level, each in enumerate(paint):
         where = locate(tree, each.codes, level)
@@ -99,14 +112,16 @@ def _raised(
         added.append(each.codes[is_missing & ~where.is_leaf])
         tops += _above(below[-1], where.of(is_missing & where.is_leaf), level)
         virtual.append(none)
+        absent.append(none)
         if each.codes.size and (tree.kept.cells.size or (shallowest is not None and shallowest < level)):
             around = beside(each.codes, level)
             where = locate(tree, around, level)
             flags = tree.arrays.flags[where.cells]
             is_refined = (where.levels < level) & (where.is_leaf | (flags & KEPT != 0))
-            is_skirt = (where.levels == level) & where.is_leaf & (tree.arrays.areas[where.cells] == 0)
-            is_skirt &= bool(tree.kept.cells.size and tree.arrays.areas[0])
+            is_skirt = (where.levels == level) & where.is_leaf & (tree.arrays.areas[where.cells] == _SKIRT)
             virtual[-1] = around[is_refined | is_skirt]
+            is_absent = (where.levels < level - 1) & ~where.is_leaf & (flags & KEPT == 0)
+            absent[-1] = around[is_absent & among(around, beside(below[-1], level))]
             is_below = is_refined & where.is_leaf
             tops += _above(around[is_below], where.of(is_below), level)
     if not tops and not any(codes.size for codes in (*added, *virtual)):
@@ -118,12 +133,20 @@ def _raised(
         surface_cells = met.codes[level]
         is_met = among(virtual[level], surface_cells)
         ring, outer = virtual[level][is_met], virtual[level][~is_met]
-        if outer.size and level <= tree.max_depth:
+        if (outer.size or absent[level].size) and level <= tree.max_depth:
             surface_cells = distinct(np.concatenate([surface_cells, _facing_cells(tree, level)]))
-        skirt = skirt_of(outer, each.codes, ring, surface_cells, level)
-        with_skirts.append(with_skirt(each, skirt, level))
-        skirts.append(skirt)
+        skirt = skirt_of(outer, paint, ring, surface_cells, level)
         is_new = locate(tree, skirt, level).levels < level
+        where = locate(tree, absent[level], level)
+        extra = [none]
+        for top in (np.flatnonzero(np.bincount(where.levels)) + 1).tolist():
+            here = absent[level][where.levels == top - 1]
+            tops_here = distinct(here >> 3 * (level - top))
+            extra.append(skirt_on_nothing(here, tops_here, paint, ring, surface_cells, level, top))
+        added[level] = np.sort(np.concatenate([added[level], *extra]))
+        every = np.sort(np.concatenate([skirt, *extra]))
+        with_skirts.append(with_skirt(each, every, level))
+        skirts.append(skirt)
         wanted.append(distinct(np.concatenate([below[level], ring, skirt[is_new]])))
     stored = list(met.codes)
     above = none
@@ -137,7 +160,7 @@ def _raised(
 def _facing_cells(tree: Octree, level: int) -> Int64s:
     """Return the Morton codes of a level's cells that a surface is in."""
     first, end = tree.arrays.level_cells[level : level + 2]
-    codes: Int64s = tree.level_codes(level)[tree.arrays.areas[first:end] > 0]
+    codes: Int64s = tree.level_codes(level)[tree.arrays.areas[first:end] != _SKIRT]
     return codes
 
 
@@ -184,6 +207,7 @@ def _carried(
     """
     is_fresh = np.zeros(tree.n_cells, np.bool_)
     is_fresh[0] = texture.tree.n_leaves == 0
+    is_added = np.zeros(tree.n_cells, np.bool_)
     if tree is texture.tree:
         return texture, is_fresh
     channels = {
@@ -234,21 +258,35 @@ def _carried(
                 bare = below[flags[first + below] & FACING_FLAGS == 0]
                 bare = bare[among(codes[bare], own.codes)]
                 flags[first + bare] |= own.facings[np.searchsorted(own.codes, codes[bare])]
+                areas[first + bare] = _SKIRT
         fresh = new[~where.is_leaf]
         if fresh.size:
+            inside = locate(layer.tree, codes[fresh], level)
+            is_own = inside.levels == level
+            own_cells, cells = first + fresh[is_own], inside.cells[is_own]
+            is_added[own_cells] = True
+            flags[own_cells] |= layer.tree.arrays.flags[cells] & np.uint8(FACING_FLAGS)
+            areas[own_cells] = layer.tree.arrays.areas[cells]
+            bare = fresh[~is_own]  # skirts, and nodes above them
+            areas[first + bare] = _SKIRT
             is_fresh[first + fresh] = True
-            source = locate(layer.tree, codes[fresh], level).cells
-            flags[first + fresh] |= layer.tree.arrays.flags[source] & np.uint8(FACING_FLAGS)
-            areas[first + fresh] = layer.tree.arrays.areas[source]
+            if level < len(paint):
+                bare = bare[among(codes[bare], paint[level].codes)]
+                at = np.searchsorted(paint[level].codes, codes[bare])
+                flags[first + bare] |= paint[level].facings[at]
+                is_fresh[first + bare] = False
             if texture.tree.n_leaves:
                 centres = (decode_cells(codes[fresh]) + 0.5) / 2**level
                 points = texture.placement.to_rest(centres)
-                found = texture.sample(points, list(texture.channels), normalize=False)
+                around = texture.sample(points, list(texture.channels), normalize=False)
+                refined = refined_values(texture.tree, texture.channels, codes[bare], level)
+                is_bare = np.isin(fresh, bare)
                 for name, channel in texture.channels.items():
-                    stored = encode(found[name], channel.format.dtype, channel.format.space)
+                    around[name][is_bare] = refined[name]
+                    stored = encode(around[name], channel.format.dtype, channel.format.space)
                     channels[name][0][first + fresh] = stored
-    if is_fresh.any():
-        add_up_areas(tree, is_fresh, areas)
+    if is_added.any():
+        add_up_areas(tree, is_added, areas)
     tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
     made = {name: Channel(texture.channels[name].format, *arrays) for name, arrays in channels.items()}
     whole = OctreeTexture(tree, made, texture.placement, texture.bounds, texture.metadata)

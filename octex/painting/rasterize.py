@@ -9,13 +9,13 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import ALPHA, ChannelFormat
+from octex.channels import ALPHA, ChannelFormat, decode
 from octex.conversion.adapt import adapted
 from octex.conversion.facings import separated
 from octex.conversion.fill import assemble, fill
 from octex.conversion.fit import fitted
 from octex.painting.near import around
-from octex.painting.samples import of_cells, with_centres
+from octex.painting.samples import of_cells, with_bare_as, with_centres
 from octex.painting.source import PaintSource
 from octex.parallel import Progress
 from octex.source.surface import Surface
@@ -94,7 +94,10 @@ def rasterize_paint(
     }
     fitting = None
     if filled.samples is not None:
-        samples = with_centres(of_cells(filled.samples, painted), here, part, placement)
+        form = here.channels[0]
+        means_there = values[form.name].values[int(edited.tree.arrays.level_cells[depth]) :]
+        samples = with_bare_as(of_cells(filled.samples, painted), decode(means_there, form.space))
+        samples = with_centres(samples, here, part, placement)
         fitting = partial(fitted, samples=samples, placement=placement, executor=executor, progress=progress)
     tree, means, values = adapted(
         edited.tree, values, None,

@@ -31,6 +31,18 @@ def of_cells(samples: Samples, cells: npt.NDArray[np.int64]) -> Samples:
     )
 
 
+def with_bare_as(samples: Samples, means: npt.NDArray[np.float32]) -> Samples:
+    """Give samples without paint, whose last component is 0, the colour of their cell (cells, components).
+
+    They tell nothing of it; as black they would darken the rim of paint.
+    """
+    cells = np.repeat(np.arange(samples.codes.size), np.diff(samples.firsts))
+    bare = samples.values[:, -1] == 0
+    values = samples.values.copy()
+    values[bare, :-1] = means[cells[bare]]
+    return samples._replace(values=values)
+
+
 def with_centres(samples: Samples, source: PaintSource, surface: Surface, placement: Placement) -> Samples:
     """Add a source's centres to samples, where cells are no larger than its detail.
 

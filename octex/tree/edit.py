@@ -121,7 +121,7 @@ def raised(
         may = among(own, needed[level]) & among(own, below)
         children = (split_codes[:, None] << 3 | np.arange(8)).reshape(-1)
         children = children[among(children, met[level])]
-        on = among(children, needed[level])
+        on = among(children, needed[level]) & among(children, below)
         leaves.append(np.sort(np.concatenate([own[~may], children[~on], added[level]])))
         split_codes = np.sort(np.concatenate([own[may], children[on]]))
         keeping.append(split_codes)
@@ -146,7 +146,7 @@ def rebuilt(tree: Octree, leaves: Sequence[Int64s]) -> Edited:
     is_node = np.zeros(built.n_cells, np.bool_)
     for level, ((codes, nodes), (old_codes, _)) in enumerate(zip(built.walk(), tree.walk(), strict=False)):
         here = slice(int(starts[level]), int(starts[level + 1]))
-        is_node[here] = nodes
+        is_node[here] = nodes & (built.n_leaves > 0)  # a root without children keeps nothing
         _match(codes, old_codes, int(old_starts[level]), old[here])
     flags, areas = np.zeros((2, built.n_cells), np.uint8)
     there = old >= 0

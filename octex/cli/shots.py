@@ -1,0 +1,112 @@
+"""Pictures with the cameras that they are painted through: frames found, sizes read, masks dealt out."""
+
+from __future__ import annotations
+
+import argparse
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from octex.cli.common import Reporter
+from octex.errors import ArgumentError, CameraError, ImageError
+
+if TYPE_CHECKING:
+    from octex.view.camera import Camera
+    from octex.view.camera_files import Frame
+
+_LISTED = 5
+
+
+class Shot(NamedTuple):
+    """A picture, the camera it is painted through, and where paint goes."""
+
+    path: Path
+    camera: Camera
+    mask: Path | None
+
+
+def shots_of(options: argparse.Namespace, progress: Reporter) -> tuple[list[Shot], list[str]]:
+    """Return pictures with their cameras, and the names of those that are missing."""
+    pairs, missing = _pairs(options)
+    if missing:
+        progress.note(f"skipped {len(missing)} of {len(pairs) + len(missing)} pictures: {_listing(missing)}")
+    masks = options.mask or [None]
+    if len(masks) == 1:
+        masks = masks * len(pairs)
+    shots = []
+    for (path, frame), mask in zip(pairs, masks, strict=True):
+        try:
+            size = _size_of(path)
+        except ImageError as error:
+            raise ImageError(f"{error} (for frame {frame.name!r} of {frame.file})") from None
+        try:
+            shots.append(Shot(path, frame.camera(size), mask))
+        except CameraError as error:
+            raise CameraError(f"{path}: {error}") from None
+    return shots, missing
+
+
+def _pairs(options: argparse.Namespace) -> tuple[list[tuple[Path, Frame]], list[str]]:
+    """Return pictures with their frames, and the names of pictures that are missing."""
+    from octex.view.camera_files import read_cameras
+
+    file, name = options.camera
+    images: list[Path] = options.IMAGE
+    if name is not None and len(images) > 1:
+        raise ArgumentError(
+            f"--camera names one frame, {name!r}, for {len(images)} IMAGEs; leave the name out, and frames "
+            "are found by the IMAGEs' file names"
+        )
+    frames = read_cameras(file)
+    if name is not None:
+        frames = [frame_of(frames, name, file)]
+    if len(images) == 1 and len(frames) == 1:
+        return [(images[0], frames[0])], []
+    if images:
+        return [(image, frame_of(frames, image.as_posix(), file)) for image in images], []
+    own = [(frame.image, frame) for frame in frames if frame.image is not None]
+    if not own:
+        raise CameraError(f"{file}: does not say where the pictures of its cameras are; give IMAGEs")
+    missing = [frame.name for image, frame in own if not image.is_file()]
+    if len(missing) == len(own):
+        raise CameraError(
+            f"{file}: none of the {len(own)} pictures that it names is there: {_listing(missing)}; give "
+            "IMAGEs"
+        )
+    return [(image, frame) for image, frame in own if image.is_file()], missing
+
+
+def frame_of(frames: Sequence[Frame], name: str, file: Path) -> Frame:
+    """Find a frame by its name; what is raised names the file."""
+    from octex.view.camera_files import find_frame
+
+    try:
+        return find_frame(frames, name)
+    except CameraError as error:
+        raise CameraError(f"{file}: {error}") from None
+
+
+def _listing(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return ", ".join(map(repr, names[:_LISTED])) + more
+
+
+def _size_of(path: Path) -> tuple[int, int]:
+    """Return the width and height of an image file; raises ImageError."""
+    import PIL.Image
+
+    from octex.source.images.decode import decode_image
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with PIL.Image.open(path) as image:
+                return image.size
+    except Exception:  # Pillow's plugins raise nearly anything, and do not know all that octex reads
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise ImageError(f"{path} cannot be read: {error.strerror or error}") from None
+        height, width = decode_image(data, path.name).shape[:2]
+        return width, height

@@ -1,0 +1,137 @@
+"""octree-paint --view: a picture of the model to be painted on, and the camera to send it back with."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import octex
+from octex.cli.common import Reporter, bytes_text, check_outputs, say
+from octex.cli.models import DEFAULT_CHANNEL, only, posed_inputs, read_posed, texture_of
+from octex.cli.shots import frame_of
+from octex.errors import ArgumentError, ExitCode
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    from octex.source.surface import Surface
+    from octex.texture import OctreeTexture
+    from octex.view.camera import Camera
+
+DEFAULT_SIZE = (1024, 1024)
+_DIRECTION = (0.4, 0.3, 1.0)  # to the camera, where none is given
+
+
+def view(command: str, options: argparse.Namespace) -> int:
+    """Draw what a camera sees, and write that camera if asked to."""
+    began = time.perf_counter()
+    outputs: list[tuple[Path, tuple[str, ...], str]] = [(options.view, (".png",), "--view")]
+    if options.camera_out is not None:
+        outputs.append((options.camera_out, (".json",), "--camera-out"))
+    check_outputs(outputs, [*posed_inputs(options), options.TEXTURE], force=options.force)
+    with Reporter(command, options.quiet) as progress:
+        texture = texture_of(options)
+        if texture is not None:
+            texture = only(texture, options.channel or DEFAULT_CHANNEL)
+        else:
+            progress.note(f"{options.TEXTURE} does not exist yet: the model is drawn grey, in some light")
+        with progress.stage("read"):
+            surface = read_posed(options)
+        camera = _view_camera(options, surface)
+        if any(camera.distortion):
+            progress.note(
+                "the camera's lens distorts; the picture is drawn without that, and fits the camera that "
+                "--camera-out writes"
+            )
+            camera = camera.undistorted
+        with progress.stage("draw"):
+            codes = _draw(texture, surface, camera, options.channel or DEFAULT_CHANNEL)
+        with progress.stage("write"):
+            if options.camera_out is not None:
+                octex.write_cameras(options.camera_out, {options.view.name: camera})
+            _write_png(options.view, codes)
+    if not options.quiet or options.json:
+        _say_what_was_drawn(options, camera, time.perf_counter() - began)
+    return ExitCode.DONE
+
+
+def _view_camera(options: argparse.Namespace, surface: Surface) -> Camera:
+    """Return the camera that is given, or one from the front that sees the whole model."""
+    from octex.view.camera_files import read_cameras
+
+    if options.camera is None:
+        return octex.Camera.fitted(surface.vertices, _DIRECTION, size=options.size or DEFAULT_SIZE)
+    file, name = options.camera
+    frames = read_cameras(file)
+    frame = frames[0]
+    if name is not None or len(frames) > 1:
+        frame = frame_of(frames, options.view.name if name is None else name, file)
+    if frame.size is not None and options.size not in (None, frame.size):
+        width, height = frame.size
+        raise ArgumentError(
+            f"--size is not that of frame {frame.name!r} of {file}, {width},{height}; leave --size out"
+        )
+    return frame.camera(options.size)
+
+
+def _draw(
+    texture: OctreeTexture | None, surface: Surface, camera: Camera, channel: str
+) -> npt.NDArray[np.uint8]:
+    """Draw a channel at the pixels' centres: codes (height, width, 4), alpha 0 beside the model."""
+    import numpy as np
+
+    from octex.channels import encode
+    from octex.preview.looks import texture_look
+    from octex.preview.pictures import rest_normals, seen_hits
+    from octex.view.shading import corner_normals, face_normals, light
+
+    if texture is not None:
+        look = texture_look(texture, channel)
+    else:
+        faces, _ = face_normals(surface.vertices, surface.triangles)
+        smooth = corner_normals(surface.vertices, surface.triangles)
+    codes = np.zeros((camera.height * camera.width, 4), np.uint8)
+    for seen, hits in seen_hits(surface, camera, rest_normals(surface)):
+        if texture is not None:
+            colors = look(hits).unlit()
+        else:
+            corners = surface.vertices[surface.triangles[hits.triangles]]
+            points = np.einsum("nk,nkc->nc", hits.barycentric, corners)
+            normals = np.einsum("nk,nkc->nc", hits.barycentric, smooth[hits.triangles])
+            lit = light(camera, points, faces[hits.triangles], normals)
+            colors = np.repeat(0.5 * lit[:, None], 3, axis=1)
+        codes[seen, :3] = encode(colors, "uint8", "srgb")
+        codes[seen, 3] = 255
+    return codes.reshape(camera.height, camera.width, 4)
+
+
+def _write_png(path: Path, codes: npt.NDArray[np.uint8]) -> None:
+    from PIL import Image
+
+    from octex.container import replacing
+
+    picture = Image.fromarray(codes)
+    with replacing(path) as file:
+        picture.save(file, "PNG")
+
+
+def _say_what_was_drawn(options: argparse.Namespace, camera: Camera, seconds: float) -> None:
+    made: dict[str, Any] = {
+        "output": str(options.view),
+        "size": [camera.width, camera.height],
+        "bytes": options.view.stat().st_size,
+        "seconds": round(seconds, 3),
+    }
+    if options.camera_out is not None:
+        made["camera"] = str(options.camera_out)
+    if options.json:
+        say(json.dumps(made))
+        return
+    pixels = f"{camera.width}×{camera.height} pixels"
+    say(f"{options.view}: {pixels}, {bytes_text(made['bytes'])}, {seconds:.1f} s")
+    if options.camera_out is not None:
+        say(f"{options.camera_out}: its camera")

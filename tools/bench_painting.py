@@ -1,0 +1,159 @@
+"""Benchmarks of painting: what a ring of pictures gives back, and what a picture costs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from bench_inputs import painted_torus
+from bench_tools import Report, Setup
+
+import octex
+from octex.channels import linear_to_srgb
+from octex.preview.looks import source_look
+from octex.preview.pictures import rest_normals, seen_hits
+from octex.view.rasterize import rasterize
+
+Array = npt.NDArray[Any]
+
+#: Where the cameras of the ring stand above or below the middle, in radians; two look along the axis.
+_HEIGHTS = (0.5, -0.35, 0.15, 0.5, 1.35, 0.15, 0.5, -0.35, 0.15, 0.5, -1.35, 0.15)
+_MAX_ANGLE = 75.0
+
+
+def ring(setup: Setup, report: Report) -> None:
+    """Twelve pictures of a model painted onto its bare mesh, beside the model's own texture."""
+    size, points = (96, 5_000) if setup.quick else (1024, 200_000)
+    report.title(
+        f"ring: 12 pictures of {size}² pixels, unlit, painted onto the bare mesh; cells as wide as pixels"
+    )
+    for name, surface in _models(setup, report):
+        cameras = _ring(surface, size)
+        pictures = [_picture(surface, camera) for camera in cameras]
+        widths = [
+            hits.width for camera in cameras for _, hits in seen_hits(surface, camera, rest_normals(surface))
+        ]
+        width = float(np.concatenate(widths).mean())
+        depth = int(np.round(np.log2(np.ptp(surface.bounds, axis=0).max() / width)))
+        samples = surface.scatter(points, seed=3)
+        seen = _seen(surface, cameras, samples)
+        truth = _codes(octex.convert(surface, depth).sample(samples.rest, normals=samples.normals))
+        found = {}
+        gains = np.random.default_rng(0).uniform(0.8, 1.2, (12, 3)).astype(np.float32)
+        exposed = [image * np.append(gain, 1) for image, gain in zip(pictures, gains, strict=True)]
+        for what, images, balance in (
+            ("as they are", pictures, False),
+            ("exposed differently", exposed, False),
+            ("balanced", exposed, True),
+        ):
+            shots = [octex.Projection(image, camera) for image, camera in zip(images, cameras, strict=True)]
+            began = perf_counter()
+            texture = octex.paint(None, surface, shots, max_depth=depth, balance=balance)
+            spent = perf_counter() - began
+            error = _codes(texture.sample(samples.rest, normals=samples.normals)) - truth
+            found[what] = 20 * np.log10(255 / np.sqrt((error[seen] ** 2).mean()))
+            painted = texture.contains(samples.rest)
+            report.line(
+                f"{name}, depth {depth}, {what}",
+                f"{found[what]:.1f} dB, {spent:.1f} s, {texture.tree.n_leaves:,} leaves",
+            )
+            if what == "as they are":
+                report.at_least(f"ring: {name}", found[what], 34, "dB")
+                report.at_most(f"ring: {name}, not painted", 100 * float((~painted[seen]).mean()), 0.5, "%")
+        lost = found["as they are"] - found["balanced"]
+        report.at_most(f"ring: {name}, lost to exposures, balanced", lost, 1.0, "dB")
+
+
+def painting(setup: Setup, report: Report) -> None:
+    """One picture onto a large model, and a small one onto a large texture."""
+    around, across, depth = (60, 30, 6) if setup.quick else (1024, 512, 10)
+    surface = painted_torus(around, across, 256)
+    count = len(surface.triangles)
+    report.title(f"painting: {count:,} triangles, depth {depth}, two threads, wall time")
+    texture = octex.convert(surface, depth)
+    camera = octex.Camera.fitted(surface.vertices, (0.3, 0.5, 1.0), size=(1920, 1080))
+    image = _picture(surface, camera)
+    shot = octex.Projection(image, camera)
+    for what, fit, target in (("1920×1080, as means", False, 1.5), ("1920×1080, fitted", True, 1.5)):
+        spent = _median(setup, lambda fit=fit: octex.paint(texture, surface, shot, max_depth=depth, fit=fit))
+        report.at_most(f"painting: {what}", spent, target, "s")
+    middle = surface.vertices[np.argmax(surface.vertices @ [0.3, 0.5, 1.0])]
+    patch = octex.Camera.fitted(
+        middle + 0.08 * (np.random.default_rng(0).random((50, 3)) - 0.5), (0.3, 0.5, 1.0), size=(256, 256)
+    )
+    brush = octex.Projection(np.full((256, 256, 3), 128, np.uint8), patch)
+    spent = _median(setup, lambda: octex.paint(texture, surface, brush, max_depth=depth))
+    report.line("leaves of the texture", f"{texture.tree.n_leaves:,}")
+    report.at_most("painting: a brush of 256² pixels", spent, 0.25, "s")
+
+
+def _median(setup: Setup, work: Any) -> float:
+    work()
+    times = []
+    for _ in range(setup.repeats):
+        began = perf_counter()
+        work()
+        times.append(perf_counter() - began)
+    return float(np.median(times))
+
+
+def _models(setup: Setup, report: Report) -> Iterator[tuple[str, octex.Surface]]:
+    droid = Path(__file__).parent.parent / "samples" / "droid.glb"
+    yield "droid", octex.load_surface(droid, channels=["base_color"])
+    if setup.quick:
+        return
+    if setup.models is None:
+        report.note("left out: real models (--models)")
+        return
+    for name, path in (
+        ("spot", "spot-triangulated/spot.obj"),
+        ("BoomBox", "BoomBoxWithAxes/BoomBoxWithAxes.gltf"),
+    ):
+        yield name, octex.load_surface(setup.models / path, channels=["base_color"])
+
+
+def _ring(surface: octex.Surface, size: int) -> list[octex.Camera]:
+    turns = 2 * np.pi * np.arange(12) / 12
+    return [
+        octex.Camera.fitted(
+            surface.vertices,
+            (np.cos(turn) * np.cos(height), np.sin(height), np.sin(turn) * np.cos(height)),
+            size=(size, size),
+        )
+        for turn, height in zip(turns, _HEIGHTS, strict=True)
+    ]
+
+
+def _picture(surface: octex.Surface, camera: octex.Camera) -> Array:
+    """Draw a surface unlit, 2 × 2 samples a pixel: linear light, and alpha where it is seen."""
+    fine = camera.scaled(2)
+    image = np.zeros((fine.height * fine.width, 4), np.float32)
+    look = source_look(surface, "base_color")
+    for pixels, hits in seen_hits(surface, fine, rest_normals(surface)):
+        image[pixels, :3], image[pixels, 3] = look(hits).unlit(), 1
+    image = image.reshape(camera.height, 2, camera.width, 2, 4).sum((1, 3))
+    image[..., :3] /= np.maximum(image[..., 3:], 1)
+    image[..., 3] = image[..., 3] > 0
+    return image
+
+
+def _seen(surface: octex.Surface, cameras: list[octex.Camera], samples: Any) -> npt.NDArray[np.bool_]:
+    """Say which samples a camera sees, by the triangles in a picture of three times its size."""
+    found = np.zeros(len(samples.points), np.bool_)
+    for camera in cameras:
+        fine = camera.scaled(3)
+        triangles = rasterize(surface.vertices, surface.triangles, fine).triangle
+        places, _ = fine.project(samples.points)
+        i, j = np.clip(places.astype(np.int64), 0, [fine.width - 1, fine.height - 1]).T
+        toward = camera.position - samples.points
+        cosines = np.einsum("nk,nk->n", toward, samples.normals) / np.linalg.norm(toward, axis=1)
+        found |= (triangles[j, i] == samples.triangles) & (cosines > np.cos(np.radians(_MAX_ANGLE)))
+    return found
+
+
+def _codes(linear: Array) -> Array:
+    return 255 * linear_to_srgb(np.clip(linear, 0, 1))
