@@ -14,6 +14,7 @@ from octex.field.blend import Codes
 from octex.field.blocks import BLOCK
 from octex.field.facings import all_in_sight
 from octex.field.field import Field, NotFiniteError, Taps
+from octex.field.filtered import NO_AREAS
 from octex.field.neighborhood import MOST_TAPS
 from octex.field.splines import FILTERS
 from octex.field.tiles import can_be_tiled
@@ -176,7 +177,7 @@ def test_colors_are_those_of_the_reference_where_leaves_reach(filter: str, drawn
     results = np.full((len(points), 3), -1.0, np.float32)
     none = np.empty(0, np.float32)
     codes = Codes(values, values[:0], table)
-    missed = Field(tree).colors(points, UNIT, filter, all_in_sight(), codes, results, none, none)
+    missed = Field(tree).colors(points, UNIT, filter, all_in_sight(), codes, NO_AREAS, results, none, none)
     if not can_be_tiled(tree):
         assert missed is None
         assert (results == -1).all()
@@ -217,7 +218,9 @@ def test_a_point_that_is_not_finite_is_named(wrong: float, gradient: bool) -> No
     results = points.astype(np.float32)
     for filter in FILTERS[:3]:
         with pytest.raises(NotFiniteError, match=r"points\[23\]"):
-            Field(shell(3, 3)).colors(points, UNIT, filter, all_in_sight(), codes, results, none, none)
+            Field(shell(3, 3)).colors(
+                points, UNIT, filter, all_in_sight(), codes, NO_AREAS, results, none, none
+            )
 
 
 def test_outside_the_root_slopes_are_those_of_the_nearest_point_inside() -> None:

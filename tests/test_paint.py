@@ -243,6 +243,22 @@ def test_paint_on_a_posed_model_lands_at_rest() -> None:
     assert np.sqrt((error**2).mean()) < 1.5
 
 
+def test_a_subdivided_cage_is_painted_at_its_hull(models: Path) -> None:
+    folder = models / "opensubdiv-cages"
+    hull = octex.load_surface(folder / "catmark_cube_creases0_level4.obj")
+    loaded = octex.load_surface(folder / "catmark_cube_level4.obj", rest=hull.vertices)
+    surface = octex.Surface.from_arrays(
+        loaded.vertices, loaded.triangles, colors=0.5 + 0.4 * np.sin(3 * loaded.rest), rest=loaded.rest
+    )
+    camera = octex.Camera.fitted(surface.vertices, (0.5, 0.4, 1), size=(128, 128))
+    image = picture_of(surface, camera)
+    texture = octex.paint(None, surface, octex.Projection(image, camera), max_angle=90)
+    pixels, rest, normals = centres(surface, camera)
+    error = codes(texture.sample(rest, normals=normals)) - codes(image.reshape(-1, 4)[pixels, :3])
+    assert np.sqrt((error**2).mean()) < 2.0
+    assert np.abs(loaded.rest - loaded.vertices).max() > 0.01
+
+
 # --- blend modes, channels, layers
 
 

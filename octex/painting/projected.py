@@ -45,7 +45,7 @@ class Shot(NamedTuple):
     """A picture and what its camera sees, as kernels read them."""
 
     camera: View  # without distortion
-    lens: npt.NDArray[np.float64]  # (13,)   K (9) of the picture, then k1, k2, p1, p2
+    lens: npt.NDArray[np.float64]  # (14,)   K (9) of the picture, then k1, k2, p1, p2 and the camera's reach
     levels: Levels
     seen: Seen
     margins: npt.NDArray[np.float32]  # (height, width)   to where the surface ends, in pixels; at most so far
@@ -79,7 +79,7 @@ def take_shot(
     seen, centres = look(vertices, triangles, pinhole)
     view = view_of(pinhole)
     margins = distances_to_edges(seen, view, max(feather, _TRUSTED) + 1.0)
-    lens = np.concatenate([camera.K.ravel(), camera.distortion])
+    lens = np.concatenate([camera.K.ravel(), camera.distortion, [camera.reach]])
     return Shot(view, lens, levels, seen, margins, centres)
 
 
@@ -217,7 +217,7 @@ def _in_picture(shot: Shot, view: View, x: float, y: float, z: float) -> tuple[f
         x, y = x / z, y / z
         k1, k2, p1, p2 = lens[9], lens[10], lens[11], lens[12]
         square = x * x + y * y
-        if 1.0 + square * (3.0 * k1 + 5.0 * k2 * square) <= 0.0:  # would be folded back
+        if square >= lens[13]:
             return -1e9, -1e9
         radial = 1.0 + square * (k1 + square * k2)
         x, y = (

@@ -181,7 +181,7 @@ def _met_cells(
     progress: Progress,
 ) -> Met:
     """Find the cells down to ``depth`` that the surface meets in some cells, given by level."""
-    chosen = touching(surface, tops, texture.placement)
+    chosen = touching(surface, tops, texture.placement) if tops else np.empty(0, np.int32)
     if not chosen.size:
         nothing = Octree.from_leaves(np.empty(0, np.int64), 0)
         return Met(nothing, [np.empty(0, np.int64)] * (depth + 1))

@@ -181,6 +181,11 @@ class Camera:
         """The same camera without lens distortion."""
         return replace(self, distortion=NO_DISTORTION)
 
+    @property
+    def reach(self) -> float:
+        """The x² + y² of normalised coordinates from which on ``distort`` would fold points back."""
+        return _rising_until(*self.distortion[:2])
+
     def distort(self, points: npt.ArrayLike) -> Floats:
         """Return where the lens moves normalised coordinates (x/z, y/z), (n, 2).
 
@@ -194,7 +199,7 @@ class Camera:
         with np.errstate(over="ignore", invalid="ignore"):
             x, y = points.T
             square = x * x + y * y
-            square = np.where(square < _rising_until(k1, k2), square, np.nan)
+            square = np.where(square < self.reach, square, np.nan)
             radial = 1.0 + square * (k1 + square * k2)
             return np.column_stack(
                 [
