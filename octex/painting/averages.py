@@ -7,15 +7,16 @@ is: so averages stay those of the source where nothing changed, and become those
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ChannelFormat, decode
-from octex.tree.edit import first_children, nodes_by_level
+from octex.tree.edit import children_of, first_children, locate, nodes_by_level
 from octex.tree.layout import AREA_ONE, AREA_STEPS
-from octex.tree.octree import Octree
+from octex.tree.octree import Octree, distinct
 
 Int64s = npt.NDArray[np.int64]
 Float32s = npt.NDArray[np.float32]
@@ -79,46 +80,41 @@ def updated_averages(
     form: ChannelFormat,
     painted: Int64s,
     coverage: Float32s,
+    codes: Sequence[Int64s],
     paint_residuals: Float32s,
     has_average: npt.NDArray[np.bool_],
-) -> tuple[Int64s, Float64s, Float32s]:
-    """Return the nodes above painted leaves, their new values, decoded, and how much of them is painted.
+) -> tuple[Int64s, Float64s]:
+    """Return the nodes above painted leaves, and their new values, decoded.
 
     before, after     (cells, components), as stored: before and after leaves were painted
     painted, coverage leaves, ascending, and 0 … 1 how much of each
+    codes             the Morton codes of these leaves, level by level
     paint_residuals   (cells, components) of the paint's own nodes, in this tree; zeros elsewhere
     has_average       (cells,) nodes whose value before was an average; of others it is made anew
     """
-    first = tree.arrays.level_cells
     part = np.zeros(tree.n_cells, np.float32)
     part[painted] = coverage
-    touched = np.zeros(tree.n_cells, np.bool_)
-    touched[painted] = True
     cells, values = [np.empty(0, np.int64)], [np.empty((0, after.shape[1]))]
-    exact: dict[int, tuple[Int64s, Float64s]] = {}
-    nodes_of = nodes_by_level(tree)
+    below = np.empty(0, np.int64)  # nodes of the level below, as codes
     for level in range(tree.max_depth - 1, -1, -1):
-        begin, end = int(first[level + 1]), int(first[level + 2])
-        starts = first_children(tree, level)
-        if not starts.size:
+        leaves = codes[level + 1] if level + 1 < len(codes) else np.empty(0, np.int64)
+        above = distinct(np.concatenate([below, leaves]) >> 3)
+        if not above.size:
             continue
-        ends = np.append(starts[1:], end)
-        chosen = np.flatnonzero(np.logical_or.reduceat(touched[begin:end], starts - begin))
-        if not chosen.size:
-            continue
-        nodes = nodes_of[level][chosen]
-        counts = (ends - starts)[chosen]
-        children = np.repeat(starts[chosen] - np.concatenate([[0], np.cumsum(counts[:-1])]), counts)
-        children = children + np.arange(children.size)
-        at = np.concatenate([[0], np.cumsum(counts[:-1])])
+        where = locate(tree, above, level)
+        nodes = where.cells
+        firsts, counts = children_of(tree, where.nodes)
+        at = np.cumsum(counts) - counts
+        children = np.repeat(firsts - at, counts) + np.arange(counts.sum())
         shares = _AREAS[tree.arrays.areas[children]]
-        new, old = decode(after[children], form.space), decode(before[children], form.space)
-        new = new.astype(np.float64)
-        if level + 1 in exact:
-            known, found = exact[level + 1]
-            where = np.minimum(np.searchsorted(known, children), known.size - 1)
-            hit = known[where] == children
-            new[hit] = found[where[hit]]
+        new, old = (
+            decode(after[children], form.space).astype(np.float64),
+            decode(before[children], form.space),
+        )
+        known = np.minimum(np.searchsorted(cells[-1], children), max(cells[-1].size - 1, 0))
+        if cells[-1].size:  # more precise than what is stored
+            hit = cells[-1][known] == children
+            new[hit] = values[-1][known[hit]]
         totals = np.add.reduceat(shares, at)
         mean = np.add.reduceat(new * shares[:, None], at, axis=0) / totals[:, None]
         old_mean = np.add.reduceat(old * shares[:, None], at, axis=0) / totals[:, None]
@@ -127,9 +123,7 @@ def updated_averages(
         residual[~has_average[nodes]] = 0.0
         mean += residual * (1.0 - covered[:, None]) + paint_residuals[nodes] * covered[:, None]
         part[nodes] = covered
-        touched[nodes] = True
-        exact[level] = nodes, mean
+        below = above
         cells.append(nodes)
         values.append(mean)
-    nodes = np.concatenate(cells)
-    return nodes, np.concatenate(values), part[nodes]
+    return np.concatenate(cells), np.concatenate(values)

@@ -14,7 +14,7 @@ from octex.field.refined import refined_taps
 from octex.texture import OctreeTexture
 from octex.texture.channel import Channel
 from octex.texture.split import bits_of
-from octex.tree.edit import among
+from octex.tree.edit import among, locate
 from octex.tree.layout import FACING_FLAGS
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree, distinct
@@ -88,6 +88,8 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
     """
     name = next(name for name in layer.channels if name != ALPHA.name)
     found = list(paint)
+    if all(locate(tree, each.codes, level).is_leaf.all() for level, each in enumerate(paint)):
+        return found
     walk = list(tree.walk())
     while len(found) < len(walk):
         found.append(_no_paint(layer.channels[name].format.components))

@@ -124,11 +124,7 @@ def _blended(
 ) -> OctreeTexture:
     """Blend paint into the cells that it is on, once each (step 5), and average anew."""
     tree = base.tree
-    whole = [
-        _in_tree(int(first), codes, each)
-        for first, (codes, _), each in zip(tree.arrays.level_cells, tree.walk(), paint, strict=False)
-        if each.codes.size
-    ]
+    whole = [_in_tree(tree, each, level) for level, each in enumerate(paint) if each.codes.size]
     cells, values, coverage, sources = (np.concatenate(arrays) for arrays in zip(*whole, strict=True))
     order = np.argsort(cells, kind="stable")
     cells, values, coverage, sources = cells[order], values[order], coverage[order], sources[order]
@@ -160,8 +156,9 @@ def _blended(
         of_paint = _paint_residuals(tree, layer, form, name == target and blend in ("over", "replace"))
         part = parts[name].copy()
         part[fresh] = 1
-        nodes, means, _ = updated_averages(
-            tree, stored[name].values, after, form, cells, part, of_paint, ~is_fresh
+        codes = [each.codes for each in paint]
+        nodes, means = updated_averages(
+            tree, stored[name].values, after, form, cells, part, codes, of_paint, ~is_fresh
         )
         after[nodes] = encode(means, form.dtype, form.space)
         channels[name] = stored[name]._replace(values=after)
@@ -169,12 +166,9 @@ def _blended(
     return _facing(made_of, base, is_fresh, cells, sources, nodes, layer, target, blend, opacity)
 
 
-def _in_tree(first: int, codes: Int64s, paint: Paint) -> tuple[Int64s, Float32s, Float32s, Int64s]:
-    """Return the numbers of painted cells, their paint, coverage and sources.
-
-    ``codes`` are those of the cells of their level, which are numbered from ``first`` on.
-    """
-    return first + np.searchsorted(codes, paint.codes), paint.values, paint.coverage, paint.cells
+def _in_tree(tree: Octree, paint: Paint, level: int) -> tuple[Int64s, Float32s, Float32s, Int64s]:
+    """Return the numbers of painted cells of a level, their paint, coverage and sources."""
+    return locate(tree, paint.codes, level).cells, paint.values, paint.coverage, paint.cells
 
 
 def _paint_residuals(tree: Octree, layer: OctreeTexture, form: ChannelFormat, counts: bool) -> Float32s:
@@ -209,6 +203,8 @@ def _facing(
 ) -> OctreeTexture:
     """Paint what cells show each way, where the paint or the cells tell facings apart."""
     tree = texture.tree
+    if not (tree.split.cells.size or layer.tree.split.cells.size):
+        return texture
     flags, paint_flags = tree.arrays.flags, layer.tree.arrays.flags
     node_sources = sources_of(tree, nodes, layer.tree)
     cells, sources = np.concatenate([leaves, nodes]), np.concatenate([sources, node_sources])

@@ -41,31 +41,34 @@ class Located(NamedTuple):
 
     cells: Int64s  # (n,)   the deepest stored cell that holds each, down to its own level
     levels: Int64s  # (n,)   that cell's level
-    is_leaf: Bools  # (n,)
+    nodes: Int64s  # (n,)   its number among nodes; −1 for a leaf
+
+    @property
+    def is_leaf(self) -> Bools:
+        """Say which of these cells are leaves."""
+        leaves: Bools = self.nodes < 0
+        return leaves
 
     def of(self, chosen: Bools) -> Located:
         """Return those of some of the cells."""
-        return Located(self.cells[chosen], self.levels[chosen], self.is_leaf[chosen])
+        return Located(self.cells[chosen], self.levels[chosen], self.nodes[chosen])
 
 
 def locate(tree: Octree, codes: Int64s, level: int) -> Located:
     """Find cells (n,) of a level, by their Morton codes, or what holds them."""
-    found = Located(
-        np.empty(codes.size, np.int64), np.empty(codes.size, np.int64), np.empty(codes.size, np.bool_)
-    )
-    _locate(tree.arrays, codes, level, *found)
-    return found
+    cells, levels, nodes = np.empty((3, codes.size), np.int64)
+    _locate(tree.arrays, codes, level, cells, levels, nodes)
+    return Located(cells, levels, nodes)
 
 
 @kernel
 def _locate(
-    arrays: TreeArrays, codes: Int64s, level: int, cells: Int64s, levels: Int64s, is_leaf: Bools
+    arrays: TreeArrays, codes: Int64s, level: int, cells: Int64s, levels: Int64s, nodes: Int64s
 ) -> None:
     shift = MAX_DEPTH - level
     for n in range(codes.size):
         i, j, k = decode(codes[n])
-        cells[n], levels[n], node = descend(arrays, i << shift, j << shift, k << shift, level)
-        is_leaf[n] = node < 0
+        cells[n], levels[n], nodes[n] = descend(arrays, i << shift, j << shift, k << shift, level)
 
 
 def unchanged(tree: Octree) -> Edited:
@@ -215,15 +218,22 @@ def nodes_by_level(tree: Octree) -> list[Int64s]:
 def first_children(tree: Octree, level: int) -> Int64s:
     """Return the number of the first child of each node of a level."""
     nodes = tree.arrays.level_nodes
-    firsts = np.empty(int(nodes[level + 1] - nodes[level]), np.int64)
-    _first_children(tree.arrays.groups, int(nodes[level]), firsts)
-    return firsts
+    return children_of(tree, np.arange(nodes[level], nodes[level + 1]))[0]
+
+
+def children_of(tree: Octree, nodes: Int64s) -> tuple[Int64s, Int64s]:
+    """Return the first child of nodes (n,), given by their numbers among nodes, and how many each has."""
+    firsts, counts = np.empty((2, nodes.size), np.int64)
+    _children_of(tree.arrays.groups, nodes, firsts, counts)
+    return firsts, counts
 
 
 @kernel
-def _first_children(groups: npt.NDArray[np.uint64], first_node: int, firsts: Int64s) -> None:
-    for n in range(firsts.size):
-        node = first_node + n
-        group = groups[node >> 3]
-        below = (np.uint64(1) << np.uint64(8 * (node & 7))) - np.uint64(1)
-        firsts[n] = np.int64(group[2] >> np.uint64(32)) + popcount((group[0] | group[1]) & below)
+def _children_of(groups: npt.NDArray[np.uint64], nodes: Int64s, firsts: Int64s, counts: Int64s) -> None:
+    for n in range(nodes.size):
+        group = nodes[n] >> 3
+        shift = np.uint64(8 * (nodes[n] & 7))
+        cells = groups[group, 0] | groups[group, 1]
+        below = (np.uint64(1) << shift) - np.uint64(1)
+        firsts[n] = np.int64(groups[group, 2] >> np.uint64(32)) + popcount(cells & below)
+        counts[n] = popcount(cells >> shift & np.uint64(0xFF))
