@@ -231,7 +231,7 @@ def children_of(tree: Octree, nodes: Int64s) -> tuple[Int64s, Int64s]:
 @kernel
 def _children_of(groups: npt.NDArray[np.uint64], nodes: Int64s, firsts: Int64s, counts: Int64s) -> None:
     for n in range(nodes.size):
-        group = nodes[n] >> 3
+        group = min(nodes[n] >> 3, groups.shape[0] - 1)
         shift = np.uint64(8 * (nodes[n] & 7))
         cells = groups[group, 0] | groups[group, 1]
         below = (np.uint64(1) << shift) - np.uint64(1)
