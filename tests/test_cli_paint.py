@@ -88,6 +88,22 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 # --- painting
 
 
+def test_textures_and_layers_whose_content_is_broken_are_refused(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = bytearray(scene.texture.read_bytes())
+    flags = octex.open(scene.texture).tree.arrays.flags.tobytes()
+    at = bytes(content).index(flags, 4096)
+    content[at : at + len(flags)] = bytes(0xC0 for _ in flags)  # all split and kept, and facing nowhere
+    broken, out = tmp_path / "broken.octex", tmp_path / "out.octex"
+    broken.write_bytes(content)
+    shot = [scene.model, broken, *scene.shot[2:]]
+    assert complaint(capsys, *shot, "--out", out).startswith(f"{broken}: split table")
+    layer = [scene.model, scene.texture, "--layer", broken]
+    assert complaint(capsys, *layer, "--out", out).startswith(f"{broken}: split table")
+    assert not out.exists()
+
+
 @needs_jit
 def test_paint_is_where_the_camera_sees_it_and_nowhere_else(
     scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]

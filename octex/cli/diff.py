@@ -9,10 +9,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import octex
 from octex.cli.common import Reporter, check_outputs, say
 from octex.cli.inspect import triple
-from octex.cli.models import TEXTURE_ENDING, read_model, source_files
+from octex.cli.models import TEXTURE_ENDING, open_sound, read_model, source_files
 from octex.errors import ArgumentError, ExitCode
 
 if TYPE_CHECKING:
@@ -60,9 +59,7 @@ def diff(command: str, options: argparse.Namespace) -> int:
 
 def _side(path: Path, options: argparse.Namespace) -> Side:
     if path.suffix.lower() == TEXTURE_ENDING:
-        texture = octex.open(path)
-        texture.validate()
-        return texture
+        return open_sound(path)
     return read_model(path, options)
 
 

@@ -74,9 +74,16 @@ def read_posed(options: argparse.Namespace) -> Surface:
     return surface
 
 
+def open_sound(path: Path) -> OctreeTexture:
+    """Open a texture whose content is proved; raises TextureFileError that names what is broken."""
+    texture = octex.open(path)
+    texture.validate()
+    return texture
+
+
 def texture_of(options: argparse.Namespace) -> OctreeTexture | None:
     """Open the texture of a model, if it is there."""
-    return octex.open(options.TEXTURE) if options.TEXTURE.exists() else None
+    return open_sound(options.TEXTURE) if options.TEXTURE.exists() else None
 
 
 def only(texture: OctreeTexture, channel: str) -> OctreeTexture:

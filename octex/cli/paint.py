@@ -35,7 +35,15 @@ from octex.cli.common import (
     words_given,
 )
 from octex.cli.layers import channel_of, empty_like, entries_of, merged, projected, with_entries
-from octex.cli.models import DEFAULT_CHANNEL, TEXTURE_ENDING, only, posed_inputs, read_posed, texture_of
+from octex.cli.models import (
+    DEFAULT_CHANNEL,
+    TEXTURE_ENDING,
+    only,
+    open_sound,
+    posed_inputs,
+    read_posed,
+    texture_of,
+)
 from octex.cli.shots import shots_of
 from octex.cli.view import DEFAULT_SIZE, view
 from octex.errors import ArgumentError, ExitCode, InputError
@@ -225,7 +233,7 @@ def _paint(options: argparse.Namespace) -> int:
             surface = read_posed(options)
         with _executor(options) as executor:
             if options.layer:
-                layers = [octex.open(path) for path in options.layer]
+                layers = [open_sound(path) for path in options.layer]
             else:
                 texture, layers = projected(options, texture, surface, shots, executor, progress)
             base = empty_like(layers[0]) if texture is None else texture
