@@ -1,0 +1,265 @@
+"""What files say of cameras: frames, and the fields of their records, each read or refused by its name."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+import reprlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.errors import ArgumentError, CameraError
+from octex.view.camera import NO_DISTORTION, Camera, Convention, Distortion
+
+Floats = npt.NDArray[np.float64]
+Json = dict[str, Any]
+
+#: The intrinsics (3, 3) for a picture's width and height.
+Lens = Callable[[int, int], Floats]
+
+LARGEST = 1e30  # of a number in a file: its powers are still far from overflow
+SMALLEST = 1e-30  # above zero
+LARGEST_SIZE = 1_000_000
+_LISTED = 10
+
+
+class Frame(NamedTuple):
+    """A camera of a file; ``camera`` makes it."""
+
+    name: str  # transforms.json: file_path; COLMAP: the image's name; glTF: the node's or camera's name
+    image: Path | None  # where the file says that the picture is, which need not exist; transforms.json only
+    size: tuple[int, int] | None  # (width, height), if the file says
+    file: Path
+    lens: Lens
+    world_to_camera: Floats  # (4, 4), as Camera's
+    projection: Literal["pinhole", "orthographic"] = "pinhole"
+    distortion: Distortion = NO_DISTORTION
+
+    def camera(self, size: tuple[int, int] | None = None) -> Camera:
+        """Make the camera for a picture of ``size`` (width, height); default: the size that the file says.
+
+        Raises CameraError if neither is known, if they differ, and if the camera is for pictures of another
+        shape.
+        """
+        frame = f"frame {self.name!r} of {self.file}"
+        if size is None and self.size is None:
+            raise CameraError(f"{frame} does not say how large its picture is; give the size or the picture")
+        if size is not None and self.size is not None and tuple(size) != self.size:
+            raise CameraError(
+                f"{frame} is for {self.size[0]}×{self.size[1]} pixels, the picture has {size[0]}×{size[1]}; "
+                "give the picture that the camera was made for"
+            )
+        width, height = self.size or size or (0, 0)
+        try:
+            camera = Camera.pinhole(
+                (width, height),
+                pose=self.world_to_camera,
+                convention="opencv",
+                K=self.lens(width, height),
+                distortion=self.distortion,
+            )
+        except BrokenError as error:
+            raise CameraError(f"{frame}: {error}") from None
+        return replace(camera, projection=self.projection, world_to_camera=self.world_to_camera)
+
+
+class BrokenError(Exception):
+    """Say what is wrong, without the file's name."""
+
+
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn what goes wrong while a file is read into a CameraError that names the file."""
+    try:
+        with np.errstate(all="ignore"):  # what overflows is found by its value
+            yield
+    except (BrokenError, ArgumentError) as error:
+        raise CameraError(f"{path}: {error}") from None
+    except UnicodeDecodeError:
+        raise CameraError(f"{path}: is not UTF-8 text; is the file damaged?") from None
+    except (OSError, ValueError) as error:  # ValueError: names that no file can have
+        reason = getattr(error, "strerror", None) or str(error)
+        raise CameraError(f"{path}: cannot be read: {reason}; give a file of cameras") from error
+
+
+@contextlib.contextmanager
+def within(place: str) -> Iterator[None]:
+    """Put a place before what goes wrong in it."""
+    try:
+        yield
+    except (BrokenError, ArgumentError) as error:
+        raise BrokenError(f"{place}: {error}") from None
+
+
+def listing(names: Iterable[str]) -> str:
+    """Return names as a message lists them: some, and how many more."""
+    known = [repr(name) for name in names]
+    more = f" and {len(known) - _LISTED} more" if len(known) > _LISTED else ""
+    return (", ".join(known[:_LISTED]) or "none") + more
+
+
+def file_name(name: str) -> str:
+    """Return the last part of a path, whatever its slashes."""
+    return re.split(r"[/\\]", name)[-1]
+
+
+def is_file(path: Path) -> bool:
+    """Say whether a path is a file that can be looked at."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # too long a name, for example
+        return False
+
+
+def content_of(path: Path) -> bytes:
+    """Read a file, whatever it is called."""
+    if path.exists() and not path.is_file():  # reading a device or a pipe may never end
+        raise BrokenError("is not a file; give a file of cameras")
+    return path.read_bytes()
+
+
+# Fields of JSON objects
+
+
+def field_of(record: Json, field: str, kind: type, what: str) -> Any:
+    """Return a field of a kind, or raise BrokenError that says what it must be."""
+    if field not in record:
+        raise BrokenError(f"{field} is missing; it must be {what}")
+    if not isinstance(record[field], kind):
+        raise BrokenError(f"{field} must be {what}, not {reprlib.repr(record[field])}")
+    return record[field]
+
+
+def text_field(record: Json, field: str) -> str:
+    """Return a field that is a text."""
+    return str(field_of(record, field, str, "a text"))
+
+
+def object_field(record: Json, field: str) -> Json:
+    """Return a field that is an object."""
+    found: Json = field_of(record, field, dict, "an object")
+    return found
+
+
+def objects_field(record: Json, field: str) -> list[Json]:
+    """Return a field that is a list of objects."""
+    found: list[Json] = field_of(record, field, list, "a list of objects")
+    for item in found:
+        if not isinstance(item, dict):
+            raise BrokenError(f"{field} must be a list of objects, not of {reprlib.repr(item)}")
+    return found
+
+
+def choice_field(record: Json, field: str, choices: Sequence[str]) -> str:
+    """Return a field that is one of some texts."""
+    found = text_field(record, field)
+    if found not in choices:
+        raise BrokenError(f"{field} must be one of {', '.join(choices)}, not {reprlib.repr(found)}")
+    return found
+
+
+def index_field(record: Json, field: str, items: Sequence[Any]) -> int:
+    """Return a field that is an index of items."""
+    return as_index(field_of(record, field, object, "an index"), field, items)
+
+
+def as_index(value: object, field: str, items: Sequence[Any]) -> int:
+    """Return a value that is an index of items."""
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < len(items):
+        raise BrokenError(f"{field} must be an index below {len(items)}, not {reprlib.repr(value)}")
+    return value
+
+
+def as_finite(value: object, field: str) -> float:
+    """Return a value that is a finite number."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= LARGEST:
+        raise BrokenError(f"{field} must be a finite number, not {reprlib.repr(value)}")
+    return float(value)
+
+
+def number_field(record: Json, field: str, default: float | None = None) -> float:
+    """Return a field that is a finite number, or the default if it is not there."""
+    if default is not None and field not in record:
+        return default
+    return as_finite(field_of(record, field, object, "a number"), field)
+
+
+def positive_field(record: Json, field: str, below: float = math.inf) -> float:
+    """Return a field that is a number above zero, and below another."""
+    number = number_field(record, field)
+    if not SMALLEST <= number < below:
+        limit = "" if below == math.inf else f" and below {below:g}"
+        raise BrokenError(f"{field} must be above zero{limit}, not {number:g}")
+    return number
+
+
+def pixels_field(record: Json, field: str) -> int:
+    """Return a field that is a whole number of pixels."""
+    number = number_field(record, field)
+    if not (1.0 <= number <= LARGEST_SIZE and number.is_integer()):
+        raise BrokenError(f"{field} must be a whole number from 1 to {LARGEST_SIZE}, not {number:g}")
+    return int(number)
+
+
+def numbers_field(record: Json, field: str, count: int) -> Floats:
+    """Return a field that is a list of so many numbers."""
+    found = field_of(record, field, list, f"{count} numbers")
+    if len(found) != count:
+        raise BrokenError(f"{field} must be {count} numbers, not {len(found)}")
+    return np.array([as_finite(value, field) for value in found])
+
+
+def matrix_field(record: Json, field: str, *shapes: tuple[int, int]) -> Floats:
+    """Return a field that is a matrix of one of some shapes."""
+    what = "a matrix of " + " or ".join(f"{rows}×{columns}" for rows, columns in shapes) + " numbers"
+    found = field_of(record, field, list, what)
+    widths = {len(row) if isinstance(row, list) else -1 for row in found}
+    if not any(len(found) == rows and widths == {columns} for rows, columns in shapes):
+        raise BrokenError(f"{field} must be {what}, row by row")
+    return np.array([[as_finite(value, field) for value in row] for row in found])
+
+
+def view_of_pose(pose: Floats, convention: Convention) -> Floats:
+    """Return a pose as a world-to-camera matrix; one that is that already, to the same bits."""
+    view = Camera.pinhole((1, 1), pose=pose, convention=convention, focal=1.0).world_to_camera
+    exact = convention == "opencv" and pose.shape == (4, 4) and np.allclose(view, pose, rtol=0.0, atol=1e-12)
+    return pose if exact else view
+
+
+def fixed_lens(K: Floats) -> Lens:
+    """Return intrinsics that are the same for any size."""
+    return lambda *_: K
+
+
+def intrinsics_of(x: float, y: float, center_x: float, center_y: float) -> Floats:
+    """Return the matrix of focal lengths and a centre."""
+    return np.array([[x, 0.0, center_x], [0.0, y, center_y], [0.0, 0.0, 1.0]])
+
+
+# JSON files
+
+
+def focal_per_size(record: Json, field: str) -> float:
+    """Return the focal length, in pictures, for the angle across a picture."""
+    return 0.5 / math.tan(positive_field(record, field, below=math.pi) / 2)
+
+
+def rotation_of(quaternion: Floats, field: str) -> Floats:
+    """Return the matrix (3, 3) of a quaternion w, x, y, z of any length."""
+    length = float(np.linalg.norm(quaternion))
+    if not length > 0.0:
+        raise BrokenError(f"{field} must not be zero")
+    w, x, y, z = quaternion / length
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
