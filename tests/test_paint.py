@@ -449,8 +449,8 @@ def test_the_boundary_is_one_cell_of_the_same_size_around_paint() -> None:
     _, paint = paint_of(layer, 1.0)
     from octex.tree.morton import decode_cells
 
-    ring = boundary(paint)
-    for each, around in zip(paint, ring, strict=True):
+    for level, each in enumerate(paint):
+        around = boundary(each.codes, level)
         if not each.codes.size:
             assert not around.size
             continue

@@ -117,23 +117,18 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
     return found
 
 
-def boundary(paint: Sequence[Paint]) -> list[Int64s]:
-    """Return the cells around paint, by level: the boundary layer (paper 4.1, step 3).
+def boundary(codes: Int64s, level: int) -> Int64s:
+    """Return the boundary layer of some cells of a level, ascending (paper 4.1, step 3).
 
-    Of each level those beside its own paint, at faces, edges and corners; not the paint itself.
+    These are the cells beside them, at faces, edges and corners, without themselves.
     """
-    return [beside(each.codes, level) for level, each in enumerate(paint)]
-
-
-def beside(codes: Int64s, level: int) -> Int64s:
-    """Return the cells around some of a level that are not among them, ascending."""
     found = [np.empty(0, np.int64)]
     for begin in range(0, codes.size, _BLOCK):
         cells = (decode_cells(codes[begin : begin + _BLOCK])[:, None] + _AROUND).reshape(-1, 3)
         cells = cells[((cells >= 0) & (cells < 1 << level)).all(axis=1)]
         found.append(distinct(encode_cells(cells)))
-    beside = distinct(np.concatenate(found))
-    return beside[~among(beside, codes)]
+    around = distinct(np.concatenate(found))
+    return around[~among(around, codes)]
 
 
 def is_painted(codes: Int64s, paint: Sequence[Paint], level: int) -> npt.NDArray[np.bool_]:
@@ -164,10 +159,10 @@ def skirt_on_nothing(
     single stored cell there makes all others below the same cell of level ``top`` count for nothing.
     """
     shift = 3 * (level - top)
-    near = distinct(np.concatenate([tops, beside(tops, top)]))
+    near = distinct(np.concatenate([tops, boundary(tops, top)]))
     outer = met[among(met >> shift, near)]
     outer = outer[~among(outer, ring) & ~is_painted(outer, paint, level)]
-    taken = distinct(np.concatenate([outer, beside(outer, level)]) >> shift)
+    taken = distinct(np.concatenate([outer, boundary(outer, level)]) >> shift)
     return absent[~among(absent >> shift, taken)]
 
 

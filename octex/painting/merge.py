@@ -132,7 +132,7 @@ def _blended(
     if blend == "erase":
         values = np.zeros((len(values), 1), np.float32)
     made = {target: values}
-    parts = {target: coverage}
+    parts = {target: (coverage > 0).astype(np.float32) if blend == "replace" else coverage}
     if blend == "over" and target != ALPHA.name and ALPHA.name in stored:
         # Over what is translucent itself, paint counts for more of the colour (Porter & Duff 1984).
         there = decode(stored[ALPHA.name].values[cells], "data")[:, 0]

@@ -15,7 +15,7 @@ from octex.conversion.fill import assemble, fill
 from octex.painting.averages import add_up_areas
 from octex.painting.cells import (
     Paint,
-    beside,
+    boundary,
     refined_values,
     skirt_of,
     skirt_on_nothing,
@@ -114,14 +114,14 @@ def _raised(
         virtual.append(none)
         absent.append(none)
         if each.codes.size and (tree.kept.cells.size or (shallowest is not None and shallowest < level)):
-            around = beside(each.codes, level)
+            around = boundary(each.codes, level)
             where = locate(tree, around, level)
             flags = tree.arrays.flags[where.cells]
             is_refined = (where.levels < level) & (where.is_leaf | (flags & KEPT != 0))
             is_skirt = (where.levels == level) & where.is_leaf & (tree.arrays.areas[where.cells] == _SKIRT)
             virtual[-1] = around[is_refined | is_skirt]
             is_absent = (where.levels < level - 1) & ~where.is_leaf & (flags & KEPT == 0)
-            absent[-1] = around[is_absent & among(around, beside(below[-1], level))]
+            absent[-1] = around[is_absent & among(around, boundary(below[-1], level))]
             is_below = is_refined & where.is_leaf
             tops += _above(around[is_below], where.of(is_below), level)
     if not tops and not any(codes.size for codes in (*added, *virtual)):
