@@ -16,6 +16,7 @@ from octex.painting.balance import balanced
 from octex.painting.cells import boundary, paint_of
 from octex.painting.merge import blended
 from octex.painting.pictures import BLENDS
+from octex.parallel import threads
 from octex.texture import OctreeTexture
 from octex.tree.layout import KEPT, SPLIT
 from tests.conftest import needs_jit
@@ -429,12 +430,14 @@ def test_pictures_that_do_not_overlap_keep_their_gains() -> None:
 
     form = octex.convert(surface, 2).channels["base_color"].format
     shots = []
-    for x in (0.0, 5.0):
-        pose = np.eye(4)
-        pose[:3, 3] = x, 0, 3
-        camera = octex.Camera.pinhole((64, 64), pose=pose, convention="opengl", focal=180.0)
-        picture = octex.Projection(one_color(camera, (0.2 + 0.1 * x, 0.5, 0.5)), camera)
-        shots.append(take_shot(picture, form, surface.vertices, surface.triangles, 0.0, 1.0))
+    with threads(1) as pool:
+        for x in (0.0, 5.0):
+            pose = np.eye(4)
+            pose[:3, 3] = x, 0, 3
+            camera = octex.Camera.pinhole((64, 64), pose=pose, convention="opengl", focal=180.0)
+            picture = octex.Projection(one_color(camera, (0.2 + 0.1 * x, 0.5, 0.5)), camera)
+            mesh = surface.vertices, surface.triangles
+            shots.append(take_shot(picture, form, *mesh, 0.0, 1.0, pool))
     stretches = stretches_of(surface.vertices, surface.rest, surface.triangles)
     source = Projected(shots, form, terms_of(75, 0, False), surface.vertices, surface.triangles, stretches)
     np.testing.assert_allclose(balanced(source, surface), np.ones((2, 3)), atol=1e-6)

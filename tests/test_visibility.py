@@ -11,6 +11,7 @@ import pytest
 from octex.channels import BASE_COLOR
 from octex.painting.pictures import Projection
 from octex.painting.projected import Projected, stretches_of, take_shot, terms_of
+from octex.parallel import threads
 from octex.source.surface import Surface
 from octex.view.camera import Camera
 from octex.view.visibility import distances_to_edges, look, straight, view_of
@@ -21,14 +22,10 @@ Array = npt.NDArray[Any]
 
 def seen(surface: Surface, camera: Camera, triangles: Array, barycentric: Array, **terms: Any) -> Array:
     """Coverage of points under a white picture."""
-    shot = take_shot(
-        Projection(one_color(camera, (1, 1, 1)), camera),
-        BASE_COLOR,
-        surface.vertices,
-        surface.triangles,
-        terms.get("feather", 0.0),
-        1.0,
-    )
+    white = Projection(one_color(camera, (1, 1, 1)), camera)
+    with threads(1) as pool:
+        feather = terms.get("feather", 0.0)
+        shot = take_shot(white, BASE_COLOR, surface.vertices, surface.triangles, feather, 1.0, pool)
     source = Projected(
         [shot],
         BASE_COLOR,

@@ -196,6 +196,8 @@ def adapted(
     further up. Leaves as deep as wanted stay, whatever their error. What the last tests split
     has means, unfitted.
     """
+    if max_error is None and (wanted is None or wanted.min(initial=tree.max_depth) == tree.max_depth):
+        return tree, dict(channels), dict(fit(tree, channels) if fit else channels)
     finest = Finest.of(tree)
     limits = limits_of(finest, wanted)
     if max_error is None or samples is None:

@@ -110,13 +110,10 @@ def convert(
         fitting = None
         if samples is not None and fit:
             fitting = partial(fitted, samples=samples, placement=placement, executor=pool, progress=report)
-        if most is not None or deepest is not None:
-            tree, means, values = adapted(
-                tree, values, samples,
-                max_error=most, wanted=deepest, fit=fitting, executor=pool, progress=report,
-            )  # fmt: skip
-        elif fitting is not None:
-            means, values = values, fitting(tree, values)
+        tree, means, values = adapted(
+            tree, values, samples,
+            max_error=most, wanted=deepest, fit=fitting, executor=pool, progress=report,
+        )  # fmt: skip
         if fitting is not None:
             tree, values = separated(tree, means, values)
     options = {

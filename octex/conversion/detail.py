@@ -12,6 +12,7 @@ import numpy.typing as npt
 from octex.checks import as_choice
 from octex.conversion.pieces import Pieces
 from octex.errors import ArgumentError, ModelError
+from octex.jit import kernel
 from octex.source.base import Source
 from octex.source.surface import Surface
 
@@ -69,11 +70,20 @@ def wanted_levels(detail: DetailFunction | str, surface: Surface, depth: int) ->
 def deepest_wanted(wanted: Wanted, pieces: Pieces, widths: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
     """Return the whole level (cells,) that the middles of the pieces in each cell want to go to."""
     levels = wanted(pieces.triangles, pieces.barycentric, widths)
-    levels = np.maximum(np.ceil(levels - _SLACK), 0.0).astype(np.uint8)
-    cells = np.repeat(np.arange(pieces.codes.size), np.bitwise_count(pieces.flags))
-    deepest = np.zeros(pieces.codes.size, np.uint8)
-    np.maximum.at(deepest, cells[pieces.entries], levels)
+    counts = np.bitwise_count(pieces.flags).astype(np.int64)
+    of_entries = np.zeros(counts.sum(), np.uint8)
+    _deepen(pieces.entries, levels, of_entries)
+    deepest: npt.NDArray[np.uint8] = np.maximum.reduceat(of_entries, np.cumsum(counts) - counts)
     return deepest
+
+
+@kernel
+def _deepen(
+    entries: npt.NDArray[np.int32], levels: npt.NDArray[np.float64], deepest: npt.NDArray[np.uint8]
+) -> None:
+    for n in range(entries.size):
+        level = max(int(np.ceil(levels[n] - _SLACK)), 0)
+        deepest[entries[n]] = np.uint8(max(level, int(deepest[entries[n]])))
 
 
 def _by_function(

@@ -41,6 +41,8 @@ CELL_MEMORY, VALUE_MEMORY = 18, 2
 SAMPLE_MEMORY, SAMPLE_VALUE_MEMORY = 28, 2
 #: Bound of the pieces in one task: enough to hide what a task costs, few enough to stay in the cache.
 TASK_PIECES = 400_000
+#: Little work is cut into so many tasks, of no fewer pieces than this.
+_TASKS, _LEAST_PIECES = 8, 20_000
 
 
 class Stored(NamedTuple):
@@ -164,9 +166,10 @@ class Run(NamedTuple):
 
 
 def _even_runs(bounds: npt.NDArray[np.int64]) -> list[Run]:
-    """Cut blocks into runs of about TASK_PIECES, by the bounds of their pieces."""
+    """Cut blocks into runs of about TASK_PIECES or less, by the bounds of their pieces."""
     totals = np.cumsum(bounds)
-    ends = np.searchsorted(totals, np.arange(TASK_PIECES, totals[-1], TASK_PIECES)) + 1
+    size = min(max(int(totals[-1]) // _TASKS, _LEAST_PIECES), TASK_PIECES)
+    ends = np.searchsorted(totals, np.arange(size, totals[-1], size)) + 1
     ends = np.unique(np.append(ends, len(totals)))
     starts = np.append(0, ends[:-1])
     most = np.add.reduceat(bounds, starts)

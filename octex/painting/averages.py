@@ -8,52 +8,32 @@ is: so averages stay those of the source where nothing changed, and become those
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import ChannelFormat, decode
-from octex.tree.edit import children_of, first_children, locate, nodes_by_level
+from octex.channels import ALPHA, ChannelFormat, decode
+from octex.jit import kernel
+from octex.texture import OctreeTexture
+from octex.texture.channel import Channel
+from octex.tree.edit import Located, children_of, first_children, locate, nodes_by_level
 from octex.tree.layout import AREA_ONE, AREA_STEPS
 from octex.tree.octree import Octree, distinct
 
 Int64s = npt.NDArray[np.int64]
 Float32s = npt.NDArray[np.float32]
 Float64s = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
 
 #: Areas in cell faces by their codes; contacts weigh next to nothing.
 _AREAS = 2.0 ** ((np.arange(256) - AREA_ONE) / AREA_STEPS)
 _AREAS[0] = 2.0**-30
 
 
-def residuals(
-    tree: Octree, values: npt.NDArray[Any], form: ChannelFormat, coverage: npt.NDArray[Any] | None = None
-) -> Float32s:
-    """Return what each node's value differs by from the mean of its children's values; zeros for leaves.
-
-    values (cells, components) as stored; children weigh by area, and by ``coverage`` (cells,) in 0 … 1
-    """
-    found = np.zeros(values.shape, np.float32)
-    first = tree.arrays.level_cells
-    own = decode(values, form.space).astype(np.float64)
-    shares = _AREAS[tree.arrays.areas]
-    if coverage is not None:
-        shares = shares * np.maximum(coverage, 1e-9)
-    for level, (_, is_node) in enumerate(tree.walk()):
-        nodes = np.flatnonzero(is_node) + int(first[level])
-        if nodes.size and level < tree.max_depth:
-            starts = first_children(tree, level)
-            below = slice(int(first[level + 1]), int(first[level + 2]))
-            part = shares[below, None]
-            sums = np.add.reduceat(np.hstack([own[below] * part, part]), starts - first[level + 1], axis=0)
-            found[nodes] = own[nodes] - sums[:, :-1] / sums[:, -1:]
-    return found
-
-
 def add_up_areas(
     tree: Octree,
-    is_new: npt.NDArray[np.bool_],
+    is_new: Bools,
     areas: npt.NDArray[np.uint8],
 ) -> None:
     """Give nodes above new cells the areas of all their children, in place."""
@@ -73,6 +53,14 @@ def add_up_areas(
         areas[nodes] = np.where(sums > 0, np.clip(coded, 1, 255), 0)
 
 
+class Updated(NamedTuple):
+    """The nodes above paint, from the deepest level up."""
+
+    nodes: Int64s  # (n,)   cells of the texture's tree
+    values: Float64s  # (n, components)   their new averages, decoded
+    sources: Int64s  # (n,)   the deepest cells of the paint octree that hold them
+
+
 def updated_averages(
     tree: Octree,
     before: npt.NDArray[Any],
@@ -81,49 +69,92 @@ def updated_averages(
     painted: Int64s,
     coverage: Float32s,
     codes: Sequence[Int64s],
-    paint_residuals: Float32s,
-    has_average: npt.NDArray[np.bool_],
-) -> tuple[Int64s, Float64s]:
-    """Return the nodes above painted leaves, and their new values, decoded.
+    layer: OctreeTexture,
+    paint: Channel | None,
+    has_average: Bools,
+) -> Updated:
+    """Find the nodes above painted leaves, and their new values.
 
     before, after     (cells, components), as stored: before and after leaves were painted
     painted, coverage leaves, ascending, and 0 … 1 how much of each
     codes             the Morton codes of these leaves, level by level
-    paint_residuals   (cells, components) of the paint's own nodes, in this tree; zeros elsewhere
+    layer, paint      the paint octree, and its channel whose residuals count; None: none do
     has_average       (cells,) nodes whose value before was an average; of others it is made anew
     """
+    opacity = decode(layer.channels[ALPHA.name].values, "data")[:, 0]
     part = np.zeros(tree.n_cells, np.float32)
     part[painted] = coverage
-    cells, values = [np.empty(0, np.int64)], [np.empty((0, after.shape[1]))]
-    below = np.empty(0, np.int64)  # nodes of the level below, as codes
+    none = np.empty(0, np.int64)
+    found = [Updated(none, np.empty((0, after.shape[1])), none)]
+    below = none  # nodes of the level below, as codes
     for level in range(tree.max_depth - 1, -1, -1):
-        leaves = codes[level + 1] if level + 1 < len(codes) else np.empty(0, np.int64)
+        leaves = codes[level + 1] if level + 1 < len(codes) else none
         above = distinct(np.concatenate([below, leaves]) >> 3)
         if not above.size:
             continue
         where = locate(tree, above, level)
         nodes = where.cells
-        firsts, counts = children_of(tree, where.nodes)
-        at = np.cumsum(counts) - counts
-        children = np.repeat(firsts - at, counts) + np.arange(counts.sum())
+        children, counts = _below(tree, where.nodes)
         shares = _AREAS[tree.arrays.areas[children]]
-        new, old = (
-            decode(after[children], form.space).astype(np.float64),
-            decode(before[children], form.space),
-        )
-        known = np.minimum(np.searchsorted(cells[-1], children), max(cells[-1].size - 1, 0))
-        if cells[-1].size:  # more precise than what is stored
-            hit = cells[-1][known] == children
-            new[hit] = values[-1][known[hit]]
-        totals = np.add.reduceat(shares, at)
-        mean = np.add.reduceat(new * shares[:, None], at, axis=0) / totals[:, None]
-        old_mean = np.add.reduceat(old * shares[:, None], at, axis=0) / totals[:, None]
-        covered = np.add.reduceat(shares * part[children], at) / totals
-        residual = decode(before[nodes], form.space) - old_mean
+        old = decode(before[children], form.space)
+        new = decode(after[children], form.space).astype(np.float64)
+        _replace(children, *found[-1][:2], new)  # more precise than what is stored
+        covered = _means(counts, shares, part[children, None])[:, 0]
+        residual = decode(before[nodes], form.space) - _means(counts, shares, old)
         residual[~has_average[nodes]] = 0.0
-        mean += residual * (1.0 - covered[:, None]) + paint_residuals[nodes] * covered[:, None]
+        mean = _means(counts, shares, new) + residual * (1.0 - covered[:, None])
+        sources = locate(layer.tree, above, level)
+        if paint is not None:
+            own = (sources.levels == level) & ~sources.is_leaf
+            mean[own] += _residuals(layer.tree, sources.of(own), paint, opacity) * covered[own, None]
         part[nodes] = covered
         below = above
-        cells.append(nodes)
-        values.append(mean)
-    return np.concatenate(cells), np.concatenate(values)
+        found.append(Updated(nodes, mean, sources.cells))
+    return Updated(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
+
+
+def _residuals(tree: Octree, where: Located, channel: Channel, opacity: Float32s) -> Float64s:
+    """Return what the values of nodes differ by from the means of their children, as opaque as they are."""
+    children, counts = _below(tree, where.nodes)
+    shares = _AREAS[tree.arrays.areas[children]] * np.maximum(opacity[children], 1e-9)
+    space = channel.format.space
+    of_children = _means(counts, shares, decode(channel.values[children], space))
+    residuals: Float64s = decode(channel.values[where.cells], space) - of_children
+    return residuals
+
+
+def _below(tree: Octree, nodes: Int64s) -> tuple[Int64s, Int64s]:
+    """Return the children of nodes, given by their numbers among nodes, and how many each has."""
+    firsts, counts = children_of(tree, nodes)
+    starts = np.cumsum(counts) - counts
+    return np.repeat(firsts - starts, counts) + np.arange(counts.sum()), counts
+
+
+@kernel
+def _means(counts: Int64s, shares: Float64s, values: npt.NDArray[Any]) -> Float64s:
+    """Average runs of rows, by their shares."""
+    components = values.shape[1]
+    means = np.zeros((counts.size, components))
+    row = 0
+    for n in range(counts.size):
+        total = 0.0
+        for child in range(row, row + counts[n]):
+            total += shares[child]
+            for k in range(components):
+                means[n, k] += shares[child] * np.float64(values[child, k])
+        for k in range(components):
+            means[n, k] /= total
+        row += counts[n]
+    return means
+
+
+@kernel
+def _replace(cells: Int64s, known: Int64s, values: Float64s, found: Float64s) -> None:
+    """Put the values of known cells among those of cells; both ascend."""
+    at = 0
+    for n in range(cells.size):
+        while at < known.size and known[at] < cells[n]:
+            at += 1
+        if at < known.size and known[at] == cells[n]:
+            for k in range(found.shape[1]):
+                found[n, k] = values[at, k]

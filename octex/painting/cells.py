@@ -44,10 +44,9 @@ def paint_of(layer: OctreeTexture, opacity: float) -> tuple[ChannelFormat, list[
 
     Raises ArgumentError for a texture that is no layer.
     """
-    names = [name for name in layer.channels if name != ALPHA.name]
-    if len(names) != 1 or ALPHA.name not in layer.channels:
+    if len(layer.channels) != 2 or ALPHA.name not in layer.channels:
         raise ArgumentError("a layer has one channel, and alpha: what paint covers")
-    values, coverage = layer.channels[names[0]], layer.channels[ALPHA.name]
+    values, coverage = layer.channels[painted_channel(layer)], layer.channels[ALPHA.name]
     facings = _painted_facings(layer)
     found = []
     for level, (codes, is_node) in enumerate(layer.tree.walk()):
@@ -68,6 +67,11 @@ def paint_of(layer: OctreeTexture, opacity: float) -> tuple[ChannelFormat, list[
     return values.format, found
 
 
+def painted_channel(layer: OctreeTexture) -> str:
+    """Return the name of the channel that a layer paints."""
+    return next(name for name in layer.channels if name != ALPHA.name)
+
+
 def _painted_facings(layer: OctreeTexture) -> npt.NDArray[np.uint8]:
     """Return the facings of a layer's cells (cells,) that have paint: all, but in split cells."""
     split = layer.tree.split
@@ -86,7 +90,7 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
     The paper does so where paint is translucent. Here opaque paint goes down too: a texture of even depth is
     looked up four times as fast as one of many.
     """
-    name = next(name for name in layer.channels if name != ALPHA.name)
+    name = painted_channel(layer)
     found = list(paint)
     if all(locate(tree, each.codes, level).is_leaf.all() for level, each in enumerate(paint)):
         return found

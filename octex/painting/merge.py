@@ -8,14 +8,14 @@ from concurrent.futures import Executor
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import ALPHA, ONE, ChannelFormat, decode, encode
+from octex.channels import ALPHA, ONE, decode, encode
 from octex.checks import as_choice, as_number
 from octex.conversion.facings import MOST, in_codes
 from octex.errors import ArgumentError
-from octex.painting.averages import residuals, updated_averages
-from octex.painting.cells import Paint, paint_of, refine_paint
+from octex.painting.averages import updated_averages
+from octex.painting.cells import Paint, paint_of, painted_channel, refine_paint
 from octex.painting.pictures import BLENDS, Blend
-from octex.painting.raising import raise_texture, sources_of
+from octex.painting.raising import raise_texture
 from octex.parallel import Progress, silent, workers
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
@@ -143,7 +143,6 @@ def _blended(
     elif ALPHA.name in stored and target != ALPHA.name and is_fresh.any():
         made[ALPHA.name], parts[ALPHA.name] = np.ones((len(cells), 1), np.float32), np.zeros_like(coverage)
     channels = dict(stored)
-    nodes = np.empty(0, np.int64)
     for name, paints in made.items():
         form = stored[name].format
         mode: Blend = "over" if name == ALPHA.name and blend != "erase" else blend
@@ -153,17 +152,19 @@ def _blended(
         new[fresh] = paints[fresh] if name == target else coverage[fresh, None]
         after = stored[name].values.copy()
         after[cells] = encode(new, form.dtype, form.space)
-        of_paint = _paint_residuals(tree, layer, form, name == target and blend in ("over", "replace"))
         part = parts[name].copy()
         part[fresh] = 1
         codes = [each.codes for each in paint]
-        nodes, means = updated_averages(
-            tree, stored[name].values, after, form, cells, part, codes, of_paint, ~is_fresh
-        )
-        after[nodes] = encode(means, form.dtype, form.space)
+        counts = name == target and blend in ("over", "replace")
+        above = updated_averages(
+            tree, stored[name].values, after, form, cells, part, codes, layer,
+            layer.channels[painted_channel(layer)] if counts else None, ~is_fresh,
+        )  # fmt: skip
+        after[above.nodes] = encode(above.values, form.dtype, form.space)
         channels[name] = stored[name]._replace(values=after)
     made_of = OctreeTexture(tree, channels, base.placement, base.bounds, base.metadata)
-    return _facing(made_of, base, is_fresh, cells, sources, nodes, layer, target, blend, opacity)
+    cells, sources = np.concatenate([cells, above.nodes]), np.concatenate([sources, above.sources])
+    return _facing(made_of, base, is_fresh, cells, sources, layer, target, blend, opacity)
 
 
 def _in_tree(tree: Octree, paint: Paint, level: int) -> tuple[Int64s, Float32s, Float32s, Int64s]:
@@ -171,43 +172,22 @@ def _in_tree(tree: Octree, paint: Paint, level: int) -> tuple[Int64s, Float32s, 
     return locate(tree, paint.codes, level).cells, paint.values, paint.coverage, paint.cells
 
 
-def _paint_residuals(tree: Octree, layer: OctreeTexture, form: ChannelFormat, counts: bool) -> Float32s:
-    """Return the residuals of the paint's averages, by cells of a tree; zeros if they do not count."""
-    found = np.zeros((tree.n_cells, form.components), np.float32)
-    if not counts:
-        return found
-    channel = next(each for name, each in layer.channels.items() if name != ALPHA.name)
-    coverage = decode(layer.channels[ALPHA.name].values, "data")[:, 0]
-    own = residuals(layer.tree, channel.values, channel.format, coverage)
-    for level, (codes, is_node) in enumerate(layer.tree.walk()):
-        if level > tree.max_depth:
-            break
-        nodes = np.flatnonzero(is_node)
-        where = locate(tree, codes[nodes], level)
-        hit = where.levels == level
-        found[where.cells[hit]] = own[nodes[hit] + int(layer.tree.arrays.level_cells[level])]
-    return found
-
-
 def _facing(
     texture: OctreeTexture,
     before: OctreeTexture,
     is_fresh: npt.NDArray[np.bool_],
-    leaves: Int64s,
+    cells: Int64s,
     sources: Int64s,
-    nodes: Int64s,
     layer: OctreeTexture,
     target: str,
     blend: Blend,
     opacity: float,
 ) -> OctreeTexture:
-    """Paint what cells show each way, where the paint or the cells tell facings apart."""
+    """Paint what cells show each way, where the paint, of ``sources``, or the cells tell facings apart."""
     tree = texture.tree
     if not (tree.split.cells.size or layer.tree.split.cells.size):
         return texture
     flags, paint_flags = tree.arrays.flags, layer.tree.arrays.flags
-    node_sources = sources_of(tree, nodes, layer.tree)
-    cells, sources = np.concatenate([leaves, nodes]), np.concatenate([sources, node_sources])
     chosen = ((flags[cells] | paint_flags[sources]) & SPLIT != 0) & (flags[cells] & FACING_FLAGS != 0)
     cells, sources = cells[chosen], sources[chosen]
     if not cells.size:
@@ -217,8 +197,7 @@ def _facing(
     facings = flags[cells] & np.uint8(FACING_FLAGS)
     owners = np.repeat(np.arange(cells.size), np.bitwise_count(facings))
     bits = bits_of(facings)
-    name = next(each for each in layer.channels if each != ALPHA.name)
-    paint = rows_facing(layer, layer.channels[name], sources[owners], bits)
+    paint = rows_facing(layer, layer.channels[painted_channel(layer)], sources[owners], bits)
     coverage = rows_facing(layer, layer.channels[ALPHA.name], sources[owners], bits)[:, 0]
     coverage = coverage * np.float32(opacity)
     coverage[paint_flags[sources[owners]] & bits == 0] = 0

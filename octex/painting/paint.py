@@ -113,23 +113,24 @@ def project(
     deepest = _DEEPEST if max_depth is None else as_depth(max_depth, "max_depth")
     terms = terms_of(max_angle, edge_feather, back_faces)
     largest = max(projection.opacity for projection in given) or 1.0
-    shots = []
-    for number, projection in enumerate(given):
-        report("look", number, len(given))
-        scale = projection.opacity / largest
-        shots.append(take_shot(projection, form, surface.vertices, surface.triangles, edge_feather, scale))
-    report("look", len(given), len(given))
-    stretches = stretches_of(surface.vertices, surface.rest, surface.triangles)
-    source = Projected(shots, form, terms, surface.vertices, surface.triangles, stretches)
-    extent = float(np.ptp(surface.bounds, axis=0).max())
-    size = like.placement.size if like is not None else extent
-    depth = min(wanted_depth(source, size), deepest)
-    placement = Placement.around(surface.bounds, depth) if like is None else like.placement
-    if like is not None:
-        check_inside(surface, placement)
-    if balance and len(shots) > 1:
-        source = source.with_gains(balanced(source, surface))
     with workers(executor) as pool:
+        shots = []
+        for number, projection in enumerate(given):
+            report("look", number, len(given))
+            scale = projection.opacity / largest
+            mesh = surface.vertices, surface.triangles
+            shots.append(take_shot(projection, form, *mesh, edge_feather, scale, pool))
+        report("look", len(given), len(given))
+        stretches = stretches_of(surface.vertices, surface.rest, surface.triangles)
+        source = Projected(shots, form, terms, surface.vertices, surface.triangles, stretches)
+        extent = float(np.ptp(surface.bounds, axis=0).max())
+        size = like.placement.size if like is not None else extent
+        depth = min(wanted_depth(source, size), deepest)
+        placement = Placement.around(surface.bounds, depth) if like is None else like.placement
+        if like is not None:
+            check_inside(surface, placement)
+        if balance and len(shots) > 1:
+            source = source.with_gains(balanced(source, surface))
         return rasterize_paint(surface, source, placement, depth, fit=fit, executor=pool, progress=report)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
@@ -68,19 +69,20 @@ def take_shot(
     triangles: Int32s,
     feather: float,
     scale: float,
+    executor: Executor,
 ) -> Shot:
     """Decode a picture, its alpha times ``scale``, and find what its camera sees.
 
     Raises as `levels_of` does.
     """
-    levels = levels_of(projection, form, scale)
+    levels = executor.submit(levels_of, projection, form, scale)
     camera = projection.camera
     pinhole = straight(camera)
-    seen, centres = look(vertices, triangles, pinhole)
+    seen, centres = look(vertices, triangles, pinhole, executor)
     view = view_of(pinhole)
     margins = distances_to_edges(seen, view, max(feather, _TRUSTED) + 1.0)
     lens = np.concatenate([camera.K.ravel(), camera.distortion, [camera.reach]])
-    return Shot(view, lens, levels, seen, margins, centres)
+    return Shot(view, lens, levels.result(), seen, margins, centres)
 
 
 def terms_of(max_angle: float, feather: float, back_faces: bool) -> Terms:

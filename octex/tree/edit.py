@@ -13,9 +13,8 @@ import numpy.typing as npt
 
 from octex.jit import kernel, popcount
 from octex.tree.layout import FACING_FLAGS, KEPT, MAX_DEPTH, KeptTable, SplitTable, TreeArrays
-from octex.tree.morton import decode
 from octex.tree.octree import Octree, distinct
-from octex.tree.search import descend
+from octex.tree.search import child
 
 Int64s = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
@@ -65,10 +64,22 @@ def locate(tree: Octree, codes: Int64s, level: int) -> Located:
 def _locate(
     arrays: TreeArrays, codes: Int64s, level: int, cells: Int64s, levels: Int64s, nodes: Int64s
 ) -> None:
-    shift = MAX_DEPTH - level
+    deepest = min(level, arrays.level_cells.size - 2)
+    path = np.zeros((MAX_DEPTH + 1, 2), np.int64)  # cell and node at each level on the way to the code before
+    path[0, 1] = 0 if arrays.groups.shape[0] > 0 else -1
+    reached, previous = 0, np.int64(0)
     for n in range(codes.size):
-        i, j, k = decode(codes[n])
-        cells[n], levels[n], nodes[n] = descend(arrays, i << shift, j << shift, k << shift, level)
+        code = codes[n]
+        while (code ^ previous) >> (3 * (level - reached)) != 0:
+            reached -= 1
+        previous = code
+        while path[reached, 1] >= 0 and reached < deepest:
+            cell, node = child(arrays, path[reached, 1], code >> (3 * (level - 1 - reached)) & 7)
+            if cell < 0:
+                break
+            reached += 1
+            path[reached, 0], path[reached, 1] = cell, node
+        cells[n], levels[n], nodes[n] = path[reached, 0], reached, path[reached, 1]
 
 
 def unchanged(tree: Octree) -> Edited:

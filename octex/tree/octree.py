@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from octex.checks import as_depth
 from octex.errors import ArgumentError
-from octex.jit import kernel, popcount
+from octex.jit import kernel, popcount, trailing_zeros
 from octex.tree.layout import KEPT, MAX_CELLS, MAX_DEPTH, KeptTable, SplitTable, TreeArrays
 from octex.tree.validate import check_layout, check_meaning
 
@@ -341,11 +341,12 @@ def _children(
     is_node = np.zeros(n_children, np.bool_)
     n = 0
     for node in range(first, min(end, first + codes.size)):
-        g = node >> 3
-        for octant in range(8):
-            bit = np.uint64(1) << np.uint64(8 * (node & 7) + octant)
-            if n < n_children and (groups[g, 0] | groups[g, 1]) & bit:
-                child_codes[n] = codes[node - first] << 3 | octant
-                is_node[n] = (groups[g, 0] & bit) != 0
-                n += 1
+        g, shift = node >> 3, np.uint64(8 * (node & 7))
+        left = (groups[g, 0] | groups[g, 1]) >> shift & np.uint64(0xFF)
+        while left != np.uint64(0) and n < n_children:
+            octant = trailing_zeros(left)
+            left &= left - np.uint64(1)
+            child_codes[n] = codes[node - first] << 3 | octant
+            is_node[n] = groups[g, 0] >> (shift + np.uint64(octant)) & np.uint64(1) != 0
+            n += 1
     return child_codes, is_node

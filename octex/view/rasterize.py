@@ -7,6 +7,9 @@ pixel: the edge functions of triangles up to 4096 pixels across are then exact i
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
+from functools import partial
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +18,7 @@ import numpy.typing as npt
 from octex.checks import as_points
 from octex.errors import ArgumentError
 from octex.jit import kernel
+from octex.parallel import cpu_count, ordered_map
 from octex.view.camera import Camera
 
 Floats = npt.NDArray[np.float64]
@@ -27,6 +31,9 @@ _SUBPIXELS = 2.0**14
 _FAR = 2.0**20
 #: Depths that differ by less than this part of the largest are the same: the rounding of interpolation.
 _SAME_DEPTH = 1e-12
+#: Where a vertex is, bit by bit: left of, right of, above and below the picture, and behind the camera. A
+#: triangle whose vertices share a bit is not seen.
+_LEFT, _RIGHT, _ABOVE, _BELOW, _BEHIND = 1, 2, 4, 8, 16
 
 
 class Buffers(NamedTuple):
@@ -39,12 +46,15 @@ class Buffers(NamedTuple):
     depth: Floats  # (height, width)      along the camera's axis; inf where there is none
 
 
-def rasterize(positions: npt.ArrayLike, triangles: npt.ArrayLike, camera: Camera) -> Buffers:
+def rasterize(
+    positions: npt.ArrayLike, triangles: npt.ArrayLike, camera: Camera, executor: Executor | None = None
+) -> Buffers:
     """Find the triangle seen at the centre of every pixel.
 
     positions    (n, 3), in the world
     triangles    (m, 3) numbers of positions; either side is seen; those without area are not
     camera       for several samples a pixel, ``camera.scaled``
+    executor     spreads the work over bands of rows; it does not change the result
 
     A centre on the edge between two triangles belongs to exactly one of them (the top-left rule), whether
     they share the edge's vertices or only positions. Of triangles at the same depth the first is seen. What
@@ -62,22 +72,46 @@ def rasterize(positions: npt.ArrayLike, triangles: npt.ArrayLike, camera: Camera
         )
     if corners.size and not (corners.min() >= 0 and corners.max() < len(positions)):
         raise ArgumentError(f"triangles must number vertices from 0 to {len(positions) - 1}")
-    shape = camera.height, camera.width
-    buffers = Buffers(np.full(shape, -1, np.int32), np.zeros((*shape, 3), np.float32), np.full(shape, np.inf))
-    screen, snapped = _to_screen(positions, camera.matrix)
+    screen, snapped, outside = _to_screen(positions, camera.matrix, camera.width, camera.height)
     same = _SAME_DEPTH * float(np.abs(screen[:, 3]).max(initial=0.0))
-    _draw(screen, snapped, np.ascontiguousarray(corners, np.int32), same, *buffers)
+    draw = partial(
+        _band, screen, snapped, outside, np.ascontiguousarray(corners, np.int32), same, camera.width
+    )
+    if executor is None:
+        return draw((0, camera.height))
+    bands = min(cpu_count(), camera.height)
+    ends = [camera.height * band // bands for band in range(bands + 1)]
+    drawn = list(ordered_map(executor, draw, list(pairwise(ends))))
+    return Buffers(*(np.concatenate(arrays) for arrays in zip(*drawn, strict=True)))
+
+
+def _band(
+    screen: Floats,
+    snapped: Flags,
+    outside: npt.NDArray[np.uint8],
+    triangles: npt.NDArray[np.int32],
+    same_depth: float,
+    width: int,
+    rows: tuple[int, int],
+) -> Buffers:
+    """Return what the pixels of some rows see."""
+    shape = rows[1] - rows[0], width
+    buffers = Buffers(np.full(shape, -1, np.int32), np.zeros((*shape, 3), np.float32), np.full(shape, np.inf))
+    _draw(screen, snapped, outside, triangles, same_depth, rows[0], *buffers)
     return buffers
 
 
 @kernel
-def _to_screen(positions: Floats, matrix: Floats) -> tuple[Floats, Flags]:
-    """Return rows (x, y, w, depth) of the vertices, and whether x and y are snapped pixel coordinates.
+def _to_screen(
+    positions: Floats, matrix: Floats, width: int, height: int
+) -> tuple[Floats, Flags, npt.NDArray[np.uint8]]:
+    """Return rows (x, y, w, depth) of the vertices, whether x and y are snapped pixel coordinates, and where.
 
     Other vertices, behind the camera or far outside the picture, have pixel coordinates times w.
     """
     screen = np.empty((len(positions), 4))
     snapped = np.zeros(len(positions), np.bool_)
+    outside = np.zeros(len(positions), np.uint8)
     for n in range(len(positions)):
         for row in range(4):
             # Not a matrix product: vertices at one position must land on the same bits.
@@ -88,11 +122,18 @@ def _to_screen(positions: Floats, matrix: Floats) -> tuple[Floats, Flags]:
                 + matrix[row, 3]
             )
         x, y, w = screen[n, 0], screen[n, 1], screen[n, 2]
+        outside[n] = (
+            (_LEFT if x < 0.0 else 0)
+            | (_RIGHT if x > width * w else 0)
+            | (_ABOVE if y < 0.0 else 0)
+            | (_BELOW if y > height * w else 0)
+            | (0 if w > 0.0 else _BEHIND)
+        )
         if w > 0.0 and abs(x) <= _FAR * w and abs(y) <= _FAR * w:
             screen[n, 0] = np.floor(x / w * _SUBPIXELS + 0.5) / _SUBPIXELS
             screen[n, 1] = np.floor(y / w * _SUBPIXELS + 0.5) / _SUBPIXELS
             snapped[n] = True
-    return screen, snapped
+    return screen, snapped, outside
 
 
 @kernel
@@ -148,22 +189,17 @@ def _pixel_range(
     snapped: Flags,
     corners: tuple[Index, Index, Index],
     axis: int,
-    pixels: int,
+    first: int,
+    end: int,
 ) -> tuple[int, int]:
     """Return the first and one past the last pixel, along an axis, whose centres the triangle can cover."""
     a, b, c = corners
-    if snapped[a] and snapped[b] and snapped[c]:
-        low = min(screen[a, axis], screen[b, axis], screen[c, axis])
-        high = max(screen[a, axis], screen[b, axis], screen[c, axis])
-        # Snapped positions are within ±2²⁰, so they fit an integer.
-        return max(int(np.ceil(low - 0.5)), 0), min(int(np.floor(high - 0.5)) + 1, pixels)
-    # What holds for the homogeneous vertices holds wherever the triangle is in front of the camera.
-    before, beyond = True, True
-    for vertex in corners:
-        point = _homogeneous(screen, snapped, vertex)
-        before &= point[axis] < 0.0
-        beyond &= point[axis] > pixels * point[2]
-    return 0, 0 if before or beyond else pixels
+    if not (snapped[a] and snapped[b] and snapped[c]):
+        return first, end
+    low = min(screen[a, axis], screen[b, axis], screen[c, axis])
+    high = max(screen[a, axis], screen[b, axis], screen[c, axis])
+    # Snapped positions are within ±2²⁰, so they fit an integer.
+    return max(int(np.ceil(low - 0.5)), first), min(int(np.floor(high - 0.5)) + 1, end)
 
 
 @kernel
@@ -176,8 +212,10 @@ def _covers(value: float, across: float, down: float) -> bool:
 def _draw(
     screen: Floats,
     snapped: Flags,
+    outside: npt.NDArray[np.uint8],
     triangles: npt.NDArray[np.int32],
     same_depth: float,
+    top: int,
     seen: npt.NDArray[np.int32],
     barycentric: npt.NDArray[np.float32],
     depths: Floats,
@@ -191,10 +229,10 @@ def _draw(
             np.int64(triangles[number, 1]),
             np.int64(triangles[number, 2]),
         )
-        if not (screen[a, 2] > 0.0 or screen[b, 2] > 0.0 or screen[c, 2] > 0.0):
+        if outside[a] & outside[b] & outside[c] != 0:
             continue
-        first_column, end_column = _pixel_range(screen, snapped, (a, b, c), 0, width)
-        first_row, end_row = _pixel_range(screen, snapped, (a, b, c), 1, height)
+        first_row, end_row = _pixel_range(screen, snapped, (a, b, c), 1, top, top + height)
+        first_column, end_column = _pixel_range(screen, snapped, (a, b, c), 0, 0, width)
         if first_column >= end_column or first_row >= end_row:
             continue
         side = _orientation(screen, snapped, a, b, c)
@@ -237,9 +275,9 @@ def _draw(
                 total = in_a + in_b + in_c
                 in_a, in_b, in_c = in_a / total, in_b / total, in_c / total
                 depth = in_a * a_depth + in_b * b_depth + in_c * c_depth
-                if 0.0 < depth < depths[row, column] - same_depth:
-                    seen[row, column] = number
-                    depths[row, column] = depth
-                    barycentric[row, column, 0] = in_a
-                    barycentric[row, column, 1] = in_b
-                    barycentric[row, column, 2] = in_c
+                if 0.0 < depth < depths[row - top, column] - same_depth:
+                    seen[row - top, column] = number
+                    depths[row - top, column] = depth
+                    barycentric[row - top, column, 0] = in_a
+                    barycentric[row - top, column, 1] = in_b
+                    barycentric[row - top, column, 2] = in_c

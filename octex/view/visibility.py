@@ -7,6 +7,7 @@ that the plane of a pixel can be read at a point beside it, and the plane of a p
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -50,13 +51,16 @@ def view_of(camera: Camera) -> View:
 
 
 def look(
-    vertices: Floats, triangles: npt.NDArray[np.int32], camera: Camera
+    vertices: Floats,
+    triangles: npt.NDArray[np.int32],
+    camera: Camera,
+    executor: Executor | None = None,
 ) -> tuple[Seen, npt.NDArray[np.float32]]:
     """Find what the pixels of a camera without distortion see of triangles (m, 3) of vertices (n, 3).
 
     Returns also where on its triangle each centre lies, (height, width, 3).
     """
-    seen, barycentric, _ = rasterize(vertices, triangles, camera)
+    seen, barycentric, _ = rasterize(vertices, triangles, camera, executor)
     planes = np.zeros((*seen.shape, 3), np.float32)
     _find_planes(vertices, triangles, view_of(camera), seen, planes)
     return Seen(seen, planes), barycentric
