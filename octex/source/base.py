@@ -31,6 +31,11 @@ class Source(ABC):
         Colours are linear light. Called from any number of threads at once.
         """
 
+    @property
+    def has_gaps(self) -> bool:
+        """Whether it may know nothing of some points: its channel ``alpha`` is 0 there."""
+        return False
+
     def texel_edges(self, triangles: npt.NDArray[np.int32]) -> npt.NDArray[np.float32]:
         """Return the edge of a texel on triangles (n,), in rest units: what lies closer varies smoothly.
 
@@ -94,6 +99,11 @@ class Combined(Source):
                 values = source.evaluate(triangles, barycentric, widths)
                 found[id(source)] = by_channel(source.channels, values)
         return np.hstack([found[id(source)][name] for name, source in self._sources.items()])
+
+    @property
+    def has_gaps(self) -> bool:
+        """Whether the source of ``alpha`` may know nothing of some points."""
+        return "alpha" in self._sources and self._sources["alpha"].has_gaps
 
     def texel_edges(self, triangles: npt.NDArray[np.int32]) -> npt.NDArray[np.float32]:
         """Return the finest of the sources' texels."""

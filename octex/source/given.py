@@ -1,4 +1,4 @@
-"""A channel that the user gives: an image for the surface's texture coordinates, or a value."""
+"""A channel that the user gives: an image for the surface's texture coordinates, a value, or else."""
 
 from __future__ import annotations
 
@@ -13,22 +13,24 @@ import numpy as np
 from octex.channels import CHANNELS, ChannelFormat
 from octex.checks import as_choice
 from octex.errors import ArgumentError, ImageError, ModelError
+from octex.source.base import Source
 from octex.source.images.decode import as_texels, decode_image
 from octex.source.materials import Input, Material, MaterialSource, Texture
+from octex.source.spatial import Placeable
 from octex.source.tangents import corner_frames
 
 if TYPE_CHECKING:
     from octex.source.surface import Surface
 
 
-def given_source(
-    surface: Surface, channel: str, given: object, filter: str
-) -> tuple[MaterialSource, dict[str, str]]:
+def given_source(surface: Surface, channel: str, given: object, filter: str) -> tuple[Source, dict[str, str]]:
     """Return a source of one channel, and what provenance says of it.
 
     Raises as ``Surface.with_sources`` does.
     """
     form = CHANNELS[as_choice(channel, CHANNELS, "channel")]
+    if isinstance(given, Placeable):
+        return given.on(surface, form, filter)
     components = tuple(range(form.components))
     provenance: dict[str, str] = {}
     texture, factor = None, (1.0,) * form.components

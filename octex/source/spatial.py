@@ -1,0 +1,100 @@
+"""Sources whose values depend on where in space a point of the surface lies, and what turns into them."""
+
+from __future__ import annotations
+
+import copy
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import ChannelFormat
+from octex.jit import kernel
+from octex.source.base import Source
+
+if TYPE_CHECKING:
+    from octex.source.surface import Surface
+
+Floats = npt.NDArray[np.float64]
+Int32s = npt.NDArray[np.int32]
+
+
+class Placeable(ABC):
+    """Something that gives a channel's values once it is laid on a surface: see ``Surface.with_sources``."""
+
+    @abstractmethod
+    def on(self, surface: Surface, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:
+        """Return a source of one channel for a surface, and what provenance says of it.
+
+        ``filter``, one of filters.FILTERS, is how images are averaged over footprints. Raises ModelError,
+        ImageError or ArgumentError for what cannot be laid on that surface.
+        """
+
+
+class SpatialSource(Source):
+    """Gives values to rest positions and face normals.
+
+    ``rest`` (n, 3) positions and ``triangles`` (m, 3) are those of the surface.
+    """
+
+    def __init__(self, channels: Sequence[ChannelFormat], rest: Floats, triangles: Int32s) -> None:
+        self._channels = tuple(channels)
+        self._rest = rest
+        self._triangles = triangles
+
+    @property
+    def channels(self) -> tuple[ChannelFormat, ...]:
+        """The channels, in the order of the values' columns."""
+        return self._channels
+
+    @abstractmethod
+    def at(self, points: Floats, normals: Floats, widths: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Return values (n, components) at rest positions (n, 3), averaged over widths in rest units.
+
+        ``normals`` (n, 3) are those of the faces at rest, of length 1; zeros on triangles without area.
+        """
+
+    def evaluate(
+        self, triangles: Int32s, barycentric: Floats, widths: npt.NDArray[np.float32]
+    ) -> npt.NDArray[np.float32]:
+        """Return values (n, components) at points of triangles, averaged over widths in rest units."""
+        points, normals = np.empty((2, len(triangles), 3))
+        _place(self._rest, self._triangles, triangles, barycentric, points, normals)
+        return self.at(points, normals, widths)
+
+    def with_rest(self, rest: Floats) -> SpatialSource:
+        """Return the same values by position, on other rest positions (n, 3)."""
+        other = copy.copy(self)
+        other._rest = rest
+        return other
+
+
+@kernel
+def _place(
+    rest: Floats,
+    faces: Int32s,
+    triangles: Int32s,
+    barycentric: Floats,
+    points: Floats,
+    normals: Floats,
+) -> None:
+    """Fill in the positions and unit normals of points of triangles."""
+    last = -1
+    x = y = z = 0.0
+    for n in range(triangles.size):
+        triangle = int(triangles[n])
+        a, b, c = faces[triangle, 0], faces[triangle, 1], faces[triangle, 2]
+        p, q, r = barycentric[n, 0], barycentric[n, 1], barycentric[n, 2]
+        for axis in range(3):
+            points[n, axis] = p * rest[a, axis] + q * rest[b, axis] + r * rest[c, axis]
+        if triangle != last:
+            last = triangle
+            ux, uy, uz = rest[b, 0] - rest[a, 0], rest[b, 1] - rest[a, 1], rest[b, 2] - rest[a, 2]
+            vx, vy, vz = rest[c, 0] - rest[a, 0], rest[c, 1] - rest[a, 1], rest[c, 2] - rest[a, 2]
+            x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+            length = np.sqrt(x * x + y * y + z * z)
+            if length > 0.0:
+                x, y, z = x / length, y / length, z / length
+        normals[n, 0], normals[n, 1], normals[n, 2] = x, y, z
