@@ -205,8 +205,8 @@ class Surface:
 
         ``sources`` gives, by the channel's name, a Source that has it; something Placeable; an image (a file,
         a Pillow image or an array, as for ``from_arrays``), read at the surface's first texture coordinates
-        with ``filter``, by default the model's; or a value, linear light for colours: a number, or one for each component.
-        Images of ``normal`` are in the tangent's frame; triangles are flat below them unless the surface has
+        with ``filter``, by default the model's; or a value, linear light for colours: a number, or one for
+        each component. Images of ``normal`` are in the tangent's frame; triangles are flat below them unless the surface has
         ``frames``, which ``load_surface`` keeps if it is given these sources. Vertex colours do not multiply
         what is given here.
 
