@@ -206,9 +206,9 @@ class Surface:
         ``sources`` gives, by the channel's name, a Source that has it; something Placeable; an image (a file,
         a Pillow image or an array, as for ``from_arrays``), read at the surface's first texture coordinates
         with ``filter``, by default the model's; or a value, linear light for colours: a number, or one for
-        each component. Images of ``normal`` are in the tangent's frame; triangles are flat below them unless the surface has
-        ``frames``, which ``load_surface`` keeps if it is given these sources. Vertex colours do not multiply
-        what is given here.
+        each component. Images of ``normal`` are in the tangent's frame; triangles are flat below them unless
+        the surface has ``frames``, which ``load_surface`` keeps if it is given these sources. Vertex colours
+        do not multiply what is given here.
 
         Raises ArgumentError for an unknown channel or another kind of value, ImageError for an image that
         cannot be used, ModelError where the surface has no texture coordinates for it.
