@@ -143,6 +143,19 @@ if DISABLED:
             row = rows[numbers[i]]
             row += weights[i] * row[3] * np.array(step, np.float32)
 
+    def squares_to_boxes(
+        bounds: Any, node: int, x: Any, y: Any, z: Any, limit: Any, squares: Any
+    ) -> np.uint64:
+        """Fill in how far (8,) the eight boxes of a node are from a point, squared; say which are in a limit.
+
+        ``bounds`` (nodes, 6, 8) has their low x, y, z and high x, y, z; the result has a bit for each box
+        that is ``limit`` far or less. All are float32, C-ordered.
+        """
+        point = np.array([x, y, z], np.float32)[:, None]
+        apart = np.maximum(np.maximum(bounds[node, :3] - point, point - bounds[node, 3:]), np.float32(0))
+        squares[:] = (apart * apart).sum(axis=0)
+        return np.uint64(sum(1 << child for child in range(8) if squares[child] <= limit))
+
 else:
 
     @intrinsic  # type: ignore[untyped-decorator]
@@ -210,6 +223,51 @@ else:
         """Put a number into all four lanes."""
         zeros = ir.Constant(ir.VectorType(ir.IntType(32), 4), [0] * 4)
         return builder.shuffle_vector(builder.insert_element(_NOTHING, value, _lane(0)), _NOTHING, zeros)
+
+    _EIGHT = ir.VectorType(ir.FloatType(), 8)
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def squares_to_boxes(
+        _context: Any, bounds: Any, _node: Any, _x: Any, _y: Any, _z: Any, _limit: Any, squares: Any
+    ) -> Any:
+        """Fill in how far (8,) the eight boxes of a node are from a point, squared; say which are in a limit.
+
+        ``bounds`` (nodes, 6, 8) has their low x, y, z and high x, y, z; the result has a bit for each box
+        that is ``limit`` far or less. All are float32, C-ordered. A third of the time of scalars.
+        """
+
+        def splat(builder: Any, value: Any) -> Any:
+            nothing = ir.Constant(_EIGHT, ir.Undefined)
+            zeros = ir.Constant(ir.VectorType(ir.IntType(32), 8), [0] * 8)
+            return builder.shuffle_vector(builder.insert_element(nothing, value, _lane(0)), nothing, zeros)
+
+        def larger(builder: Any, one: Any, other: Any) -> Any:
+            return builder.select(builder.fcmp_ordered(">", one, other), one, other)
+
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            bounds, node, x, y, z, limit, squares = arguments
+            start = builder.mul(node, ir.Constant(node.type, 48))
+            total = None
+            for axis, coordinate in enumerate((x, y, z)):
+                ends = []
+                for row in (axis, axis + 3):
+                    index = builder.add(start, ir.Constant(node.type, 8 * row))
+                    pointer = _pointer(context, builder, signature.args[0], bounds, index)
+                    end = builder.load(builder.bitcast(pointer, _EIGHT.as_pointer()))
+                    end.align = 4
+                    ends.append(end)
+                point = splat(builder, coordinate)
+                apart = larger(builder, builder.fsub(ends[0], point), builder.fsub(point, ends[1]))
+                apart = larger(builder, apart, ir.Constant(_EIGHT, [0.0] * 8))
+                square = builder.fmul(apart, apart)
+                total = square if total is None else builder.fadd(total, square)
+            pointer = _pointer(context, builder, signature.args[6], squares, ir.Constant(node.type, 0))
+            builder.store(total, builder.bitcast(pointer, _EIGHT.as_pointer())).align = 4
+            inside = builder.fcmp_ordered("<=", total, splat(builder, limit))
+            return builder.zext(builder.bitcast(inside, ir.IntType(8)), ir.IntType(64))
+
+        number = types.float32
+        return types.uint64(bounds, types.int64, number, number, number, number, squares), codegen
 
     @contextmanager
     def _each_row(context: Any, builder: Any, signature: Any, arguments: Any) -> Iterator[Any]:

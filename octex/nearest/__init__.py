@@ -1,0 +1,1 @@
+"""Nearest points: of triangles, and of clouds of points, found in boxes over Morton order."""

@@ -1,0 +1,233 @@
+"""What a cloud of points holds around a point: a weighted mean of those near it, or the nearest one."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.jit import inlined, kernel, trailing_zeros
+from octex.nearest.boxes import (
+    WIDTH,
+    Boxes,
+    Search,
+    begin,
+    boxes_of,
+    keep_around,
+    local,
+    morton_order,
+    new_kept,
+    new_search,
+    next_node,
+    reach,
+)
+
+Floats = npt.NDArray[np.float64]
+Float32s = npt.NDArray[np.float32]
+
+
+class Points(NamedTuple):
+    """A cloud of points with values, made ready to be searched: in Morton order, in groups of eight."""
+
+    boxes: Boxes  # over groups
+    positions: Floats  # (n, 3)
+    values: Float32s  # (n, components)
+    normals: Float32s  # (n, 3), of length 1; or (0, 3)
+    order: npt.NDArray[np.int64]  # (n,)   their numbers in the cloud
+
+    @classmethod
+    def of(cls, positions: Floats, values: Float32s, normals: Float32s | None = None) -> Points:
+        """Make positions (n, 3), n > 0, with values (n, components) and unit normals (n, 3) ready."""
+        order = morton_order(positions)
+        placed = np.ascontiguousarray(positions[order])
+        starts = np.arange(0, len(placed), WIDTH)
+        low, high = np.minimum.reduceat(placed, starts), np.maximum.reduceat(placed, starts)
+        facing = np.empty((0, 3), np.float32) if normals is None else normals[order]
+        return cls(boxes_of(low, high), placed, values[order], facing, order)
+
+    def around(
+        self,
+        places: Floats,
+        radii: Floats,
+        directions: Floats | None = None,
+        *,
+        nearest: float | None = None,
+        least_cosine: float = -1.0,
+    ) -> tuple[Float32s, npt.NDArray[np.bool_]]:
+        """Return means (n, components) of the values around places (n, 3), and where there are any (n,).
+
+        Points within a place's radius weigh (1 − d²/r²)², d being how far they are. Where there is none, the
+        ``nearest`` point counts that is no farther than that; of equally near ones the first. With
+        ``directions`` (n, 3), of length 1, only points count whose normals are at an angle to them whose
+        cosine is ``least_cosine`` or more.
+        """
+        means = np.zeros((len(places), self.values.shape[1]), np.float32)
+        found = np.zeros(len(places), np.bool_)
+        facing = np.empty((0, 3)) if directions is None or not len(self.normals) else directions
+        farthest = -1.0 if nearest is None else float(nearest)
+        width = float(np.median(radii)) if len(radii) else 0.0
+        _around(self, places, radii, facing, farthest, float(least_cosine), width, means, found)
+        return means, found
+
+    def spacing(self, most: int = 10_000) -> float:
+        """Return the median distance from a point to the nearest other, of ``most`` points at most."""
+        chosen = np.unique(np.linspace(0, len(self.positions) - 1, most).astype(np.int64))
+        return float(np.sqrt(np.median(_to_others(self, chosen))))
+
+
+@inlined
+def _square(positions: Floats, row: int, point: tuple[float, float, float]) -> float:
+    dx, dy, dz = positions[row, 0] - point[0], positions[row, 1] - point[1], positions[row, 2] - point[2]
+    return float(dx * dx + dy * dy + dz * dz)
+
+
+@inlined
+def _agrees(cloud: Points, row: int, directions: Floats, n: int, least_cosine: float) -> bool:
+    """Say whether a point faces as is wanted at a place."""
+    if directions.shape[0] == 0:
+        return True
+    cosine = (
+        directions[n, 0] * cloud.normals[row, 0]
+        + directions[n, 1] * cloud.normals[row, 1]
+        + directions[n, 2] * cloud.normals[row, 2]
+    )
+    return bool(cosine >= least_cosine)
+
+
+@inlined
+def _add_group(
+    cloud: Points,
+    group: int,
+    point: tuple[float, float, float],
+    square: float,
+    directions: Floats,
+    n: int,
+    least_cosine: float,
+    sums: Floats,
+) -> float:
+    """Add the values of a group's points within a squared radius; return the sum of their weights."""
+    total = 0.0
+    for row in range(group * 8, min(group * 8 + 8, cloud.positions.shape[0])):
+        part = 1.0 - _square(cloud.positions, row, point) / square
+        if part > 0.0 and _agrees(cloud, row, directions, n, least_cosine):
+            total += part * part
+            for k in range(sums.size):
+                sums[k] += part * part * cloud.values[row, k]
+    return total
+
+
+@kernel
+def _around(
+    cloud: Points,
+    places: Floats,
+    radii: Floats,
+    directions: Floats,
+    farthest: float,
+    least_cosine: float,
+    width: float,
+    means: Float32s,
+    found: npt.NDArray[np.bool_],
+) -> None:
+    boxes = cloud.boxes
+    search, kept = new_search(), new_kept(width)
+    sums = np.zeros(means.shape[1])
+    last = -1
+    for n in range(len(places)):
+        point = places[n, 0], places[n, 1], places[n, 2]
+        x, y, z, slack = local(boxes, *point)
+        i, j, k = np.float32(x), np.float32(y), np.float32(z)
+        radius, total = radii[n], 0.0
+        if radius > 0.0:
+            square = radius * radius
+            sums[:] = 0.0
+            if keep_around(boxes, search, kept, x, y, z, radius, slack):
+                for row in range(kept.filled[0]):
+                    first = kept.nodes[row] * 8
+                    for group in range(first, min(first + 8, boxes.things)):
+                        total += _add_group(cloud, group, point, square, directions, n, least_cosine, sums)
+            else:
+                waiting = begin(boxes, search)
+                bound = reach(square, slack)
+                while waiting > 0:
+                    node, near, waiting = next_node(boxes, search, waiting, i, j, k, bound)
+                    while near != np.uint64(0):
+                        group = node * 8 + trailing_zeros(near)
+                        near &= near - np.uint64(1)
+                        total += _add_group(cloud, group, point, square, directions, n, least_cosine, sums)
+        if total > 0.0:
+            found[n] = True
+            for component in range(sums.size):
+                means[n, component] = sums[component] / total
+        elif farthest >= 0.0:
+            last = _nearest(cloud, search, point, farthest, directions, n, least_cosine, last)
+            if last >= 0:
+                found[n] = True
+                for component in range(sums.size):
+                    means[n, component] = cloud.values[last, component]
+
+
+@inlined
+def _nearest(
+    cloud: Points,
+    search: Search,
+    point: tuple[float, float, float],
+    farthest: float,
+    directions: Floats,
+    n: int,
+    least_cosine: float,
+    guess: int,
+) -> int:
+    """Return the row of the nearest point, no farther than ``farthest``, or −1; a guess speeds it up."""
+    boxes = cloud.boxes
+    best, chosen = farthest * farthest, -1
+    if guess >= 0 and _agrees(cloud, guess, directions, n, least_cosine):
+        square = _square(cloud.positions, guess, point)
+        if square <= best:
+            best, chosen = square, guess
+    x, y, z, slack = local(boxes, *point)
+    i, j, k = np.float32(x), np.float32(y), np.float32(z)
+    bound = reach(best, slack)
+    waiting = begin(boxes, search)
+    while waiting > 0:
+        node, near, waiting = next_node(boxes, search, waiting, i, j, k, bound)
+        while near != np.uint64(0):
+            child = trailing_zeros(near)
+            near &= near - np.uint64(1)
+            if search.children[child] > bound:
+                continue
+            first = (node * 8 + child) * 8
+            for row in range(first, min(first + 8, cloud.positions.shape[0])):
+                square = _square(cloud.positions, row, point)
+                if square > best or row == chosen or not _agrees(cloud, row, directions, n, least_cosine):
+                    continue
+                if square < best or chosen < 0 or cloud.order[row] < cloud.order[chosen]:
+                    best, chosen = square, row
+                    bound = reach(best, slack)
+    return chosen
+
+
+@kernel
+def _to_others(cloud: Points, chosen: npt.NDArray[np.int64]) -> Floats:
+    """Return how far, squared, the nearest other point is from each of some rows; 0 for its like."""
+    search = new_search()
+    squares = np.empty(chosen.size)
+    for n in range(chosen.size):
+        own = chosen[n]
+        point = cloud.positions[own, 0], cloud.positions[own, 1], cloud.positions[own, 2]
+        x, y, z, slack = local(cloud.boxes, *point)
+        i, j, k = np.float32(x), np.float32(y), np.float32(z)
+        best = np.inf
+        bound = reach(best, slack)
+        waiting = begin(cloud.boxes, search)
+        while waiting > 0:
+            node, near, waiting = next_node(cloud.boxes, search, waiting, i, j, k, bound)
+            while near != np.uint64(0):
+                first = (node * 8 + trailing_zeros(near)) * 8
+                near &= near - np.uint64(1)
+                for row in range(first, min(first + 8, cloud.positions.shape[0])):
+                    if row != own and _square(cloud.positions, row, point) < best:
+                        best = _square(cloud.positions, row, point)
+                        bound = reach(best, slack)
+        squares[n] = best
+    return squares

@@ -1,0 +1,206 @@
+"""The point of a triangle mesh that is nearest to a point."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.errors import ModelError
+from octex.jit import inlined, kernel, squares_to_boxes, trailing_zeros
+from octex.nearest.boxes import (
+    Boxes,
+    begin,
+    boxes_of,
+    keep_around,
+    local,
+    morton_order,
+    new_kept,
+    new_search,
+    next_node,
+    reach,
+)
+
+Floats = npt.NDArray[np.float64]
+Int32s = npt.NDArray[np.int32]
+
+#: Triangles whose area is less than this part of the square of their longest edge are left out.
+_THINNEST = 1e-12
+
+
+class Nearest(NamedTuple):
+    """What is nearest to each point."""
+
+    triangles: Int32s  # (n,)   −1: nothing is near enough
+    barycentric: Floats  # (n, 3)   where on the triangle
+    squares: Floats  # (n,)   how far, squared; infinity for nothing
+
+
+class Triangles(NamedTuple):
+    """A mesh made ready to be searched."""
+
+    boxes: Boxes
+    order: npt.NDArray[np.int64]  # (triangles,)   their numbers, in the boxes' order
+    corners: Floats  # (triangles, 9)   in the boxes' order: the first corner, and the way to the others
+    normals: npt.NDArray[np.float32]  # (triangles, 3)   of length 1, in the boxes' order
+    width: float  # of a triangle, about
+
+    @classmethod
+    def of(cls, vertices: Floats, faces: Int32s) -> Triangles:
+        """Make triangles (m, 3) of vertices (n, 3) ready; those without area are never found.
+
+        Raises ModelError if none has area.
+        """
+        corners = vertices[faces]
+        low, high = corners.min(axis=1), corners.max(axis=1)
+        crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        lengths = np.linalg.norm(crosses, axis=1)
+        has_area = lengths > _THINNEST * ((high - low) ** 2).sum(axis=1)
+        normals = np.zeros_like(crosses, np.float32)
+        normals[has_area] = crosses[has_area] / lengths[has_area, None]
+        numbers = np.flatnonzero(has_area)
+        if not numbers.size:
+            raise ModelError("all triangles are degenerate; there is nothing to be near to")
+        order = numbers[morton_order((low + high)[numbers])]
+        width = float(np.median((high - low)[order].max(axis=1)))
+        rows = corners[order]
+        rows[:, 1:] -= rows[:, :1]
+        return cls(boxes_of(low[order], high[order]), order, rows.reshape(-1, 9), normals[order], width)
+
+    def nearest(
+        self,
+        points: Floats,
+        directions: Floats | None = None,
+        *,
+        distance: float = np.inf,
+        least_cosine: float = -1.0,
+    ) -> Nearest:
+        """Find what is nearest to points (n, 3), no farther than ``distance``.
+
+        With ``directions`` (n, 3), of length 1, only triangles count whose normals are at an angle to them
+        whose cosine is ``least_cosine`` or more. Of what is equally near the first triangle is found.
+        """
+        found = Nearest(np.empty(len(points), np.int32), np.empty((len(points), 3)), np.empty(len(points)))
+        facing = np.empty((0, 3)) if directions is None else directions
+        _nearest(self, points, facing, float(distance), float(least_cosine), *found)
+        return found
+
+
+@inlined
+def _on_triangle(corners: Floats, row: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return how far a point is from a triangle, squared, and the nearest point's second and third weight.
+
+    (Ericson, Real-Time Collision Detection, 2005, 5.1.5.)
+    """
+    ax, ay, az = x - corners[row, 0], y - corners[row, 1], z - corners[row, 2]
+    ux, uy, uz = corners[row, 3], corners[row, 4], corners[row, 5]
+    wx, wy, wz = corners[row, 6], corners[row, 7], corners[row, 8]
+    d1, d2 = ux * ax + uy * ay + uz * az, wx * ax + wy * ay + wz * az
+    uu, uw, ww = ux * ux + uy * uy + uz * uz, ux * wx + uy * wy + uz * wz, wx * wx + wy * wy + wz * wz
+    d3, d4 = d1 - uu, d2 - uw  # from b
+    d5, d6 = d1 - uw, d2 - ww  # from c
+    of_c, of_b, of_a = d1 * d4 - d3 * d2, d5 * d2 - d1 * d6, d3 * d6 - d5 * d4
+    if d1 <= 0.0 and d2 <= 0.0:
+        p, q = 0.0, 0.0
+    elif d3 >= 0.0 and d4 <= d3:
+        p, q = 1.0, 0.0
+    elif d6 >= 0.0 and d5 <= d6:
+        p, q = 0.0, 1.0
+    elif of_c <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        p, q = d1 / (d1 - d3), 0.0
+    elif of_b <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        p, q = 0.0, d2 / (d2 - d6)
+    elif of_a <= 0.0 and d4 >= d3 and d5 >= d6:
+        q = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        p = 1.0 - q
+    else:
+        total = of_a + of_b + of_c
+        p, q = of_b / total, of_c / total
+    rx, ry, rz = ax - p * ux - q * wx, ay - p * uy - q * wy, az - p * uz - q * wz
+    return rx * rx + ry * ry + rz * rz, p, q
+
+
+@inlined
+def _agrees(mesh: Triangles, row: int, directions: Floats, n: int, least_cosine: float) -> bool:
+    """Say whether a triangle faces as is wanted at a point."""
+    if directions.shape[0] == 0:
+        return True
+    normals = mesh.normals
+    cosine = (
+        directions[n, 0] * normals[row, 0]
+        + directions[n, 1] * normals[row, 1]
+        + directions[n, 2] * normals[row, 2]
+    )
+    return bool(cosine >= least_cosine)
+
+
+@inlined
+def _best_in(
+    mesh: Triangles,
+    node: int,
+    near: np.uint64,
+    point: tuple[float, float, float],
+    directions: Floats,
+    n: int,
+    least_cosine: float,
+    best: tuple[float, int, float, float],
+) -> tuple[float, int, float, float]:
+    """Return the best of some triangles in a node, and of what was best: its square, row and weights."""
+    square, chosen, p, q = best
+    while near != np.uint64(0):
+        child = trailing_zeros(near)
+        near &= near - np.uint64(1)
+        row = node * 8 + child
+        if row == chosen or not _agrees(mesh, row, directions, n, least_cosine):
+            continue
+        far, of_b, of_c = _on_triangle(mesh.corners, row, *point)
+        if far < square or (far == square and (chosen < 0 or mesh.order[row] < mesh.order[chosen])):
+            square, chosen, p, q = far, row, of_b, of_c
+    return square, chosen, p, q
+
+
+@kernel
+def _nearest(
+    mesh: Triangles,
+    points: Floats,
+    directions: Floats,
+    distance: float,
+    least_cosine: float,
+    triangles: Int32s,
+    barycentric: Floats,
+    squares: Floats,
+) -> None:
+    boxes = mesh.boxes
+    search, kept = new_search(), new_kept(mesh.width)
+    last = -1
+    for n in range(len(points)):
+        point = points[n, 0], points[n, 1], points[n, 2]
+        best = distance * distance, -1, 0.0, 0.0
+        # Points mostly come in the order of some surface: what was nearest to the one before is near.
+        if last >= 0 and _agrees(mesh, last, directions, n, least_cosine):
+            far, of_b, of_c = _on_triangle(mesh.corners, last, *point)
+            if far <= best[0]:
+                best = far, last, of_b, of_c
+        x, y, z, slack = local(boxes, *point)
+        i, j, k = np.float32(x), np.float32(y), np.float32(z)
+        bound = reach(best[0], slack)
+        if best[1] >= 0 and keep_around(boxes, search, kept, x, y, z, np.sqrt(best[0]), slack):
+            for row in range(kept.filled[0]):
+                node = kept.nodes[row]
+                near = squares_to_boxes(boxes.bounds, node, i, j, k, bound, search.children)
+                if near != np.uint64(0):
+                    best = _best_in(mesh, node, near, point, directions, n, least_cosine, best)
+                    bound = reach(best[0], slack)
+        else:
+            waiting = begin(boxes, search)
+            while waiting > 0:
+                node, near, waiting = next_node(boxes, search, waiting, i, j, k, bound)
+                if near != np.uint64(0):
+                    best = _best_in(mesh, node, near, point, directions, n, least_cosine, best)
+                    bound = reach(best[0], slack)
+        square, chosen, p, q = best
+        triangles[n] = mesh.order[chosen] if chosen >= 0 else -1
+        squares[n] = square if chosen >= 0 else np.inf
+        barycentric[n, 0], barycentric[n, 1], barycentric[n, 2] = 1.0 - p - q, p, q
+        last = chosen if chosen >= 0 else last
