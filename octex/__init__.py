@@ -15,8 +15,10 @@ if TYPE_CHECKING:
     from octex.painting.region import Box as Box
     from octex.painting.region import Sphere as Sphere
     from octex.painting.region import fill as fill
+    from octex.source.cloud import PointCloud as PointCloud
     from octex.source.load import load_surface as load_surface
     from octex.source.surface import Surface as Surface
+    from octex.source.transfer import Transfer as Transfer
     from octex.texture import OctreeTexture as OctreeTexture
     from octex.texture import open_texture
     from octex.view.camera import Camera as Camera
@@ -33,9 +35,11 @@ _HOMES = {
     "Camera": ("octex.view.camera", "Camera"),
     "OctexError": ("octex.errors", "OctexError"),
     "OctreeTexture": ("octex.texture", "OctreeTexture"),
+    "PointCloud": ("octex.source.cloud", "PointCloud"),
     "Projection": ("octex.painting.pictures", "Projection"),
     "Sphere": ("octex.painting.region", "Sphere"),
     "Surface": ("octex.source.surface", "Surface"),
+    "Transfer": ("octex.source.transfer", "Transfer"),
     "convert": ("octex.conversion.convert", "convert"),
     "fill": ("octex.painting.region", "fill"),
     "load_surface": ("octex.source.load", "load_surface"),

@@ -20,6 +20,7 @@ MODULES = sorted(path.relative_to(ROOT).with_suffix("").as_posix() for path in R
 ROWS = [
     {"errors", "checks", "jit", "parallel", "channels"},
     {"tree"},
+    {"nearest"},
     {"field"},
     {"container"},
     {"texture"},
@@ -39,7 +40,8 @@ FORBIDDEN = {"source": STORED, "view": STORED}
 EXCEPTIONS = {("checks", "octex.tree.layout")}
 
 EXPORTED = [
-    *["Box", "Camera", "OctexError", "OctreeTexture", "Projection", "Sphere", "Surface", "__version__"],
+    *["Box", "Camera", "OctexError", "OctreeTexture", "PointCloud", "Projection", "Sphere", "Surface"],
+    *["Transfer", "__version__"],
     *["convert", "fill", "load_surface", "merge", "open", "paint", "project", "read_cameras"],
     "write_cameras",
 ]

@@ -11,15 +11,19 @@ from pathlib import Path
 import numpy.typing as npt
 
 import octex
-from octex.channels import ONE, ChannelFormat
-from octex.checks import as_choice, as_depth
+from octex.channels import ALPHA
+from octex.checks import as_depth
 from octex.conversion.adapt import adapted, as_max_error
 from octex.conversion.detail import DetailFunction, channel_of, wanted_levels
 from octex.conversion.facings import separated
 from octex.conversion.fill import assemble, fill
 from octex.conversion.fit import fitted
-from octex.errors import ArgumentError
+from octex.conversion.gaps import without_gaps, without_opaque
+from octex.conversion.points import convert_points
+from octex.conversion.stored import Dtypes, stored_as
+from octex.errors import ArgumentError, ModelError
 from octex.parallel import Progress, silent, workers
+from octex.source.cloud import PointCloud, is_cloud
 from octex.source.load import at_rest, load_surface
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
@@ -30,14 +34,14 @@ DEFAULT_FILTER = "ewa"
 
 
 def convert(
-    model: str | Path | Surface,
+    model: str | Path | Surface | PointCloud | Sequence[str | Path | Surface],
     depth: int | None = None,
     *,
     cell: float | None = None,
     rest: str | Path | npt.ArrayLike | None = None,
     channels: Sequence[str] | None = None,
     sources: Mapping[str, object] | None = None,
-    dtype: str | Mapping[str, str] | None = None,
+    dtype: Dtypes = None,
     filter: str | None = None,
     fit: bool = True,
     max_error: float | None = None,
@@ -47,10 +51,12 @@ def convert(
 ) -> OctreeTexture:
     """Convert a model into an octree texture.
 
-    ``model`` is a file or a Surface. The finest cells are 2⁻ᵈᵉᵖᵗʰ of the root cell (10 by default), or have
-    the edge ``cell`` in model units. ``rest`` gives rest positions, as for ``load_surface``. Work is spread
-    over ``executor``, by default a thread for each processor; the result does not depend on it. ``progress``
-    is called with the stage's name, the units done and the units in all.
+    ``model`` is a file or a Surface; or several, which share the texture (Benson & Davis 2002, 5; see
+    ``Surface.joined``); or a PointCloud, or a file of one: see ``convert_points``. The finest cells are
+    2⁻ᵈᵉᵖᵗʰ of the root cell (10 by default), or have the edge ``cell`` in model units. ``rest`` gives rest
+    positions, as for ``load_surface``. Work is spread over ``executor``, by default a thread for each
+    processor; the result does not depend on it. ``progress`` is called with the stage's name, the units done
+    and the units in all.
 
     ``channels`` names those to convert, by default all that the model has; ``sources`` gives some from
     elsewhere, as for ``Surface.with_sources``; ``filter`` is how images are averaged over cells, as for
@@ -85,6 +91,14 @@ def convert(
         raise ArgumentError("give depth or cell, not both")
     if depth is not None:
         as_depth(depth)
+    if isinstance(model, (str, Path)) and is_cloud(model):
+        model = PointCloud.load(model)
+    if isinstance(model, PointCloud):
+        of_surfaces = {"rest": rest, "sources": sources, "max_error": max_error, "detail": detail}
+        for name, given in of_surfaces.items():
+            if given is not None:
+                raise ArgumentError(f"{name} needs a surface, which {model.name} is not")
+        return convert_points(model, depth, cell=cell, channels=channels, dtype=dtype, progress=report)
     names = [channels] if isinstance(channels, str) else channels
     steering = channel_of(detail)
     if names is None or steering is None or steering in names:
@@ -92,7 +106,7 @@ def convert(
     else:
         whole = _surface(model, rest, [*names, steering], sources or {}, filter, report)
         surface = whole.with_channels(names)
-    stored = _stored_as(surface, dtype)
+    stored = stored_as(surface.channels, dtype, surface.name)
     if cell is not None:
         placement, depth = Placement.with_cell(surface.bounds, cell)
     else:
@@ -105,7 +119,11 @@ def convert(
         report("build", 0, 1)
         tree, values = assemble(stored, filled)
         report("build", 1, 1)
-        samples, degenerate, deepest = filled.samples, filled.degenerate, filled.wanted
+        samples, degenerate, deepest, empty = filled.samples, filled.degenerate, filled.wanted, 0
+        if surface.source.has_gaps:
+            tree, values, samples, deepest, empty = without_gaps(tree, values, filled)
+            if not tree.n_leaves:
+                raise ModelError(f"{surface.name}: its source is too far from all of it; allow more distance")
         del filled  # holds all values once more
         fitting = None
         if samples is not None and fit:
@@ -114,23 +132,28 @@ def convert(
             tree, values, samples,
             max_error=most, wanted=deepest, fit=fitting, executor=pool, progress=report,
         )  # fmt: skip
+        if surface.source.has_gaps:
+            values[ALPHA.name] = means[ALPHA.name]  # fitted, what is covered would not seem to be beside gaps
         if fitting is not None:
             tree, values = separated(tree, means, values)
+    if surface.source.has_gaps and not empty:
+        values = without_opaque(values)
     options = {
         **({"depth": depth} if cell is None else {"cell": float(cell)}),
         "fit": fit,
         **({} if most is None else {"max_error": most}),
         **({} if detail is None else {"detail": detail if isinstance(detail, str) else "function"}),
-        "channels": {channel.name: channel.dtype for channel in stored},
+        "channels": {name: channel.format.dtype for name, channel in values.items()},
         "triangles": len(surface.triangles),
         "degenerate": degenerate,
+        **({"empty": empty} if empty else {}),
     }
     metadata = {**surface.provenance, "octex": octex.__version__, "convert": json.dumps(options)}
     return OctreeTexture(tree, values, placement, surface.bounds, metadata)
 
 
 def _surface(
-    model: str | Path | Surface,
+    model: str | Path | Surface | Sequence[str | Path | Surface],
     rest: str | Path | npt.ArrayLike | None,
     channels: Sequence[str] | None,
     sources: Mapping[str, object],
@@ -138,6 +161,9 @@ def _surface(
     report: Progress,
 ) -> Surface:
     """Return what is to be converted, with the wanted channels alone."""
+    if not isinstance(model, (str, Path, Surface)):
+        surfaces = [each if isinstance(each, Surface) else load_surface(each) for each in model]
+        model = Surface.joined(surfaces)
     if not isinstance(model, Surface):
         report("read", 0, 1)
         surface = load_surface(
@@ -148,28 +174,3 @@ def _surface(
     surface = model if rest is None else at_rest(model, rest)
     surface = surface.completed(sources, channels)
     return surface if filter is None else surface.with_filter(filter)
-
-
-def _stored_as(surface: Surface, dtype: str | Mapping[str, str] | None) -> tuple[ChannelFormat, ...]:
-    """Return how each channel of a surface is stored."""
-    names = [channel.name for channel in surface.channels]
-    wanted = dict(dtype) if isinstance(dtype, Mapping) else dict.fromkeys(names, dtype)
-    for name in wanted:
-        as_choice(name, names, "channel of dtype")
-    formats = []
-    for channel in surface.channels:
-        chosen = wanted.get(channel.name)
-        if chosen is None:
-            formats.append(channel)
-            continue
-        as_choice(chosen, ONE, "dtype")
-        space = channel.space
-        if chosen.startswith("float"):
-            space = "linear" if space == "srgb" else space
-        elif space == "linear" and channel.dtype.startswith("float"):
-            raise ArgumentError(
-                f"{surface.name}: channel {channel.name!r} goes above 1, which {chosen} cannot hold; "
-                "give it the dtype float16 or float32"
-            )
-        formats.append(channel._replace(space=space, dtype=chosen))
-    return tuple(formats)

@@ -146,7 +146,7 @@ def fill(
     converted = ordered_map(executor, partial(_convert_run, job), runs, stage="convert", progress=report)
     parts = list(converted)
     top = Sums(*(np.concatenate(arrays) for arrays in zip(*(part.top for part in parts), strict=True)))
-    upper, _ = _climb(top, block_level, channels, columns)
+    upper, _ = climb(top, block_level, channels, columns)
     levels = [[stored] for stored in reversed(upper)]
     levels += ([part.levels[step] for part in parts] for step in reversed(range(len(parts[0].levels))))
     codes = np.concatenate([part.codes for part in parts])
@@ -196,7 +196,7 @@ def _convert_run(job: Job, run: Run) -> Part:
     n_entries = count_entries(pieces.flags)
     sums = sum_pieces(pieces.entries, pieces.areas, values, job.columns.alpha, n_entries)
     leaves = Sums(pieces.codes, pieces.flags, sums)
-    levels, top = _climb(leaves, job.depth - job.block_level, job.channels, job.columns)
+    levels, top = climb(leaves, job.depth - job.block_level, job.channels, job.columns)
     levels.pop()  # the blocks themselves: in top
     wanted = None if job.wanted is None else deepest_wanted(job.wanted, pieces, widths)
     taken = None
@@ -205,7 +205,7 @@ def _convert_run(job: Job, run: Run) -> Part:
     return Part(pieces.codes, levels, top, taken, wanted)
 
 
-def _climb(
+def climb(
     sums: Sums, steps: int, channels: Sequence[ChannelFormat], columns: Columns
 ) -> tuple[list[Stored], Sums]:
     """Store a level and the ``steps`` levels above it; return them, and the sums of the last."""

@@ -44,6 +44,19 @@ class Samples(NamedTuple):
     shares: npt.NDArray[np.uint8]  # (n,)   of the area in the cell, in 255ths
     values: npt.NDArray[np.float16 | np.float32]  # (n, components)   linear light, −1 … 1 for directions
 
+    def of(self, cells: npt.NDArray[np.int64]) -> Samples:
+        """Return the samples of some cells, in order."""
+        counts = np.diff(self.firsts)[cells]
+        firsts = np.concatenate([[0], np.cumsum(counts)])
+        rows = np.repeat(self.firsts[cells] - firsts[:-1], counts) + np.arange(firsts[-1])
+        return self._replace(
+            codes=self.codes[cells],
+            firsts=firsts,
+            places=self.places[rows],
+            shares=self.shares[rows],
+            values=self.values[rows],
+        )
+
 
 class Taken(NamedTuple):
     """The samples of a run of blocks; ``counts`` (cells,) says how many each cell has."""

@@ -9,20 +9,20 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import ALPHA, ChannelFormat, decode
+from octex.channels import ALPHA, ChannelFormat
 from octex.conversion.adapt import adapted
 from octex.conversion.facings import separated
 from octex.conversion.fill import assemble, fill
 from octex.conversion.fit import fitted
+from octex.conversion.gaps import without_gaps
 from octex.painting.near import around
-from octex.painting.samples import of_cells, with_bare_as, with_centres
+from octex.painting.samples import with_centres
 from octex.painting.source import PaintSource
 from octex.parallel import Progress
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.texture.channel import Channel
 from octex.texture.split import refaced
-from octex.tree.edit import cull
 from octex.tree.layout import MAX_DEPTH
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -79,28 +79,16 @@ def rasterize_paint(
         has_samples=fit, wanted=partial(_wanted, here, placement.size, depth),
     )  # fmt: skip
     tree, values = assemble(here.channels, filled)
-    edited = cull(tree, values[ALPHA.name].values[:, 0] > 0)
-    if not edited.tree.n_leaves:
+    covered = without_gaps(tree, values, filled)
+    if not covered.tree.n_leaves:
         return nothing
-    first = int(tree.arrays.level_cells[depth])
-    painted = edited.old[int(edited.tree.arrays.level_cells[depth]) :] - first
-    wanted = None if filled.wanted is None else filled.wanted[painted]
-    values = {
-        name: channel._replace(
-            values=channel.values[edited.old], split_values=channel.split_values[edited.split_rows]
-        )
-        for name, channel in values.items()
-    }
     fitting = None
-    if filled.samples is not None:
-        form = here.channels[0]
-        means_there = values[form.name].values[int(edited.tree.arrays.level_cells[depth]) :]
-        samples = with_bare_as(of_cells(filled.samples, painted), decode(means_there, form.space))
-        samples = with_centres(samples, here, part, placement)
+    if covered.samples is not None:
+        samples = with_centres(covered.samples, here, part, placement)
         fitting = partial(fitted, samples=samples, placement=placement, executor=executor, progress=progress)
     tree, means, values = adapted(
-        edited.tree, values, None,
-        max_error=None, wanted=wanted, fit=fitting, executor=executor, progress=progress,
+        covered.tree, covered.channels, None,
+        max_error=None, wanted=covered.wanted, fit=fitting, executor=executor, progress=progress,
     )  # fmt: skip
     if fitting is not None:
         values[ALPHA.name] = means[ALPHA.name]  # opaque paint stays opaque

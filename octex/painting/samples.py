@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from octex.conversion.fill import on_grid
 from octex.conversion.samples import PLACE_STEPS, SHARE_STEPS, Samples
@@ -15,32 +14,6 @@ from octex.tree.placement import Placement
 
 #: How many times as much as other samples of a cell a centre in it counts.
 _OUTWEIGH = 16
-
-
-def of_cells(samples: Samples, cells: npt.NDArray[np.int64]) -> Samples:
-    """Return the samples of some cells, in order."""
-    counts = np.diff(samples.firsts)[cells]
-    firsts = np.concatenate([[0], np.cumsum(counts)])
-    rows = np.repeat(samples.firsts[cells] - firsts[:-1], counts) + np.arange(firsts[-1])
-    return samples._replace(
-        codes=samples.codes[cells],
-        firsts=firsts,
-        places=samples.places[rows],
-        shares=samples.shares[rows],
-        values=samples.values[rows],
-    )
-
-
-def with_bare_as(samples: Samples, means: npt.NDArray[np.float32]) -> Samples:
-    """Give samples without paint, whose last component is 0, the colour of their cell (cells, components).
-
-    They tell nothing of it; as black they would darken the rim of paint.
-    """
-    cells = np.repeat(np.arange(samples.codes.size), np.diff(samples.firsts))
-    bare = samples.values[:, -1] == 0
-    values = samples.values.copy()
-    values[bare, :-1] = means[cells[bare]]
-    return samples._replace(values=values)
 
 
 def with_centres(samples: Samples, source: PaintSource, surface: Surface, placement: Placement) -> Samples:

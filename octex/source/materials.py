@@ -60,7 +60,7 @@ class Material(NamedTuple):
 
 _MOST_IN_FLOAT16 = 65504.0
 #: What a material that does not state a channel gives (glTF 2.0's defaults).
-_DEFAULTS = {"emissive": 0.0}
+DEFAULTS = {"emissive": 0.0}
 
 
 class MaterialSource(Source):
@@ -274,7 +274,7 @@ class MaterialSource(Source):
                     gains[number, columns] = 0.0 if straight else 2.0
                     offsets[number, columns] = (0.0, 0.0, 1.0) if straight else -1.0
                 elif given is None:
-                    gains[number, columns] = _DEFAULTS.get(form.name, 1.0)
+                    gains[number, columns] = DEFAULTS.get(form.name, 1.0)
                 else:
                     # The kernel multiplies alpha by its factor, and by vertex colours, before thresholds.
                     gains[number, columns] = 1.0 if form.name == "alpha" else given.factor

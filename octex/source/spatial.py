@@ -49,6 +49,10 @@ class SpatialSource(Source):
         """The channels, in the order of the values' columns."""
         return self._channels
 
+    def is_on(self, surface: Surface) -> bool:
+        """Say whether it was laid on this surface."""
+        return self._rest is surface.rest and self._triangles is surface.triangles
+
     @abstractmethod
     def at(self, points: Floats, normals: Floats, widths: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return values (n, components) at rest positions (n, 3), averaged over widths in rest units.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -9,15 +10,17 @@ import numpy as np
 import numpy.typing as npt
 import PIL.Image
 
-from octex.channels import ONE, ChannelFormat, decode, srgb_to_linear
+from octex.channels import NORMAL, ONE, ChannelFormat
 from octex.checks import as_choice
 from octex.errors import ArgumentError, ModelError
 from octex.source.base import Combined, Source
+from octex.source.colors import linear_colors
 from octex.source.corners import Corners, Frames
 from octex.source.given import given_source
 from octex.source.images.decode import as_texels
 from octex.source.images.filters import FILTERS
 from octex.source.images.pyramid import WRAPS
+from octex.source.joined import FaceNormals, Joined, Part
 from octex.source.materials import ALPHA_MODES, AlphaMode, Input, Material, MaterialSource, Texture
 from octex.source.tangents import carried
 
@@ -162,6 +165,37 @@ class Surface:
         )
         return cls(positions, faces, source, rest=placed, uv=coordinates, name=name)
 
+    @classmethod
+    def joined(cls, surfaces: Sequence[Surface]) -> Surface:
+        """Return several surfaces as one, to share a texture (Benson & Davis 2002, 5).
+
+        It has the channels that any of them has; where one does not state a channel, that is what materials
+        give that do not: 1, no light, and the faces' own normals. Its triangles and vertices are theirs in
+        order. It has no texture coordinates. Raises ArgumentError for none.
+        """
+        if not surfaces:
+            raise ArgumentError("there is no surface to join")
+        vertices = np.cumsum([0, *(len(each.vertices) for each in surfaces)]).tolist()
+        triangles = np.cumsum([0, *(len(each.triangles) for each in surfaces)]).tolist()
+        parts = [
+            Part(each.source, slice(*vertices[n : n + 2]), slice(*triangles[n : n + 2]))
+            for n, each in enumerate(surfaces)
+        ]
+        rest = np.concatenate([each.rest for each in surfaces])
+        faces = np.concatenate(
+            [each.triangles + np.int32(first) for each, first in zip(surfaces, vertices, strict=False)]
+        )
+        name = " + ".join(each.name for each in surfaces)
+        sources = [each.provenance.get("source", each.name) for each in surfaces]
+        return cls(
+            np.concatenate([each.vertices for each in surfaces]),
+            faces,
+            Joined(parts, FaceNormals((NORMAL,), rest, faces)),
+            rest=None if all(each.rest is each.vertices for each in surfaces) else rest,
+            name=name,
+            provenance={"source": name, "sources": json.dumps(sources)},
+        )
+
     def __repr__(self) -> str:
         names = ", ".join(channel.name for channel in self.channels)
         return f"<Surface {self.name!r} of {len(self.triangles):,} triangles with {names}>"
@@ -180,7 +214,7 @@ class Surface:
         return self._with(self.source.with_rest(positions), positions)
 
     def with_channels(self, channels: Sequence[str]) -> Surface:
-        """Return the same surface with these of its channels alone.
+        """Return the same surface with these of its channels alone, and ``alpha`` if its source has gaps.
 
         Raises ArgumentError for one that it lacks, and for none at all.
         """
@@ -188,7 +222,8 @@ class Surface:
             raise ArgumentError("channels must name one at least")
         for channel in channels:
             as_choice(channel, [form.name for form in self.channels], "channel")
-        return self._with(self.source.only(channels))
+        gaps = ["alpha"] if self.source.has_gaps and "alpha" not in channels else []
+        return self._with(self.source.only([*channels, *gaps]))
 
     def with_filter(self, filter: str) -> Surface:
         """Return the same surface with its images read by another filter, one of filters.FILTERS.
@@ -208,7 +243,8 @@ class Surface:
         with ``filter``, by default the model's; or a value, linear light for colours: a number, or one for
         each component. Images of ``normal`` are in the tangent's frame; triangles are flat below them unless
         the surface has ``frames``, which ``load_surface`` keeps if it is given these sources. Vertex colours
-        do not multiply what is given here.
+        do not multiply what is given here. A source that leaves gaps gives ``alpha`` too, 0 there; what they
+        cover is not converted.
 
         Raises ArgumentError for an unknown channel or another kind of value, ImageError for an image that
         cannot be used, ModelError where the surface has no texture coordinates for it.
@@ -225,7 +261,12 @@ class Surface:
             else:
                 parts[channel], names = given_source(self, channel, given, filter)
                 made.provenance |= names
-        made.source = Combined(parts)
+        gaps = {id(part): part for part in parts.values() if part.has_gaps}
+        if len(gaps) > 1:
+            raise ArgumentError("only one source may leave gaps; limit the distance or radius of one alone")
+        if gaps and "alpha" not in sources:
+            (parts["alpha"],) = gaps.values()
+        made.source = Combined(parts).only(list(parts))
         return made
 
     def completed(
@@ -338,35 +379,6 @@ class Surface:
     def _crosses(self) -> npt.NDArray[np.float64]:
         corners = self.vertices[self.triangles]
         return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-
-
-def linear_colors(colors: npt.ArrayLike, rows: int, name: str) -> npt.NDArray[np.float32]:
-    """Return colours (rows, 3 or 4) as linear light and alpha (rows, 4).
-
-    Unsigned integers are sRGB codes, floats are linear light already.
-    Raises ArgumentError for another shape or type.
-    """
-    array = np.asarray(colors)
-    if array.ndim != 2 or array.shape[0] != rows or array.shape[1] not in (3, 4):
-        raise ArgumentError(f"{name} must have shape ({rows}, 3) or ({rows}, 4), not {array.shape}")
-    if array.dtype in (np.uint8, np.uint16):
-        linear = np.ones((rows, 4), np.float32)
-        linear[:, :3] = decode(array[:, :3], "srgb")
-        linear[:, 3:] = decode(array[:, 3:], "data") if array.shape[1] == 4 else 1.0
-        return linear
-    if array.dtype.kind != "f":
-        raise ArgumentError(f"{name} must be uint8 or uint16 (sRGB) or floats (linear), not {array.dtype}")
-    linear = np.ones((rows, 4), np.float32)
-    linear[:, : array.shape[1]] = array
-    return linear
-
-
-def screen_colors(colors: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
-    """Return sRGB values in 0 … 1 (n, 3 or 4) as linear light and alpha (n, 4)."""
-    linear = np.ones((len(colors), 4), np.float32)
-    linear[:, : colors.shape[1]] = np.clip(colors, 0.0, 1.0)
-    linear[:, :3] = srgb_to_linear(linear[:, :3])
-    return linear
 
 
 def _corner_coordinates(uv: npt.ArrayLike, triangles: npt.NDArray[np.int32], vertices: int) -> Corners:

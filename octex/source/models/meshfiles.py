@@ -19,6 +19,7 @@ from octex.channels import ONE
 from octex.errors import ImageError, ModelError
 from octex.jit import kernel
 from octex.source.alone import alone
+from octex.source.colors import screen_colors
 from octex.source.corners import Corners
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import Texels
@@ -26,7 +27,7 @@ from octex.source.materials import AlphaMode, Input, Material, MaterialSource, T
 from octex.source.models.options import EVERYTHING, Options
 from octex.source.models.polygons import triangulate
 from octex.source.models.text import parse_numbers, whole_numbers
-from octex.source.surface import Surface, flip_v, screen_colors
+from octex.source.surface import Surface, flip_v
 
 # Keeps traces of damaged normals off the screen where no program asks for logs.
 _quiet = logging.NullHandler()
@@ -49,6 +50,16 @@ def load_ply(path: Path, options: Options = EVERYTHING) -> Surface:
     Raises ModelError or ImageError.
     """
     return _Ply(path).surface(options)
+
+
+def ply_points(
+    path: Path,
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float32], npt.NDArray[np.float64] | None]:
+    """Read the vertices of a PLY file as points (n, 3), linear colours and alpha (n, 4), and normals (n, 3).
+
+    Raises ModelError for a file without vertices or without their colours.
+    """
+    return _Ply(path).points()
 
 
 def load_off(path: Path, options: Options = EVERYTHING) -> Surface:
@@ -240,11 +251,27 @@ class _Ply:
             values = raw[starts[:, None] + np.arange(width)].view(dtype)[:, 0].astype(kind.type)
         return _Values(values, sizes if is_list else None, kind.type)
 
-    def surface(self, options: Options) -> Surface:
-        vertex, face = self.data.get("vertex", {}), self.data.get("face", {})
+    def _positions(self) -> npt.NDArray[np.float64]:
+        vertex = self.data.get("vertex", {})
         if not all(axis in vertex for axis in "xyz"):
             raise ModelError(f"{self.name} has no vertices with x, y and z")
-        positions = np.stack([vertex[axis].values for axis in "xyz"], axis=1).astype(np.float64)
+        return np.stack([vertex[axis].values for axis in "xyz"], axis=1).astype(np.float64)
+
+    def points(
+        self,
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float32], npt.NDArray[np.float64] | None]:
+        positions, vertex = self._positions(), self.data.get("vertex", {})
+        colors = _ply_colors(vertex)
+        if colors is None:
+            raise ModelError(f"{self.name} has points without colours; export them with red, green and blue")
+        normals = None
+        if all(axis in vertex for axis in ("nx", "ny", "nz")):
+            normals = np.stack([vertex[axis].values for axis in ("nx", "ny", "nz")], axis=1)
+        return positions, colors, None if normals is None else normals.astype(np.float64)
+
+    def surface(self, options: Options) -> Surface:
+        vertex, face = self.data.get("vertex", {}), self.data.get("face", {})
+        positions = self._positions()
         polygons = face.get("vertex_indices", face.get("vertex_index"))
         if polygons is None or polygons.sizes is None or len(polygons.sizes) == 0:
             raise _no_triangles(self.name)

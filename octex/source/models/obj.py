@@ -17,13 +17,14 @@ import numpy.typing as npt
 
 from octex.errors import ModelError
 from octex.jit import kernel
+from octex.source.colors import screen_colors
 from octex.source.corners import Corners
 from octex.source.materials import MaterialSource
 from octex.source.models.mtl import Description, Transform, load_materials, wavefront_lines
 from octex.source.models.options import EVERYTHING, Options
 from octex.source.models.polygons import triangulate
 from octex.source.models.text import parse_numbers
-from octex.source.surface import Surface, flip_v, screen_colors
+from octex.source.surface import Surface, flip_v
 from octex.source.tangents import corner_frames
 
 

@@ -1,0 +1,72 @@
+"""Cells that a source knows nothing of, left out of a conversion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import ALPHA, ONE, decode
+from octex.conversion.fill import Filled
+from octex.conversion.samples import Samples
+from octex.texture.channel import Channel
+from octex.tree.edit import cull
+from octex.tree.octree import Octree
+
+
+class Covered(NamedTuple):
+    """What is left of a conversion."""
+
+    tree: Octree
+    channels: dict[str, Channel]
+    samples: Samples | None
+    wanted: npt.NDArray[np.uint8] | None  # (finest cells,)
+    empty: int  # leaves that were left out
+
+
+def without_gaps(tree: Octree, channels: Mapping[str, Channel], filled: Filled) -> Covered:
+    """Leave out the leaves whose ``alpha`` is 0, and the nodes without any; see ``Source.has_gaps``."""
+    is_left = channels[ALPHA.name].values[:, 0] > 0
+    samples, wanted = filled.samples, filled.wanted
+    cells = np.flatnonzero(is_left[-filled.codes.size :])
+    empty = filled.codes.size - cells.size
+    if empty:
+        edited = cull(tree, is_left)
+        tree = edited.tree
+        channels = {
+            name: channel._replace(
+                values=channel.values[edited.old], split_values=channel.split_values[edited.split_rows]
+            )
+            for name, channel in channels.items()
+        }
+        samples = None if samples is None else samples.of(cells)
+        wanted = None if wanted is None else wanted[cells]
+    if samples is not None:
+        samples = _with_bare_as_means(samples, channels)
+    return Covered(tree, dict(channels), samples, wanted, empty)
+
+
+def without_opaque(channels: Mapping[str, Channel]) -> dict[str, Channel]:
+    """Leave out a channel ``alpha`` that is 1 everywhere: it tells nothing."""
+    alpha = channels[ALPHA.name]
+    is_opaque = (alpha.values == ONE[alpha.format.dtype]).all()
+    return {name: channel for name, channel in channels.items() if not (is_opaque and name == ALPHA.name)}
+
+
+def _with_bare_as_means(samples: Samples, channels: Mapping[str, Channel]) -> Samples:
+    """Give samples whose ``alpha`` is 0 the means of their cells.
+
+    They tell nothing of the others; as black they would darken the rim of what is known.
+    """
+    columns = np.cumsum([0, *(form.components for form in samples.channels)]).tolist()
+    names = [form.name for form in samples.channels]
+    bare = np.flatnonzero(samples.values[:, columns[names.index(ALPHA.name)]] == 0)
+    cells = np.repeat(np.arange(samples.codes.size), np.diff(samples.firsts))[bare]
+    values = samples.values.copy()
+    for name, first, end in zip(names, columns[:-1], columns[1:], strict=True):
+        if name != ALPHA.name:
+            finest = channels[name].values[-samples.codes.size :]
+            values[bare, first:end] = decode(finest[cells], channels[name].format.space)
+    return samples._replace(values=values)

@@ -1,0 +1,102 @@
+"""Points by themselves: the cells that they lie in become the texture."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+import octex
+from octex.channels import ALPHA, BASE_COLOR
+from octex.checks import as_choice
+from octex.conversion.accumulate import Columns, Sums
+from octex.conversion.fill import Filled, assemble, climb
+from octex.conversion.stored import Dtypes, stored_as
+from octex.parallel import Progress, silent
+from octex.source.cloud import PointCloud
+from octex.texture import OctreeTexture
+from octex.tree.layout import FACING_FLAGS
+from octex.tree.morton import encode_cells
+from octex.tree.placement import Placement
+
+#: By default cells are so many times as wide as points are apart: those of an even cloud have no holes.
+_CELLS_A_SPACING = 1.5
+_DEEPEST = 14
+
+
+def convert_points(
+    cloud: PointCloud,
+    depth: int | None = None,
+    *,
+    cell: float | None = None,
+    channels: Sequence[str] | None = None,
+    dtype: Dtypes = None,
+    progress: Progress | None = None,
+) -> OctreeTexture:
+    """Convert points into an octree texture, whose leaves are the finest cells that hold one.
+
+    A leaf's value is the mean of its points' colours, in linear light and weighted by alpha, and a node's
+    that of its children: every leaf weighs the same, however many points lie in it. With normals, cells face
+    as their points do, and those that show both ways along an axis keep a mean for each. By default cells are
+    one and a half times as wide as points are apart, and at most 14 levels deep.
+
+    Raises ArgumentError for unknown channels and types, and for cells that are too small.
+    """
+    report = progress or silent
+    report("points", 0, 1)
+    forms = [BASE_COLOR, ALPHA] if cloud.is_translucent else [BASE_COLOR]
+    names = [channels] if isinstance(channels, str) else channels
+    for name in names or ():
+        as_choice(name, [form.name for form in forms], "channel")
+    forms = [form for form in forms if names is None or form.name in names]
+    stored = stored_as(forms, dtype, cloud.name)
+    bounds = np.array([cloud.points.min(axis=0), cloud.points.max(axis=0)])
+    if cell is not None:
+        placement, depth = Placement.with_cell(bounds, cell)
+    else:
+        if depth is None:
+            width = _CELLS_A_SPACING * cloud.spacing
+            extent = float((bounds[1] - bounds[0]).max())
+            depth = int(np.clip(np.rint(np.log2(extent / width)), 0, _DEEPEST)) if 0 < width < np.inf else 0
+        placement = Placement.around(bounds, depth)
+    columns = Columns.of(stored)
+    leaves = _leaves(cloud, placement, depth, [form.name for form in stored])
+    levels, _ = climb(leaves, depth, stored, columns)
+    filled = Filled(depth, leaves.codes, [[level] for level in reversed(levels)], None, None, 0)
+    tree, values = assemble(stored, filled)
+    if cloud.normals is None:
+        flags = tree.arrays.flags & np.uint8(0xFF ^ FACING_FLAGS)
+        tree = tree.with_cell_data(flags, tree.arrays.areas)
+    options = {
+        **({"depth": depth} if cell is None else {"cell": float(cell)}),
+        "channels": {form.name: form.dtype for form in stored},
+        "points": len(cloud),
+    }
+    metadata = {"source": cloud.name, "octex": octex.__version__, "convert": json.dumps(options)}
+    report("points", 1, 1)
+    return OctreeTexture(tree, values, placement, bounds, metadata)
+
+
+def _leaves(cloud: PointCloud, placement: Placement, depth: int, names: Sequence[str]) -> Sums:
+    """Add up the points in each cell, by the way they face; a cell's area is that of one of its faces."""
+    cells = np.floor(placement.to_texture_space(cloud.points) * (1 << depth)).astype(np.int64)
+    codes = encode_cells(np.clip(cells, 0, (1 << depth) - 1))
+    facings = np.zeros(len(cloud), np.int64)
+    if cloud.normals is not None:
+        axes = np.abs(cloud.normals).argmax(axis=1)
+        facings = 2 * axes + (np.take_along_axis(cloud.normals, axes[:, None], axis=1)[:, 0] < 0)
+    order = np.lexsort((facings, codes))
+    codes, facings = codes[order], facings[order]
+    starts = np.flatnonzero(np.diff(codes, prepend=-1))
+    counts = np.diff(starts, append=codes.size)
+    areas = np.repeat(1.0 / counts, counts)
+    color, alpha = cloud.colors[order, :3].astype(np.float64), cloud.colors[order, 3:].astype(np.float64)
+    part = areas[:, None] * (alpha if ALPHA.name in names else 1.0)
+    parts = {BASE_COLOR.name: color * part, ALPHA.name: part}
+    rows = np.hstack([*(parts[name] for name in names), areas[:, None]])
+    entries = np.flatnonzero(np.diff(codes * 8 + facings, prepend=-1))
+    bits = (np.uint8(1) << facings.astype(np.uint8)).astype(np.uint8)
+    flags: npt.NDArray[np.uint8] = np.bitwise_or.reduceat(bits, starts)
+    return Sums(codes[starts], flags, np.add.reduceat(rows, entries))

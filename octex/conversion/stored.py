@@ -1,0 +1,42 @@
+"""How channels are stored."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TypeAlias
+
+from octex.channels import ONE, ChannelFormat
+from octex.checks import as_choice
+from octex.errors import ArgumentError
+
+#: A stored type for all channels, for some by their names, or the source's own.
+Dtypes: TypeAlias = str | Mapping[str, str] | None
+
+
+def stored_as(channels: Sequence[ChannelFormat], dtype: Dtypes, name: str) -> tuple[ChannelFormat, ...]:
+    """Return how the channels of a source, which messages call ``name``, are stored.
+
+    ``dtype`` is a type for all or some by name; None, and others, stay as they are. Raises ArgumentError for
+    unknown names and types, and an integer type for a channel that goes above 1.
+    """
+    names = [channel.name for channel in channels]
+    wanted = dict(dtype) if isinstance(dtype, Mapping) else dict.fromkeys(names, dtype)
+    for each in wanted:
+        as_choice(each, names, "channel of dtype")
+    formats = []
+    for channel in channels:
+        chosen = wanted.get(channel.name)
+        if chosen is None:
+            formats.append(channel)
+            continue
+        as_choice(chosen, ONE, "dtype")
+        space = channel.space
+        if chosen.startswith("float"):
+            space = "linear" if space == "srgb" else space
+        elif space == "linear" and channel.dtype.startswith("float"):
+            raise ArgumentError(
+                f"{name}: channel {channel.name!r} goes above 1, which {chosen} cannot hold; "
+                "give it the dtype float16 or float32"
+            )
+        formats.append(channel._replace(space=space, dtype=chosen))
+    return tuple(formats)

@@ -1,0 +1,285 @@
+"""Coloured points: a source for a surface, or what a texture is made of by themselves."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import ALPHA, BASE_COLOR, ChannelFormat
+from octex.checks import as_number
+from octex.errors import ArgumentError, InputError, ModelError
+from octex.nearest.points import Points
+from octex.source.colors import linear_colors, screen_colors
+from octex.source.models.text import parse_numbers
+from octex.source.spatial import Floats, Placeable, SpatialSource
+
+if TYPE_CHECKING:
+    from octex.source.base import Source
+    from octex.source.surface import Surface
+
+Float32s = npt.NDArray[np.float32]
+
+#: The endings of files of points; .ply too, if it has no faces.
+CLOUD_ENDINGS = (".xyz", ".npz", ".ply")
+_LEAST_POINTS = 3
+_HEADER = 1 << 16
+_FARTHEST = 1e100
+_NAMES = {
+    "points": ("points", "positions", "xyz"),
+    "colors": ("colors", "rgb"),
+    "normals": ("normals",),
+}
+
+
+class PointCloud(Placeable):
+    """Points with colours: laid on a surface, where the nearest of them count, or converted by themselves.
+
+    points     (n, 3), n ≥ 3, in the model's units, at rest
+    colors     (n, 3 or 4): uint8 or uint16 sRGB codes, or floats, linear light; a fourth column is alpha
+    normals    (n, 3) of any length, or None
+    radius     in the model's units: what a point of a surface gets is the mean of all points within it, those
+               that are farther weighing less, (1 − d²/r²)²; where there is none it stays empty. At least the
+               width of what is read: no point of a dense cloud is left out. None: that width; and where no
+               point is within it the nearest one counts
+    distance   without ``radius``: how far the nearest point may be; what is farther from all stays empty
+    max_angle  degrees between the surface's normal and a point's, from which on it does not count
+
+    Raises ArgumentError for arrays of another shape, type or length, and ModelError for points that are not
+    finite or fewer than three.
+    """
+
+    def __init__(
+        self,
+        points: npt.ArrayLike,
+        colors: npt.ArrayLike,
+        normals: npt.ArrayLike | None = None,
+        *,
+        radius: float | None = None,
+        distance: float | None = None,
+        max_angle: float = 90.0,
+        name: str = "points",
+    ) -> None:
+        self.name = name
+        self.points = _rows(points, f"{name}: points")
+        if len(self.points) < _LEAST_POINTS:
+            raise ModelError(f"{name} has {len(self.points)} points; a cloud needs three at least")
+        self.colors = linear_colors(colors, len(self.points), f"{name}: colors")
+        if not np.isfinite(self.colors).all():
+            raise ModelError(f"{name}: colour {_first_bad(self.colors)} is not finite")
+        self.normals = None
+        if normals is not None:
+            facing = _rows(normals, f"{name}: normals")
+            if len(facing) != len(self.points):
+                raise ArgumentError(f"{name}: {len(facing)} normals for {len(self.points)} points")
+            lengths = np.linalg.norm(facing, axis=1)[:, None]
+            self.normals = np.divide(facing, lengths, where=lengths > 0, out=np.zeros_like(facing))
+        if radius is not None and distance is not None:
+            raise ArgumentError("give radius or distance, not both: with a radius nothing farther counts")
+        self.radius = None if radius is None else as_number(radius, "radius", 0.0, np.inf)
+        self.distance = None if distance is None else as_number(distance, "distance", 0.0, np.inf)
+        self.max_angle = as_number(max_angle, "max_angle", 0.0, 180.0)
+        self._latest: _FromPoints | None = None
+
+    @classmethod
+    def load(
+        cls,
+        path: str | Path,
+        *,
+        radius: float | None = None,
+        distance: float | None = None,
+        max_angle: float = 90.0,
+    ) -> PointCloud:
+        """Read points from a file.
+
+        ``.ply``: vertices with colours, and normals ``nx ny nz`` if there are any; faces are not looked at.
+        ``.xyz``: a line for each point, ``x y z r g b`` or ``x y z nx ny nz r g b``; colours up to 255 if one
+        is above 1, else up to 1, sRGB both. ``.npz``: arrays ``points``, ``colors``, and perhaps ``normals``,
+        as the class takes them.
+
+        Raises ModelError, with the file's name, for what cannot be read, is not there or does not fit.
+        """
+        path = Path(path)
+        reader = _READERS.get(path.suffix.lower())
+        if reader is None:
+            raise ModelError(f"{path.name} is no cloud that octex reads; it reads {', '.join(CLOUD_ENDINGS)}")
+        try:
+            arrays = reader(path)
+        except InputError:
+            raise
+        except OSError as error:
+            raise ModelError(f"{path} cannot be read: {error.strerror or error}") from None
+        except MemoryError:
+            raise ModelError(f"{path.name} needs more memory than there is") from None
+        try:
+            return cls(*arrays, radius=radius, distance=distance, max_angle=max_angle, name=path.name)
+        except ArgumentError as error:
+            raise ModelError(str(error)) from None
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __repr__(self) -> str:
+        return f"<PointCloud {self.name!r} of {len(self):,} points>"
+
+    @property
+    def is_translucent(self) -> bool:
+        """Whether any point's alpha is below 1."""
+        return bool((self.colors[:, 3] < 1).any())
+
+    @property
+    def sources(self) -> dict[str, PointCloud]:
+        """The cloud for every channel that it has, as ``Surface.with_sources`` takes it."""
+        return dict.fromkeys(["base_color", "alpha"] if self.is_translucent else ["base_color"], self)
+
+    @cached_property
+    def _ready(self) -> Points:
+        normals = None if self.normals is None else self.normals.astype(np.float32)
+        weighted = self.colors.copy()
+        weighted[:, :3] *= weighted[:, 3:]
+        return Points.of(self.points, weighted, normals)
+
+    @property
+    def spacing(self) -> float:
+        """The median distance from a point to the nearest other, in the model's units."""
+        return self._ready.spacing()
+
+    def on(self, surface: Surface, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:  # noqa: ARG002
+        """Return the source of a channel, the same for both on the same surface.
+
+        Raises ArgumentError for others than ``base_color`` and ``alpha``.
+        """
+        if form.name not in ("base_color", "alpha"):
+            raise ArgumentError(f"{self.name}: points have colours and alpha, and no {form.name}")
+        latest = self._latest
+        if latest is None or not latest.is_on(surface):
+            latest = self._latest = _FromPoints(self, self._ready, surface.rest, surface.triangles)
+        return latest, {f"source_{form.name}": f"points of {self.name}"}
+
+
+class _FromPoints(SpatialSource):
+    """Colours of a cloud on a surface."""
+
+    def __init__(
+        self,
+        cloud: PointCloud,
+        ready: Points,
+        rest: Floats,
+        triangles: npt.NDArray[np.int32],
+    ) -> None:
+        self._ready = ready
+        self._radius = 0.0 if cloud.radius is None else cloud.radius
+        self._nearest = None if cloud.radius is not None else np.inf
+        if cloud.distance is not None:
+            self._nearest = cloud.distance
+        self._is_faced = cloud.normals is not None and cloud.max_angle < 180.0
+        self._least_cosine = float(np.cos(np.radians(cloud.max_angle)))
+        has_alpha = cloud.is_translucent or self.has_gaps
+        super().__init__((BASE_COLOR, ALPHA) if has_alpha else (BASE_COLOR,), rest, triangles)
+
+    @property
+    def has_gaps(self) -> bool:
+        """Whether points of the surface may be too far from all of the cloud's."""
+        return self._is_faced or self._nearest is None or bool(np.isfinite(self._nearest))
+
+    def at(self, points: Floats, normals: Floats, widths: Float32s) -> Float32s:
+        """Return colours, and alpha if there is any (n, 3 or 4), of the points around places."""
+        values, _ = self._ready.around(
+            points,
+            np.maximum(widths.astype(np.float64), self._radius),
+            normals if self._is_faced else None,
+            nearest=self._nearest,
+            least_cosine=self._least_cosine,
+        )
+        alpha = values[:, 3:]
+        np.divide(values[:, :3], alpha, where=alpha > 0, out=values[:, :3])
+        return np.ascontiguousarray(values[:, : sum(form.components for form in self._channels)])
+
+
+def is_cloud(path: str | Path) -> bool:
+    """Say whether a file is one of points: ``.xyz``, ``.npz``, or ``.ply`` whose header has no faces."""
+    path = Path(path)
+    if path.suffix.lower() != ".ply":
+        return path.suffix.lower() in CLOUD_ENDINGS
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEADER).partition(b"end_header")[0]
+    except OSError:
+        return False
+    return re.search(rb"^element\s+face\s+0*[1-9]", head, re.MULTILINE) is None and b"element" in head
+
+
+def _rows(array: npt.ArrayLike, what: str) -> Floats:
+    """Return finite rows of three, or raise ArgumentError or ModelError."""
+    try:
+        rows = np.ascontiguousarray(array, np.float64)
+    except (TypeError, ValueError):
+        raise ArgumentError(f"{what} must be numbers of shape (n, 3)") from None
+    if rows.ndim != 2 or rows.shape[1] != 3:
+        raise ArgumentError(f"{what} must have shape (n, 3), not {rows.shape}")
+    if not (np.abs(rows) <= _FARTHEST).all():
+        raise ModelError(f"{what} are not all finite: number {_first_bad(rows)} is not")
+    return rows
+
+
+def _first_bad(rows: npt.NDArray[np.floating]) -> int:
+    return int(np.argmin((np.abs(rows) <= _FARTHEST).all(axis=1)))
+
+
+class _Arrays(NamedTuple):
+    points: npt.NDArray[np.generic]
+    colors: npt.NDArray[np.generic]
+    normals: npt.NDArray[np.generic] | None
+
+
+def _read_ply(path: Path) -> _Arrays:
+    from octex.source.models.meshfiles import ply_points
+
+    return _Arrays(*ply_points(path))
+
+
+def _read_npz(path: Path) -> _Arrays:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            found = {
+                kind: next((file[name] for name in names if name in file), None)
+                for kind, names in _NAMES.items()
+            }
+    except (ValueError, EOFError, KeyError, AttributeError, TypeError, NotImplementedError) as error:
+        raise ModelError(f"{path.name} is no .npz file of arrays ({error}); save it again") from None
+    except Exception as error:  # zipfile and zlib have errors of their own
+        if isinstance(error, OSError):
+            raise
+        raise ModelError(f"{path.name} is damaged ({error}); save it again") from None
+    for kind in ("points", "colors"):
+        if found[kind] is None:
+            raise ModelError(f"{path.name} has no array {kind!r}; save it with np.savez(…, {kind}=…)")
+    return _Arrays(found["points"], found["colors"], found["normals"])  # type: ignore[arg-type]
+
+
+def _read_xyz(path: Path) -> _Arrays:
+    text = path.read_text(encoding="latin-1")
+    first = next((line for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"), "")
+    columns = len(first.replace(",", " ").split())
+    lines = (line for line in text.splitlines() if line.lstrip()[:1] != "#")
+    numbers = parse_numbers("\n".join(lines).replace(",", " "))
+    if numbers is None or not columns or numbers.size % columns:
+        raise ModelError(f"{path.name}: its lines are not all {columns} numbers; a line is x y z r g b")
+    if columns not in (6, 7, 9, 10):
+        raise ModelError(
+            f"{path.name}: its lines have {columns} numbers and no colours; a line is x y z r g b, or "
+            "x y z nx ny nz r g b"
+        )
+    rows = numbers.reshape(-1, columns)
+    normals = rows[:, 3:6] if columns >= 9 else None
+    colors = rows[:, 3 if normals is None else 6 :]
+    most = 255.0 if colors[:, :3].max(initial=0.0) > 1.0 else 1.0
+    return _Arrays(rows[:, :3], screen_colors(colors / most), normals)
+
+
+_READERS: dict[str, Callable[[Path], _Arrays]] = {".ply": _read_ply, ".xyz": _read_xyz, ".npz": _read_npz}

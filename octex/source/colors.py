@@ -1,0 +1,38 @@
+"""Colours as users and files give them, as linear light and alpha."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import decode, srgb_to_linear
+from octex.errors import ArgumentError
+
+
+def linear_colors(colors: npt.ArrayLike, rows: int, name: str) -> npt.NDArray[np.float32]:
+    """Return colours (rows, 3 or 4) as linear light and alpha (rows, 4).
+
+    Unsigned integers are sRGB codes, floats are linear light already.
+    Raises ArgumentError for another shape or type.
+    """
+    array = np.asarray(colors)
+    if array.ndim != 2 or array.shape[0] != rows or array.shape[1] not in (3, 4):
+        raise ArgumentError(f"{name} must have shape ({rows}, 3) or ({rows}, 4), not {array.shape}")
+    if array.dtype in (np.uint8, np.uint16):
+        linear = np.ones((rows, 4), np.float32)
+        linear[:, :3] = decode(array[:, :3], "srgb")
+        linear[:, 3:] = decode(array[:, 3:], "data") if array.shape[1] == 4 else 1.0
+        return linear
+    if array.dtype.kind != "f":
+        raise ArgumentError(f"{name} must be uint8 or uint16 (sRGB) or floats (linear), not {array.dtype}")
+    linear = np.ones((rows, 4), np.float32)
+    linear[:, : array.shape[1]] = array
+    return linear
+
+
+def screen_colors(colors: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
+    """Return sRGB values in 0 … 1 (n, 3 or 4) as linear light and alpha (n, 4)."""
+    linear = np.ones((len(colors), 4), np.float32)
+    linear[:, : colors.shape[1]] = np.clip(colors, 0.0, 1.0)
+    linear[:, :3] = srgb_to_linear(linear[:, :3])
+    return linear

@@ -1,0 +1,129 @@
+"""Several surfaces as one, each with its own source."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import NORMAL, ChannelFormat
+from octex.source.base import Source, by_channel, in_order
+from octex.source.materials import DEFAULTS
+from octex.source.spatial import SpatialSource
+
+Floats = npt.NDArray[np.float64]
+Int32s = npt.NDArray[np.int32]
+
+
+class Part(NamedTuple):
+    """One of the surfaces."""
+
+    source: Source | None  # None: it has none of the wanted channels
+    vertices: slice
+    triangles: slice
+
+
+class Joined(Source):
+    """Sources of surfaces whose vertices and triangles follow each other.
+
+    It has the channels that any of them has: elsewhere what materials give that do not state them, and for
+    directions the normals of the ``faces``.
+    """
+
+    def __init__(self, parts: Sequence[Part], faces: Source) -> None:
+        self._parts = list(parts)
+        self._firsts = np.array([part.triangles.start for part in parts])
+        self._faces = faces
+        found: dict[str, ChannelFormat] = {}
+        for form in (form for part in parts if part.source for form in part.source.channels):
+            known = found.setdefault(form.name, form)
+            if not known.dtype.startswith("float"):
+                found[form.name] = form if form.dtype.startswith("float") else known
+        self._channels = tuple(found[name] for name in in_order(list(found)))
+
+    @property
+    def channels(self) -> tuple[ChannelFormat, ...]:
+        """The channels, in the order of the values' columns."""
+        return self._channels
+
+    @property
+    def has_gaps(self) -> bool:
+        """Whether any of the sources may know nothing of some points."""
+        return any(part.source.has_gaps for part in self._parts if part.source)
+
+    def evaluate(
+        self, triangles: Int32s, barycentric: Floats, widths: npt.NDArray[np.float32]
+    ) -> npt.NDArray[np.float32]:
+        """Return every channel's values (n, components), each point's from its own source."""
+        values = np.empty((len(triangles), sum(form.components for form in self._channels)), np.float32)
+        for part, rows, own in self._by_part(triangles):
+            given: dict[str, npt.NDArray[np.float32]] = {}
+            if part.source:
+                found = part.source.evaluate(own, barycentric[rows], widths[rows])
+                given = by_channel(part.source.channels, found)
+            values[rows] = np.hstack(
+                [
+                    given[form.name] if form.name in given else self._default(form, triangles[rows])
+                    for form in self._channels
+                ]
+            )
+        return values
+
+    def _by_part(self, triangles: Int32s) -> Iterator[tuple[Part, npt.NDArray[np.int64], Int32s]]:
+        """Yield the parts that triangles (n,) are of, with their rows, and their numbers in the part."""
+        owners = np.searchsorted(self._firsts, triangles, side="right") - 1
+        for number in np.flatnonzero(np.bincount(owners)).tolist():
+            part, rows = self._parts[number], np.flatnonzero(owners == number)
+            yield part, rows, np.asarray(triangles[rows] - part.triangles.start, np.int32)
+
+    def _default(self, form: ChannelFormat, triangles: Int32s) -> npt.NDArray[np.float32]:
+        if form.name == NORMAL.name:
+            thirds = np.full((len(triangles), 3), 1 / 3)
+            return self._faces.evaluate(triangles, thirds, np.zeros(len(triangles), np.float32))
+        return np.full((len(triangles), form.components), DEFAULTS.get(form.name, 1.0), np.float32)
+
+    def texel_edges(self, triangles: Int32s) -> npt.NDArray[np.float32]:
+        """Return the edge of a texel on triangles (n,), in rest units."""
+        edges = np.full(len(triangles), np.inf, np.float32)
+        for part, rows, own in self._by_part(triangles):
+            if part.source:
+                edges[rows] = part.source.texel_edges(own)
+        return edges
+
+    def with_rest(self, rest: Floats) -> Joined:
+        """Return the same sources with widths and directions measured on other rest positions (n, 3)."""
+        faces = self._faces.with_rest(rest)
+        return self._each(lambda source, part: source.with_rest(rest[part.vertices]), faces)
+
+    def with_filter(self, name: str) -> Joined:
+        """Return the same sources with their images read by another filter."""
+        return self._each(lambda source, _: source.with_filter(name), self._faces)
+
+    def only(self, names: Sequence[str]) -> Source:
+        """Return the same source with these of its channels alone."""
+
+        def restricted(source: Source, _: Part) -> Source | None:
+            own = [form.name for form in source.channels if form.name in names]
+            return source.only(own) if own else None
+
+        return self._each(restricted, self._faces)
+
+    def _each(self, change: Callable[[Source, Part], Source | None], faces: Source) -> Joined:
+        sources = [change(part.source, part) if part.source else None for part in self._parts]
+        parts = [part._replace(source=each) for part, each in zip(self._parts, sources, strict=True)]
+        return Joined(parts, faces)
+
+
+class FaceNormals(SpatialSource):
+    """The normals of the faces at rest."""
+
+    def at(
+        self,
+        points: Floats,  # noqa: ARG002
+        normals: Floats,
+        widths: npt.NDArray[np.float32],  # noqa: ARG002
+    ) -> npt.NDArray[np.float32]:
+        """Return the normals themselves (n, 3)."""
+        return normals.astype(np.float32)

@@ -1,0 +1,137 @@
+"""Values of another model, taken from the point of its surface that is nearest."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import ALPHA, ChannelFormat
+from octex.checks import as_choice, as_number
+from octex.errors import ModelError
+from octex.nearest.triangles import Triangles
+from octex.source.spatial import Floats, Placeable, SpatialSource
+
+if TYPE_CHECKING:
+    from octex.source.base import Source
+    from octex.source.surface import Surface
+
+
+class Transfer(Placeable):
+    """Another model's channels, taken where its surface is nearest.
+
+    Both lie in one space: the nearest point is looked for between the rest positions of the two.
+
+    model      a file, or a Surface
+    distance   how far away the other surface may be, in the model's units; what is farther from it stays
+               empty. None: as far as it takes
+    max_angle  degrees between the normals of the two faces, above which a place does not count; 180: all do.
+               With less, the two sides of a thin wall are told apart
+
+    Use it for one channel, ``{"base_color": transfer}``, or for all that the other model has, ``sources``.
+    """
+
+    def __init__(
+        self, model: str | Path | Surface, *, distance: float | None = None, max_angle: float = 180.0
+    ) -> None:
+        from octex.source.load import load_surface
+
+        self._surface = load_surface(model) if isinstance(model, (str, Path)) else model
+        self.distance = None if distance is None else as_number(distance, "distance", 0.0, np.inf)
+        self.max_angle = as_number(max_angle, "max_angle", 0.0, 180.0)
+        self._latest: _Transferred | None = None
+
+    def __repr__(self) -> str:
+        return f"<Transfer from {self._surface!r}>"
+
+    @property
+    def sources(self) -> dict[str, Transfer]:
+        """The transfer for every channel of the other model, as ``Surface.with_sources`` takes it."""
+        return {form.name: self for form in self._surface.channels}
+
+    @cached_property
+    def _mesh(self) -> Triangles:
+        try:
+            return Triangles.of(self._surface.rest, self._surface.triangles)
+        except ModelError as error:
+            raise ModelError(f"{self._surface.name}: {error}") from None
+
+    def on(self, surface: Surface, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:  # noqa: ARG002
+        """Return the source of a channel, the same for all channels on the same surface.
+
+        Raises ArgumentError for a channel that the other model lacks, ModelError if it has no area.
+        """
+        as_choice(form.name, self.sources, f"channel of {self._surface.name}:")
+        latest = self._latest
+        if latest is None or not latest.is_on(surface):
+            latest = self._latest = _Transferred(
+                self._surface, self._mesh, self.distance, self.max_angle, surface
+            )
+        return latest, {f"source_{form.name}": f"nearest surface of {self._surface.name}"}
+
+
+class _Transferred(SpatialSource):
+    """Values of ``other``, whose triangles are made ready in ``mesh``, on a surface."""
+
+    def __init__(
+        self,
+        other: Surface,
+        mesh: Triangles,
+        distance: float | None,
+        max_angle: float,
+        surface: Surface,
+    ) -> None:
+        self._other = other.source
+        self._mesh = mesh
+        self._distance = np.inf if distance is None else distance
+        self._least_cosine = float(np.cos(np.radians(max_angle))) if max_angle < 180.0 else -np.inf
+        super().__init__(self._forms(), surface.rest, surface.triangles)
+
+    def _forms(self) -> list[ChannelFormat]:
+        forms = list(self._other.channels)
+        if self.has_gaps and ALPHA.name not in [form.name for form in forms]:
+            forms.append(ALPHA)
+        return forms
+
+    @property
+    def has_gaps(self) -> bool:
+        """Whether points may be too far from the other surface, or face another way than all of it."""
+        return bool(np.isfinite(self._distance) or np.isfinite(self._least_cosine))
+
+    def at(self, points: Floats, normals: Floats, widths: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Return the other's values (n, components) at the points nearest to these."""
+        found = self._mesh.nearest(
+            points,
+            normals if np.isfinite(self._least_cosine) else None,
+            distance=self._distance,
+            least_cosine=self._least_cosine,
+        )
+        there = found.triangles >= 0
+        values = np.zeros((len(points), sum(form.components for form in self._channels)), np.float32)
+        of_other = sum(form.components for form in self._other.channels)
+        values[there, of_other:] = 1.0
+        values[there, :of_other] = self._other.evaluate(
+            found.triangles[there], found.barycentric[there], widths[there]
+        )
+        return values
+
+    def only(self, names: Sequence[str]) -> _Transferred:
+        """Return the same source with these of its channels alone."""
+        own = [form.name for form in self._other.channels if form.name in names]
+        if ALPHA.name in names and ALPHA.name in [form.name for form in self._channels]:
+            own = [*own, ALPHA.name] if ALPHA.name in [form.name for form in self._other.channels] else own
+        other = copy.copy(self)
+        other._other = self._other.only(own)
+        other._channels = tuple(form for form in other._forms() if form.name in names)
+        return other
+
+    def with_filter(self, name: str) -> _Transferred:
+        """Return the same source with the other's images read by another filter."""
+        other = copy.copy(self)
+        other._other = self._other.with_filter(name)
+        return other
