@@ -23,7 +23,7 @@ WIDTH = 8
 #: Nodes that can wait at once: seven of each level, and one.
 _STACK = 256
 #: Nodes that are kept for searches nearby, and how many of them are few and many: the ball grows and shrinks.
-_MOST_KEPT, _FEW, _MANY = 64, 4, 10
+_MOST_KEPT, _FEW, _MANY = 64, 6, 16
 #: Boxes and points are rounded to single precision: by at most this part of the largest coordinate.
 _ROUNDING = 4.0 * 2.0**-24
 _FARTHEST = 3e38
@@ -186,19 +186,23 @@ def next_node(
 
 
 @inlined
+def is_around(kept: Kept, x: float, y: float, z: float, radius: float) -> bool:
+    """Say whether a ball about a point relative to the origin lies in the one whose nodes are kept."""
+    ball = kept.ball
+    dx, dy, dz = x - ball[0], y - ball[1], z - ball[2]
+    return bool(np.sqrt(dx * dx + dy * dy + dz * dz) + radius <= ball[3])
+
+
+@inlined
 def keep_around(
     boxes: Boxes, search: Search, kept: Kept, x: float, y: float, z: float, radius: float, slack: float
 ) -> bool:
     """Keep all nodes of the lowest level that reach into a ball about a point relative to the origin.
 
-    Points that follow each other mostly share them. Says no if there are too many.
+    It is wider than asked for, so that points that follow share it. Says no if there are too many nodes.
     """
     ball = kept.ball
-    dx, dy, dz = x - ball[0], y - ball[1], z - ball[2]
-    wanted = radius + slack
-    if np.sqrt(dx * dx + dy * dy + dz * dz) + wanted <= ball[3]:
-        return True
-    ball[0], ball[1], ball[2], ball[3] = x, y, z, wanted + ball[4]
+    ball[0], ball[1], ball[2], ball[3] = x, y, z, radius + ball[4]
     bound = reach(ball[3] * ball[3], slack)
     i, j, k = np.float32(x), np.float32(y), np.float32(z)
     count = 0
@@ -208,6 +212,7 @@ def keep_around(
         if near == np.uint64(0):
             continue
         if count == kept.nodes.size:
+            kept.filled[0] = 0
             ball[3], ball[4] = -1.0, 0.5 * ball[4]
             return False
         kept.nodes[count] = node

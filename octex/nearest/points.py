@@ -7,13 +7,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.jit import inlined, kernel, trailing_zeros
+from octex.jit import inlined, kernel, squares_to_boxes, trailing_zeros
 from octex.nearest.boxes import (
     WIDTH,
     Boxes,
     Search,
     begin,
     boxes_of,
+    is_around,
     keep_around,
     local,
     morton_order,
@@ -140,21 +141,23 @@ def _around(
         radius, total = radii[n], 0.0
         if radius > 0.0:
             square = radius * radius
+            bound = reach(square, slack)
             sums[:] = 0.0
-            if keep_around(boxes, search, kept, x, y, z, radius, slack):
-                for row in range(kept.filled[0]):
-                    first = kept.nodes[row] * 8
-                    for group in range(first, min(first + 8, boxes.things)):
-                        total += _add_group(cloud, group, point, square, directions, n, least_cosine, sums)
-            else:
-                waiting = begin(boxes, search)
-                bound = reach(square, slack)
-                while waiting > 0:
+            is_kept = is_around(kept, x, y, z, radius + slack) or keep_around(
+                boxes, search, kept, x, y, z, radius + slack, slack
+            )
+            waiting = kept.filled[0] if is_kept else begin(boxes, search)
+            while waiting > 0:
+                if is_kept:
+                    waiting -= 1
+                    node = kept.nodes[waiting]
+                    near = squares_to_boxes(boxes.bounds, node, i, j, k, bound, search.children)
+                else:
                     node, near, waiting = next_node(boxes, search, waiting, i, j, k, bound)
-                    while near != np.uint64(0):
-                        group = node * 8 + trailing_zeros(near)
-                        near &= near - np.uint64(1)
-                        total += _add_group(cloud, group, point, square, directions, n, least_cosine, sums)
+                while near != np.uint64(0):
+                    group = node * 8 + trailing_zeros(near)
+                    near &= near - np.uint64(1)
+                    total += _add_group(cloud, group, point, square, directions, n, least_cosine, sums)
         if total > 0.0:
             found[n] = True
             for component in range(sums.size):

@@ -11,8 +11,11 @@ from octex.errors import ModelError
 from octex.jit import inlined, kernel, squares_to_boxes, trailing_zeros
 from octex.nearest.boxes import (
     Boxes,
+    Kept,
+    Search,
     begin,
     boxes_of,
+    is_around,
     keep_around,
     local,
     morton_order,
@@ -27,6 +30,8 @@ Int32s = npt.NDArray[np.int32]
 
 #: Triangles whose area is less than this part of the square of their longest edge are left out.
 _THINNEST = 1e-12
+#: What was near to the point before says nothing of this one if it is farther than so many margins.
+_FAR = 2.0
 
 
 class Nearest(NamedTuple):
@@ -160,6 +165,68 @@ def _best_in(
     return square, chosen, p, q
 
 
+@inlined
+def _best_kept(
+    mesh: Triangles,
+    search: Search,
+    kept: Kept,
+    local_point: tuple[float, float, float, float],
+    point: tuple[float, float, float],
+    directions: Floats,
+    n: int,
+    least_cosine: float,
+    best: tuple[float, int, float, float],
+) -> tuple[float, int, float, float]:
+    """Return the best of the triangles in the nodes that are kept, and of what was best."""
+    x, y, z, slack = local_point
+    i, j, k = np.float32(x), np.float32(y), np.float32(z)
+    bound = reach(best[0], slack)
+    bounds = mesh.boxes.bounds
+    # The triangle with the nearest box first: it mostly is the one, and few others need be looked at.
+    first, lowest = -1, bound
+    for row in range(kept.filled[0]):
+        near = squares_to_boxes(bounds, kept.nodes[row], i, j, k, lowest, search.children)
+        while near != np.uint64(0):
+            child = trailing_zeros(near)
+            near &= near - np.uint64(1)
+            if search.children[child] < lowest:
+                first, lowest = kept.nodes[row] * 8 + child, search.children[child]
+    if first >= 0:
+        only = np.uint64(1) << np.uint64(first & 7)
+        best = _best_in(mesh, first >> 3, only, point, directions, n, least_cosine, best)
+        bound = reach(best[0], slack)
+    for row in range(kept.filled[0]):
+        near = squares_to_boxes(bounds, kept.nodes[row], i, j, k, bound, search.children)
+        if near != np.uint64(0):
+            best = _best_in(mesh, kept.nodes[row], near, point, directions, n, least_cosine, best)
+            bound = reach(best[0], slack)
+    return best
+
+
+@inlined
+def _best_of_all(
+    mesh: Triangles,
+    search: Search,
+    local_point: tuple[float, float, float, float],
+    point: tuple[float, float, float],
+    directions: Floats,
+    n: int,
+    least_cosine: float,
+    best: tuple[float, int, float, float],
+) -> tuple[float, int, float, float]:
+    """Return the best of all triangles, and of what was best."""
+    x, y, z, slack = local_point
+    i, j, k = np.float32(x), np.float32(y), np.float32(z)
+    bound = reach(best[0], slack)
+    waiting = begin(mesh.boxes, search)
+    while waiting > 0:
+        node, near, waiting = next_node(mesh.boxes, search, waiting, i, j, k, bound)
+        if near != np.uint64(0):
+            best = _best_in(mesh, node, near, point, directions, n, least_cosine, best)
+            bound = reach(best[0], slack)
+    return best
+
+
 @kernel
 def _nearest(
     mesh: Triangles,
@@ -173,34 +240,24 @@ def _nearest(
 ) -> None:
     boxes = mesh.boxes
     search, kept = new_search(), new_kept(mesh.width)
-    last = -1
     for n in range(len(points)):
         point = points[n, 0], points[n, 1], points[n, 2]
+        here = local(boxes, *point)
+        x, y, z, slack = here
         best = distance * distance, -1, 0.0, 0.0
-        # Points mostly come in the order of some surface: what was nearest to the one before is near.
-        if last >= 0 and _agrees(mesh, last, directions, n, least_cosine):
-            far, of_b, of_c = _on_triangle(mesh.corners, last, *point)
-            if far <= best[0]:
-                best = far, last, of_b, of_c
-        x, y, z, slack = local(boxes, *point)
-        i, j, k = np.float32(x), np.float32(y), np.float32(z)
-        bound = reach(best[0], slack)
-        if best[1] >= 0 and keep_around(boxes, search, kept, x, y, z, np.sqrt(best[0]), slack):
-            for row in range(kept.filled[0]):
-                node = kept.nodes[row]
-                near = squares_to_boxes(boxes.bounds, node, i, j, k, bound, search.children)
-                if near != np.uint64(0):
-                    best = _best_in(mesh, node, near, point, directions, n, least_cosine, best)
-                    bound = reach(best[0], slack)
-        else:
-            waiting = begin(boxes, search)
-            while waiting > 0:
-                node, near, waiting = next_node(boxes, search, waiting, i, j, k, bound)
-                if near != np.uint64(0):
-                    best = _best_in(mesh, node, near, point, directions, n, least_cosine, best)
-                    bound = reach(best[0], slack)
+        # Points mostly come in the order of some surface: what was near to the one before is near.
+        best = _best_kept(mesh, search, kept, here, point, directions, n, least_cosine, best)
+        radius = np.sqrt(best[0]) + slack
+        if best[1] < 0 or not is_around(kept, x, y, z, radius):
+            is_far = best[1] < 0 or radius > _FAR * kept.ball[4]
+            if is_far:
+                best = _best_of_all(mesh, search, here, point, directions, n, least_cosine, best)
+                radius = np.sqrt(best[0]) + slack
+            if best[1] >= 0 and keep_around(boxes, search, kept, x, y, z, radius, slack) and not is_far:
+                best = _best_kept(mesh, search, kept, here, point, directions, n, least_cosine, best)
+            elif not is_far:
+                best = _best_of_all(mesh, search, here, point, directions, n, least_cosine, best)
         square, chosen, p, q = best
         triangles[n] = mesh.order[chosen] if chosen >= 0 else -1
         squares[n] = square if chosen >= 0 else np.inf
         barycentric[n, 0], barycentric[n, 1], barycentric[n, 2] = 1.0 - p - q, p, q
-        last = chosen if chosen >= 0 else last
