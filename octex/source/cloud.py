@@ -228,7 +228,7 @@ def _rows(array: npt.ArrayLike, what: str) -> Floats:
 
 
 def _first_bad(rows: npt.NDArray[np.floating]) -> int:
-    return int(np.argmin((np.abs(rows) <= _FARTHEST).all(axis=1)))
+    return int(np.argmin((np.abs(rows.astype(np.float64)) <= _FARTHEST).all(axis=1)))
 
 
 class _Arrays(NamedTuple):

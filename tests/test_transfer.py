@@ -1,0 +1,165 @@
+"""Channels of another model, taken where its surface is nearest; and what is left empty."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import octex
+from octex.channels import BASE_COLOR, EMISSIVE, NORMAL
+from octex.errors import ArgumentError, ModelError
+from octex.source.surface import Surface
+from tests.fixtures import ply, ply_square
+from tests.painted import ball, plain, square, together
+from tests.small_surfaces import FaceSource, sheet, tetrahedron, whole
+
+Array = npt.NDArray[Any]
+
+
+def rainbow(rings: int = 24) -> Surface:
+    """A ball whose colour says where it is."""
+    vertices, triangles = ball(rings).vertices, ball(rings).triangles
+    return Surface.from_arrays(vertices, triangles, colors=(vertices + 1.2) / 2.5, name="rainbow")
+
+
+def test_a_ball_of_other_triangles_gets_the_colours_of_the_nearest_places() -> None:
+    target = plain((ball(17).vertices * 1.01, ball(17).triangles))
+    made = target.with_sources(octex.Transfer(rainbow()).sources)
+    samples = made.scatter(500)
+    nearest = samples.rest / np.linalg.norm(samples.rest, axis=1)[:, None]
+    np.testing.assert_allclose(made.evaluate(samples), (nearest + 1.2) / 2.5, atol=0.01)
+
+
+def test_a_model_transferred_to_itself_is_itself() -> None:
+    surface = whole()
+    made = plain((surface.vertices, surface.triangles)).with_sources(octex.Transfer(surface).sources)
+    assert [form.name for form in made.channels] == [form.name for form in surface.channels]
+    samples = surface.scatter(200)
+    for form in surface.channels:
+        np.testing.assert_allclose(
+            made.evaluate(samples, form.name), surface.evaluate(samples, form.name), atol=1e-6
+        )
+
+
+def test_one_channel_alone_leaves_the_others_as_they_are() -> None:
+    surface = tetrahedron()
+    other = FaceSource((BASE_COLOR, EMISSIVE), np.full((4, 6), 0.25))
+    transfer = octex.Transfer(Surface(surface.vertices, surface.triangles, other))
+    made = surface.with_sources({"emissive": transfer})
+    samples = surface.scatter(50)
+    assert np.allclose(made.evaluate(samples, "emissive"), 0.25)
+    assert np.allclose(made.evaluate(samples), surface.evaluate(samples))
+
+
+def test_what_is_farther_than_the_distance_stays_empty_and_is_counted() -> None:
+    near, far = square(0.0), square(1.0)
+    both = plain(together(near, far))
+    red = Surface.from_arrays(*near, colors=np.tile([1.0, 0.0, 0.0], (len(near[0]), 1)))
+    texture = octex.convert(both, 6, sources=octex.Transfer(red, distance=0.1).sources)
+    texture.validate()
+    whole_texture = octex.convert(both, 6)
+    empty = json.loads(texture.metadata["convert"])["empty"]
+    assert empty == whole_texture.tree.n_leaves - texture.tree.n_leaves
+    samples = both.scatter(2000)
+    upper = samples.rest[:, 2] > 0.5
+    assert not texture.contains(samples.rest[upper]).any()
+    assert texture.contains(samples.rest[~upper]).all()
+    np.testing.assert_allclose(
+        texture.sample(samples.rest[~upper]), np.tile([1.0, 0, 0], ((~upper).sum(), 1)), atol=1e-3
+    )
+    assert np.array_equal(texture.sample(samples.rest[~upper], "alpha"), np.ones(((~upper).sum(), 1)))
+
+
+def test_beside_a_gap_colours_do_not_darken() -> None:
+    half = square(0.0)
+    wide = half[0] * [2.0, 1.0, 1.0]
+    white = Surface.from_arrays(*half, colors=np.ones((len(half[0]), 3)))
+    texture = octex.convert(plain((wide, half[1])), 6, sources=octex.Transfer(white, distance=0.03).sources)
+    samples = plain((wide, half[1])).scatter(3000)
+    inside = texture.contains(samples.rest)
+    assert 0.3 < inside.mean() < 0.7
+    assert texture.sample(samples.rest[inside]).min() > 0.99
+
+
+def test_a_distance_that_leaves_nothing_out_leaves_no_trace() -> None:
+    surface = rainbow()
+    target = plain((surface.vertices, surface.triangles))
+    limited = octex.convert(target, 4, sources=octex.Transfer(surface, distance=1.0).sources)
+    free = octex.convert(target, 4, sources=octex.Transfer(surface).sources)
+    assert list(limited.channels) == ["base_color"]
+    assert np.array_equal(limited.channels["base_color"].values, free.channels["base_color"].values)
+
+
+def test_nothing_near_is_refused() -> None:
+    surface = rainbow()
+    far = plain((surface.vertices + 10.0, surface.triangles))
+    with pytest.raises(ModelError, match="too far from all of it"):
+        octex.convert(far, 3, sources=octex.Transfer(surface, distance=1.0).sources)
+
+
+def test_with_an_angle_each_side_of_a_thin_sheet_takes_its_own_colour() -> None:
+    thin = sheet(np.eye(3), 0.01)
+    moved = thin.vertices + np.array([0.0, 0.0, 0.006])
+    target = plain((moved, thin.triangles))
+    samples = target.scatter(400)
+    facing = np.abs(samples.normals[:, 2]) > 0.9
+    truth = thin.evaluate(samples)
+    by_angle = target.with_sources(octex.Transfer(thin, max_angle=60.0).sources).evaluate(samples)
+    assert np.allclose(by_angle[facing], truth[facing], atol=1e-6)
+    blind = target.with_sources(octex.Transfer(thin).sources).evaluate(samples)
+    assert not np.allclose(blind[facing], truth[facing], atol=0.1)
+
+
+def test_normals_move_with_the_nearest_faces() -> None:
+    surface = whole()
+    made = plain((surface.vertices, surface.triangles)).with_sources({"normal": octex.Transfer(surface)})
+    assert NORMAL.name in [form.name for form in made.channels]
+
+
+def test_files_are_read_and_channels_that_are_not_there_refused(tmp_path: Path) -> None:
+    ply(tmp_path / "square.ply", ply_square())
+    transfer = octex.Transfer(tmp_path / "square.ply")
+    with pytest.raises(ArgumentError, match=r"channel of square\.ply"):
+        tetrahedron().with_sources({"roughness": transfer})
+    assert "square.ply" in repr(transfer)
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ({"distance": -1.0}, "distance"),
+        ({"max_angle": 200.0}, "max_angle"),
+        ({"distance": np.nan}, "distance"),
+    ],
+)
+def test_numbers_out_of_range_are_refused(options: dict[str, float], complaint: str) -> None:
+    with pytest.raises(ArgumentError, match=complaint):
+        octex.Transfer(tetrahedron(), **options)  # type: ignore[arg-type]
+
+
+def test_a_model_without_area_is_refused() -> None:
+    flat = Surface.from_arrays(np.zeros((3, 3)), [[0, 1, 2]], name="flat")
+    with pytest.raises(ModelError, match="flat: all triangles are degenerate"):
+        tetrahedron().with_sources(octex.Transfer(flat).sources)
+
+
+def test_only_one_source_may_leave_gaps() -> None:
+    surface = tetrahedron()
+    one, other = octex.Transfer(whole(), distance=1.0), octex.Transfer(whole(), distance=2.0)
+    with pytest.raises(ArgumentError, match="only one source may leave gaps"):
+        surface.with_sources({"base_color": one, "roughness": other})
+
+
+def test_gaps_stay_with_channels_and_rest_positions_chosen_later() -> None:
+    surface = tetrahedron()
+    made = surface.with_sources(octex.Transfer(surface, distance=0.1).sources)
+    assert [form.name for form in made.with_channels(["base_color"]).channels] == ["base_color", "alpha"]
+    samples = made.scatter(50)
+    away = made.with_rest(surface.vertices + 5.0)
+    assert (away.evaluate(samples, "alpha") == 0).all()
+    assert (made.with_filter("nearest").evaluate(samples, "alpha") == 1).all()
