@@ -39,8 +39,8 @@ FORBIDDEN = {"source": STORED, "view": STORED}
 EXCEPTIONS = {("checks", "octex.tree.layout")}
 
 EXPORTED = [
-    *["Box", "Camera", "OctexError", "OctreeTexture", "Projection", "Sphere", "Surface", "__version__"],
-    *["convert", "fill", "load_surface", "merge", "open", "paint", "project", "read_cameras"],
+    *["Box", "Camera", "MappedImage", "OctexError", "OctreeTexture", "Projection", "Sphere", "Surface"],
+    *["__version__", "convert", "fill", "load_surface", "merge", "open", "paint", "project", "read_cameras"],
     "write_cameras",
 ]
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]
