@@ -6,9 +6,9 @@ import argparse
 import re
 from pathlib import Path
 
-#: What octex stores (octex.channels.ONE), how it reads images (octex.source.images.filters.FILTERS), lays them
-#: on surfaces (octex.source.mapping.KINDS) and along what (octex.source.mapped.FRAMES), how paint meets what is
-#: there (octex.painting.pictures.BLENDS), and what steers the depth but channels
+#: What octex stores (octex.channels.ONE), how it reads images (octex.source.images.filters.FILTERS), lays
+#: them on surfaces (octex.source.mapping.KINDS) and along what (octex.source.mapped.FRAMES), how paint meets
+#: what is there (octex.painting.pictures.BLENDS), and what steers the depth but channels
 #: (octex.conversion.detail.STRETCH).
 DTYPES = ("uint8", "uint16", "float16", "float32")
 FILTERS = ("nearest", "bilinear", "bicubic", "trilinear", "ripmap", "sat", "ewa")

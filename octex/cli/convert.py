@@ -148,8 +148,8 @@ def parser() -> argparse.ArgumentParser:
         "--project-center",
         metavar="X,Y,Z",
         type=position,
-        help="where the picture's middle is, or what it goes around (default: the middle of the bounds); write "
-        "--project-center=-1,0,0 with a sign",
+        help="where the picture's middle is, or what it goes around (default: the middle of the bounds); "
+        "write --project-center=-1,0,0 with a sign",
     )
     add(
         "--project-size",

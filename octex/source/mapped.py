@@ -67,8 +67,9 @@ class MappedImage(Placeable):
 
     ``wrap``, "repeat", "mirror" or "clamp", or one for u and one for v, is how copies meet; what goes around
     an axis always repeats. ``mag_filter``, "linear" or "nearest", is how texels meet. Footprints follow the
-    mapping at each point. Images of ``normal`` are in the frame of the mapping's u and of the surface's
-    shading normals; triangles are flat below them unless the surface has ``frames``.
+    mapping at each point; near a pole, where they are far longer than wide, trilinear blurs them. Images of
+    ``normal`` are in the frame of the mapping's u and of the surface's shading normals; triangles are flat
+    below them unless the surface has ``frames``.
 
     Raises ArgumentError for a name or number that is none of these.
     """
