@@ -208,10 +208,10 @@ def test_what_a_function_must_not_return_is_named(
 
 
 def test_what_a_function_raises_is_told_and_kept() -> None:
-    def broken(points: Floats) -> Floats:
+    def broken(_: Floats) -> Floats:
         raise KeyError("wood")
 
-    def silent(points: Floats) -> Floats:
+    def silent(_: Floats) -> Floats:
         raise ZeroDivisionError
 
     samples = cube().scatter(8)
