@@ -42,7 +42,8 @@ def given_source(surface: Surface, channel: str, given: object, filter: str) -> 
         provenance[f"source_{channel}"] = json.dumps(factor)
     elif surface.uv is None:
         raise ModelError(
-            f"{surface.name} has no texture coordinates for an image of {channel}; unwrap it, or give a value"
+            f"{surface.name} has no texture coordinates for an image of {channel}; "
+            "give a MappedImage (--project box), or a value"
         )
     else:
         texels, origin = read_image(given)
