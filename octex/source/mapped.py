@@ -20,7 +20,7 @@ from octex.source.corners import Frames
 from octex.source.images.decode import read_image
 from octex.source.images.filters import FILTERS, LEVELS_OF
 from octex.source.images.pyramid import WRAPS, Picture, as_wraps, store
-from octex.source.mapping import KINDS, SPHERICAL, Mapping, mapped_edges, read_mapped
+from octex.source.mapping import BOX, KINDS, SPHERICAL, Mapping, mapped_edges, read_mapped
 from octex.source.materials import light_format, unit_directions
 from octex.source.spatial import Floats, Int32s, Placeable, SpatialSource
 from octex.source.tangents import carried
@@ -54,7 +54,7 @@ class MappedImage(Placeable):
                   upright on the four around the axis, its top towards it; those across it unfold from the
                   front like a cross
     cylindrical   once around the axis, its top towards it, its middle in front. Where a face's normal is
-                  nearer to the axis than to the side (by more than 45°), the picture lies across the axis as
+                  nearer to the axis than to the side (within 45° of it), the picture lies across the axis as
                   on a box: a round cap shows the circle inscribed in it
     spherical     longitude and latitude: once around the axis, its middle in front, its top row at the pole
                   that the axis points to, its bottom row at the other
@@ -107,7 +107,7 @@ class MappedImage(Placeable):
         largest = float(size.max()) or 1.0
         # A picture is not squeezed where there is nothing to spread it over.
         size = np.where(size > 1e-9 * largest, size, largest)
-        if self._size is None and KINDS[self._kind] == "box":
+        if self._size is None and self._kind == BOX:
             size = np.full(3, largest)
         right, up = FRAMES[self._axis]
         frame = np.stack([right, up, np.cross(right, up)])
