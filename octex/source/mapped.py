@@ -103,12 +103,13 @@ class MappedImage(Placeable):
         texels, origin = read_image(self._image)
         least, most = surface.bounds
         center = (least + most) / 2 if self._center is None else self._center
-        size = most - least if self._size is None else self._size
-        largest = float(size.max()) or 1.0
-        # A picture is not squeezed where there is nothing to spread it over.
-        size = np.where(size > 1e-9 * largest, size, largest)
-        if self._size is None and self._kind == BOX:
-            size = np.full(3, largest)
+        size = self._size
+        if size is None:
+            extents = most - least
+            largest = float(extents.max()) or 1.0
+            # A picture is not squeezed where there is nothing to spread it over.
+            is_squeezed = (extents <= 1e-9 * largest) | (self._kind == BOX)
+            size = np.where(is_squeezed, largest, extents)
         right, up = FRAMES[self._axis]
         frame = np.stack([right, up, np.cross(right, up)])
         mapping = Mapping(self._kind, *self._wraps, frame, center, np.abs(frame) @ size)
