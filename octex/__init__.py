@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from octex.painting.region import fill as fill
     from octex.source.cloud import PointCloud as PointCloud
     from octex.source.load import load_surface as load_surface
+    from octex.source.mapped import MappedImage as MappedImage
     from octex.source.surface import Surface as Surface
     from octex.source.transfer import Transfer as Transfer
     from octex.texture import OctreeTexture as OctreeTexture
@@ -33,6 +34,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "Box": ("octex.painting.region", "Box"),
     "Camera": ("octex.view.camera", "Camera"),
+    "MappedImage": ("octex.source.mapped", "MappedImage"),
     "OctexError": ("octex.errors", "OctexError"),
     "OctreeTexture": ("octex.texture", "OctreeTexture"),
     "PointCloud": ("octex.source.cloud", "PointCloud"),

@@ -40,8 +40,8 @@ FORBIDDEN = {"source": STORED, "view": STORED}
 EXCEPTIONS = {("checks", "octex.tree.layout")}
 
 EXPORTED = [
-    *["Box", "Camera", "OctexError", "OctreeTexture", "PointCloud", "Projection", "Sphere", "Surface"],
-    *["Transfer", "__version__"],
+    *["Box", "Camera", "MappedImage", "OctexError", "OctreeTexture", "PointCloud", "Projection", "Sphere"],
+    *["Surface", "Transfer", "__version__"],
     *["convert", "fill", "load_surface", "merge", "open", "paint", "project", "read_cameras"],
     "write_cameras",
 ]

@@ -153,6 +153,8 @@ def test_make_droid_writes_the_droid(
         ("10_thin.py", ["thin.png"], "octex, truth"),
         ("11_paint.py", ["paint.png"], "painted over the camera's view"),
         ("12_photos.py", ["photos.png"], "painted with them, and the truth"),
+        ("13_no_uvs.py", ["no_uvs.png"], "planar, box, cylindrical, spherical"),
+        ("14_wood.py", ["wood.png"], "wood and marble"),
     ],
 )
 def test_the_numbered_scripts_run_from_anywhere(
@@ -176,7 +178,7 @@ def test_the_numbered_scripts_run_from_anywhere(
 def test_every_numbered_script_is_tested_short_and_says_what_it_shows() -> None:
     scripts = sorted(SAMPLES.glob("[0-9]*.py"))
     assert [path.name[:2] for path in scripts] == [f"{i:02}" for i in range(1, len(scripts) + 1)]
-    assert len(scripts) == 12
+    assert len(scripts) == 14
     for path in scripts:
         text = path.read_text(encoding="utf-8")
         assert text.startswith('"""')

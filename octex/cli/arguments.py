@@ -6,11 +6,14 @@ import argparse
 import re
 from pathlib import Path
 
-#: What octex stores (octex.channels.ONE), how it reads images (octex.source.images.filters.FILTERS), how
-#: paint meets what is there (octex.painting.pictures.BLENDS), and what steers the depth but channels
+#: What octex stores (octex.channels.ONE), how it reads images (octex.source.images.filters.FILTERS), lays
+#: them on surfaces (octex.source.mapping.KINDS) and along what (octex.source.mapped.FRAMES), how paint meets
+#: what is there (octex.painting.pictures.BLENDS), and what steers the depth but channels
 #: (octex.conversion.detail.STRETCH).
 DTYPES = ("uint8", "uint16", "float16", "float32")
 FILTERS = ("nearest", "bilinear", "bicubic", "trilinear", "ripmap", "sat", "ewa")
+PROJECTIONS = ("planar", "box", "cylindrical", "spherical")
+AXES = ("x", "-x", "y", "-y", "z", "-z")
 BLENDS = ("over", "multiply", "screen", "add", "erase", "replace")
 STRETCH = "stretch"
 
@@ -102,6 +105,32 @@ def source(text: str) -> tuple[str, Given]:
     return name, numbers[0] if len(numbers) == 1 else numbers
 
 
+def projection(text: str) -> str:
+    """Read the name of a way to lay images on a surface."""
+    return _one_of(text, PROJECTIONS)
+
+
+def axis(text: str) -> str:
+    """Read the name of an axis."""
+    return _one_of(text, AXES)
+
+
+def position(text: str) -> tuple[float, ...]:
+    """Read a position: three finite numbers."""
+    numbers = _numbers(text)
+    if len(numbers) != 3:
+        raise argparse.ArgumentTypeError(f"{text!r} is not X,Y,Z, like 0,0.5,1")
+    return numbers
+
+
+def sizes(text: str) -> float | tuple[float, ...]:
+    """Read a size, or one for each direction: finite and above zero."""
+    numbers = _numbers(text)
+    if len(numbers) not in (1, 3) or min(numbers) <= 0.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a size above zero, nor three like 1,1,0.5")
+    return numbers if len(numbers) == 3 else numbers[0]
+
+
 def blend(text: str) -> str:
     """Read the name of a blend mode."""
     return _one_of(text, BLENDS)
@@ -158,6 +187,16 @@ def color(text: str) -> tuple[int, int, int]:
     if not all(0 <= code <= 255 for code in codes):
         raise argparse.ArgumentTypeError(f"{text} is not from 0 to 255")
     return red, green, blue
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(number) for number in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not numbers with commas between") from None
+    if not all(abs(number) < float("inf") for number in numbers):
+        raise argparse.ArgumentTypeError(f"{text} has numbers that are not finite")
+    return numbers
 
 
 def _within(text: str, most: float) -> float:

@@ -13,14 +13,20 @@ from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.cli.arguments import (
+    AXES,
     DTYPES,
     FILTERS,
+    PROJECTIONS,
+    axis,
     channel_names,
     count,
     dtypes,
     error_codes,
     image_filter,
     length,
+    position,
+    projection,
+    sizes,
     source,
     whole_number,
 )
@@ -38,7 +44,8 @@ COMMAND = "octree-convert"
 OUTPUT_ENDINGS = (TEXTURE_ENDING, ".ply")
 
 # Which options go with which work; INPUT and OUTPUT are options here too.
-_MATERIALS = {"--channels", "--source", "--filter", "--rest"}
+_PROJECTION = {"--project", "--project-axis", "--project-center", "--project-size"}
+_MATERIALS = {"--channels", "--source", "--filter", "--rest"} | _PROJECTION
 _OPTIONS = {
     "a conversion": {"INPUT", "OUTPUT", "--depth", "--cell", "--max-error", "--detail", "--no-fit", "--dtype"}
     | {"--preview", "--force", "--threads", "--quiet", "--json"}
@@ -57,6 +64,7 @@ _NEEDS_A_MODEL = (
     "--dtype",
     "--source",
     "--filter",
+    *sorted(_PROJECTION),
 )
 
 
@@ -68,9 +76,12 @@ def parser() -> argparse.ArgumentParser:
         usage=f"{COMMAND} INPUT OUTPUT [--depth N | --cell SIZE] [--max-error CODES]\n"
         f"{'':29}[--detail stretch|CHANNEL] [--no-fit] [--rest MESH] [--channels NAMES]\n"
         f"{'':29}[--source CHANNEL=FILE ...] [--filter NAME] [--dtype TYPE]\n"
+        f"{'':29}[--project planar|box|cylindrical|spherical] [--project-axis AXIS]\n"
+        f"{'':29}[--project-center X,Y,Z] [--project-size SIZE]\n"
         f"{'':29}[--preview PNG] [--force] [--threads N] [--quiet] [--json]\n"
         f"       {COMMAND} --diff A B [--channels NAMES] [--points N] [--rest MESH] [--filter NAME]\n"
-        f"{'':29}[--source CHANNEL=FILE ...] [--preview PNG] [--force] [--quiet] [--json]\n"
+        f"{'':29}[--source CHANNEL=FILE ...] [--project KIND ...] [--preview PNG] [--force]\n"
+        f"{'':29}[--quiet] [--json]\n"
         f"       {COMMAND} --info FILE [--json]\n"
         f"       {COMMAND} --validate FILE [--quiet] [--json]\n"
         f"       {COMMAND} --warm-up [--quiet]\n"
@@ -118,6 +129,34 @@ def parser() -> argparse.ArgumentParser:
         action="append",
         help="take a channel from an image, read at the model's texture coordinates, or make it constant: "
         "roughness=0.5, base_color=0.2,0.4,0.6 (linear light); any number of times",
+    )
+    add(
+        "--project",
+        metavar="KIND",
+        type=projection,
+        help="read the images that --source gives by position, not at texture coordinates: "
+        f"{', '.join(PROJECTIONS)}",
+    )
+    add(
+        "--project-axis",
+        metavar="AXIS",
+        type=axis,
+        help=f"where a plane is seen from, or the other kinds' up: {', '.join(AXES)} (default z); write "
+        "--project-axis=-y with a sign",
+    )
+    add(
+        "--project-center",
+        metavar="X,Y,Z",
+        type=position,
+        help="where the picture's middle is, or what it goes around (default: the middle of the bounds); "
+        "write --project-center=-1,0,0 with a sign",
+    )
+    add(
+        "--project-size",
+        metavar="SIZE",
+        type=sizes,
+        help="what one copy of the picture spans, in the model's units, or along x, y and z: 1,1,0.5 "
+        "(default: the bounds; for a box their largest extent)",
     )
     add(
         "--filter",
@@ -188,7 +227,7 @@ def _work(options: argparse.Namespace) -> str:
     for word in given:
         if word != work and word not in _OPTIONS[work]:
             raise ArgumentError(f"{word} has no meaning with {work}; see {COMMAND} --help")
-    if options.source is not None:
+    if options.source is not None or not _PROJECTION.isdisjoint(given):
         sources_of(options)  # refuses what contradicts itself
     if work == "a conversion":
         for word in ("INPUT", "OUTPUT"):

@@ -26,13 +26,34 @@ def sources_of(options: argparse.Namespace) -> dict[str, object]:
     """
     sources: dict[str, object] = {}
     wanted = _wanted(options)
+    _check_projection(options)
     for name, given in options.source or []:
         if name in sources:
             raise ArgumentError(f"--source gives {name} twice")
         if wanted is not None and name not in wanted:
             raise ArgumentError(f"--source gives {name}, but --channels leaves it out")
         sources[name] = given
+        if options.project is not None and isinstance(given, Path):
+            sources[name] = octex.MappedImage(
+                given,
+                options.project,
+                axis=options.project_axis or "z",
+                center=options.project_center,
+                size=options.project_size,
+            )
     return sources
+
+
+def _check_projection(options: argparse.Namespace) -> None:
+    """Refuse options of a projection without one, and one without an image."""
+    if options.project is None:
+        for name in ("axis", "center", "size"):
+            if getattr(options, f"project_{name}") is not None:
+                raise ArgumentError(f"--project-{name} has no meaning without --project")
+    elif not source_files(options):
+        raise ArgumentError("--project needs an image to project: --source base_color=FILE")
+    elif options.project == "spherical" and options.project_size is not None:
+        raise ArgumentError("--project-size has no meaning with --project spherical: one copy goes around")
 
 
 def _wanted(options: argparse.Namespace) -> list[str] | None:

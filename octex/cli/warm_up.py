@@ -62,6 +62,7 @@ def warm_up(progress: Progress) -> None:
             progress("compile", 2 * number + 1, stages)
             write_preview(folder / "model.png", surface, octex.convert(surface, 3), (64, 64))
         progress("compile", stages - 1, stages)
+        _map(surfaces[0])
         _paint(surfaces[0], folder)
         progress("compile", stages, stages)
 
@@ -112,6 +113,16 @@ def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
     texture.tree.level_codes(6)
     write_points(texture, folder / "points.ply")
     write_preview(folder / "texture.png", None, texture, (64, 64))
+
+
+def _map(surface: octex.Surface) -> None:
+    """Lay images on a surface by position."""
+    image = octex.MappedImage(np.full((4, 4), 128, np.uint8), "box")
+    mapped = surface.with_sources({"base_color": image, "normal": image})
+    samples = mapped.scatter(10)
+    for channel in ("base_color", "normal"):
+        mapped.evaluate(samples, channel, 0.1)
+    mapped.source.texel_edges(samples.triangles)
 
 
 def _paint(surface: octex.Surface, folder: Path) -> None:

@@ -1,20 +1,19 @@
-"""A channel that the user gives: an image for the surface's texture coordinates, a value, or else."""
+"""A channel that the user gives: an image for texture coordinates, a value, a function, or else."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 from numbers import Real
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from octex.channels import CHANNELS, ChannelFormat
 from octex.checks import as_choice
-from octex.errors import ArgumentError, ImageError, ModelError
+from octex.errors import ArgumentError, ModelError
 from octex.source.base import Source
-from octex.source.images.decode import as_texels, decode_image
+from octex.source.function import FunctionSource, name_of
+from octex.source.images.decode import read_image
 from octex.source.materials import Input, Material, MaterialSource, Texture
 from octex.source.spatial import Placeable
 from octex.source.tangents import corner_frames
@@ -31,6 +30,10 @@ def given_source(surface: Surface, channel: str, given: object, filter: str) -> 
     form = CHANNELS[as_choice(channel, CHANNELS, "channel")]
     if isinstance(given, Placeable):
         return given.on(surface, form, filter)
+    if callable(given):
+        return FunctionSource(form, given, surface.rest, surface.triangles), {
+            f"source_{channel}": json.dumps({"function": name_of(given)})
+        }
     components = tuple(range(form.components))
     provenance: dict[str, str] = {}
     texture, factor = None, (1.0,) * form.components
@@ -39,20 +42,13 @@ def given_source(surface: Surface, channel: str, given: object, filter: str) -> 
         provenance[f"source_{channel}"] = json.dumps(factor)
     elif surface.uv is None:
         raise ModelError(
-            f"{surface.name} has no texture coordinates for an image of {channel}; unwrap it, or give a value"
+            f"{surface.name} has no texture coordinates for an image of {channel}; "
+            "give a MappedImage (--project box), or a value"
         )
-    elif isinstance(given, (str, Path)):
-        path = Path(given)
-        try:
-            data = path.read_bytes()
-        except OSError as error:
-            raise ImageError(f"{path} cannot be read: {error.strerror or error}") from None
-        texture = Texture(decode_image(data, path.name))
-        provenance[f"source_{channel}"] = json.dumps({path.name: hashlib.sha256(data).hexdigest()})
     else:
-        texture = Texture(as_texels(given))  # type: ignore[arg-type]
-        digest = hashlib.sha256(texture.texels.tobytes()).hexdigest()
-        provenance[f"source_{channel}"] = json.dumps({"array": digest})
+        texels, origin = read_image(given)
+        texture = Texture(texels)
+        provenance[f"source_{channel}"] = json.dumps(origin)
     frames = None
     if form.space == "direction":
         normals = None if surface.frames is None else surface.frames.normals

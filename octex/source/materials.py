@@ -58,7 +58,8 @@ class Material(NamedTuple):
     cutoff: float = 0.5  # of "mask": the least alpha that covers
 
 
-_MOST_IN_FLOAT16 = 65504.0
+#: The largest number that a half-precision float holds.
+MOST_IN_FLOAT16 = 65504.0
 #: What a material that does not state a channel gives (glTF 2.0's defaults).
 DEFAULTS = {"emissive": 0.0}
 
@@ -209,9 +210,7 @@ class MaterialSource(Source):
         )
         if name == "base_color" and self._colors is not None and len(self._colors.values):
             most *= float(self._colors.values[:, :3].max())
-        if most <= 1.0 + 1e-6:
-            return form
-        return form._replace(space="linear", dtype="float16" if most <= _MOST_IN_FLOAT16 else "float32")
+        return light_format(form, most)
 
     def _check(self) -> None:
         """Refuse coordinates that are not there, and colours and coordinates in use that are not finite."""
@@ -397,7 +396,7 @@ class _Shelf:
         key = (id(texels), is_light, covering, threshold, given.factor if space == "direction" else None)
         if key not in self._numbers:
             if space == "direction":
-                texels = _unit_directions(texels, given.factor)
+                texels = unit_directions(texels, given.factor)
             self._numbers[key] = len(self.pictures)
             self.pictures.append(Picture(texels, is_light, covering, threshold))
         return self._numbers[key]
@@ -420,6 +419,13 @@ def _alpha_factor(material: Material) -> float:
     return material.inputs["alpha"].factor[0] if "alpha" in material.inputs else 1.0
 
 
+def light_format(form: ChannelFormat, most: float) -> ChannelFormat:
+    """Return how a channel of light is stored whose values reach ``most``: as floats if that is above 1."""
+    if most <= 1.0 + 1e-6:
+        return form
+    return form._replace(space="linear", dtype="float16" if most <= MOST_IN_FLOAT16 else "float32")
+
+
 def _brightest(given: Input) -> float:
     """Return the most that an input of light can give."""
     texel = 1.0
@@ -428,7 +434,7 @@ def _brightest(given: Input) -> float:
     return max(given.factor) * texel + max(given.offset, default=0.0)
 
 
-def _unit_directions(texels: Texels, scale: tuple[float, ...]) -> npt.NDArray[np.uint16]:
+def unit_directions(texels: Texels, scale: tuple[float, ...]) -> npt.NDArray[np.uint16]:
     """Return the texels of a normal map, each scaled along x, y and z and made a unit vector, as codes."""
     directions = np.empty(texels.shape, np.uint16)
     _make_unit(texels, 2.0 / ONE[texels.dtype.name], np.array(scale, np.float64), directions)

@@ -64,9 +64,13 @@ class SpatialSource(Source):
         self, triangles: Int32s, barycentric: Floats, widths: npt.NDArray[np.float32]
     ) -> npt.NDArray[np.float32]:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""
+        return self.at(*self.placed(triangles, barycentric), widths)
+
+    def placed(self, triangles: Int32s, barycentric: Floats) -> tuple[Floats, Floats]:
+        """Return the rest positions (n, 3) of points of triangles, and the normals there as for ``at``."""
         points, normals = np.empty((2, len(triangles), 3))
         _place(self._rest, self._triangles, triangles, barycentric, points, normals)
-        return self.at(points, normals, widths)
+        return points, normals
 
     def with_rest(self, rest: Floats) -> SpatialSource:
         """Return the same values by position, on other rest positions (n, 3)."""

@@ -19,7 +19,7 @@ from octex.source.corners import Corners, Frames
 from octex.source.given import given_source
 from octex.source.images.decode import as_texels
 from octex.source.images.filters import FILTERS
-from octex.source.images.pyramid import WRAPS
+from octex.source.images.pyramid import as_wraps
 from octex.source.joined import FaceNormals, Joined, Part
 from octex.source.materials import ALPHA_MODES, AlphaMode, Input, Material, MaterialSource, Texture
 from octex.source.tangents import carried
@@ -134,14 +134,9 @@ class Surface:
         if image is not None:
             if uv is None:
                 raise ArgumentError("an image needs uv")
-            wraps = [
-                WRAPS.index(as_choice(w, WRAPS, "wrap"))
-                for w in ((wrap, wrap) if isinstance(wrap, str) else wrap)
-            ]
-            if len(wraps) != 2:
-                raise ArgumentError(f"wrap must be one name, or one for u and one for v, not {wrap!r}")
+            wraps = as_wraps(wrap)
             nearest = as_choice(mag_filter, ("linear", "nearest"), "mag_filter") == "nearest"
-            texture = Texture(as_texels(image), wraps[0], wraps[1], nearest)
+            texture = Texture(as_texels(image), *wraps, nearest)
         if uv is not None:
             coordinates = _corner_coordinates(uv, faces, len(positions))
         if alpha is None:
@@ -238,10 +233,12 @@ class Surface:
     def with_sources(self, sources: Mapping[str, object], filter: str | None = None) -> Surface:
         """Return the same surface with some channels from elsewhere.
 
-        ``sources`` gives, by the channel's name, a Source that has it; something Placeable; an image (a file,
-        a Pillow image or an array, as for ``from_arrays``), read at the surface's first texture coordinates
-        with ``filter``, by default the model's; or a value, linear light for colours: a number, or one for
-        each component. Images of ``normal`` are in the tangent's frame; triangles are flat below them unless
+        ``sources`` gives, by the channel's name, a Source that has it; something Placeable, like MappedImage;
+        an image (a file, a Pillow image or an array, as for ``from_arrays``), read at the surface's first
+        texture coordinates with ``filter``, by default the model's; a function of rest positions, or of them
+        and face normals (see function.FunctionSource); or a value, linear light for colours: a number, or one
+        for each component.
+        Images of ``normal`` are in the tangent's frame; triangles are flat below them unless
         the surface has ``frames``, which ``load_surface`` keeps if it is given these sources. Vertex colours
         do not multiply what is given here. A source that leaves gaps gives ``alpha`` too, 0 there; what they
         cover is not converted.

@@ -8,9 +8,11 @@ are read as of 8.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import logging
 import warnings
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -76,6 +78,22 @@ def as_texels(image: npt.ArrayLike | PIL.Image.Image) -> Texels:
     if array.dtype not in (np.uint8, np.uint16) and array.dtype.kind != "f":
         raise ImageError(f"an image must be uint8 or uint16 (codes) or float (linear), not {array.dtype}")
     return _finite(spread(array), "the image")
+
+
+def read_image(given: object) -> tuple[Texels, dict[str, str]]:
+    """Return the texels of a file, a Pillow image or an array, and its name with the hash of its content.
+
+    Raises ImageError as ``decode_image`` and ``as_texels`` do, and for a file that cannot be read.
+    """
+    if not isinstance(given, (str, Path)):
+        texels = as_texels(given)  # type: ignore[arg-type]
+        return texels, {"array": hashlib.sha256(texels.tobytes()).hexdigest()}
+    path = Path(given)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ImageError(f"{path} cannot be read: {error.strerror or error}") from None
+    return decode_image(data, path.name), {path.name: hashlib.sha256(data).hexdigest()}
 
 
 def _finite(texels: Texels, name: str) -> Texels:

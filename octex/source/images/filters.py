@@ -36,6 +36,8 @@ NEAREST, BILINEAR, BICUBIC, TRILINEAR, RIPMAP, SAT, EWA = range(7)
 #: The levels that each reads.
 LEVELS_OF = (WHOLE, WHOLE, WHOLE, MIPS, RIPS, AREAS, MIPS)
 
+#: Footprints must have at most this variance, in texels², so that their ends fit integers.
+MOST_VARIANCE = 1e24
 # What is more than so many times as long as wide is read wider.
 _LONGEST = 16.0
 

@@ -20,6 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import decode_table, encode
+from octex.checks import as_choice
+from octex.errors import ArgumentError
 from octex.jit import kernel
 from octex.parallel import cpu_count
 
@@ -28,6 +30,15 @@ Texels = npt.NDArray[np.uint16 | np.float32]
 
 REPEAT, MIRROR, CLAMP = 0, 1, 2
 WRAPS = ("repeat", "mirror", "clamp")
+
+
+def as_wraps(wrap: str | tuple[str, str]) -> tuple[int, int]:
+    """Return the wraps of u and v of one name, or one for each; raises ArgumentError for anything else."""
+    names = (wrap, wrap) if isinstance(wrap, str) else tuple(wrap)
+    if len(names) != 2:
+        raise ArgumentError(f"wrap must be one name, or one for u and one for v, not {wrap!r}")
+    return WRAPS.index(as_choice(names[0], WRAPS, "wrap")), WRAPS.index(as_choice(names[1], WRAPS, "wrap"))
+
 
 #: How an image is stored: 16-bit codes of sRGB or of fractions, floats, or sums of floats.
 SRGB, DATA, FLOAT, SUMS = range(4)

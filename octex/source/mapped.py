@@ -1,0 +1,237 @@
+"""Images laid on surfaces without texture coordinates: from a plane, a box, a cylinder or a sphere."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+import PIL.Image
+
+from octex.channels import ChannelFormat
+from octex.checks import as_choice, as_number
+from octex.errors import ArgumentError
+from octex.source.base import Source
+from octex.source.corners import Frames
+from octex.source.images.decode import read_image
+from octex.source.images.filters import FILTERS, LEVELS_OF
+from octex.source.images.pyramid import WRAPS, Picture, as_wraps, store
+from octex.source.mapping import BOX, KINDS, SPHERICAL, Mapping, mapped_edges, read_mapped
+from octex.source.materials import light_format, unit_directions
+from octex.source.spatial import Floats, Int32s, Placeable, SpatialSource
+from octex.source.tangents import carried
+
+if TYPE_CHECKING:
+    from octex.source.surface import Surface
+
+_X, _Y, _Z = np.eye(3)
+#: What is to the right and up for one who looks at the origin from along each axis.
+FRAMES = {
+    "x": (-_Z, _Y),
+    "-x": (_Z, _Y),
+    "y": (_X, -_Z),
+    "-y": (_X, _Z),
+    "z": (_X, _Y),
+    "-z": (-_X, _Y),
+}
+_FARTHEST = 1e30
+
+
+class MappedImage(Placeable):
+    """An image that a surface gets by its rest positions: it needs no texture coordinates.
+
+    ``image`` is a file, a Pillow image or an array, as for ``Surface.with_sources``. Looked at from outside
+    it is not mirrored. ``kind`` is one of
+
+    planar        seen from along the axis, through the whole surface: what faces away is mirrored. The
+                  picture's top is towards +y; along y it is towards −z, along −y towards +z
+    box           six sides, each point's by the largest component of its face's normal (the axis before the
+                  front and back, and these before the other two, where they are equal). The picture stands
+                  upright on the four around the axis, its top towards it; those across it unfold from the
+                  front like a cross
+    cylindrical   once around the axis, its top towards it, its middle in front. Where a face's normal is
+                  nearer to the axis than to the side (within 45° of it), the picture lies across the axis as
+                  on a box: a round cap shows the circle inscribed in it
+    spherical     longitude and latitude: once around the axis, its middle in front, its top row at the pole
+                  that the axis points to, its bottom row at the other
+
+    ``axis`` is x, y, z, -x, -y or -z. The front of a box, a cylinder and a sphere is towards −y, about y
+    towards +z, about −y towards −z. ``center`` (x, y, z) is where the picture's middle is, or what it goes
+    around: by default the middle of the surface's bounds at rest. ``size`` is what one copy of the picture
+    spans along x, y and z, in the model's units, or one number for all: by default the bounds, and for a box
+    the largest extent everywhere. A sphere has none, and around a cylinder there is one copy always.
+
+    ``wrap``, "repeat", "mirror" or "clamp", or one for u and one for v, is how copies meet; what goes around
+    an axis always repeats. ``mag_filter``, "linear" or "nearest", is how texels meet. Footprints follow the
+    mapping at each point; near a pole, where they are far longer than wide, trilinear blurs them. Images of
+    ``normal`` are in the frame of the mapping's u and of the surface's shading normals; triangles are flat
+    below them unless the surface has ``frames``.
+
+    Raises ArgumentError for a name or number that is none of these.
+    """
+
+    def __init__(
+        self,
+        image: str | Path | PIL.Image.Image | npt.ArrayLike,
+        kind: str,
+        *,
+        axis: str = "z",
+        center: Sequence[float] | None = None,
+        size: float | Sequence[float] | None = None,
+        wrap: str | tuple[str, str] = "repeat",
+        mag_filter: str = "linear",
+    ) -> None:
+        self._image = image
+        self._kind = KINDS.index(as_choice(kind, KINDS, "kind of mapping"))
+        self._axis = as_choice(axis, FRAMES, "axis")
+        self._center = None if center is None else _three(center, "center", -_FARTHEST)
+        if size is not None and self._kind == SPHERICAL:
+            raise ArgumentError("a spherical picture goes once around and from pole to pole: no size")
+        self._size = None if size is None else _three(size, "size", 1.0 / _FARTHEST)
+        self._wraps = as_wraps(wrap)
+        self._is_flat = as_choice(mag_filter, ("linear", "nearest"), "mag_filter") == "nearest"
+
+    def on(self, surface: Surface, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:
+        """Return the image laid on a surface by its rest positions, and what provenance says of it.
+
+        Raises ImageError for an image that cannot be used.
+        """
+        texels, origin = read_image(self._image)
+        least, most = surface.bounds
+        center = (least + most) / 2 if self._center is None else self._center
+        size = self._size
+        if size is None:
+            extents = most - least
+            largest = float(extents.max()) or 1.0
+            # A picture is not squeezed where there is nothing to spread it over.
+            is_squeezed = (extents <= 1e-9 * largest) | (self._kind == BOX)
+            size = np.where(is_squeezed, largest, extents)
+        right, up = FRAMES[self._axis]
+        frame = np.stack([right, up, np.cross(right, up)])
+        mapping = Mapping(self._kind, *self._wraps, frame, center, np.abs(frame) @ size)
+        if form.space == "direction":
+            texels = unit_directions(texels, (1.0, 1.0, 1.0))
+        elif form.space == "srgb" and texels.dtype == np.float32:
+            form = light_format(form, float(texels[..., : form.components].max()))
+        source = MappedSource(
+            form,
+            mapping,
+            # As its codes are meant, whatever it is stored as.
+            Picture(texels, form.space in ("srgb", "linear")),
+            self._is_flat,
+            filter,
+            surface.rest,
+            surface.triangles,
+            surface.frames if form.space == "direction" else None,
+        )
+        said = {
+            **origin,
+            "mapping": KINDS[self._kind],
+            "axis": self._axis,
+            "center": center.tolist(),
+            "size": None if self._kind == SPHERICAL else size.tolist(),
+            "wrap": [WRAPS[wrap] for wrap in self._wraps],
+            "mag_filter": "nearest" if self._is_flat else "linear",
+        }
+        return source, {f"source_{form.name}": json.dumps(said)}
+
+
+class MappedSource(SpatialSource):
+    """One channel from an image by a mapping; ``frames`` are what directions of normal maps stand on."""
+
+    def __init__(
+        self,
+        form: ChannelFormat,
+        mapping: Mapping,
+        picture: Picture,
+        flat: bool,
+        filter: str,
+        rest: Floats,
+        triangles: Int32s,
+        frames: Frames | None = None,
+    ) -> None:
+        super().__init__([form], rest, triangles)
+        self._mapping = mapping
+        self._picture = picture
+        self._flat = flat
+        self._frames = frames
+        self._filter = FILTERS.index(filter)
+        self._images = store([picture], LEVELS_OF[self._filter]).images
+
+    def evaluate(
+        self, triangles: Int32s, barycentric: Floats, widths: npt.NDArray[np.float32]
+    ) -> npt.NDArray[np.float32]:
+        """Return values (n, components) at points of triangles, averaged over widths in rest units."""
+        points, normals = self.placed(triangles, barycentric)
+        shading = normals
+        if self._frames is not None:
+            corners = self._frames.normals
+            shading = np.einsum("nc,ncx->nx", barycentric, corners.values[corners.rows[triangles]])
+            shading /= np.maximum(np.linalg.norm(shading, axis=1, keepdims=True), 1e-30)
+        return self._read(points, normals, shading, widths)
+
+    def at(self, points: Floats, normals: Floats, widths: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Return values (n, components) at rest positions (n, 3), averaged over widths in rest units."""
+        return self._read(points, normals, normals, widths)
+
+    def _read(
+        self, points: Floats, normals: Floats, shading: Floats, widths: npt.NDArray[np.float32]
+    ) -> npt.NDArray[np.float32]:
+        [form] = self.channels
+        values = np.empty((len(points), form.components), np.float32)
+        is_direction = form.space == "direction"
+        read_mapped(
+            self._mapping,
+            self._images,
+            self._filter,
+            self._flat,
+            is_direction,
+            points,
+            normals,
+            shading,
+            widths,
+            values,
+        )
+        return values
+
+    def texel_edges(self, triangles: Int32s) -> npt.NDArray[np.float32]:
+        """Return the shorter edge of a texel in the middle of triangles (n,), in rest units."""
+        points, normals = self.placed(triangles, np.full((len(triangles), 3), 1 / 3))
+        height, width = self._picture.texels.shape[:2]
+        edges = np.empty(len(triangles), np.float32)
+        mapped_edges(self._mapping, width, height, points, normals, edges)
+        return edges
+
+    def with_rest(self, rest: Floats) -> MappedSource:
+        """Return the same mapping of space on other rest positions (n, 3)."""
+        other = copy.copy(self)
+        other._rest = rest
+        if self._frames is not None:
+            other._frames = carried(self._frames, self._triangles, self._rest, rest)
+        return other
+
+    def with_filter(self, name: str) -> MappedSource:
+        """Return the same source with its image read by another filter."""
+        other = copy.copy(self)
+        other._filter = FILTERS.index(as_choice(name, FILTERS, "filter"))
+        if LEVELS_OF[other._filter] != LEVELS_OF[self._filter]:
+            other._images = store([self._picture], LEVELS_OF[other._filter]).images
+        return other
+
+
+def _three(given: float | Sequence[float], name: str, least: float) -> Floats:
+    """Return a number for each direction."""
+    try:
+        numbers = np.asarray(given, np.float64)
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    if name == "size" and numbers.ndim == 0:
+        numbers = np.full(3, numbers)
+    if numbers.shape != (3,):
+        wanted = "a number or three" if name == "size" else "three numbers"
+        raise ArgumentError(f"{name} must be {wanted}, not {given!r}")
+    return np.array([as_number(number, name, least, _FARTHEST) for number in numbers])
