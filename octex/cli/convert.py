@@ -17,6 +17,7 @@ from octex.cli.arguments import (
     DTYPES,
     FILTERS,
     PROJECTIONS,
+    angle,
     axis,
     channel_names,
     count,
@@ -33,11 +34,21 @@ from octex.cli.arguments import (
 from octex.cli.common import Parser, Reporter, bytes_text, check_outputs, run, say, words_given
 from octex.cli.diff import diff
 from octex.cli.inspect import info, validate
-from octex.cli.models import DEFAULT_FILTER, TEXTURE_ENDING, read_model, source_files, sources_of
+from octex.cli.models import (
+    DEFAULT_FILTER,
+    TEXTURE_ENDING,
+    check_elsewhere,
+    input_files,
+    is_cloud,
+    read_model,
+    sources_of,
+)
 from octex.errors import ArgumentError, ExitCode, InputError
 from octex.parallel import threads
 
 if TYPE_CHECKING:
+    from octex.source.cloud import PointCloud
+    from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
 COMMAND = "octree-convert"
@@ -45,7 +56,8 @@ OUTPUT_ENDINGS = (TEXTURE_ENDING, ".ply")
 
 # Which options go with which work; INPUT and OUTPUT are options here too.
 _PROJECTION = {"--project", "--project-axis", "--project-center", "--project-size"}
-_MATERIALS = {"--channels", "--source", "--filter", "--rest"} | _PROJECTION
+_ELSEWHERE = {"--transfer", "--cloud", "--radius", "--max-distance", "--max-angle"}
+_MATERIALS = {"--channels", "--source", "--filter", "--rest"} | _PROJECTION | _ELSEWHERE
 _OPTIONS = {
     "a conversion": {"INPUT", "OUTPUT", "--depth", "--cell", "--max-error", "--detail", "--no-fit", "--dtype"}
     | {"--preview", "--force", "--threads", "--quiet", "--json"}
@@ -64,20 +76,26 @@ _NEEDS_A_MODEL = (
     "--dtype",
     "--source",
     "--filter",
-    *sorted(_PROJECTION),
+    *sorted(_PROJECTION | _ELSEWHERE),
 )
+# What a cloud of points can be converted with.
+_OF_CLOUDS = {"INPUT", "OUTPUT", "--depth", "--cell", "--channels", "--dtype"}
+_OF_CLOUDS |= {"--preview", "--force", "--threads", "--quiet", "--json"}
 
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of octree-convert's arguments."""
     parser = Parser(
         prog=COMMAND,
-        description="Convert a textured model (glTF, GLB, OBJ, PLY, OFF, STL) to an octree texture.",
+        description="Convert a textured model (glTF, GLB, OBJ, PLY, OFF, STL), or coloured points (PLY, XYZ, "
+        "NPZ), to an octree texture.",
         usage=f"{COMMAND} INPUT OUTPUT [--depth N | --cell SIZE] [--max-error CODES]\n"
         f"{'':29}[--detail stretch|CHANNEL] [--no-fit] [--rest MESH] [--channels NAMES]\n"
         f"{'':29}[--source CHANNEL=FILE ...] [--filter NAME] [--dtype TYPE]\n"
         f"{'':29}[--project planar|box|cylindrical|spherical] [--project-axis AXIS]\n"
         f"{'':29}[--project-center X,Y,Z] [--project-size SIZE]\n"
+        f"{'':29}[--transfer MODEL | --cloud POINTS [--radius R]] [--max-distance D]\n"
+        f"{'':29}[--max-angle DEGREES]\n"
         f"{'':29}[--preview PNG] [--force] [--threads N] [--quiet] [--json]\n"
         f"       {COMMAND} --diff A B [--channels NAMES] [--points N] [--rest MESH] [--filter NAME]\n"
         f"{'':29}[--source CHANNEL=FILE ...] [--project KIND ...] [--preview PNG] [--force]\n"
@@ -88,7 +106,7 @@ def parser() -> argparse.ArgumentParser:
         f"       {COMMAND} --version | --help",
     )
     add = parser.add_argument
-    add("INPUT", nargs="?", type=Path, help="the model, or an .octex file made before")
+    add("INPUT", nargs="?", type=Path, help="the model, a cloud of points, or an .octex file made before")
     add("OUTPUT", nargs="?", type=Path, help="NAME.octex, or NAME.ply: a coloured point a leaf, with normal")
     add(
         "--depth",
@@ -157,6 +175,31 @@ def parser() -> argparse.ArgumentParser:
         type=sizes,
         help="what one copy of the picture spans, in the model's units, or along x, y and z: 1,1,0.5 "
         "(default: the bounds; for a box their largest extent)",
+    )
+    add(
+        "--transfer",
+        metavar="MODEL",
+        type=Path,
+        help="take all channels that another model has where its surface is nearest",
+    )
+    add(
+        "--cloud",
+        metavar="POINTS",
+        type=Path,
+        help="take colours from points (.ply, .xyz, .npz): the nearest, or the mean of those in --radius",
+    )
+    add("--radius", metavar="R", type=length, help="how far points of --cloud count, in the model's units")
+    add(
+        "--max-distance",
+        metavar="D",
+        type=length,
+        help="leave cells empty that are farther than this from what they would take values from",
+    )
+    add(
+        "--max-angle",
+        metavar="DEGREES",
+        type=angle,
+        help="by how much normals may differ from where values are taken (default 180, 90 for points)",
     )
     add(
         "--filter",
@@ -229,6 +272,7 @@ def _work(options: argparse.Namespace) -> str:
             raise ArgumentError(f"{word} has no meaning with {work}; see {COMMAND} --help")
     if options.source is not None or not _PROJECTION.isdisjoint(given):
         sources_of(options)  # refuses what contradicts itself
+    check_elsewhere(options)
     if work == "a conversion":
         for word in ("INPUT", "OUTPUT"):
             if word not in given:
@@ -243,7 +287,9 @@ def _convert(options: argparse.Namespace) -> int:
     outputs: list[tuple[Path, tuple[str, ...], str]] = [(options.OUTPUT, OUTPUT_ENDINGS, "OUTPUT")]
     if options.preview is not None:
         outputs.append((options.preview, (".png",), "--preview"))
-    inputs = [path for path in (options.INPUT, options.rest) if path is not None] + source_files(options)
+    inputs = [options.INPUT, *input_files(options)]
+    model: PointCloud | Surface
+    surface: Surface | None = None
     check_outputs(outputs, inputs, force=options.force)
     if options.depth is not None:
         from octex.checks import as_depth
@@ -252,13 +298,16 @@ def _convert(options: argparse.Namespace) -> int:
 
     with Reporter(COMMAND, options.quiet) as progress:
         if options.INPUT.suffix.lower() == TEXTURE_ENDING:
-            surface, texture = None, _reduced(options)
+            texture = _reduced(options)
         else:
             with progress.stage("read"):
-                surface = read_model(options.INPUT, options)
+                if is_cloud(options.INPUT):
+                    model = _read_cloud(options)
+                else:
+                    model = surface = read_model(options.INPUT, options)
             with nullcontext() if options.threads is None else threads(options.threads) as executor:
                 texture = octex.convert(
-                    surface,
+                    model,
                     options.depth,
                     cell=options.cell,
                     channels=options.channels,
@@ -285,6 +334,13 @@ def _convert(options: argparse.Namespace) -> int:
     if not options.quiet or options.json:
         _say_what_was_made(options, texture, time.perf_counter() - began)
     return ExitCode.DONE
+
+
+def _read_cloud(options: argparse.Namespace) -> PointCloud:
+    for word in words_given(options):
+        if word not in _OF_CLOUDS:
+            raise ArgumentError(f"{word} needs a surface, and {options.INPUT} is points")
+    return octex.PointCloud.load(options.INPUT)
 
 
 def _reduced(options: argparse.Namespace) -> OctreeTexture:
@@ -332,6 +388,9 @@ def _say_what_was_made(options: argparse.Namespace, texture: OctreeTexture, seco
         "bytes": options.OUTPUT.stat().st_size,
         "seconds": round(seconds, 3),
     }
+    empty = json.loads(texture.metadata.get("convert", "{}")).get("empty", 0)
+    if empty:
+        made["empty"] = empty
     if options.preview is not None:
         made["preview"] = str(options.preview)
     if options.json:
@@ -339,6 +398,9 @@ def _say_what_was_made(options: argparse.Namespace, texture: OctreeTexture, seco
     else:
         cells = f"{tree.n_leaves:,} leaves, depth {tree.max_depth} (cells of {made['cell']:.4g})"
         say(f"{options.OUTPUT}: {cells}, {bytes_text(made['bytes'])}, {seconds:.1f} s")
+        if empty:
+            share = 100 * empty / (empty + tree.n_leaves)
+            say(f"{empty:,} cells ({share:.2g} %) stay empty: nothing to take from is near enough")
         if options.preview is not None:
             say(f"{options.preview}: a picture of it")
 

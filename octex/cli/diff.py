@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from octex.cli.common import Reporter, check_outputs, say
 from octex.cli.inspect import triple
-from octex.cli.models import TEXTURE_ENDING, open_sound, read_model, source_files
+from octex.cli.models import TEXTURE_ENDING, input_files, open_sound, read_model
 from octex.errors import ArgumentError, ExitCode
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def diff(command: str, options: argparse.Namespace) -> int:
     """Say how A and B differ; draw it if asked to."""
     paths: list[Path] = options.diff
     if options.preview is not None:
-        inputs = [*paths, *source_files(options), *([options.rest] if options.rest is not None else [])]
+        inputs = [*paths, *input_files(options)]
         check_outputs([(options.preview, (".png",), "--preview")], inputs, force=options.force)
     if all(path.suffix.lower() == TEXTURE_ENDING for path in paths):
         for word in _NEEDS_A_MODEL:

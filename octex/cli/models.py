@@ -50,7 +50,7 @@ def _check_projection(options: argparse.Namespace) -> None:
         for name in ("axis", "center", "size"):
             if getattr(options, f"project_{name}") is not None:
                 raise ArgumentError(f"--project-{name} has no meaning without --project")
-    elif not source_files(options):
+    elif not any(isinstance(given, Path) for _, given in options.source or []):
         raise ArgumentError("--project needs an image to project: --source base_color=FILE")
     elif options.project == "spherical" and options.project_size is not None:
         raise ArgumentError("--project-size has no meaning with --project spherical: one copy goes around")
@@ -64,9 +64,48 @@ def _wanted(options: argparse.Namespace) -> list[str] | None:
     return [*options.channels, steering]
 
 
-def source_files(options: argparse.Namespace) -> list[Path]:
-    """Return the image files that channels are to come from."""
-    return [given for _, given in options.source or [] if isinstance(given, Path)]
+def check_elsewhere(options: argparse.Namespace) -> None:
+    """Refuse options of what values are taken from without it, and two of it."""
+    if options.transfer is not None and options.cloud is not None:
+        raise ArgumentError("--transfer and --cloud both say where colours come from; give one of them")
+    if options.radius is not None and options.cloud is None:
+        raise ArgumentError("--radius has no meaning without --cloud")
+    if options.radius is not None and options.max_distance is not None:
+        raise ArgumentError("--radius and --max-distance both say how far points count; give one of them")
+    if options.transfer is None and options.cloud is None:
+        for word, given in (("--max-distance", options.max_distance), ("--max-angle", options.max_angle)):
+            if given is not None:
+                raise ArgumentError(f"{word} has no meaning without --transfer or --cloud")
+
+
+def _elsewhere(options: argparse.Namespace) -> dict[str, object]:
+    """Return what channels are taken from another model, or from points."""
+    if options.transfer is not None:
+        limit = 180.0 if options.max_angle is None else options.max_angle
+        return {**octex.Transfer(options.transfer, distance=options.max_distance, max_angle=limit).sources}
+    if options.cloud is not None:
+        limit = 90.0 if options.max_angle is None else options.max_angle
+        cloud = octex.PointCloud.load(
+            options.cloud, radius=options.radius, distance=options.max_distance, max_angle=limit
+        )
+        return {**cloud.sources}
+    return {}
+
+
+def is_cloud(path: Path) -> bool:
+    """Say whether a file holds points, and no surface."""
+    if path.suffix.lower() not in (".ply", ".xyz", ".npz"):
+        return False  # known without an import
+    from octex.source.cloud import is_cloud
+
+    return is_cloud(path)
+
+
+def input_files(options: argparse.Namespace) -> list[Path]:
+    """Return the files that are read beside a model."""
+    images = [given for _, given in options.source or [] if isinstance(given, Path)]
+    others = (options.rest, options.transfer, options.cloud)
+    return images + [path for path in others if path is not None]
 
 
 def read_model(path: Path, options: argparse.Namespace) -> Surface:
@@ -75,7 +114,7 @@ def read_model(path: Path, options: argparse.Namespace) -> Surface:
         path,
         options.rest,
         channels=_wanted(options),
-        sources=sources_of(options),
+        sources={**_elsewhere(options), **sources_of(options)},
         filter=options.filter or DEFAULT_FILTER,
     )
 

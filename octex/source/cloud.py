@@ -245,9 +245,9 @@ def _read_ply(path: Path) -> _Arrays:
 
 def _read_npz(path: Path) -> _Arrays:
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             found = {
-                kind: next((file[name] for name in names if name in file), None)
+                kind: next((arrays[name] for name in names if name in arrays), None)
                 for kind, names in _NAMES.items()
             }
     except (ValueError, EOFError, KeyError, AttributeError, TypeError, NotImplementedError) as error:

@@ -1,0 +1,100 @@
+"""Values from other models and from points, at the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import octex
+from octex.errors import ExitCode
+from tests.command import refusal, result
+from tests.fixtures import ply, ply_square
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A red square, the same without colours and twice as wide, and green points on it."""
+    folder = tmp_path_factory.mktemp("sources")
+    red = {name: ("uchar", [255 * (name == "red")] * 4) for name in ("red", "green", "blue")}
+    ply(folder / "red.ply", ply_square(**red))
+    wide = ply_square()
+    wide["vertex"]["x"] = ("float", [2.0 * x for x in wide["vertex"]["x"][1]])
+    ply(folder / "wide.ply", wide)
+    points = np.random.default_rng(0).random((2000, 3)) * [1.0, 1.0, 0.0]
+    np.savez(folder / "green.npz", points=points, colors=np.tile(np.uint8([0, 255, 0]), (2000, 1)))
+    return folder
+
+
+def colors(path: Path) -> np.ndarray:
+    texture = octex.open(path)
+    texture.validate()
+    return texture.sample([[0.5, 0.5, 0.0]])[0]
+
+
+def test_another_models_colours_are_transferred(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.octex"
+    said = result(capsys, folder / "wide.ply", out, "--depth", 5, "--transfer", folder / "red.ply")
+    assert np.allclose(colors(out), [1, 0, 0]) and "empty" not in said
+    limited = ["--depth", 5, "--transfer", folder / "red.ply", "--max-distance", 0.2, "--force"]
+    said = result(capsys, folder / "wide.ply", out, *limited)
+    assert "stay empty" in said
+    made = json.loads(result(capsys, folder / "wide.ply", out, *limited, "--json", "--quiet"))
+    assert made["empty"] > 0
+    assert octex.open(out).contains([[0.5, 0.5, 0.0], [1.9, 0.5, 0.0]]).tolist() == [True, False]
+    differ = result(capsys, "--diff", out, folder / "wide.ply", "--transfer", folder / "red.ply", "--json")
+    assert json.loads(differ)
+
+
+def test_points_colour_a_model(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out.octex"
+    for options in ([], ["--radius", 0.1], ["--max-distance", 0.1, "--max-angle", 90]):
+        given = ["--depth", 5, "--cloud", folder / "green.npz", "--force", *options]
+        result(capsys, folder / "wide.ply", out, *given)
+        assert np.allclose(colors(out), [0, 1, 0], atol=1e-3)
+
+
+def test_points_alone_become_a_texture(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.octex"
+    result(capsys, folder / "green.npz", out, "--preview", tmp_path / "out.png")
+    assert np.allclose(colors(out), [0, 1, 0], atol=1e-3) and (tmp_path / "out.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["wide.ply", "--transfer", "red.ply", "--cloud", "green.npz"], "give one of them"),
+        (["wide.ply", "--radius", "1"], "--radius has no meaning without --cloud"),
+        (["wide.ply", "--max-distance", "1"], "--max-distance has no meaning without"),
+        (["wide.ply", "--max-angle", "1"], "--max-angle has no meaning without"),
+        (["wide.ply", "--cloud", "green.npz", "--radius", "1", "--max-distance", "1"], "give one of them"),
+        (["green.npz", "--max-error", "2"], "--max-error needs a surface"),
+        (["green.npz", "--transfer", "red.ply"], "--transfer needs a surface"),
+        (["wide.ply", "--transfer", "none.ply"], "none.ply cannot be read"),
+        (["wide.ply", "--cloud", "red.obj"], "no cloud that octex reads"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], complaint: str
+) -> None:
+    given = [folder / word if "." in word else word for word in arguments]
+    said = refusal(capsys, given[0], tmp_path / "out.octex", *given[1:])
+    assert complaint in said
+    assert not (tmp_path / "out.octex").exists()
+
+
+def test_what_values_are_taken_from_is_not_overwritten(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "red.ply").write_bytes((folder / "red.ply").read_bytes())
+    said = refusal(
+        capsys, folder / "wide.ply", tmp_path / "red.ply", "--transfer", tmp_path / "red.ply", "--force"
+    )
+    assert "red.ply" in said
+    assert ExitCode.REFUSED == 2
