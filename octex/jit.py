@@ -156,6 +156,17 @@ if DISABLED:
         squares[:] = (apart * apart).sum(axis=0)
         return np.uint64(sum(1 << child for child in range(8) if squares[child] <= limit))
 
+    def nearest_box(bounds: Any, nodes: Any, count: int, x: Any, y: Any, z: Any) -> int:
+        """Return which box of the first ``count`` of some nodes is nearest to a point: 8 · node + child.
+
+        As for ``squares_to_boxes``; ``nodes`` are int64. Of equally near boxes any; −1 for no node.
+        """
+        squares = np.empty((count, 8), np.float32)
+        for row in range(count):
+            squares_to_boxes(bounds, nodes[row], x, y, z, np.float32(0), squares[row])
+        place = int(squares.argmin()) if count else -1
+        return int(nodes[place >> 3]) * 8 + (place & 7) if count else -1
+
 else:
 
     @intrinsic  # type: ignore[untyped-decorator]
@@ -226,6 +237,34 @@ else:
 
     _EIGHT = ir.VectorType(ir.FloatType(), 8)
 
+    def _splat(builder: Any, value: Any) -> Any:
+        """Put a number into all eight lanes."""
+        nothing = ir.Constant(ir.VectorType(value.type, 8), ir.Undefined)
+        zeros = ir.Constant(ir.VectorType(ir.IntType(32), 8), [0] * 8)
+        return builder.shuffle_vector(builder.insert_element(nothing, value, _lane(0)), nothing, zeros)
+
+    def _box_squares(context: Any, builder: Any, array_type: Any, bounds: Any, node: Any, point: Any) -> Any:
+        """Return how far, squared, a node's eight boxes are from a point; its coordinates are splat."""
+
+        def larger(one: Any, other: Any) -> Any:
+            return builder.select(builder.fcmp_ordered(">", one, other), one, other)
+
+        start = builder.mul(node, ir.Constant(node.type, 48))
+        total = None
+        for axis, coordinate in enumerate(point):
+            ends = []
+            for row in (axis, axis + 3):
+                index = builder.add(start, ir.Constant(node.type, 8 * row))
+                pointer = _pointer(context, builder, array_type, bounds, index)
+                end = builder.load(builder.bitcast(pointer, _EIGHT.as_pointer()))
+                end.align = 4
+                ends.append(end)
+            apart = larger(builder.fsub(ends[0], coordinate), builder.fsub(coordinate, ends[1]))
+            apart = larger(apart, ir.Constant(_EIGHT, [0.0] * 8))
+            square = builder.fmul(apart, apart)
+            total = square if total is None else builder.fadd(total, square)
+        return total
+
     @intrinsic  # type: ignore[untyped-decorator]
     def squares_to_boxes(
         _context: Any, bounds: Any, _node: Any, _x: Any, _y: Any, _z: Any, _limit: Any, squares: Any
@@ -236,38 +275,54 @@ else:
         that is ``limit`` far or less. All are float32, C-ordered. A third of the time of scalars.
         """
 
-        def splat(builder: Any, value: Any) -> Any:
-            nothing = ir.Constant(_EIGHT, ir.Undefined)
-            zeros = ir.Constant(ir.VectorType(ir.IntType(32), 8), [0] * 8)
-            return builder.shuffle_vector(builder.insert_element(nothing, value, _lane(0)), nothing, zeros)
-
-        def larger(builder: Any, one: Any, other: Any) -> Any:
-            return builder.select(builder.fcmp_ordered(">", one, other), one, other)
-
         def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             bounds, node, x, y, z, limit, squares = arguments
-            start = builder.mul(node, ir.Constant(node.type, 48))
-            total = None
-            for axis, coordinate in enumerate((x, y, z)):
-                ends = []
-                for row in (axis, axis + 3):
-                    index = builder.add(start, ir.Constant(node.type, 8 * row))
-                    pointer = _pointer(context, builder, signature.args[0], bounds, index)
-                    end = builder.load(builder.bitcast(pointer, _EIGHT.as_pointer()))
-                    end.align = 4
-                    ends.append(end)
-                point = splat(builder, coordinate)
-                apart = larger(builder, builder.fsub(ends[0], point), builder.fsub(point, ends[1]))
-                apart = larger(builder, apart, ir.Constant(_EIGHT, [0.0] * 8))
-                square = builder.fmul(apart, apart)
-                total = square if total is None else builder.fadd(total, square)
+            point = [_splat(builder, coordinate) for coordinate in (x, y, z)]
+            total = _box_squares(context, builder, signature.args[0], bounds, node, point)
             pointer = _pointer(context, builder, signature.args[6], squares, ir.Constant(node.type, 0))
             builder.store(total, builder.bitcast(pointer, _EIGHT.as_pointer())).align = 4
-            inside = builder.fcmp_ordered("<=", total, splat(builder, limit))
+            inside = builder.fcmp_ordered("<=", total, _splat(builder, limit))
             return builder.zext(builder.bitcast(inside, ir.IntType(8)), ir.IntType(64))
 
         number = types.float32
         return types.uint64(bounds, types.int64, number, number, number, number, squares), codegen
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def nearest_box(_context: Any, bounds: Any, nodes: Any, _count: Any, _x: Any, _y: Any, _z: Any) -> Any:
+        """Return which box of the first ``count`` of some nodes is nearest to a point: 8 · node + child.
+
+        As for ``squares_to_boxes``; ``nodes`` are int64. Of equally near boxes any; −1 for no node.
+        """
+
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            bounds, nodes, count, x, y, z = arguments
+            point = [_splat(builder, coordinate) for coordinate in (x, y, z)]
+            numbers = ir.VectorType(count.type, 8)
+            lanes = ir.Constant(numbers, list(range(8)))
+            least = cgutils.alloca_once_value(builder, ir.Constant(_EIGHT, [float("inf")] * 8))
+            places = cgutils.alloca_once_value(builder, ir.Constant(numbers, [-1] * 8))
+            first, step = ir.Constant(count.type, 0), ir.Constant(count.type, 1)
+            with cgutils.for_range_slice(builder, first, count, step) as (row, _):
+                node = builder.load(_pointer(context, builder, signature.args[1], nodes, row))
+                squares = _box_squares(context, builder, signature.args[0], bounds, node, point)
+                place = builder.add(builder.shl(_splat(builder, node), ir.Constant(numbers, [3] * 8)), lanes)
+                is_less = builder.fcmp_ordered("<", squares, builder.load(least))
+                builder.store(builder.select(is_less, squares, builder.load(least)), least)
+                builder.store(builder.select(is_less, place, builder.load(places)), places)
+            best, chosen = None, None
+            for lane in range(8):
+                square = builder.extract_element(builder.load(least), _lane(lane))
+                place = builder.extract_element(builder.load(places), _lane(lane))
+                if best is None:
+                    best, chosen = square, place
+                    continue
+                is_less = builder.fcmp_ordered("<", square, best)
+                best = builder.select(is_less, square, best)
+                chosen = builder.select(is_less, place, chosen)
+            return chosen
+
+        number = types.float32
+        return types.int64(bounds, nodes, types.int64, number, number, number), codegen
 
     @contextmanager
     def _each_row(context: Any, builder: Any, signature: Any, arguments: Any) -> Iterator[Any]:

@@ -22,8 +22,8 @@ Int64s = npt.NDArray[np.int64]
 WIDTH = 8
 #: Nodes that can wait at once: seven of each level, and one.
 _STACK = 256
-#: Nodes that are kept for searches nearby, and how many of them are few and many: the ball grows and shrinks.
-_MOST_KEPT, _FEW, _MANY = 64, 6, 16
+#: Nodes that are kept for searches nearby, and how many of them are few and many: balls grow and shrink.
+_MOST_KEPT, _FEW, _MANY = 64, 6, 14
 #: Boxes and points are rounded to single precision: by at most this part of the largest coordinate.
 _ROUNDING = 4.0 * 2.0**-24
 _FARTHEST = 3e38
@@ -48,11 +48,16 @@ class Search(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """The nodes of the lowest level around a ball: searches in it need no other."""
+    """The nodes around a ball: searches in it need no other.
 
-    nodes: Int64s  # (64,)
-    filled: Int64s  # (1,)   how many they are
+    Inside a larger ball those of the level above the lowest are kept, so that the smaller one moves cheaply.
+    """
+
+    nodes: Int64s  # (64,)   of the lowest level
+    outer: Int64s  # (64,)   of the level above
+    filled: Int64s  # (2,)   how many nodes, and how many outer ones
     ball: Floats  # (5,)   x, y, z relative to the origin, its radius, and how much wider than asked for it is
+    outer_ball: Floats  # (5,)
 
 
 @kernel
@@ -63,10 +68,12 @@ def new_search() -> Search:
 
 @kernel
 def new_kept(margin: float) -> Kept:
-    """Return an empty ball, to be made wider than asked for by ``margin`` at first."""
-    ball = np.zeros(5)
-    ball[3], ball[4] = -1.0, margin
-    return Kept(np.empty(_MOST_KEPT, np.int64), np.zeros(1, np.int64), ball)
+    """Return empty balls, to be made wider than asked for by about ``margin`` at first."""
+    balls = np.zeros((2, 5))
+    balls[:, 3] = -1.0
+    balls[0, 4], balls[1, 4] = margin, 4.0 * margin
+    nodes = np.empty((2, _MOST_KEPT), np.int64)
+    return Kept(nodes[0], nodes[1], np.zeros(2, np.int64), balls[0], balls[1])
 
 
 def morton_order(positions: Floats) -> Int64s:
@@ -150,15 +157,16 @@ def next_node(
     boxes: Boxes,
     search: Search,
     waiting: int,
+    lowest: int,
     x: np.float32,
     y: np.float32,
     z: np.float32,
     bound: np.float32,
 ) -> tuple[int, np.uint64, int]:
-    """Go down to the next node of the lowest level that may hold something nearer than ``bound``.
+    """Go down to the next node of a level, the ``lowest`` or above, that may hold something near.
 
-    Returns its number, −1 at the end, a bit for each of its things whose box is that near, and how many nodes
-    wait; ``search.children`` holds how far these boxes are, squared.
+    Returns its number, −1 at the end, a bit for each of its children whose box is no farther than ``bound``,
+    squared, and how many nodes wait; ``search.children`` holds how far these boxes are.
     """
     while waiting > 0:
         waiting -= 1
@@ -167,7 +175,7 @@ def next_node(
         level, number = search.nodes[waiting, 0], search.nodes[waiting, 1]
         node = boxes.firsts[level] + number
         near = squares_to_boxes(boxes.bounds, node, x, y, z, bound, search.children)
-        if level == 0:
+        if level <= lowest:
             return int(number), near, waiting
         bottom = waiting
         while near != np.uint64(0) and waiting < search.squares.size:
@@ -186,11 +194,39 @@ def next_node(
 
 
 @inlined
-def is_around(kept: Kept, x: float, y: float, z: float, radius: float) -> bool:
-    """Say whether a ball about a point relative to the origin lies in the one whose nodes are kept."""
-    ball = kept.ball
+def _holds(ball: Floats, x: float, y: float, z: float, radius: float) -> bool:
     dx, dy, dz = x - ball[0], y - ball[1], z - ball[2]
     return bool(np.sqrt(dx * dx + dy * dy + dz * dz) + radius <= ball[3])
+
+
+@inlined
+def is_around(kept: Kept, x: float, y: float, z: float, radius: float) -> bool:
+    """Say whether a ball about a point relative to the origin lies in the one whose nodes are kept."""
+    return _holds(kept.ball, x, y, z, radius)
+
+
+@inlined
+def _move(ball: Floats, x: float, y: float, z: float, radius: float) -> float:
+    """Put a ball around a point, wider than asked for; return its radius."""
+    ball[0], ball[1], ball[2], ball[3] = x, y, z, radius + ball[4]
+    return float(ball[3])
+
+
+@inlined
+def _adapt(ball: Floats, count: int) -> None:
+    """Make a ball wider the next time if it holds few nodes, and narrower if many."""
+    if count < _FEW:
+        ball[4] *= 1.5
+    elif count > _MANY:
+        ball[4] *= 0.7
+
+
+@inlined
+def _give_up(ball: Floats, kept: Kept) -> bool:
+    ball[3], ball[4] = -1.0, 0.5 * ball[4]
+    kept.ball[3] = -1.0
+    kept.filled[0] = 0
+    return False
 
 
 @inlined
@@ -201,25 +237,39 @@ def keep_around(
 
     It is wider than asked for, so that points that follow share it. Says no if there are too many nodes.
     """
-    ball = kept.ball
-    ball[0], ball[1], ball[2], ball[3] = x, y, z, radius + ball[4]
-    bound = reach(ball[3] * ball[3], slack)
     i, j, k = np.float32(x), np.float32(y), np.float32(z)
+    above = min(1, boxes.firsts.size - 2)
+    wide = _move(kept.ball, x, y, z, radius)
+    if not _holds(kept.outer_ball, x, y, z, wide):
+        outer = _move(kept.outer_ball, x, y, z, wide)
+        bound = reach(outer * outer, slack)
+        count = 0
+        waiting = begin(boxes, search)
+        while waiting > 0:
+            node, near, waiting = next_node(boxes, search, waiting, above, i, j, k, bound)
+            if near == np.uint64(0):
+                continue
+            if count == kept.outer.size:
+                return _give_up(kept.outer_ball, kept)
+            kept.outer[count] = node
+            count += 1
+        kept.filled[1] = count
+        _adapt(kept.outer_ball, count)
+    bound = reach(wide * wide, slack)
     count = 0
-    waiting = begin(boxes, search)
-    while waiting > 0:
-        node, near, waiting = next_node(boxes, search, waiting, i, j, k, bound)
-        if near == np.uint64(0):
+    for row in range(kept.filled[1]):
+        node = kept.outer[row]
+        if above == 0:
+            kept.nodes[count] = node
+            count += 1
             continue
-        if count == kept.nodes.size:
-            kept.filled[0] = 0
-            ball[3], ball[4] = -1.0, 0.5 * ball[4]
-            return False
-        kept.nodes[count] = node
-        count += 1
+        near = squares_to_boxes(boxes.bounds, boxes.firsts[1] + node, i, j, k, bound, search.children)
+        while near != np.uint64(0):
+            if count == kept.nodes.size:
+                return _give_up(kept.ball, kept)
+            kept.nodes[count] = node * 8 + trailing_zeros(near)
+            near &= near - np.uint64(1)
+            count += 1
     kept.filled[0] = count
-    if count < _FEW:
-        ball[4] *= 1.5
-    elif count > _MANY:
-        ball[4] *= 0.7
+    _adapt(kept.ball, count)
     return True

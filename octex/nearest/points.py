@@ -153,7 +153,7 @@ def _around(
                     node = kept.nodes[waiting]
                     near = squares_to_boxes(boxes.bounds, node, i, j, k, bound, search.children)
                 else:
-                    node, near, waiting = next_node(boxes, search, waiting, i, j, k, bound)
+                    node, near, waiting = next_node(boxes, search, waiting, 0, i, j, k, bound)
                 while near != np.uint64(0):
                     group = node * 8 + trailing_zeros(near)
                     near &= near - np.uint64(1)
@@ -193,7 +193,7 @@ def _nearest(
     bound = reach(best, slack)
     waiting = begin(boxes, search)
     while waiting > 0:
-        node, near, waiting = next_node(boxes, search, waiting, i, j, k, bound)
+        node, near, waiting = next_node(boxes, search, waiting, 0, i, j, k, bound)
         while near != np.uint64(0):
             child = trailing_zeros(near)
             near &= near - np.uint64(1)
@@ -224,7 +224,7 @@ def _to_others(cloud: Points, chosen: npt.NDArray[np.int64]) -> Floats:
         bound = reach(best, slack)
         waiting = begin(cloud.boxes, search)
         while waiting > 0:
-            node, near, waiting = next_node(cloud.boxes, search, waiting, i, j, k, bound)
+            node, near, waiting = next_node(cloud.boxes, search, waiting, 0, i, j, k, bound)
             while near != np.uint64(0):
                 first = (node * 8 + trailing_zeros(near)) * 8
                 near &= near - np.uint64(1)

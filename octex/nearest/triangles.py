@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.errors import ModelError
-from octex.jit import inlined, kernel, squares_to_boxes, trailing_zeros
+from octex.jit import inlined, kernel, nearest_box, squares_to_boxes, trailing_zeros
 from octex.nearest.boxes import (
     Boxes,
     Kept,
@@ -30,8 +30,6 @@ Int32s = npt.NDArray[np.int32]
 
 #: Triangles whose area is less than this part of the square of their longest edge are left out.
 _THINNEST = 1e-12
-#: What was near to the point before says nothing of this one if it is farther than so many margins.
-_FAR = 2.0
 
 
 class Nearest(NamedTuple):
@@ -183,14 +181,7 @@ def _best_kept(
     bound = reach(best[0], slack)
     bounds = mesh.boxes.bounds
     # The triangle with the nearest box first: it mostly is the one, and few others need be looked at.
-    first, lowest = -1, bound
-    for row in range(kept.filled[0]):
-        near = squares_to_boxes(bounds, kept.nodes[row], i, j, k, lowest, search.children)
-        while near != np.uint64(0):
-            child = trailing_zeros(near)
-            near &= near - np.uint64(1)
-            if search.children[child] < lowest:
-                first, lowest = kept.nodes[row] * 8 + child, search.children[child]
+    first = nearest_box(bounds, kept.nodes, kept.filled[0], i, j, k)
     if first >= 0:
         only = np.uint64(1) << np.uint64(first & 7)
         best = _best_in(mesh, first >> 3, only, point, directions, n, least_cosine, best)
@@ -220,7 +211,7 @@ def _best_of_all(
     bound = reach(best[0], slack)
     waiting = begin(mesh.boxes, search)
     while waiting > 0:
-        node, near, waiting = next_node(mesh.boxes, search, waiting, i, j, k, bound)
+        node, near, waiting = next_node(mesh.boxes, search, waiting, 0, i, j, k, bound)
         if near != np.uint64(0):
             best = _best_in(mesh, node, near, point, directions, n, least_cosine, best)
             bound = reach(best[0], slack)
@@ -240,23 +231,20 @@ def _nearest(
 ) -> None:
     boxes = mesh.boxes
     search, kept = new_search(), new_kept(mesh.width)
+    radius = -1.0  # what was near to the point before; −1: nothing
     for n in range(len(points)):
         point = points[n, 0], points[n, 1], points[n, 2]
         here = local(boxes, *point)
         x, y, z, slack = here
         best = distance * distance, -1, 0.0, 0.0
-        # Points mostly come in the order of some surface: what was near to the one before is near.
-        best = _best_kept(mesh, search, kept, here, point, directions, n, least_cosine, best)
-        radius = np.sqrt(best[0]) + slack
-        if best[1] < 0 or not is_around(kept, x, y, z, radius):
-            is_far = best[1] < 0 or radius > _FAR * kept.ball[4]
-            if is_far:
-                best = _best_of_all(mesh, search, here, point, directions, n, least_cosine, best)
-                radius = np.sqrt(best[0]) + slack
-            if best[1] >= 0 and keep_around(boxes, search, kept, x, y, z, radius, slack) and not is_far:
-                best = _best_kept(mesh, search, kept, here, point, directions, n, least_cosine, best)
-            elif not is_far:
-                best = _best_of_all(mesh, search, here, point, directions, n, least_cosine, best)
+        # Points mostly come in the order of some surface, and are as near to this one as the one before.
+        if radius >= 0.0 and (
+            is_around(kept, x, y, z, radius) or keep_around(boxes, search, kept, x, y, z, radius, slack)
+        ):
+            best = _best_kept(mesh, search, kept, here, point, directions, n, least_cosine, best)
+        if best[1] < 0 or not is_around(kept, x, y, z, np.sqrt(best[0]) + slack):
+            best = _best_of_all(mesh, search, here, point, directions, n, least_cosine, best)
+        radius = np.sqrt(best[0]) + slack if best[1] >= 0 else -1.0
         square, chosen, p, q = best
         triangles[n] = mesh.order[chosen] if chosen >= 0 else -1
         squares[n] = square if chosen >= 0 else np.inf
