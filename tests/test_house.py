@@ -41,7 +41,7 @@ EXCEPTIONS = {("checks", "octex.tree.layout")}
 EXPORTED = [
     *["Box", "Camera", "OctexError", "OctreeTexture", "Projection", "Sphere", "Surface", "__version__"],
     *["convert", "fill", "load_surface", "merge", "open", "paint", "project", "read_cameras"],
-    "write_cameras",
+    *["separate", "write_cameras"],
 ]
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 import octex
 from octex.channels import ONE, ChannelFormat
 from octex.checks import as_choice, as_depth
+from octex.conversion import apart
 from octex.conversion.adapt import adapted, as_max_error
 from octex.conversion.detail import DetailFunction, channel_of, wanted_levels
 from octex.conversion.facings import separated
@@ -42,6 +43,7 @@ def convert(
     fit: bool = True,
     max_error: float | None = None,
     detail: DetailFunction | str | None = None,
+    separate: float | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> OctreeTexture:
@@ -75,6 +77,9 @@ def convert(
     "stretch", which evens out the resolution of the posed surface: see ``detail.wanted_levels``. A channel
     that only steers is not stored if ``channels`` do not name it.
 
+    ``separate`` moves parts apart at rest that come nearer to each other than so many finest cells (3 do), so
+    that they share none: see ``apart.separate``. Lookups then take ``Surface.rest_positions``.
+
     Raises ModelError and ImageError for a model that cannot be used, ArgumentError for a depth out of range,
     a cell too small, more cells than can be numbered, unknown names, and an integer type for a channel that
     goes above 1, for a ``max_error`` that is no number or negative, and a ``detail`` that cannot be used.
@@ -92,6 +97,8 @@ def convert(
     else:
         whole = _surface(model, rest, [*names, steering], sources or {}, filter, report)
         surface = whole.with_channels(names)
+    if separate is not None:
+        surface = apart.separate(surface, separate, depth=depth, cell=cell).surface
     stored = _stored_as(surface, dtype)
     if cell is not None:
         placement, depth = Placement.with_cell(surface.bounds, cell)
@@ -121,6 +128,7 @@ def convert(
         "fit": fit,
         **({} if most is None else {"max_error": most}),
         **({} if detail is None else {"detail": detail if isinstance(detail, str) else "function"}),
+        **({} if separate is None else {"separate": float(separate)}),
         "channels": {channel.name: channel.dtype for channel in stored},
         "triangles": len(surface.triangles),
         "degenerate": degenerate,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,12 @@ from octex.source.images.decode import as_texels
 from octex.source.images.filters import FILTERS
 from octex.source.images.pyramid import WRAPS
 from octex.source.materials import ALPHA_MODES, AlphaMode, Input, Material, MaterialSource, Texture
+from octex.source.parts import Overlaps, overlapping_parts
+from octex.source.separation import SEPARATION, placed_as, separated
 from octex.source.tangents import carried
+
+if TYPE_CHECKING:
+    from octex.texture import OctreeTexture
 
 # Farther positions would overflow widths in single precision.
 _FARTHEST = 1e30
@@ -177,7 +182,9 @@ class Surface:
         Raises ModelError for another number of them, or if they are not finite.
         """
         positions = _positions(rest, f"{self.name}: rest positions")
-        return self._with(self.source.with_rest(positions), positions)
+        surface = self._with(self.source.with_rest(positions), positions)
+        surface.provenance.pop(SEPARATION, None)
+        return surface
 
     def with_channels(self, channels: Sequence[str]) -> Surface:
         """Return the same surface with these of its channels alone.
@@ -254,6 +261,47 @@ class Surface:
             name=self.name,
             provenance=self.provenance,
         )
+
+    def overlapping_parts(self, margin: float = 0.0) -> Overlaps:
+        """Find the parts that intersect at rest, or come nearer than ``margin`` (in the model's units).
+
+        In an octree texture such parts share cells, and their colours run together (Benson & Davis 2002,
+        4.3.1 and 6.2). Parts are what hangs together, vertices at the same position being one. For each pair
+        there is the smallest distance of their surfaces and, for two solids, the volume that both fill, by an
+        exact boolean (solids are turned outside out first). Parts that are no solids are named in
+        ``unchecked``: what lies inside them is not known. A part that intersects itself is not found.
+
+        Raises ArgumentError for a negative margin.
+        """
+        return overlapping_parts(self.rest, self.triangles, margin)
+
+    def separated(self, margin: float, found: Overlaps | None = None) -> Surface:
+        """Return the same surface with parts moved apart that are nearer than ``margin`` at rest.
+
+        The largest stay, as does what is near to nothing; others come to lie beside the whole, so that its
+        longest side grows as little as may be: where cells are a part of that, they grow with it. Sources
+        give the same values as before. Provenance remembers what was moved, and so does a texture made of it:
+        see ``placed_in``. A part that intersects itself stays as it is. Without such parts the surface itself
+        is returned. ``found`` is what ``overlapping_parts`` found with this margin or a larger one.
+
+        Raises ArgumentError for a margin not above zero, and a surface that is separated already.
+        """
+        return separated(self, margin, found)
+
+    def placed_in(self, texture: OctreeTexture) -> Surface:
+        """Return the same surface with its rest positions where a texture has them.
+
+        This is the surface itself, unless the texture was made of one that was ``separated``. Raises
+        ArgumentError if the parts are not those of the texture's surface.
+        """
+        return placed_as(self, texture.metadata)
+
+    def rest_positions(self, texture: OctreeTexture) -> npt.NDArray[np.float64]:
+        """Return where a texture has the vertices (n, 3): what lookups on the surface take.
+
+        These are ``rest``, unless parts were moved apart. Raises ArgumentError as ``placed_in`` does.
+        """
+        return self.placed_in(texture).rest
 
     def areas(self) -> npt.NDArray[np.float64]:
         """Return the posed area of each triangle (m,), in square model units."""
