@@ -133,12 +133,9 @@ def _segment_distance(p: Floats, q: Floats, r: Floats, s: Floats) -> float:
         across = a * e - b * b
         along = min(max((b * f - c * e) / across, 0.0), 1.0) if across > 0.0 else 0.0
     other = (b * along + f) / e if e > 0.0 else 0.0
-    if other < 0.0:
-        other = 0.0
-        along = min(max(-c / a, 0.0), 1.0) if a > 0.0 else 0.0
-    elif other > 1.0:
-        other = 1.0
-        along = min(max((b - c) / a, 0.0), 1.0) if a > 0.0 else 0.0
+    if not 0.0 < other < 1.0:
+        other = 1.0 if other >= 1.0 else 0.0
+        along = min(max((other * b - c) / a, 0.0), 1.0) if a > 0.0 else 0.0
     total = 0.0
     for axis in range(3):
         apart = p[axis] + along * (q[axis] - p[axis]) - r[axis] - other * (s[axis] - r[axis])

@@ -18,6 +18,7 @@ from octex.source.given import given_source
 from octex.source.images.decode import as_texels
 from octex.source.images.filters import FILTERS
 from octex.source.images.pyramid import WRAPS
+from octex.source.implicit import ImplicitFunction, level_set
 from octex.source.materials import ALPHA_MODES, AlphaMode, Input, Material, MaterialSource, Texture
 from octex.source.parts import Overlaps, overlapping_parts
 from octex.source.separation import SEPARATION, placed_as, separated
@@ -166,6 +167,38 @@ class Surface:
             filter=filter,
         )
         return cls(positions, faces, source, rest=placed, uv=coordinates, name=name)
+
+    @classmethod
+    def from_function(
+        cls,
+        f: ImplicitFunction,
+        bounds: npt.ArrayLike,
+        edge_length: float,
+        *,
+        level: float = 0.0,
+        sources: Mapping[str, object] | None = None,
+        name: str = "surface",
+    ) -> Surface:
+        """Build the surface on which a function of position has the value ``level``.
+
+        ``f`` takes positions (n, 3), float64, and returns values (n,); what it returns below ``level`` is
+        inside, as with signed distances. It is called with many positions at a time, some of them up to an
+        edge outside ``bounds``, the lowest and highest corner (2, 3); where these cut the shape it is closed
+        flatly. ``sources`` gives channels, as for ``with_sources``; ``base_color`` is a middle grey else.
+
+        Triangles have edges of about ``edge_length``, and vertices that lie on the surface as exactly as
+        Newton's method finds it (those of the flat ends do not move). In between a triangle is off by up to
+        edge_length² / 6r, where r is the radius of curvature: half the edge, a quarter of the error, and four
+        times the triangles. An octree has the cells of the true surface where that is less than the surface
+        misses the corners of cells by: a tenth of a cell is mostly enough. What is thinner than an edge may
+        be lost. (Benson & Davis 2002, 1 and 5; the grid is manifold3d's.)
+
+        Raises ArgumentError for a function that raises, or returns NaN or another shape, for bounds and
+        lengths that are not finite or out of range, and ModelError where there is no surface.
+        """
+        vertices, triangles = level_set(f, bounds, edge_length, level)
+        surface = cls.from_arrays(vertices, triangles, factor=(0.5, 0.5, 0.5), name=name)
+        return surface if sources is None else surface.with_sources(sources)
 
     def __repr__(self) -> str:
         names = ", ".join(channel.name for channel in self.channels)
