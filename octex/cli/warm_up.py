@@ -62,6 +62,7 @@ def warm_up(progress: Progress) -> None:
             progress("compile", 2 * number + 1, stages)
             write_preview(folder / "model.png", surface, octex.convert(surface, 3), (64, 64))
         progress("compile", stages - 1, stages)
+        _separate(surfaces[0])
         _paint(surfaces[0], folder)
         progress("compile", stages, stages)
 
@@ -112,6 +113,12 @@ def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
     texture.tree.level_codes(6)
     write_points(texture, folder / "points.ply")
     write_preview(folder / "texture.png", None, texture, (64, 64))
+
+
+def _separate(surface: octex.Surface) -> None:
+    """Move two parts apart."""
+    twice = np.concatenate([surface.triangles, surface.triangles + len(surface.rest)])
+    octex.separate(octex.Surface.from_arrays(np.concatenate([surface.rest, surface.rest + 0.001]), twice))
 
 
 def _paint(surface: octex.Surface, folder: Path) -> None:

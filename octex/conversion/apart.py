@@ -17,7 +17,8 @@ DEFAULT_DEPTH = 10
 CELLS = 3.0
 # Surfaces n cells apart along no axis may be √3 times as far from each other.
 _DIAGONAL = math.sqrt(3.0)
-_TRIES = 50
+# Beyond so many times the surface's extent, cells grow as fast as what parts must be apart.
+_MOST = 4.0
 
 
 class Separated(NamedTuple):
@@ -50,10 +51,11 @@ def separate(
         return _DIAGONAL * cells * edge
 
     margin = reach(surface)
+    most = max(margin, _MOST * float((surface.bounds[1] - surface.bounds[0]).max()))
     found = surface.overlapping_parts(margin)
-    for _ in range(_TRIES):
+    while margin <= most:
         if found.margin < margin:
-            found = surface.overlapping_parts(1.5 * margin)
+            found = surface.overlapping_parts(2.0 * margin)
         made = surface.separated(margin, found)
         # The whole has grown, and with it the cells.
         if reach(made) <= margin * (1.0 + 1e-9):

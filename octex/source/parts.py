@@ -93,13 +93,18 @@ def overlapping_parts(rest: Floats, triangles: Int32s, margin: float = 0.0) -> O
     solids = [_solid(rest, triangles[own], welded) for own in members]
     surfaces: dict[int, Boxes] = {}
     pairs = []
-    for first, second in _near_boxes(*boxes_of(rest, triangles, parts), margin):
+    low, high = boxes_of(rest, triangles, parts)
+    for first, second in _near_boxes(low, high, margin):
         for a, b in zip(first.tolist(), second.tolist(), strict=True):
             for part in (a, b):
                 if part not in surfaces:
                     surfaces[part] = boxes_over(rest[triangles[members[part]]])
             distance = gap(surfaces[a], surfaces[b], margin)
-            volume = _shared_volume(solids[a], solids[b])
+            within = (low[a] >= low[b]).all() and (high[a] <= high[b]).all()
+            around = (low[a] <= low[b]).all() and (high[a] >= high[b]).all()
+            # Apart and not one in the other: nothing is shared, and needs no boolean.
+            is_clear = distance > 0.0 and not within and not around
+            volume = _shared_volume(solids[a], solids[b], is_clear)
             if volume or distance < margin or (distance == 0.0 and volume is None):
                 pairs.append(Overlap(min(a, b), max(a, b), volume, distance))
     unchecked = [
@@ -235,9 +240,11 @@ def _near_boxes(low: Floats, high: Floats, margin: float) -> Iterator[tuple[Int6
         first = last
 
 
-def _shared_volume(a: Manifold | Why, b: Manifold | Why) -> float | None:
+def _shared_volume(a: Manifold | Why, b: Manifold | Why, is_clear: bool) -> float | None:
     """Return the volume that two solids share; 0 if they only touch, None if one is no solid."""
     if isinstance(a, str) or isinstance(b, str):
         return None
+    if is_clear:
+        return 0.0
     volume: float = (a ^ b).volume()
     return volume if volume > _SHARED * min(a.volume(), b.volume()) else 0.0
