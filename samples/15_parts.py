@@ -1,4 +1,4 @@
-"""Parts that run through each other share cells, and their colours run together. Moved apart at rest they do not.
+"""Parts that run through each other share cells, and their colours run together; moved apart at rest, not.
 
 The texture remembers how far each part moved: Surface.placed_in and Surface.rest_positions say where it has
 the surface, and what is painted, drawn or compared with the texture finds it by itself.

@@ -19,7 +19,7 @@ SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "640")) // 2
 
 
 def gyroid(points):
-    """The walls of a gyroid inside a ball of radius 1, their edges rounded: negative inside."""
+    """Return a value below zero in the walls of a gyroid, cut to a ball, with rounded edges."""
     x, y, z = 7.0 * points.T
     walls = np.sin(x) * np.cos(y) + np.sin(y) * np.cos(z) + np.sin(z) * np.cos(x)
     walls, ball = np.abs(walls) / 7.0 - 0.06, np.linalg.norm(points, axis=1) - 1.0
@@ -27,7 +27,7 @@ def gyroid(points):
 
 
 def glaze(points):
-    """Linear light: from a warm core to a cool rind, with rings."""
+    """Return linear light: from a warm core to a cool rind, with rings."""
     radius = np.linalg.norm(points, axis=1)[:, None]
     core, rind = np.array([0.9, 0.28, 0.06]), np.array([0.06, 0.32, 0.5])
     rings = 0.85 + 0.15 * np.cos(60.0 * radius)

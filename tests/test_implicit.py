@@ -40,7 +40,7 @@ def test_vertices_lie_on_the_surface_and_triangles_near_it() -> None:
         lengths = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
         assert edge / 2 < lengths.max() < 1.3 * edge
         errors.append(-ball(corners.mean(axis=1)).min())
-        assert errors[-1] < 1.1 * edge**2 / 6
+        assert errors[-1] < edge**2 / 4
     assert 3 < errors[0] / errors[1] < 5
     assert 3 < errors[1] / errors[2] < 5
 
@@ -138,7 +138,7 @@ def test_it_is_grey_or_has_the_sources_that_are_given() -> None:
 
 
 @needs_jit
-@pytest.mark.parametrize(("depth", "edge", "shift"), [(5, 0.5, 0.0), (5, 0.35, 0.123), (6, 0.5, 0.0)])
+@pytest.mark.parametrize(("depth", "edge", "shift"), [(5, 0.5, 0.0), (5, 0.35, 0.123), (6, 1.0, 0.0)])
 def test_the_cells_are_those_of_the_true_sphere(depth: int, edge: float, shift: float) -> None:
     def sphere(points: Array) -> Array:
         return np.linalg.norm(points - shift, axis=1) - 1
@@ -156,7 +156,7 @@ def test_the_cells_are_those_of_the_true_sphere(depth: int, edge: float, shift: 
     assert np.array_equal(found, (nearest <= 1) & (farthest >= 1))
 
 
-def raising(points: Array) -> Array:
+def raising(_points: Array) -> Array:
     raise RuntimeError("no idea")
 
 

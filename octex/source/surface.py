@@ -188,10 +188,11 @@ class Surface:
 
         Triangles have edges of about ``edge_length``, and vertices that lie on the surface as exactly as
         Newton's method finds it (those of the flat ends do not move). In between a triangle is off by up to
-        edge_length² / 6r, where r is the radius of curvature: half the edge, a quarter of the error, and four
+        edge_length² / 4r, where r is the radius of curvature: half the edge, a quarter of the error, and four
         times the triangles. An octree has the cells of the true surface where that is less than the surface
-        misses the corners of cells by: a tenth of a cell is mostly enough. What is thinner than an edge may
-        be lost. (Benson & Davis 2002, 1 and 5; the grid is manifold3d's.)
+        misses the corners and edges of cells by: for spheres, edges as long as cells were enough at depths
+        5 and 6. What is thinner than an edge may be lost. (Benson & Davis 2002, 1 and 5; the grid is
+        manifold3d's.)
 
         Raises ArgumentError for a function that raises, or returns NaN or another shape, for bounds and
         lengths that are not finite or out of range, and ModelError where there is no surface.
