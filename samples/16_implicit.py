@@ -15,7 +15,7 @@ from octex.channels import encode
 from octex.preview import render, render_leaves, texture_look
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "8"))
-SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "640")) // 2
+SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "560")) // 2
 
 
 def gyroid(points):

@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import PIL.Image
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import octex
 from octex.channels import CHANNELS, ChannelFormat, linear_to_srgb
+from octex.cli.paint import main as paint
 from octex.compare import difference
 from octex.conversion.apart import separate
 from octex.errors import ArgumentError
@@ -151,6 +153,7 @@ def test_no_cell_and_no_neighbourhood_is_shared(options: dict[str, Any]) -> None
 
 
 @needs_jit
+@settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.integers(2, 9), st.integers(5, 6))
 def test_cubes_anywhere_are_separated(seed: int, count: int, depth: int) -> None:
     random = np.random.default_rng(seed)
@@ -232,6 +235,54 @@ def test_a_separated_surface_is_where_its_texture_is() -> None:
         pair().separated(0.3).placed_in(texture)
     moved = apart.with_rest(apart.vertices)
     assert np.array_equal(moved.rest_positions(texture), apart.rest)
+
+
+def test_cells_are_a_number_or_three() -> None:
+    plain, three, also = (octex.convert(pair(), 5, separate=cells) for cells in (False, True, 3))
+    assert "separation" not in plain.metadata
+    assert three.metadata == also.metadata
+    with pytest.raises(ArgumentError, match="cells must be from 1"):
+        octex.convert(pair(), 5, separate=0)
+
+
+def test_functions_of_detail_get_positions_as_they_were() -> None:
+    seen = []
+
+    def detail(points: Array) -> Array:
+        seen.append(points)
+        return np.full(len(points), 4)
+
+    surface = pair()
+    assert octex.convert(surface, 5, detail=detail, separate=3).tree.max_depth == 4
+    points = np.concatenate(seen)
+    assert (points >= surface.bounds[0] - 1e-9).all()
+    assert (points <= surface.bounds[1] + 1e-9).all()
+
+
+@needs_jit
+def test_the_paint_command_finds_the_parts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = written(tmp_path, sphere([0, 0, 0], 1.0), sphere([1.5, 0.1, 0], 0.8))
+    octex.convert(model, 5, separate=3).save(tmp_path / "a.octex")
+    seen, eye = tmp_path / "a.png", tmp_path / "a.json"
+    assert (
+        paint([str(model), str(tmp_path / "a.octex"), *["--view", str(seen), "--camera-out", str(eye)]]) == 0
+    )
+    pixels = np.array(PIL.Image.open(seen))
+    pixels[..., :3] = 255 - pixels[..., :3]
+    PIL.Image.fromarray(pixels).save(seen)
+    words = [str(seen), "--camera", str(eye), "--out", str(tmp_path / "b.octex"), "--max-depth", "6"]
+    assert paint([str(model), str(tmp_path / "a.octex"), *words]) == 0
+    capsys.readouterr()
+    surface = octex.load_surface(model)
+    before, after = octex.open(tmp_path / "a.octex"), octex.open(tmp_path / "b.octex")
+    rest = surface.rest_positions(after)
+    facing = surface.vertices @ [0.35, 0.26, 0.9]
+    front = [
+        int(np.argmax(facing[part])) + start
+        for part, start in ((slice(0, 1000), 0), (slice(-1000, None), len(rest) - 1000))
+    ]
+    codes = [255 * linear_to_srgb(texture.sample(rest[front])) for texture in (before, after)]
+    np.testing.assert_allclose(codes[0] + codes[1], 255, atol=12)
 
 
 def test_a_posed_surface_is_moved_at_rest() -> None:
@@ -363,7 +414,10 @@ def test_the_command_separates(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert json.loads(lines)["channels"]["base_color"]["rms"] < 2
     box = written(tmp_path, cube([0, 0, 0]))
     text = result(capsys, box, out, "--depth", 3, "--force", "--separate")
-    assert text.endswith("1 part, none near to another: none is moved\n")
+    assert text.endswith("nothing to move apart; where it runs through itself it stays as it is\n")
+    boxes = written(tmp_path, cube([0, 0, 0]), cube([9, 0, 0]))
+    text = result(capsys, boxes, out, "--depth", 5, "--force", "--separate")
+    assert text.endswith("2 parts, none too near to another: none is moved\n")
 
 
 def test_many_moved_parts_are_not_all_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -53,7 +53,11 @@ def separated_text(texture: OctreeTexture, found: Overlaps) -> Iterator[str]:
     """Yield the lines that say which parts were moved, and how far, and what could not be checked."""
     moved = _moved(texture)
     if not moved:
-        yield f"{found.n_parts:,} part{'s' if found.n_parts > 1 else ''}, none near to another: none is moved"
+        yield (
+            f"{found.n_parts:,} parts, none too near to another: none is moved"
+            if found.n_parts > 1
+            else "one part alone: nothing to move apart; where it runs through itself it stays as it is"
+        )
     else:
         yield f"{len(moved):,} of {found.n_parts:,} parts moved apart; Surface.rest_positions says where to"
         for part, offset in list(moved.items())[:_LINES]:

@@ -43,7 +43,7 @@ def convert(
     fit: bool = True,
     max_error: float | None = None,
     detail: DetailFunction | str | None = None,
-    separate: float | None = None,
+    separate: float | bool | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> OctreeTexture:
@@ -77,8 +77,8 @@ def convert(
     "stretch", which evens out the resolution of the posed surface: see ``detail.wanted_levels``. A channel
     that only steers is not stored if ``channels`` do not name it.
 
-    ``separate`` moves parts apart at rest that come nearer to each other than so many finest cells (3 do), so
-    that they share none: see ``apart.separate``. Lookups then take ``Surface.rest_positions``.
+    ``separate`` moves parts apart at rest that come nearer to each other than so many finest cells (3 if
+    it is True), so that they share none: see ``apart.separate``. Lookups then take ``Surface.rest_positions``.
 
     Raises ModelError and ImageError for a model that cannot be used, ArgumentError for a depth out of range,
     a cell too small, more cells than can be numbered, unknown names, and an integer type for a channel that
@@ -97,8 +97,9 @@ def convert(
     else:
         whole = _surface(model, rest, [*names, steering], sources or {}, filter, report)
         surface = whole.with_channels(names)
-    if separate is not None:
-        surface = apart.separate(surface, separate, depth=depth, cell=cell).surface
+    cells = {True: apart.CELLS, False: None}[separate] if isinstance(separate, bool) else separate
+    if cells is not None:
+        surface = apart.separate(surface, cells, depth=depth, cell=cell).surface
     stored = _stored_as(surface, dtype)
     if cell is not None:
         placement, depth = Placement.with_cell(surface.bounds, cell)
@@ -128,7 +129,7 @@ def convert(
         "fit": fit,
         **({} if most is None else {"max_error": most}),
         **({} if detail is None else {"detail": detail if isinstance(detail, str) else "function"}),
-        **({} if separate is None else {"separate": float(separate)}),
+        **({} if cells is None else {"separate": float(cells)}),
         "channels": {channel.name: channel.dtype for channel in stored},
         "triangles": len(surface.triangles),
         "degenerate": degenerate,
