@@ -50,9 +50,12 @@ def cells_of(surface: Surface, texture: OctreeTexture, parts: Array, **options: 
     return found
 
 
-def nearest(a: Array, b: Array) -> int:
-    """The least distance of cells along their farthest axis."""
-    return min(int(np.abs(b - cell).max(axis=1).min()) for cell in a)
+def are_apart(a: Array, b: Array, cells: int) -> bool:
+    """Whether no two cells are less than so many apart along every axis."""
+    taken = np.zeros(np.maximum(a.max(axis=0), b.max(axis=0)) + 2 * cells, bool)
+    taken[tuple((b + cells).T)] = True
+    near = np.array(list(np.ndindex(*[2 * cells - 1] * 3))) + 1
+    return not any(taken[tuple((a + step).T)].any() for step in near)
 
 
 def worst(surface: Surface, texture: OctreeTexture) -> float:
@@ -148,7 +151,7 @@ def test_no_cell_and_no_neighbourhood_is_shared(options: dict[str, Any]) -> None
     texture = octex.convert(surface, **options, separate=3, fit=False)
     placed = surface.placed_in(texture)
     first, second = cells_of(placed, texture, surface.overlapping_parts().parts, **options)
-    assert nearest(first, second) >= 3
+    assert are_apart(first, second, 3)
     assert len(first) + len(second) == texture.tree.n_leaves
 
 
@@ -164,7 +167,7 @@ def test_cubes_anywhere_are_separated(seed: int, count: int, depth: int) -> None
     cells = cells_of(made.surface, texture, made.found.parts)
     for a in range(len(cells)):
         for b in range(a + 1, len(cells)):
-            assert nearest(cells[a], cells[b]) >= 3
+            assert are_apart(cells[a], cells[b], 3)
     assert np.array_equal(surface.rest_positions(texture), made.surface.rest)
 
 
@@ -204,7 +207,7 @@ def test_suzannes_eyes_share_no_cell_with_her_head(models: Path) -> None:
     texture = octex.convert(surface, 8, separate=3)
     cells = cells_of(surface.placed_in(texture), texture, surface.overlapping_parts().parts)
     assert sum(map(len, cells)) == texture.tree.n_leaves
-    assert all(nearest(cells[eye], cells[2]) >= 3 for eye in (0, 1))
+    assert all(are_apart(cells[eye], cells[2], 3) for eye in (0, 1))
     assert worst(surface, texture) <= 1.0
 
 
@@ -264,23 +267,19 @@ def test_the_paint_command_finds_the_parts(tmp_path: Path, capsys: pytest.Captur
     model = written(tmp_path, sphere([0, 0, 0], 1.0), sphere([1.5, 0.1, 0], 0.8))
     octex.convert(model, 5, separate=3).save(tmp_path / "a.octex")
     seen, eye = tmp_path / "a.png", tmp_path / "a.json"
-    assert (
-        paint([str(model), str(tmp_path / "a.octex"), *["--view", str(seen), "--camera-out", str(eye)]]) == 0
-    )
+    both = [str(model), str(tmp_path / "a.octex")]
+    assert paint([*both, "--view", str(seen), "--camera-out", str(eye)]) == 0
     pixels = np.array(PIL.Image.open(seen))
     pixels[..., :3] = 255 - pixels[..., :3]
     PIL.Image.fromarray(pixels).save(seen)
     words = [str(seen), "--camera", str(eye), "--out", str(tmp_path / "b.octex"), "--max-depth", "6"]
-    assert paint([str(model), str(tmp_path / "a.octex"), *words]) == 0
+    assert paint([*both, *words]) == 0
     capsys.readouterr()
     surface = octex.load_surface(model)
     before, after = octex.open(tmp_path / "a.octex"), octex.open(tmp_path / "b.octex")
     rest = surface.rest_positions(after)
     facing = surface.vertices @ [0.35, 0.26, 0.9]
-    front = [
-        int(np.argmax(facing[part])) + start
-        for part, start in ((slice(0, 1000), 0), (slice(-1000, None), len(rest) - 1000))
-    ]
+    front = [int(np.argmax(facing[:1000])), int(np.argmax(facing[-1000:])) + len(rest) - 1000]
     codes = [255 * linear_to_srgb(texture.sample(rest[front])) for texture in (before, after)]
     np.testing.assert_allclose(codes[0] + codes[1], 255, atol=12)
 
@@ -406,7 +405,7 @@ def test_the_command_separates(tmp_path: Path, capsys: pytest.CaptureFixture[str
     texture = octex.open(out)
     surface = octex.load_surface(model)
     cells = cells_of(surface.placed_in(texture), texture, surface.overlapping_parts().parts)
-    assert nearest(cells[0], cells[1]) >= 4
+    assert are_apart(cells[0], cells[1], 4)
     text = result(capsys, model, out, "--depth", 6, "--force", "--preview", tmp_path / "a.png", "--separate")
     assert "1 of 3 parts moved apart; Surface.rest_positions says where to\n  part 1 by " in text
     assert "1 of them are no solids: only their surfaces were checked" in text

@@ -77,8 +77,8 @@ def convert(
     "stretch", which evens out the resolution of the posed surface: see ``detail.wanted_levels``. A channel
     that only steers is not stored if ``channels`` do not name it.
 
-    ``separate`` moves parts apart at rest that come nearer to each other than so many finest cells (3 if
-    it is True), so that they share none: see ``apart.separate``. Lookups then take ``Surface.rest_positions``.
+    ``separate`` moves parts apart at rest that come nearer to each other than so many finest cells (True: 3),
+    so that they share none: see ``apart.separate``. Lookups then take ``Surface.rest_positions``.
 
     Raises ModelError and ImageError for a model that cannot be used, ArgumentError for a depth out of range,
     a cell too small, more cells than can be numbered, unknown names, and an integer type for a channel that
