@@ -1,7 +1,6 @@
 """Parts that run through each other share cells, and their colours run together; moved apart at rest, not.
 
-The texture remembers how far each part moved: Surface.placed_in and Surface.rest_positions say where it has
-the surface, and what is painted, drawn or compared with the texture finds it by itself.
+The texture remembers how far: Surface.placed_in and Surface.rest_positions say where it has the surface.
 
     python samples/15_parts.py [FOLDER]      writes FOLDER/parts.png (default: out)
 """
@@ -21,7 +20,7 @@ from octex.preview import render, render_leaves, texture_look
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "6"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "960")) // 3
 TURNS = ((0, 0, 0), (90, 0, 0), (0, 90, 0))
-COLORS = np.array([[0.95, 0.75, 0.25], [0.75, 0.08, 0.1], [0.1, 0.45, 0.2], [0.08, 0.2, 0.6]])
+COLORS = [[0.95, 0.75, 0.25], [0.75, 0.08, 0.1], [0.1, 0.45, 0.2], [0.08, 0.2, 0.6]]
 
 
 def main(folder: Path) -> None:
@@ -32,7 +31,7 @@ def main(folder: Path) -> None:
     colors = np.repeat(COLORS, np.diff(starts), axis=0)
     points = np.concatenate([mesh.vert_properties[:, :3] for mesh in meshes])
     triangles = np.concatenate([mesh.tri_verts + start for mesh, start in zip(meshes, starts, strict=False)])
-    surface = octex.Surface.from_arrays(points, triangles.astype(np.int32), colors=colors, name="jack")
+    surface = octex.Surface.from_arrays(points, triangles, colors=colors, name="jack")
     print(surface.overlapping_parts())
 
     camera = octex.Camera.fitted(surface.vertices, (0.8, 0.55, 1.0), size=(SIZE, SIZE))

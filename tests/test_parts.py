@@ -109,7 +109,7 @@ def test_parts_are_numbered_by_their_first_triangles_and_say_which_is_whose() ->
 def test_what_was_found_reads_as_lines() -> None:
     surface = colored(cube([0, 0, 0]), cube([0.5, 0, 0]), cube([0.2, 0.2, 0.2], 0.1), open_cube([1.6, 0, 0]))
     assert str(surface.overlapping_parts(0.15)).splitlines() == [
-        "4 parts, 3 pairs too near to each other",
+        "4 parts, 3 pairs that intersect or come near",
         "parts 0 and 1: their surfaces cross or touch; they share a volume of 0.5",
         "parts 0 and 2: their surfaces are more than 0.15 apart; they share a volume of 0.001",
         "parts 1 and 3: their surfaces are 0.1 apart",

@@ -154,7 +154,7 @@ def test_make_droid_writes_the_droid(
         ("11_paint.py", ["paint.png"], "painted over the camera's view"),
         ("12_photos.py", ["photos.png"], "painted with them, and the truth"),
         ("15_parts.py", ["parts.png"], "moved apart at rest"),
-        ("16_implicit.py", ["implicit.png"], "vertices off by"),
+        ("16_implicit.py", ["implicit.png"], "off by"),
     ],
 )
 def test_the_numbered_scripts_run_from_anywhere(

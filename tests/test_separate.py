@@ -380,7 +380,7 @@ def test_the_command_says_which_parts_overlap(tmp_path: Path, capsys: pytest.Cap
     )
     assert result(capsys, "--overlaps", model, "--quiet") == ""
     assert result(capsys, "--overlaps", model).splitlines() == [
-        f"{model}: 4 parts, 2 pairs too near to each other",
+        f"{model}: 4 parts, 2 pairs that intersect or come near",
         "parts 0 and 1: their surfaces cross or touch; they share a volume of 0.5",
         "parts 0 and 2: their surfaces do not cross; they share a volume of 0.001953",
         "part 3 of 10 triangles is open: only its surface was checked, not what lies inside",

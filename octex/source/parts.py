@@ -62,7 +62,9 @@ class Overlaps(NamedTuple):
         return int(self.parts.max()) + 1
 
     def __str__(self) -> str:
-        lines = [f"{_many(self.n_parts, 'part')}, {_many(len(self.pairs), 'pair')} too near to each other"]
+        lines = [
+            f"{_many(self.n_parts, 'part')}, {_many(len(self.pairs), 'pair')} that intersect or come near"
+        ]
         for a, b, volume, distance in self.pairs:
             apart = f"are {distance:.4g} apart" if distance else "cross or touch"
             if math.isinf(distance):
