@@ -6,6 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from octex.conversion.apart import separate as separate
     from octex.conversion.convert import convert as convert
     from octex.errors import OctexError as OctexError
     from octex.painting.merge import merge as merge
@@ -50,6 +51,7 @@ _HOMES = {
     "paint": ("octex.painting.paint", "paint"),
     "project": ("octex.painting.paint", "project"),
     "read_cameras": ("octex.view.camera_files", "read_cameras"),
+    "separate": ("octex.conversion.apart", "separate"),
     "write_cameras": ("octex.view.camera_files", "write_cameras"),
 }
 

@@ -20,6 +20,7 @@ from octex.checks import as_choice
 from octex.errors import ArgumentError
 from octex.parallel import Progress, silent
 from octex.source.base import by_channel
+from octex.source.separation import SEPARATION
 from octex.source.surface import Surface
 from octex.texture import FILTERS, OctreeTexture
 from octex.tree.layout import AREA_ONE, AREA_STEPS
@@ -130,13 +131,13 @@ def difference(
     ``Differences.uncovered`` says how much is left out.
 
     Memory does not grow with points and leaves. Raises ArgumentError for two models, for channels that are
-    not in both or do not mean the same in both, for an unknown filter, and if the surfaces have nothing in
-    common.
+    not in both or do not mean the same in both, for an unknown filter, if the surfaces have nothing in
+    common, and for textures whose parts were not moved apart alike.
     """
     report = progress or silent
-    sides = a, b
-    placed = next((side for side in sides if isinstance(side, OctreeTexture)), None)
-    if placed is None:
+    sides = placed(a, b)
+    stored = next((side for side in sides if isinstance(side, OctreeTexture)), None)
+    if stored is None:
         raise ArgumentError(
             "two models have no points in common to compare them at; convert one of them first"
         )
@@ -144,7 +145,7 @@ def difference(
     if points < 1 or seed < 0:
         raise ArgumentError(f"points must be above 0 and seed not below, not {points} and {seed}")
     if width is None:
-        width = placed.placement.size / 2**placed.tree.max_depth
+        width = stored.placement.size / 2**stored.tree.max_depth
     if not 0 <= width < np.inf:
         raise ArgumentError(f"width must be finite and not negative, not {width!r}")
     readers = readers_of(sides, channels, width, filter)
@@ -243,6 +244,23 @@ class Reader:
         widths = np.full(len(points.rest), self._width, np.float32)
         rows = self._side.evaluate_all(points.triangles, points.barycentric, widths)
         return by_channel(self._side.channels, rows)
+
+
+def placed(a: Side, b: Side) -> tuple[Side, Side]:
+    """Return both sides, a model at the rest positions that the texture has.
+
+    Raises ArgumentError for parts that were moved apart in one texture and not, or otherwise, in the other.
+    """
+    if isinstance(a, Surface):
+        return (a.placed_in(b), b) if isinstance(b, OctreeTexture) else (a, b)
+    if isinstance(b, Surface):
+        return a, b.placed_in(a)
+    if a.metadata.get(SEPARATION) != b.metadata.get(SEPARATION):
+        raise ArgumentError(
+            "parts of these textures' surfaces were moved apart, and not by the same; compare each with its "
+            "model"
+        )
+    return a, b
 
 
 def readers_of(

@@ -43,7 +43,7 @@ EXPORTED = [
     *["Box", "Camera", "MappedImage", "OctexError", "OctreeTexture", "PointCloud", "Projection", "Sphere"],
     *["Surface", "Transfer", "__version__"],
     *["convert", "fill", "load_surface", "merge", "open", "paint", "project", "read_cameras"],
-    "write_cameras",
+    *["separate", "write_cameras"],
 ]
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]
 

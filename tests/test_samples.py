@@ -155,6 +155,8 @@ def test_make_droid_writes_the_droid(
         ("12_photos.py", ["photos.png"], "painted with them, and the truth"),
         ("13_no_uvs.py", ["no_uvs.png"], "planar, box, cylindrical, spherical"),
         ("14_wood.py", ["wood.png"], "wood and marble"),
+        ("15_parts.py", ["parts.png"], "moved apart at rest"),
+        ("16_implicit.py", ["implicit.png"], "off by"),
     ],
 )
 def test_the_numbered_scripts_run_from_anywhere(

@@ -51,6 +51,19 @@ def length(text: str) -> float:
     return number
 
 
+def cells_apart(text: str) -> float:
+    """Read how many cells parts are to be apart."""
+    try:
+        number = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no number of cells; write --separate behind the files, or --separate=3"
+        ) from None
+    if not 1.0 <= number <= 1e6:
+        raise argparse.ArgumentTypeError(f"{text} is not from 1 to a million")
+    return number
+
+
 def error_codes(text: str) -> float:
     """Read a number of 8-bit codes: finite, 0 or more."""
     try:

@@ -19,6 +19,7 @@ from octex.cli.arguments import (
     PROJECTIONS,
     angle,
     axis,
+    cells_apart,
     channel_names,
     count,
     dtypes,
@@ -43,11 +44,13 @@ from octex.cli.models import (
     read_model,
     sources_of,
 )
+from octex.cli.overlaps import SEPARATE_CELLS, overlaps, separated_as_json, separated_text
 from octex.errors import ArgumentError, ExitCode, InputError
 from octex.parallel import threads
 
 if TYPE_CHECKING:
     from octex.source.cloud import PointCloud
+    from octex.source.parts import Overlaps
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
@@ -60,9 +63,10 @@ _ELSEWHERE = {"--transfer", "--cloud", "--radius", "--max-distance", "--max-angl
 _MATERIALS = {"--channels", "--source", "--filter", "--rest"} | _PROJECTION | _ELSEWHERE
 _OPTIONS = {
     "a conversion": {"INPUT", "OUTPUT", "--depth", "--cell", "--max-error", "--detail", "--no-fit", "--dtype"}
-    | {"--preview", "--force", "--threads", "--quiet", "--json"}
+    | {"--preview", "--force", "--threads", "--quiet", "--json", "--separate"}
     | _MATERIALS,
     "--diff": {"--points", "--preview", "--force", "--quiet", "--json"} | _MATERIALS,
+    "--overlaps": {"--margin", "--rest", "--json", "--quiet"},
     "--info": {"--json"},
     "--validate": {"--json", "--quiet"},
     "--warm-up": {"--quiet"},
@@ -77,6 +81,7 @@ _NEEDS_A_MODEL = (
     "--source",
     "--filter",
     *sorted(_PROJECTION | _ELSEWHERE),
+    "--separate",
 )
 # What a cloud of points can be converted with.
 _OF_CLOUDS = {"INPUT", "OUTPUT", "--depth", "--cell", "--channels", "--dtype"}
@@ -96,10 +101,12 @@ def parser() -> argparse.ArgumentParser:
         f"{'':29}[--project-center X,Y,Z] [--project-size SIZE]\n"
         f"{'':29}[--transfer MODEL | --cloud POINTS [--radius R]] [--max-distance D]\n"
         f"{'':29}[--max-angle DEGREES]\n"
-        f"{'':29}[--preview PNG] [--force] [--threads N] [--quiet] [--json]\n"
+        f"{'':29}[--separate [CELLS]] [--preview PNG] [--force] [--threads N] [--quiet]\n"
+        f"{'':29}[--json]\n"
         f"       {COMMAND} --diff A B [--channels NAMES] [--points N] [--rest MESH] [--filter NAME]\n"
         f"{'':29}[--source CHANNEL=FILE ...] [--project KIND ...] [--preview PNG] [--force]\n"
         f"{'':29}[--quiet] [--json]\n"
+        f"       {COMMAND} --overlaps MODEL [--margin SIZE] [--rest MESH] [--quiet] [--json]\n"
         f"       {COMMAND} --info FILE [--json]\n"
         f"       {COMMAND} --validate FILE [--quiet] [--json]\n"
         f"       {COMMAND} --warm-up [--quiet]\n"
@@ -214,6 +221,15 @@ def parser() -> argparse.ArgumentParser:
         help=f"what is stored: {', '.join(DTYPES)}; for some channels normal=uint16,emissive=float16 "
         "(default uint8, float16 for light above 1)",
     )
+    add(
+        "--separate",
+        metavar="CELLS",
+        nargs="?",
+        const=SEPARATE_CELLS,
+        type=cells_apart,
+        help="move parts apart at rest that intersect or come nearer than so many of the finest cells "
+        f"(default {SEPARATE_CELLS:g}), so that their colours do not run together",
+    )
     add("--preview", metavar="PNG", type=Path, help="draw the model beside the model from its octree")
     add("--force", action="store_true", help="overwrite what exists")
     add("--threads", metavar="N", type=count, help="threads to work on (default: all processors)")
@@ -232,6 +248,19 @@ def parser() -> argparse.ArgumentParser:
         metavar="N",
         type=count,
         help="points on the model to compare at (default 1,000,000); two textures are compared at all leaves",
+    )
+    add(
+        "--overlaps",
+        metavar="MODEL",
+        type=Path,
+        help="say which parts of a model intersect, or come nearer to each other than --margin. The exit "
+        "code is 0 whether some do or not",
+    )
+    add(
+        "--margin",
+        metavar="SIZE",
+        type=length,
+        help="how near parts may come to each other, in the model's units (default: not at all)",
     )
     add("--info", metavar="FILE", type=Path, help="say what an .octex file holds")
     add(
@@ -258,6 +287,8 @@ def _main(options: argparse.Namespace) -> int:
         return validate(options.validate, options.json, options.quiet)
     if work == "--diff":
         return diff(COMMAND, options)
+    if work == "--overlaps":
+        return overlaps(COMMAND, options)
     if work == "--warm-up":
         return _warm_up(options.quiet)
     return _convert(options)
@@ -284,6 +315,7 @@ def _work(options: argparse.Namespace) -> str:
 
 def _convert(options: argparse.Namespace) -> int:
     began = time.perf_counter()
+    found: Overlaps | None = None
     outputs: list[tuple[Path, tuple[str, ...], str]] = [(options.OUTPUT, OUTPUT_ENDINGS, "OUTPUT")]
     if options.preview is not None:
         outputs.append((options.preview, (".png",), "--preview"))
@@ -305,6 +337,12 @@ def _convert(options: argparse.Namespace) -> int:
                     model = _read_cloud(options)
                 else:
                     model = surface = read_model(options.INPUT, options)
+            if options.separate is not None and surface is not None:
+                with progress.stage("separate"):
+                    surface, found = octex.separate(
+                        surface, options.separate, depth=options.depth, cell=options.cell
+                    )
+                    model = surface
             with nullcontext() if options.threads is None else threads(options.threads) as executor:
                 texture = octex.convert(
                     model,
@@ -332,7 +370,7 @@ def _convert(options: argparse.Namespace) -> int:
             write_points(texture, options.OUTPUT, progress)
 
     if not options.quiet or options.json:
-        _say_what_was_made(options, texture, time.perf_counter() - began)
+        _say_what_was_made(options, texture, found, time.perf_counter() - began)
     return ExitCode.DONE
 
 
@@ -377,7 +415,9 @@ def _reduced(options: argparse.Namespace) -> OctreeTexture:
     return OctreeTexture(texture.tree, kept, texture.placement, texture.bounds, metadata)
 
 
-def _say_what_was_made(options: argparse.Namespace, texture: OctreeTexture, seconds: float) -> None:
+def _say_what_was_made(
+    options: argparse.Namespace, texture: OctreeTexture, found: Overlaps | None, seconds: float
+) -> None:
     tree = texture.tree
     made: dict[str, Any] = {
         "output": str(options.OUTPUT),
@@ -393,6 +433,8 @@ def _say_what_was_made(options: argparse.Namespace, texture: OctreeTexture, seco
         made["empty"] = empty
     if options.preview is not None:
         made["preview"] = str(options.preview)
+    if found is not None:
+        made["separated"] = separated_as_json(texture, found)
     if options.json:
         say(json.dumps(made))
     else:
@@ -403,6 +445,8 @@ def _say_what_was_made(options: argparse.Namespace, texture: OctreeTexture, seco
             say(f"{empty:,} cells ({share:.2g} %) stay empty: nothing to take from is near enough")
         if options.preview is not None:
             say(f"{options.preview}: a picture of it")
+        if found is not None:
+            say("\n".join(separated_text(texture, found)))
 
 
 def _warm_up(quiet: bool) -> int:

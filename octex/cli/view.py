@@ -90,6 +90,7 @@ def _draw(
     from octex.view.shading import corner_normals, face_normals, light
 
     if texture is not None:
+        surface = surface.placed_in(texture)
         look = texture_look(texture, channel)
     else:
         faces, _ = face_normals(surface.vertices, surface.triangles)

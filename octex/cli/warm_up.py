@@ -63,6 +63,8 @@ def warm_up(progress: Progress) -> None:
             write_preview(folder / "model.png", surface, octex.convert(surface, 3), (64, 64))
         progress("compile", stages - 1, stages)
         _map(surfaces[0])
+        _take(surfaces[0])
+        _separate(surfaces[0])
         _paint(surfaces[0], folder)
         progress("compile", stages, stages)
 
@@ -123,6 +125,22 @@ def _map(surface: octex.Surface) -> None:
     for channel in ("base_color", "normal"):
         mapped.evaluate(samples, channel, 0.1)
     mapped.source.texel_edges(samples.triangles)
+
+
+def _take(surface: octex.Surface) -> None:
+    """Take values from another model and from points, and convert points alone."""
+    samples = surface.scatter(10)
+    cloud = octex.PointCloud(samples.rest, np.full((10, 3), 128, np.uint8), samples.normals)
+    bare = octex.Surface.from_arrays(surface.vertices, surface.triangles)
+    for sources in (octex.Transfer(surface, max_angle=90.0).sources, cloud.sources):
+        bare.with_sources(sources).evaluate(samples)
+    octex.convert(cloud)
+
+
+def _separate(surface: octex.Surface) -> None:
+    """Move two parts apart."""
+    twice = np.concatenate([surface.triangles, surface.triangles + len(surface.rest)])
+    octex.separate(octex.Surface.from_arrays(np.concatenate([surface.rest, surface.rest + 0.001]), twice))
 
 
 def _paint(surface: octex.Surface, folder: Path) -> None:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 import octex
 from octex.channels import ALPHA
 from octex.checks import as_depth
+from octex.conversion import apart
 from octex.conversion.adapt import adapted, as_max_error
 from octex.conversion.detail import DetailFunction, channel_of, wanted_levels
 from octex.conversion.facings import separated
@@ -46,6 +47,7 @@ def convert(
     fit: bool = True,
     max_error: float | None = None,
     detail: DetailFunction | str | None = None,
+    separate: float | bool | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> OctreeTexture:
@@ -81,6 +83,9 @@ def convert(
     "stretch", which evens out the resolution of the posed surface: see ``detail.wanted_levels``. A channel
     that only steers is not stored if ``channels`` do not name it.
 
+    ``separate`` moves parts apart at rest that come nearer to each other than so many finest cells (True: 3),
+    so that they share none: see ``apart.separate``. Lookups then take ``Surface.rest_positions``.
+
     Raises ModelError and ImageError for a model that cannot be used, ArgumentError for a depth out of range,
     a cell too small, more cells than can be numbered, unknown names, and an integer type for a channel that
     goes above 1, for a ``max_error`` that is no number or negative, and a ``detail`` that cannot be used.
@@ -106,6 +111,9 @@ def convert(
     else:
         whole = _surface(model, rest, [*names, steering], sources or {}, filter, report)
         surface = whole.with_channels(names)
+    cells = {True: apart.CELLS, False: None}[separate] if isinstance(separate, bool) else separate
+    if cells is not None:
+        surface = apart.separate(surface, cells, depth=depth, cell=cell).surface
     stored = stored_as(surface.channels, dtype, surface.name)
     if cell is not None:
         placement, depth = Placement.with_cell(surface.bounds, cell)
@@ -144,6 +152,7 @@ def convert(
         **({} if most is None else {"max_error": most}),
         **({} if detail is None else {"detail": detail if isinstance(detail, str) else "function"}),
         "channels": {name: channel.format.dtype for name, channel in values.items()},
+        **({} if cells is None else {"separate": float(cells)}),
         "triangles": len(surface.triangles),
         "degenerate": degenerate,
         **({"empty": empty} if empty else {}),

@@ -1,1 +1,1 @@
-"""Nearest points: of triangles, and of clouds of points, found in boxes over Morton order."""
+"""What is near: the nearest points of triangles and of clouds, and how near two meshes come."""

@@ -60,6 +60,7 @@ def merge(
     if not any(each.codes.size for each in paint):
         return texture
     given = texture
+    surface = surface.placed_in(texture)
     if target == ALPHA.name and target not in texture.channels:
         texture = _with_alpha(texture)
     as_choice(target, texture.channels, "channel to paint")

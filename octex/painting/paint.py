@@ -67,6 +67,8 @@ def paint(
     """
     given = check_projections(projections)
     report = progress or silent
+    if texture is not None:
+        surface = surface.placed_in(texture)
     made = texture
     with workers(executor) as pool:
         for blend, group in groupby(given, key=lambda projection: projection.blend):
@@ -78,7 +80,7 @@ def paint(
                 executor=pool, progress=report,
             )  # fmt: skip
             if made is None:
-                made = empty_texture([format_of(None, channel)], layer.placement, layer.bounds)
+                made = empty_texture([format_of(None, channel)], layer.placement, layer.bounds, surface)
             made = merge(made, layer, surface, opacity=opacity, blend=blend, executor=pool, progress=report)
     assert made is not None
     return made
@@ -110,6 +112,7 @@ def project(
     form = format_of(like, channel)
     as_number(max_angle, "max_angle", 0.0, 180.0)
     as_number(edge_feather, "edge_feather", 0.0, 1e6)
+    surface = surface if like is None else surface.placed_in(like)
     deepest = _DEEPEST if max_depth is None else as_depth(max_depth, "max_depth")
     terms = terms_of(max_angle, edge_feather, back_faces)
     largest = max(projection.opacity for projection in given) or 1.0

@@ -19,6 +19,7 @@ from octex.painting.near import around
 from octex.painting.samples import with_centres
 from octex.painting.source import PaintSource
 from octex.parallel import Progress
+from octex.source.separation import SEPARATION
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.texture.channel import Channel
@@ -107,14 +108,19 @@ def _part(surface: Surface, chosen: Int32s, source: PaintSource) -> Surface:
 
 
 def empty_texture(
-    forms: Sequence[ChannelFormat], placement: Placement, bounds: npt.ArrayLike
+    forms: Sequence[ChannelFormat],
+    placement: Placement,
+    bounds: npt.ArrayLike,
+    surface: Surface | None = None,
 ) -> OctreeTexture:
-    """Return a texture without leaves."""
+    """Return a texture without leaves, which remembers how far a surface's parts were moved apart."""
+    provenance = {} if surface is None else surface.provenance
+    metadata = {name: text for name, text in provenance.items() if name == SEPARATION}
     channels = {}
     for form in forms:
         none = np.empty((0, form.components), form.dtype)
         channels[form.name] = Channel(form, np.zeros((1, form.components), form.dtype), none, none)
-    return OctreeTexture(Octree.from_leaves(np.empty(0, np.int64), 0), channels, placement, bounds)
+    return OctreeTexture(Octree.from_leaves(np.empty(0, np.int64), 0), channels, placement, bounds, metadata)
 
 
 def _wanted(

@@ -109,12 +109,13 @@ def fill(
     else:
         depth = _DEPTH if texture is None or not texture.tree.n_leaves else texture.tree.max_depth
     placement = Placement.around(surface.bounds, depth) if texture is None else texture.placement
-    check_inside(surface, placement)
     source = Filled(form, value, surface.rest, surface.triangles, *_coverage(region, surface))
+    surface = surface if texture is None else surface.placed_in(texture)
+    check_inside(surface, placement)
     report = progress or silent
     with workers(executor) as pool:
         layer = rasterize_paint(surface, source, placement, depth, fit=False, executor=pool, progress=report)
-        base = texture or empty_texture([form], placement, surface.bounds)
+        base = texture or empty_texture([form], placement, surface.bounds, surface)
         return merge(base, layer, surface, opacity=opacity, blend=blend, executor=pool, progress=report)
 
 

@@ -18,6 +18,7 @@ from octex.compare import (
     Side,
     cover,
     degrees_between,
+    placed,
     readers_of,
 )
 from octex.container import replacing
@@ -107,7 +108,7 @@ def draw_difference(
     model, if there is one, is what is drawn of both; else the leaves of each are, no finer than two to a
     pixel, and of the difference the finer ones.
     """
-    sides = a, b
+    sides = placed(a, b)
     model = next((side for side in sides if isinstance(side, Surface)), None)
     room = round(1.6 * caption_height(size[1]))
     panel_size = size[0] // 3, size[1]

@@ -62,6 +62,8 @@ def draw_preview(
     Raises ArgumentError for neither a surface nor a texture, or if there is no leaf or no channel to show.
     """
     if surface is not None:
+        if texture is not None:
+            surface = surface.placed_in(texture)
         panels = _model_panels(surface, texture, size, supersample, note)
     elif texture is not None:
         panels = _leaf_panels(texture, size, supersample, note)

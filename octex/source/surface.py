@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,9 +20,15 @@ from octex.source.given import given_source
 from octex.source.images.decode import as_texels
 from octex.source.images.filters import FILTERS
 from octex.source.images.pyramid import as_wraps
+from octex.source.implicit import ImplicitFunction, level_set
 from octex.source.joined import FaceNormals, Joined, Part
 from octex.source.materials import ALPHA_MODES, AlphaMode, Input, Material, MaterialSource, Texture
+from octex.source.parts import Overlaps, overlapping_parts
+from octex.source.separation import SEPARATION, placed_as, separated
 from octex.source.tangents import carried
+
+if TYPE_CHECKING:
+    from octex.texture import OctreeTexture
 
 # Farther positions would overflow widths in single precision.
 _FARTHEST = 1e30
@@ -191,6 +197,39 @@ class Surface:
             provenance={"source": name, "sources": json.dumps(sources)},
         )
 
+    @classmethod
+    def from_function(
+        cls,
+        f: ImplicitFunction,
+        bounds: npt.ArrayLike,
+        edge_length: float,
+        *,
+        level: float = 0.0,
+        sources: Mapping[str, object] | None = None,
+        name: str = "surface",
+    ) -> Surface:
+        """Build the surface on which a function of position has the value ``level``.
+
+        ``f`` takes positions (n, 3), float64, and returns values (n,); what it returns below ``level`` is
+        inside, as with signed distances. It is called with many positions at a time, some of them up to an
+        edge outside ``bounds``, the lowest and highest corner (2, 3); where these cut the shape it is closed
+        flatly. ``sources`` gives channels, as for ``with_sources``; ``base_color`` is a middle grey else.
+
+        Triangles have edges of about ``edge_length``, and vertices that lie on the surface as exactly as
+        Newton's method finds it (those of the flat ends do not move). In between a triangle is off by up to
+        edge_length² / 4r, where r is the radius of curvature: half the edge, a quarter of the error, and four
+        times the triangles. An octree has the cells of the true surface where that is less than the surface
+        misses the corners and edges of cells by: for spheres, edges as long as cells were enough at depths
+        5 and 6. What is thinner than an edge may be lost. (Benson & Davis 2002, 1 and 5; the grid is
+        manifold3d's.)
+
+        Raises ArgumentError for a function that raises, or returns NaN or another shape, for bounds and
+        lengths that are not finite or out of range, and ModelError where there is no surface.
+        """
+        vertices, triangles = level_set(f, bounds, edge_length, level)
+        surface = cls.from_arrays(vertices, triangles, factor=(0.5, 0.5, 0.5), name=name)
+        return surface if sources is None else surface.with_sources(sources)
+
     def __repr__(self) -> str:
         names = ", ".join(channel.name for channel in self.channels)
         return f"<Surface {self.name!r} of {len(self.triangles):,} triangles with {names}>"
@@ -206,7 +245,9 @@ class Surface:
         Raises ModelError for another number of them, or if they are not finite.
         """
         positions = _positions(rest, f"{self.name}: rest positions")
-        return self._with(self.source.with_rest(positions), positions)
+        surface = self._with(self.source.with_rest(positions), positions)
+        surface.provenance.pop(SEPARATION, None)
+        return surface
 
     def with_channels(self, channels: Sequence[str]) -> Surface:
         """Return the same surface with these of its channels alone, and ``alpha`` if its source has gaps.
@@ -292,6 +333,47 @@ class Surface:
             name=self.name,
             provenance=self.provenance,
         )
+
+    def overlapping_parts(self, margin: float = 0.0) -> Overlaps:
+        """Find the parts that intersect at rest, or come nearer than ``margin`` (in the model's units).
+
+        In an octree texture such parts share cells, and their colours run together (Benson & Davis 2002,
+        4.3.1 and 6.2). Parts are what hangs together, vertices at the same position being one. For each pair
+        there is the smallest distance of their surfaces and, for two solids, the volume that both fill, by an
+        exact boolean (solids are turned outside out first). Parts that are no solids are named in
+        ``unchecked``: what lies inside them is not known. A part that intersects itself is not found.
+
+        Raises ArgumentError for a negative margin.
+        """
+        return overlapping_parts(self.rest, self.triangles, margin)
+
+    def separated(self, margin: float, found: Overlaps | None = None) -> Surface:
+        """Return the same surface with parts moved apart that are nearer than ``margin`` at rest.
+
+        The largest stay, as does what is near to nothing; others come to lie beside the whole, so that its
+        longest side grows as little as may be: where cells are a part of that, they grow with it. Sources
+        give the same values as before. Provenance remembers what was moved, and so does a texture made of it:
+        see ``placed_in``. A part that intersects itself stays as it is. Without such parts the surface itself
+        is returned. ``found`` is what ``overlapping_parts`` found with this margin or a larger one.
+
+        Raises ArgumentError for a margin not above zero, and a surface that is separated already.
+        """
+        return separated(self, margin, found)
+
+    def placed_in(self, texture: OctreeTexture) -> Surface:
+        """Return the same surface with its rest positions where a texture has them.
+
+        This is the surface itself, unless the texture was made of one that was ``separated``. Raises
+        ArgumentError if the parts are not those of the texture's surface.
+        """
+        return placed_as(self, texture.metadata)
+
+    def rest_positions(self, texture: OctreeTexture) -> npt.NDArray[np.float64]:
+        """Return where a texture has the vertices (n, 3): what lookups on the surface take.
+
+        These are ``rest``, unless parts were moved apart. Raises ArgumentError as ``placed_in`` does.
+        """
+        return self.placed_in(texture).rest
 
     def areas(self) -> npt.NDArray[np.float64]:
         """Return the posed area of each triangle (m,), in square model units."""

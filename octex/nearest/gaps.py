@@ -1,0 +1,177 @@
+"""How near two meshes come to each other: a tree of boxes over one, asked for each triangle of the other."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.jit import inlined, kernel
+from octex.nearest.boxes import morton_order
+
+Floats = npt.NDArray[np.float64]
+
+
+class Boxes(NamedTuple):
+    """Triangles in the leaves of a complete binary tree of boxes.
+
+    Box k holds the boxes 2k and 2k + 1; the root is box 1, the last half are the triangles'.
+    """
+
+    corners: Floats  # (m, 3, 3)   along a Morton curve
+    low: Floats  # (2·leaves, 3)   infinite where there is no triangle
+    high: Floats
+
+
+def boxes_over(corners: Floats) -> Boxes:
+    """Build the tree over triangles (m, 3, 3)."""
+    corners = np.ascontiguousarray(corners[morton_order(corners.mean(axis=1))])
+    leaves = 1 << (len(corners) - 1).bit_length()
+    low = np.full((2 * leaves, 3), np.inf)
+    high = -low
+    low[leaves : leaves + len(corners)] = corners.min(axis=1)
+    high[leaves : leaves + len(corners)] = corners.max(axis=1)
+    first = leaves
+    while first > 1:
+        low[first // 2 : first] = low[first : 2 * first].reshape(-1, 2, 3).min(axis=1)
+        high[first // 2 : first] = high[first : 2 * first].reshape(-1, 2, 3).max(axis=1)
+        first //= 2
+    return Boxes(corners, low, high)
+
+
+def gap(a: Boxes, b: Boxes, most: float) -> float:
+    """Return the smallest distance between two meshes, 0 where they cross; infinite above ``most``."""
+    few, many = (a, b) if len(a.corners) <= len(b.corners) else (b, a)
+    count = len(few.corners)
+    stride = max(round(0.618 * count), 1)
+    while math.gcd(stride, count) > 1:
+        stride += 1
+    return float(_gap(few.corners, many.corners, many.low, many.high, most, stride))
+
+
+@kernel
+def _gap(few: Floats, many: Floats, low: Floats, high: Floats, most: float, stride: int) -> float:
+    leaves = low.shape[0] // 2
+    stack = np.empty(64, np.int64)
+    best = most * most
+    found = False
+    for number in range(few.shape[0]):
+        i = number * stride % few.shape[0]  # all over the mesh: so a small gap is known early
+        stack[0] = 1
+        size = 1
+        while size > 0:
+            size -= 1
+            node = stack[size]
+            if _box_distance(few, i, low, high, node) > best:
+                continue
+            if node >= leaves:
+                distance = _triangle_distance(few, i, many, node - leaves)
+                if distance <= best:
+                    best = distance
+                    found = True
+                    if best == 0.0:
+                        return 0.0
+                continue
+            near, far = 2 * node, 2 * node + 1
+            if _box_distance(few, i, low, high, far) < _box_distance(few, i, low, high, near):
+                near, far = far, near
+            stack[size] = far
+            stack[size + 1] = near
+            size += 2
+    return np.sqrt(best) if found else np.inf
+
+
+@inlined
+def _box_distance(corners: Floats, i: int, low: Floats, high: Floats, node: int) -> float:
+    """Return the squared distance of a triangle's box and a node's."""
+    total = 0.0
+    for axis in range(3):
+        x, y, z = corners[i, 0, axis], corners[i, 1, axis], corners[i, 2, axis]
+        apart = max(low[node, axis] - max(x, y, z), min(x, y, z) - high[node, axis], 0.0)
+        total += apart * apart
+    return total
+
+
+@kernel
+def _triangle_distance(a: Floats, i: int, b: Floats, j: int) -> float:
+    """Return the squared distance of two triangles: that of two edges or a corner and a face, or 0."""
+    best = np.inf
+    for m in range(3):
+        p, q = a[i, m], a[i, (m + 1) % 3]
+        for n in range(3):
+            best = min(best, _segment_distance(p, q, b[j, n], b[j, (n + 1) % 3]))
+        best = min(best, _point_distance(p, b[j, 0], b[j, 1], b[j, 2]))
+        best = min(best, _point_distance(b[j, m], a[i, 0], a[i, 1], a[i, 2]))
+    if best > 0.0:
+        for m in range(3):
+            n = (m + 1) % 3
+            if _pierces(a[i, m], a[i, n], b[j, 0], b[j, 1], b[j, 2]) or _pierces(
+                b[j, m], b[j, n], a[i, 0], a[i, 1], a[i, 2]
+            ):
+                return 0.0
+    return best
+
+
+@inlined
+def _dot(a: Floats, b: Floats, c: Floats, d: Floats) -> float:
+    """Return (b − a) · (d − c)."""
+    product: float = (b[0] - a[0]) * (d[0] - c[0])
+    product += (b[1] - a[1]) * (d[1] - c[1])
+    product += (b[2] - a[2]) * (d[2] - c[2])
+    return product
+
+
+@kernel
+def _segment_distance(p: Floats, q: Floats, r: Floats, s: Floats) -> float:
+    """Return the squared distance of two segments (Ericson, Real-Time Collision Detection, 5.1.9)."""
+    a, e = _dot(p, q, p, q), _dot(r, s, r, s)
+    b, c, f = _dot(p, q, r, s), _dot(p, q, r, p), _dot(r, s, r, p)
+    along = 0.0
+    if a > 0.0:
+        across = a * e - b * b
+        along = min(max((b * f - c * e) / across, 0.0), 1.0) if across > 0.0 else 0.0
+    other = (b * along + f) / e if e > 0.0 else 0.0
+    if not 0.0 < other < 1.0:
+        other = 1.0 if other >= 1.0 else 0.0
+        along = min(max((other * b - c) / a, 0.0), 1.0) if a > 0.0 else 0.0
+    total = 0.0
+    for axis in range(3):
+        apart = p[axis] + along * (q[axis] - p[axis]) - r[axis] - other * (s[axis] - r[axis])
+        total += apart * apart
+    return total
+
+
+@kernel
+def _point_distance(p: Floats, a: Floats, b: Floats, c: Floats) -> float:
+    """Return the squared distance of a point and a triangle's inside; infinite where an edge is nearer."""
+    aa, ab, bb = _dot(a, b, a, b), _dot(a, b, a, c), _dot(a, c, a, c)
+    ap, bp = _dot(a, b, a, p), _dot(a, c, a, p)
+    area = aa * bb - ab * ab
+    v, w = bb * ap - ab * bp, aa * bp - ab * ap
+    if area <= 0.0 or v < 0.0 or w < 0.0 or v + w > area:
+        return np.inf
+    total = 0.0
+    for axis in range(3):
+        apart = p[axis] - a[axis] - (v * (b[axis] - a[axis]) + w * (c[axis] - a[axis])) / area
+        total += apart * apart
+    return total
+
+
+@kernel
+def _pierces(p: Floats, q: Floats, a: Floats, b: Floats, c: Floats) -> bool:
+    """Whether a segment goes through a triangle."""
+    nx = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
+    ny = (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2])
+    nz = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    over = nx * (p[0] - a[0]) + ny * (p[1] - a[1]) + nz * (p[2] - a[2])
+    under = nx * (q[0] - a[0]) + ny * (q[1] - a[1]) + nz * (q[2] - a[2])
+    if over * under >= 0.0:
+        return False
+    t = over / (over - under)
+    aa, ab, bb = _dot(a, b, a, b), _dot(a, b, a, c), _dot(a, c, a, c)
+    ap = _dot(a, b, a, p) + t * _dot(a, b, p, q)
+    bp = _dot(a, c, a, p) + t * _dot(a, c, p, q)
+    v, w = bb * ap - ab * bp, aa * bp - ab * ap
+    return bool(v >= 0.0 and w >= 0.0 and v + w <= aa * bb - ab * ab)

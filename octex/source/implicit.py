@@ -1,0 +1,147 @@
+"""Implicit surfaces: where a function of position has a value (Benson & Davis 2002, 1 and 5)."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.checks import as_points, as_positive
+from octex.errors import ArgumentError, ModelError
+from octex.parallel import memory_size
+
+Floats = npt.NDArray[np.float64]
+
+#: Gives a value (n,) for each of positions (n, 3).
+ImplicitFunction: TypeAlias = Callable[[Floats], npt.ArrayLike]
+
+_BATCH = 1 << 18
+# Nodes of the grid in a cube of the edge length, and bytes for each.
+_NODES, _NODE_MEMORY = 2.1, 64
+# Newton's method doubles the digits with every step: after one so short, in edges, all are right.
+_STEPS, _NEAR = 8, 1e-7
+# Differences over so much of the edge length.
+_DIFFERENCE = 1e-4
+_LARGEST = 1e30
+
+
+def level_set(
+    f: ImplicitFunction, bounds: npt.ArrayLike, edge_length: float, level: float
+) -> tuple[Floats, npt.NDArray[np.int32]]:
+    """Return the vertices and triangles of where a function has a value: ``Surface.from_function``."""
+    low, high = _box(bounds)
+    edge = as_positive(edge_length, "edge_length")
+    if not np.isfinite(level):
+        raise ArgumentError(f"level must be finite, not {level!r}")
+    nodes = _NODES * float(np.prod((high - low) / edge + 1.0))
+    if nodes * _NODE_MEMORY > memory_size():
+        raise ArgumentError(
+            f"an edge_length of {edge:g} takes about {nodes:.2g} values of the function, more than fit into "
+            "memory; use a larger one or smaller bounds"
+        )
+
+    def inside(points: Floats) -> Floats:
+        return level - _values(f, points)
+
+    vertices, triangles = _polygonized(inside, low, high, edge)
+    if not len(triangles):
+        raise ModelError(
+            f"the function has no surface at {level:g} inside {low.tolist()} … {high.tolist()}, or one finer "
+            f"than the edge_length of {edge:g}"
+        )
+    # Vertices of the caps, where the bounds cut, stay there.
+    rim = 1e-9 * float((high - low).max())
+    free = ((vertices > low + rim) & (vertices < high - rim)).all(axis=1)
+    vertices[free] = _moved_onto(inside, vertices[free], edge)
+    return vertices, triangles
+
+
+def _box(bounds: npt.ArrayLike) -> tuple[Floats, Floats]:
+    box = as_points(bounds, "bounds").astype(np.float64)
+    if box.shape != (2, 3) or not np.isfinite(box).all() or (box[0] >= box[1]).any():
+        raise ArgumentError(f"bounds must be a finite lowest and highest corner, not {box.tolist()}")
+    return box[0], box[1]
+
+
+def _values(f: ImplicitFunction, points: Floats) -> Floats:
+    """Call a function in batches; refuse what is no value."""
+    found = np.empty(len(points))
+    for first in range(0, len(points), _BATCH):
+        batch = points[first : first + _BATCH]
+        try:
+            values = np.asarray(f(batch), np.float64)
+        except Exception as error:
+            raise ArgumentError(
+                f"the function raised {type(error).__name__} for {len(batch)} points from "
+                f"{batch[0].tolist()} on: {error}"
+            ) from error
+        if values.shape != (len(batch),):
+            raise ArgumentError(
+                f"the function must return shape ({len(batch)},) for points of shape ({len(batch)}, 3), not "
+                f"{values.shape}"
+            )
+        if np.isnan(values).any():
+            worst = batch[int(np.argmax(np.isnan(values)))]
+            raise ArgumentError(f"the function returned NaN at {worst.tolist()}")
+        found[first : first + _BATCH] = np.clip(values, -_LARGEST, _LARGEST)
+    return found
+
+
+def _polygonized(
+    inside: Callable[[Floats], Floats], low: Floats, high: Floats, edge: float
+) -> tuple[Floats, npt.NDArray[np.int32]]:
+    """Polygonize where ``inside`` is 0, by marching tetrahedra.
+
+    manifold3d calls for one point at a time, in an order that does not depend on the values: once to hear the
+    points, and once more to be told all values. For a function in numpy that is 10 times as fast as its calls
+    for single points: 1.4 µs a point and what the function takes.
+    """
+    from manifold3d import Manifold
+
+    box = [*low.tolist(), *high.tolist()]
+    heard = array("d")
+
+    def hear(x: float, y: float, z: float) -> float:
+        heard.extend((x, y, z))
+        return -1.0
+
+    Manifold.level_set(hear, box, edge)
+    values = iter(array("d", inside(np.frombuffer(heard).reshape(-1, 3))))
+    mesh = Manifold.level_set(lambda _x, _y, _z: next(values), box, edge).to_mesh64()
+    assert next(values, None) is None
+    return np.array(mesh.vert_properties[:, :3], np.float64), np.array(mesh.tri_verts, np.int32)
+
+
+def _moved_onto(inside: Callable[[Floats], Floats], start: Floats, edge: float) -> Floats:
+    """Move points (n, 3) along the gradient to where ``inside`` is 0, by Newton's method.
+
+    None moves by more than an edge, and none is left with a larger value than it had.
+    """
+    points = start.copy()
+    values = inside(points)
+    shares = np.ones(len(points))
+    difference = _DIFFERENCE * edge * np.eye(3)
+    moving = np.flatnonzero(values)
+    for _ in range(_STEPS):
+        if not moving.size:
+            break
+        here = points[moving]
+        gradients = np.stack([inside(here + step) - inside(here - step) for step in difference], axis=1)
+        gradients /= 2.0 * _DIFFERENCE * edge
+        squares = (gradients**2).sum(axis=1)
+        steps = shares[moving] * values[moving] / np.where(squares > 0.0, squares, np.inf)
+        ways = here - steps[:, None] * gradients - start[moving]
+        lengths = np.linalg.norm(ways, axis=1)
+        trial = start[moving] + ways * np.minimum(1.0, edge / np.maximum(lengths, 1e-300))[:, None]
+        found = inside(trial)
+        is_better = np.abs(found) < np.abs(values[moving])
+        better = moving[is_better]
+        points[better], values[better] = trial[is_better], found[is_better]
+        shares[moving[~is_better]] *= 0.5
+        shares[better] = 1.0
+        is_done = is_better & (np.abs(steps) * np.sqrt(squares) < _NEAR * edge)
+        moving = moving[~is_done & (values[moving] != 0.0)]
+    return points

@@ -1,0 +1,165 @@
+"""Parts that are too near to each other, moved apart at rest (Benson & Davis 2002, 4.3.1 and 6.2)."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.checks import as_positive
+from octex.errors import ArgumentError
+from octex.source.parts import Overlaps, boxes_of, overlapping_parts, parts_of, weld
+
+if TYPE_CHECKING:
+    from octex.source.surface import Surface
+
+Floats = npt.NDArray[np.float64]
+Int32s = npt.NDArray[np.int32]
+
+#: The entry of provenance that says which parts were moved, and how far.
+SEPARATION = "separation"
+#: So many parts find a place each for themselves; more are also moved as they lie.
+_SINGLY = 300
+
+
+def separated(surface: Surface, margin: float, found: Overlaps | None = None) -> Surface:
+    """Return a surface with its parts moved apart at rest: ``Surface.separated``."""
+    margin = as_positive(margin, "margin")
+    if SEPARATION in surface.provenance:
+        raise ArgumentError(f"{surface.name} is separated already; separate the surface that it was made of")
+    if found is None:
+        found = overlapping_parts(surface.rest, surface.triangles, margin)
+    elif found.margin < margin or len(found.parts) != len(surface.triangles):
+        raise ArgumentError(f"the overlaps given are of a margin of {found.margin:g}, or of another surface")
+    near = [(pair.a, pair.b) for pair in found.pairs if pair.gap < margin or pair.gap == 0.0]
+    if not near:
+        return surface
+    offsets = _offsets(*boxes_of(surface.rest, surface.triangles, found.parts), near, margin)
+    moved = {int(part): offsets[part].tolist() for part in np.flatnonzero(offsets.any(axis=1))}
+    text = json.dumps({"parts": found.n_parts, "digest": _digest(found.parts), "moved": moved})
+    return _moved(surface, found.parts, offsets, text)
+
+
+def placed_as(surface: Surface, metadata: Mapping[str, str]) -> Surface:
+    """Return a surface with its parts moved as a texture's metadata say: ``Surface.placed_in``."""
+    text = metadata.get(SEPARATION)
+    if surface.provenance.get(SEPARATION) == text:
+        return surface
+    if text is None or SEPARATION in surface.provenance:
+        raise ArgumentError(
+            f"{surface.name} is separated, and the texture is not, or otherwise; use the surface as it was"
+        )
+    parts = parts_of(surface.triangles, weld(surface.rest))
+    wanted = _read(text)
+    if wanted is None:
+        raise ArgumentError(f"what the texture says of its separated parts cannot be read: {text[:80]!r}")
+    count, digest, moved = wanted
+    if digest != _digest(parts):
+        raise ArgumentError(
+            f"the texture's {count} parts were moved apart, and they are not the {int(parts.max()) + 1} of "
+            f"{surface.name}: the texture belongs to another model, or to other rest positions"
+        )
+    offsets = np.zeros((count, 3))
+    offsets[list(moved)] = list(moved.values())
+    return _moved(surface, parts, offsets, text)
+
+
+def _moved(surface: Surface, parts: Int32s, offsets: Floats, text: str) -> Surface:
+    """Return a surface with each part's rest positions moved; where its source reads does not move."""
+    rest = surface.rest.copy()
+    owners = np.full(len(rest), -1, np.int64)
+    owners[surface.triangles] = parts[:, None]
+    used = owners >= 0
+    rest[used] += offsets[owners[used]]
+    made = type(surface)(
+        surface.vertices, surface.triangles, surface.source,
+        rest=rest, uv=surface.uv, frames=surface.frames, name=surface.name, provenance=surface.provenance,
+    )  # fmt: skip
+    made.provenance[SEPARATION] = text
+    return made
+
+
+def _digest(parts: Int32s) -> str:
+    return hashlib.sha256(parts.astype("<i4").tobytes()).hexdigest()
+
+
+def _read(text: str) -> tuple[int, str, dict[int, list[float]]] | None:
+    """Read what metadata say; None if it is not in order."""
+    try:
+        content: dict[str, Any] = json.loads(text)
+        moved = {int(part): [float(step) for step in offset] for part, offset in content["moved"].items()}
+        count, digest = int(content["parts"]), str(content["digest"])
+    except (ValueError, TypeError, KeyError, AttributeError):
+        return None
+    sound = all(0 <= part < count and len(offset) == 3 for part, offset in moved.items())
+    return (count, digest, moved) if sound and np.isfinite(list(moved.values())).all() else None
+
+
+def _offsets(low: Floats, high: Floats, near: Iterable[tuple[int, int]], margin: float) -> Floats:
+    """Return how far each part moves (parts, 3), so that what was too near comes to lie beside the rest."""
+    classes = _colored(len(low), near, np.ptp([low, high], axis=0).max(axis=1))
+    moving = np.flatnonzero(classes)
+    stays = classes == 0
+    base = low[stays].min(axis=0), high[stays].max(axis=0)
+    layouts = [
+        _packed(low, high, base, [np.flatnonzero(classes == k) for k in range(1, classes.max() + 1)], margin)
+    ]
+    if len(moving) <= _SINGLY:
+        layouts.append(_packed(low, high, base, [moving[i : i + 1] for i in range(len(moving))], margin))
+
+    def size(offsets: Floats) -> tuple[float, float]:
+        extent = np.ptp([(low + offsets).min(axis=0), (high + offsets).max(axis=0)], axis=0)
+        return float(extent.max()), float(extent.sum())
+
+    return min(layouts, key=size)
+
+
+def _colored(count: int, near: Iterable[tuple[int, int]], sizes: Floats) -> npt.NDArray[np.int64]:
+    """Return classes (parts,) without near parts in one, the largest first: class 0 is what stays."""
+    neighbours: dict[int, set[int]] = {}
+    for a, b in near:
+        neighbours.setdefault(a, set()).add(b)
+        neighbours.setdefault(b, set()).add(a)
+    classes = np.zeros(count, np.int64)
+    done: dict[int, int] = {}
+    for part in sorted(neighbours, key=lambda part: (-sizes[part], part)):
+        taken = {done[other] for other in neighbours[part] if other in done}
+        done[part] = next(k for k in range(len(taken) + 1) if k not in taken)
+        classes[part] = done[part]
+    return classes
+
+
+def _packed(
+    low: Floats,
+    high: Floats,
+    base: tuple[Floats, Floats],
+    groups: list[npt.NDArray[np.int64]],
+    margin: float,
+) -> Floats:
+    """Return offsets (parts, 3) that put groups of parts beside a base, where the whole grows least.
+
+    Each goes to a place beside one that is there already (the extreme points of Crainic et al. 2008).
+    """
+    offsets = np.zeros_like(low)
+    boxes = [(low[group].min(axis=0), high[group].max(axis=0)) for group in groups]
+    sides = [high - low for low, high in boxes]
+    placed = [base]
+    beside = margin * np.eye(3)
+    points = base[0] + np.diag(base[1] - base[0]) + beside
+    for number in sorted(range(len(groups)), key=lambda number: -sides[number].max()):
+        side = sides[number]
+        lows, highs = (np.array(corners) for corners in zip(*placed, strict=True))
+        whole = np.maximum(points + side, highs.max(axis=0)) - lows.min(axis=0)
+        for place in np.lexsort((whole.sum(axis=1), whole.max(axis=1))):
+            point = points[place]
+            apart = np.maximum(lows - (point + side), point - highs).max(axis=1)
+            if (apart >= margin * (1.0 - 1e-9)).all():
+                break
+        offsets[groups[number]] = point - boxes[number][0]
+        placed.append((point, point + side))
+        points = np.concatenate([np.delete(points, place, axis=0), point + np.diag(side) + beside])
+    return offsets

@@ -1,0 +1,203 @@
+"""Surfaces that are given by a function, against the shapes that it describes."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from manifold3d import Error, Manifold, Mesh64
+
+import octex
+from octex.errors import ArgumentError, ModelError
+from octex.source import implicit
+from octex.source.surface import Surface
+from octex.tree.morton import decode_cells
+from tests.conftest import needs_jit
+
+Array = npt.NDArray[Any]
+BOX = [[-1.5] * 3, [1.5] * 3]
+
+
+def ball(points: Array) -> Array:
+    return np.linalg.norm(points - [0.1, 0.2, 0.3], axis=1) - 1
+
+
+def solid(surface: Surface) -> Manifold:
+    return Manifold(Mesh64(surface.vertices, surface.triangles.astype(np.uint64)))
+
+
+def test_vertices_lie_on_the_surface_and_triangles_near_it() -> None:
+    errors = []
+    for edge in (0.2, 0.1, 0.05):
+        surface = Surface.from_function(ball, BOX, edge)
+        assert np.abs(ball(surface.vertices)).max() < 1e-14
+        corners = surface.vertices[surface.triangles]
+        lengths = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+        assert edge / 2 < lengths.max() < 1.3 * edge
+        errors.append(-ball(corners.mean(axis=1)).min())
+        assert errors[-1] < edge**2 / 4
+    assert 3 < errors[0] / errors[1] < 5
+    assert 3 < errors[1] / errors[2] < 5
+
+
+def test_what_is_below_the_level_is_inside() -> None:
+    small, large = (Surface.from_function(ball, BOX, 0.1, level=level) for level in (-0.5, 0.1))
+    for surface, radius in ((small, 0.5), (large, 1.1)):
+        made = solid(surface)
+        assert made.status() == Error.NoError
+        assert made.volume() == pytest.approx(4 / 3 * math.pi * radius**3, rel=0.02)
+        assert made.num_vert() == len(surface.vertices)
+    swapped = Surface.from_function(lambda points: -ball(points), BOX, 0.2)
+    assert solid(swapped).volume() == pytest.approx(27 - 4 / 3 * math.pi, rel=0.02)
+
+
+def test_the_bounds_cut_flatly() -> None:
+    surface = Surface.from_function(ball, [[-1.5] * 3, [1.5, 1.5, 0.5]], 0.1)
+    assert surface.bounds[1, 2] == 0.5
+    on_lid = surface.vertices[:, 2] == 0.5
+    assert np.abs(ball(surface.vertices[~on_lid])).max() < 1e-14
+    assert ball(surface.vertices[on_lid]).max() < 0.005
+    cap = 1 - 0.2
+    assert solid(surface).volume() == pytest.approx(
+        4 / 3 * math.pi - math.pi * cap**2 * (3 - cap) / 3, rel=0.02
+    )
+
+
+def test_the_grid_is_that_of_calls_for_single_points() -> None:
+    asked = []
+
+    def alone(x: float, y: float, z: float) -> float:
+        asked.append((x, y, z))
+        return -float(ball(np.array([[x, y, z]]))[0])
+
+    wanted = Manifold.level_set(alone, [*BOX[0], *BOX[1]], 0.25).to_mesh64()
+    given_points: list[Array] = []
+
+    def together(points: Array) -> Array:
+        given_points.append(points)
+        return ball(points)
+
+    low, high = np.array(BOX)
+    vertices, triangles = implicit._polygonized(lambda p: -together(p), low, high, 0.25)
+    assert np.array_equal(given_points[0], asked)
+    assert np.array_equal(vertices, wanted.vert_properties[:, :3])
+    assert np.array_equal(triangles, wanted.tri_verts)
+
+
+def test_functions_are_called_in_batches_and_those_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = Surface.from_function(ball, BOX, 0.3)
+    sizes = []
+
+    def counted(points: Array) -> Array:
+        sizes.append(len(points))
+        assert points.dtype == np.float64
+        return ball(points)
+
+    monkeypatch.setattr(implicit, "_BATCH", 100)
+    assert np.array_equal(Surface.from_function(counted, BOX, 0.3).vertices, whole.vertices)
+    assert max(sizes) == 100
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_no_vertex_is_moved_far_or_to_a_worse_place(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    waves, shifts = 6 * random.normal(size=(4, 3)), random.random(4)
+
+    def rough(points: Array) -> Array:
+        smooth = np.sin(points @ waves.T + shifts).sum(axis=1)
+        return np.where(points[:, 0] > 0, np.abs(smooth) - 0.3, np.round(3 * smooth) + 0.5)
+
+    start = random.random((50, 3)) * 2 - 1
+    moved = implicit._moved_onto(rough, start, 0.1)
+    assert np.linalg.norm(moved - start, axis=1).max() <= 0.1 * (1 + 1e-9)
+    assert (np.abs(rough(moved)) <= np.abs(rough(start))).all()
+
+
+def test_steps_and_infinite_values_make_a_surface_too() -> None:
+    def far(points: Array) -> Array:
+        return np.where(np.linalg.norm(points, axis=1) < 1, -np.inf, np.inf)
+
+    surface = Surface.from_function(far, BOX, 0.2)
+    assert np.abs(np.linalg.norm(surface.vertices, axis=1) - 1).max() < 0.2
+
+
+def test_it_is_grey_or_has_the_sources_that_are_given() -> None:
+    grey = Surface.from_function(ball, BOX, 0.4, name="ball")
+    assert repr(grey).startswith("<Surface 'ball' of ")
+    assert np.allclose(grey.evaluate(grey.scatter(5)), 0.5)
+    red = Surface.from_function(ball, BOX, 0.4, sources={"base_color": (1.0, 0.0, 0.0), "roughness": 0.5})
+    assert [form.name for form in red.channels] == ["base_color", "roughness"]
+    assert np.allclose(red.evaluate(red.scatter(5)), [1, 0, 0])
+    texture = octex.convert(red, 4)
+    assert np.allclose(texture.sample(red.vertices[:5]), [1, 0, 0])
+
+
+@needs_jit
+@pytest.mark.parametrize(("depth", "edge", "shift"), [(5, 0.5, 0.0), (5, 0.35, 0.123), (6, 1.0, 0.0)])
+def test_the_cells_are_those_of_the_true_sphere(depth: int, edge: float, shift: float) -> None:
+    def sphere(points: Array) -> Array:
+        return np.linalg.norm(points - shift, axis=1) - 1
+
+    surface = Surface.from_function(sphere, np.array(BOX) + shift, edge * 2 / (2**depth - 3))
+    texture = octex.convert(surface, depth, fit=False)
+    cells = decode_cells(texture.tree.level_codes(depth)).astype(np.int64)
+    found = np.zeros((2**depth,) * 3, bool)
+    found[tuple(cells.T)] = True
+    edge_length = texture.placement.size / 2**depth
+    low = np.array(texture.placement.origin)[:, None] - shift + edge_length * np.arange(2**depth)
+    near = np.maximum(np.maximum(low, -(low + edge_length)), 0.0) ** 2
+    far = np.maximum(np.abs(low), np.abs(low + edge_length)) ** 2
+    nearest, farthest = (np.add.outer(np.add.outer(axes[0], axes[1]), axes[2]) for axes in (near, far))
+    assert np.array_equal(found, (nearest <= 1) & (farthest >= 1))
+
+
+def raising(_points: Array) -> Array:
+    raise RuntimeError("no idea")
+
+
+def holed(points: Array) -> Array:
+    return np.where((points > 0).all(axis=1), np.nan, ball(points))
+
+
+@pytest.mark.parametrize(
+    ("f", "message"),
+    [
+        (raising, r"raised RuntimeError for \d+ points from \[-.*\] on: no idea"),
+        (lambda _points: 1.0, r"must return shape \(\d+,\) for points of shape \(\d+, 3\), not \(\)"),
+        (lambda points: points, r"must return shape .* not \(\d+, 3\)"),
+        (lambda points: ["a"] * len(points), "raised ValueError"),
+        (holed, r"returned NaN at \[[0-9., ]+\]"),
+    ],
+)
+def test_functions_that_give_no_values_are_refused(f: Any, message: str) -> None:
+    with pytest.raises(ArgumentError, match=message):
+        Surface.from_function(f, BOX, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((ball, [[0, 0, 0]], 0.1), "bounds must be a finite lowest and highest corner"),
+        ((ball, [[0, 0, 0], [1, 0, 1]], 0.1), "bounds must be a finite"),
+        ((ball, [[0, 0, 0], [1, np.inf, 1]], 0.1), "bounds must be a finite"),
+        ((ball, BOX, 0.0), "edge_length must be finite and above zero"),
+        ((ball, BOX, 1e-5), r"an edge_length of 1e-05 takes about 5\.7e\+16 values of the function"),
+    ],
+)
+def test_bounds_and_lengths_out_of_range_are_refused(arguments: Any, message: str) -> None:
+    with pytest.raises(ArgumentError, match=message):
+        Surface.from_function(*arguments)
+    with pytest.raises(ArgumentError, match="level must be finite, not nan"):
+        Surface.from_function(ball, BOX, 0.1, level=math.nan)
+
+
+def test_a_function_without_a_surface_is_refused() -> None:
+    with pytest.raises(
+        ModelError, match=r"has no surface at -2 inside \[-1\.5, .*\] … \[1\.5, .*\], or one finer"
+    ):
+        Surface.from_function(ball, BOX, 0.5, level=-2.0)
