@@ -1,0 +1,143 @@
+"""Averages after an edit: each node is the mean of its children, and what it differed by from that before.
+
+A fitted leaf holds a coefficient, not a mean, so the value of a node, the mean of the source, is not the mean
+of its children. What it differs by is its *residual*; a difference that is no more than rounding is none.
+An edit says what becomes of residuals; the mean of the children as they are now is added to that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import ALPHA, ColorSpace, decode, decode_table, encode
+from octex.conversion.accumulate import LEAST_COVERAGE
+from octex.jit import decoded, kernel, popcount, trailing_zeros
+from octex.painting.averages import AREAS
+from octex.texture import Channel, OctreeTexture
+from octex.texture.blend import NO_TABLE
+from octex.tree.layout import TreeArrays
+from octex.tree.octree import Octree
+
+Array = npt.NDArray[np.generic]
+Int64s = npt.NDArray[np.int64]
+Float32s = npt.NDArray[np.float32]
+Float64s = npt.NDArray[np.float64]
+
+#: What becomes of residuals: from cells (n,), their values and the means of what is below them, decoded
+#: (n, components) each, to residuals.
+Change = Callable[[Int64s, Float64s, Float64s], Float64s]
+
+
+def difference(_cells: Int64s, values: Float64s, means: Float64s) -> Float64s:
+    """Return residuals as they are."""
+    return values - means
+
+
+def coverage(texture: OctreeTexture, channel: Channel) -> Float32s:
+    """Return what cells (cells,) weigh in averages of a channel beside their areas; none if that is 1."""
+    alpha = texture.channels.get(ALPHA.name)
+    if alpha is None or channel.format.name == ALPHA.name:
+        return np.empty(0, np.float32)
+    return covering(alpha)
+
+
+def covering(alpha: Channel) -> Float32s:
+    """Return what cells (cells,) of some alpha weigh."""
+    return np.maximum(decode(alpha.values[:, 0], "data"), np.float32(LEAST_COVERAGE))
+
+
+def node_cells(tree: Octree) -> Int64s:
+    """Return the cell numbers of all nodes (nodes,), ascending."""
+    cells = np.zeros(tree.n_nodes, np.int64)
+    _node_cells(tree.arrays, cells)
+    return cells
+
+
+def residuals(tree: Octree, channel: Channel, weights: Float32s, change: Change = difference) -> Float64s:
+    """Return the residuals of all nodes (nodes, components), changed; see ``coverage`` for weights."""
+    form, nodes = channel.format, node_cells(tree)
+    found = np.zeros((tree.n_nodes, form.components))
+    for level in range(tree.max_depth):
+        here = slice(*tree.arrays.level_nodes[level : level + 2].tolist())
+        stored = channel.values[nodes[here]]
+        means = child_means(tree, level, channel.values, form.space, weights)
+        apart = np.flatnonzero((encode(means, form.dtype, form.space) != stored).any(axis=1))
+        if apart.size:
+            values = decode(stored[apart], form.space).astype(np.float64)
+            found[here][apart] = change(nodes[here][apart], values, means[apart])
+    return found
+
+
+def average(tree: Octree, channel: Channel, weights: Float32s, left: Float64s) -> None:
+    """Make the values of all nodes anew, in place: means of their children, and residuals ``left``."""
+    form, nodes = channel.format, node_cells(tree)
+    for level in range(tree.max_depth - 1, -1, -1):
+        here = slice(*tree.arrays.level_nodes[level : level + 2].tolist())
+        means = child_means(tree, level, channel.values, form.space, weights)
+        channel.values[nodes[here]] = encode(means + left[here], form.dtype, form.space)
+
+
+def child_means(tree: Octree, level: int, values: Array, space: ColorSpace, weights: Float32s) -> Float64s:
+    """Return the means of the children of a level's nodes (nodes there, components), decoded.
+
+    ``values`` (cells, components), as stored, weigh by their areas, and by ``weights`` (cells,) if not empty.
+    """
+    first, end = tree.arrays.level_nodes[level : level + 2].tolist()
+    below = slice(*tree.arrays.level_cells[level + 1 : level + 3].tolist())
+    means = np.zeros((end - first, values.shape[1]))
+    stored = values[below]
+    is_coded = stored.dtype.kind == "u"
+    codes = stored if is_coded else decode(stored, space)
+    table = decode_table(stored.dtype.name, space) if is_coded else NO_TABLE
+    _means(tree.arrays.groups, first, tree.arrays.areas[below], AREAS, weights[below], codes, table, means)
+    return means
+
+
+@kernel
+def _means(
+    groups: npt.NDArray[np.uint64],
+    first: int,
+    areas: npt.NDArray[np.uint8],
+    shares: Float64s,
+    weights: Float32s,
+    codes: npt.NDArray[np.uint8 | np.uint16 | np.float32],
+    table: Float32s,
+    means: Float64s,
+) -> None:
+    begin = 0
+    for n in range(means.shape[0]):
+        node = first + n
+        children = (groups[node >> 3, 0] | groups[node >> 3, 1]) >> np.uint64(8 * (node & 7))
+        end = min(begin + popcount(children & np.uint64(0xFF)), areas.size)
+        total = 0.0
+        for child in range(begin, end):
+            share = shares[areas[child]]
+            if weights.size > 0:
+                share *= np.float64(weights[child])
+            total += share
+            for k in range(codes.shape[1]):
+                means[n, k] += share * np.float64(decoded(table, codes[child, k]))
+        for k in range(codes.shape[1] if total > 0.0 else 0):
+            means[n, k] /= total
+        begin = end
+
+
+@kernel
+def _node_cells(arrays: TreeArrays, cells: Int64s) -> None:
+    """Fill in the cells of the nodes after the root."""
+    groups = arrays.groups
+    next_node, cell = 1, np.int64(1)
+    for node in range(cells.size):
+        shift = np.uint64(8 * (node & 7))
+        left = (groups[node >> 3, 0] | groups[node >> 3, 1]) >> shift & np.uint64(0xFF)
+        nodes = groups[node >> 3, 0] >> shift
+        while left != np.uint64(0):
+            octant = trailing_zeros(left)
+            left &= left - np.uint64(1)
+            if nodes >> np.uint64(octant) & np.uint64(1) != np.uint64(0) and next_node < cells.size:
+                cells[next_node] = min(cell, arrays.areas.size - 1)
+                next_node += 1
+            cell += 1
