@@ -8,11 +8,12 @@ An edit says what becomes of residuals; the mean of the children as they are now
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import ALPHA, ColorSpace, decode, decode_table, encode
+from octex.channels import ALPHA, ChannelFormat, ColorSpace, decode, decode_table, encode
 from octex.conversion.accumulate import LEAST_COVERAGE
 from octex.jit import decoded, kernel, popcount, trailing_zeros
 from octex.painting.averages import AREAS
@@ -25,6 +26,8 @@ Array = npt.NDArray[np.generic]
 Int64s = npt.NDArray[np.int64]
 Float32s = npt.NDArray[np.float32]
 Float64s = npt.NDArray[np.float64]
+
+_PLAIN = ChannelFormat("number", 1, "data", "float32")
 
 #: What becomes of residuals: from cells (n,), their values and the means of what is below them, decoded
 #: (n, components) each, to residuals.
@@ -80,6 +83,12 @@ def average(tree: Octree, channel: Channel, weights: Float32s, left: Float64s) -
         channel.values[nodes[here]] = encode(means + left[here], form.dtype, form.space)
 
 
+def average_plain(tree: Octree, numbers: Float32s) -> None:
+    """Make the numbers of all nodes, in place, the means of those of their children; ``numbers`` (cells,)."""
+    channel = Channel(_PLAIN, numbers[:, None], numbers[:0, None], numbers[:0, None])
+    average(tree, channel, np.empty(0, np.float32), np.zeros((tree.n_nodes, 1)))
+
+
 def child_means(tree: Octree, level: int, values: Array, space: ColorSpace, weights: Float32s) -> Float64s:
     """Return the means of the children of a level's nodes (nodes there, components), decoded.
 
@@ -90,7 +99,7 @@ def child_means(tree: Octree, level: int, values: Array, space: ColorSpace, weig
     means = np.zeros((end - first, values.shape[1]))
     stored = values[below]
     is_coded = stored.dtype.kind == "u"
-    codes = stored if is_coded else decode(stored, space)
+    codes: npt.NDArray[Any] = stored if is_coded else decode(stored, space)
     table = decode_table(stored.dtype.name, space) if is_coded else NO_TABLE
     _means(tree.arrays.groups, first, tree.arrays.areas[below], AREAS, weights[below], codes, table, means)
     return means
@@ -138,6 +147,6 @@ def _node_cells(arrays: TreeArrays, cells: Int64s) -> None:
             octant = trailing_zeros(left)
             left &= left - np.uint64(1)
             if nodes >> np.uint64(octant) & np.uint64(1) != np.uint64(0) and next_node < cells.size:
-                cells[next_node] = min(cell, arrays.areas.size - 1)
+                cells[next_node] = min(cell, np.int64(arrays.areas.size - 1))
                 next_node += 1
             cell += 1

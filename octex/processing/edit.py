@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from octex.channels import ALPHA
 from octex.processing.averages import Change, average, coverage, difference, residuals
-from octex.processing.facings import update_rows
+from octex.processing.facings import average_rows, row_residuals
 from octex.texture import Channel, OctreeTexture
 
 #: The name in the metadata under which operations are listed, as JSON.
@@ -25,7 +25,10 @@ def noted(metadata: Mapping[str, str], operation: str, **how: object) -> dict[st
 
 
 def with_values(
-    texture: OctreeTexture, made: Mapping[str, Channel], change: Mapping[str, Change], metadata: Mapping[str, str]
+    texture: OctreeTexture,
+    made: Mapping[str, Channel],
+    change: Mapping[str, Change],
+    metadata: Mapping[str, str],
 ) -> OctreeTexture:
     """Return a texture with other values in some of its channels, and averages that suit them.
 
@@ -46,5 +49,5 @@ def with_values(
         before, own = texture.channels[name], change.get(name, difference)
         left = residuals(texture.tree, before, coverage(texture, before), own)
         average(texture.tree, made[name], coverage(after, made[name]), left)
-        update_rows(texture, before, after, made[name], own)
+        average_rows(after, made[name], row_residuals(texture, before, own))
     return after

@@ -37,23 +37,30 @@ def rows_of(tree: Octree) -> Rows:
     return Rows(np.arange(cells.size), cells, bits_of(tree.split.facings))
 
 
-def update_rows(
-    before: OctreeTexture, channel: Channel, after: OctreeTexture, made: Channel, change: Change
-) -> None:
-    """Make the rows of split nodes of ``made`` anew, in place, from the deepest level up.
+def row_residuals(texture: OctreeTexture, channel: Channel, change: Change) -> Float64s:
+    """Return the residuals of all rows (rows, components), changed; zeros for those of leaves."""
+    form = channel.format
+    found = np.zeros((texture.tree.split.areas.size, form.components))
+    for rows in _by_level(texture.tree):
+        means, has = _means(texture, channel, rows)
+        stored = channel.split_values[rows.rows]
+        apart = has & (encode(means, form.dtype, form.space) != stored).any(axis=1)
+        if apart.any():
+            values = decode(stored[apart], form.space).astype(np.float64)
+            found[rows.rows[apart]] = change(rows.cells[apart], values, means[apart])
+    return found
 
-    ``channel`` and ``made`` are a channel before and after, of trees that differ in nothing; ``before`` and
-    ``after`` have the alpha that goes with each.
+
+def average_rows(texture: OctreeTexture, channel: Channel, left: Float64s) -> None:
+    """Make the rows of split nodes anew, in place: means of their children, and residuals ``left``.
+
+    A row that no child shows the same way as stays.
     """
     form = channel.format
-    for rows in _by_level(before.tree):
-        was, has = _means(before, channel, rows)
-        means, _ = _means(after, made, rows)
-        stored = channel.split_values[rows.rows]
-        values = decode(stored, form.space).astype(np.float64)
-        apart = has & (encode(was, form.dtype, form.space) != stored).any(axis=1)
-        means[apart] += change(rows.cells[apart], values[apart], was[apart])
-        made.split_values[rows.rows[has]] = encode(means[has], form.dtype, form.space)
+    for rows in _by_level(texture.tree):
+        means, has = _means(texture, channel, rows)
+        made = means[has] + left[rows.rows[has]]
+        channel.split_values[rows.rows[has]] = encode(made, form.dtype, form.space)
 
 
 def _by_level(tree: Octree) -> Iterator[Rows]:
@@ -67,9 +74,7 @@ def _by_level(tree: Octree) -> Iterator[Rows]:
             yield Rows(rows[chosen], cells[chosen], bits[chosen])
 
 
-def _means(
-    texture: OctreeTexture, channel: Channel, rows: Rows
-) -> tuple[Float64s, npt.NDArray[np.bool_]]:
+def _means(texture: OctreeTexture, channel: Channel, rows: Rows) -> tuple[Float64s, npt.NDArray[np.bool_]]:
     """Return the means (n, components) of what children show as rows do, and for which rows some do."""
     tree, form = texture.tree, channel.format
     firsts, counts = children_of(tree, np.searchsorted(node_cells(tree), rows.cells))
@@ -77,7 +82,9 @@ def _means(
     children = np.repeat(firsts - starts, counts) + np.arange(counts.sum())
     bits = np.repeat(rows.bits, counts)
     flags = tree.arrays.flags[children]
-    shares = AREAS[tree.arrays.areas[children]] / np.maximum(np.bitwise_count(flags & np.uint8(FACING_FLAGS)), 1)
+    shares = AREAS[tree.arrays.areas[children]] / np.maximum(
+        np.bitwise_count(flags & np.uint8(FACING_FLAGS)), 1
+    )
     there, found = find_rows(tree.split, children, bits)
     shares[there] = AREAS[tree.split.areas[found]]
     shares[flags & bits == 0] = 0.0

@@ -12,7 +12,6 @@ import numpy.typing as npt
 from octex.channels import decode, encode
 from octex.checks import as_choice
 from octex.errors import ArgumentError
-from octex.processing.averages import Change
 from octex.processing.edit import noted, with_values
 from octex.processing.facings import rows_of
 from octex.texture import Channel, OctreeTexture
@@ -32,7 +31,7 @@ ValueFunction = Callable[..., npt.ArrayLike]
 
 
 def names_of(texture: OctreeTexture, channel: str | Sequence[str] | None) -> list[str]:
-    """Return the names of channels to work on, None for all, or raise ArgumentError listing those there are."""
+    """Return the names of channels to work on, None for all. Raises ArgumentError."""
     names = list(texture.channels) if channel is None else [channel] if isinstance(channel, str) else channel
     return [as_choice(name, texture.channels, "channel") for name in dict.fromkeys(names)]
 

@@ -64,8 +64,8 @@ def levels(
                 f"not {low.tolist()}, {high.tolist()} and {power.tolist()}"
             )
         top = np.inf if form.dtype.startswith("float") else 1.0
-        return lambda values: below + (above - below) * np.clip((values - low) / (high - low), 0, top) ** (
-            1 / power
+        return lambda values: (
+            below + (above - below) * np.clip((values - low) / (high - low), 0, top) ** (1 / power)
         )
 
     how = {"black": black, "white": white, "gamma": gamma, "out_black": out_black, "out_white": out_white}
@@ -89,9 +89,7 @@ def curves(
 
     def tone_of(form: ChannelFormat) -> Tone:
         own = _curves_of(form, points)
-        return lambda values: np.stack(
-            [_monotone(each, values[:, k]) for k, each in enumerate(own)], axis=1
-        )
+        return lambda values: np.stack([_monotone(each, values[:, k]) for k, each in enumerate(own)], axis=1)
 
     listed = [np.asarray(each).tolist() for each in points] if np.iterable(points) else points
     return _toned(texture, channel, tone_of, "curves", {"points": listed})
@@ -124,7 +122,9 @@ def _toned(
 def _stored(form: ChannelFormat, tone: Tone) -> Callable[[Array], Array]:
     """Return what maps stored values to stored values: by tables for integers."""
     if not form.dtype.startswith("u"):
-        return lambda values: encode(_toned_light(form, tone, decode(values, form.space)), form.dtype, form.space)
+        return lambda values: encode(
+            _toned_light(form, tone, decode(values, form.space)), form.dtype, form.space
+        )
     codes = np.repeat(np.arange(ONE[form.dtype] + 1)[:, None] / ONE[form.dtype], form.components, axis=1)
     table = np.rint(np.clip(tone(codes), 0, 1) * ONE[form.dtype]).astype(form.dtype)
     columns = np.ascontiguousarray(table.T)
@@ -174,7 +174,7 @@ def _toned_light(form: ChannelFormat, tone: Tone, values: Floats) -> Float64s:
     """Map decoded values: light by way of sRGB's curve."""
     wide = values.astype(np.float64)
     if form.space == "data":
-        return tone(wide)
+        return np.asarray(tone(wide))
     return np.asarray(srgb_to_linear(tone(linear_to_srgb(wide))), np.float64)
 
 
@@ -210,8 +210,8 @@ def _curves_of(form: ChannelFormat, points: npt.ArrayLike | Sequence[npt.ArrayLi
     )
     if not good:
         raise ArgumentError(
-            f"points of a curve for {form.name!r} must be pairs of encoded values, 0 to 1, in ascending order "
-            f"of the first, or a list of them for each of {form.components} components"
+            f"points of a curve for {form.name!r} must be pairs of encoded values, 0 to 1, in "
+            f"ascending order of the first, or a list of them for each of {form.components} components"
         )
     return curves
 
