@@ -57,8 +57,14 @@ def stored_as(channel: Channel, dtype: str | None) -> Channel:
         space = "linear"
     elif is_integer and space == "linear" and form.dtype.startswith("float"):
         space = "srgb"
-    made = form._replace(dtype=dtype, space=space)
-    return Channel(made, *(_recoded(values, form, made) for values in channel[1:]))
+    return in_format(channel, form._replace(dtype=dtype, space=space))
+
+
+def in_format(channel: Channel, form: ChannelFormat) -> Channel:
+    """Return a channel as another format of as many components stores it. Raises ArgumentError."""
+    if form == channel.format:
+        return channel
+    return Channel(form, *(_recoded(values, channel.format, form) for values in channel[1:]))
 
 
 def _recoded(values: npt.NDArray[Any], form: ChannelFormat, made: ChannelFormat) -> npt.NDArray[np.generic]:
@@ -67,15 +73,11 @@ def _recoded(values: npt.NDArray[Any], form: ChannelFormat, made: ChannelFormat)
         here = slice(begin, begin + (1 << 14))
         block = decode(values[here], form.space)
         if made.dtype.startswith("u") and form.space != "direction" and form.dtype.startswith("float"):
-            if (block > 1).any():
-                raise ArgumentError(
-                    f"channel {form.name!r} goes above 1, which {made.dtype} cannot hold; "
-                    "give it the dtype float16 or float32"
-                )
-            if (block < 0).any():
-                raise ArgumentError(
-                    f"channel {form.name!r} goes below 0, which {made.dtype} cannot hold; "
-                    "give it the dtype float16 or float32"
-                )
+            for is_beyond, where in ((block > 1, "above 1"), (block < 0, "below 0")):
+                if is_beyond.any():
+                    raise ArgumentError(
+                        f"channel {form.name!r} goes {where}, which {made.dtype} cannot hold; "
+                        "give it the dtype float16 or float32"
+                    )
         found[here] = encode(block, made.dtype, made.space)
     return found

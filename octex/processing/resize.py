@@ -52,9 +52,7 @@ def _divided(texture: OctreeTexture, depth: int, executor: Executor | None) -> O
     counts = [leaves for leaves, _ in tree.cells_by_depth()[:depth]]
     n_new = sum(count * (8 ** (depth + 1 - level) // 7) for level, count in enumerate(counts))
     if tree.n_cells + n_new > MAX_CELLS:
-        raise ArgumentError(
-            f"depth {depth} takes {n_new:,} more cells, more than a tree can number"
-        )
+        raise ArgumentError(f"depth {depth} takes {n_new:,} more cells, more than a tree can number")
     met: list[Int64s] = [np.empty(0, np.int64)]
     for codes, is_node in tree.walk():
         above = np.sort(np.concatenate([met[-1], codes[~is_node]]))
@@ -191,4 +189,7 @@ def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> Oct
 
 def _corner(corner: npt.ArrayLike, name: str) -> npt.NDArray[np.float64]:
     """Return a corner (3,), or raise ArgumentError."""
-    return as_points(np.atleast_2d(np.asarray(corner)), name)[0].astype(np.float64)
+    given = as_points(np.atleast_2d(np.asarray(corner)), name)
+    if len(given) != 1:
+        raise ArgumentError(f"{name} must be one corner (3,), not {given.shape}")
+    return np.array(given[0], np.float64)

@@ -43,8 +43,8 @@ def levels(
 
     All five are encoded values, 0 … 1, as image editors show them (of 255): for light those of sRGB, also
     where linear light is stored. In between they follow x^(1/gamma): above 1 the middle gets lighter. What
-    is darker than black or lighter than white is clamped; light above 1, in floats, stays above. Each is a
-    number for all components of the channels, or one for each. Averages follow as in ``octex.map``.
+    is darker than black or lighter than white is clamped; but floats, which may be above 1, go on above
+    white. Each is a number for all components, or one for each. Averages follow as in ``octex.map``.
 
     Raises ArgumentError for unknown channels, for directions, and for numbers out of range: ``black`` must be
     below ``white``, ``gamma`` above zero.
@@ -64,9 +64,12 @@ def levels(
                 f"not {low.tolist()}, {high.tolist()} and {power.tolist()}"
             )
         top = np.inf if form.dtype.startswith("float") else 1.0
-        return lambda values: (
-            below + (above - below) * np.clip((values - low) / (high - low), 0, top) ** (1 / power)
-        )
+
+        def tone(values: Float64s) -> Float64s:
+            part = np.clip((values - low) / (high - low), 0, top)
+            return np.asarray(below + (above - below) * part ** (1 / power))
+
+        return tone
 
     how = {"black": black, "white": white, "gamma": gamma, "out_black": out_black, "out_white": out_white}
     return _toned(texture, channel, tone_of, "levels", how)
@@ -165,7 +168,7 @@ def _change(form: ChannelFormat, tone: Tone) -> Change:
 
     def changed(_cells: Int64s, values: Float64s, means: Float64s) -> Float64s:
         one, other = (table[encode(each, _FINE, form.space), columns] for each in (values, means))
-        return one.astype(np.float64) - other
+        return np.asarray(one - other, np.float64)
 
     return changed
 
