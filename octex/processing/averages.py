@@ -8,14 +8,14 @@ An edit says what becomes of residuals; the mean of the children as they are now
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ALPHA, ChannelFormat, ColorSpace, decode, decode_table, encode
 from octex.conversion.accumulate import LEAST_COVERAGE
-from octex.jit import decoded, kernel, popcount, trailing_zeros
+from octex.jit import decoded, kernel, popcount
 from octex.painting.averages import AREAS
 from octex.texture import Channel, OctreeTexture
 from octex.texture.blend import NO_TABLE
@@ -50,6 +50,109 @@ def coverage(texture: OctreeTexture, channel: Channel) -> Float32s:
 def covering(alpha: Channel) -> Float32s:
     """Return what cells (cells,) of some alpha weigh."""
     return np.maximum(decode(alpha.values[:, 0], "data"), np.float32(LEAST_COVERAGE))
+
+
+class Tables(NamedTuple):
+    """A function of each component of a channel of integers: what becomes of their codes' values."""
+
+    decoded: Float32s  # (codes,)   the value of each code, ascending
+    mapped: Float32s  # (components, codes)   what it becomes
+    bins: Int64s  # (_BINS + 1,)   the last code up to each of as many steps from the first value to the last
+
+
+_BINS = 4096
+
+
+def tables_of(mapped: Float32s, dtype: str, space: ColorSpace) -> Tables:
+    """Return the tables of a channel whose codes become ``mapped`` (components, codes), decoded."""
+    values = decode_table(dtype, space)
+    steps = np.linspace(float(values[0]), float(values[-1]), _BINS + 1)
+    return Tables(values, mapped, np.searchsorted(values, steps.astype(np.float32), side="right") - 1)
+
+
+def average_by_tables(
+    tree: Octree, before: Channel, after: Channel, weights: Float32s, tables: Tables
+) -> None:
+    """Do with ``after`` what ``residuals`` and ``average`` do, at once; in place.
+
+    Between its codes a function is taken to be straight.
+    """
+    form, nodes = before.format, node_cells(tree)
+    for level in range(tree.max_depth - 1, -1, -1):
+        first, end = tree.arrays.level_nodes[level : level + 2].tolist()
+        below = slice(*tree.arrays.level_cells[level + 1 : level + 3].tolist())
+        here = nodes[first:end]
+        found = np.zeros((end - first, form.components))
+        _mapped_means(
+            *(tree.arrays.groups, first, tree.arrays.areas[below], AREAS, weights[below]),
+            *(before.values[below], after.values[below], before.values[here], tables, found),
+        )
+        after.values[here] = encode(found, form.dtype, form.space)
+
+
+def changed_by(tables: Tables) -> Change:
+    """Return what tables do to residuals."""
+
+    def changed(_cells: Int64s, values: Float64s, means: Float64s) -> Float64s:
+        columns = [
+            np.interp(values[:, k], tables.decoded, mapped) - np.interp(means[:, k], tables.decoded, mapped)
+            for k, mapped in enumerate(tables.mapped)
+        ]
+        return np.stack(columns, axis=1)
+
+    return changed
+
+
+@kernel
+def _mapped_means(
+    groups: npt.NDArray[np.uint64],
+    first: int,
+    areas: npt.NDArray[np.uint8],
+    shares: Float64s,
+    weights: Float32s,
+    before: npt.NDArray[np.uint8 | np.uint16],
+    after: npt.NDArray[np.uint8 | np.uint16],
+    nodes: npt.NDArray[np.uint8 | np.uint16],
+    tables: Tables,
+    found: Float64s,
+) -> None:
+    """Write the means of children as they are after, and what of residuals is mapped."""
+    values, last = tables.decoded, tables.decoded.size - 1
+    sums = np.zeros((2, found.shape[1]))
+    low, scale = np.float64(values[0]), _BINS / (np.float64(values[last]) - np.float64(values[0]))
+    begin = 0
+    for n in range(found.shape[0]):
+        node = first + n
+        children = (groups[node >> 3, 0] | groups[node >> 3, 1]) >> np.uint64(8 * (node & 7))
+        end = min(begin + popcount(children & np.uint64(0xFF)), areas.size)
+        total = 0.0
+        sums[:] = 0.0
+        for child in range(begin, end):
+            share = shares[areas[child]]
+            if weights.size > 0:
+                share *= np.float64(weights[child])
+            total += share
+            for k in range(found.shape[1]):
+                sums[0, k] += share * np.float64(values[before[child, k]])
+                sums[1, k] += share * np.float64(values[after[child, k]])
+        begin = end
+        for k in range(found.shape[1] if total > 0.0 else 0):
+            mean, mapped = sums[0, k] / total, sums[1, k] / total
+            step = min(max(int((mean - low) * scale), 0), _BINS - 1)
+            at, beyond = tables.bins[step], tables.bins[step + 1]
+            while at < beyond:  # the last code whose value is not above the mean
+                middle = (at + beyond + 1) >> 1
+                if np.float64(values[middle]) <= mean:
+                    at = middle
+                else:
+                    beyond = middle - 1
+            at = min(max(at, 0), last - 1)
+            code = int(nodes[n, k])
+            part = (mean - values[at]) / (np.float64(values[at + 1]) - np.float64(values[at]))
+            if abs(at + part - code) > 0.5:
+                one, other = np.float64(tables.mapped[k, at]), np.float64(tables.mapped[k, at + 1])
+                mapped += np.float64(tables.mapped[k, code]) - (one + part * (other - one))
+            found[n, k] = mapped
 
 
 def node_cells(tree: Octree) -> Int64s:
@@ -99,7 +202,8 @@ def child_means(tree: Octree, level: int, values: Array, space: ColorSpace, weig
     means = np.zeros((end - first, values.shape[1]))
     stored = values[below]
     is_coded = stored.dtype.kind == "u"
-    codes: npt.NDArray[Any] = stored if is_coded else decode(stored, space)
+    is_plain = is_coded or (stored.dtype == np.float32 and space != "srgb")
+    codes: npt.NDArray[Any] = stored if is_plain else decode(stored, space)
     table = decode_table(stored.dtype.name, space) if is_coded else NO_TABLE
     _means(tree.arrays.groups, first, tree.arrays.areas[below], AREAS, weights[below], codes, table, means)
     return means
@@ -138,15 +242,15 @@ def _means(
 def _node_cells(arrays: TreeArrays, cells: Int64s) -> None:
     """Fill in the cells of the nodes after the root."""
     groups = arrays.groups
-    next_node, cell = 1, np.int64(1)
+    next_node, begin = 1, np.int64(1)
     for node in range(cells.size):
         shift = np.uint64(8 * (node & 7))
-        left = (groups[node >> 3, 0] | groups[node >> 3, 1]) >> shift & np.uint64(0xFF)
-        nodes = groups[node >> 3, 0] >> shift
-        while left != np.uint64(0):
-            octant = trailing_zeros(left)
-            left &= left - np.uint64(1)
-            if nodes >> np.uint64(octant) & np.uint64(1) != np.uint64(0) and next_node < cells.size:
-                cells[next_node] = min(cell, np.int64(arrays.areas.size - 1))
-                next_node += 1
-            cell += 1
+        nodes = groups[node >> 3, 0] >> shift & np.uint64(0xFF)
+        children = nodes | groups[node >> 3, 1] >> shift & np.uint64(0xFF)
+        while nodes != np.uint64(0) and next_node < cells.size:
+            lowest = nodes & (~nodes + np.uint64(1))
+            nodes ^= lowest
+            cell = begin + popcount(children & (lowest - np.uint64(1)))
+            cells[next_node] = min(cell, np.int64(arrays.areas.size - 1))
+            next_node += 1
+        begin += popcount(children)

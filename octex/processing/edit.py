@@ -6,7 +6,16 @@ import json
 from collections.abc import Mapping
 
 from octex.channels import ALPHA
-from octex.processing.averages import Change, average, coverage, difference, residuals
+from octex.processing.averages import (
+    Change,
+    Tables,
+    average,
+    average_by_tables,
+    changed_by,
+    coverage,
+    difference,
+    residuals,
+)
 from octex.processing.facings import average_rows, row_residuals
 from octex.texture import Channel, OctreeTexture
 
@@ -27,7 +36,7 @@ def noted(metadata: Mapping[str, str], operation: str, **how: object) -> dict[st
 def with_values(
     texture: OctreeTexture,
     made: Mapping[str, Channel],
-    change: Mapping[str, Change],
+    change: Mapping[str, Change | Tables],
     metadata: Mapping[str, str],
 ) -> OctreeTexture:
     """Return a texture with other values in some of its channels, and averages that suit them.
@@ -47,7 +56,11 @@ def with_values(
     after = OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, metadata)
     for name in sorted(made, key=lambda name: name != ALPHA.name):
         before, own = texture.channels[name], change.get(name, difference)
-        left = residuals(texture.tree, before, coverage(texture, before), own)
-        average(texture.tree, made[name], coverage(after, made[name]), left)
+        if isinstance(own, Tables):
+            average_by_tables(texture.tree, before, made[name], coverage(texture, before), own)
+            own = changed_by(own)
+        else:
+            left = residuals(texture.tree, before, coverage(texture, before), own)
+            average(texture.tree, made[name], coverage(after, made[name]), left)
         average_rows(after, made[name], row_residuals(texture, before, own))
     return after

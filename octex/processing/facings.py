@@ -65,6 +65,8 @@ def average_rows(texture: OctreeTexture, channel: Channel, left: Float64s) -> No
 
 def _by_level(tree: Octree) -> Iterator[Rows]:
     """Yield the rows of split nodes, from the deepest level up."""
+    if not tree.split.cells.size:
+        return
     rows, cells, bits = rows_of(tree)
     is_node = np.isin(cells, node_cells(tree))
     levels = np.searchsorted(tree.arrays.level_cells, cells, side="right") - 1

@@ -8,16 +8,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import ONE, ChannelFormat, decode, encode, linear_to_srgb, srgb_to_linear
+from octex.channels import ONE, ChannelFormat, decode, decode_table, encode, linear_to_srgb, srgb_to_linear
 from octex.checks import as_number
 from octex.errors import ArgumentError
 from octex.jit import kernel
-from octex.processing.averages import Change, Float64s, Int64s
+from octex.processing.averages import Change, Float64s, Tables, tables_of
 from octex.processing.edit import noted, with_values
 from octex.processing.mapping import names_of
-from octex.texture import OctreeTexture
+from octex.texture import Channel, OctreeTexture
 
 Array = npt.NDArray[Any]
+Codes = npt.NDArray[np.uint8 | np.uint16]
 Floats = npt.NDArray[np.floating[Any]]
 
 #: A number for all components, or one for each.
@@ -25,8 +26,6 @@ PerComponent = float | Sequence[float]
 #: From encoded values (n, components) to others.
 Tone = Callable[[Float64s], Float64s]
 
-#: Steps to which floats' means are looked up, as uint16 has them.
-_FINE = "uint16"
 _MOST_GAMMA = 100.0
 
 
@@ -105,7 +104,8 @@ def _toned(
     operation: str,
     how: dict[str, Any],
 ) -> OctreeTexture:
-    made, change = {}, {}
+    made: dict[str, Channel] = {}
+    change: dict[str, Change | Tables] = {}
     for name in names_of(texture, channel):
         before = texture.channels[name]
         if before.format.space == "direction":
@@ -131,46 +131,43 @@ def _stored(form: ChannelFormat, tone: Tone) -> Callable[[Array], Array]:
     codes = np.repeat(np.arange(ONE[form.dtype] + 1)[:, None] / ONE[form.dtype], form.components, axis=1)
     table = np.rint(np.clip(tone(codes), 0, 1) * ONE[form.dtype]).astype(form.dtype)
     columns = np.ascontiguousarray(table.T)
+    is_same = bool((columns == columns[0]).all())
 
     def look_up(values: Array) -> Array:
         found = np.empty_like(values)
-        if (columns == columns[0]).all():
-            look_up_codes(values.reshape(1, -1).T, columns[:1], found.reshape(1, -1).T)
+        if is_same:
+            look_up_codes(values.reshape(-1), columns[0], found.reshape(-1))
         else:
-            look_up_codes(values, columns, found)
+            _look_up_each(values, columns, found)
         return found
 
     return look_up
 
 
 @kernel
-def look_up_codes(
-    codes: npt.NDArray[np.uint8 | np.uint16],
-    tables: npt.NDArray[np.uint8 | np.uint16],
-    found: npt.NDArray[np.uint8 | np.uint16],
-) -> None:
+def look_up_codes(codes: Codes, table: Codes, found: Codes) -> None:
+    """Look up codes (n,) in a table."""
+    for n in range(codes.size):
+        found[n] = table[codes[n]]
+
+
+@kernel
+def _look_up_each(codes: Codes, tables: Codes, found: Codes) -> None:
     """Look up codes (n, components) in the tables of components."""
     for n in range(codes.shape[0]):
         for k in range(codes.shape[1]):
             found[n, k] = tables[k, codes[n, k]]
 
 
-def _change(form: ChannelFormat, tone: Tone) -> Change:
-    """Return how residuals change: for integers by tables 256 times as fine as eight bits."""
+def _change(form: ChannelFormat, tone: Tone) -> Change | Tables:
+    """Return how residuals change: for integers by tables."""
     if not form.dtype.startswith("u"):
         return lambda _cells, values, means: (
             _toned_light(form, tone, values) - _toned_light(form, tone, means)
         )
-    codes = np.arange(ONE[_FINE] + 1)[:, None].astype(_FINE)
-    light = decode(np.repeat(codes, form.components, axis=1), form.space)
-    table = _toned_light(form, tone, light).astype(np.float32)
-    columns = np.arange(form.components)
-
-    def changed(_cells: Int64s, values: Float64s, means: Float64s) -> Float64s:
-        one, other = (table[encode(each, _FINE, form.space), columns] for each in (values, means))
-        return np.asarray(one - other, np.float64)
-
-    return changed
+    light = decode_table(form.dtype, form.space)
+    mapped = _toned_light(form, tone, np.repeat(light[:, None], form.components, axis=1))
+    return tables_of(np.ascontiguousarray(mapped.T, np.float32), form.dtype, form.space)
 
 
 def _toned_light(form: ChannelFormat, tone: Tone, values: Floats) -> Float64s:
