@@ -27,6 +27,7 @@ ROWS = [
     {"conversion"},
     {"view"},
     {"painting"},
+    {"processing"},
     {"formats"},
     {"compare"},
     {"preview"},
@@ -40,8 +41,8 @@ EXCEPTIONS = {("checks", "octex.tree.layout")}
 
 EXPORTED = [
     *["Box", "Camera", "OctexError", "OctreeTexture", "Projection", "Sphere", "Surface", "__version__"],
-    *["convert", "fill", "load_surface", "merge", "open", "paint", "project", "read_cameras"],
-    "write_cameras",
+    *["blur", "cast", "combine", "convert", "crop", "curves", "fill", "levels", "load_surface", "map"],
+    *["merge", "mix", "open", "paint", "project", "read_cameras", "resize", "write_cameras"],
 ]
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]
 

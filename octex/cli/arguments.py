@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+from math import isfinite
 from pathlib import Path
 
 #: What octex stores (octex.channels.ONE), how it reads images (octex.source.images.filters.FILTERS), how
@@ -100,6 +101,38 @@ def source(text: str) -> tuple[str, Given]:
     except ValueError:
         return name, Path(given)
     return name, numbers[0] if len(numbers) == 1 else numbers
+
+
+def box(text: str) -> tuple[float, ...]:
+    """Read the lowest and the highest corner of a box."""
+    numbers = _numbers(text)
+    if len(numbers) != 6 or not all(map(isfinite, numbers)):
+        raise argparse.ArgumentTypeError(f"{text!r} is not x0,y0,z0,x1,y1,z1, like 0,0,0,1,2,1")
+    return numbers
+
+
+def levels(text: str) -> tuple[float, ...]:
+    """Read the levels that become 0 and 1, and a gamma."""
+    numbers = _numbers(text)
+    if len(numbers) not in (2, 3) or not (0 <= numbers[0] < numbers[1] <= 1 and 0 < numbers[-1] <= 100):
+        raise argparse.ArgumentTypeError(f"{text!r} is not BLACK,WHITE[,GAMMA], like 0.1,0.9,1.2")
+    return numbers
+
+
+def file_and_amount(text: str) -> tuple[Path, float]:
+    """Read a file and a number from 0 to 1, after the last =."""
+    name, equals, number = text.rpartition("=")
+    if not (name and equals):
+        raise argparse.ArgumentTypeError(f"{text!r} is not FILE=AMOUNT, like other.octex=0.3")
+    return Path(name), _within(number, 1.0)
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    """Read numbers between commas; none if one is no number."""
+    try:
+        return tuple(float(number) for number in text.split(","))
+    except ValueError:
+        return ()
 
 
 def blend(text: str) -> str:

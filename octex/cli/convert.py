@@ -15,12 +15,15 @@ import octex
 from octex.cli.arguments import (
     DTYPES,
     FILTERS,
+    box,
     channel_names,
     count,
     dtypes,
     error_codes,
+    file_and_amount,
     image_filter,
     length,
+    levels,
     source,
     whole_number,
 )
@@ -28,7 +31,8 @@ from octex.cli.common import Parser, Reporter, bytes_text, check_outputs, run, s
 from octex.cli.diff import diff
 from octex.cli.inspect import info, validate
 from octex.cli.models import DEFAULT_FILTER, TEXTURE_ENDING, read_model, source_files, sources_of
-from octex.errors import ArgumentError, ExitCode, InputError
+from octex.cli.process import NEEDS_A_TEXTURE, check_options, others_of, processed
+from octex.errors import ArgumentError, ExitCode
 from octex.parallel import threads
 
 if TYPE_CHECKING:
@@ -41,23 +45,13 @@ OUTPUT_ENDINGS = (TEXTURE_ENDING, ".ply")
 _MATERIALS = {"--channels", "--source", "--filter", "--rest"}
 _OPTIONS = {
     "a conversion": {"INPUT", "OUTPUT", "--depth", "--cell", "--max-error", "--detail", "--no-fit", "--dtype"}
-    | {"--preview", "--force", "--threads", "--quiet", "--json"}
+    | {"--preview", "--force", "--threads", "--quiet", "--json", *NEEDS_A_TEXTURE}
     | _MATERIALS,
     "--diff": {"--points", "--preview", "--force", "--quiet", "--json"} | _MATERIALS,
     "--info": {"--json"},
     "--validate": {"--json", "--quiet"},
     "--warm-up": {"--quiet"},
 }
-_NEEDS_A_MODEL = (
-    "--cell",
-    "--max-error",
-    "--detail",
-    "--no-fit",
-    "--rest",
-    "--dtype",
-    "--source",
-    "--filter",
-)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -69,6 +63,9 @@ def parser() -> argparse.ArgumentParser:
         f"{'':29}[--detail stretch|CHANNEL] [--no-fit] [--rest MESH] [--channels NAMES]\n"
         f"{'':29}[--source CHANNEL=FILE ...] [--filter NAME] [--dtype TYPE]\n"
         f"{'':29}[--preview PNG] [--force] [--threads N] [--quiet] [--json]\n"
+        f"       {COMMAND} TEXTURE OUTPUT [--crop BOX] [--depth N] [--combine FILE] [--mix FILE=AMOUNT]\n"
+        f"{'':29}[--blur WIDTH] [--levels BLACK,WHITE[,GAMMA]] [--channels NAMES]\n"
+        f"{'':29}[--dtype TYPE] [--preview PNG] [--force] [--threads N] [--quiet] [--json]\n"
         f"       {COMMAND} --diff A B [--channels NAMES] [--points N] [--rest MESH] [--filter NAME]\n"
         f"{'':29}[--source CHANNEL=FILE ...] [--preview PNG] [--force] [--quiet] [--json]\n"
         f"       {COMMAND} --info FILE [--json]\n"
@@ -131,6 +128,31 @@ def parser() -> argparse.ArgumentParser:
         type=dtypes,
         help=f"what is stored: {', '.join(DTYPES)}; for some channels normal=uint16,emissive=float16 "
         "(default uint8, float16 for light above 1)",
+    )
+    add(
+        "--crop",
+        metavar="BOX",
+        type=box,
+        help="of a texture: only the cells that meet a box, x0,y0,z0,x1,y1,z1 in rest positions",
+    )
+    add(
+        "--combine",
+        metavar="FILE",
+        type=Path,
+        help="of a texture: lay another .octex file of the same root cell over it",
+    )
+    add(
+        "--mix",
+        metavar="FILE=AMOUNT",
+        type=file_and_amount,
+        help="of a texture: mix it with another .octex file, of which there is AMOUNT, 0 to 1",
+    )
+    add("--blur", metavar="WIDTH", type=length, help="of a texture: blur it, in the model's units")
+    add(
+        "--levels",
+        metavar="BLACK,WHITE[,GAMMA]",
+        type=levels,
+        help="of a texture: base colour from BLACK to WHITE, encoded 0 to 1, becomes 0 to 1",
     )
     add("--preview", metavar="PNG", type=Path, help="draw the model beside the model from its octree")
     add("--force", action="store_true", help="overwrite what exists")
@@ -205,7 +227,8 @@ def _convert(options: argparse.Namespace) -> int:
     if options.preview is not None:
         outputs.append((options.preview, (".png",), "--preview"))
     inputs = [path for path in (options.INPUT, options.rest) if path is not None] + source_files(options)
-    check_outputs(outputs, inputs, force=options.force)
+    check_outputs(outputs, inputs + others_of(options), force=options.force)
+    check_options(options, options.INPUT.suffix.lower() == TEXTURE_ENDING)
     if options.depth is not None:
         from octex.checks import as_depth
 
@@ -213,7 +236,15 @@ def _convert(options: argparse.Namespace) -> int:
 
     with Reporter(COMMAND, options.quiet) as progress:
         if options.INPUT.suffix.lower() == TEXTURE_ENDING:
-            surface, texture = None, _reduced(options)
+            surface = None
+            is_same = not {"--depth", "--channels", "--dtype", *NEEDS_A_TEXTURE} & {*words_given(options)}
+            if is_same and options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
+                raise ArgumentError(
+                    f"{options.INPUT}: is an octree texture already; --depth makes it coarser, --channels "
+                    f"smaller; see {COMMAND} --help"
+                )
+            with nullcontext() if options.threads is None else threads(options.threads) as executor:
+                texture = processed(options, executor)
         else:
             with progress.stage("read"):
                 surface = read_model(options.INPUT, options)
@@ -246,40 +277,6 @@ def _convert(options: argparse.Namespace) -> int:
     if not options.quiet or options.json:
         _say_what_was_made(options, texture, time.perf_counter() - began)
     return ExitCode.DONE
-
-
-def _reduced(options: argparse.Namespace) -> OctreeTexture:
-    """Open a texture, at a coarser depth or of fewer channels if that is asked for."""
-    for word in words_given(options):
-        if word in _NEEDS_A_MODEL:
-            raise ArgumentError(
-                f"{options.INPUT}: {word} needs the model, and this is a texture made from one"
-            )
-    texture = octex.open(options.INPUT)
-    deepest = texture.tree.max_depth
-    depth = deepest if options.depth is None else options.depth
-    is_same = options.depth is None and options.channels is None
-    if is_same and options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
-        raise ArgumentError(
-            f"{options.INPUT}: is an octree texture already; --depth makes it coarser, --channels smaller"
-        )
-    if depth > deepest:
-        raise InputError(
-            f"{options.INPUT}: has depth {deepest}; --depth {depth} is finer and needs the model"
-        )
-    if is_same:
-        return texture
-    from octex.checks import as_choice
-    from octex.texture import OctreeTexture
-
-    names = list(texture.channels) if options.channels is None else options.channels
-    for name in names:
-        as_choice(name, texture.channels, f"channel of {options.INPUT}:")
-    texture = texture.level(depth)
-    kept = {name: channel for name, channel in texture.channels.items() if name in names}
-    reduced = json.dumps({"depth": depth, "channels": list(kept)})
-    metadata = {**texture.metadata, "reduced": reduced}
-    return OctreeTexture(texture.tree, kept, texture.placement, texture.bounds, metadata)
 
 
 def _say_what_was_made(options: argparse.Namespace, texture: OctreeTexture, seconds: float) -> None:

@@ -25,6 +25,7 @@ from octex.tree.octree import Octree
 Array = npt.NDArray[np.generic]
 Int64s = npt.NDArray[np.int64]
 Float32s = npt.NDArray[np.float32]
+Floats = npt.NDArray[np.floating[Any]]
 Float64s = npt.NDArray[np.float64]
 
 _PLAIN = ChannelFormat("number", 1, "data", "float32")
@@ -162,10 +163,14 @@ def node_cells(tree: Octree) -> Int64s:
     return cells
 
 
-def residuals(tree: Octree, channel: Channel, weights: Float32s, change: Change = difference) -> Float64s:
-    """Return the residuals of all nodes (nodes, components), changed; see ``coverage`` for weights."""
+def residuals(tree: Octree, channel: Channel, weights: Float32s, change: Change = difference) -> Floats:
+    """Return the residuals of all nodes (nodes, components), changed; see ``coverage`` for weights.
+
+    They are float32, and float64 where float32 is stored.
+    """
     form, nodes = channel.format, node_cells(tree)
-    found = np.zeros((tree.n_nodes, form.components))
+    precise = np.float64 if form.dtype == "float32" else np.float32
+    found = np.zeros((tree.n_nodes, form.components), precise)
     for level in range(tree.max_depth):
         here = slice(*tree.arrays.level_nodes[level : level + 2].tolist())
         stored = channel.values[nodes[here]]
@@ -177,7 +182,7 @@ def residuals(tree: Octree, channel: Channel, weights: Float32s, change: Change 
     return found
 
 
-def average(tree: Octree, channel: Channel, weights: Float32s, left: Float64s) -> None:
+def average(tree: Octree, channel: Channel, weights: Float32s, left: Floats) -> None:
     """Make the values of all nodes anew, in place: means of their children, and residuals ``left``."""
     form, nodes = channel.format, node_cells(tree)
     for level in range(tree.max_depth - 1, -1, -1):

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, Future
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ALPHA, encode
 from octex.errors import ArgumentError
-from octex.jit import kernel
-from octex.painting.averages import add_up_areas
+from octex.jit import kernel, popcount
+from octex.painting.averages import AREAS
 from octex.parallel import ordered_map
 from octex.processing.averages import average, average_plain, covering, node_cells, residuals
 from octex.processing.mapping import centres_of, levels_of
@@ -19,8 +20,16 @@ from octex.processing.sides import Cells, Side
 from octex.processing.union import NOTHING, Origins, unite
 from octex.texture import Channel, OctreeTexture
 from octex.texture.split import bits_of
-from octex.tree.edit import children_of
-from octex.tree.layout import AREA_STEPS, FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable
+from octex.tree.layout import (
+    AREA_ONE,
+    AREA_STEPS,
+    FACING_FLAGS,
+    KEPT,
+    SPLIT,
+    KeptTable,
+    SplitTable,
+    TreeArrays,
+)
 from octex.tree.octree import Octree
 
 Array = npt.NDArray[np.generic]
@@ -28,14 +37,15 @@ Bools = npt.NDArray[np.bool_]
 Int64s = npt.NDArray[np.int64]
 Uint8s = npt.NDArray[np.uint8]
 Float32s = npt.NDArray[np.float32]
+Floats = npt.NDArray[np.floating[Any]]
 Float64s = npt.NDArray[np.float64]
 
 #: How much of the second texture there is in cells that both have: a number, a function of the positions
 #: (n, 3), at rest, of the cells' centres, or a texture of one channel of one component.
 Amount = float | OctreeTexture | Callable[[Float64s], npt.ArrayLike]
 
-#: Cells that a thread mixes at once.
-_BLOCK = 1 << 14
+#: Cells that a thread mixes at once, and those that it copies.
+_BLOCK, _MANY = 1 << 14, 1 << 20
 
 
 class Mixing:
@@ -49,6 +59,10 @@ class Mixing:
     ) -> None:
         self._amount, self._executor = amount, executor
         self._texture = first  # for its placement and formats
+        self._residuals = {
+            name: [executor.submit(_residuals, each, name) for each in (first, second)]
+            for name in first.channels
+        }
         self._tree, *origins = unite(first.tree, second.tree)
         self._nodes = node_cells(self._tree)
         self._codes: Int64s | None = None
@@ -73,7 +87,6 @@ class Mixing:
 
     def mixed(self) -> tuple[Octree, dict[str, Channel]]:
         """Return the tree and its channels."""
-        left = self._residuals()
         values = self._leaves()
         self._give_areas()
         kept, split = self._kept_nodes(), self._split_cells()
@@ -98,26 +111,13 @@ class Mixing:
                 *(encode(each[name], form.dtype, form.space) for each in (rows, kept_values)),
             )
             channels[name] = Channel(form, *own)
-            one, other = (side.of_nodes(each.result()) for side, each in left[name])
-            weights = np.empty(0, np.float32)
-            if ALPHA.name in channels and name != ALPHA.name:
-                weights = covering(channels[ALPHA.name])
-            average(tree, channels[name], weights, (1 - share) * one + share * other)
+            sides = zip((self._first, self._second), self._residuals[name], strict=True)
+            one, other = (side.of_nodes(each.result()) for side, each in sides)
+            one *= 1 - share
+            other *= share
+            one += other
+            average(tree, channels[name], _weights(channels, name), one)
         return tree, {name: channels[name] for name in values}
-
-    def _residuals(self) -> dict[str, list[tuple[Side, Future[Float64s]]]]:
-        """Begin to find the residuals of both."""
-        found: dict[str, list[tuple[Side, Future[Float64s]]]] = {}
-        for name in self._texture.channels:
-            found[name] = []
-            for side in (self._first, self._second):
-                channels = side.texture.channels
-                weights = np.empty(0, np.float32)
-                if ALPHA.name in channels and name != ALPHA.name:
-                    weights = covering(channels[ALPHA.name])
-                task = self._executor.submit(residuals, side.texture.tree, channels[name], weights)
-                found[name].append((side, task))
-        return found
 
     def _leaves(self) -> dict[str, Array]:
         """Return the channels' values, as stored, those of nodes still to be averaged."""
@@ -206,9 +206,15 @@ class Mixing:
 
     def _take(self, given: Sequence[Array], taken: Array) -> None:
         """Take what cells have in the texture that prevails, or in the other if it lacks the cell."""
-        cells = self._first.origins.cells, self._second.origins.cells
         one, other, found = (array.view(np.uint8) for array in (*given, taken))
-        _take(*cells, self._share, one, other, found)
+        cells = self._first.origins.cells, self._second.origins.cells
+
+        def take(begin: int) -> None:
+            some = slice(begin, begin + _MANY)
+            _take(cells[0][some], cells[1][some], self._share[some], one, other, found[some])
+
+        for _ in ordered_map(self._executor, take, range(0, len(found), _MANY)):
+            pass
 
     def _give_areas(self) -> None:
         """Give cells the areas of the texture that prevails; nodes of both get those of all children.
@@ -220,13 +226,7 @@ class Mixing:
         self._take(given, areas[:, None])
         average_plain(tree, self._share)
         self._take(given, areas[:, None])
-        firsts, counts = children_of(tree, np.flatnonzero(self._both[self._nodes]))
-        starts = np.cumsum(counts) - counts
-        children = np.repeat(firsts - starts, counts) + np.arange(counts.sum())
-        is_alone = np.zeros(tree.n_cells, np.bool_)
-        is_alone[children[~self._both[children]]] = True
-        if is_alone.any():
-            add_up_areas(tree, is_alone, areas)
+        _add_up(tree.arrays, self._nodes, self._both, AREAS)
 
     def _kept_nodes(self) -> Int64s:
         """Return the nodes that keep a coefficient: those of which the texture that prevails has one."""
@@ -285,3 +285,34 @@ def _take(
             source = first_cells[n]
             for k in range(taken.shape[1]):
                 taken[n, k] = first[source, k]
+
+
+def _weights(channels: Mapping[str, Channel], name: str) -> Float32s:
+    """Return what cells (cells,) weigh in averages of a channel beside their areas; none if that is 1."""
+    if ALPHA.name in channels and name != ALPHA.name:
+        return covering(channels[ALPHA.name])
+    return np.empty(0, np.float32)
+
+
+def _residuals(texture: OctreeTexture, name: str) -> Floats:
+    return residuals(texture.tree, texture.channels[name], _weights(texture.channels, name))
+
+
+@kernel
+def _add_up(arrays: TreeArrays, nodes: Int64s, both: Bools, shares: Float64s) -> None:
+    """Sum up the areas of nodes that both have and that are not those of one of them, from the deepest up."""
+    groups, areas = arrays.groups, arrays.areas
+    is_summed = np.zeros(areas.size, np.bool_)
+    end = areas.size
+    for node in range(nodes.size - 1, -1, -1):
+        children = (groups[node >> 3, 0] | groups[node >> 3, 1]) >> np.uint64(8 * (node & 7))
+        begin = max(end - popcount(children & np.uint64(0xFF)), 0)
+        cell = nodes[node]
+        total = 0.0
+        for child in range(begin, end):
+            is_summed[cell] |= both[cell] and (is_summed[child] or not both[child])
+            total += shares[areas[child]] if areas[child] > 0 else 0.0
+        if is_summed[cell]:
+            code = np.rint(AREA_STEPS * np.log2(max(total / 4, 2.0**-60))) + AREA_ONE
+            areas[cell] = np.int64(min(max(code, 1.0), 255.0)) if total > 0.0 else 0
+        end = begin

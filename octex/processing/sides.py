@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import Executor
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -109,7 +109,7 @@ class Side:
         found: Bools = is_kept | (self.origins.nodes < NOTHING)
         return found
 
-    def of_nodes(self, residuals: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def of_nodes(self, residuals: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[Any]]:
         """Return what the union's nodes have of residuals (nodes here, components)."""
         found = residuals[np.maximum(self.origins.nodes, 0)]
         found[self.origins.nodes < 0] = 0.0
