@@ -42,6 +42,11 @@ def processed(options: argparse.Namespace, executor: Executor | None) -> OctreeT
     Raises InputError and ArgumentError for what cannot be done.
     """
     texture = octex.open(options.INPUT)
+    if options.channels is not None:
+        from octex.checks import as_choice
+
+        for name in options.channels:
+            as_choice(name, texture.channels, f"channel of {options.INPUT}:")
     if options.crop is not None:
         texture = octex.crop(texture, options.crop[:3], options.crop[3:])
     if options.depth is not None:

@@ -111,6 +111,9 @@ class Side:
 
     def of_nodes(self, residuals: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[Any]]:
         """Return what the union's nodes have of residuals (nodes here, components)."""
-        found = residuals[np.maximum(self.origins.nodes, 0)]
-        found[self.origins.nodes < 0] = 0.0
+        nodes = self.origins.nodes
+        if not len(residuals):
+            return np.zeros((nodes.size, residuals.shape[1]), residuals.dtype)
+        found = residuals[np.maximum(nodes, 0)]
+        found[nodes < 0] = 0.0
         return found
