@@ -18,7 +18,7 @@ from octex.channels import encode
 from octex.preview import render, texture_look
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "10"))
-WIDTH = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "240"))
+WIDTH = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "260"))
 MODEL = Path(__file__).with_name("droid.glb")
 
 

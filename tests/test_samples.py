@@ -153,6 +153,7 @@ def test_make_droid_writes_the_droid(
         ("10_thin.py", ["thin.png"], "octex, truth"),
         ("11_paint.py", ["paint.png"], "painted over the camera's view"),
         ("12_photos.py", ["photos.png"], "painted with them, and the truth"),
+        ("17_processing.py", ["processing.png"], "levels, blurred, mixed, cropped and combined"),
     ],
 )
 def test_the_numbered_scripts_run_from_anywhere(
