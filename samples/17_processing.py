@@ -1,7 +1,7 @@
 """Textures made from textures.
 
-As it is; with other levels; blurred over its surface; mixed, more and more towards its front, with its own greys; and
-a box of it without colours, cut out and laid over it again.
+As it is; with other levels; blurred over its surface; mixed with its own greys, more and more
+towards its front; and a box of it without colours, cut out and laid over it again.
 
     python samples/17_processing.py [FOLDER]      writes FOLDER/processing.png (default: out)
 """
@@ -18,7 +18,7 @@ from octex.channels import encode
 from octex.preview import render, texture_look
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "10"))
-WIDTH = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "260"))
+WIDTH = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "240"))
 MODEL = Path(__file__).with_name("droid.glb")
 
 

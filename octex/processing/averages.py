@@ -7,7 +7,7 @@ An edit says what becomes of residuals; the mean of the children as they are now
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +23,7 @@ from octex.tree.layout import TreeArrays
 from octex.tree.octree import Octree
 
 Array = npt.NDArray[np.generic]
+Bools = npt.NDArray[np.bool_]
 Int64s = npt.NDArray[np.int64]
 Float32s = npt.NDArray[np.float32]
 Floats = npt.NDArray[np.floating[Any]]
@@ -163,54 +164,87 @@ def node_cells(tree: Octree) -> Int64s:
     return cells
 
 
-def residuals(tree: Octree, channel: Channel, weights: Float32s, change: Change = difference) -> Floats:
+def residuals(
+    tree: Octree,
+    channel: Channel,
+    weights: Float32s,
+    change: Change = difference,
+    chosen: Bools | None = None,
+) -> Floats:
     """Return the residuals of all nodes (nodes, components), changed; see ``coverage`` for weights.
 
-    They are float32, and float64 where float32 is stored.
+    They are float32, and float64 where float32 is stored. Zeros stand for nodes that are not ``chosen``.
     """
     form, nodes = channel.format, node_cells(tree)
     precise = np.float64 if form.dtype == "float32" else np.float32
     found = np.zeros((tree.n_nodes, form.components), precise)
-    for level in range(tree.max_depth):
-        here = slice(*tree.arrays.level_nodes[level : level + 2].tolist())
+    for level, here in _levels(tree, chosen):
+        means = child_means(tree, level, channel.values, form.space, weights, chosen)
         stored = channel.values[nodes[here]]
-        means = child_means(tree, level, channel.values, form.space, weights)
-        apart = np.flatnonzero((encode(means, form.dtype, form.space) != stored).any(axis=1))
-        if apart.size:
+        apart = (encode(means, form.dtype, form.space) != stored).any(axis=1)
+        if apart.any():
             values = decode(stored[apart], form.space).astype(np.float64)
-            found[here][apart] = change(nodes[here][apart], values, means[apart])
+            found[here[apart]] = change(nodes[here[apart]], values, means[apart])
     return found
 
 
-def average(tree: Octree, channel: Channel, weights: Float32s, left: Floats) -> None:
-    """Make the values of all nodes anew, in place: means of their children, and residuals ``left``."""
+def average(
+    tree: Octree, channel: Channel, weights: Float32s, left: Floats, chosen: Bools | None = None
+) -> None:
+    """Make the values of nodes anew, in place: means of their children, and residuals ``left``.
+
+    ``left`` (nodes, components), if not all are ``chosen`` of those alone.
+    """
     form, nodes = channel.format, node_cells(tree)
-    for level in range(tree.max_depth - 1, -1, -1):
-        here = slice(*tree.arrays.level_nodes[level : level + 2].tolist())
-        means = child_means(tree, level, channel.values, form.space, weights)
-        channel.values[nodes[here]] = encode(means + left[here], form.dtype, form.space)
+    end = len(left)
+    for level, here in reversed(list(_levels(tree, chosen))):
+        begin = end - here.size if chosen is not None else int(here[0])
+        means = child_means(tree, level, channel.values, form.space, weights, chosen)
+        means += left[begin : begin + here.size]
+        channel.values[nodes[here]] = encode(means, form.dtype, form.space)
+        end = begin
 
 
-def average_plain(tree: Octree, numbers: Float32s) -> None:
-    """Make the numbers of all nodes, in place, the means of those of their children; ``numbers`` (cells,)."""
+def average_plain(tree: Octree, numbers: Float32s, chosen: Bools | None = None) -> None:
+    """Make the numbers of nodes, in place, the means of those of their children; ``numbers`` (cells,)."""
     channel = Channel(_PLAIN, numbers[:, None], numbers[:0, None], numbers[:0, None])
-    average(tree, channel, np.empty(0, np.float32), np.zeros((tree.n_nodes, 1)))
+    count = tree.n_nodes if chosen is None else int(chosen.sum())
+    average(tree, channel, np.empty(0, np.float32), np.zeros((count, 1)), chosen)
 
 
-def child_means(tree: Octree, level: int, values: Array, space: ColorSpace, weights: Float32s) -> Float64s:
+def _levels(tree: Octree, chosen: Bools | None) -> Iterator[tuple[int, Int64s]]:
+    """Yield levels, and which of their nodes, that have children, are chosen, if any is."""
+    for level in range(tree.max_depth):
+        first, end = tree.arrays.level_nodes[level : level + 2].tolist()
+        here = np.arange(first, end) if chosen is None else np.flatnonzero(chosen[first:end]) + first
+        if here.size:
+            yield level, here
+
+
+def child_means(
+    tree: Octree,
+    level: int,
+    values: Array,
+    space: ColorSpace,
+    weights: Float32s,
+    chosen: Bools | None = None,
+) -> Float64s:
     """Return the means of the children of a level's nodes (nodes there, components), decoded.
 
     ``values`` (cells, components), as stored, weigh by their areas, and by ``weights`` (cells,) if not empty.
+    ``chosen`` (nodes of the tree,) says whose are wanted; None: all.
     """
     first, end = tree.arrays.level_nodes[level : level + 2].tolist()
     below = slice(*tree.arrays.level_cells[level + 1 : level + 3].tolist())
-    means = np.zeros((end - first, values.shape[1]))
+    wanted = np.ones(end - first, np.bool_) if chosen is None else chosen[first:end]
+    means = np.zeros((int(wanted.sum()), values.shape[1]))
     stored = values[below]
     is_coded = stored.dtype.kind == "u"
     is_plain = is_coded or (stored.dtype == np.float32 and space != "srgb")
     codes: npt.NDArray[Any] = stored if is_plain else decode(stored, space)
     table = decode_table(stored.dtype.name, space) if is_coded else NO_TABLE
-    _means(tree.arrays.groups, first, tree.arrays.areas[below], AREAS, weights[below], codes, table, means)
+    areas = tree.arrays.areas[below]
+    _means(tree.arrays.groups, first, wanted, areas, AREAS, weights[below], codes, table, means)
     return means
 
 
@@ -218,6 +252,7 @@ def child_means(tree: Octree, level: int, values: Array, space: ColorSpace, weig
 def _means(
     groups: npt.NDArray[np.uint64],
     first: int,
+    wanted: Bools,
     areas: npt.NDArray[np.uint8],
     shares: Float64s,
     weights: Float32s,
@@ -225,11 +260,14 @@ def _means(
     table: Float32s,
     means: Float64s,
 ) -> None:
-    begin = 0
-    for n in range(means.shape[0]):
-        node = first + n
+    begin = n = 0
+    for each in range(wanted.size):
+        node = first + each
         children = (groups[node >> 3, 0] | groups[node >> 3, 1]) >> np.uint64(8 * (node & 7))
         end = min(begin + popcount(children & np.uint64(0xFF)), areas.size)
+        if not wanted[each]:
+            begin = end
+            continue
         total = 0.0
         for child in range(begin, end):
             share = shares[areas[child]]
@@ -241,6 +279,7 @@ def _means(
         for k in range(codes.shape[1] if total > 0.0 else 0):
             means[n, k] /= total
         begin = end
+        n += 1
 
 
 @kernel

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +13,7 @@ from octex.errors import ArgumentError
 from octex.jit import kernel, popcount
 from octex.painting.averages import AREAS
 from octex.parallel import ordered_map
-from octex.processing.averages import average, average_plain, covering, node_cells, residuals
+from octex.processing.averages import average, average_plain, covering, node_cells
 from octex.processing.mapping import centres_of, levels_of
 from octex.processing.sides import Cells, Side
 from octex.processing.union import NOTHING, Origins, unite
@@ -37,7 +36,6 @@ Bools = npt.NDArray[np.bool_]
 Int64s = npt.NDArray[np.int64]
 Uint8s = npt.NDArray[np.uint8]
 Float32s = npt.NDArray[np.float32]
-Floats = npt.NDArray[np.floating[Any]]
 Float64s = npt.NDArray[np.float64]
 
 #: How much of the second texture there is in cells that both have: a number, a function of the positions
@@ -59,10 +57,6 @@ class Mixing:
     ) -> None:
         self._amount, self._executor = amount, executor
         self._texture = first  # for its placement and formats
-        self._residuals = {
-            name: [executor.submit(_residuals, each, name) for each in (first, second)]
-            for name in first.channels
-        }
         self._tree, *origins = unite(first.tree, second.tree)
         self._nodes = node_cells(self._tree)
         self._codes: Int64s | None = None
@@ -74,6 +68,7 @@ class Mixing:
         has_first, has_second = (own.cells != NOTHING for own in origins)
         self._both = has_first & has_second
         self._share = has_second.astype(np.float32)  # of the second, in the colour of cells
+        self._is_made = np.zeros(self._tree.n_nodes, np.bool_)  # nodes that are not as in one of the two
 
     def _cells(self, origins: Origins) -> Cells | None:
         if not (origins.cells < NOTHING).any():
@@ -102,7 +97,6 @@ class Mixing:
             KeptTable(kept.astype(np.uint32)),
         )
         tree = self._tree.with_cell_data(flags, self._tree.arrays.areas, *tables)
-        share = self._share[self._nodes, None]
         channels: dict[str, Channel] = {}
         for name in sorted(values, key=lambda name: name != ALPHA.name):
             form = self._texture.channels[name].format
@@ -111,13 +105,19 @@ class Mixing:
                 *(encode(each[name], form.dtype, form.space) for each in (rows, kept_values)),
             )
             channels[name] = Channel(form, *own)
-            sides = zip((self._first, self._second), self._residuals[name], strict=True)
-            one, other = (side.of_nodes(each.result()) for side, each in sides)
-            one *= 1 - share
-            other *= share
-            one += other
-            average(tree, channels[name], _weights(channels, name), one)
+            self._average(tree, channels, name)
         return tree, {name: channels[name] for name in values}
+
+    def _average(self, tree: Octree, channels: dict[str, Channel], name: str) -> None:
+        """Make nodes that are not as in one of the two anew, in place; residuals count by the parts."""
+        tasks = []
+        for side in (self._first, self._second):
+            weights = _weights(side.texture.channels, name)
+            tasks.append(self._executor.submit(side.residuals, name, weights, self._is_made))
+        one, other = (task.result() for task in tasks)
+        share = self._share[self._nodes[self._is_made], None]
+        left = (1 - share) * one + share * other
+        average(tree, channels[name], _weights(channels, name), left, self._is_made)
 
     def _leaves(self) -> dict[str, Array]:
         """Return the channels' values, as stored, those of nodes still to be averaged."""
@@ -134,6 +134,8 @@ class Mixing:
             found[name] = np.empty((self._tree.n_cells, channel.format.components), channel.format.dtype)
             self._take(stored, found[name])
         cells = np.flatnonzero(is_mixed)
+        one, other = self._first.origins.nodes, self._second.origins.nodes
+        _find_made(self._tree.arrays, self._nodes, one, other, self._share, is_mixed, self._is_made)
         blocks = [cells[begin : begin + _BLOCK] for begin in range(0, cells.size, _BLOCK)]
         for some, (values, share) in zip(
             blocks, ordered_map(self._executor, self._leaves_mixed, blocks), strict=True
@@ -224,7 +226,7 @@ class Mixing:
         tree, areas = self._tree, self._tree.arrays.areas
         given = [side.texture.tree.arrays.areas[:, None] for side in (self._first, self._second)]
         self._take(given, areas[:, None])
-        average_plain(tree, self._share)
+        average_plain(tree, self._share, self._is_made)
         self._take(given, areas[:, None])
         _add_up(tree.arrays, self._nodes, self._both, AREAS)
 
@@ -294,8 +296,33 @@ def _weights(channels: Mapping[str, Channel], name: str) -> Float32s:
     return np.empty(0, np.float32)
 
 
-def _residuals(texture: OctreeTexture, name: str) -> Floats:
-    return residuals(texture.tree, texture.channels[name], _weights(texture.channels, name))
+@kernel
+def _find_made(
+    arrays: TreeArrays,
+    nodes: Int64s,
+    first_nodes: Int64s,
+    second_nodes: Int64s,
+    share: Float32s,
+    is_mixed: Bools,
+    is_made: Bools,
+) -> None:
+    """Find the nodes below which not everything is as in one of the two, from the deepest up.
+
+    ``is_mixed`` (cells,), of leaves, is set for them too. The others have a ``share`` of 0 or 1.
+    """
+    groups = arrays.groups
+    end = share.size
+    for node in range(nodes.size - 1, -1, -1):
+        children = (groups[node >> 3, 0] | groups[node >> 3, 1]) >> np.uint64(8 * (node & 7))
+        begin = max(end - popcount(children & np.uint64(0xFF)), 0)
+        part = share[begin]
+        made = (second_nodes[node] if part > 0.5 else first_nodes[node]) < 0
+        for child in range(begin, end):
+            made |= is_mixed[child] or share[child] != part
+        is_made[node] = is_mixed[nodes[node]] = made
+        if not made:
+            share[nodes[node]] = part
+        end = begin
 
 
 @kernel

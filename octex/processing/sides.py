@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import decode
+from octex.processing.averages import residuals
 from octex.processing.refine import refined, rows_below
 from octex.processing.union import BELOW, NOTHING, Origins
 from octex.texture import OctreeTexture
@@ -109,11 +110,14 @@ class Side:
         found: Bools = is_kept | (self.origins.nodes < NOTHING)
         return found
 
-    def of_nodes(self, residuals: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[Any]]:
-        """Return what the union's nodes have of residuals (nodes here, components)."""
-        nodes = self.origins.nodes
-        if not len(residuals):
-            return np.zeros((nodes.size, residuals.shape[1]), residuals.dtype)
-        found = residuals[np.maximum(nodes, 0)]
+    def residuals(self, name: str, weights: Float32s, wanted: Bools) -> npt.NDArray[np.floating[Any]]:
+        """Return the residuals of nodes of the union that are ``wanted``; zeros for what is no node here."""
+        nodes = self.origins.nodes[wanted]
+        chosen = np.zeros(self.texture.tree.n_nodes, np.bool_)
+        chosen[nodes[nodes >= 0]] = True
+        channel = self.texture.channels[name]
+        if not chosen.any():
+            return np.zeros((nodes.size, channel.format.components), np.float32)
+        found = residuals(self.texture.tree, channel, weights, chosen=chosen)[np.maximum(nodes, 0)]
         found[nodes < 0] = 0.0
         return found
