@@ -7,7 +7,7 @@ An edit says what becomes of residuals; the mean of the children as they are now
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ from octex.channels import ALPHA, ChannelFormat, ColorSpace, decode, decode_tabl
 from octex.conversion.accumulate import LEAST_COVERAGE
 from octex.jit import decoded, kernel, popcount
 from octex.painting.averages import AREAS
-from octex.texture import Channel, OctreeTexture
+from octex.texture import Channel
 from octex.texture.blend import NO_TABLE
 from octex.tree.layout import TreeArrays
 from octex.tree.octree import Octree
@@ -41,17 +41,12 @@ def difference(_cells: Int64s, values: Float64s, means: Float64s) -> Float64s:
     return values - means
 
 
-def coverage(texture: OctreeTexture, channel: Channel) -> Float32s:
+def coverage(channels: Mapping[str, Channel], name: str) -> Float32s:
     """Return what cells (cells,) weigh in averages of a channel beside their areas; none if that is 1."""
-    alpha = texture.channels.get(ALPHA.name)
-    if alpha is None or channel.format.name == ALPHA.name:
+    if ALPHA.name not in channels or name == ALPHA.name:
         return np.empty(0, np.float32)
-    return covering(alpha)
-
-
-def covering(alpha: Channel) -> Float32s:
-    """Return what cells (cells,) of some alpha weigh."""
-    return np.maximum(decode(alpha.values[:, 0], "data"), np.float32(LEAST_COVERAGE))
+    alpha = decode(channels[ALPHA.name].values[:, 0], "data")
+    return np.maximum(alpha, np.float32(LEAST_COVERAGE))
 
 
 class Tables(NamedTuple):

@@ -57,10 +57,10 @@ def with_values(
     for name in sorted(made, key=lambda name: name != ALPHA.name):
         before, own = texture.channels[name], change.get(name, difference)
         if isinstance(own, Tables):
-            average_by_tables(texture.tree, before, made[name], coverage(texture, before), own)
+            average_by_tables(texture.tree, before, made[name], coverage(texture.channels, name), own)
             own = changed_by(own)
         else:
-            left = residuals(texture.tree, before, coverage(texture, before), own)
-            average(texture.tree, made[name], coverage(after, made[name]), left)
+            left = residuals(texture.tree, before, coverage(texture.channels, name), own)
+            average(texture.tree, made[name], coverage(channels, name), left)
         average_rows(after, made[name], row_residuals(texture, before, own))
     return after

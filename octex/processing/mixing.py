@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 
 import numpy as np
@@ -10,24 +10,21 @@ import numpy.typing as npt
 
 from octex.channels import ALPHA, encode
 from octex.errors import ArgumentError
-from octex.jit import kernel, popcount
 from octex.painting.averages import AREAS
 from octex.parallel import ordered_map
-from octex.processing.averages import average, average_plain, covering, node_cells
+from octex.processing.averages import average, average_plain, coverage, node_cells
 from octex.processing.mapping import centres_of, levels_of
 from octex.processing.sides import Cells, Side
-from octex.processing.union import NOTHING, Origins, unite
+from octex.processing.union import NOTHING, Origins, add_up, find_made, take, unite
 from octex.texture import Channel, OctreeTexture
 from octex.texture.split import bits_of
 from octex.tree.layout import (
-    AREA_ONE,
     AREA_STEPS,
     FACING_FLAGS,
     KEPT,
     SPLIT,
     KeptTable,
     SplitTable,
-    TreeArrays,
 )
 from octex.tree.octree import Octree
 
@@ -112,12 +109,12 @@ class Mixing:
         """Make nodes that are not as in one of the two anew, in place; residuals count by the parts."""
         tasks = []
         for side in (self._first, self._second):
-            weights = _weights(side.texture.channels, name)
+            weights = coverage(side.texture.channels, name)
             tasks.append(self._executor.submit(side.residuals, name, weights, self._is_made))
         one, other = (task.result() for task in tasks)
         share = self._share[self._nodes[self._is_made], None]
         left = (1 - share) * one + share * other
-        average(tree, channels[name], _weights(channels, name), left, self._is_made)
+        average(tree, channels[name], coverage(channels, name), left, self._is_made)
 
     def _leaves(self) -> dict[str, Array]:
         """Return the channels' values, as stored, those of nodes still to be averaged."""
@@ -135,7 +132,7 @@ class Mixing:
             self._take(stored, found[name])
         cells = np.flatnonzero(is_mixed)
         one, other = self._first.origins.nodes, self._second.origins.nodes
-        _find_made(self._tree.arrays, self._nodes, one, other, self._share, is_mixed, self._is_made)
+        find_made(self._tree.arrays, self._nodes, one, other, self._share, is_mixed, self._is_made)
         blocks = [cells[begin : begin + _BLOCK] for begin in range(0, cells.size, _BLOCK)]
         for some, (values, share) in zip(
             blocks, ordered_map(self._executor, self._leaves_mixed, blocks), strict=True
@@ -211,11 +208,11 @@ class Mixing:
         one, other, found = (array.view(np.uint8) for array in (*given, taken))
         cells = self._first.origins.cells, self._second.origins.cells
 
-        def take(begin: int) -> None:
+        def take_some(begin: int) -> None:
             some = slice(begin, begin + _MANY)
-            _take(cells[0][some], cells[1][some], self._share[some], one, other, found[some])
+            take(cells[0][some], cells[1][some], self._share[some], one, other, found[some])
 
-        for _ in ordered_map(self._executor, take, range(0, len(found), _MANY)):
+        for _ in ordered_map(self._executor, take_some, range(0, len(found), _MANY)):
             pass
 
     def _give_areas(self) -> None:
@@ -228,7 +225,7 @@ class Mixing:
         self._take(given, areas[:, None])
         average_plain(tree, self._share, self._is_made)
         self._take(given, areas[:, None])
-        _add_up(tree.arrays, self._nodes, self._both, AREAS)
+        add_up(tree.arrays, self._nodes, self._both, AREAS)
 
     def _kept_nodes(self) -> Int64s:
         """Return the nodes that keep a coefficient: those of which the texture that prevails has one."""
@@ -271,75 +268,3 @@ class Mixing:
             side.row_areas(owners[prevails], bits[prevails], own)
             areas[prevails] = own
         return areas
-
-
-@kernel
-def _take(
-    first_cells: Int64s, second_cells: Int64s, share: Float32s, first: Uint8s, second: Uint8s, taken: Uint8s
-) -> None:
-    """Copy rows of bytes: those of cells of the side that prevails, or of the other if it lacks the cell."""
-    for n in range(taken.shape[0]):
-        source = second_cells[n]
-        if source >= 0 and (share[n] >= 0.5 or first_cells[n] < 0):
-            for k in range(taken.shape[1]):
-                taken[n, k] = second[source, k]
-        elif first_cells[n] >= 0:
-            source = first_cells[n]
-            for k in range(taken.shape[1]):
-                taken[n, k] = first[source, k]
-
-
-def _weights(channels: Mapping[str, Channel], name: str) -> Float32s:
-    """Return what cells (cells,) weigh in averages of a channel beside their areas; none if that is 1."""
-    if ALPHA.name in channels and name != ALPHA.name:
-        return covering(channels[ALPHA.name])
-    return np.empty(0, np.float32)
-
-
-@kernel
-def _find_made(
-    arrays: TreeArrays,
-    nodes: Int64s,
-    first_nodes: Int64s,
-    second_nodes: Int64s,
-    share: Float32s,
-    is_mixed: Bools,
-    is_made: Bools,
-) -> None:
-    """Find the nodes below which not everything is as in one of the two, from the deepest up.
-
-    ``is_mixed`` (cells,), of leaves, is set for them too. The others have a ``share`` of 0 or 1.
-    """
-    groups = arrays.groups
-    end = share.size
-    for node in range(nodes.size - 1, -1, -1):
-        children = (groups[node >> 3, 0] | groups[node >> 3, 1]) >> np.uint64(8 * (node & 7))
-        begin = max(end - popcount(children & np.uint64(0xFF)), 0)
-        part = share[begin]
-        made = (second_nodes[node] if part > 0.5 else first_nodes[node]) < 0
-        for child in range(begin, end):
-            made |= is_mixed[child] or share[child] != part
-        is_made[node] = is_mixed[nodes[node]] = made
-        if not made:
-            share[nodes[node]] = part
-        end = begin
-
-
-@kernel
-def _add_up(arrays: TreeArrays, nodes: Int64s, both: Bools, shares: Float64s) -> None:
-    """Sum up the areas of nodes that both have and that are not those of one of them, from the deepest up."""
-    groups, areas = arrays.groups, arrays.areas
-    is_summed = np.zeros(areas.size, np.bool_)
-    end = areas.size
-    for node in range(nodes.size - 1, -1, -1):
-        children = (groups[node >> 3, 0] | groups[node >> 3, 1]) >> np.uint64(8 * (node & 7))
-        begin = max(end - popcount(children & np.uint64(0xFF)), 0)
-        cell = nodes[node]
-        total = 0.0
-        for child in range(begin, end):
-            is_summed[cell] |= both[cell] and (is_summed[child] or not both[child])
-            total += shares[areas[child]] if areas[child] > 0 else 0.0
-        if is_summed[cell]:
-            code = np.rint(AREA_STEPS * np.log2(max(total / 4, 2.0**-60))) + AREA_ONE
-            areas[cell] = np.int64(min(max(code, 1.0), 255.0)) if total > 0.0 else 0
-        end = begin

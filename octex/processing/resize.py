@@ -179,8 +179,8 @@ def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> Oct
     there, old_rows = find_rows(tree.split, edited.old[cells], bits)
     for name in sorted(channels, key=lambda name: name != ALPHA.name):
         before, after = texture.channels[name], made.channels[name]
-        left = residuals(tree, before, coverage(texture, before))[were]
-        average(made.tree, after, coverage(made, after), left)
+        left = residuals(tree, before, coverage(texture.channels, name))[were]
+        average(made.tree, after, coverage(made.channels, name), left)
         left = np.zeros((rows.size, before.format.components))
         left[there] = row_residuals(texture, before, difference)[old_rows]
         average_rows(made, after, left)

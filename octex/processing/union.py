@@ -12,11 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.errors import ArgumentError
-from octex.jit import kernel
+from octex.jit import kernel, popcount
 from octex.tree.edit import facings_of_nodes
-from octex.tree.layout import FACING_FLAGS, MAX_CELLS, MAX_DEPTH, TreeArrays
+from octex.tree.layout import AREA_ONE, AREA_STEPS, FACING_FLAGS, MAX_CELLS, MAX_DEPTH, TreeArrays
 from octex.tree.octree import Octree, rank
 
+Bools = npt.NDArray[np.bool_]
+Float32s = npt.NDArray[np.float32]
+Float64s = npt.NDArray[np.float64]
 Int64s = npt.NDArray[np.int64]
 Uint8s = npt.NDArray[np.uint8]
 
@@ -157,3 +160,68 @@ def _children(arrays: TreeArrays, node: int) -> tuple[int, int]:
     nodes, leaves = arrays.groups[node >> 3, 0], arrays.groups[node >> 3, 1]
     below = np.uint64(0xFF)
     return int(np.int64(nodes >> shift & below)), int(np.int64(leaves >> shift & below))
+
+
+@kernel
+def take(
+    first_cells: Int64s, second_cells: Int64s, share: Float32s, first: Uint8s, second: Uint8s, taken: Uint8s
+) -> None:
+    """Copy rows of bytes: those of cells of the side that prevails, or of the other if it lacks the cell."""
+    for n in range(taken.shape[0]):
+        source = second_cells[n]
+        if source >= 0 and (share[n] >= 0.5 or first_cells[n] < 0):
+            for k in range(taken.shape[1]):
+                taken[n, k] = second[source, k]
+        elif first_cells[n] >= 0:
+            source = first_cells[n]
+            for k in range(taken.shape[1]):
+                taken[n, k] = first[source, k]
+
+
+@kernel
+def find_made(
+    arrays: TreeArrays,
+    nodes: Int64s,
+    first_nodes: Int64s,
+    second_nodes: Int64s,
+    share: Float32s,
+    is_mixed: Bools,
+    is_made: Bools,
+) -> None:
+    """Find the nodes below which not everything is as in one of the two, from the deepest up.
+
+    ``is_mixed`` (cells,), of leaves, is set for them too. The others have a ``share`` of 0 or 1.
+    """
+    groups = arrays.groups
+    end = share.size
+    for node in range(nodes.size - 1, -1, -1):
+        children = (groups[node >> 3, 0] | groups[node >> 3, 1]) >> np.uint64(8 * (node & 7))
+        begin = max(end - popcount(children & np.uint64(0xFF)), 0)
+        part = share[begin]
+        made = (second_nodes[node] if part > 0.5 else first_nodes[node]) < 0
+        for child in range(begin, end):
+            made |= is_mixed[child] or share[child] != part
+        is_made[node] = is_mixed[nodes[node]] = made
+        if not made:
+            share[nodes[node]] = part
+        end = begin
+
+
+@kernel
+def add_up(arrays: TreeArrays, nodes: Int64s, both: Bools, shares: Float64s) -> None:
+    """Sum up the areas of nodes that both have and that are not those of one of them, from the deepest up."""
+    groups, areas = arrays.groups, arrays.areas
+    is_summed = np.zeros(areas.size, np.bool_)
+    end = areas.size
+    for node in range(nodes.size - 1, -1, -1):
+        children = (groups[node >> 3, 0] | groups[node >> 3, 1]) >> np.uint64(8 * (node & 7))
+        begin = max(end - popcount(children & np.uint64(0xFF)), 0)
+        cell = nodes[node]
+        total = 0.0
+        for child in range(begin, end):
+            is_summed[cell] |= both[cell] and (is_summed[child] or not both[child])
+            total += shares[areas[child]] if areas[child] > 0 else 0.0
+        if is_summed[cell]:
+            code = np.rint(AREA_STEPS * np.log2(max(total / 4, 2.0**-60))) + AREA_ONE
+            areas[cell] = np.int64(min(max(code, 1.0), 255.0)) if total > 0.0 else 0
+        end = begin
