@@ -225,7 +225,7 @@ class Mixing:
         self._take(given, areas[:, None])
         average_plain(tree, self._share, self._is_made)
         self._take(given, areas[:, None])
-        add_up(tree.arrays, self._nodes, self._both, AREAS)
+        add_up(tree.arrays, self._nodes, self._is_made, self._both, AREAS)
 
     def _kept_nodes(self) -> Int64s:
         """Return the nodes that keep a coefficient: those of which the texture that prevails has one."""

@@ -208,8 +208,8 @@ def find_made(
 
 
 @kernel
-def add_up(arrays: TreeArrays, nodes: Int64s, both: Bools, shares: Float64s) -> None:
-    """Sum up the areas of nodes that both have and that are not those of one of them, from the deepest up."""
+def add_up(arrays: TreeArrays, nodes: Int64s, is_made: Bools, both: Bools, shares: Float64s) -> None:
+    """Sum up the areas of nodes to which both add cells of their own, from the deepest up."""
     groups, areas = arrays.groups, arrays.areas
     is_summed = np.zeros(areas.size, np.bool_)
     end = areas.size
@@ -219,7 +219,7 @@ def add_up(arrays: TreeArrays, nodes: Int64s, both: Bools, shares: Float64s) -> 
         cell = nodes[node]
         total = 0.0
         for child in range(begin, end):
-            is_summed[cell] |= both[cell] and (is_summed[child] or not both[child])
+            is_summed[cell] |= is_made[node] and both[cell] and (is_summed[child] or not both[child])
             total += shares[areas[child]] if areas[child] > 0 else 0.0
         if is_summed[cell]:
             code = np.rint(AREA_STEPS * np.log2(max(total / 4, 2.0**-60))) + AREA_ONE
