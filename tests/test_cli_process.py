@@ -10,6 +10,7 @@ import pytest
 
 import octex
 from tests.command import colored_box, refusal, result
+from tests.conftest import needs_jit
 from tests.test_processing_combine import assert_same
 
 
@@ -33,6 +34,7 @@ def other(made: Path) -> Path:
     return path
 
 
+@needs_jit
 def test_every_option_is_the_operation_of_that_name(
     made: Path, other: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -69,6 +71,7 @@ def test_options_work_in_one_order_however_they_are_given(
     assert [each["operation"] for each in done] == ["resize", "mix", "blur", "levels", "cast"]
 
 
+@needs_jit
 def test_points_can_be_written_of_what_was_done(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -16,6 +16,7 @@ from octex.texture import Channel, OctreeTexture
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from tests import naive_processing as naive
+from tests.conftest import needs_jit
 from tests.small_textures import UNIT, UNIT_BOUNDS, eight_colors, shell
 from tests.strategies import leaf_sets, random_values, with_random_data
 
@@ -121,6 +122,7 @@ def test_what_does_not_meet_stays_as_it_was() -> None:
             )
 
 
+@needs_jit
 def test_a_field_that_prevails_alone_stays_as_it_was_among_finer_cells() -> None:
     fine = shell(4)
     coarse = octex.map(fine.level(3), lambda values: 1 - values)

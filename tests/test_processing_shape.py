@@ -11,6 +11,7 @@ import octex
 from octex.errors import ArgumentError
 from octex.texture import OctreeTexture
 from tests import naive_processing as naive
+from tests.conftest import needs_jit
 from tests.naive import unmorton
 from tests.small_textures import eight_colors, shell
 from tests.strategies import textures
@@ -30,6 +31,7 @@ def test_a_coarser_texture_is_a_level(texture: OctreeTexture, depth: int) -> Non
     assert_same(made, texture.level(depth))
 
 
+@needs_jit
 @pytest.mark.parametrize("more", [1, 2])
 def test_a_finer_texture_has_the_same_field_and_the_same_levels(more: int) -> None:
     texture = octex.cast(shell(3), "float32")
@@ -92,6 +94,7 @@ def test_a_part_has_the_leaves_that_meet_the_box(
     assert made.placement == texture.placement
 
 
+@needs_jit
 def test_a_part_of_a_part_is_the_part_of_both_boxes() -> None:
     texture = octex.cast(shell(4), "float32")
     twice = octex.crop(octex.crop(texture, (0, 0, 0), (0.6, 1, 1)), (0.2, 0.3, 0), (1, 1, 1))

@@ -26,6 +26,7 @@ from octex.channels import (
 from octex.errors import ArgumentError
 from octex.texture import Channel, OctreeTexture
 from tests import naive_processing as naive
+from tests.conftest import needs_jit
 from tests.naive import unmorton
 from tests.small_textures import UNIT, UNIT_BOUNDS, eight_colors, shell
 from tests.strategies import textures
@@ -108,6 +109,7 @@ def test_positions_are_the_centres_of_cells() -> None:
             np.testing.assert_array_equal(made.channels["base_color"].values[cell.number], code)
 
 
+@needs_jit
 def test_an_affine_map_commutes_with_lookups() -> None:
     texture = octex.cast(shell(4), "float32")
     made = octex.map(texture, lambda values: 0.25 + 0.5 * values)
@@ -265,6 +267,7 @@ def test_levels_and_curves_out_of_range_are_refused(change: Any, message: str) -
 # --- blur
 
 
+@needs_jit
 def test_the_blur_of_a_constant_is_the_constant() -> None:
     texture = octex.map(shell(4), lambda values: np.full_like(values, 0.3))
     for width in (0.01, 0.1, 1.0):
@@ -273,6 +276,7 @@ def test_the_blur_of_a_constant_is_the_constant() -> None:
         assert_same_values(made, texture)
 
 
+@needs_jit
 def test_a_blur_of_no_width_changes_nothing_and_one_of_little_next_to_nothing() -> None:
     texture = shell(4)
     assert octex.blur(texture, 0.0) is texture
@@ -282,6 +286,7 @@ def test_a_blur_of_no_width_changes_nothing_and_one_of_little_next_to_nothing() 
     np.testing.assert_allclose(made.kept_values, fine.channels["base_color"].kept_values, atol=1e-3)
 
 
+@needs_jit
 def test_a_blur_is_what_a_lookup_of_that_width_says() -> None:
     texture = naive.unfitted(octex.cast(shell(4), "float32"))
     made = octex.blur(texture, 0.2)
@@ -301,6 +306,7 @@ def test_a_blur_is_what_a_lookup_of_that_width_says() -> None:
     assert checked > 10
 
 
+@needs_jit
 def test_nothing_bleeds_through_a_sheet() -> None:
     rows, columns = 12, 12
     grid = np.stack(np.meshgrid(np.linspace(0, 1, columns), np.linspace(0, 1, rows)), axis=-1).reshape(-1, 2)
