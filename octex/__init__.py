@@ -16,6 +16,15 @@ if TYPE_CHECKING:
     from octex.painting.region import Box as Box
     from octex.painting.region import Sphere as Sphere
     from octex.painting.region import fill as fill
+    from octex.processing.blur import blur as blur
+    from octex.processing.cast import cast as cast
+    from octex.processing.combine import combine as combine
+    from octex.processing.combine import mix as mix
+    from octex.processing.mapping import map_values
+    from octex.processing.resize import crop as crop
+    from octex.processing.resize import resize as resize
+    from octex.processing.tone import curves as curves
+    from octex.processing.tone import levels as levels
     from octex.source.cloud import PointCloud as PointCloud
     from octex.source.load import load_surface as load_surface
     from octex.source.mapped import MappedImage as MappedImage
@@ -27,6 +36,7 @@ if TYPE_CHECKING:
     from octex.view.camera_files import read_cameras as read_cameras
     from octex.view.camera_files import write_cameras as write_cameras
 
+    map = map_values
     open = open_texture
 
 __version__ = "0.1.0"
@@ -43,14 +53,23 @@ _HOMES = {
     "Sphere": ("octex.painting.region", "Sphere"),
     "Surface": ("octex.source.surface", "Surface"),
     "Transfer": ("octex.source.transfer", "Transfer"),
+    "blur": ("octex.processing.blur", "blur"),
+    "cast": ("octex.processing.cast", "cast"),
+    "combine": ("octex.processing.combine", "combine"),
     "convert": ("octex.conversion.convert", "convert"),
+    "crop": ("octex.processing.resize", "crop"),
+    "curves": ("octex.processing.tone", "curves"),
     "fill": ("octex.painting.region", "fill"),
+    "levels": ("octex.processing.tone", "levels"),
     "load_surface": ("octex.source.load", "load_surface"),
+    "map": ("octex.processing.mapping", "map_values"),
     "merge": ("octex.painting.merge", "merge"),
+    "mix": ("octex.processing.combine", "mix"),
     "open": ("octex.texture", "open_texture"),
     "paint": ("octex.painting.paint", "paint"),
     "project": ("octex.painting.paint", "project"),
     "read_cameras": ("octex.view.camera_files", "read_cameras"),
+    "resize": ("octex.processing.resize", "resize"),
     "separate": ("octex.conversion.apart", "separate"),
     "write_cameras": ("octex.view.camera_files", "write_cameras"),
 }

@@ -134,12 +134,12 @@ def test_a_texture_can_be_made_coarser_but_not_finer(
         f"{made}: has depth 4; --depth 5 is finer and needs the model"
     )
     assert refusal(capsys, made, tmp_path / "x.octex") == (
-        f"{made}: is an octree texture already; --depth makes it coarser, --channels smaller"
+        f"{made}: is an octree texture already; --depth makes it coarser, --channels smaller; "
+        "see octree-convert --help"
     )
     for option in (
         ["--cell", "0.1"],
         ["--rest", str(made.with_suffix(".glb"))],
-        ["--dtype", "uint16"],
         ["--source", "alpha=1"],
         ["--filter", "sat"],
     ):
@@ -245,9 +245,9 @@ def test_a_texture_can_be_reduced_to_some_channels(
     result(capsys, whole, part, "--channels", "roughness,base_color")
     texture = octex.open(part)
     texture.validate()
-    assert list(texture.channels) == ["base_color", "roughness"]
-    reduced = {"depth": 3, "channels": ["base_color", "roughness"]}
-    assert texture.metadata == {**octex.open(whole).metadata, "reduced": json.dumps(reduced)}
+    assert list(texture.channels) == ["roughness", "base_color"]
+    cast = {"operation": "cast", "channels": {"roughness": "uint8", "base_color": "uint8"}}
+    assert texture.metadata == {**octex.open(whole).metadata, "processed": json.dumps([cast])}
     np.testing.assert_array_equal(
         texture.channels["roughness"].values, octex.open(whole).channels["roughness"].values
     )

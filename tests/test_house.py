@@ -28,6 +28,7 @@ ROWS = [
     {"conversion"},
     {"view"},
     {"painting"},
+    {"processing"},
     {"formats"},
     {"compare"},
     {"preview"},
@@ -41,8 +42,8 @@ EXCEPTIONS = {("checks", "octex.tree.layout")}
 
 EXPORTED = [
     *["Box", "Camera", "MappedImage", "OctexError", "OctreeTexture", "PointCloud", "Projection", "Sphere"],
-    *["Surface", "Transfer", "__version__"],
-    *["convert", "fill", "load_surface", "merge", "open", "paint", "project", "read_cameras"],
+    *["Surface", "Transfer", "__version__", "blur", "cast", "combine", "convert", "crop", "curves", "fill"],
+    *["levels", "load_surface", "map", "merge", "mix", "open", "paint", "project", "read_cameras", "resize"],
     *["separate", "write_cameras"],
 ]
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]

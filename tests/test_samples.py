@@ -157,6 +157,7 @@ def test_make_droid_writes_the_droid(
         ("14_wood.py", ["wood.png"], "wood and marble"),
         ("15_parts.py", ["parts.png"], "moved apart at rest"),
         ("16_implicit.py", ["implicit.png"], "off by"),
+        ("17_processing.py", ["processing.png"], "levels, blurred, mixed, cropped and combined"),
     ],
 )
 def test_the_numbered_scripts_run_from_anywhere(

@@ -26,6 +26,7 @@ from bench_filtered import far, footprints, pages, stretched
 from bench_images import filters, materials
 from bench_lookups import kinds, lookup, resident, today
 from bench_painting import painting, ring
+from bench_processing import processing
 from bench_sources import cloud, transfer
 from bench_texture import paper, psnr
 from bench_tools import Report, Setup
@@ -53,6 +54,7 @@ BENCHMARKS = {
         painting,
         transfer,
         cloud,
+        processing,
     )
 }
 

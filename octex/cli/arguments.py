@@ -144,6 +144,30 @@ def sizes(text: str) -> float | tuple[float, ...]:
     return numbers if len(numbers) == 3 else numbers[0]
 
 
+def box(text: str) -> tuple[float, ...]:
+    """Read the lowest and the highest corner of a box."""
+    numbers = _numbers(text)
+    if len(numbers) != 6:
+        raise argparse.ArgumentTypeError(f"{text!r} is not x0,y0,z0,x1,y1,z1, like 0,0,0,1,2,1")
+    return numbers
+
+
+def levels(text: str) -> tuple[float, ...]:
+    """Read the levels that become 0 and 1, and a gamma."""
+    numbers = _numbers(text)
+    if len(numbers) not in (2, 3) or not (0 <= numbers[0] < numbers[1] <= 1 and 0 < numbers[-1] <= 100):
+        raise argparse.ArgumentTypeError(f"{text!r} is not BLACK,WHITE[,GAMMA], like 0.1,0.9,1.2")
+    return numbers
+
+
+def file_and_amount(text: str) -> tuple[Path, float]:
+    """Read a file and a number from 0 to 1, after the last =."""
+    name, equals, number = text.rpartition("=")
+    if not (name and equals):
+        raise argparse.ArgumentTypeError(f"{text!r} is not FILE=AMOUNT, like other.octex=0.3")
+    return Path(name), _within(number, 1.0)
+
+
 def blend(text: str) -> str:
     """Read the name of a blend mode."""
     return _one_of(text, BLENDS)

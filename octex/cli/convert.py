@@ -19,13 +19,16 @@ from octex.cli.arguments import (
     PROJECTIONS,
     angle,
     axis,
+    box,
     cells_apart,
     channel_names,
     count,
     dtypes,
     error_codes,
+    file_and_amount,
     image_filter,
     length,
+    levels,
     position,
     projection,
     sizes,
@@ -45,7 +48,8 @@ from octex.cli.models import (
     sources_of,
 )
 from octex.cli.overlaps import SEPARATE_CELLS, overlaps, separated_as_json, separated_text
-from octex.errors import ArgumentError, ExitCode, InputError
+from octex.cli.process import NEEDS_A_TEXTURE, check_options, others_of, processed
+from octex.errors import ArgumentError, ExitCode
 from octex.parallel import threads
 
 if TYPE_CHECKING:
@@ -63,7 +67,7 @@ _ELSEWHERE = {"--transfer", "--cloud", "--radius", "--max-distance", "--max-angl
 _MATERIALS = {"--channels", "--source", "--filter", "--rest"} | _PROJECTION | _ELSEWHERE
 _OPTIONS = {
     "a conversion": {"INPUT", "OUTPUT", "--depth", "--cell", "--max-error", "--detail", "--no-fit", "--dtype"}
-    | {"--preview", "--force", "--threads", "--quiet", "--json", "--separate"}
+    | {"--preview", "--force", "--threads", "--quiet", "--json", "--separate", *NEEDS_A_TEXTURE}
     | _MATERIALS,
     "--diff": {"--points", "--preview", "--force", "--quiet", "--json"} | _MATERIALS,
     "--overlaps": {"--margin", "--rest", "--json", "--quiet"},
@@ -71,18 +75,6 @@ _OPTIONS = {
     "--validate": {"--json", "--quiet"},
     "--warm-up": {"--quiet"},
 }
-_NEEDS_A_MODEL = (
-    "--cell",
-    "--max-error",
-    "--detail",
-    "--no-fit",
-    "--rest",
-    "--dtype",
-    "--source",
-    "--filter",
-    *sorted(_PROJECTION | _ELSEWHERE),
-    "--separate",
-)
 # What a cloud of points can be converted with.
 _OF_CLOUDS = {"INPUT", "OUTPUT", "--depth", "--cell", "--channels", "--dtype"}
 _OF_CLOUDS |= {"--preview", "--force", "--threads", "--quiet", "--json"}
@@ -103,6 +95,9 @@ def parser() -> argparse.ArgumentParser:
         f"{'':29}[--max-angle DEGREES]\n"
         f"{'':29}[--separate [CELLS]] [--preview PNG] [--force] [--threads N] [--quiet]\n"
         f"{'':29}[--json]\n"
+        f"       {COMMAND} TEXTURE OUTPUT [--crop BOX] [--depth N] [--combine FILE] [--mix FILE=AMOUNT]\n"
+        f"{'':29}[--blur WIDTH] [--levels BLACK,WHITE[,GAMMA]] [--channels NAMES]\n"
+        f"{'':29}[--dtype TYPE] [--preview PNG] [--force] [--threads N] [--quiet] [--json]\n"
         f"       {COMMAND} --diff A B [--channels NAMES] [--points N] [--rest MESH] [--filter NAME]\n"
         f"{'':29}[--source CHANNEL=FILE ...] [--project KIND ...] [--preview PNG] [--force]\n"
         f"{'':29}[--quiet] [--json]\n"
@@ -230,6 +225,31 @@ def parser() -> argparse.ArgumentParser:
         help="move parts apart at rest that intersect or come nearer than so many of the finest cells "
         f"(default {SEPARATE_CELLS:g}), so that their colours do not run together",
     )
+    add(
+        "--crop",
+        metavar="BOX",
+        type=box,
+        help="of a texture: only the cells that meet a box, x0,y0,z0,x1,y1,z1 in rest positions",
+    )
+    add(
+        "--combine",
+        metavar="FILE",
+        type=Path,
+        help="of a texture: lay another .octex file of the same root cell over it",
+    )
+    add(
+        "--mix",
+        metavar="FILE=AMOUNT",
+        type=file_and_amount,
+        help="of a texture: mix it with another .octex file, of which there is AMOUNT, 0 to 1",
+    )
+    add("--blur", metavar="WIDTH", type=length, help="of a texture: blur it, in the model's units")
+    add(
+        "--levels",
+        metavar="BLACK,WHITE[,GAMMA]",
+        type=levels,
+        help="of a texture: base colour from BLACK to WHITE, encoded 0 to 1, becomes 0 to 1",
+    )
     add("--preview", metavar="PNG", type=Path, help="draw the model beside the model from its octree")
     add("--force", action="store_true", help="overwrite what exists")
     add("--threads", metavar="N", type=count, help="threads to work on (default: all processors)")
@@ -319,10 +339,11 @@ def _convert(options: argparse.Namespace) -> int:
     outputs: list[tuple[Path, tuple[str, ...], str]] = [(options.OUTPUT, OUTPUT_ENDINGS, "OUTPUT")]
     if options.preview is not None:
         outputs.append((options.preview, (".png",), "--preview"))
-    inputs = [options.INPUT, *input_files(options)]
+    inputs = [options.INPUT, *input_files(options), *others_of(options)]
     model: PointCloud | Surface
     surface: Surface | None = None
     check_outputs(outputs, inputs, force=options.force)
+    check_options(options, options.INPUT.suffix.lower() == TEXTURE_ENDING)
     if options.depth is not None:
         from octex.checks import as_depth
 
@@ -330,7 +351,14 @@ def _convert(options: argparse.Namespace) -> int:
 
     with Reporter(COMMAND, options.quiet) as progress:
         if options.INPUT.suffix.lower() == TEXTURE_ENDING:
-            texture = _reduced(options)
+            is_same = not {"--depth", "--channels", "--dtype", *NEEDS_A_TEXTURE} & {*words_given(options)}
+            if is_same and options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
+                raise ArgumentError(
+                    f"{options.INPUT}: is an octree texture already; --depth makes it coarser, --channels "
+                    f"smaller; see {COMMAND} --help"
+                )
+            with nullcontext() if options.threads is None else threads(options.threads) as executor:
+                texture = processed(options, executor)
         else:
             with progress.stage("read"):
                 if is_cloud(options.INPUT):
@@ -379,40 +407,6 @@ def _read_cloud(options: argparse.Namespace) -> PointCloud:
         if word not in _OF_CLOUDS:
             raise ArgumentError(f"{word} needs a surface, and {options.INPUT} is points")
     return octex.PointCloud.load(options.INPUT)
-
-
-def _reduced(options: argparse.Namespace) -> OctreeTexture:
-    """Open a texture, at a coarser depth or of fewer channels if that is asked for."""
-    for word in words_given(options):
-        if word in _NEEDS_A_MODEL:
-            raise ArgumentError(
-                f"{options.INPUT}: {word} needs the model, and this is a texture made from one"
-            )
-    texture = octex.open(options.INPUT)
-    deepest = texture.tree.max_depth
-    depth = deepest if options.depth is None else options.depth
-    is_same = options.depth is None and options.channels is None
-    if is_same and options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
-        raise ArgumentError(
-            f"{options.INPUT}: is an octree texture already; --depth makes it coarser, --channels smaller"
-        )
-    if depth > deepest:
-        raise InputError(
-            f"{options.INPUT}: has depth {deepest}; --depth {depth} is finer and needs the model"
-        )
-    if is_same:
-        return texture
-    from octex.checks import as_choice
-    from octex.texture import OctreeTexture
-
-    names = list(texture.channels) if options.channels is None else options.channels
-    for name in names:
-        as_choice(name, texture.channels, f"channel of {options.INPUT}:")
-    texture = texture.level(depth)
-    kept = {name: channel for name, channel in texture.channels.items() if name in names}
-    reduced = json.dumps({"depth": depth, "channels": list(kept)})
-    metadata = {**texture.metadata, "reduced": reduced}
-    return OctreeTexture(texture.tree, kept, texture.placement, texture.bounds, metadata)
 
 
 def _say_what_was_made(

@@ -150,4 +150,15 @@ def _paint(surface: octex.Surface, folder: Path) -> None:
     octex.convert(surface, 2).save(folder / "coarse.octex")
     for texture in (None, octex.open(folder / "coarse.octex")):
         octex.paint(texture, surface, picture)
+    _process(octex.open(folder / "coarse.octex"), surface)
     octex.fill(texture, surface, octex.Sphere((0.0, 0.0, 0.0), 0.1), (1.0, 0.0, 0.0))
+
+
+def _process(texture: octex.OctreeTexture, surface: octex.Surface) -> None:
+    """Change values of every type, and put together textures of two depths."""
+    for dtype in ("uint8", "uint16", "float32"):
+        cast = octex.cast(texture, {"base_color": dtype})
+        octex.map(octex.levels(cast, gamma=(1.0, 1.1, 1.2)), lambda values: values)
+        octex.levels(cast, gamma=1.5)
+    octex.blur(octex.crop(texture, surface.bounds[0], surface.bounds[1]), 0.1)
+    octex.mix(octex.resize(texture, 3), texture, 0.3)

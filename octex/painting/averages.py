@@ -27,8 +27,8 @@ Float64s = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
 #: Areas in cell faces by their codes; contacts weigh next to nothing.
-_AREAS = 2.0 ** ((np.arange(256) - AREA_ONE) / AREA_STEPS)
-_AREAS[0] = 2.0**-30
+AREAS = 2.0 ** ((np.arange(256) - AREA_ONE) / AREA_STEPS)
+AREAS[0] = 2.0**-30
 
 
 def add_up_areas(
@@ -48,7 +48,7 @@ def add_up_areas(
         changed = np.logical_or.reduceat(above[below], starts)
         nodes = nodes_of[level][changed]
         above[nodes] = True
-        sums = np.add.reduceat(np.where(areas[below] > 0, _AREAS[areas[below]], 0.0), starts)[changed] / 4
+        sums = np.add.reduceat(np.where(areas[below] > 0, AREAS[areas[below]], 0.0), starts)[changed] / 4
         coded = np.rint(AREA_STEPS * np.log2(np.maximum(sums, 1e-30)) + AREA_ONE)
         areas[nodes] = np.where(sums > 0, np.clip(coded, 1, 255), 0)
 
@@ -95,7 +95,7 @@ def updated_averages(
         where = locate(tree, above, level)
         nodes = where.cells
         children, counts = _below(tree, where.nodes)
-        shares = _AREAS[tree.arrays.areas[children]]
+        shares = AREAS[tree.arrays.areas[children]]
         old = decode(before[children], form.space)
         new = decode(after[children], form.space).astype(np.float64)
         _replace(children, *found[-1][:2], new)  # more precise than what is stored
@@ -116,7 +116,7 @@ def updated_averages(
 def _residuals(tree: Octree, where: Located, channel: Channel, opacity: Float32s) -> Float64s:
     """Return what the values of nodes differ by from the means of their children, as opaque as they are."""
     children, counts = _below(tree, where.nodes)
-    shares = _AREAS[tree.arrays.areas[children]] * np.maximum(opacity[children], 1e-9)
+    shares = AREAS[tree.arrays.areas[children]] * np.maximum(opacity[children], 1e-9)
     space = channel.format.space
     of_children = _means(counts, shares, decode(channel.values[children], space))
     residuals: Float64s = decode(channel.values[where.cells], space) - of_children

@@ -32,12 +32,12 @@ def rows_facing(
 ) -> npt.NDArray[np.float32]:
     """Decode what cells (n,) show facings (n,): a split cell's row, or the cell's value."""
     found = decode(channel.values[cells], channel.format.space)
-    there, rows = _find_rows(texture.tree.split, cells, bits)
+    there, rows = find_rows(texture.tree.split, cells, bits)
     found[there] = decode(channel.split_values[rows], channel.format.space)
     return found
 
 
-def _find_rows(split: SplitTable, cells: Int64s, bits: Uint8s) -> tuple[npt.NDArray[np.bool_], Int64s]:
+def find_rows(split: SplitTable, cells: Int64s, bits: Uint8s) -> tuple[npt.NDArray[np.bool_], Int64s]:
     """Say which cells (n,) have a row for a facing, and which rows these are."""
     if not split.cells.size:
         return np.zeros(cells.size, np.bool_), np.empty(0, np.int64)
@@ -69,7 +69,7 @@ def with_split(
     shared = tree.arrays.areas[cells].astype(np.float64) - AREA_STEPS * np.log2(np.maximum(counts, 1))
     shares = np.where(tree.arrays.areas[cells] > 0, np.clip(np.rint(shared), 1, 255), 0).astype(np.uint8)
     areas = np.repeat(shares, counts)
-    there, known = _find_rows(old, owners, bits)
+    there, known = find_rows(old, owners, bits)
     areas[there] = old.areas[known]
     order = np.argsort(np.concatenate([old.cells[stays], cells]), kind="stable")
     kept_owners = np.repeat(old.cells[stays], np.bitwise_count(old.facings[stays]))

@@ -258,7 +258,7 @@ def _build(leaves_of: dict[int, Int64s], deepest: int) -> TreeArrays:
         packed = np.zeros(groups.shape[0] * 8, np.uint8)
         np.concatenate([pair[word] for pair in reversed(masks)], out=packed[: int(level_nodes[-1])])
         groups[:, word] = packed.view("<u8")
-    _rank(groups)
+    rank(groups)
     flags, areas = np.zeros((2, n_cells), np.uint8)
     return TreeArrays(groups, level_cells, level_nodes, flags, areas)
 
@@ -309,7 +309,7 @@ def _parents(nodes: Int64s, leaves: Int64s) -> tuple[Int64s, Uint8s, Uint8s]:
 
 
 @kernel
-def _rank(groups: npt.NDArray[np.uint64]) -> None:
+def rank(groups: npt.NDArray[np.uint64]) -> None:
     """Fill in each group's first child node and first child cell; the root is node 0 and cell 0."""
     child_node = child_cell = np.int64(1)
     for g in range(groups.shape[0]):
@@ -329,7 +329,7 @@ def _cut(groups: npt.NDArray[np.uint64], first: int, end: int) -> None:
         else:
             groups[g, 1] &= ~byte
         groups[g, 0] &= ~byte
-    _rank(groups)
+    rank(groups)
 
 
 @kernel

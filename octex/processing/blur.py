@@ -1,0 +1,162 @@
+"""Blur over the surface."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import ALPHA, decode, encode
+from octex.checks import as_number
+from octex.conversion.accumulate import LEAST_COVERAGE
+from octex.painting.averages import AREAS
+from octex.processing.averages import average_plain, node_cells
+from octex.processing.edit import noted, with_values
+from octex.processing.facings import Rows, rows_of
+from octex.processing.mapping import centres_of, levels_of, names_of
+from octex.texture import Channel, OctreeTexture
+from octex.tree.layout import FACING_FLAGS
+from octex.tree.octree import Octree
+
+Float32s = npt.NDArray[np.float32]
+Int64s = npt.NDArray[np.int64]
+Float64s = npt.NDArray[np.float64]
+Uint8s = npt.NDArray[np.uint8]
+
+
+def blur(
+    texture: OctreeTexture,
+    width: float,
+    channel: str | Sequence[str] | None = None,
+    *,
+    executor: Executor | None = None,
+) -> OctreeTexture:
+    """Return a texture that is blurred over its surface; ``width`` is in the model's units.
+
+    A leaf's value becomes what ``texture.sample(centre, width=width, normals=facing)`` says: the mean over a
+    square of that width around the leaf's centre, of what faces as the leaf does. So nothing bleeds through
+    a sheet: in split leaves each facing is blurred for itself, and the leaf is the mean of its facings; in
+    others that face both ways along an axis there is no one normal, and the lookup has none. A leaf wider
+    than ``width`` keeps of what its coefficient is above its field the part 1 − width / edge: blur of
+    nothing changes nothing. Kept coefficients are treated alike. Averages become the means of what is below
+    them, and keep of their residuals the part that the leaves do.
+
+    ``channel`` names one channel or several, None all; alpha, if it is not blurred too, stays as it is, and
+    the others weigh by it. ``executor`` spreads lookups over its threads.
+
+    Raises ArgumentError for unknown channels, and a width that is negative or not finite.
+    """
+    names = names_of(texture, channel)
+    width = as_number(width, "width", 0.0, np.finfo(np.float64).max)
+    if width == 0:
+        return texture
+    tree = texture.tree
+    arrays = {name: [array.copy() for array in texture.channels[name][1:]] for name in names}
+    made = {name: Channel(texture.channels[name].format, *own) for name, own in arrays.items()}
+    is_leaf = np.ones(tree.n_cells, np.bool_)
+    is_leaf[node_cells(tree)] = False
+    rows, cells, bits = rows_of(tree)
+    of_leaves = is_leaf[cells]
+    rows, cells, bits = rows[of_leaves], cells[of_leaves], bits[of_leaves]
+    is_plain = is_leaf.copy()
+    is_plain[cells] = False
+    plain, kept = np.flatnonzero(is_plain), tree.kept.cells.astype(np.int64)
+    look = _Look(texture, names, width, executor)
+    faces = tree.arrays.flags & np.uint8(FACING_FLAGS)
+    for part, numbers, chosen, facings in (
+        (0, plain, plain, faces[plain]),
+        (1, rows, cells, bits),
+        (2, np.arange(kept.size), kept, faces[kept]),
+    ):
+        for name, values in look.at(chosen, facings).items():
+            blurred, plain_field = values
+            form, own = made[name].format, arrays[name][part]
+            old = decode(own[numbers], form.space)
+            result = blurred + look.left[chosen, None] * (old - plain_field)
+            own[numbers] = encode(result, form.dtype, form.space)
+    _average_facings(texture, made, Rows(rows, cells, bits), look.left)
+    left = look.left[:, None].astype(np.float64)
+    change = dict.fromkeys(names, lambda cells, values, means: left[cells] * (values - means))
+    metadata = noted(texture.metadata, "blur", channels=names, width=width)
+    return with_values(texture, made, change, metadata)
+
+
+class _Look:
+    """Lookups at the centres of cells."""
+
+    def __init__(
+        self, texture: OctreeTexture, names: list[str], width: float, executor: Executor | None
+    ) -> None:
+        self._texture, self._names, self._width, self._executor = texture, names, width, executor
+        self._codes = np.concatenate([codes for codes, _ in texture.tree.walk()])
+        first = texture.tree.arrays.level_cells
+        edges = texture.placement.size * np.ldexp(1.0, -np.arange(first.size - 1))
+        # What is left of what cells (cells,) differ from the field by; in nodes, of their leaves.
+        self.left = np.repeat(np.maximum(1 - width / edges, 0), np.diff(first)).astype(np.float32)
+        average_plain(texture.tree, self.left)
+
+    def at(self, cells: Int64s, facings: Uint8s) -> dict[str, tuple[Float32s, Float32s]]:
+        """Return what is blurred, and the field as it is, in cells (n,) whose surface faces some ways."""
+        centres = centres_of(self._texture, self._codes[cells], levels_of(self._texture.tree, cells))
+        axes = np.stack([(facings >> bit & 1).astype(np.int8) for bit in range(6)], axis=1)
+        normals = (axes[:, 0::2] - axes[:, 1::2]).astype(np.float32)
+        has_normal = (axes[:, 0::2] & axes[:, 1::2] == 0).all(axis=1) & (facings > 0)
+        found = {}
+        for name in self._names:
+            components = self._texture.channels[name].format.components
+            found[name] = (
+                np.empty((cells.size, components), np.float32),
+                np.zeros((cells.size, components), np.float32),
+            )
+        for chosen, seen in ((has_normal, normals), (~has_normal, None)):
+            chosen_normals = None if seen is None else seen[chosen]
+            self._look(centres[chosen], chosen, chosen_normals, self._width, 0, found)
+            keeps = chosen & (self.left[cells] > 0)
+            if keeps.any():
+                kept_normals = None if seen is None else seen[keeps]
+                self._look(centres[keeps], keeps, kept_normals, None, 1, found)
+        return found
+
+    def _look(
+        self,
+        centres: Float64s,
+        chosen: npt.NDArray[np.bool_],
+        normals: Float32s | None,
+        width: float | None,
+        part: int,
+        found: dict[str, tuple[Float32s, Float32s]],
+    ) -> None:
+        values = self._texture.sample(
+            centres, self._names, width=width, normals=normals, normalize=False, executor=self._executor
+        )
+        for name, own in values.items():
+            found[name][part][chosen] = own
+
+
+def _average_facings(texture: OctreeTexture, made: Mapping[str, Channel], rows: Rows, left: Float32s) -> None:
+    """Make split leaves the means of their rows, in place, and keep what is left of their residuals."""
+    if not rows.rows.size:
+        return
+    tree = texture.tree
+    starts = np.flatnonzero(np.diff(rows.cells, prepend=-1))
+    split = rows.cells[starts]
+    after = {**texture.channels, **made}
+    for name, channel in made.items():
+        form, before = channel.format, texture.channels[name]
+        was, now = (
+            _means(own[name], None if name == ALPHA.name else own.get(ALPHA.name), tree, rows.rows, starts)
+            for own in (texture.channels, after)
+        )
+        differed = decode(before.values[split], form.space) - was
+        channel.values[split] = encode(now + left[split, None] * differed, form.dtype, form.space)
+
+
+def _means(channel: Channel, alpha: Channel | None, tree: Octree, rows: Int64s, starts: Int64s) -> Float64s:
+    """Return the means of runs of rows, by their areas."""
+    shares = AREAS[tree.split.areas[rows]]
+    if alpha is not None:
+        shares = shares * np.maximum(decode(alpha.split_values[rows, 0], "data"), LEAST_COVERAGE)
+    values = decode(channel.split_values[rows], channel.format.space) * shares[:, None]
+    return np.asarray(np.add.reduceat(values, starts) / np.add.reduceat(shares, starts)[:, None])

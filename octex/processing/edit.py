@@ -1,0 +1,66 @@
+"""A texture with other values: what they are above leaves, and what provenance says of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+
+from octex.channels import ALPHA
+from octex.processing.averages import (
+    Change,
+    Tables,
+    average,
+    average_by_tables,
+    changed_by,
+    coverage,
+    difference,
+    residuals,
+)
+from octex.processing.facings import average_rows, row_residuals
+from octex.texture import Channel, OctreeTexture
+
+#: The name in the metadata under which operations are listed, as JSON.
+PROCESSED = "processed"
+
+
+def noted(metadata: Mapping[str, str], operation: str, **how: object) -> dict[str, str]:
+    """Return provenance with one more operation."""
+    try:
+        before = json.loads(metadata.get(PROCESSED, "[]"))
+    except ValueError:
+        before = metadata[PROCESSED]
+    listed = before if isinstance(before, list) else [before]
+    return {**metadata, PROCESSED: json.dumps([*listed, {"operation": operation, **how}])}
+
+
+def with_values(
+    texture: OctreeTexture,
+    made: Mapping[str, Channel],
+    change: Mapping[str, Change | Tables],
+    metadata: Mapping[str, str],
+) -> OctreeTexture:
+    """Return a texture with other values in some of its channels, and averages that suit them.
+
+    Leaves, their rows and kept coefficients stay as ``made`` has them, whose arrays are written to; nodes and
+    rows of split nodes are made anew, residuals by the ``change`` of each channel. After a change of alpha,
+    the averages of all channels weigh by the new one.
+    """
+    made = dict(made)
+    if ALPHA.name in made:
+        for name, channel in texture.channels.items():
+            if name not in made:
+                made[name] = channel._replace(
+                    values=channel.values.copy(), split_values=channel.split_values.copy()
+                )
+    channels = {**texture.channels, **made}
+    after = OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, metadata)
+    for name in sorted(made, key=lambda name: name != ALPHA.name):
+        before, own = texture.channels[name], change.get(name, difference)
+        if isinstance(own, Tables):
+            average_by_tables(texture.tree, before, made[name], coverage(texture.channels, name), own)
+            own = changed_by(own)
+        else:
+            left = residuals(texture.tree, before, coverage(texture.channels, name), own)
+            average(texture.tree, made[name], coverage(channels, name), left)
+        average_rows(after, made[name], row_residuals(texture, before, own))
+    return after

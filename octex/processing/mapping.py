@@ -1,0 +1,166 @@
+"""Every value of a texture through a function."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import decode, encode
+from octex.checks import as_choice
+from octex.errors import ArgumentError
+from octex.processing.edit import noted, with_values
+from octex.processing.facings import rows_of
+from octex.texture import Channel, OctreeTexture
+from octex.tree.morton import decode_cells
+from octex.tree.octree import Octree
+
+Array = npt.NDArray[Any]
+Int64s = npt.NDArray[np.int64]
+Float64s = npt.NDArray[np.float64]
+
+#: Values that a function is given at once: with what it makes of them they stay in the processor's cache.
+BLOCK = 1 << 13
+
+#: From decoded values (n, components), and the positions (n, 3) of their cells' centres at rest if it wants
+#: them, to as many values.
+ValueFunction = Callable[..., npt.ArrayLike]
+
+
+def names_of(texture: OctreeTexture, channel: str | Sequence[str] | None) -> list[str]:
+    """Return the names of channels to work on, None for all. Raises ArgumentError."""
+    names = list(texture.channels) if channel is None else [channel] if isinstance(channel, str) else channel
+    return [as_choice(name, texture.channels, "channel") for name in dict.fromkeys(names)]
+
+
+def map_values(
+    texture: OctreeTexture, f: ValueFunction, channel: str | Sequence[str] = "base_color"
+) -> OctreeTexture:
+    """Return a texture whose values are f of those of another; also known as ``octex.map``.
+
+    ``f`` gets batches of values (n, components), float32: linear light for colours, −1 … 1 for directions,
+    else as stored, 0 … 1 for integers. If it has a second parameter without a default, that gets the
+    positions (n, 3), at rest, of the centres of their cells. It returns values of the same shape, which are
+    rounded and clamped as the channel is stored. Values of leaves, of their facings and kept coefficients are
+    mapped; ``channel`` names one or several, each of them mapped for itself.
+
+    An average becomes the mean of what the values below it became. What it differed by from their mean
+    before, since leaves are fitted, f takes along: f(average) − f(mean) is added. So an affine f gives
+    f(average), and a texture that is not fitted the means of its children.
+
+    Raises ArgumentError for unknown channels, and for an f that raises or returns another shape, what is
+    not finite, or no numbers; it names the position of the first cell where it does.
+    """
+    made, change = {}, {}
+    cells = _Cells(texture)
+    for name in names_of(texture, channel):
+        before = texture.channels[name]
+        mapped = _Mapped(f, before, cells)
+        rows = rows_of(texture.tree).cells
+        made[name] = before._replace(
+            values=mapped.stored(before.values, None),
+            split_values=mapped.stored(before.split_values, rows),
+            kept_values=mapped.stored(before.kept_values, texture.tree.kept.cells.astype(np.int64)),
+        )
+        change[name] = mapped.changed
+    metadata = noted(texture.metadata, "map", channels=list(made), function=_name_of(f))
+    return with_values(texture, made, change, metadata)
+
+
+class _Cells:
+    """Where cells are; found when it is first asked."""
+
+    def __init__(self, texture: OctreeTexture) -> None:
+        self._texture = texture
+        self._codes: Int64s | None = None
+
+    def centres(self, cells: Int64s | range) -> Float64s:
+        """Return the centres (n, 3) of cells at rest."""
+        if self._codes is None:
+            self._codes = np.concatenate([codes for codes, _ in self._texture.tree.walk()])
+        chosen = np.asarray(cells, np.int64)
+        return centres_of(self._texture, self._codes[chosen], levels_of(self._texture.tree, chosen))
+
+
+def levels_of(tree: Octree, cells: Int64s) -> Int64s:
+    """Return the levels of cells (n,)."""
+    return np.searchsorted(tree.arrays.level_cells, cells, side="right") - 1
+
+
+def centres_of(texture: OctreeTexture, codes: Int64s, levels: Int64s | int) -> Float64s:
+    """Return the centres (n, 3), at rest, of cells of some Morton codes and levels."""
+    edges = np.ldexp(1.0, -np.asarray(levels))
+    return texture.placement.to_rest((decode_cells(codes) + 0.5) * edges[..., None])
+
+
+class _Mapped:
+    """A function on the values of one channel."""
+
+    def __init__(self, f: ValueFunction, channel: Channel, cells: _Cells) -> None:
+        self._f, self._form, self._cells = f, channel.format, cells
+        self._wants_positions = _parameters(f) > 1
+
+    def stored(self, values: Array, cells: Int64s | None) -> Array:
+        """Map values as stored, which are those of ``cells``, or one a cell."""
+        form = self._form
+        found = np.empty_like(values)
+        for here, own in _blocks(len(values), cells):
+            found[here] = encode(self._of(decode(values[here], form.space), own), form.dtype, form.space)
+        return found
+
+    def changed(self, cells: Int64s, values: Float64s, means: Float64s) -> Float64s:
+        """Return how far f of values is from f of means."""
+        apart = np.empty_like(values)
+        for here, own in _blocks(len(values), cells):
+            apart[here] = self._of(values[here].astype(np.float32), own)
+            apart[here] -= self._of(means[here].astype(np.float32), own)
+        return apart
+
+    def _of(self, values: npt.NDArray[np.float32], cells: Int64s | range) -> Float64s:
+        arguments: list[Any] = [values]
+        if self._wants_positions:
+            arguments.append(self._cells.centres(cells))
+        shape = values.shape
+        try:
+            found = np.asarray(self._f(*arguments))
+        except Exception as error:
+            raise self._fault(cells, 0, f"raised {type(error).__name__}: {error}") from error
+        if found.dtype.kind not in "fiub":
+            raise self._fault(cells, 0, f"returned {found.dtype}, not real numbers")
+        if found.shape != shape:
+            raise self._fault(cells, 0, f"returned shape {found.shape}, not {shape}")
+        sound = np.isfinite(found).all(axis=1)
+        if not sound.all():
+            row = int(np.argmin(sound))
+            raise self._fault(cells, row, f"returned {found[row].tolist()}")
+        return found.astype(np.float64, copy=False)
+
+    def _fault(self, cells: Int64s | range, row: int, what: str) -> ArgumentError:
+        position = self._cells.centres(cells[row : row + 1])[0].tolist()
+        where = ", ".join(f"{coordinate:.7g}" for coordinate in position)
+        return ArgumentError(
+            f"channel {self._form.name!r}: {_name_of(self._f)} {what}, for the cell at ({where})"
+        )
+
+
+def _blocks(count: int, cells: Int64s | None) -> Iterator[tuple[slice, Int64s | range]]:
+    for begin in range(0, count, BLOCK):
+        here = slice(begin, min(begin + BLOCK, count))
+        yield here, range(here.start, here.stop) if cells is None else cells[here]
+
+
+def _parameters(f: ValueFunction) -> int:
+    """Count the positional parameters without a default."""
+    try:
+        parameters = inspect.signature(f).parameters.values()
+    except (TypeError, ValueError):  # some builtins tell nothing
+        return 1
+    kinds = inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD
+    return sum(each.kind in kinds and each.default is each.empty for each in parameters)
+
+
+def _name_of(f: object) -> str:
+    return str(getattr(f, "__name__", type(f).__name__))

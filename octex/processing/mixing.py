@@ -1,0 +1,270 @@
+"""Two textures mixed, cell by cell of their union."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import ALPHA, encode
+from octex.errors import ArgumentError
+from octex.painting.averages import AREAS
+from octex.parallel import ordered_map
+from octex.processing.averages import average, average_plain, coverage, node_cells
+from octex.processing.mapping import centres_of, levels_of
+from octex.processing.sides import Cells, Side
+from octex.processing.union import NOTHING, Origins, add_up, find_made, take, unite
+from octex.texture import Channel, OctreeTexture
+from octex.texture.split import bits_of
+from octex.tree.layout import (
+    AREA_STEPS,
+    FACING_FLAGS,
+    KEPT,
+    SPLIT,
+    KeptTable,
+    SplitTable,
+)
+from octex.tree.octree import Octree
+
+Array = npt.NDArray[np.generic]
+Bools = npt.NDArray[np.bool_]
+Int64s = npt.NDArray[np.int64]
+Uint8s = npt.NDArray[np.uint8]
+Float32s = npt.NDArray[np.float32]
+Float64s = npt.NDArray[np.float64]
+
+#: How much of the second texture there is in cells that both have: a number, a function of the positions
+#: (n, 3), at rest, of the cells' centres, or a texture of one channel of one component.
+Amount = float | OctreeTexture | Callable[[Float64s], npt.ArrayLike]
+
+#: Cells that a thread mixes at once, and those that it copies.
+_BLOCK, _MANY = 1 << 14, 1 << 20
+
+
+class Mixing:
+    """Two textures of the same channels, stored alike, on the tree of both.
+
+    ``amount`` None lays the second over the first by its alpha. What only one has is taken from that.
+    """
+
+    def __init__(
+        self, first: OctreeTexture, second: OctreeTexture, amount: Amount | None, executor: Executor
+    ) -> None:
+        self._amount, self._executor = amount, executor
+        self._texture = first  # for its placement and formats
+        self._tree, *origins = unite(first.tree, second.tree)
+        self._nodes = node_cells(self._tree)
+        self._codes: Int64s | None = None
+        # What is taken whole or not at all needs no values below the other's leaves.
+        self._first, self._second = (
+            Side(texture, own, self._cells(own) if amount != unused else None, executor)
+            for texture, own, unused in zip((first, second), origins, (1.0, 0.0), strict=True)
+        )
+        has_first, has_second = (own.cells != NOTHING for own in origins)
+        self._both = has_first & has_second
+        self._share = has_second.astype(np.float32)  # of the second, in the colour of cells
+        self._is_made = np.zeros(self._tree.n_nodes, np.bool_)  # nodes that are not as in one of the two
+
+    def _cells(self, origins: Origins) -> Cells | None:
+        if not (origins.cells < NOTHING).any():
+            return None
+        return Cells(self._codes_of(slice(None)), self._tree.arrays.level_cells)
+
+    def _codes_of(self, cells: Int64s | slice) -> Int64s:
+        if self._codes is None:
+            self._codes = np.concatenate([codes for codes, _ in self._tree.walk()])
+        return self._codes[cells]
+
+    def mixed(self) -> tuple[Octree, dict[str, Channel]]:
+        """Return the tree and its channels."""
+        values = self._leaves()
+        self._give_areas()
+        kept, split = self._kept_nodes(), self._split_cells()
+        flags = self._tree.arrays.flags.copy()
+        flags[kept] |= np.uint8(KEPT)
+        flags[split] |= np.uint8(SPLIT)
+        facings = flags[split] & np.uint8(FACING_FLAGS)
+        owners, bits = np.repeat(split, np.bitwise_count(facings)), bits_of(facings)
+        kept_values, _ = self._mix(kept, lambda side, name: side.coefficients(name, kept))
+        rows = self._rows(owners, bits)
+        tables = (
+            SplitTable(split.astype(np.uint32), facings, self._row_areas(owners, bits)),
+            KeptTable(kept.astype(np.uint32)),
+        )
+        tree = self._tree.with_cell_data(flags, self._tree.arrays.areas, *tables)
+        channels: dict[str, Channel] = {}
+        for name in sorted(values, key=lambda name: name != ALPHA.name):
+            form = self._texture.channels[name].format
+            own = (
+                values[name],
+                *(encode(each[name], form.dtype, form.space) for each in (rows, kept_values)),
+            )
+            channels[name] = Channel(form, *own)
+            self._average(tree, channels, name)
+        return tree, {name: channels[name] for name in values}
+
+    def _average(self, tree: Octree, channels: dict[str, Channel], name: str) -> None:
+        """Make nodes that are not as in one of the two anew, in place; residuals count by the parts."""
+        tasks = []
+        for side in (self._first, self._second):
+            weights = coverage(side.texture.channels, name)
+            tasks.append(self._executor.submit(side.residuals, name, weights, self._is_made))
+        one, other = (task.result() for task in tasks)
+        share = self._share[self._nodes[self._is_made], None]
+        left = (1 - share) * one + share * other
+        average(tree, channels[name], coverage(channels, name), left, self._is_made)
+
+    def _leaves(self) -> dict[str, Array]:
+        """Return the channels' values, as stored, those of nodes still to be averaged."""
+        whole = self._amount if isinstance(self._amount, float) and self._amount in (0.0, 1.0) else None
+        is_mixed = self._both.copy()
+        is_mixed[self._nodes] = False
+        if whole is not None:
+            self._share[self._both] = whole
+            taken = self._second if whole else self._first
+            is_mixed &= taken.origins.cells < NOTHING
+        found: dict[str, Array] = {}
+        for name, channel in self._texture.channels.items():
+            stored = [side.texture.channels[name].values for side in (self._first, self._second)]
+            found[name] = np.empty((self._tree.n_cells, channel.format.components), channel.format.dtype)
+            self._take(stored, found[name])
+        cells = np.flatnonzero(is_mixed)
+        one, other = self._first.origins.nodes, self._second.origins.nodes
+        find_made(self._tree.arrays, self._nodes, one, other, self._share, is_mixed, self._is_made)
+        blocks = [cells[begin : begin + _BLOCK] for begin in range(0, cells.size, _BLOCK)]
+        for some, (values, share) in zip(
+            blocks, ordered_map(self._executor, self._leaves_mixed, blocks), strict=True
+        ):
+            self._share[some] = share
+            for name, own in values.items():
+                found[name][some] = own
+        return found
+
+    def _leaves_mixed(self, cells: Int64s) -> tuple[dict[str, Array], Float32s]:
+        values, share = self._mix(cells, lambda side, name: side.values(name, cells))
+        forms = {name: channel.format for name, channel in self._texture.channels.items()}
+        return {
+            name: encode(own, forms[name].dtype, forms[name].space) for name, own in values.items()
+        }, share
+
+    def _mix(
+        self, cells: Int64s, values: Callable[[Side, str], Float32s], amounts: Float32s | None = None
+    ) -> tuple[dict[str, Float32s], Float32s]:
+        """Mix what both have in cells (n,); return it by channel, and the part (n,) of the second in colours.
+
+        ``amounts`` (n,), if they are not what is asked for.
+        """
+        has = [side.has(cells).astype(np.float32) for side in (self._first, self._second)]
+        names = list(self._texture.channels)
+        alphas = [np.ones(cells.size, np.float32)] * 2
+        if ALPHA.name in names:
+            alphas = [values(side, ALPHA.name)[:, 0] for side in (self._first, self._second)]
+        if amounts is None and self._amount is None:
+            weights = has[0] * alphas[0] * (1 - has[1] * alphas[1]), has[1] * alphas[1]
+            amounts = has[1]
+        else:
+            amounts = self._amounts(cells) if amounts is None else amounts
+            amounts = np.where(has[0] * has[1] > 0, amounts, has[1])
+            weights = (1 - amounts) * alphas[0], amounts * alphas[1]
+        total = weights[0] + weights[1]
+        share = np.where(total > 0, weights[1] / np.where(total > 0, total, 1), amounts).astype(np.float32)
+        found = {}
+        for name in names:
+            found[name] = total[:, None]
+            if name != ALPHA.name:
+                one, other = (values(side, name) for side in (self._first, self._second))
+                found[name] = (1 - share[:, None]) * one + share[:, None] * other
+        return found, share
+
+    def _amounts(self, cells: Int64s) -> Float32s:
+        """Return how much of the second there is to be in cells (n,), 0 … 1."""
+        if isinstance(self._amount, float):
+            return np.full(cells.size, self._amount, np.float32)
+        centres = centres_of(self._texture, self._codes_of(cells), levels_of(self._tree, cells))
+        if isinstance(self._amount, OctreeTexture):
+            found = self._amount.sample(centres, next(iter(self._amount.channels)))[:, 0]
+            return np.clip(found, 0, 1)
+        assert self._amount is not None
+        first = (
+            f"the cell at ({', '.join(f'{each:.7g}' for each in centres[0])})" if cells.size else "no cell"
+        )
+        try:
+            given = np.asarray(self._amount(centres), np.float32)
+        except Exception as error:
+            raise ArgumentError(
+                f"the amount raised {type(error).__name__}: {error}, for {first} or after it"
+            ) from error
+        if given.shape != (cells.size,):
+            raise ArgumentError(f"the amount must have shape {(cells.size,)}, not {given.shape}, at {first}")
+        if np.isnan(given).any():
+            where = ", ".join(f"{each:.7g}" for each in centres[np.argmax(np.isnan(given))])
+            raise ArgumentError(f"the amount is no number for the cell at ({where})")
+        return np.clip(given, 0, 1)
+
+    def _take(self, given: Sequence[Array], taken: Array) -> None:
+        """Take what cells have in the texture that prevails, or in the other if it lacks the cell."""
+        one, other, found = (array.view(np.uint8) for array in (*given, taken))
+        cells = self._first.origins.cells, self._second.origins.cells
+
+        def take_some(begin: int) -> None:
+            some = slice(begin, begin + _MANY)
+            take(cells[0][some], cells[1][some], self._share[some], one, other, found[some])
+
+        for _ in ordered_map(self._executor, take_some, range(0, len(found), _MANY)):
+            pass
+
+    def _give_areas(self) -> None:
+        """Give cells the areas of the texture that prevails; nodes of both get those of all children.
+
+        Parts in nodes are averaged by these areas, on the way.
+        """
+        tree, areas = self._tree, self._tree.arrays.areas
+        given = [side.texture.tree.arrays.areas[:, None] for side in (self._first, self._second)]
+        self._take(given, areas[:, None])
+        average_plain(tree, self._share, self._is_made)
+        self._take(given, areas[:, None])
+        add_up(tree.arrays, self._nodes, self._is_made, self._both, AREAS)
+
+    def _kept_nodes(self) -> Int64s:
+        """Return the nodes that keep a coefficient: those of which the texture that prevails has one."""
+        is_second = self._share[self._nodes] >= 0.5
+        keeps = np.where(is_second, self._second.keeps(self._nodes), self._first.keeps(self._nodes))
+        return self._nodes[keeps]
+
+    def _split_cells(self) -> Int64s:
+        """Return the cells in which a texture that has a part in them tells facings apart."""
+        is_split = self._first.is_split() & (self._share < 1) | self._second.is_split() & (self._share > 0)
+        return np.flatnonzero(is_split & (self._tree.arrays.flags & FACING_FLAGS != 0))
+
+    def _rows(self, owners: Int64s, bits: Uint8s) -> dict[str, Float32s]:
+        """Mix what cells (n,) show facings, decoded; in nodes by the parts of the textures below them."""
+        is_node = np.isin(owners, self._nodes)
+        found = {
+            name: np.empty((owners.size, channel.format.components), np.float32)
+            for name, channel in self._texture.channels.items()
+        }
+        for chosen, amounts in ((~is_node, None), (is_node, self._share[owners[is_node]])):
+            cells, facings = owners[chosen], bits[chosen]
+            mixed, _ = self._mix(
+                cells,
+                lambda side, name, cells=cells, facings=facings: side.rows(name, cells, facings),  # type: ignore[misc]
+                amounts,
+            )
+            for name, own in mixed.items():
+                found[name][chosen] = own
+        return found
+
+    def _row_areas(self, owners: Int64s, bits: Uint8s) -> Uint8s:
+        """Return the areas of rows: those of the texture that prevails, else even parts of their cells'."""
+        counts = np.bitwise_count(self._tree.arrays.flags[owners] & np.uint8(FACING_FLAGS))
+        whole = self._tree.arrays.areas[owners].astype(np.float64)
+        shared = np.clip(np.rint(whole - AREA_STEPS * np.log2(np.maximum(counts, 1))), 1, 255)
+        areas = np.where(whole > 0, shared, 0).astype(np.uint8)
+        is_second = self._share[owners] >= 0.5
+        for side, prevails in ((self._first, ~is_second), (self._second, is_second)):
+            own = areas[prevails]
+            side.row_areas(owners[prevails], bits[prevails], own)
+            areas[prevails] = own
+        return areas

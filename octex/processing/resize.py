@@ -1,0 +1,195 @@
+"""Textures of another depth, and of a part of space."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import ALPHA, decode, encode
+from octex.checks import as_depth, as_points
+from octex.conversion.facings import MOST, in_codes
+from octex.errors import ArgumentError
+from octex.painting.averages import add_up_areas
+from octex.painting.raising import sources_of
+from octex.processing.averages import average, coverage, difference, node_cells, residuals
+from octex.processing.edit import noted
+from octex.processing.facings import average_rows, row_residuals, rows_of
+from octex.processing.refine import refined, rows_below
+from octex.texture import Channel, OctreeTexture
+from octex.texture.split import bits_of, find_rows, refaced, with_split
+from octex.tree.edit import children_of, cull, raised
+from octex.tree.layout import AREA_STEPS, FACING_FLAGS, MAX_CELLS, SPLIT
+from octex.tree.morton import decode_cells
+
+Int64s = npt.NDArray[np.int64]
+
+
+def resize(texture: OctreeTexture, depth: int, *, executor: Executor | None = None) -> OctreeTexture:
+    """Return a texture of another depth.
+
+    A smaller one is ``texture.level(depth)``: leaves below become the averages stored there. For a larger one
+    every leaf is divided into the 8^k cells of ``depth`` that fill it, wherever the surface is in it, for
+    nothing says where; their values are what the field refines to, and their nodes keep the leaves'
+    coefficients, so that the field stays as it was but for rounding (paper 4.2). Levels down to the old
+    leaves stay as they were; areas of leaves are shared out evenly. To be painted on, a texture needs no
+    larger depth ahead: ``octex.paint`` raises it where paint is finer.
+
+    Raises ArgumentError for a depth that is not 0 … 21, and for one with more cells than can be numbered.
+    """
+    depth = as_depth(depth)
+    metadata = noted(texture.metadata, "resize", depth=depth)
+    if any(leaves for leaves, _ in texture.tree.cells_by_depth()[:depth]):
+        texture = _divided(texture, depth, executor)
+    texture = texture.level(depth)
+    return OctreeTexture(texture.tree, texture.channels, texture.placement, texture.bounds, metadata)
+
+
+def _divided(texture: OctreeTexture, depth: int, executor: Executor | None) -> OctreeTexture:
+    """Divide all leaves above a level down to it."""
+    tree = texture.tree
+    counts = [leaves for leaves, _ in tree.cells_by_depth()[:depth]]
+    n_new = sum(count * (8 ** (depth + 1 - level) // 7) for level, count in enumerate(counts))
+    if tree.n_cells + n_new > MAX_CELLS:
+        raise ArgumentError(f"depth {depth} takes {n_new:,} more cells, more than a tree can number")
+    met: list[Int64s] = [np.empty(0, np.int64)]
+    for codes, is_node in tree.walk():
+        above = np.sort(np.concatenate([met[-1], codes[~is_node]]))
+        if len(met) > depth:
+            break
+        met.append((above[:, None] << 3 | np.arange(8)).reshape(-1))
+    while len(met) <= depth:
+        met.append((met[-1][:, None] << 3 | np.arange(8)).reshape(-1))
+    edited = raised(tree, [*[met[0]] * depth, met[depth]], met, [])
+    tree = edited.tree
+    flags, areas = tree.arrays.flags.copy(), tree.arrays.areas.copy()
+    arrays = {
+        name: [edited.carried(each.values), each.split_values[edited.split_rows]]
+        for name, each in texture.channels.items()
+    }
+    for level, codes in enumerate(met):
+        if not codes.size:
+            continue
+        first = int(tree.arrays.level_cells[level])
+        cells = np.flatnonzero(edited.old[first : tree.arrays.level_cells[level + 1]] < 0) + first
+        below = refined(texture, codes, level, executor)
+        flags[cells] |= texture.tree.arrays.flags[below.leaves] & np.uint8(FACING_FLAGS)
+        area = texture.tree.arrays.areas[below.leaves].astype(np.int64)
+        shared = np.clip(area - AREA_STEPS * (level - below.levels), 1, 255)
+        areas[cells] = np.where(area > 0, shared, 0)
+        for name, each in texture.channels.items():
+            arrays[name][0][cells] = encode(below.values[name], each.format.dtype, each.format.space)
+    old_kept = edited.old[tree.kept.cells]
+    was_kept = np.isin(old_kept, texture.tree.kept.cells)
+    channels = {}
+    for name, each in texture.channels.items():
+        values, split_values = arrays[name]
+        kept_values = np.ascontiguousarray(values[tree.kept.cells])
+        kept_values[was_kept] = each.kept_values[edited.kept_rows]
+        channels[name] = Channel(each.format, values, split_values, kept_values)
+    tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
+    made = OctreeTexture(tree, channels, texture.placement, texture.bounds, texture.metadata)
+    return _split(made, texture, edited.old)
+
+
+def _split(made: OctreeTexture, texture: OctreeTexture, old: Int64s) -> OctreeTexture:
+    """Split new cells below leaves that are split."""
+    if not texture.tree.split.cells.size:
+        return made
+    tree = made.tree
+    cells = np.flatnonzero(old < 0)
+    leaves = sources_of(tree, cells, texture.tree)
+    below = texture.tree.arrays.flags[leaves] & SPLIT != 0
+    cells, leaves = cells[below], leaves[below]
+    facings = tree.arrays.flags[cells] & np.uint8(FACING_FLAGS)
+    owners, bits = np.repeat(np.arange(cells.size), np.bitwise_count(facings)), bits_of(facings)
+    rows = {
+        name: encode(
+            rows_below(
+                texture,
+                channel,
+                decode(made.channels[name].values[cells[owners]], channel.format.space),
+                leaves[owners],
+                bits,
+            ),
+            channel.format.dtype,
+            channel.format.space,
+        )
+        for name, channel in texture.channels.items()
+    }
+    differs = np.zeros(cells.size, np.bool_)
+    for name, own in rows.items():
+        form = made.channels[name].format
+        apart = in_codes(own, form) - in_codes(made.channels[name].values[cells[owners]], form)
+        differs[owners[(np.abs(apart) > MOST).any(axis=1)]] = True
+    chosen = {name: own[differs[owners]] for name, own in rows.items()}
+    return with_split(made, cells[differs], facings[differs], chosen) if differs.any() else made
+
+
+def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> OctreeTexture:
+    """Return the part of a texture whose leaves meet the box from ``low`` to ``high``, in rest positions.
+
+    The root cell stays where it is, so that rest positions stay valid; bounds become those of the part.
+    Leaves and coefficients are as they were. Nodes that have lost cells are averaged, and their areas summed,
+    over those that are left; they keep their residuals.
+
+    Raises ArgumentError for corners that are not finite or out of order, and for a box that no leaf meets.
+    """
+    corners = np.array([_corner(low, "low"), _corner(high, "high")], np.float64)
+    if not np.isfinite(corners).all() or (corners[0] > corners[1]).any():
+        raise ArgumentError(f"a box needs a finite lowest and highest corner, not {corners.tolist()}")
+    tree = texture.tree
+    box = texture.placement.to_texture_space(corners)
+    meets = [np.zeros(0, np.bool_)]
+    for level, (codes, is_node) in enumerate(tree.walk()):
+        cells = decode_cells(codes)
+        scaled = box * 2.0**level
+        meets.append(is_node | ((cells <= scaled[1]) & (cells + 1 > scaled[0])).all(axis=1))
+    is_kept = np.concatenate(meets)
+    edited = cull(tree, is_kept)
+    if not edited.tree.n_leaves:
+        raise ArgumentError(
+            f"no leaf of the texture meets the box from {corners[0].tolist()} to {corners[1].tolist()}; its "
+            f"surface is from {texture.bounds[0].tolist()} to {texture.bounds[1].tolist()}"
+        )
+    low, high = np.maximum(corners[0], texture.bounds[0]), np.minimum(corners[1], texture.bounds[1])
+    bounds = np.array([np.minimum(low, high), np.maximum(low, high)])
+    metadata = noted(texture.metadata, "crop", box=corners.tolist())
+    areas = edited.tree.arrays.areas.copy()
+    nodes, old_nodes = node_cells(edited.tree), node_cells(tree)
+    were = np.searchsorted(old_nodes, edited.old[nodes])
+    firsts, counts = children_of(edited.tree, np.arange(nodes.size))
+    is_cut = counts < children_of(tree, were)[1]
+    below_cut = np.zeros(edited.tree.n_cells, np.bool_)
+    below_cut[firsts[is_cut]] = True
+    add_up_areas(edited.tree, below_cut, areas)
+    cut = edited.tree.with_cell_data(edited.tree.arrays.flags, areas, edited.tree.split, edited.tree.kept)
+    channels = {
+        name: Channel(
+            each.format,
+            edited.carried(each.values),
+            each.split_values[edited.split_rows],
+            each.kept_values[edited.kept_rows],
+        )
+        for name, each in texture.channels.items()
+    }
+    made = refaced(OctreeTexture(cut, channels, texture.placement, bounds, metadata))
+    rows, cells, bits = rows_of(made.tree)
+    there, old_rows = find_rows(tree.split, edited.old[cells], bits)
+    for name in sorted(channels, key=lambda name: name != ALPHA.name):
+        before, after = texture.channels[name], made.channels[name]
+        left = residuals(tree, before, coverage(texture.channels, name))[were]
+        average(made.tree, after, coverage(made.channels, name), left)
+        left = np.zeros((rows.size, before.format.components))
+        left[there] = row_residuals(texture, before, difference)[old_rows]
+        average_rows(made, after, left)
+    return made
+
+
+def _corner(corner: npt.ArrayLike, name: str) -> npt.NDArray[np.float64]:
+    """Return a corner (3,), or raise ArgumentError."""
+    given = as_points(np.atleast_2d(np.asarray(corner)), name)
+    if len(given) != 1:
+        raise ArgumentError(f"{name} must be one corner (3,), not {given.shape}")
+    return np.array(given[0], np.float64)

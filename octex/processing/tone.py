@@ -1,0 +1,240 @@
+"""Levels and curves, as image editors have them: functions of encoded values, through tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import ONE, ChannelFormat, decode, decode_table, encode, linear_to_srgb, srgb_to_linear
+from octex.checks import as_number
+from octex.errors import ArgumentError
+from octex.jit import kernel
+from octex.processing.averages import Change, Float64s, Tables, tables_of
+from octex.processing.edit import noted, with_values
+from octex.processing.mapping import names_of
+from octex.texture import Channel, OctreeTexture
+
+Array = npt.NDArray[Any]
+Codes = npt.NDArray[np.uint8 | np.uint16]
+Floats = npt.NDArray[np.floating[Any]]
+
+#: A number for all components, or one for each.
+PerComponent = float | Sequence[float]
+#: From encoded values (n, components) to others.
+Tone = Callable[[Float64s], Float64s]
+
+_MOST_GAMMA = 100.0
+
+
+def levels(
+    texture: OctreeTexture,
+    channel: str | Sequence[str] = "base_color",
+    black: PerComponent = 0.0,
+    white: PerComponent = 1.0,
+    gamma: PerComponent = 1.0,
+    out_black: PerComponent = 0.0,
+    out_white: PerComponent = 1.0,
+) -> OctreeTexture:
+    """Return a texture with other levels: ``black`` … ``white`` become ``out_black`` … ``out_white``.
+
+    All five are encoded values, 0 … 1, as image editors show them (of 255): for light those of sRGB, also
+    where linear light is stored. In between they follow x^(1/gamma): above 1 the middle gets lighter. What
+    is darker than black or lighter than white is clamped; but floats, which may be above 1, go on above
+    white. Each is a number for all components, or one for each. Averages follow as in ``octex.map``.
+
+    Raises ArgumentError for unknown channels, for directions, and for numbers out of range: ``black`` must be
+    below ``white``, ``gamma`` above zero.
+    """
+
+    def tone_of(form: ChannelFormat) -> Tone:
+        low, high, power, below, above = (
+            _per_component(form, name, value, most)
+            for name, value, most in (
+                ("black", black, 1.0), ("white", white, 1.0), ("gamma", gamma, _MOST_GAMMA),
+                ("out_black", out_black, 1.0), ("out_white", out_white, 1.0),
+            )
+        )  # fmt: skip
+        if (low >= high).any() or (power <= 0).any():
+            raise ArgumentError(
+                f"levels of {form.name!r} need black below white and gamma above zero, "
+                f"not {low.tolist()}, {high.tolist()} and {power.tolist()}"
+            )
+        top = np.inf if form.dtype.startswith("float") else 1.0
+
+        def tone(values: Float64s) -> Float64s:
+            part = np.clip((values - low) / (high - low), 0, top)
+            return np.asarray(below + (above - below) * part ** (1 / power))
+
+        return tone
+
+    how = {"black": black, "white": white, "gamma": gamma, "out_black": out_black, "out_white": out_white}
+    return _toned(texture, channel, tone_of, "levels", how)
+
+
+def curves(
+    texture: OctreeTexture, channel: str | Sequence[str], points: npt.ArrayLike | Sequence[npt.ArrayLike]
+) -> OctreeTexture:
+    """Return a texture whose encoded values follow a curve through ``points``, as image editors have it.
+
+    points    (k, 2) pairs of an encoded value, 0 … 1, and what it becomes, in ascending order of the first;
+              one curve for all components, or a list of one for each component
+
+    Between the points the curve is the monotone cubic of Fritsch & Carlson (1980): it passes no point's
+    height. Before the first and after the last it stays where they are. Encoded values are those of sRGB for
+    light, also where linear light is stored. Averages follow as in ``octex.map``.
+
+    Raises ArgumentError for unknown channels, for directions, and for points that are no such pairs.
+    """
+
+    def tone_of(form: ChannelFormat) -> Tone:
+        own = _curves_of(form, points)
+        return lambda values: np.stack([_monotone(each, values[:, k]) for k, each in enumerate(own)], axis=1)
+
+    listed = [np.asarray(each).tolist() for each in points] if np.iterable(points) else points
+    return _toned(texture, channel, tone_of, "curves", {"points": listed})
+
+
+def _toned(
+    texture: OctreeTexture,
+    channel: str | Sequence[str],
+    tone_of: Callable[[ChannelFormat], Tone],
+    operation: str,
+    how: dict[str, Any],
+) -> OctreeTexture:
+    made: dict[str, Channel] = {}
+    change: dict[str, Change | Tables] = {}
+    for name in names_of(texture, channel):
+        before = texture.channels[name]
+        if before.format.space == "direction":
+            raise ArgumentError(f"channel {name!r} holds directions, which have no {operation}")
+        tone = tone_of(before.format)
+        of_stored = _stored(before.format, tone)
+        made[name] = before._replace(
+            values=of_stored(before.values),
+            split_values=of_stored(before.split_values),
+            kept_values=of_stored(before.kept_values),
+        )
+        change[name] = _change(before.format, tone)
+    metadata = noted(texture.metadata, operation, channels=list(made), **how)
+    return with_values(texture, made, change, metadata)
+
+
+def _stored(form: ChannelFormat, tone: Tone) -> Callable[[Array], Array]:
+    """Return what maps stored values to stored values: by tables for integers."""
+    if not form.dtype.startswith("u"):
+        return lambda values: encode(
+            _toned_light(form, tone, decode(values, form.space)), form.dtype, form.space
+        )
+    codes = np.repeat(np.arange(ONE[form.dtype] + 1)[:, None] / ONE[form.dtype], form.components, axis=1)
+    table = np.rint(np.clip(tone(codes), 0, 1) * ONE[form.dtype]).astype(form.dtype)
+    columns = np.ascontiguousarray(table.T)
+    is_same = bool((columns == columns[0]).all())
+
+    def look_up(values: Array) -> Array:
+        found = np.empty_like(values)
+        if is_same:
+            look_up_codes(values.reshape(-1), columns[0], found.reshape(-1))
+        else:
+            _look_up_each(values, columns, found)
+        return found
+
+    return look_up
+
+
+@kernel
+def look_up_codes(codes: Codes, table: Codes, found: Codes) -> None:
+    """Look up codes (n,) in a table."""
+    for n in range(codes.size):
+        found[n] = table[codes[n]]
+
+
+@kernel
+def _look_up_each(codes: Codes, tables: Codes, found: Codes) -> None:
+    """Look up codes (n, components) in the tables of components."""
+    for n in range(codes.shape[0]):
+        for k in range(codes.shape[1]):
+            found[n, k] = tables[k, codes[n, k]]
+
+
+def _change(form: ChannelFormat, tone: Tone) -> Change | Tables:
+    """Return how residuals change: for integers by tables."""
+    if not form.dtype.startswith("u"):
+        return lambda _cells, values, means: (
+            _toned_light(form, tone, values) - _toned_light(form, tone, means)
+        )
+    light = decode_table(form.dtype, form.space)
+    mapped = _toned_light(form, tone, np.repeat(light[:, None], form.components, axis=1))
+    return tables_of(np.ascontiguousarray(mapped.T, np.float32), form.dtype, form.space)
+
+
+def _toned_light(form: ChannelFormat, tone: Tone, values: Floats) -> Float64s:
+    """Map decoded values: light by way of sRGB's curve."""
+    wide = values.astype(np.float64)
+    if form.space == "data":
+        return np.asarray(tone(wide))
+    return np.asarray(srgb_to_linear(tone(linear_to_srgb(wide))), np.float64)
+
+
+def _per_component(form: ChannelFormat, name: str, value: PerComponent, most: float) -> Float64s:
+    given = list(value) if isinstance(value, (Sequence, np.ndarray)) else [value] * form.components
+    if len(given) != form.components:
+        raise ArgumentError(
+            f"{name} must be a number, or one for each of {form.components} components of {form.name!r}"
+        )
+    return np.array([as_number(each, name, 0.0, most) for each in given])
+
+
+def _curves_of(form: ChannelFormat, points: npt.ArrayLike | Sequence[npt.ArrayLike]) -> list[Float64s]:
+    """Return a curve for each component, or raise ArgumentError."""
+    try:
+        whole = np.asarray(points, np.float64)
+        curves = [whole] * form.components if whole.ndim == 2 else list(whole)
+    except (TypeError, ValueError):  # curves of different lengths, or no numbers
+        curves = []
+        if isinstance(points, Sequence):
+            for each in points:
+                try:
+                    curves.append(np.asarray(each, np.float64))
+                except (TypeError, ValueError):
+                    break
+    good = len(curves) == form.components and all(
+        each.ndim == 2
+        and each.shape[1] == 2
+        and len(each)
+        and ((each >= 0) & (each <= 1)).all()
+        and (np.diff(each[:, 0]) > 0).all()
+        for each in curves
+    )
+    if not good:
+        raise ArgumentError(
+            f"points of a curve for {form.name!r} must be pairs of encoded values, 0 to 1, in "
+            f"ascending order of the first, or a list of them for each of {form.components} components"
+        )
+    return curves
+
+
+def _monotone(points: Float64s, values: Float64s) -> Float64s:
+    """Evaluate the monotone cubic through points (k, 2) (Fritsch & Carlson 1980)."""
+    x, y = points.T
+    if len(x) == 1:
+        return np.full_like(values, y[0])
+    widths = np.diff(x)
+    secants = np.diff(y) / widths
+    slopes = np.concatenate([secants[:1], (secants[1:] + secants[:-1]) / 2, secants[-1:]])
+    slopes[1:-1][secants[1:] * secants[:-1] <= 0] = 0.0
+    for k, secant in enumerate(secants):
+        if secant == 0:
+            slopes[k : k + 2] = 0.0
+            continue
+        steep = float(np.hypot(*(slopes[k : k + 2] / secant)))
+        if steep > 3:
+            slopes[k : k + 2] *= 3 / steep
+    inside = np.clip(values, x[0], x[-1])
+    at = np.clip(np.searchsorted(x, inside, side="right") - 1, 0, len(widths) - 1)
+    t = (inside - x[at]) / widths[at]
+    rise = secants[at] * widths[at]
+    left, right = slopes[at] * widths[at], slopes[at + 1] * widths[at]
+    return np.asarray(y[at] + t * (left + t * (3 * rise - 2 * left - right + t * (left + right - 2 * rise))))

@@ -1,0 +1,227 @@
+"""The tree of all cells of two trees, and where each of them comes from.
+
+The two are walked down together, level by level: the cells of both stand in Morton order, so those of the
+union are their merge, and every array is read and written from its beginning to its end.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.errors import ArgumentError
+from octex.jit import kernel, popcount
+from octex.tree.edit import facings_of_nodes
+from octex.tree.layout import AREA_ONE, AREA_STEPS, FACING_FLAGS, MAX_CELLS, MAX_DEPTH, TreeArrays
+from octex.tree.octree import Octree, rank
+
+Bools = npt.NDArray[np.bool_]
+Float32s = npt.NDArray[np.float32]
+Float64s = npt.NDArray[np.float64]
+Int64s = npt.NDArray[np.int64]
+Uint8s = npt.NDArray[np.uint8]
+
+#: Where a tree has nothing.
+NOTHING = -1
+#: Below a leaf, this less its number.
+BELOW = -2
+
+
+class Origins(NamedTuple):
+    """Where the cells of a union come from in one of the trees."""
+
+    cells: Int64s  # (cells,)   the same cell there; or NOTHING; or BELOW − the leaf that it is in
+    nodes: Int64s  # (nodes,)   the same node there; or NOTHING; or BELOW − the leaf that it is or is in
+
+    @property
+    def sources(self) -> Int64s:
+        """The cells themselves, or the leaves above them; 0 for nothing."""
+        return np.where(self.cells < NOTHING, BELOW - self.cells, np.maximum(self.cells, 0))
+
+
+class Union(NamedTuple):
+    """The union of two trees."""
+
+    tree: Octree  # its facings are those of both; areas are zero
+    first: Origins
+    second: Origins
+
+
+def unite(first: Octree, second: Octree) -> Union:
+    """Unite two trees: a cell is a node if it is one in either.
+
+    The facings of a leaf are those of the leaves that it is, of a node those of its children. Raises
+    ArgumentError for more cells than can be numbered.
+    """
+    n_nodes = first.n_nodes + second.n_nodes
+    n_cells = first.n_cells + second.n_cells
+    masks = np.zeros((2, -(-n_nodes // 8) * 8), np.uint8)
+    cells, nodes = np.empty((2, n_cells), np.int64), np.empty((2, n_nodes), np.int64)
+    flags = np.zeros(n_cells, np.uint8)
+    level_cells, level_nodes = np.zeros((2, MAX_DEPTH + 2), np.int64)
+    _unite(first.arrays, second.arrays, masks, cells, nodes, flags, level_cells, level_nodes)
+    depth = max(first.max_depth, second.max_depth)
+    level_cells, level_nodes = level_cells[: depth + 2].copy(), level_nodes[: depth + 2].copy()
+    n_cells, n_nodes = int(level_cells[-1]), int(level_nodes[-1])
+    if n_cells > MAX_CELLS:
+        raise ArgumentError(f"{n_cells:,} cells together are more than a tree can number")
+    groups = np.zeros((-(-n_nodes // 8), 3), np.uint64)
+    for word in range(2):
+        groups[:, word] = masks[word, : 8 * len(groups)].view("<u8")
+    rank(groups)
+    areas = np.zeros(n_cells, np.uint8)
+    tree = Octree(TreeArrays(groups, level_cells, level_nodes, flags[:n_cells], areas))
+    one, other = (Origins(cells[each, :n_cells], nodes[each, :n_nodes]) for each in range(2))
+    if (one.nodes < NOTHING).any() or (other.nodes < NOTHING).any():  # leaves, which face like nothing else
+        tree = tree.with_cell_data(facings_of_nodes(tree), areas)
+    return Union(tree, one, other)
+
+
+@kernel
+def _unite(
+    first: TreeArrays,
+    second: TreeArrays,
+    masks: Uint8s,
+    cells: Int64s,
+    nodes: Int64s,
+    flags: Uint8s,
+    level_cells: Int64s,
+    level_nodes: Int64s,
+) -> None:
+    """Walk down two trees; no content of theirs makes this read or write outside the arrays."""
+    one_ends = first.level_nodes[-1]
+    other_ends = second.level_nodes[-1]
+    n_cells, n_nodes = 1, 0
+    cells[0, 0] = cells[1, 0] = 0
+    one_facing = int(np.int64(first.flags[0])) & FACING_FLAGS
+    other_facing = int(np.int64(second.flags[0])) & FACING_FLAGS
+    if one_ends > 0 or other_ends > 0:
+        n_nodes = 1
+        nodes[0, 0] = 0 if one_ends > 0 else BELOW
+        nodes[1, 0] = 0 if other_ends > 0 else BELOW
+        one_facing = one_facing if one_ends > 0 else 0
+        other_facing = other_facing if other_ends > 0 else 0
+    flags[0] = one_facing | other_facing
+    one_cell = one_node = other_cell = other_node = 1  # those that come next
+    level_cells[1], level_nodes[1] = n_cells, n_nodes
+    done = 0
+    for level in range(1, level_cells.size - 1):
+        for node in range(done, n_nodes):
+            one, other = nodes[0, node], nodes[1, node]
+            one_nodes, one_leaves = _children(first, one)
+            other_nodes, other_leaves = _children(second, other)
+            is_node = one_nodes | other_nodes
+            is_leaf = (one_leaves | other_leaves) & ~is_node
+            masks[0, node] = is_node
+            masks[1, node] = is_leaf
+            for octant in range(8):
+                bit = 1 << octant
+                if (is_node | is_leaf) & bit == 0 or n_cells == flags.size:
+                    continue
+                one_below, other_below = min(one, NOTHING), min(other, NOTHING)  # what is below
+                one_here, other_here = one_below, other_below
+                facing = 0
+                if (one_nodes | one_leaves) & bit != 0:
+                    one_here = min(one_cell, first.flags.size - 1)
+                    one_cell += 1
+                    one_below = BELOW - one_here
+                    if one_nodes & bit != 0:
+                        one_below = one_node
+                        one_node += 1
+                    if one_nodes & bit == is_node & bit:
+                        facing |= int(np.int64(first.flags[one_here]))
+                if (other_nodes | other_leaves) & bit != 0:
+                    other_here = min(other_cell, second.flags.size - 1)
+                    other_cell += 1
+                    other_below = BELOW - other_here
+                    if other_nodes & bit != 0:
+                        other_below = other_node
+                        other_node += 1
+                    if other_nodes & bit == is_node & bit:
+                        facing |= int(np.int64(second.flags[other_here]))
+                cells[0, n_cells], cells[1, n_cells] = one_here, other_here
+                flags[n_cells] = facing & FACING_FLAGS
+                n_cells += 1
+                if is_node & bit != 0 and n_nodes < masks.shape[1] and n_nodes < nodes.shape[1]:
+                    nodes[0, n_nodes], nodes[1, n_nodes] = one_below, other_below
+                    n_nodes += 1
+        done = level_nodes[level]
+        level_cells[level + 1], level_nodes[level + 1] = n_cells, n_nodes
+
+
+@kernel
+def _children(arrays: TreeArrays, node: int) -> tuple[int, int]:
+    """Return a node's masks of nodes and of leaves; zeros if it is none."""
+    if node < 0 or node >= arrays.level_nodes[-1]:
+        return 0, 0
+    shift = np.uint64(8 * (node & 7))
+    nodes, leaves = arrays.groups[node >> 3, 0], arrays.groups[node >> 3, 1]
+    below = np.uint64(0xFF)
+    return int(np.int64(nodes >> shift & below)), int(np.int64(leaves >> shift & below))
+
+
+@kernel
+def take(
+    first_cells: Int64s, second_cells: Int64s, share: Float32s, first: Uint8s, second: Uint8s, taken: Uint8s
+) -> None:
+    """Copy rows of bytes: those of cells of the side that prevails, or of the other if it lacks the cell."""
+    for n in range(taken.shape[0]):
+        source = second_cells[n]
+        if source >= 0 and (share[n] >= 0.5 or first_cells[n] < 0):
+            for k in range(taken.shape[1]):
+                taken[n, k] = second[source, k]
+        elif first_cells[n] >= 0:
+            source = first_cells[n]
+            for k in range(taken.shape[1]):
+                taken[n, k] = first[source, k]
+
+
+@kernel
+def find_made(
+    arrays: TreeArrays,
+    nodes: Int64s,
+    first_nodes: Int64s,
+    second_nodes: Int64s,
+    share: Float32s,
+    is_mixed: Bools,
+    is_made: Bools,
+) -> None:
+    """Find the nodes below which not everything is as in one of the two, from the deepest up.
+
+    ``is_mixed`` (cells,), of leaves, is set for them too. The others have a ``share`` of 0 or 1.
+    """
+    groups = arrays.groups
+    end = share.size
+    for node in range(nodes.size - 1, -1, -1):
+        children = (groups[node >> 3, 0] | groups[node >> 3, 1]) >> np.uint64(8 * (node & 7))
+        begin = max(end - popcount(children & np.uint64(0xFF)), 0)
+        part = share[begin]
+        made = (second_nodes[node] if part > 0.5 else first_nodes[node]) < 0
+        for child in range(begin, end):
+            made |= is_mixed[child] or share[child] != part
+        is_made[node] = is_mixed[nodes[node]] = made
+        if not made:
+            share[nodes[node]] = part
+        end = begin
+
+
+@kernel
+def add_up(arrays: TreeArrays, nodes: Int64s, is_made: Bools, both: Bools, shares: Float64s) -> None:
+    """Sum up the areas of nodes to which both add cells of their own, from the deepest up."""
+    groups, areas = arrays.groups, arrays.areas
+    is_summed = np.zeros(areas.size, np.bool_)
+    end = areas.size
+    for node in range(nodes.size - 1, -1, -1):
+        children = (groups[node >> 3, 0] | groups[node >> 3, 1]) >> np.uint64(8 * (node & 7))
+        begin = max(end - popcount(children & np.uint64(0xFF)), 0)
+        cell = nodes[node]
+        total = 0.0
+        for child in range(begin, end):
+            is_summed[cell] |= is_made[node] and both[cell] and (is_summed[child] or not both[child])
+            total += shares[areas[child]] if areas[child] > 0 else 0.0
+        if is_summed[cell]:
+            code = np.rint(AREA_STEPS * np.log2(max(total / 4, 2.0**-60))) + AREA_ONE
+            areas[cell] = np.int64(min(max(code, 1.0), 255.0)) if total > 0.0 else 0
+        end = begin

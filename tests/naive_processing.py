@@ -1,0 +1,127 @@
+"""Textures put together the slow way: cell by cell, by places."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import decode, encode
+from octex.painting.cells import refined_values
+from octex.texture import Channel, OctreeTexture
+
+Place = tuple[int, int]  # level, Morton code
+Floats = npt.NDArray[np.floating[Any]]
+
+AREAS = [2.0**-30, *(2.0 ** ((code - 207) / 8) for code in range(1, 256))]
+
+
+class Cell(NamedTuple):
+    number: int
+    is_leaf: bool
+
+
+def cells_of(texture: OctreeTexture) -> dict[Place, Cell]:
+    found: dict[Place, Cell] = {}
+    for level, (codes, is_node) in enumerate(texture.tree.walk()):
+        for code, node in zip(codes.tolist(), is_node.tolist(), strict=True):
+            found[level, code] = Cell(len(found), not node)
+    return found
+
+
+def children_of(cells: dict[Place, Cell], place: Place) -> list[Place]:
+    level, code = place
+    return [below for octant in range(8) if (below := (level + 1, code << 3 | octant)) in cells]
+
+
+def coverage(texture: OctreeTexture, name: str, number: int) -> float:
+    if "alpha" not in texture.channels or name == "alpha":
+        return 1.0
+    alpha = texture.channels["alpha"]
+    return max(float(decode(alpha.values[number : number + 1], "data")[0, 0]), 2.0**-40)
+
+
+def mean_below(texture: OctreeTexture, name: str, cells: dict[Place, Cell], place: Place) -> Floats:
+    """The mean of the children of a node, weighed by area and alpha."""
+    channel = texture.channels[name]
+    numbers = [cells[below].number for below in children_of(cells, place)]
+    weights = np.array([AREAS[texture.tree.arrays.areas[n]] * coverage(texture, name, n) for n in numbers])
+    values = decode(channel.values[numbers], channel.format.space).astype(np.float64)
+    return np.asarray((values * weights[:, None]).sum(axis=0) / weights.sum())
+
+
+def unfitted(texture: OctreeTexture) -> OctreeTexture:
+    """The texture with the means of children in all nodes."""
+    cells = cells_of(texture)
+    channels: dict[str, Channel] = {}
+    for name in sorted(texture.channels, key=lambda name: name != "alpha"):
+        before = texture.channels[name]
+        channels[name] = before._replace(values=before.values.copy())
+        made = OctreeTexture(texture.tree, channels, texture.placement, texture.bounds)
+        for place in sorted(cells, reverse=True):
+            if not cells[place].is_leaf and texture.tree.n_leaves:
+                mean = mean_below(made, name, cells, place)[None]
+                form = before.format
+                channels[name].values[cells[place].number] = encode(mean, form.dtype, form.space)[0]
+    ordered = {name: channels[name] for name in texture.channels}
+    return OctreeTexture(texture.tree, ordered, texture.placement, texture.bounds, texture.metadata)
+
+
+def value_at(texture: OctreeTexture, name: str, cells: dict[Place, Cell], place: Place) -> Floats | None:
+    """A cell's value; below a leaf what is refined to it; None where there is nothing."""
+    channel = texture.channels[name]
+    if place in cells:
+        number = cells[place].number
+        return decode(channel.values[number : number + 1], channel.format.space)[0]
+    level, code = place
+    while (level, code) not in cells:
+        level, code = level - 1, code >> 3
+    if not cells[level, code].is_leaf:
+        return None
+    codes = np.array([place[1]], np.int64)
+    return refined_values(texture.tree, texture.channels, codes, place[0])[name][0]
+
+
+class Mixed(NamedTuple):
+    """A value for each leaf of the union, the second's part there, and which places are cells."""
+
+    values: dict[Place, Floats]
+    share: dict[Place, float]
+    places: list[Place]
+
+
+def mixed(
+    first: OctreeTexture, second: OctreeTexture, amount: float, name: str, *, over: bool = False
+) -> Mixed:
+    """Mix leaf by leaf: both channels' values, weighed by alpha, where both have something."""
+    one, other = cells_of(first), cells_of(second)
+    places = sorted(one.keys() | other.keys())
+    nodes = {(level - 1, code >> 3) for level, code in places if level}
+    values, share = {}, {}
+    for place in places:
+        if place in nodes:
+            continue
+        a, b = value_at(first, name, one, place), value_at(second, name, other, place)
+        alphas = [
+            value_at(each, "alpha", cells, place) if "alpha" in each.channels else np.ones(1)
+            for each, cells in ((first, one), (second, other))
+        ]
+        if a is None or b is None:
+            found = a if b is None else b
+            assert found is not None
+            values[place], share[place] = found, float(a is None)
+            continue
+        assert alphas[0] is not None
+        assert alphas[1] is not None
+        if over:
+            weights = float(alphas[0][0] * (1 - alphas[1][0])), float(alphas[1][0])
+        else:
+            weights = float((1 - amount) * alphas[0][0]), float(amount * alphas[1][0])
+        total = sum(weights)
+        share[place] = weights[1] / total if total > 0 else 1.0 if over else amount
+        if name == "alpha":
+            values[place] = np.array([total])
+        else:
+            values[place] = a * (1 - share[place]) + b * share[place]
+    return Mixed(values, share, places)

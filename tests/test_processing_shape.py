@@ -1,0 +1,129 @@
+"""Textures of another depth, and parts of textures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+import octex
+from octex.errors import ArgumentError
+from octex.texture import OctreeTexture
+from tests import naive_processing as naive
+from tests.conftest import needs_jit
+from tests.naive import unmorton
+from tests.small_textures import eight_colors, shell
+from tests.strategies import textures
+from tests.test_processing_combine import assert_same
+from tests.test_processing_values import assert_averaged, assert_same_values
+
+CORNERS = st.tuples(*[st.floats(0, 1)] * 3)
+
+
+@given(textures(6), st.integers(0, 6))
+def test_a_coarser_texture_is_a_level(texture: OctreeTexture, depth: int) -> None:
+    depth = min(depth, texture.tree.max_depth)
+    shallow = [leaves for leaves, _ in texture.tree.cells_by_depth()[:depth]]
+    assume(not any(shallow))
+    made = octex.resize(texture, depth)
+    made.validate()
+    assert_same(made, texture.level(depth))
+
+
+@needs_jit
+@pytest.mark.parametrize("more", [1, 2])
+def test_a_finer_texture_has_the_same_field_and_the_same_levels(more: int) -> None:
+    texture = octex.cast(shell(3), "float32")
+    made = octex.resize(texture, 3 + more)
+    made.validate()
+    assert made.tree.n_leaves == texture.tree.n_leaves * 8**more
+    assert_same_values(made.level(3), texture)
+    points = np.random.default_rng(0).random((400, 3))
+    inside = points[texture.contains(points)]
+    assert len(inside) > 50
+    np.testing.assert_allclose(made.sample(inside), texture.sample(inside), atol=2e-6)
+
+
+@given(textures(3))
+def test_leaves_at_any_depth_are_divided_soundly(texture: OctreeTexture) -> None:
+    assume(
+        texture.tree.max_depth - min([3, *np.flatnonzero([n for n, _ in texture.tree.cells_by_depth()])]) < 3
+    )
+    made = octex.resize(texture, 3)
+    made.validate()
+    depths = [leaves for leaves, _ in made.tree.cells_by_depth()]
+    assert not any(depths[:3])
+
+
+def test_a_depth_that_cannot_be_is_refused() -> None:
+    for depth in (-1, 22):
+        with pytest.raises(ArgumentError, match="depth must be a whole number from 0 to 21"):
+            octex.resize(eight_colors(), depth)
+    with pytest.raises(ArgumentError, match=r"depth 21 takes .* more than a tree can number"):
+        octex.resize(eight_colors(), 21)
+
+
+@given(textures(5), CORNERS, CORNERS)
+def test_a_part_has_the_leaves_that_meet_the_box(
+    texture: OctreeTexture, one: tuple[float, ...], other: tuple[float, ...]
+) -> None:
+    low, high = texture.placement.to_rest(np.array([np.minimum(one, other), np.maximum(one, other)]))
+    box = texture.placement.to_texture_space([low, high])
+    texture = naive.unfitted(texture)
+    before = naive.cells_of(texture)
+    wanted = []
+    for (level, code), cell in before.items():
+        place = np.array(unmorton(code))
+        if cell.is_leaf and (place <= box[1] * 2**level).all() and (place + 1 > box[0] * 2**level).all():
+            wanted.append((level, code))
+    if not wanted:
+        with pytest.raises(ArgumentError, match="no leaf of the texture meets the box"):
+            octex.crop(texture, low, high)
+        return
+    made = octex.crop(texture, low, high)
+    made.validate()
+    after = naive.cells_of(made)
+    assert [place for place, cell in after.items() if cell.is_leaf] == wanted
+    for place in wanted:
+        for name, channel in texture.channels.items():
+            np.testing.assert_array_equal(
+                made.channels[name].values[after[place].number], channel.values[before[place].number]
+            )
+    assert_averaged(made)
+    assert made.placement == texture.placement
+
+
+@needs_jit
+def test_a_part_of_a_part_is_the_part_of_both_boxes() -> None:
+    texture = octex.cast(shell(4), "float32")
+    twice = octex.crop(octex.crop(texture, (0, 0, 0), (0.6, 1, 1)), (0.2, 0.3, 0), (1, 1, 1))
+    once = octex.crop(texture, (0.2, 0.3, 0), (0.6, 1, 1))
+    np.testing.assert_array_equal(twice.tree.arrays.groups, once.tree.arrays.groups)
+    np.testing.assert_array_equal(twice.bounds, once.bounds)
+    for a, b in zip(twice.channels["base_color"][1:], once.channels["base_color"][1:], strict=True):
+        np.testing.assert_allclose(a, b, atol=0.02)
+    assert_same(octex.crop(texture, (0, 0, 0), (1, 1, 1)), texture)
+
+
+def test_areas_of_cut_nodes_are_those_of_what_is_left() -> None:
+    texture = eight_colors()
+    tree = texture.tree.with_cell_data(texture.tree.arrays.flags, np.full(9, 207, np.uint8))
+    made = octex.crop(eight_colors(tree=tree), (0, 0, 0), (0.3, 1, 1))
+    assert made.tree.n_leaves == 4
+    np.testing.assert_array_equal(made.tree.arrays.areas, 207)  # four quarters
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "message"),
+    [
+        ((0, 0, 0), (np.nan, 1, 1), "a finite lowest and highest corner"),
+        ((1, 0, 0), (0, 1, 1), "a finite lowest and highest corner"),
+        ((0, 0), (0, 1, 1), r"low must have shape \(n, 3\)"),
+        ((0, 0, 0), [(0, 1, 1), (1, 1, 1)], r"high must be one corner \(3,\)"),
+        ((2, 2, 2), (3, 3, 3), "no leaf of the texture meets the box"),
+    ],
+)
+def test_a_box_that_is_none_is_refused(low: object, high: object, message: str) -> None:
+    with pytest.raises(ArgumentError, match=message):
+        octex.crop(eight_colors(), low, high)  # type: ignore[arg-type]
