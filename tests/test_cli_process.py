@@ -96,10 +96,10 @@ def test_models_are_converted_first(
     ("words", "message"),
     [
         ("--crop 0,0,0,1,1", "argument --crop: '0,0,0,1,1' is not x0,y0,z0,x1,y1,z1, like 0,0,0,1,2,1"),
-        ("--crop 0,0,0,1,1,nan", "argument --crop: '0,0,0,1,1,nan' is not x0,y0,z0,x1,y1,z1"),
+        ("--crop 0,0,0,1,1,nan", "argument --crop: 0,0,0,1,1,nan has numbers that are not finite"),
         ("--levels 0.5", "argument --levels: '0.5' is not BLACK,WHITE[,GAMMA], like 0.1,0.9,1.2"),
         ("--levels 0.5,0.4", "argument --levels: '0.5,0.4' is not BLACK,WHITE[,GAMMA]"),
-        ("--levels a,b", "argument --levels: 'a,b' is not BLACK,WHITE[,GAMMA]"),
+        ("--levels a,b", "argument --levels: 'a,b' is not numbers with commas between"),
         ("--mix b.octex", "argument --mix: 'b.octex' is not FILE=AMOUNT, like other.octex=0.3"),
         ("--mix b.octex=2", "argument --mix: 2 is not from 0 to 1"),
         ("--blur 0", "argument --blur: 0 is not a finite number above zero"),

@@ -12,44 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import octex
-from octex.cli.arguments import (
-    AXES,
-    DTYPES,
-    FILTERS,
-    PROJECTIONS,
-    angle,
-    axis,
-    box,
-    cells_apart,
-    channel_names,
-    count,
-    dtypes,
-    error_codes,
-    file_and_amount,
-    image_filter,
-    length,
-    levels,
-    position,
-    projection,
-    sizes,
-    source,
-    whole_number,
-)
-from octex.cli.common import Parser, Reporter, bytes_text, check_outputs, run, say, words_given
+from octex.cli.common import Reporter, bytes_text, check_outputs, run, say
+from octex.cli.convert_options import COMMAND, check_input, parser, work_of
 from octex.cli.diff import diff
 from octex.cli.inspect import info, validate
-from octex.cli.models import (
-    DEFAULT_FILTER,
-    TEXTURE_ENDING,
-    check_elsewhere,
-    input_files,
-    is_cloud,
-    read_model,
-    sources_of,
-)
-from octex.cli.overlaps import SEPARATE_CELLS, overlaps, separated_as_json, separated_text
-from octex.cli.process import NEEDS_A_TEXTURE, check_options, others_of, processed
-from octex.errors import ArgumentError, ExitCode
+from octex.cli.models import TEXTURE_ENDING, input_files, is_cloud, read_model
+from octex.cli.overlaps import overlaps, separated_as_json, separated_text
+from octex.cli.process import others_of, processed
+from octex.errors import ExitCode
 from octex.parallel import threads
 
 if TYPE_CHECKING:
@@ -58,240 +28,7 @@ if TYPE_CHECKING:
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
-COMMAND = "octree-convert"
 OUTPUT_ENDINGS = (TEXTURE_ENDING, ".ply")
-
-# Which options go with which work; INPUT and OUTPUT are options here too.
-_PROJECTION = {"--project", "--project-axis", "--project-center", "--project-size"}
-_ELSEWHERE = {"--transfer", "--cloud", "--radius", "--max-distance", "--max-angle"}
-_MATERIALS = {"--channels", "--source", "--filter", "--rest"} | _PROJECTION | _ELSEWHERE
-_OPTIONS = {
-    "a conversion": {"INPUT", "OUTPUT", "--depth", "--cell", "--max-error", "--detail", "--no-fit", "--dtype"}
-    | {"--preview", "--force", "--threads", "--quiet", "--json", "--separate", *NEEDS_A_TEXTURE}
-    | _MATERIALS,
-    "--diff": {"--points", "--preview", "--force", "--quiet", "--json"} | _MATERIALS,
-    "--overlaps": {"--margin", "--rest", "--json", "--quiet"},
-    "--info": {"--json"},
-    "--validate": {"--json", "--quiet"},
-    "--warm-up": {"--quiet"},
-}
-# What a cloud of points can be converted with.
-_OF_CLOUDS = {"INPUT", "OUTPUT", "--depth", "--cell", "--channels", "--dtype"}
-_OF_CLOUDS |= {"--preview", "--force", "--threads", "--quiet", "--json"}
-
-
-def parser() -> argparse.ArgumentParser:
-    """Return the parser of octree-convert's arguments."""
-    parser = Parser(
-        prog=COMMAND,
-        description="Convert a textured model (glTF, GLB, OBJ, PLY, OFF, STL), or coloured points (PLY, XYZ, "
-        "NPZ), to an octree texture.",
-        usage=f"{COMMAND} INPUT OUTPUT [--depth N | --cell SIZE] [--max-error CODES]\n"
-        f"{'':29}[--detail stretch|CHANNEL] [--no-fit] [--rest MESH] [--channels NAMES]\n"
-        f"{'':29}[--source CHANNEL=FILE ...] [--filter NAME] [--dtype TYPE]\n"
-        f"{'':29}[--project planar|box|cylindrical|spherical] [--project-axis AXIS]\n"
-        f"{'':29}[--project-center X,Y,Z] [--project-size SIZE]\n"
-        f"{'':29}[--transfer MODEL | --cloud POINTS [--radius R]] [--max-distance D]\n"
-        f"{'':29}[--max-angle DEGREES]\n"
-        f"{'':29}[--separate [CELLS]] [--preview PNG] [--force] [--threads N] [--quiet]\n"
-        f"{'':29}[--json]\n"
-        f"       {COMMAND} TEXTURE OUTPUT [--crop BOX] [--depth N] [--combine FILE] [--mix FILE=AMOUNT]\n"
-        f"{'':29}[--blur WIDTH] [--levels BLACK,WHITE[,GAMMA]] [--channels NAMES]\n"
-        f"{'':29}[--dtype TYPE] [--preview PNG] [--force] [--threads N] [--quiet] [--json]\n"
-        f"       {COMMAND} --diff A B [--channels NAMES] [--points N] [--rest MESH] [--filter NAME]\n"
-        f"{'':29}[--source CHANNEL=FILE ...] [--project KIND ...] [--preview PNG] [--force]\n"
-        f"{'':29}[--quiet] [--json]\n"
-        f"       {COMMAND} --overlaps MODEL [--margin SIZE] [--rest MESH] [--quiet] [--json]\n"
-        f"       {COMMAND} --info FILE [--json]\n"
-        f"       {COMMAND} --validate FILE [--quiet] [--json]\n"
-        f"       {COMMAND} --warm-up [--quiet]\n"
-        f"       {COMMAND} --version | --help",
-    )
-    add = parser.add_argument
-    add("INPUT", nargs="?", type=Path, help="the model, a cloud of points, or an .octex file made before")
-    add("OUTPUT", nargs="?", type=Path, help="NAME.octex, or NAME.ply: a coloured point a leaf, with normal")
-    add(
-        "--depth",
-        metavar="N",
-        type=whole_number,
-        help="levels below the root: cells of 1/2^N of its edge (default 10)",
-    )
-    add(
-        "--cell",
-        metavar="SIZE",
-        type=length,
-        help="edge of the finest cells in the model's units, not --depth",
-    )
-    add(
-        "--max-error",
-        metavar="CODES",
-        type=error_codes,
-        help="merge leaves where what is looked up then stays this near to the model, in 8-bit codes, like 2",
-    )
-    add(
-        "--detail",
-        metavar="stretch|CHANNEL",
-        help="go less deep where the pose stretches less than elsewhere, or where a channel is below 1 (1/2: "
-        "a level less); --source detail=mask.png paints one",
-    )
-    add("--no-fit", action="store_true", help="store plain averages; lookups are then softer")
-    add("--rest", metavar="MESH", type=Path, help="the undeformed model, of the same topology as INPUT")
-    add(
-        "--channels",
-        metavar="NAMES",
-        type=channel_names,
-        help="what to convert or compare, like base_color,normal (default: all that there is)",
-    )
-    add(
-        "--source",
-        metavar="CHANNEL=FILE",
-        type=source,
-        action="append",
-        help="take a channel from an image, read at the model's texture coordinates, or make it constant: "
-        "roughness=0.5, base_color=0.2,0.4,0.6 (linear light); any number of times",
-    )
-    add(
-        "--project",
-        metavar="KIND",
-        type=projection,
-        help="read the images that --source gives by position, not at texture coordinates: "
-        f"{', '.join(PROJECTIONS)}",
-    )
-    add(
-        "--project-axis",
-        metavar="AXIS",
-        type=axis,
-        help=f"where a plane is seen from, or the other kinds' up: {', '.join(AXES)} (default z); write "
-        "--project-axis=-y with a sign",
-    )
-    add(
-        "--project-center",
-        metavar="X,Y,Z",
-        type=position,
-        help="where the picture's middle is, or what it goes around (default: the middle of the bounds); "
-        "write --project-center=-1,0,0 with a sign",
-    )
-    add(
-        "--project-size",
-        metavar="SIZE",
-        type=sizes,
-        help="what one copy of the picture spans, in the model's units, or along x, y and z: 1,1,0.5 "
-        "(default: the bounds; for a box their largest extent)",
-    )
-    add(
-        "--transfer",
-        metavar="MODEL",
-        type=Path,
-        help="take all channels that another model has where its surface is nearest",
-    )
-    add(
-        "--cloud",
-        metavar="POINTS",
-        type=Path,
-        help="take colours from points (.ply, .xyz, .npz): the nearest, or the mean of those in --radius",
-    )
-    add("--radius", metavar="R", type=length, help="how far points of --cloud count, in the model's units")
-    add(
-        "--max-distance",
-        metavar="D",
-        type=length,
-        help="leave cells empty that are farther than this from what they would take values from",
-    )
-    add(
-        "--max-angle",
-        metavar="DEGREES",
-        type=angle,
-        help="by how much normals may differ from where values are taken (default 180, 90 for points)",
-    )
-    add(
-        "--filter",
-        metavar="NAME",
-        type=image_filter,
-        help=f"how images are read: {', '.join(FILTERS)} (default {DEFAULT_FILTER})",
-    )
-    add(
-        "--dtype",
-        metavar="TYPE",
-        type=dtypes,
-        help=f"what is stored: {', '.join(DTYPES)}; for some channels normal=uint16,emissive=float16 "
-        "(default uint8, float16 for light above 1)",
-    )
-    add(
-        "--separate",
-        metavar="CELLS",
-        nargs="?",
-        const=SEPARATE_CELLS,
-        type=cells_apart,
-        help="move parts apart at rest that intersect or come nearer than so many of the finest cells "
-        f"(default {SEPARATE_CELLS:g}), so that their colours do not run together",
-    )
-    add(
-        "--crop",
-        metavar="BOX",
-        type=box,
-        help="of a texture: only the cells that meet a box, x0,y0,z0,x1,y1,z1 in rest positions",
-    )
-    add(
-        "--combine",
-        metavar="FILE",
-        type=Path,
-        help="of a texture: lay another .octex file of the same root cell over it",
-    )
-    add(
-        "--mix",
-        metavar="FILE=AMOUNT",
-        type=file_and_amount,
-        help="of a texture: mix it with another .octex file, of which there is AMOUNT, 0 to 1",
-    )
-    add("--blur", metavar="WIDTH", type=length, help="of a texture: blur it, in the model's units")
-    add(
-        "--levels",
-        metavar="BLACK,WHITE[,GAMMA]",
-        type=levels,
-        help="of a texture: base colour from BLACK to WHITE, encoded 0 to 1, becomes 0 to 1",
-    )
-    add("--preview", metavar="PNG", type=Path, help="draw the model beside the model from its octree")
-    add("--force", action="store_true", help="overwrite what exists")
-    add("--threads", metavar="N", type=count, help="threads to work on (default: all processors)")
-    add("--quiet", action="store_true", help="print nothing but errors (and what --json asks for)")
-    add("--json", action="store_true", help="print the result as one JSON object")
-    add(
-        "--diff",
-        metavar=("A", "B"),
-        nargs=2,
-        type=Path,
-        help="say how two textures, or a texture and a model, differ over the surface; --preview draws it. "
-        "The exit code is 0 whether they differ or not",
-    )
-    add(
-        "--points",
-        metavar="N",
-        type=count,
-        help="points on the model to compare at (default 1,000,000); two textures are compared at all leaves",
-    )
-    add(
-        "--overlaps",
-        metavar="MODEL",
-        type=Path,
-        help="say which parts of a model intersect, or come nearer to each other than --margin. The exit "
-        "code is 0 whether some do or not",
-    )
-    add(
-        "--margin",
-        metavar="SIZE",
-        type=length,
-        help="how near parts may come to each other, in the model's units (default: not at all)",
-    )
-    add("--info", metavar="FILE", type=Path, help="say what an .octex file holds")
-    add(
-        "--validate",
-        metavar="FILE",
-        type=Path,
-        help="check that an .octex file is a sound octree, or say what is broken",
-    )
-    add("--warm-up", action="store_true", help="compile everything now; later runs start at once")
-    add("--version", action="version", version=f"{COMMAND} {octex.__version__}")
-    return parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -300,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _main(options: argparse.Namespace) -> int:
-    work = _work(options)
+    work = work_of(options)
     if work == "--info":
         return info(options.info, options.json)
     if work == "--validate":
@@ -314,25 +51,6 @@ def _main(options: argparse.Namespace) -> int:
     return _convert(options)
 
 
-def _work(options: argparse.Namespace) -> str:
-    """Return what is to be done, a key of _OPTIONS, or refuse options that make no sense together."""
-    given = words_given(options)
-    work = next((word for word in given if word in _OPTIONS), "a conversion")
-    for word in given:
-        if word != work and word not in _OPTIONS[work]:
-            raise ArgumentError(f"{word} has no meaning with {work}; see {COMMAND} --help")
-    if options.source is not None or not _PROJECTION.isdisjoint(given):
-        sources_of(options)  # refuses what contradicts itself
-    check_elsewhere(options)
-    if work == "a conversion":
-        for word in ("INPUT", "OUTPUT"):
-            if word not in given:
-                raise ArgumentError(f"{word} is missing; see {COMMAND} --help")
-        if options.depth is not None and options.cell is not None:
-            raise ArgumentError("--depth and --cell both say how fine the cells are; give one of them")
-    return work
-
-
 def _convert(options: argparse.Namespace) -> int:
     began = time.perf_counter()
     found: Overlaps | None = None
@@ -343,26 +61,23 @@ def _convert(options: argparse.Namespace) -> int:
     model: PointCloud | Surface
     surface: Surface | None = None
     check_outputs(outputs, inputs, force=options.force)
-    check_options(options, options.INPUT.suffix.lower() == TEXTURE_ENDING)
+    kind = "texture" if options.INPUT.suffix.lower() == TEXTURE_ENDING else "model"
+    if kind == "model" and is_cloud(options.INPUT):
+        kind = "cloud"
+    check_input(options, kind)
     if options.depth is not None:
         from octex.checks import as_depth
 
         as_depth(options.depth, "--depth")
 
     with Reporter(COMMAND, options.quiet) as progress:
-        if options.INPUT.suffix.lower() == TEXTURE_ENDING:
-            is_same = not {"--depth", "--channels", "--dtype", *NEEDS_A_TEXTURE} & {*words_given(options)}
-            if is_same and options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
-                raise ArgumentError(
-                    f"{options.INPUT}: is an octree texture already; --depth makes it coarser, --channels "
-                    f"smaller; see {COMMAND} --help"
-                )
+        if kind == "texture":
             with nullcontext() if options.threads is None else threads(options.threads) as executor:
                 texture = processed(options, executor)
         else:
             with progress.stage("read"):
-                if is_cloud(options.INPUT):
-                    model = _read_cloud(options)
+                if kind == "cloud":
+                    model = octex.PointCloud.load(options.INPUT)
                 else:
                     model = surface = read_model(options.INPUT, options)
             if options.separate is not None and surface is not None:
@@ -398,19 +113,18 @@ def _convert(options: argparse.Namespace) -> int:
             write_points(texture, options.OUTPUT, progress)
 
     if not options.quiet or options.json:
-        _say_what_was_made(options, texture, found, time.perf_counter() - began)
+        seconds = time.perf_counter() - began
+        _say_what_was_made(options, texture, found, seconds, is_new=surface is not None)
     return ExitCode.DONE
 
 
-def _read_cloud(options: argparse.Namespace) -> PointCloud:
-    for word in words_given(options):
-        if word not in _OF_CLOUDS:
-            raise ArgumentError(f"{word} needs a surface, and {options.INPUT} is points")
-    return octex.PointCloud.load(options.INPUT)
-
-
 def _say_what_was_made(
-    options: argparse.Namespace, texture: OctreeTexture, found: Overlaps | None, seconds: float
+    options: argparse.Namespace,
+    texture: OctreeTexture,
+    found: Overlaps | None,
+    seconds: float,
+    *,
+    is_new: bool,
 ) -> None:
     tree = texture.tree
     made: dict[str, Any] = {
@@ -422,7 +136,7 @@ def _say_what_was_made(
         "bytes": options.OUTPUT.stat().st_size,
         "seconds": round(seconds, 3),
     }
-    empty = json.loads(texture.metadata.get("convert", "{}")).get("empty", 0)
+    empty = json.loads(texture.metadata["convert"]).get("empty", 0) if is_new else 0
     if empty:
         made["empty"] = empty
     if options.preview is not None:
