@@ -160,6 +160,7 @@ def test_gaps_stay_with_channels_and_rest_positions_chosen_later() -> None:
     made = surface.with_sources(octex.Transfer(surface, distance=0.1).sources)
     assert [form.name for form in made.with_channels(["base_color"]).channels] == ["base_color", "alpha"]
     samples = made.scatter(50)
+    assert (made.with_channels(["alpha"]).evaluate(samples, "alpha") == 1).all()
     away = made.with_rest(surface.vertices + 5.0)
     assert (away.evaluate(samples, "alpha") == 0).all()
     assert (made.with_filter("nearest").evaluate(samples, "alpha") == 1).all()

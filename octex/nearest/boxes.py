@@ -22,8 +22,8 @@ Int64s = npt.NDArray[np.int64]
 WIDTH = 8
 #: Nodes that can wait at once: seven of each level, and one.
 _STACK = 256
-#: Nodes that are kept for searches nearby, and how many of them are few and many: balls grow and shrink.
-_MOST_KEPT, _FEW, _MANY = 64, 6, 14
+#: Nodes that are kept for searches nearby; balls grow and shrink so that they hold about so many of them.
+_MOST_KEPT, _INNER, _OUTER = 64, 12, 32
 #: Boxes and points are rounded to single precision: by at most this part of the largest coordinate.
 _ROUNDING = 4.0 * 2.0**-24
 _FARTHEST = 3e38
@@ -213,11 +213,11 @@ def _move(ball: Floats, x: float, y: float, z: float, radius: float) -> float:
 
 
 @inlined
-def _adapt(ball: Floats, count: int) -> None:
+def _adapt(ball: Floats, count: int, wanted: int) -> None:
     """Make a ball wider the next time if it holds few nodes, and narrower if many."""
-    if count < _FEW:
+    if 2 * count < wanted:
         ball[4] *= 1.5
-    elif count > _MANY:
+    elif 2 * count > 3 * wanted:
         ball[4] *= 0.7
 
 
@@ -254,7 +254,7 @@ def keep_around(
             kept.outer[count] = node
             count += 1
         kept.filled[1] = count
-        _adapt(kept.outer_ball, count)
+        _adapt(kept.outer_ball, count, _OUTER)
     bound = reach(wide * wide, slack)
     count = 0
     for row in range(kept.filled[1]):
@@ -271,5 +271,5 @@ def keep_around(
             near &= near - np.uint64(1)
             count += 1
     kept.filled[0] = count
-    _adapt(kept.ball, count)
+    _adapt(kept.ball, count, _INNER)
     return True

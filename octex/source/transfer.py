@@ -15,7 +15,7 @@ from octex.channels import ALPHA, ChannelFormat
 from octex.checks import as_choice, as_number
 from octex.errors import ModelError
 from octex.nearest.triangles import Triangles
-from octex.source.spatial import Floats, Placeable, SpatialSource
+from octex.source.spatial import Floats, Int32s, Placeable, SpatialSource
 
 if TYPE_CHECKING:
     from octex.source.base import Source
@@ -86,17 +86,17 @@ class _Transferred(SpatialSource):
         max_angle: float,
         surface: Surface,
     ) -> None:
-        self._other = other.source
+        self._other: Source | None = other.source  # None: only what there is of it is asked for
         self._mesh = mesh
         self._distance = np.inf if distance is None else distance
         self._least_cosine = float(np.cos(np.radians(max_angle))) if max_angle < 180.0 else -np.inf
-        super().__init__(self._forms(), surface.rest, surface.triangles)
+        has_alpha = not self.has_gaps or ALPHA.name in [form.name for form in other.channels]
+        channels = other.channels if has_alpha else (*other.channels, ALPHA)
+        super().__init__(channels, surface.rest, surface.triangles)
 
-    def _forms(self) -> list[ChannelFormat]:
-        forms = list(self._other.channels)
-        if self.has_gaps and ALPHA.name not in [form.name for form in forms]:
-            forms.append(ALPHA)
-        return forms
+    @property
+    def _own_channels(self) -> tuple[ChannelFormat, ...]:
+        return () if self._other is None else self._other.channels
 
     @property
     def has_gaps(self) -> bool:
@@ -111,27 +111,37 @@ class _Transferred(SpatialSource):
             distance=self._distance,
             least_cosine=self._least_cosine,
         )
-        there = found.triangles >= 0
-        values = np.zeros((len(points), sum(form.components for form in self._channels)), np.float32)
-        of_other = sum(form.components for form in self._other.channels)
-        values[there, of_other:] = 1.0
-        values[there, :of_other] = self._other.evaluate(
-            found.triangles[there], found.barycentric[there], widths[there]
-        )
+        if (found.triangles >= 0).all():
+            own = self._evaluated(found.triangles, found.barycentric, widths)
+            return own if own.shape[1] == self._width else np.insert(own, own.shape[1], 1.0, axis=1)
+        there = np.flatnonzero(found.triangles >= 0)
+        own = self._evaluated(found.triangles[there], found.barycentric[there], widths[there])
+        values = np.zeros((len(points), self._width), np.float32)
+        values[there, : own.shape[1]] = own
+        values[there, own.shape[1] :] = 1.0
         return values
+
+    @property
+    def _width(self) -> int:
+        return sum(form.components for form in self._channels)
+
+    def _evaluated(
+        self, triangles: Int32s, barycentric: Floats, widths: npt.NDArray[np.float32]
+    ) -> npt.NDArray[np.float32]:
+        if self._other is None:
+            return np.empty((len(triangles), 0), np.float32)
+        return self._other.evaluate(triangles, barycentric, widths)
 
     def only(self, names: Sequence[str]) -> _Transferred:
         """Return the same source with these of its channels alone."""
-        own = [form.name for form in self._other.channels if form.name in names]
-        if ALPHA.name in names and ALPHA.name in [form.name for form in self._channels]:
-            own = [*own, ALPHA.name] if ALPHA.name in [form.name for form in self._other.channels] else own
+        own = [form.name for form in self._own_channels if form.name in names]
         other = copy.copy(self)
-        other._other = self._other.only(own)
-        other._channels = tuple(form for form in other._forms() if form.name in names)
+        other._other = self._other.only(own) if self._other is not None and own else None
+        other._channels = tuple(form for form in self._channels if form.name in names)
         return other
 
     def with_filter(self, name: str) -> _Transferred:
         """Return the same source with the other's images read by another filter."""
         other = copy.copy(self)
-        other._other = self._other.with_filter(name)
+        other._other = None if self._other is None else self._other.with_filter(name)
         return other
