@@ -14,10 +14,11 @@ from octex.checks import as_choice
 from octex.conversion.accumulate import Columns, Sums
 from octex.conversion.fill import Filled, assemble, climb
 from octex.conversion.stored import Dtypes, stored_as
+from octex.nearest.boxes import order_of, rows_in
 from octex.parallel import Progress, silent
 from octex.source.cloud import PointCloud
 from octex.texture import OctreeTexture
-from octex.tree.layout import FACING_FLAGS
+from octex.tree.layout import FACING_FLAGS, MAX_DEPTH
 from octex.tree.morton import encode_cells
 from octex.tree.placement import Placement
 
@@ -87,15 +88,22 @@ def _leaves(cloud: PointCloud, placement: Placement, depth: int, names: Sequence
     if cloud.normals is not None:
         axes = np.abs(cloud.normals).argmax(axis=1)
         facings = 2 * axes + (np.take_along_axis(cloud.normals, axes[:, None], axis=1)[:, 0] < 0)
-    order = np.lexsort((facings, codes))
+    if depth < MAX_DEPTH:
+        order = order_of(codes << 3 | facings, 3 * depth + 3)
+    else:  # keys of 66 bits
+        order = np.lexsort((facings, codes))
     codes, facings = codes[order], facings[order]
     starts = np.flatnonzero(np.diff(codes, prepend=-1))
     counts = np.diff(starts, append=codes.size)
     areas = np.repeat(1.0 / counts, counts)
-    color, alpha = cloud.colors[order, :3].astype(np.float64), cloud.colors[order, 3:].astype(np.float64)
-    part = areas[:, None] * (alpha if ALPHA.name in names else 1.0)
-    parts = {BASE_COLOR.name: color * part, ALPHA.name: part}
-    rows = np.hstack([*(parts[name] for name in names), areas[:, None]])
+    rows = rows_in(order, cloud.colors).astype(np.float64)
+    if ALPHA.name in names:
+        rows[:, 3] *= areas
+        rows[:, :3] *= rows[:, 3:]
+    else:
+        rows[:, :3] *= areas[:, None]
+    columns = [*([0, 1, 2] if BASE_COLOR.name in names else []), *([3] if ALPHA.name in names else [])]
+    rows = np.column_stack([rows[:, columns], areas])
     entries = np.flatnonzero(np.diff(codes * 8 + facings, prepend=-1))
     bits = (np.uint8(1) << facings.astype(np.uint8)).astype(np.uint8)
     flags: npt.NDArray[np.uint8] = np.bitwise_or.reduceat(bits, starts)

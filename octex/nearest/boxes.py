@@ -7,7 +7,7 @@ that they are measured in vectors.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -80,26 +80,47 @@ def morton_order(positions: Floats) -> Int64s:
     """Return the order (n,) of positions (n, 3) along a Morton curve; the same for the same positions."""
     if not len(positions):
         return np.empty(0, np.int64)
-    index_bits = max(int(len(positions) - 1).bit_length(), 1)
-    axis_bits = min((63 - index_bits) // 3, 16)
+    bits = min((63 - _index_bits(len(positions))) // 3, 16)
     low = positions.min(axis=0)
     extent = float((positions.max(axis=0) - low).max())
-    scale = (2**axis_bits - 1) / extent if extent > 0.0 else 0.0
-    keys = _keys(np.ascontiguousarray(positions), low, scale, index_bits)
-    keys.sort()  # of code and index in one: six times as fast as an argsort
-    keys &= (1 << index_bits) - 1
-    return keys
+    scale = (2**bits - 1) / extent if extent > 0.0 else 0.0
+    return order_of(_keys(np.ascontiguousarray(positions), low, scale), 3 * bits)
+
+
+def order_of(keys: Int64s, bits: int) -> Int64s:
+    """Return the order (n,) that sorts keys (n,) of so many bits; what is equal stays in order."""
+    index_bits = _index_bits(keys.size)
+    if bits + index_bits > 63:
+        return np.argsort(keys, kind="stable")
+    packed = keys << index_bits | np.arange(keys.size)
+    packed.sort()  # of key and index in one: six times as fast as an argsort
+    packed &= (1 << index_bits) - 1
+    return packed
+
+
+def _index_bits(count: int) -> int:
+    return max(int(count - 1).bit_length(), 1)
 
 
 @kernel
-def _keys(positions: Floats, low: Floats, scale: float, index_bits: int) -> Int64s:
+def _keys(positions: Floats, low: Floats, scale: float) -> Int64s:
     keys = np.empty(len(positions), np.int64)
     for n in range(keys.size):
         i = int((positions[n, 0] - low[0]) * scale)
         j = int((positions[n, 1] - low[1]) * scale)
         k = int((positions[n, 2] - low[2]) * scale)
-        keys[n] = encode(i, j, k) << index_bits | n
+        keys[n] = encode(i, j, k)
     return keys
+
+
+@kernel
+def rows_in(order: Int64s, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return rows (n, components) in an order: in a third of the time of numpy, where they lie far apart."""
+    found = np.empty_like(rows)
+    for n in range(order.size):
+        for k in range(rows.shape[1]):
+            found[n, k] = rows[order[n], k]
+    return found
 
 
 def boxes_of(low: Floats, high: Floats) -> Boxes:

@@ -22,6 +22,7 @@ from octex.nearest.boxes import (
     new_search,
     next_node,
     reach,
+    rows_in,
 )
 
 Floats = npt.NDArray[np.float64]
@@ -41,11 +42,11 @@ class Points(NamedTuple):
     def of(cls, positions: Floats, values: Float32s, normals: Float32s | None = None) -> Points:
         """Make positions (n, 3), n > 0, with values (n, components) and unit normals (n, 3) ready."""
         order = morton_order(positions)
-        placed = np.ascontiguousarray(positions[order])
+        placed = rows_in(order, positions)
         starts = np.arange(0, len(placed), WIDTH)
         low, high = np.minimum.reduceat(placed, starts), np.maximum.reduceat(placed, starts)
-        facing = np.empty((0, 3), np.float32) if normals is None else normals[order]
-        return cls(boxes_of(low, high), placed, values[order], facing, order)
+        facing = np.empty((0, 3), np.float32) if normals is None else rows_in(order, normals)
+        return cls(boxes_of(low, high), placed, rows_in(order, values), facing, order)
 
     def around(
         self,
