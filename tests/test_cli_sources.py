@@ -98,3 +98,62 @@ def test_what_values_are_taken_from_is_not_overwritten(
     )
     assert "red.ply" in said
     assert ExitCode.REFUSED == 2
+
+
+_FUNCTIONS = """
+import numpy as np
+
+def red(points):
+    return np.tile([1.0, 0.0, 0.0], (len(points), 1))
+
+def ball(points):
+    return np.linalg.norm(points, axis=1) - 1.0
+
+three = 3
+"""
+
+
+def test_functions_in_files_are_channels_and_surfaces(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "shapes.py").write_text(_FUNCTIONS)
+    out = tmp_path / "out.octex"
+    red = f"base_color={tmp_path / 'shapes.py'}:red"
+    result(capsys, folder / "wide.ply", out, "--depth", 4, "--source", red)
+    assert np.allclose(colors(out), [1, 0, 0])
+    ball = f"{tmp_path / 'shapes.py'}:ball"
+    where = ["--bounds=-1.1,-1.1,-1.1,1.1,1.1,1.1", "--edge", 0.2]
+    result(capsys, ball, out, "--depth", 4, "--source", red, *where, "--force")
+    texture = octex.open(out)
+    assert texture.contains([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]).tolist() == [True, False]
+    result(capsys, folder / "red.ply", out, "--depth", 5, "--also", ball, *where, "--force")
+    assert octex.open(out).contains([[0.0, 0.0, 1.0], [0.5, 0.5, 0.0]]).all()
+    assert json.loads(result(capsys, "--diff", out, ball, "--source", red, *where, "--json"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["shapes.py:ball"], "give --bounds"),
+        (["wide.ply", "--edge", "1"], "--edge is for surfaces that are functions"),
+        (["wide.ply", "--source", "base_color=shapes.py:blue"], "has no function blue; it has red, ball"),
+        (["wide.ply", "--source", "base_color=shapes.py:three"], "has no function three"),
+        (["wide.ply", "--source", "base_color=none.py:red"], "none.py cannot be read"),
+        (["wide.ply", "--source", "base_color=broken.py:red"], "broken.py raised SyntaxError"),
+        (["wide.ply", "--also", "red.ply", "--rest", "wide.ply"], "--rest is of one model"),
+        (["wide.ply", "--also", "none.ply"], "none.ply cannot be read"),
+    ],
+)
+def test_functions_and_models_that_cannot_be_used_are_refused(
+    folder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    complaint: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "shapes.py").write_text(_FUNCTIONS)
+    (tmp_path / "broken.py").write_text("def red(:\n")
+    given = [folder / word if word.endswith(".ply") else word for word in arguments]
+    assert complaint in refusal(capsys, given[0], tmp_path / "out.octex", *given[1:])

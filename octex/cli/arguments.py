@@ -6,6 +6,8 @@ import argparse
 import re
 from pathlib import Path
 
+from octex.cli.functions import FunctionName, function_name
+
 #: What octex stores (octex.channels.ONE), how it reads images (octex.source.images.filters.FILTERS), lays
 #: them on surfaces (octex.source.mapping.KINDS) and along what (octex.source.mapped.FRAMES), how paint meets
 #: what is there (octex.painting.pictures.BLENDS), and what steers the depth but channels
@@ -20,8 +22,8 @@ STRETCH = "stretch"
 #: The widest and highest picture that is drawn: as large as octex reads.
 MOST_PIXELS = 16384
 
-#: What a channel is to come from: an image file, or a number for each component.
-Given = Path | float | tuple[float, ...]
+#: What a channel is to come from: an image file, a function, or a number for each component.
+Given = Path | FunctionName | float | tuple[float, ...]
 
 
 def whole_number(text: str) -> int:
@@ -107,14 +109,14 @@ def image_filter(text: str) -> str:
 
 
 def source(text: str) -> tuple[str, Given]:
-    """Read what a channel comes from: NAME=FILE, NAME=NUMBER or NAME=NUMBER,NUMBER,…."""
+    """Read what a channel comes from: NAME=FILE, NAME=FILE.py:FUNCTION, or NAME=NUMBER,NUMBER,…."""
     name, _, given = (part.strip() for part in text.partition("="))
     if not (name and given):
         raise argparse.ArgumentTypeError(f"{text!r} is not CHANNEL=FILE, like roughness=rough.png")
     try:
         numbers = tuple(float(number) for number in given.split(","))
     except ValueError:
-        return name, Path(given)
+        return name, function_name(given) or Path(given)
     return name, numbers[0] if len(numbers) == 1 else numbers
 
 

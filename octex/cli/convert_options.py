@@ -39,7 +39,8 @@ COMMAND = "octree-convert"
 # Which options go with which work; INPUT and OUTPUT are options here too.
 _PROJECTION = {"--project", "--project-axis", "--project-center", "--project-size"}
 _ELSEWHERE = {"--transfer", "--cloud", "--radius", "--max-distance", "--max-angle"}
-_MATERIALS = {"--channels", "--source", "--filter", "--rest"} | _PROJECTION | _ELSEWHERE
+_MATERIALS = {"--channels", "--source", "--filter", "--rest", "--also", "--bounds", "--edge"}
+_MATERIALS |= _PROJECTION | _ELSEWHERE
 #: What makes another texture of a texture alone.
 _OF_TEXTURES = {"--crop", "--combine", "--mix", "--blur", "--levels"}
 _OF_ANYTHING = {"INPUT", "OUTPUT", "--depth", "--channels", "--dtype"}
@@ -66,6 +67,7 @@ def parser() -> argparse.ArgumentParser:
         usage=f"{COMMAND} INPUT OUTPUT [--depth N | --cell SIZE] [--max-error CODES]\n"
         f"{'':29}[--detail stretch|CHANNEL] [--no-fit] [--rest MESH] [--channels NAMES]\n"
         f"{'':29}[--source CHANNEL=FILE ...] [--filter NAME] [--dtype TYPE]\n"
+        f"{'':29}[--also MODEL ...] [--bounds BOX --edge LENGTH]\n"
         f"{'':29}[--project planar|box|cylindrical|spherical] [--project-axis AXIS]\n"
         f"{'':29}[--project-center X,Y,Z] [--project-size SIZE]\n"
         f"{'':29}[--transfer MODEL | --cloud POINTS [--radius R]] [--max-distance D]\n"
@@ -85,7 +87,13 @@ def parser() -> argparse.ArgumentParser:
         f"       {COMMAND} --version | --help",
     )
     add = parser.add_argument
-    add("INPUT", nargs="?", type=Path, help="the model, a cloud of points, or an .octex file made before")
+    add(
+        "INPUT",
+        nargs="?",
+        type=Path,
+        help="the model, a cloud of points, an .octex file made before, or FILE.py:NAME, "
+        "a function of positions (n, 3), below 0 inside",
+    )
     add("OUTPUT", nargs="?", type=Path, help="NAME.octex, or NAME.ply: a coloured point a leaf, with normal")
     add(
         "--depth",
@@ -114,6 +122,20 @@ def parser() -> argparse.ArgumentParser:
     add("--no-fit", action="store_true", help="store plain averages; lookups are then softer")
     add("--rest", metavar="MESH", type=Path, help="the undeformed model, of the same topology as INPUT")
     add(
+        "--also",
+        metavar="MODEL",
+        type=Path,
+        action="append",
+        help="another model that shares the texture; any number of times",
+    )
+    add(
+        "--bounds",
+        metavar="BOX",
+        type=box,
+        help="where a surface that is a function lies: x0,y0,z0,x1,y1,z1",
+    )
+    add("--edge", metavar="LENGTH", type=length, help="how long the triangles' edges are on such a surface")
+    add(
         "--channels",
         metavar="NAMES",
         type=channel_names,
@@ -124,8 +146,9 @@ def parser() -> argparse.ArgumentParser:
         metavar="CHANNEL=FILE",
         type=source,
         action="append",
-        help="take a channel from an image, read at the model's texture coordinates, or make it constant: "
-        "roughness=0.5, base_color=0.2,0.4,0.6 (linear light); any number of times",
+        help="take a channel from an image, read at the model's texture coordinates, from a function of "
+        "positions (n, 3), base_color=wood.py:rings, or make it constant: roughness=0.5, "
+        "base_color=0.2,0.4,0.6 (linear light); any number of times",
     )
     add(
         "--project",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import octex
 from octex.cli.arguments import STRETCH
+from octex.cli.functions import FunctionName, function_name, load_function
 from octex.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -65,7 +66,14 @@ def _wanted(options: argparse.Namespace) -> list[str] | None:
 
 
 def check_elsewhere(options: argparse.Namespace) -> None:
-    """Refuse options of what values are taken from without it, and two of it."""
+    """Refuse options of what values are taken from without it, and two of it; likewise of functions."""
+    models = [options.INPUT, *(options.diff or []), *(options.also or [])]
+    is_function = any(each is not None and function_name(str(each)) for each in models)
+    for word, given in (("--bounds", options.bounds), ("--edge", options.edge)):
+        if given is not None and not is_function:
+            raise ArgumentError(f"{word} is for surfaces that are functions: FILE.py:NAME")
+    if options.also and options.rest is not None:
+        raise ArgumentError("--rest is of one model; with --also there are more")
     if options.transfer is not None and options.cloud is not None:
         raise ArgumentError("--transfer and --cloud both say where colours come from; give one of them")
     if options.radius is not None and options.cloud is None:
@@ -103,20 +111,38 @@ def is_cloud(path: Path) -> bool:
 
 def input_files(options: argparse.Namespace) -> list[Path]:
     """Return the files that are read beside a model."""
-    images = [given for _, given in options.source or [] if isinstance(given, Path)]
-    others = (options.rest, options.transfer, options.cloud)
-    return images + [path for path in others if path is not None]
+    given = [each for _, each in options.source or []]
+    files = [each.path if isinstance(each, FunctionName) else each for each in given]
+    others = [options.rest, options.transfer, options.cloud, *(options.also or [])]
+    return [each for each in [*files, *others] if isinstance(each, Path)]
 
 
 def read_model(path: Path, options: argparse.Namespace) -> Surface:
-    """Read a model at its rest positions, with the channels that are used, wherever they come from."""
-    return octex.load_surface(
-        path,
-        options.rest,
-        channels=_wanted(options),
-        sources={**_elsewhere(options), **sources_of(options)},
-        filter=options.filter or DEFAULT_FILTER,
-    )
+    """Read a model at its rest positions, with the channels that are used, wherever they come from.
+
+    It may be a function, FILE.py:NAME, and there may be others beside it: ``--also``.
+    """
+    sources = {**_elsewhere(options), **sources_of(options)}
+    for channel, given in sources.items():
+        if isinstance(given, FunctionName):
+            sources[channel] = load_function(given)
+    if not options.also:
+        return _read(path, options, sources)
+    return octex.Surface.joined([_read(each, options, sources) for each in [path, *options.also]])
+
+
+def _read(path: Path, options: argparse.Namespace, sources: dict[str, object]) -> Surface:
+    named = function_name(str(path))
+    image_filter = options.filter or DEFAULT_FILTER
+    if named is None:
+        return octex.load_surface(
+            path, options.rest, channels=_wanted(options), sources=sources, filter=image_filter
+        )
+    if options.bounds is None or options.edge is None:
+        raise ArgumentError(f"{path} is a function: give --bounds x0,y0,z0,x1,y1,z1 and --edge LENGTH too")
+    bounds = [options.bounds[:3], options.bounds[3:]]
+    surface = octex.Surface.from_function(load_function(named), bounds, options.edge, name=named.path.name)
+    return surface.completed(sources, _wanted(options), image_filter)
 
 
 def posed_inputs(options: argparse.Namespace) -> list[Path]:
