@@ -86,6 +86,25 @@ def test_beside_a_gap_colours_do_not_darken() -> None:
     assert texture.sample(samples.rest[inside]).min() > 0.99
 
 
+@pytest.mark.parametrize("max_error", [None, 2.0])
+def test_nodes_beside_gaps_face_as_what_is_left_of_them_does(max_error: float | None) -> None:
+    moved = plain((ball(17).vertices + np.array([0.3, 0.2, 0.1]), ball(17).triangles))
+    sources = octex.Transfer(rainbow(), distance=0.1).sources
+    texture = octex.convert(moved, 5, sources=sources, max_error=max_error)
+    assert json.loads(texture.metadata["convert"])["empty"] > 0
+    texture.validate()
+
+
+def test_nodes_beside_gaps_in_a_thin_sheet_keep_a_value_for_each_side_that_is_left() -> None:
+    thin = sheet(np.eye(3), 0.01)
+    front, back = thin.triangles[:72], thin.triangles[72:]
+    some = np.concatenate([front[:20], back[10:30]])
+    part = Surface(thin.vertices, some, FaceSource((BASE_COLOR,), np.repeat([[1.0, 0, 0], [0, 1, 0]], 20, 0)))
+    texture = octex.convert(thin, 6, sources=octex.Transfer(part, distance=0.001, max_angle=60.0).sources)
+    texture.validate()
+    assert texture.tree.split.cells.size
+
+
 def test_a_distance_that_leaves_nothing_out_leaves_no_trace() -> None:
     surface = rainbow()
     target = plain((surface.vertices, surface.triangles))
@@ -146,6 +165,13 @@ def test_a_model_without_area_is_refused() -> None:
     flat = Surface.from_arrays(np.zeros((3, 3)), [[0, 1, 2]], name="flat")
     with pytest.raises(ModelError, match="flat: all triangles are degenerate"):
         tetrahedron().with_sources(octex.Transfer(flat).sources)
+
+
+def test_normals_that_are_the_same_agree_at_any_angle() -> None:
+    surface = rainbow()
+    target = plain((surface.vertices, surface.triangles))
+    made = target.with_sources(octex.Transfer(surface, max_angle=0.0).sources)
+    assert (made.evaluate(made.scatter(500), "alpha") == 1).all()
 
 
 def test_only_one_source_may_leave_gaps() -> None:

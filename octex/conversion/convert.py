@@ -131,7 +131,10 @@ def convert(
         if surface.source.has_gaps:
             tree, values, samples, deepest, empty = without_gaps(tree, values, filled)
             if not tree.n_leaves:
-                raise ModelError(f"{surface.name}: its source is too far from all of it; allow more distance")
+                raise ModelError(
+                    f"{surface.name}: its source is too far from all of it, or faces another way; allow more "
+                    "distance, or a larger angle"
+                )
         del filled  # holds all values once more
         fitting = None
         if samples is not None and fit:
