@@ -79,8 +79,8 @@ class PointCloud(Placeable):
         fits = ((self.colors >= 0.0) & (self.colors <= 1.0 + _ROUNDING)).all(axis=1)
         if not fits.all():
             raise ModelError(
-                f"{name}: colour {int(np.argmin(fits))} is not from 0 to 1, as linear light is; give sRGB codes "
-                "as uint8 or uint16"
+                f"{name}: colour {int(np.argmin(fits))} is not from 0 to 1, as linear light is; give sRGB "
+                "codes as uint8 or uint16"
             )
         np.minimum(self.colors, 1.0, out=self.colors)
         self.normals = None
