@@ -71,6 +71,20 @@ def test_options_work_in_one_order_however_they_are_given(
     assert [each["operation"] for each in done] == ["resize", "mix", "blur", "levels", "cast"]
 
 
+def test_a_coarser_depth_leaves_larger_leaves_as_they_are(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    adaptive, out = tmp_path / "adaptive.octex", tmp_path / "out.octex"
+    octex.convert(model, 4, detail=lambda points: np.where(points[:, 0] > points[:, 0].mean(), 4, 2)).save(
+        adaptive
+    )
+    texture = octex.open(adaptive)
+    assert texture.tree.cells_by_depth()[2][0]
+    for depth in (4, 3):
+        result(capsys, adaptive, out, "--depth", depth, "--force")
+        assert octex.open(out).tree.cells_by_depth() == texture.level(depth).tree.cells_by_depth()
+
+
 @needs_jit
 def test_points_can_be_written_of_what_was_done(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

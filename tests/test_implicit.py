@@ -192,8 +192,9 @@ def test_functions_that_give_no_values_are_refused(f: Any, message: str) -> None
 def test_bounds_and_lengths_out_of_range_are_refused(arguments: Any, message: str) -> None:
     with pytest.raises(ArgumentError, match=message):
         Surface.from_function(*arguments)
-    with pytest.raises(ArgumentError, match="level must be finite, not nan"):
-        Surface.from_function(ball, BOX, 0.1, level=math.nan)
+    for level in (math.nan, "a"):
+        with pytest.raises(ArgumentError, match="level"):
+            Surface.from_function(ball, BOX, 0.1, level=level)  # type: ignore[arg-type]
 
 
 def test_a_function_without_a_surface_is_refused() -> None:

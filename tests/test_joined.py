@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -84,3 +85,16 @@ def test_a_part_with_gaps_leaves_the_others_whole() -> None:
 def test_nothing_to_join_is_refused() -> None:
     with pytest.raises(ArgumentError, match="no surface to join"):
         Surface.joined([])
+
+
+@pytest.mark.parametrize(
+    ("model", "complaint"),
+    [
+        (3, "not 3"),
+        ([3], "not a list with 3"),
+        ([tetrahedron(), octex.PointCloud(np.eye(3), np.eye(3))], "not a list with <PointCloud"),
+    ],
+)
+def test_what_is_no_model_is_refused(model: Any, complaint: str) -> None:
+    with pytest.raises(ArgumentError, match=complaint):
+        octex.convert(model, 3)

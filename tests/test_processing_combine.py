@@ -193,6 +193,9 @@ def test_what_cannot_be_put_together_is_refused() -> None:
     moved = eight_colors(placement=Placement((1.0, 0.0, 0.0), 1.0))
     with pytest.raises(ArgumentError, match="root cells differ"):
         octex.combine(full, moved)
+    apart = OctreeTexture(full.tree, full.channels, full.placement, full.bounds, {"separation": "{}"})
+    with pytest.raises(ArgumentError, match="separate both or neither"):
+        octex.combine(full, apart)
     rough = texture_of(full.tree, 0, ROUGHNESS)
     with pytest.raises(ArgumentError, match="no channel in common: base_color and roughness"):
         octex.mix(full, rough)

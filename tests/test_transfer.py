@@ -14,6 +14,7 @@ import octex
 from octex.channels import BASE_COLOR, EMISSIVE, NORMAL
 from octex.errors import ArgumentError, ModelError
 from octex.source.surface import Surface
+from tests.conftest import needs_jit
 from tests.fixtures import ply, ply_square
 from tests.painted import ball, plain, square, together
 from tests.small_surfaces import FaceSource, sheet, tetrahedron, whole
@@ -56,6 +57,7 @@ def test_one_channel_alone_leaves_the_others_as_they_are() -> None:
     assert np.allclose(made.evaluate(samples), surface.evaluate(samples))
 
 
+@needs_jit
 def test_what_is_farther_than_the_distance_stays_empty_and_is_counted() -> None:
     near, far = square(0.0), square(1.0)
     both = plain(together(near, far))
@@ -86,6 +88,27 @@ def test_beside_a_gap_colours_do_not_darken() -> None:
     assert texture.sample(samples.rest[inside]).min() > 0.99
 
 
+@needs_jit
+@pytest.mark.parametrize("max_error", [None, 2.0])
+def test_nodes_beside_gaps_face_as_what_is_left_of_them_does(max_error: float | None) -> None:
+    moved = plain((ball(17).vertices + np.array([0.3, 0.2, 0.1]), ball(17).triangles))
+    sources = octex.Transfer(rainbow(), distance=0.1).sources
+    texture = octex.convert(moved, 5, sources=sources, max_error=max_error)
+    assert json.loads(texture.metadata["convert"])["empty"] > 0
+    texture.validate()
+
+
+def test_nodes_beside_gaps_in_a_thin_sheet_keep_a_value_for_each_side_that_is_left() -> None:
+    thin = sheet(np.eye(3), 0.01)
+    front, back = thin.triangles[:72], thin.triangles[72:]
+    some = np.concatenate([front[:20], back[10:30]])
+    part = Surface(thin.vertices, some, FaceSource((BASE_COLOR,), np.repeat([[1.0, 0, 0], [0, 1, 0]], 20, 0)))
+    texture = octex.convert(thin, 6, sources=octex.Transfer(part, distance=0.001, max_angle=60.0).sources)
+    texture.validate()
+    assert texture.tree.split.cells.size
+
+
+@needs_jit
 def test_a_distance_that_leaves_nothing_out_leaves_no_trace() -> None:
     surface = rainbow()
     target = plain((surface.vertices, surface.triangles))
@@ -146,6 +169,14 @@ def test_a_model_without_area_is_refused() -> None:
     flat = Surface.from_arrays(np.zeros((3, 3)), [[0, 1, 2]], name="flat")
     with pytest.raises(ModelError, match="flat: all triangles are degenerate"):
         tetrahedron().with_sources(octex.Transfer(flat).sources)
+
+
+@needs_jit
+def test_normals_that_are_the_same_agree_at_any_angle() -> None:
+    surface = rainbow()
+    target = plain((surface.vertices, surface.triangles))
+    made = target.with_sources(octex.Transfer(surface, max_angle=0.0).sources)
+    assert (made.evaluate(made.scatter(500), "alpha") == 1).all()
 
 
 def test_only_one_source_may_leave_gaps() -> None:

@@ -149,8 +149,11 @@ def _say_what_was_made(
         cells = f"{tree.n_leaves:,} leaves, depth {tree.max_depth} (cells of {made['cell']:.4g})"
         say(f"{options.OUTPUT}: {cells}, {bytes_text(made['bytes'])}, {seconds:.1f} s")
         if empty:
-            share = 100 * empty / (empty + tree.n_leaves)
-            say(f"{empty:,} cells ({share:.2g} %) stay empty: nothing to take from is near enough")
+            # With leaves of several sizes, finest cells are no part of their number.
+            is_even = options.max_error is None and options.detail is None
+            share = f" ({100 * empty / (empty + tree.n_leaves):.3g} %)" if is_even else ""
+            why = "is near enough" if options.max_angle is None else "is near enough and faces as they do"
+            say(f"{empty:,} finest cells{share} stay empty: nothing to take from {why}")
         if options.preview is not None:
             say(f"{options.preview}: a picture of it")
         if found is not None:

@@ -25,6 +25,9 @@ def processed(options: argparse.Namespace, executor: Executor | None) -> OctreeT
 
     Raises InputError and ArgumentError for what cannot be done.
     """
+    from octex.processing.edit import noted
+    from octex.texture import OctreeTexture
+
     texture = open_sound(options.INPUT)
     if options.channels is not None:
         from octex.checks import as_choice
@@ -39,7 +42,10 @@ def processed(options: argparse.Namespace, executor: Executor | None) -> OctreeT
             raise InputError(
                 f"{options.INPUT}: has depth {deepest}; --depth {options.depth} is finer and needs the model"
             )
-        texture = octex.resize(texture, options.depth)
+        # octex.resize would also divide the leaves that are above it, into cells that nothing is known of.
+        coarse = texture.level(options.depth)
+        metadata = noted(texture.metadata, "resize", depth=options.depth)
+        texture = OctreeTexture(coarse.tree, coarse.channels, coarse.placement, coarse.bounds, metadata)
     if options.combine is not None:
         texture = octex.combine(texture, open_sound(options.combine), over=True, executor=executor)
     if options.mix is not None:

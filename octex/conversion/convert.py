@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from pathlib import Path
@@ -86,9 +86,10 @@ def convert(
     ``separate`` moves parts apart at rest that come nearer to each other than so many finest cells (True: 3),
     so that they share none: see ``apart.separate``. Lookups then take ``Surface.rest_positions``.
 
-    Raises ModelError and ImageError for a model that cannot be used, ArgumentError for a depth out of range,
-    a cell too small, more cells than can be numbered, unknown names, and an integer type for a channel that
-    goes above 1, for a ``max_error`` that is no number or negative, and a ``detail`` that cannot be used.
+    Raises ModelError and ImageError for a model that cannot be used, ArgumentError for what is no model, a
+    depth out of range, a cell too small, more cells than can be numbered, unknown names, and an integer type
+    for a channel that goes above 1, for a ``max_error`` that is no number or negative, and a ``detail`` that
+    cannot be used.
     """
     report = progress or silent
     most = None if max_error is None else as_max_error(max_error)
@@ -131,7 +132,10 @@ def convert(
         if surface.source.has_gaps:
             tree, values, samples, deepest, empty = without_gaps(tree, values, filled)
             if not tree.n_leaves:
-                raise ModelError(f"{surface.name}: its source is too far from all of it; allow more distance")
+                raise ModelError(
+                    f"{surface.name}: its source is too far from all of it, or faces another way; allow more "
+                    "distance, or a larger angle"
+                )
         del filled  # holds all values once more
         fitting = None
         if samples is not None and fit:
@@ -171,7 +175,14 @@ def _surface(
 ) -> Surface:
     """Return what is to be converted, with the wanted channels alone."""
     if not isinstance(model, (str, Path, Surface)):
-        surfaces = [each if isinstance(each, Surface) else load_surface(each) for each in model]
+        given = list(model) if isinstance(model, Iterable) else [model]
+        for each in given:
+            if not isinstance(each, (str, Path, Surface)):
+                raise ArgumentError(
+                    "a model must be a file, a Surface or a PointCloud, or a list of files and Surfaces; not "
+                    f"{'a list with ' if isinstance(model, Iterable) else ''}{each!r}"
+                )
+        surfaces = [each if isinstance(each, Surface) else load_surface(each) for each in given]
         model = Surface.joined(surfaces)
     if not isinstance(model, Surface):
         report("read", 0, 1)

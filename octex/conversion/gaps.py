@@ -11,9 +11,14 @@ import numpy.typing as npt
 from octex.channels import ALPHA, ONE, decode
 from octex.conversion.fill import Filled
 from octex.conversion.samples import Samples
+from octex.texture import OctreeTexture
 from octex.texture.channel import Channel
+from octex.texture.split import refaced
 from octex.tree.edit import cull
 from octex.tree.octree import Octree
+from octex.tree.placement import Placement
+
+_ANYWHERE = Placement((0.0, 0.0, 0.0), 1.0)
 
 
 class Covered(NamedTuple):
@@ -34,13 +39,14 @@ def without_gaps(tree: Octree, channels: Mapping[str, Channel], filled: Filled) 
     empty = filled.codes.size - cells.size
     if empty:
         edited = cull(tree, is_left)
-        tree = edited.tree
         channels = {
             name: channel._replace(
                 values=channel.values[edited.old], split_values=channel.split_values[edited.split_rows]
             )
             for name, channel in channels.items()
         }
+        faced = refaced(OctreeTexture(edited.tree, channels, _ANYWHERE, np.zeros((2, 3))))
+        tree, channels = faced.tree, faced.channels
         samples = None if samples is None else samples.of(cells)
         wanted = None if wanted is None else wanted[cells]
     if samples is not None:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import ChannelFormat, srgb_to_linear
+from octex.channels import ALPHA, ChannelFormat, srgb_to_linear
 from octex.checks import as_choice
+from octex.compare import cover
 from octex.errors import ArgumentError
 from octex.source.base import by_channel
 
@@ -118,12 +119,17 @@ def source_look(surface: Surface, channel: str | None = None) -> Look:
 def texture_look(texture: OctreeTexture, channel: str | None = None) -> Look:
     """Show a surface by the field of a texture, averaged over what each sample covers, on the side it sees.
 
+    What is translucent is not shown where the texture has no cell, though coarse averages reach there.
     ``channel`` as for ``source_look``. Raises ArgumentError for a channel that is not there.
     """
+    edge = texture.placement.size / 2**texture.tree.max_depth
+    lies_on = cover(texture)
     shown = Shown.of((stored.format for stored in texture.channels.values()), channel)
 
     def look(hits: Hits) -> Appearance:
         values = texture.sample(hits.rest, shown.names, dPdx=hits.dPdx, dPdy=hits.dPdy, normals=hits.normals)
+        if ALPHA.name in values:
+            values[ALPHA.name][~lies_on(hits.rest, np.full(len(hits.rest), edge))] = 0.0
         return shown.appearance(values)
 
     return look

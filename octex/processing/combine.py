@@ -13,6 +13,7 @@ from octex.parallel import workers
 from octex.processing.cast import in_format
 from octex.processing.edit import noted
 from octex.processing.mixing import Amount, Mixing
+from octex.source.separation import SEPARATION
 from octex.texture import Channel, OctreeTexture
 from octex.tree.octree import Octree
 
@@ -27,7 +28,8 @@ def combine(
     alpha, in linear light (Porter & Duff 1984). See ``mix`` for cells of different depth, and for what
     becomes of averages, facings and channels.
 
-    Raises ArgumentError for textures of different root cells, or without a channel in common.
+    Raises ArgumentError for textures of different root cells or separated otherwise, or without a channel in
+    common.
     """
     amount = None if over and ALPHA.name in second.channels else 1.0
     metadata = noted(first.metadata, "combine", over=over, second=dict(second.metadata))
@@ -53,8 +55,8 @@ def mix(
     those of both do; rows are mixed facing by facing. Areas are those of the texture that prevails. The
     channels are those that both have, as ``first`` stores them; a texture without alpha is opaque.
 
-    Raises ArgumentError for textures of different root cells, or without a channel in common, for channels
-    that differ in their components or meaning, and for an amount that cannot be used.
+    Raises ArgumentError for textures of different root cells or separated otherwise, or without a channel in
+    common, for channels that differ in their components or meaning, and for an amount that cannot be used.
     """
     if isinstance(amount, OctreeTexture):
         how: object = "a texture"
@@ -96,10 +98,19 @@ def _alike(first: OctreeTexture, second: OctreeTexture) -> tuple[OctreeTexture, 
 
     If only one has an alpha, the other becomes opaque.
     """
-    if first.placement != second.placement:
+    if first.metadata.get(SEPARATION) != second.metadata.get(SEPARATION):
         raise ArgumentError(
-            f"the textures' root cells differ, {first.placement} and {second.placement}, and so do their "
-            "cells, which are not resampled; convert both models with the same bounds and depth or cell"
+            "parts of these textures' surfaces were moved apart, and not by the same; separate both or "
+            "neither"
+        )
+    if first.placement != second.placement:
+        cells = " and ".join(
+            f"of edge {size:.6g} at ({', '.join(f'{x:.6g}' for x in origin)})"
+            for origin, size in (first.placement, second.placement)
+        )
+        raise ArgumentError(
+            f"the textures' root cells differ, {cells}, and so do their cells, which are not resampled; "
+            "convert both models with the same bounds and depth or cell"
         )
     one, other = {}, {}
     for name, channel in first.channels.items():

@@ -29,12 +29,13 @@ Int64s = npt.NDArray[np.int64]
 def resize(texture: OctreeTexture, depth: int, *, executor: Executor | None = None) -> OctreeTexture:
     """Return a texture of another depth.
 
-    A smaller one is ``texture.level(depth)``: leaves below become the averages stored there. For a larger one
-    every leaf is divided into the 8^k cells of ``depth`` that fill it, wherever the surface is in it, for
-    nothing says where; their values are what the field refines to, and their nodes keep the leaves'
-    coefficients, so that the field stays as it was but for rounding (paper 4.2). Levels down to the old
-    leaves stay as they were; areas of leaves are shared out evenly. To be painted on, a texture needs no
-    larger depth ahead: ``octex.paint`` raises it where paint is finer.
+    Below ``depth`` it is ``texture.level(depth)``: leaves there become the averages stored above them. Every
+    leaf above ``depth``, of an adaptive texture too, is divided into the 8^k cells of
+    ``depth`` that fill it, wherever the surface is in it, for nothing says where; their values are what the
+    field refines to, and their nodes keep the leaves' coefficients, so that the field stays as it was but for
+    rounding (paper 4.2). Levels down to the old leaves stay as they were; areas of leaves are shared out
+    evenly. To be painted on, a texture needs no larger depth ahead: ``octex.paint`` raises it where paint is
+    finer.
 
     Raises ArgumentError for a depth that is not 0 … 21, and for one with more cells than can be numbered.
     """

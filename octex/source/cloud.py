@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import zipfile
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +18,7 @@ from octex.errors import ArgumentError, InputError, ModelError
 from octex.nearest.points import Points
 from octex.source.colors import linear_colors, screen_colors
 from octex.source.models.text import parse_numbers
-from octex.source.spatial import Floats, Placeable, SpatialSource
+from octex.source.spatial import Floats, Placeable, SpatialSource, least_cosine
 
 if TYPE_CHECKING:
     from octex.source.base import Source
@@ -30,6 +31,8 @@ CLOUD_ENDINGS = (".xyz", ".npz", ".ply")
 _LEAST_POINTS = 3
 _HEADER = 1 << 16
 _FARTHEST = 1e100
+# Colours may be above 1 by so much, and are then 1.
+_ROUNDING = 1e-5
 _NAMES = {
     "points": ("points", "positions", "xyz"),
     "colors": ("colors", "rgb"),
@@ -41,7 +44,8 @@ class PointCloud(Placeable):
     """Points with colours: laid on a surface, where the nearest of them count, or converted by themselves.
 
     points     (n, 3), n ≥ 3, in the model's units, at rest
-    colors     (n, 3 or 4): uint8 or uint16 sRGB codes, or floats, linear light; a fourth column is alpha
+    colors     (n, 3 or 4): uint8 or uint16 sRGB codes, or floats, linear light, 0 … 1; a fourth column is
+               alpha
     normals    (n, 3) of any length, or None
     radius     in the model's units: what a point of a surface gets is the mean of all points within it, those
                that are farther weighing less, (1 − d²/r²)²; where there is none it stays empty. At least the
@@ -51,7 +55,7 @@ class PointCloud(Placeable):
     max_angle  degrees between the surface's normal and a point's, from which on it does not count
 
     Raises ArgumentError for arrays of another shape, type or length, and ModelError for points that are not
-    finite or fewer than three.
+    finite or fewer than three, and for colours out of range.
     """
 
     def __init__(
@@ -72,6 +76,13 @@ class PointCloud(Placeable):
         self.colors = linear_colors(colors, len(self.points), f"{name}: colors")
         if not np.isfinite(self.colors).all():
             raise ModelError(f"{name}: colour {_first_bad(self.colors)} is not finite")
+        fits = ((self.colors >= 0.0) & (self.colors <= 1.0 + _ROUNDING)).all(axis=1)
+        if not fits.all():
+            raise ModelError(
+                f"{name}: colour {int(np.argmin(fits))} is not from 0 to 1, as linear light is; give sRGB "
+                "codes as uint8 or uint16"
+            )
+        np.minimum(self.colors, 1.0, out=self.colors)
         self.normals = None
         if normals is not None:
             facing = _rows(normals, f"{name}: normals")
@@ -178,7 +189,7 @@ class _FromPoints(SpatialSource):
         if cloud.distance is not None:
             self._nearest = cloud.distance
         self._is_faced = cloud.normals is not None and cloud.max_angle < 180.0
-        self._least_cosine = float(np.cos(np.radians(cloud.max_angle)))
+        self._least_cosine = least_cosine(cloud.max_angle)
         has_alpha = cloud.is_translucent or self.has_gaps
         super().__init__((BASE_COLOR, ALPHA) if has_alpha else (BASE_COLOR,), rest, triangles)
 
@@ -244,6 +255,9 @@ def _read_ply(path: Path) -> _Arrays:
 
 
 def _read_npz(path: Path) -> _Arrays:
+    with path.open("rb") as file:
+        if not zipfile.is_zipfile(file):
+            raise ModelError(f"{path.name} is no .npz file; save it with np.savez(…, points=…, colors=…)")
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             found = {
@@ -268,7 +282,9 @@ def _read_xyz(path: Path) -> _Arrays:
     columns = len(first.replace(",", " ").split())
     lines = (line for line in text.splitlines() if line.lstrip()[:1] != "#")
     numbers = parse_numbers("\n".join(lines).replace(",", " "))
-    if numbers is None or not columns or numbers.size % columns:
+    if not columns:
+        raise ModelError(f"{path.name} has no points; a line is x y z r g b")
+    if numbers is None or numbers.size % columns:
         raise ModelError(f"{path.name}: its lines are not all {columns} numbers; a line is x y z r g b")
     if columns not in (6, 7, 9, 10):
         raise ModelError(

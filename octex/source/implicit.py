@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from octex.checks import as_points, as_positive
+from octex.checks import as_number, as_points, as_positive
 from octex.errors import ArgumentError, ModelError
 from octex.parallel import memory_size
 
@@ -34,8 +34,7 @@ def level_set(
     """Return the vertices and triangles of where a function has a value: ``Surface.from_function``."""
     low, high = _box(bounds)
     edge = as_positive(edge_length, "edge_length")
-    if not np.isfinite(level):
-        raise ArgumentError(f"level must be finite, not {level!r}")
+    level = as_number(level, "level", -_LARGEST, _LARGEST)
     nodes = _NODES * float(np.prod((high - low) / edge + 1.0))
     if nodes * _NODE_MEMORY > memory_size():
         raise ArgumentError(

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Int32s = npt.NDArray[np.int32]
 
+#: By how much a cosine of normals in single precision may seem less than it is.
+_COSINE_ROUNDING = 1e-6
+
 
 class Placeable(ABC):
     """Something that gives a channel's values once it is laid on a surface: see ``Surface.with_sources``."""
@@ -31,6 +34,11 @@ class Placeable(ABC):
         ``filter``, one of filters.FILTERS, is how images are averaged over footprints. Raises ModelError,
         ImageError or ArgumentError for what cannot be laid on that surface.
         """
+
+
+def least_cosine(degrees: float) -> float:
+    """Return the cosine of an angle that normals are to agree within, less what it may be rounded by."""
+    return float(np.cos(np.radians(degrees))) - _COSINE_ROUNDING
 
 
 class SpatialSource(Source):

@@ -15,7 +15,7 @@ from octex.channels import ALPHA, ChannelFormat
 from octex.checks import as_choice, as_number
 from octex.errors import ModelError
 from octex.nearest.triangles import Triangles
-from octex.source.spatial import Floats, Int32s, Placeable, SpatialSource
+from octex.source.spatial import Floats, Int32s, Placeable, SpatialSource, least_cosine
 
 if TYPE_CHECKING:
     from octex.source.base import Source
@@ -89,7 +89,7 @@ class _Transferred(SpatialSource):
         self._other: Source | None = other.source  # None: only what there is of it is asked for
         self._mesh = mesh
         self._distance = np.inf if distance is None else distance
-        self._least_cosine = float(np.cos(np.radians(max_angle))) if max_angle < 180.0 else -np.inf
+        self._least_cosine = least_cosine(max_angle) if max_angle < 180.0 else -np.inf
         has_alpha = not self.has_gaps or ALPHA.name in [form.name for form in other.channels]
         channels = other.channels if has_alpha else (*other.channels, ALPHA)
         super().__init__(channels, surface.rest, surface.triangles)
