@@ -25,7 +25,7 @@ from octex.source.implicit import ImplicitFunction, level_set
 from octex.source.joined import FaceNormals, Joined, Part
 from octex.source.materials import ALPHA_MODES, AlphaMode, Input, Material, MaterialSource, Texture
 from octex.source.parts import Overlaps, overlapping_parts, parts_of, weld
-from octex.source.picked import Picked
+from octex.source.picked import part_of
 from octex.source.separation import SEPARATION, placed_as, separated
 from octex.source.tangents import carried
 
@@ -342,29 +342,7 @@ class Surface:
         ``source`` is one of these triangles; by default they keep the whole's. Raises ArgumentError for
         numbers of triangles that are not there, ModelError for none.
         """
-        chosen = np.asarray(triangles)
-        if chosen.size and (chosen.ndim != 1 or chosen.dtype.kind not in "iu"):
-            raise ArgumentError(
-                f"triangles must be whole numbers of shape (k,), not {chosen.dtype} {chosen.shape}"
-            )
-        if chosen.size and not 0 <= chosen.min() <= chosen.max() < len(self.triangles):
-            raise ArgumentError(f"{self.name} has triangles 0 to {len(self.triangles) - 1}, not all of these")
-        chosen = chosen.astype(np.int32)
-        faces = self.triangles[chosen]
-        used = np.zeros(len(self.vertices), np.bool_)
-        used[faces] = True
-        names = np.cumsum(used, dtype=np.int32) - np.int32(1)
-        frames = self.frames
-        return Surface(
-            self.vertices[used],
-            names[faces],
-            source or Picked(self.source, chosen, np.flatnonzero(used).astype(np.int32), self.rest),
-            rest=None if self.rest is self.vertices else self.rest[used],
-            uv=self.uv and self.uv.of(chosen),
-            frames=frames and Frames(frames.normals.of(chosen), frames.tangents.of(chosen)),
-            name=self.name,
-            provenance=self.provenance,
-        )
+        return part_of(self, triangles, source)
 
     @cached_property
     def parts(self) -> npt.NDArray[np.int32]:
