@@ -88,8 +88,7 @@ def test_validate_proves_all_parts_or_names_what_is_broken(
     path.unlink()
     assert main(["--validate", str(tmp_path / "copy"), "--json"]) == ExitCode.INVALID
     assert "the file of part 'part-1' is missing" in json.loads(capsys.readouterr().out)["broken"]
-    assert main(["--validate", str(tmp_path)]) == ExitCode.INVALID
-    assert "is not the folder of a texture set" in capsys.readouterr().out
+    assert "set.json: No such file" in refusal(capsys, "--validate", tmp_path)
     assert "is not the folder of a texture set" in refusal(capsys, "--info", tmp_path)
 
 

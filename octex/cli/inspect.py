@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.cli.common import say
-from octex.cli.sets import set_text
+from octex.cli.sets import INDEX, set_text
 from octex.errors import ExitCode, TextureFileError
 
 if TYPE_CHECKING:
@@ -76,9 +76,8 @@ def triple(numbers: Sequence[float]) -> str:
 
 def validate(path: Path, as_json: bool, quiet: bool) -> int:
     """Say whether a texture, or each of a set, is sound, or what is broken."""
-    if not path.is_dir():
-        with path.open("rb"):  # a file that cannot be read is not a broken one
-            pass
+    with (path / INDEX if path.is_dir() else path).open("rb"):  # what cannot be read is not broken
+        pass
     broken = None
     try:
         _opened(path).validate()
