@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from octex.conversion.apart import separate as separate
     from octex.conversion.convert import convert as convert
+    from octex.conversion.sets import convert_set as convert_set
     from octex.errors import OctexError as OctexError
     from octex.painting.merge import merge as merge
     from octex.painting.paint import paint as paint
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from octex.source.surface import Surface as Surface
     from octex.source.transfer import Transfer as Transfer
     from octex.texture import OctreeTexture as OctreeTexture
+    from octex.texture import TextureSet as TextureSet
     from octex.texture import open_texture
     from octex.view.camera import Camera as Camera
     from octex.view.camera_files import read_cameras as read_cameras
@@ -52,11 +54,13 @@ _HOMES = {
     "Projection": ("octex.painting.pictures", "Projection"),
     "Sphere": ("octex.painting.region", "Sphere"),
     "Surface": ("octex.source.surface", "Surface"),
+    "TextureSet": ("octex.texture", "TextureSet"),
     "Transfer": ("octex.source.transfer", "Transfer"),
     "blur": ("octex.processing.blur", "blur"),
     "cast": ("octex.processing.cast", "cast"),
     "combine": ("octex.processing.combine", "combine"),
     "convert": ("octex.conversion.convert", "convert"),
+    "convert_set": ("octex.conversion.sets", "convert_set"),
     "crop": ("octex.processing.resize", "crop"),
     "curves": ("octex.processing.tone", "curves"),
     "fill": ("octex.painting.region", "fill"),

@@ -166,7 +166,7 @@ def _read_header(file: BinaryIO, file_length: int) -> bytes:
 
 def _parsed(text: bytes, file_length: int) -> tuple[dict[str, _Entry], dict[str, str]]:
     try:
-        entries = json.loads(text, object_pairs_hook=_without_duplicates)
+        entries = json.loads(text, object_pairs_hook=without_duplicates)
     except (ValueError, RecursionError) as error:
         raise _HeaderError(f"its header is not JSON ({error}): another type of file, or damaged") from error
     metadata = entries.pop(_METADATA, {}) if isinstance(entries, dict) else None
@@ -189,7 +189,8 @@ def _parsed(text: bytes, file_length: int) -> tuple[dict[str, _Entry], dict[str,
     return tensors, metadata
 
 
-def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return a JSON object's entries, as ``object_pairs_hook``; raises ValueError for a name given twice."""
     entries = dict(pairs)
     if len(entries) < len(pairs):
         raise ValueError("a name twice")

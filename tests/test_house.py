@@ -42,8 +42,23 @@ EXCEPTIONS = {("checks", "octex.tree.layout")}
 
 EXPORTED = [
     *["Box", "Camera", "MappedImage", "OctexError", "OctreeTexture", "PointCloud", "Projection", "Sphere"],
-    *["Surface", "Transfer", "__version__", "blur", "cast", "combine", "convert", "crop", "curves", "fill"],
-    *["levels", "load_surface", "map", "merge", "mix", "open", "paint", "project", "read_cameras", "resize"],
+    *["Surface", "TextureSet", "Transfer", "__version__", "blur", "cast", "combine", "convert"],
+    *[
+        "convert_set",
+        "crop",
+        "curves",
+        "fill",
+        "levels",
+        "load_surface",
+        "map",
+        "merge",
+        "mix",
+        "open",
+        "paint",
+        "project",
+        "read_cameras",
+        "resize",
+    ],
     *["separate", "write_cameras"],
 ]
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]

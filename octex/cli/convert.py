@@ -19,6 +19,7 @@ from octex.cli.inspect import info, validate
 from octex.cli.models import TEXTURE_ENDING, input_files, is_cloud, read_model
 from octex.cli.overlaps import overlaps, separated_as_json, separated_text
 from octex.cli.process import others_of, processed
+from octex.cli.sets import convert_parts
 from octex.errors import ExitCode
 from octex.parallel import threads
 
@@ -48,7 +49,7 @@ def _main(options: argparse.Namespace) -> int:
         return overlaps(COMMAND, options)
     if work == "--warm-up":
         return _warm_up(options.quiet)
-    return _convert(options)
+    return convert_parts(COMMAND, options) if options.parts else _convert(options)
 
 
 def _convert(options: argparse.Namespace) -> int:

@@ -46,7 +46,7 @@ _OF_TEXTURES = {"--crop", "--combine", "--mix", "--blur", "--levels"}
 _OF_ANYTHING = {"INPUT", "OUTPUT", "--depth", "--channels", "--dtype"}
 _OF_ANYTHING |= {"--preview", "--force", "--threads", "--quiet", "--json"}
 _OPTIONS = {
-    "a conversion": {"--cell", "--max-error", "--detail", "--no-fit", "--separate"}
+    "a conversion": {"--cell", "--max-error", "--detail", "--no-fit", "--separate", "--parts"}
     | _OF_ANYTHING
     | _OF_TEXTURES
     | _MATERIALS,
@@ -72,7 +72,7 @@ def parser() -> argparse.ArgumentParser:
         f"{'':29}[--project-center X,Y,Z] [--project-size SIZE]\n"
         f"{'':29}[--transfer MODEL | --cloud POINTS [--radius R]] [--max-distance D]\n"
         f"{'':29}[--max-angle DEGREES]\n"
-        f"{'':29}[--separate [CELLS]] [--preview PNG] [--force] [--threads N] [--quiet]\n"
+        f"{'':29}[--separate [CELLS] | --parts] [--preview PNG] [--force] [--threads N] [--quiet]\n"
         f"{'':29}[--json]\n"
         f"       {COMMAND} TEXTURE OUTPUT [--crop BOX] [--depth N] [--combine FILE] [--mix FILE=AMOUNT]\n"
         f"{'':29}[--blur WIDTH] [--levels BLACK,WHITE[,GAMMA]] [--channels NAMES]\n"
@@ -94,7 +94,12 @@ def parser() -> argparse.ArgumentParser:
         help="the model, a cloud of points, an .octex file made before, or FILE.py:NAME, "
         "a function of positions (n, 3), below 0 inside",
     )
-    add("OUTPUT", nargs="?", type=Path, help="NAME.octex, or NAME.ply: a coloured point a leaf, with normal")
+    add(
+        "OUTPUT",
+        nargs="?",
+        type=Path,
+        help="NAME.octex, or NAME.ply: a coloured point a leaf, with normal; with --parts a folder",
+    )
     add(
         "--depth",
         metavar="N",
@@ -226,6 +231,11 @@ def parser() -> argparse.ArgumentParser:
         f"(default {SEPARATE_CELLS:g}), so that their colours do not run together",
     )
     add(
+        "--parts",
+        action="store_true",
+        help="give each part a texture of its own, so that nothing bleeds: OUTPUT is a folder then",
+    )
+    add(
         "--crop",
         metavar="BOX",
         type=box,
@@ -282,12 +292,13 @@ def parser() -> argparse.ArgumentParser:
         type=length,
         help="how near parts may come to each other, in the model's units (default: not at all)",
     )
-    add("--info", metavar="FILE", type=Path, help="say what an .octex file holds")
+    add("--info", metavar="FILE", type=Path, help="say what an .octex file or a folder of --parts holds")
     add(
         "--validate",
         metavar="FILE",
         type=Path,
-        help="check that an .octex file is a sound octree, or say what is broken",
+        help="check that an .octex file, or each in a folder of --parts, is a sound octree, or say what is "
+        "broken",
     )
     add("--warm-up", action="store_true", help="compile everything now; later runs start at once")
     add("--version", action="version", version=f"{COMMAND} {octex.__version__}")
@@ -310,6 +321,9 @@ def work_of(options: argparse.Namespace) -> str:
                 raise ArgumentError(f"{word} is missing; see {COMMAND} --help")
         if options.depth is not None and options.cell is not None:
             raise ArgumentError("--depth and --cell both say how fine the cells are; give one of them")
+        for word in ("--separate", "--preview"):
+            if options.parts and word in given:
+                raise ArgumentError(f"{word} has no meaning with --parts; see {COMMAND} --help")
     return work
 
 

@@ -1,4 +1,4 @@
-"""octree-convert --info and --validate: a look at what an .octex file holds, and whether it is sound."""
+"""octree-convert --info and --validate: a look at what a file or a folder holds, and whether it is sound."""
 
 from __future__ import annotations
 
@@ -6,18 +6,27 @@ import json
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.cli.common import say
+from octex.cli.sets import INDEX, set_text
 from octex.errors import ExitCode, TextureFileError
+
+if TYPE_CHECKING:
+    from octex.texture import OctreeTexture, TextureSet
 
 
 def info(path: Path, as_json: bool) -> int:
-    """Say what a texture holds."""
-    information = octex.open(path).info()
-    say(json.dumps(information) if as_json else "\n".join(_readable(information)))
+    """Say what a texture, or a set, holds."""
+    information = _opened(path).info()
+    lines = set_text if "parts" in information else _readable
+    say(json.dumps(information) if as_json else "\n".join(lines(information)))
     return ExitCode.DONE
+
+
+def _opened(path: Path) -> OctreeTexture | TextureSet:
+    return octex.TextureSet.open(path) if path.is_dir() else octex.open(path)
 
 
 def _readable(information: dict[str, Any]) -> Iterator[str]:
@@ -66,12 +75,12 @@ def triple(numbers: Sequence[float]) -> str:
 
 
 def validate(path: Path, as_json: bool, quiet: bool) -> int:
-    """Say whether a texture is sound, or what is broken."""
-    with path.open("rb"):  # a file that cannot be read is not a broken one
+    """Say whether a texture, or each of a set, is sound, or what is broken."""
+    with (path / INDEX if path.is_dir() else path).open("rb"):  # what cannot be read is not broken
         pass
     broken = None
     try:
-        octex.open(path).validate()
+        _opened(path).validate()
     except TextureFileError as error:
         broken = str(error)
     if as_json:

@@ -108,19 +108,15 @@ def convert(
     names = [channels] if isinstance(channels, str) else channels
     steering = channel_of(detail)
     if names is None or steering is None or steering in names:
-        whole = surface = _surface(model, rest, names, sources or {}, filter, report)
+        whole = surface = surface_of(model, rest, names, sources or {}, filter, report)
     else:
-        whole = _surface(model, rest, [*names, steering], sources or {}, filter, report)
+        whole = surface_of(model, rest, [*names, steering], sources or {}, filter, report)
         surface = whole.with_channels(names)
     cells = {True: apart.CELLS, False: None}[separate] if isinstance(separate, bool) else separate
     if cells is not None:
         surface = apart.separate(surface, cells, depth=depth, cell=cell).surface
     stored = stored_as(surface.channels, dtype, surface.name)
-    if cell is not None:
-        placement, depth = Placement.with_cell(surface.bounds, cell)
-    else:
-        depth = DEFAULT_DEPTH if depth is None else depth
-        placement = Placement.around(surface.bounds, depth)
+    placement, depth = placed(surface, depth, cell)
     wanted = None if detail is None else wanted_levels(detail, whole, depth)
     with workers(executor) as pool:
         has_samples = fit or most is not None
@@ -165,7 +161,15 @@ def convert(
     return OctreeTexture(tree, values, placement, surface.bounds, metadata)
 
 
-def _surface(
+def placed(surface: Surface, depth: int | None, cell: float | None) -> tuple[Placement, int]:
+    """Return the root cell of a surface and the finest level, for ``depth`` or ``cell`` as in ``convert``."""
+    if cell is not None:
+        return Placement.with_cell(surface.bounds, cell)
+    depth = DEFAULT_DEPTH if depth is None else depth
+    return Placement.around(surface.bounds, depth), depth
+
+
+def surface_of(
     model: str | Path | Surface | Sequence[str | Path | Surface],
     rest: str | Path | npt.ArrayLike | None,
     channels: Sequence[str] | None,

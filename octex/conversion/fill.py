@@ -272,6 +272,12 @@ def assemble(channels: Sequence[ChannelFormat], filled: Filled) -> tuple[Octree,
     return tree, values
 
 
+def is_degenerate(surface: Surface, placement: Placement) -> bool:
+    """Say whether a surface has no area in a root cell, so that there is nothing to convert."""
+    count, _ = _count_degenerate(on_grid(surface.rest, placement), surface.triangles)
+    return count == len(surface.triangles)
+
+
 @kernel
 def _count_degenerate(grid: npt.NDArray[np.int32], triangles: npt.NDArray[np.int32]) -> tuple[int, float]:
     """Count the triangles that are degenerate on the grid; also add up all areas, in square grid steps."""

@@ -74,7 +74,7 @@ def rasterize_paint(
         return nothing
     chosen = around(surface, touched, placement, depth)
     here = source.on(chosen)
-    part = _part(surface, chosen, here)
+    part = surface.part(chosen, here)
     filled = fill(
         part, here.channels, placement, depth, executor, progress,
         has_samples=fit, wanted=partial(_wanted, here, placement.size, depth),
@@ -95,16 +95,6 @@ def rasterize_paint(
         values[ALPHA.name] = means[ALPHA.name]  # opaque paint stays opaque
         tree, values = separated(tree, means, values)
     return refaced(OctreeTexture(tree, values, placement, surface.bounds))
-
-
-def _part(surface: Surface, chosen: Int32s, source: PaintSource) -> Surface:
-    """Return some triangles of a surface, with the vertices that they use."""
-    faces = surface.triangles[chosen]
-    used = np.zeros(len(surface.vertices), np.bool_)
-    used[faces] = True
-    names = np.cumsum(used, dtype=np.int32) - np.int32(1)
-    rest = None if surface.rest is surface.vertices else surface.rest[used]
-    return Surface(surface.vertices[used], names[faces], source, rest=rest, name=surface.name)
 
 
 def empty_texture(

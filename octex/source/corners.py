@@ -14,6 +14,10 @@ class Corners(NamedTuple):
     values: npt.NDArray[np.float32]  # (rows, components)
     rows: npt.NDArray[np.int32]  # (triangles, 3)
 
+    def of(self, triangles: npt.NDArray[np.int32]) -> Corners:
+        """Return the same of some triangles (k,) alone."""
+        return Corners(self.values, self.rows[triangles])
+
 
 class Frames(NamedTuple):
     """Shading normals and tangents at triangle corners, unit vectors."""

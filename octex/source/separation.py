@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from octex.checks import as_positive
 from octex.errors import ArgumentError
-from octex.source.parts import Overlaps, boxes_of, overlapping_parts, parts_of, weld
+from octex.source.parts import Overlaps, boxes_of, overlapping_parts
 
 if TYPE_CHECKING:
     from octex.source.surface import Surface
@@ -53,7 +53,7 @@ def placed_as(surface: Surface, metadata: Mapping[str, str]) -> Surface:
         raise ArgumentError(
             f"{surface.name} is separated, and the texture is not, or otherwise; use the surface as it was"
         )
-    parts = parts_of(surface.triangles, weld(surface.rest))
+    parts = surface.parts
     wanted = _read(text)
     if wanted is None:
         raise ArgumentError(f"what the texture says of its separated parts cannot be read: {text[:80]!r}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -23,7 +24,8 @@ from octex.source.images.pyramid import as_wraps
 from octex.source.implicit import ImplicitFunction, level_set
 from octex.source.joined import FaceNormals, Joined, Part
 from octex.source.materials import ALPHA_MODES, AlphaMode, Input, Material, MaterialSource, Texture
-from octex.source.parts import Overlaps, overlapping_parts
+from octex.source.parts import Overlaps, overlapping_parts, parts_of, weld
+from octex.source.picked import part_of
 from octex.source.separation import SEPARATION, placed_as, separated
 from octex.source.tangents import carried
 
@@ -333,6 +335,22 @@ class Surface:
             name=self.name,
             provenance=self.provenance,
         )
+
+    def part(self, triangles: npt.ArrayLike, source: Source | None = None) -> Surface:
+        """Return some triangles (k,) of the surface, in that order, with the vertices that they use.
+
+        ``source`` is one of these triangles; by default they keep the whole's. Raises ArgumentError for
+        numbers of triangles that are not there, ModelError for none.
+        """
+        return part_of(self, triangles, source)
+
+    @cached_property
+    def parts(self) -> npt.NDArray[np.int32]:
+        """The part of each triangle (m,), numbered by their first triangles, as ``overlapping_parts`` does.
+
+        Parts are what hangs together at rest, vertices at the same position being one.
+        """
+        return parts_of(self.triangles, weld(self.rest))
 
     def overlapping_parts(self, margin: float = 0.0) -> Overlaps:
         """Find the parts that intersect at rest, or come nearer than ``margin`` (in the model's units).

@@ -5,9 +5,12 @@ lookup      points looked up in blocks, on any threads, answers written where th
 blend       from rows to values: decoded, blended under the weights of taps
 file        what is on disk, drawn; opened and saved through container
 texture     tree + channels + placement
+set         textures of parts by name, looked up by part
+folder      what a set is on disk
 """
 
 from octex.field.splines import FILTERS as FILTERS
 from octex.texture.channel import Channel as Channel
+from octex.texture.set import TextureSet as TextureSet
 from octex.texture.texture import OctreeTexture as OctreeTexture
 from octex.texture.texture import open_texture as open_texture

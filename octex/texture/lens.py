@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.checks import as_number, as_point_rows
+from octex.checks import as_choice, as_number, as_point_rows
 from octex.errors import ArgumentError
 from octex.field.filtered import Query
 from octex.field.footprints import Footprints, long_footprints, round_footprints
+from octex.field.splines import FILTERS
 from octex.texture.lookup import Given
 
 #: Difference of a front and a back, of 1, that footprints without normals may mix.
@@ -29,8 +30,13 @@ class Lens(NamedTuple):
     sharpness: float
     bleed_threshold: float
 
-    def check(self, given: dict[str, npt.NDArray[Any]], **more: npt.ArrayLike | None) -> None:
+    def check(
+        self, given: dict[str, npt.NDArray[Any]], *, gradient: bool, **more: npt.ArrayLike | None
+    ) -> None:
         """Add what else is given of points, a row for each. Raises ArgumentError for what does not fit."""
+        as_choice(self.filter, FILTERS, "filter")
+        if gradient and self.filter == "nearest":
+            raise ArgumentError(f"nearest has no gradient; {', '.join(FILTERS[1:])} have one")
         as_number(self.anisotropy, "anisotropy", 1.0, MOST_ANISOTROPY)
         as_number(self.blur, "blur", 0.0, np.finfo(np.float64).max)
         as_number(self.sharpness, "sharpness", 0.0, 1.0)

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from octex.checks import as_choice
 from octex.errors import ArgumentError
 from octex.parallel import ordered_map
 
@@ -83,6 +84,52 @@ def _look_up_block(look_up: LookUp, block: tuple[Given, list[Array]]) -> tuple[_
 
 def _as_kernels_take_it(array: Array) -> Array:
     return np.require(array, np.float32 if array.dtype == np.float32 else np.float64, ["C", "A", "W"])
+
+
+class Answers:
+    """Where the values of channels go, and their gradients if they are wanted.
+
+    ``components`` are those of the channels that there are, by name; ``channel``, ``gradient`` and ``out``
+    are what users ask for: see `OctreeTexture.sample`. Raises ArgumentError for what does not fit.
+    """
+
+    def __init__(
+        self,
+        components: Mapping[str, int],
+        channel: str | list[str] | tuple[str, ...],
+        count: int,
+        gradient: bool,
+        out: Any,
+    ) -> None:
+        self._single = isinstance(channel, str)
+        names = list(channel) if isinstance(channel, (list, tuple)) else [channel]
+        for name in names:
+            as_choice(name, components, "channel")
+        shapes: dict[str, tuple[int, ...]] = {name: (count, components[name]) for name in names}
+        self._gradients: dict[str, Floats] | None = None
+        if gradient:
+            out, out_gradients = pair_of(out)
+            slopes = {name: (*shape, 3) for name, shape in shapes.items()}
+            self._gradients = answers_for(slopes, out_gradients, self._single, "the gradients' out")
+        self._values = answers_for(shapes, out, self._single)
+
+    @property
+    def channels(self) -> list[str]:
+        """The channels, each once."""
+        return list(self._values)
+
+    @property
+    def arrays(self) -> list[Array]:
+        """The values of each channel, then the gradients of each."""
+        return [*self._values.values(), *(self._gradients or {}).values()]
+
+    @property
+    def returned(self) -> Any:
+        """What `OctreeTexture.sample` returns."""
+        if self._single:
+            values, *gradients = self.arrays
+            return (values, *gradients) if gradients else values
+        return self._values if self._gradients is None else (self._values, self._gradients)
 
 
 def answers_for(

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import mmap
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal, overload
 
@@ -15,15 +16,14 @@ import numpy as np
 import numpy.typing as npt
 
 from octex import container
-from octex.checks import as_choice, as_depth, as_point_rows
+from octex.checks import as_depth, as_point_rows
 from octex.errors import ArgumentError, InputError, TextureFileError
 from octex.field.field import Field
-from octex.field.splines import FILTERS
 from octex.texture.blend import NO_GRADIENTS, facing_spreads, look_up, make_unit
 from octex.texture.channel import Channel
 from octex.texture.file import ENDING, FORMAT, FORMAT_VERSION, File, Parts, taken, written
 from octex.texture.lens import BLEED_THRESHOLD, Lens
-from octex.texture.lookup import Given, LookUp, answers_for, check_apart, in_blocks, pair_of
+from octex.texture.lookup import Answers, Given, LookUp, check_apart, in_blocks
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.search import in_leaves
@@ -222,31 +222,18 @@ class OctreeTexture:
         ``nearest``, and for an ``out`` that does not fit.
         """
         given = {"points": as_point_rows(points)}
-        points = given["points"]
-        as_choice(filter, FILTERS, "filter")
-        if gradient and filter == "nearest":
-            raise ArgumentError(f"nearest has no gradient; {', '.join(FILTERS[1:])} have one")
-        single = isinstance(channel, str)
-        names = list(channel) if isinstance(channel, (list, tuple)) else [channel]
-        for name in names:
-            as_choice(name, self.channels, "channel")
-        channels = [self.channels[name] for name in dict.fromkeys(names)]
-        shapes = {each.format.name: (len(points), each.format.components) for each in channels}
-        if gradient:
-            out, out_gradients = pair_of(out)
-            slopes = {name: (*shape, 3) for name, shape in shapes.items()}
-            gradients = answers_for(slopes, out_gradients, single, "the gradients' out")
-        else:
-            gradients = {}
-        values = answers_for(shapes, out, single)
-        answers = [*values.values(), *gradients.values()]
         lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
-        lens.check(given, width=width, normals=normals, dPdx=dPdx, dPdy=dPdy)
-        check_apart(given.values(), answers)
-        self._look_up(given, answers, partial(self._sampled, channels, lens, normalize), executor)
-        if single:
-            return (values[names[0]], gradients[names[0]]) if gradient else values[names[0]]
-        return (values, gradients) if gradient else values
+        lens.check(given, gradient=gradient, width=width, normals=normals, dPdx=dPdx, dPdy=dPdy)
+        components = {name: each.format.components for name, each in self.channels.items()}
+        answers = Answers(components, channel, len(given["points"]), gradient, out)
+        check_apart(given.values(), answers.arrays)
+        self._read_for(len(given["points"]))
+        in_blocks(given, answers.arrays, self._look_up(answers.channels, lens, normalize), executor)
+        return answers.returned
+
+    def _look_up(self, names: Sequence[str], lens: Lens, normalize: bool) -> LookUp:
+        """Return how a block of points is looked up: what `lookup.in_blocks` takes."""
+        return partial(self._sampled, [self.channels[name] for name in names], lens, normalize)
 
     def _sampled(
         self, channels: list[Channel], lens: Lens, normalize: bool, given: Given, answers: list[Array]
@@ -288,21 +275,19 @@ class OctreeTexture:
         """
         points = as_point_rows(points)
         inside = np.empty(len(points), np.bool_)
-        self._look_up(
-            {"points": points},
-            [inside],
-            lambda given, rows: in_leaves(self.tree.arrays, given["points"], *self.placement, rows[0]),
-            executor,
-        )
+        self._read_for(len(points))
+        in_blocks({"points": points}, [inside], self._holds, executor)
         return inside
 
-    def _look_up(
-        self, given: Given, answers: list[Array], look_up: LookUp, executor: Executor | None
-    ) -> None:
+    def _holds(self, given: Given, answers: list[Array]) -> int:
+        """Say of a block of points whether leaves hold them: what `lookup.in_blocks` takes."""
+        return in_leaves(self.tree.arrays, given["points"], *self.placement, answers[0])
+
+    def _read_for(self, count: int) -> None:
+        """Prepare for so many lookups."""
         # About a page a point: most of the file will be read.
-        if len(given["points"]) * mmap.PAGESIZE > self.nbytes:
+        if count * mmap.PAGESIZE > self.nbytes:
             self._read_ahead()
-        in_blocks(given, answers, look_up, executor)
 
     def level(self, level: int) -> OctreeTexture:
         """Return the texture of levels 0 … ``level``, whose leaves include the averages stored there.
@@ -393,6 +378,8 @@ def open_texture(path: str | os.PathLike[str]) -> OctreeTexture:
 
     Raises TextureFileError for a file that is missing, damaged, of another type or of a newer version.
     """
+    if Path(path).is_dir():
+        raise TextureFileError(f"{path}: is a folder; octex.TextureSet.open opens a texture set")
     contents = container.read(path)
     tensors, metadata = dict(contents.tensors), dict(contents.metadata)
     try:

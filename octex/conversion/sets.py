@@ -1,0 +1,119 @@
+"""Parts of a model converted into textures of their own (Benson & Davis 2002, 4.3.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import encode
+from octex.conversion.convert import convert, placed, surface_of
+from octex.conversion.detail import DetailFunction, channel_of
+from octex.conversion.fill import is_degenerate
+from octex.conversion.stored import Dtypes, stored_as
+from octex.errors import ArgumentError, ModelError
+from octex.parallel import Progress, silent, workers
+from octex.source.base import by_channel
+from octex.source.cloud import PointCloud
+from octex.source.surface import Surface
+from octex.texture import Channel, OctreeTexture, TextureSet
+from octex.tree.octree import Octree
+from octex.tree.placement import Placement
+
+
+def convert_set(
+    parts: str | Path | Surface | Mapping[str, str | Path | Surface | PointCloud],
+    depth: int | None = None,
+    *,
+    cell: float | None = None,
+    rest: str | Path | npt.ArrayLike | None = None,
+    channels: Sequence[str] | None = None,
+    sources: Mapping[str, object] | None = None,
+    dtype: Dtypes = None,
+    filter: str | None = None,
+    fit: bool = True,
+    max_error: float | None = None,
+    detail: DetailFunction | str | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> TextureSet:
+    """Convert the parts of a model into textures of their own, so that nothing bleeds between them.
+
+    ``parts`` are models by name; or one model, a file or a Surface, whose parts are then those of
+    ``Surface.parts``, named part-0, part-1 …: the texture of triangle t is number ``surface.parts[t]``.
+
+    Each part has a root cell of its own, of ``depth`` levels (10 by default): small parts get small cells.
+    ``cell`` instead is the edge of the finest cells of all parts. All else is as for ``convert``; ``rest``
+    is for one model alone, and ``sources`` are laid on that before it is taken apart. A part of one model
+    that has no area gets a single cell with the mean of its source at the middles of its triangles.
+    ``progress`` counts the parts.
+
+    Raises ArgumentError, ModelError and ImageError as ``convert`` does.
+    """
+    if depth is not None and cell is not None:
+        raise ArgumentError("give depth or cell, not both")
+    report = progress or silent
+    names = [channels] if isinstance(channels, str) else channels
+    models: dict[str, str | Path | Surface | PointCloud] = {}
+    metadata: dict[str, str] = {}
+    made: dict[str, OctreeTexture] = {}
+    if isinstance(parts, Mapping):
+        if rest is not None:
+            raise ArgumentError("rest is for one model; give parts that are at rest, as load_surface does")
+        models |= parts
+    else:
+        if isinstance(parts, PointCloud):
+            raise ArgumentError(f"{parts.name} is points, which have no parts; convert takes it")
+        steering = channel_of(detail)
+        wanted = names if names is None or steering is None else [*names, steering]
+        surface = surface_of(parts, rest, wanted, sources or {}, filter, report)
+        sources = filter = None  # they are in it
+        metadata |= surface.provenance
+        for name, part in _taken_apart(surface):
+            models[name] = part
+            placement, _ = placed(part, depth, cell)
+            if is_degenerate(part, placement):
+                made[name] = _single_cell(part, placement, names, dtype)
+        if len(made) == len(models):
+            raise ModelError(f"{surface.name}: none of its parts has an area; there is nothing to convert")
+    report("convert", len(made), len(models))
+    with workers(executor) as pool:
+        for name in [name for name in models if name not in made]:
+            made[name] = convert(
+                models[name], depth,
+                cell=cell, channels=names, sources=sources, dtype=dtype, filter=filter, fit=fit,
+                max_error=max_error, detail=detail, executor=pool,
+            )  # fmt: skip
+            report("convert", len(made), len(models))
+    return TextureSet({name: made[name] for name in models}, metadata)
+
+
+def _taken_apart(surface: Surface) -> Iterator[tuple[str, Surface]]:
+    """Yield the names of a surface's parts, and the parts."""
+    order = np.argsort(surface.parts, kind="stable")
+    starts = np.flatnonzero(np.diff(surface.parts[order])) + 1
+    for number, triangles in enumerate(np.split(order, starts)):
+        name = f"part-{number}"
+        part = surface.part(triangles)
+        part.name = f"{surface.name} ({name})"
+        part.provenance["part"] = name
+        yield name, part
+
+
+def _single_cell(
+    surface: Surface, placement: Placement, channels: Sequence[str] | None, dtype: Dtypes
+) -> OctreeTexture:
+    """Return a texture of one cell, with the mean over the middles of all triangles."""
+    surface = surface.completed({}, channels)
+    count = len(surface.triangles)
+    thirds = np.full((count, 3), 1 / 3)
+    found = surface.evaluate_all(np.arange(count, dtype=np.int32), thirds, np.zeros(count, np.float32))
+    means = by_channel(surface.channels, found.mean(axis=0, keepdims=True))
+    made = {}
+    for form in stored_as(surface.channels, dtype, surface.name):
+        values = encode(means[form.name], form.dtype, form.space)
+        made[form.name] = Channel(form, values, values[:0], values[:0])
+    return OctreeTexture(Octree.from_leaves([0], 0), made, placement, surface.bounds, surface.provenance)

@@ -1,0 +1,316 @@
+"""TextureSet: parts of a model with textures of their own (paper 4.3.1)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Executor
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal, TypedDict, Unpack, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.checks import as_choice, as_point_rows
+from octex.errors import ArgumentError, TextureFileError
+from octex.texture.folder import FORMAT, FORMAT_VERSION, read_index, write_folder
+from octex.texture.lens import BLEED_THRESHOLD, Lens
+from octex.texture.lookup import Answers, Given, LookUp, check_apart, in_blocks
+from octex.texture.texture import OctreeTexture, open_texture
+
+Array = npt.NDArray[Any]
+Floats = npt.NDArray[np.float32]
+
+#: So many parts are named where a set is shown.
+_SHOWN = 5
+
+
+class Looks(TypedDict, total=False):
+    """How points are looked at: see `OctreeTexture.sample`."""
+
+    width: npt.ArrayLike | None
+    normals: npt.ArrayLike | None
+    dPdx: npt.ArrayLike | None
+    dPdy: npt.ArrayLike | None
+    anisotropy: float
+    blur: float
+    sharpness: float
+    bleed_threshold: float
+    normalize: bool
+    executor: Executor | None
+
+
+class TextureSet(Mapping[str, OctreeTexture]):
+    """Textures by the names of a model's parts, in order: what nearly touches does not share cells.
+
+    Parts that intersect or nearly touch share the cells of one texture, and their colours run together; in
+    textures of their own they do not (Benson & Davis 2002, 4.3.1). Parts have numbers, from 0, in the order
+    of their names. Immutable; a part's file is opened when it is first needed. ``metadata`` is provenance,
+    as for a texture.
+
+    Raises ArgumentError for no parts, for names that are no text, and for anything but textures.
+    """
+
+    def __init__(
+        self, textures: Mapping[str, OctreeTexture], metadata: Mapping[str, str] | None = None
+    ) -> None:
+        if not textures:
+            raise ArgumentError("a texture set needs one part at least")
+        for name, texture in textures.items():
+            if not isinstance(name, str) or not name:
+                raise ArgumentError(f"parts must have names, not {name!r}")
+            if not isinstance(texture, OctreeTexture):
+                raise ArgumentError(f"part {name!r} must be an OctreeTexture, not {type(texture).__name__}")
+        self.metadata = MappingProxyType(dict(metadata or {}))
+        if not all(isinstance(text, str) for pair in self.metadata.items() for text in pair):
+            raise ArgumentError("metadata must map strings to strings")
+        self._textures: dict[str, OctreeTexture | Path] = dict(textures)
+        self.names = tuple(self._textures)
+
+    @classmethod
+    def open(cls, folder: str | os.PathLike[str]) -> TextureSet:
+        """Open the folder of a set. Only its index is read; a part's file is opened when it is needed.
+
+        Raises TextureFileError for an index that is missing, damaged or of a newer version, for files that
+        are missing or not in the folder; and for a part's damaged file when it is opened.
+        """
+        index = read_index(Path(folder))
+        made = cls.__new__(cls)
+        made.metadata = MappingProxyType(index.metadata)
+        made._textures = {name: Path(folder) / file for name, file in index.files.items()}
+        made.names = tuple(made._textures)
+        return made
+
+    def __getitem__(self, name: str) -> OctreeTexture:
+        texture = self._textures[name]
+        if isinstance(texture, Path):
+            texture = self._textures[name] = open_texture(texture)
+        return texture
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __repr__(self) -> str:
+        more = f" and {len(self) - _SHOWN} more" if len(self) > _SHOWN else ""
+        count = f"{len(self)} part{'' if len(self) == 1 else 's'}"
+        return f"<TextureSet of {count}: {', '.join(self.names[:_SHOWN])}{more}>"
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all arrays of all textures."""
+        return sum(texture.nbytes for texture in self.values())
+
+    @overload
+    def sample(
+        self,
+        points: npt.ArrayLike,
+        parts: npt.ArrayLike,
+        channel: str = "base_color",
+        filter: str = "quadratic",
+        *,
+        gradient: Literal[False] = False,
+        out: Floats | None = None,
+        **options: Unpack[Looks],
+    ) -> Floats: ...
+    @overload
+    def sample(
+        self,
+        points: npt.ArrayLike,
+        parts: npt.ArrayLike,
+        channel: list[str] | tuple[str, ...],
+        filter: str = "quadratic",
+        *,
+        gradient: Literal[False] = False,
+        out: Mapping[str, Floats] | None = None,
+        **options: Unpack[Looks],
+    ) -> dict[str, Floats]: ...
+    @overload
+    def sample(
+        self,
+        points: npt.ArrayLike,
+        parts: npt.ArrayLike,
+        channel: str = "base_color",
+        filter: str = "quadratic",
+        *,
+        gradient: Literal[True],
+        out: tuple[Floats, Floats] | None = None,
+        **options: Unpack[Looks],
+    ) -> tuple[Floats, Floats]: ...
+    @overload
+    def sample(
+        self,
+        points: npt.ArrayLike,
+        parts: npt.ArrayLike,
+        channel: list[str] | tuple[str, ...],
+        filter: str = "quadratic",
+        *,
+        gradient: Literal[True],
+        out: tuple[Mapping[str, Floats], Mapping[str, Floats]] | None = None,
+        **options: Unpack[Looks],
+    ) -> tuple[dict[str, Floats], dict[str, Floats]]: ...
+    def sample(
+        self,
+        points: npt.ArrayLike,
+        parts: npt.ArrayLike,
+        channel: str | list[str] | tuple[str, ...] = "base_color",
+        filter: str = "quadratic",
+        *,
+        gradient: bool = False,
+        out: Any = None,
+        width: npt.ArrayLike | None = None,
+        normals: npt.ArrayLike | None = None,
+        dPdx: npt.ArrayLike | None = None,
+        dPdy: npt.ArrayLike | None = None,
+        anisotropy: float = 16.0,
+        blur: float = 0.0,
+        sharpness: float = 0.0,
+        bleed_threshold: float = BLEED_THRESHOLD,
+        normalize: bool = True,
+        executor: Executor | None = None,
+    ) -> Any:
+        """Look up rest positions (n, 3), each in the texture of its part.
+
+        ``parts`` are numbers or names, (n,) of them, or one for all. All else is as for
+        ``OctreeTexture.sample``, and so is what is returned.
+
+        Raises ArgumentError as that does, for parts that are not there, naming those that are, and for a
+        channel that a part in use lacks, or has with other components than the rest.
+        """
+        given = {"points": as_point_rows(points)}
+        lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
+        lens.check(given, gradient=gradient, width=width, normals=normals, dPdx=dPdx, dPdy=dPdy)
+        used = self._with_parts(given, parts)
+        components = self._components(list(used) or [0], channel)
+        answers = Answers(components, channel, len(given["points"]), gradient, out)
+        check_apart(given.values(), answers.arrays)
+        look_ups = {
+            part: texture._look_up(answers.channels, lens, normalize) for part, texture in used.items()
+        }
+        in_blocks(given, answers.arrays, partial(_by_part, look_ups), executor)
+        return answers.returned
+
+    def contains(
+        self, points: npt.ArrayLike, parts: npt.ArrayLike, *, executor: Executor | None = None
+    ) -> npt.NDArray[np.bool_]:
+        """Say of each rest position (n, 3) whether a leaf of its part's texture holds it.
+
+        ``parts`` are as for ``sample``. Raises ArgumentError for positions that are not finite (n, 3), and
+        for parts that are not there.
+        """
+        given = {"points": as_point_rows(points)}
+        used = self._with_parts(given, parts)
+        inside = np.empty(len(given["points"]), np.bool_)
+        look_ups = {part: texture._holds for part, texture in used.items()}
+        in_blocks(given, [inside], partial(_by_part, look_ups), executor)
+        return inside
+
+    def _with_parts(self, given: dict[str, Array], parts: npt.ArrayLike) -> dict[int, OctreeTexture]:
+        """Add the number of each point's part; return the textures of those in use, ready to be looked up."""
+        count = len(given["points"])
+        numbers = self._numbers(parts, count)
+        given["parts"] = numbers
+        used: dict[int, OctreeTexture] = {}
+        for part, size in enumerate(np.bincount(numbers).tolist()):
+            if size:
+                used[part] = self[self.names[part]]
+                used[part]._read_for(size)
+        return used
+
+    def _numbers(self, parts: npt.ArrayLike, count: int) -> npt.NDArray[np.int64]:
+        """Return the part of each of so many points (n,) as a number, or refuse it."""
+        try:
+            array = np.asarray(parts)
+        except ValueError:  # rows of unequal lengths
+            array = np.empty(0, np.void)
+        if array.shape == (0,) and count == 0:
+            return np.empty(0, np.int64)
+        if array.dtype.kind not in "iuUO" or array.shape not in ((), (count,)):
+            raise ArgumentError(
+                f"parts must be numbers or names, one for all or ({count},), not {array.dtype} {array.shape}"
+            )
+        if array.dtype.kind in "UO":
+            known = {name: number for number, name in enumerate(self.names)}
+            kinds = {name: known[as_choice(name, known, "part")] for name in set(array.ravel().tolist())}
+            array = np.array([kinds[name] for name in array.ravel().tolist()], np.int64).reshape(array.shape)
+        elif array.size and not 0 <= array.min() <= array.max() < len(self):
+            worst = array.min() if array.min() < 0 else array.max()
+            raise ArgumentError(f"there is no part {worst}; there are 0 to {len(self) - 1}: {self!r}")
+        return np.broadcast_to(array.astype(np.int64, copy=False), (count,))
+
+    def _components(self, parts: list[int], channel: str | list[str] | tuple[str, ...]) -> dict[str, int]:
+        """Return the components of the wanted channels, which all of some parts must have alike."""
+        found: dict[str, int] = {}
+        wanted = channel if isinstance(channel, (list, tuple)) else [channel]
+        for part in parts:
+            name = self.names[part]
+            channels = self[name].channels
+            for each in wanted:
+                as_choice(each, channels, f"channel of part {name!r}:")
+                components = channels[each].format.components
+                if found.setdefault(each, components) != components:
+                    raise ArgumentError(
+                        f"channel {each!r} has {components} components in part {name!r}, "
+                        f"and {found[each]} in {self.names[parts[0]]!r}; look them up one by one"
+                    )
+        return found
+
+    def save(self, folder: str | os.PathLike[str]) -> None:
+        """Write a folder: an ``.octex`` file for each part, and an index, ``set.json``.
+
+        The same set gives the same bytes in a new folder. Another set in the folder is replaced at the very
+        end, its files removed; all other files there stay, and names that they have are not taken.
+
+        Raises OutputError if something cannot be written, or if there is a ``set.json`` that is no index of a
+        set; an older set is then as it was.
+        """
+        write_folder(Path(folder), self, self.metadata)
+
+    def validate(self) -> None:
+        """Prove that every part's tree is sound and its values are finite.
+
+        Raises TextureFileError that names the first part that is broken, and what is.
+        """
+        for name in self.names:
+            try:
+                self[name].validate()
+            except TextureFileError as error:
+                raise TextureFileError(f"part {name!r}: {error}") from None
+
+    def info(self) -> dict[str, Any]:
+        """Describe the set and, by name, its ``parts`` (see ``OctreeTexture.info``), ready for JSON.
+
+        ``bytes`` are those of the parts' files.
+        """
+        parts = {name: texture.info() for name, texture in self.items()}
+        return {
+            "format": FORMAT,
+            "format_version": FORMAT_VERSION,
+            "parts": parts,
+            "bytes": sum(each["bytes"]["total"] for each in parts.values()),
+            "provenance": dict(self.metadata),
+        }
+
+
+def _by_part(look_ups: Mapping[int, LookUp], given: Given, answers: list[Array]) -> int:
+    """Look up a block of points, each as its part is looked up; return the first faulty row or −1."""
+    parts = given["parts"].astype(np.int64)
+    own = {name: array for name, array in given.items() if name != "parts"}
+    order = np.argsort(parts, kind="stable")
+    starts = np.flatnonzero(np.diff(parts[order]))
+    if not starts.size:
+        return look_ups[int(parts[0])](own, answers)
+    faults = []
+    for rows in np.split(order, starts + 1):
+        taken = {name: array[rows] for name, array in own.items()}
+        found = [np.empty((len(rows), *answer.shape[1:]), answer.dtype) for answer in answers]
+        fault = look_ups[int(parts[rows[0]])](taken, found)
+        if fault >= 0:
+            faults.append(int(rows[fault]))
+        for answer, values in zip(answers, found, strict=True):
+            answer[rows] = values
+    return min(faults, default=-1)
