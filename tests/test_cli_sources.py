@@ -11,6 +11,7 @@ import pytest
 import octex
 from octex.errors import ExitCode
 from tests.command import refusal, result
+from tests.conftest import needs_jit
 from tests.fixtures import ply, ply_square
 
 
@@ -34,6 +35,7 @@ def colors(path: Path) -> np.ndarray:
     return texture.sample([[0.5, 0.5, 0.0]])[0]
 
 
+@needs_jit
 def test_another_models_colours_are_transferred(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -46,10 +48,21 @@ def test_another_models_colours_are_transferred(
     made = json.loads(result(capsys, folder / "wide.ply", out, *limited, "--json", "--quiet"))
     assert made["empty"] > 0
     assert octex.open(out).contains([[0.5, 0.5, 0.0], [1.9, 0.5, 0.0]]).tolist() == [True, False]
-    differ = result(capsys, "--diff", out, folder / "wide.ply", "--transfer", folder / "red.ply", "--json")
+    differ = result(
+        capsys,
+        "--diff",
+        out,
+        folder / "wide.ply",
+        "--transfer",
+        folder / "red.ply",
+        "--points",
+        10_000,
+        "--json",
+    )
     assert json.loads(differ)
 
 
+@needs_jit
 def test_points_colour_a_model(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out.octex"
     for options in ([], ["--radius", 0.1], ["--max-distance", 0.1, "--max-angle", 90]):
@@ -58,6 +71,7 @@ def test_points_colour_a_model(folder: Path, tmp_path: Path, capsys: pytest.Capt
         assert np.allclose(colors(out), [0, 1, 0], atol=1e-3)
 
 
+@needs_jit
 def test_points_alone_become_a_texture(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -130,7 +130,7 @@ def test_without_normals_cells_face_no_way_and_are_seen_from_everywhere() -> Non
     plain_looks = texture.sample(points)
     assert np.abs(plain_looks - colored(points)).max() < 0.1
     assert np.allclose(texture.sample(points, normals=points), plain_looks, atol=1e-6)
-    assert texture.tree.max_depth == 5  # cells of 1.5 times 0.05
+    assert texture.tree.max_depth == 4  # cells of about twice 0.05
 
 
 def test_alone_types_cells_and_channels_are_as_asked_for() -> None:
@@ -241,3 +241,11 @@ def test_arrays_and_numbers_that_do_not_fit_are_refused(
 def test_points_have_no_roughness() -> None:
     with pytest.raises(ArgumentError, match="no roughness"):
         ball().with_sources({"roughness": scanned(10)})
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_points_at_random_leave_few_holes_by_default(seed: int) -> None:
+    points = np.random.default_rng(seed).random((4000, 3)) * [1.0, 1.0, 0.0]
+    texture = octex.convert(octex.PointCloud(points, np.full((4000, 3), 0.5)))
+    places = np.random.default_rng(9).random((2000, 3)) * [0.98, 0.98, 0.0] + [0.01, 0.01, 0.0]
+    assert texture.contains(places).mean() > 0.9

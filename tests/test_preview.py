@@ -168,6 +168,23 @@ def test_alpha_is_shown_from_both_sides():
         assert np.allclose(render(surface, _camera(4), look), expected, atol=0.01)
 
 
+def test_what_is_translucent_ends_where_cells_do():
+    tree = Octree.from_leaves(np.arange(8), 3)
+    half = np.full((tree.n_cells, 1), 128, np.uint8)
+    channels = {
+        form.name: Channel(
+            form, np.repeat(half, form.components, 1), *[half[:0].repeat(form.components, 1)] * 2
+        )
+        for form in (BASE_COLOR, CHANNELS["alpha"])
+    }
+    texture = OctreeTexture(tree, channels, Placement((0.0, 0.0, 0.0), 1.0), np.array([[0.0] * 3, [1.0] * 3]))
+    rest = np.array([[0.1, 0.1, 0.1], [0.9, 0.9, 0.9]])
+    none, up = np.zeros((2, 3)), np.tile([0.0, 0.0, 1.0], (2, 1))
+    hits = Hits(np.zeros(2, np.int32), none, rest, np.zeros(2, np.float32), none, none, up)
+    coverage = texture_look(texture)(hits).coverage
+    np.testing.assert_allclose(coverage, [128 / 255, 0], atol=0.01)
+
+
 @pytest.mark.parametrize("cubes", [False, True])
 def test_leaves_show_the_colours_of_the_model(quarters, cubes):
     _, texture = quarters

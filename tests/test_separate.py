@@ -240,6 +240,7 @@ def test_a_separated_surface_is_where_its_texture_is() -> None:
     assert np.array_equal(moved.rest_positions(texture), apart.rest)
 
 
+@needs_jit
 def test_cells_are_a_number_or_three() -> None:
     plain, three, also = (octex.convert(pair(), 5, separate=cells) for cells in (False, True, 3))
     assert "separation" not in plain.metadata
@@ -419,6 +420,7 @@ def test_the_command_separates(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert text.endswith("2 parts, none too near to another: none is moved\n")
 
 
+@needs_jit
 def test_many_moved_parts_are_not_all_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model = written(tmp_path, cube([0, 0, 0], 2.0), *[cube([0.15 * n, 0, 0], 0.1) for n in range(13)])
     text = result(capsys, model, tmp_path / "a.octex", "--depth", 6, "--no-fit", "--separate")

@@ -22,8 +22,9 @@ from octex.tree.layout import FACING_FLAGS, MAX_DEPTH
 from octex.tree.morton import encode_cells
 from octex.tree.placement import Placement
 
-#: By default cells are so many times as wide as points are apart: those of an even cloud have no holes.
-_CELLS_A_SPACING = 1.5
+#: By default cells are so many times as wide as points are apart: those of an even cloud have no holes, and
+#: of cells around points at random a twentieth or so is empty.
+_CELLS_A_SPACING = 2.0
 _DEEPEST = 14
 
 
@@ -41,7 +42,7 @@ def convert_points(
     A leaf's value is the mean of its points' colours, in linear light and weighted by alpha, and a node's
     that of its children: every leaf weighs the same, however many points lie in it. With normals, cells face
     as their points do, and those that show both ways along an axis keep a mean for each. By default cells are
-    one and a half times as wide as points are apart, and at most 14 levels deep.
+    about twice as wide as points are apart, ``PointCloud.spacing``, and at most 14 levels deep.
 
     Raises ArgumentError for unknown channels and types, and for cells that are too small.
     """

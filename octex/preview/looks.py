@@ -122,14 +122,14 @@ def texture_look(texture: OctreeTexture, channel: str | None = None) -> Look:
     What is translucent is not shown where the texture has no cell, though coarse averages reach there.
     ``channel`` as for ``source_look``. Raises ArgumentError for a channel that is not there.
     """
-    edge = texture.placement.size / 2**texture.tree.max_depth
-    lies_on = cover(texture)
     shown = Shown.of((stored.format for stored in texture.channels.values()), channel)
+    lies_on = cover(texture) if ALPHA.name in shown.names else None
 
     def look(hits: Hits) -> Appearance:
         values = texture.sample(hits.rest, shown.names, dPdx=hits.dPdx, dPdy=hits.dPdy, normals=hits.normals)
-        if ALPHA.name in values:
-            values[ALPHA.name][~lies_on(hits.rest, np.full(len(hits.rest), edge))] = 0.0
+        if lies_on is not None:
+            finest = texture.placement.size / 2**texture.tree.max_depth
+            values[ALPHA.name][~lies_on(hits.rest, np.full(len(hits.rest), finest))] = 0.0
         return shown.appearance(values)
 
     return look

@@ -157,7 +157,7 @@ class PointCloud(Placeable):
 
     @property
     def spacing(self) -> float:
-        """The median distance from a point to the nearest other, in the model's units."""
+        """How near 19 of 20 points have another, in the model's units."""
         return self._ready.spacing()
 
     def on(self, surface: Surface, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:  # noqa: ARG002
