@@ -249,3 +249,19 @@ def test_points_at_random_leave_few_holes_by_default(seed: int) -> None:
     texture = octex.convert(octex.PointCloud(points, np.full((4000, 3), 0.5)))
     places = np.random.default_rng(9).random((2000, 3)) * [0.98, 0.98, 0.0] + [0.01, 0.01, 0.0]
     assert texture.contains(places).mean() > 0.9
+
+
+def test_a_point_without_a_normal_counts_from_everywhere() -> None:
+    surface = plain(square())
+    normals = np.zeros_like(surface.vertices)
+    colors = np.full((len(surface.vertices), 3), 0.25)
+    cloud = octex.PointCloud(surface.vertices, colors, normals, max_angle=30.0)
+    made = surface.with_sources(cloud.sources)
+    assert np.allclose(made.evaluate(made.scatter(20)), 0.25)
+
+
+def test_a_radius_that_holds_far_too_many_points_is_refused() -> None:
+    points = np.random.default_rng(0).random((40_000, 3)) * [1, 1, 0]
+    cloud = octex.PointCloud(points, points, radius=10.0)
+    with pytest.raises(ArgumentError, match="holds about 40,000 points"):
+        plain(square()).with_sources(cloud.sources)

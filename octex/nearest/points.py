@@ -88,15 +88,12 @@ def _square(positions: Floats, row: int, point: tuple[float, float, float]) -> f
 
 @inlined
 def _agrees(cloud: Points, row: int, directions: Floats, n: int, least_cosine: float) -> bool:
-    """Say whether a point faces as is wanted at a place."""
+    """Say whether a point faces as is wanted at a place; one without a normal does."""
     if directions.shape[0] == 0:
         return True
-    cosine = (
-        directions[n, 0] * cloud.normals[row, 0]
-        + directions[n, 1] * cloud.normals[row, 1]
-        + directions[n, 2] * cloud.normals[row, 2]
-    )
-    return bool(cosine >= least_cosine)
+    x, y, z = cloud.normals[row, 0], cloud.normals[row, 1], cloud.normals[row, 2]
+    cosine = directions[n, 0] * x + directions[n, 1] * y + directions[n, 2] * z
+    return bool(cosine >= least_cosine or x * x + y * y + z * z == 0.0)
 
 
 @inlined

@@ -29,6 +29,8 @@ Float32s = npt.NDArray[np.float32]
 #: The endings of files of points; .ply too, if it has no faces.
 CLOUD_ENDINGS = (".xyz", ".npz", ".ply")
 _LEAST_POINTS = 3
+# A place that takes the mean of more points than this takes too long.
+_MOST_AROUND = 30_000
 _HEADER = 1 << 16
 _FARTHEST = 1e100
 # Colours may be above 1 by so much, and are then 1.
@@ -46,7 +48,7 @@ class PointCloud(Placeable):
     points     (n, 3), n ≥ 3, in the model's units, at rest
     colors     (n, 3 or 4): uint8 or uint16 sRGB codes, or floats, linear light, 0 … 1; a fourth column is
                alpha
-    normals    (n, 3) of any length, or None
+    normals    (n, 3) of any length, or None; a point whose normal is zero counts whatever the angle
     radius     in the model's units: what a point of a surface gets is the mean of all points within it, those
                that are farther weighing less, (1 − d²/r²)²; where there is none it stays empty. At least the
                width of what is read: no point of a dense cloud is left out. None: that width; and where no
@@ -163,14 +165,28 @@ class PointCloud(Placeable):
     def on(self, surface: Surface, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:  # noqa: ARG002
         """Return the source of a channel, the same for both on the same surface.
 
-        Raises ArgumentError for others than ``base_color`` and ``alpha``.
+        Raises ArgumentError for others than ``base_color`` and ``alpha``, and for a radius that holds tens of
+        thousands of points.
         """
         if form.name not in ("base_color", "alpha"):
             raise ArgumentError(f"{self.name}: points have colours and alpha, and no {form.name}")
         latest = self._latest
         if latest is None or not latest.is_on(surface):
+            self._check_radius()
             latest = self._latest = _FromPoints(self, self._ready, surface.rest, surface.triangles)
         return latest, {f"source_{form.name}": f"points of {self.name}"}
+
+    def _check_radius(self) -> None:
+        spacing = self.spacing
+        if self.radius is None or not spacing > 0.0:
+            return
+        around = min(np.pi * (self.radius / spacing) ** 2, len(self))
+        if around > _MOST_AROUND:
+            least = spacing * np.sqrt(_MOST_AROUND / np.pi)
+            raise ArgumentError(
+                f"{self.name}: a radius of {self.radius:g} holds about {around:,.0f} points; give one below "
+                f"{least:.3g}"
+            )
 
 
 class _FromPoints(SpatialSource):
