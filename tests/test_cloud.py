@@ -143,7 +143,8 @@ def test_alone_types_cells_and_channels_are_as_asked_for() -> None:
     assert list(octex.convert(translucent, 3, channels="alpha").channels) == ["alpha"]
     with pytest.raises(ArgumentError, match="channel"):
         octex.convert(cloud, 3, channels=["roughness"])
-    for name, given in (("rest", "a.ply"), ("sources", {}), ("max_error", 2), ("detail", "stretch")):
+    refused = {"rest": "a.ply", "sources": {}, "max_error": 2, "detail": "stretch", "separate": True}
+    for name, given in refused.items():
         with pytest.raises(ArgumentError, match=f"{name} needs a surface"):
             octex.convert(cloud, 3, **{name: given})  # type: ignore[arg-type]
 

@@ -101,7 +101,7 @@ def convert(
         model = PointCloud.load(model)
     if isinstance(model, PointCloud):
         of_surfaces = {"rest": rest, "sources": sources, "max_error": max_error, "detail": detail}
-        for name, given in of_surfaces.items():
+        for name, given in [*of_surfaces.items(), ("separate", separate or None)]:
             if given is not None:
                 raise ArgumentError(f"{name} needs a surface, which {model.name} is not")
         return convert_points(model, depth, cell=cell, channels=channels, dtype=dtype, progress=report)
