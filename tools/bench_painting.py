@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from bench_inputs import painted_torus
-from bench_tools import Report, Setup
+from bench_inputs import painted_torus, torus
+from bench_tools import HERE, Report, Setup, Worker
 
 import octex
 from octex.channels import linear_to_srgb
@@ -89,6 +89,30 @@ def painting(setup: Setup, report: Report) -> None:
     spent = _median(setup, lambda: octex.paint(texture, surface, brush, max_depth=depth))
     report.line("leaves of the texture", f"{texture.tree.n_leaves:,}")
     report.at_most("painting: a brush of 256² pixels", spent, 0.25, "s")
+    _beside_open3d(setup, report, depth)
+
+
+def _beside_open3d(setup: Setup, report: Report, depth: int) -> None:
+    """Paint a picture onto 100 k triangles; Open3D projects it into an image of 2048² texels."""
+    if not setup.peer_python or setup.quick:
+        report.note("left out: Open3D (--peer-python)")
+        return
+    vertices, triangles, uv = torus(316, 158)
+    surface = octex.Surface.from_arrays(vertices, triangles)
+    camera = octex.Camera.fitted(surface.vertices, (0.3, 0.5, 1.0), size=(1920, 1080))
+    image = np.random.default_rng(0).integers(0, 256, (1080, 1920, 3), np.uint8)
+    path = setup.folder / "paint.npz"
+    np.savez(
+        path, vertices=vertices, triangles=triangles.astype(np.int64), uv=uv, image=image,
+        intrinsic=camera.K, extrinsic=camera.world_to_camera,
+    )  # fmt: skip
+    texture = octex.convert(surface, depth)
+    shot = octex.Projection(image, camera)
+    ours = _median(setup, lambda: octex.paint(texture, surface, shot, max_depth=depth))
+    with Worker([setup.peer_python, str(HERE / "bench_open3d_paint.py"), str(path)]) as worker:
+        theirs = worker.spent().wall
+    report.line(f"onto {len(triangles):,} triangles, fitted", f"{ours:.2f} s")
+    report.line("Open3D, into an image of 2048²", f"{theirs:.2f} s: octex {theirs / ours:.1f} × as fast")
 
 
 def _median(setup: Setup, work: Any) -> float:
