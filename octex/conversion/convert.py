@@ -28,6 +28,7 @@ from octex.source.cloud import PointCloud, is_cloud
 from octex.source.load import at_rest, load_surface
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
+from octex.texture.split import refaced
 from octex.tree.placement import Placement
 
 DEFAULT_DEPTH = 10
@@ -158,7 +159,8 @@ def convert(
         **({"empty": empty} if empty else {}),
     }
     metadata = {**surface.provenance, "octex": octex.__version__, "convert": json.dumps(options)}
-    return OctreeTexture(tree, values, placement, surface.bounds, metadata)
+    texture = OctreeTexture(tree, values, placement, surface.bounds, metadata)
+    return refaced(texture) if empty else texture
 
 
 def placed(surface: Surface, depth: int | None, cell: float | None) -> tuple[Placement, int]:

@@ -11,14 +11,9 @@ import numpy.typing as npt
 from octex.channels import ALPHA, ONE, decode
 from octex.conversion.fill import Filled
 from octex.conversion.samples import Samples
-from octex.texture import OctreeTexture
 from octex.texture.channel import Channel
-from octex.texture.split import refaced
 from octex.tree.edit import cull
 from octex.tree.octree import Octree
-from octex.tree.placement import Placement
-
-_ANYWHERE = Placement((0.0, 0.0, 0.0), 1.0)
 
 
 class Covered(NamedTuple):
@@ -32,21 +27,23 @@ class Covered(NamedTuple):
 
 
 def without_gaps(tree: Octree, channels: Mapping[str, Channel], filled: Filled) -> Covered:
-    """Leave out the leaves whose ``alpha`` is 0, and the nodes without any; see ``Source.has_gaps``."""
+    """Leave out the leaves whose ``alpha`` is 0, and the nodes without any; see ``Source.has_gaps``.
+
+    Nodes keep their facings, also those that no cell below has any more: see ``split.refaced``.
+    """
     is_left = channels[ALPHA.name].values[:, 0] > 0
     samples, wanted = filled.samples, filled.wanted
     cells = np.flatnonzero(is_left[-filled.codes.size :])
     empty = filled.codes.size - cells.size
     if empty:
         edited = cull(tree, is_left)
+        tree = edited.tree
         channels = {
             name: channel._replace(
                 values=channel.values[edited.old], split_values=channel.split_values[edited.split_rows]
             )
             for name, channel in channels.items()
         }
-        faced = refaced(OctreeTexture(edited.tree, channels, _ANYWHERE, np.zeros((2, 3))))
-        tree, channels = faced.tree, faced.channels
         samples = None if samples is None else samples.of(cells)
         wanted = None if wanted is None else wanted[cells]
     if samples is not None:
