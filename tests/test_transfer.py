@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 
 import octex
-from octex.channels import BASE_COLOR, EMISSIVE, NORMAL
+from octex.channels import BASE_COLOR, EMISSIVE
 from octex.errors import ArgumentError, ModelError
 from octex.source.surface import Surface
 from tests.conftest import needs_jit
@@ -136,12 +136,6 @@ def test_with_an_angle_each_side_of_a_thin_sheet_takes_its_own_colour() -> None:
     assert np.allclose(by_angle[facing], truth[facing], atol=1e-6)
     blind = target.with_sources(octex.Transfer(thin).sources).evaluate(samples)
     assert not np.allclose(blind[facing], truth[facing], atol=0.1)
-
-
-def test_normals_move_with_the_nearest_faces() -> None:
-    surface = whole()
-    made = plain((surface.vertices, surface.triangles)).with_sources({"normal": octex.Transfer(surface)})
-    assert NORMAL.name in [form.name for form in made.channels]
 
 
 def test_files_are_read_and_channels_that_are_not_there_refused(tmp_path: Path) -> None:

@@ -78,11 +78,12 @@ class PointCloud(Placeable):
         self.colors = linear_colors(colors, len(self.points), f"{name}: colors")
         if not np.isfinite(self.colors).all():
             raise ModelError(f"{name}: colour {_first_bad(self.colors)} is not finite")
-        fits = ((self.colors >= 0.0) & (self.colors <= 1.0 + _ROUNDING)).all(axis=1)
+        fits = (self.colors >= 0.0) & (self.colors <= 1.0 + _ROUNDING)
         if not fits.all():
+            bad = int(np.argmin(fits.all(axis=1)))
             raise ModelError(
-                f"{name}: colour {int(np.argmin(fits))} is not from 0 to 1, as linear light is; give sRGB "
-                "codes as uint8 or uint16"
+                f"{name}: colour {bad} is not from 0 to 1, as linear light is; give sRGB codes as uint8 or "
+                "uint16"
             )
         np.minimum(self.colors, 1.0, out=self.colors)
         self.normals = None
@@ -90,7 +91,7 @@ class PointCloud(Placeable):
             facing = _rows(normals, f"{name}: normals")
             if len(facing) != len(self.points):
                 raise ArgumentError(f"{name}: {len(facing)} normals for {len(self.points)} points")
-            lengths = np.linalg.norm(facing, axis=1)[:, None]
+            lengths = np.sqrt(np.einsum("nk,nk->n", facing, facing))[:, None]
             self.normals = np.divide(facing, lengths, where=lengths > 0, out=np.zeros_like(facing))
         if radius is not None and distance is not None:
             raise ArgumentError("give radius or distance, not both: with a radius nothing farther counts")
@@ -177,8 +178,10 @@ class PointCloud(Placeable):
         return latest, {f"source_{form.name}": f"points of {self.name}"}
 
     def _check_radius(self) -> None:
+        if self.radius is None:
+            return
         spacing = self.spacing
-        if self.radius is None or not spacing > 0.0:
+        if not spacing > 0.0:
             return
         around = min(np.pi * (self.radius / spacing) ** 2, len(self))
         if around > _MOST_AROUND:
