@@ -6,6 +6,7 @@ With ``NUMBA_DISABLE_JIT=1`` every kernel runs as plain Python; the intrinsics t
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache, partial
@@ -20,6 +21,9 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+#: Imports of octex, of whole modules or of names in them.
+_IMPORT = re.compile(r"^(?:from|import) (octex[\w.]*)(?: import (\([^)]*\)|.*))?", re.MULTILINE)
 
 #: True when kernels run as plain Python.
 DISABLED: bool = bool(numba.config.DISABLE_JIT)
@@ -78,7 +82,7 @@ def _compiled(function: Function, **options: Any) -> Function:
     # What a kernel calls is compiled into it, but numba looks for changes in the kernel's own file only.
     with suppress(AttributeError):
         cache_file = compiled._cache._cache_file
-        cache_file._source_stamp = (cache_file._source_stamp, _digest_of_sources())
+        cache_file._source_stamp = (cache_file._source_stamp, _digest_behind(compiled.py_func.__module__))
         cache_file._load_index = partial(_load_index, cache_file._load_index)
     return compiled  # type: ignore[no-any-return]
 
@@ -101,12 +105,44 @@ def _load_index(load: Callable[[], dict[Any, Any]]) -> dict[Any, Any]:
 
 
 @cache
-def _digest_of_sources() -> str:
-    """Tell this state of octex from any other."""
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
+def _digest_behind(module: str) -> str:
+    """Tell this state of a module, and of all that it imports of octex, from any other."""
+    digests = (_digest_of(name) for name in sorted(_modules_behind(module)))
+    return hashlib.sha256("".join(digests).encode()).hexdigest()
+
+
+def _modules_behind(module: str) -> set[str]:
+    """Return a module and those of octex that it imports, and so on."""
+    found, waiting = {module}, [module]
+    while waiting:
+        new = _imports_of(waiting.pop()) - found
+        found |= new
+        waiting += new
+    return found
+
+
+@cache
+def _imports_of(module: str) -> frozenset[str]:
+    """Return the modules of octex that one imports at its top: what functions import, no kernel sees."""
+    names = set()
+    for package, listed in _IMPORT.findall(_source_of(module)):
+        names |= {package, *(f"{package}.{name}" for name in re.findall(r"\w+", listed))}
+    return frozenset(name for name in names if _source_of(name))
+
+
+@cache
+def _digest_of(module: str) -> str:
+    return hashlib.sha256(f"{module}\n{_source_of(module)}".encode()).hexdigest()
+
+
+@cache
+def _source_of(module: str) -> str:
+    """Return a module's text; nothing for what is not a module of octex."""
+    path = Path(__file__).parents[1].joinpath(*module.split("."))
+    for file in (path.with_suffix(".py"), path / "__init__.py"):
+        if file.is_file():
+            return file.read_text(encoding="utf-8")
+    return ""
 
 
 if DISABLED:

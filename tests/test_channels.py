@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 import os
 import pickle
+import pkgutil
 import subprocess
 import sys
 import threading
@@ -442,7 +444,24 @@ def test_exit_codes_are_the_shells_and_say_what_they_mean() -> None:
 
 
 @needs_jit
-def test_compiled_code_on_disk_is_of_this_state_of_all_sources() -> None:
+def test_compiled_code_on_disk_is_of_this_state_of_all_that_it_is_compiled_from() -> None:
     # numba alone looks at the kernel's own file, and keeps callers of a function that has changed elsewhere.
     stamp = jit.low_bits._cache._cache_file._source_stamp  # type: ignore[attr-defined]
-    assert stamp[1] == jit._digest_of_sources()
+    assert stamp[1] == jit._digest_behind("octex.jit")
+    assert stamp[1] not in {jit._digest_behind("octex.channels"), jit._digest_behind("octex.checks")}
+
+
+@needs_jit
+def test_what_kernels_call_is_in_a_module_behind_theirs() -> None:
+    calls = 0
+    for found in pkgutil.walk_packages(octex.__path__, "octex."):
+        module = importlib.import_module(found.name)
+        behind = jit._modules_behind(module.__name__)
+        for kernel in [each for each in vars(module).values() if hasattr(each, "py_func")]:
+            if kernel.__module__ != module.__name__:
+                continue
+            for name in kernel.py_func.__code__.co_names:
+                home = getattr(kernel.py_func.__globals__.get(name), "__module__", None) or ""
+                assert not home.startswith("octex.") or home in behind, (kernel, name)
+                calls += home.startswith("octex.")
+    assert calls > 100
