@@ -14,6 +14,7 @@ from octex.channels import encode
 from octex.errors import ArgumentError, ModelError
 from octex.source.cloud import is_cloud
 from octex.tree.morton import encode_cells
+from octex.tree.placement import Placement
 from tests.fixtures import ply
 from tests.painted import ball, plain, square
 
@@ -266,3 +267,13 @@ def test_a_radius_that_holds_far_too_many_points_is_refused() -> None:
     cloud = octex.PointCloud(points, points, radius=10.0)
     with pytest.raises(ArgumentError, match="holds about 40,000 points"):
         plain(square()).with_sources(cloud.sources)
+
+
+def test_cells_of_the_deepest_level_half_a_root_apart_stay_apart() -> None:
+    half = Placement.around([[0.0] * 3, [1.0] * 3], 21).size / 2
+    points = [[0.0, 0.0, 0.0], [0.3, 0.3, 0.3], [0.3, 0.3 + half, 0.3], [1.0, 1.0, 1.0]]
+    colors = np.linspace(0.1, 0.9, 12).reshape(4, 3)
+    texture = octex.convert(octex.PointCloud(points, colors, np.tile([0.0, 0.0, 1.0], (4, 1))), depth=21)
+    texture.validate()
+    assert texture.tree.n_leaves == 4
+    np.testing.assert_allclose(texture.sample(points, filter="nearest"), colors, atol=0.01)

@@ -72,9 +72,11 @@ def test_nearest_is_the_leaf_that_holds_the_point_or_the_nearest_of_27_cells(
     leaves, points = drawn
     tree = Octree.from_leaves(*leaves)
     cells = naive.cells_of(leaves.places())
-    found = np.empty(len(points), np.int64)
-    assert nearest_cells(tree.arrays, points, *UNIT, found) == -1
+    found, held = np.empty(len(points), np.int64), np.empty(len(points), np.bool_)
+    assert nearest_cells(tree.arrays, points, *UNIT, found, held) == -1
     assert found.tolist() == [naive.nearest(cells, point) for point in points.tolist()]
+    numbers = [naive.find(cells, np.clip(point, 0, 1 - 2**-31).tolist()) for point in points]
+    assert held.tolist() == [cells[number].is_leaf for number in numbers]
 
 
 @given(trees_and_points())
@@ -96,9 +98,10 @@ def test_lookups_do_not_depend_on_the_points_before_them(
     tree = Octree.from_leaves(*leaves)
     points = points.astype(dtype)
     together, alone = np.empty(len(points), np.int64), np.empty(1, np.int64)
-    nearest_cells(tree.arrays, points, *UNIT, together)
+    held = np.empty(len(points), np.bool_)
+    nearest_cells(tree.arrays, points, *UNIT, together, held)
     for point, cell in zip(points, together, strict=True):
-        nearest_cells(tree.arrays, point[None], *UNIT, alone)
+        nearest_cells(tree.arrays, point[None], *UNIT, alone, held)
         assert alone[0] == cell
 
 
@@ -107,7 +110,7 @@ def test_points_are_placed_in_float64_before_anything_else() -> None:
     points = np.full((1, 3), 0.6, np.float32)
     just_above = float(points[0, 0]) - 0.5 + 1e-8  # the difference is 0.5 in float32, below it in float64
     cells = np.empty(1, np.int64)
-    nearest_cells(tree.arrays, points, (just_above, 0.0, 0.0), 1.0, cells)
+    nearest_cells(tree.arrays, points, (just_above, 0.0, 0.0), 1.0, cells, np.empty(1, np.bool_))
     assert cells[0] == 1 + 0b110
 
 
@@ -116,7 +119,7 @@ def test_positions_that_are_not_finite_are_reported(value: float) -> None:
     tree = Octree.from_leaves(np.arange(8), 1)
     points = np.full((3, 3), 0.5)
     points[1, 2] = value
-    assert nearest_cells(tree.arrays, points, *UNIT, np.empty(3, np.int64)) == 1
+    assert nearest_cells(tree.arrays, points, *UNIT, np.empty(3, np.int64), np.empty(3, np.bool_)) == 1
     assert in_leaves(tree.arrays, points, *UNIT, np.empty(3, np.bool_)) == 1
 
 
@@ -128,7 +131,7 @@ def test_damaged_structures_are_searched_without_harm(leaves: Leaves, seed: int)
     arrays = TreeArrays(groups, *tree.arrays[1:])
     points = noise.random((50, 3))
     cells = np.empty(50, np.int64)
-    nearest_cells(arrays, points, *UNIT, cells)
+    nearest_cells(arrays, points, *UNIT, cells, np.empty(50, np.bool_))
     assert cells.min() >= 0 and cells.max() < tree.n_cells
     in_leaves(arrays, points, *UNIT, np.empty(50, np.bool_))
     for x, y, z in points.tolist():

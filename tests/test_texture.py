@@ -166,7 +166,7 @@ def test_metadata_that_are_not_texts_are_refused(metadata: dict[Any, Any]) -> No
     "placement", [Placement((0, 0, np.nan), 1), Placement((0, 0, 0), 0), Placement((0, 0, 0), np.inf)]
 )
 def test_an_impossible_root_cell_is_refused(placement: Placement) -> None:
-    with pytest.raises(ArgumentError, match="root cell must be finite"):
+    with pytest.raises(ArgumentError, match="the root cell must have a size from 1e-30"):
         eight_colors(placement=placement)
 
 

@@ -160,7 +160,7 @@ def test_a_file_is_opened_by_its_metadata_not_by_its_name(tmp_path: Path) -> Non
             '{"origin": [0, 0, 0], "size": 1' + "0" * 400 + "}",
             "'placement' are missing or damaged",
         ),
-        ("placement", '{"origin": [0, 0, NaN], "size": 1}', "root cell must be finite"),
+        ("placement", '{"origin": [0, 0, NaN], "size": 1}', "the root cell must have a size from 1e-30"),
         ("bounds", "[" * 9999, "'bounds' are missing or damaged"),
         ("bounds", '"all"', "'bounds' are missing or damaged"),
         ("bounds", "3", "two finite corners"),

@@ -166,7 +166,7 @@ def _decibels(errors: np.ndarray) -> float:
 def _flags(texture: octex.OctreeTexture, points: np.ndarray) -> np.ndarray:
     """Return the flags of the cells that are nearest to points."""
     cells = np.empty(len(points), np.int64)
-    nearest_cells(texture.tree.arrays, points, *texture.placement, cells)
+    nearest_cells(texture.tree.arrays, points, *texture.placement, cells, np.empty(len(points), np.bool_))
     return texture.tree.arrays.flags[cells]
 
 

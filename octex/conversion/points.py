@@ -105,7 +105,7 @@ def _leaves(cloud: PointCloud, placement: Placement, depth: int, names: Sequence
         rows[:, :3] *= areas[:, None]
     columns = [*([0, 1, 2] if BASE_COLOR.name in names else []), *([3] if ALPHA.name in names else [])]
     rows = np.column_stack([rows[:, columns], areas])
-    entries = np.flatnonzero(np.diff(codes * 8 + facings, prepend=-1))
+    entries = np.flatnonzero((np.diff(codes, prepend=-1) != 0) | (np.diff(facings, prepend=-1) != 0))
     bits = (np.uint8(1) << facings.astype(np.uint8)).astype(np.uint8)
     flags: npt.NDArray[np.uint8] = np.bitwise_or.reduceat(bits, starts)
     return Sums(codes[starts], flags, np.add.reduceat(rows, entries))

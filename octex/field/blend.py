@@ -19,6 +19,13 @@ AREA_WEIGHTS = (2.0 ** ((np.arange(256) - AREA_ONE) / AREA_STEPS / 2)).astype(np
 AREA_WEIGHTS[0] = 1.0
 
 
+#: Taps that weigh less in sum lie at the rim of the spline's support, where products of single precision have
+#: lost their digits: the walk answers there.
+LEAST = np.float32(1e-24)
+#: What of them is seen may weigh less, but not so little that its inverse is infinite.
+_LEAST_SEEN = np.float32(1e-36)
+
+
 class Codes(NamedTuple):
     """A channel of three components as it is stored, and what its codes stand for."""
 
@@ -92,7 +99,7 @@ def _blend_cells(
 ) -> np.float32:
     """Write the mean of three components under taps ``first``, ``first + step`` …; return their weight.
 
-    ``values`` and ``results`` are flat. Taps of weight 0 leave the result alone.
+    ``values`` and ``results`` are flat. Taps that weigh less than LEAST leave the result alone.
     """
     a = b = c = total = np.float32(0.0)
     for tap in range(first, end, step):
@@ -102,7 +109,7 @@ def _blend_cells(
         b += weight * decoded(table, values[row + np.uint64(1)])
         c += weight * decoded(table, values[row + np.uint64(2)])
         total += weight
-    if total > np.float32(0.0):
+    if total >= LEAST:
         inverse = np.float32(1.0) / total
         row = np.uint64(3 * point)
         results[row] = a * inverse
@@ -128,7 +135,7 @@ def blend_all(
     total = _blend_cells(cells, weights, first, end, step, flat_values, table, flat_results, point)
     if task.colors.covers.size > 0:
         task.colors.covers[point] = total
-    return bool(total > np.float32(0.0))
+    return bool(total >= LEAST)
 
 
 @inlined
@@ -187,12 +194,12 @@ def _blend_seen(task: Task, begin: int, n: int, seen: Seen) -> bool:
             a += weight * decoded(table, split_values[row, 0])
             b += weight * decoded(table, split_values[row, 1])
             c += weight * decoded(table, split_values[row, 2])
-    inverse = np.float32(1.0) / cover if cover > np.float32(0.0) else np.float32(0.0)
+    inverse = np.float32(1.0) / cover if cover > _LEAST_SEEN else np.float32(0.0)
     results, total = task.colors.results, seen.totals[n]
     results[point, 0], results[point, 1], results[point, 2] = a * inverse, b * inverse, c * inverse
     task.colors.covers[point] = cover
     task.colors.left[point] = max(total - cover, np.float32(0.0)) / total if total > np.float32(0.0) else 0.0
-    return bool(total > np.float32(0.0))
+    return bool(total >= LEAST)
 
 
 @inlined

@@ -95,6 +95,8 @@ def spreads_of(table: Float32s, values: Rows, facings: Bytes, first_row: int, sp
     The rows of consecutive split cells begin at ``first_row`` of ``values`` (rows, components) and
     ``spreads``; only each cell's first is written.
     """
+    if values.shape[0] < 2:
+        return
     row = first_row
     for n in range(facings.size):
         flags = np.uint64(facings[n])

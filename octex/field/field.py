@@ -151,12 +151,13 @@ class Field:
 
     def _nearest(self, points: Points, placement: Placement) -> Taps:
         n = len(points)
-        cells = np.empty(n, np.int64)
-        fault = nearest_cells(self.tree.arrays, points, *placement, cells)
+        cells, held = np.empty(n, np.int64), np.empty(n, np.bool_)
+        fault = nearest_cells(self.tree.arrays, points, *placement, cells, held)
         if fault >= 0:
             raise NotFiniteError(fault)
         ones = np.ones(n, np.float32)
-        return Taps(np.arange(n + 1), cells.astype(np.uint32), ones, np.empty((0, 3), np.float32), ones)
+        covers = held.astype(np.float32)
+        return Taps(np.arange(n + 1), cells.astype(np.uint32), ones, np.empty((0, 3), np.float32), covers)
 
     def colors(
         self,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from octex.field.blend import LEAST
 from octex.field.blocks import BLOCK, Float32s, Int64s, Points, Uint32s
 from octex.field.linear import linear_block, new_linear_block
 from octex.field.neighborhood import MOST_TAPS, Walk, walk_all
@@ -30,7 +31,7 @@ def _take(
     total = np.float32(0.0)
     for tap in range(first, last, step):
         total += weights[tap]
-    if total > np.float32(0.0):
+    if total >= LEAST:
         for tap in range(first, last, step):
             rows[end] = cells[tap]
             parts[end] = weights[tap] / total

@@ -42,6 +42,10 @@ def look_up(
     ``gradients`` (n, components, 3) or none. Channels other than ``alpha``, if there is one, weigh by it,
     except where it is zero throughout. Returns the first row of points that is not finite, or −1.
     """
+    if not query.is_plain:  # what is looked up then are the footprints' own points
+        is_finite = np.isfinite(points)
+        if not is_finite.all():
+            return int(np.argmin(is_finite)) // 3
     try:
         missed = None
         is_one_cell = query.is_plain and query.filter == "nearest"  # which alpha does not weigh

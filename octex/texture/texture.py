@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import mmap
 import os
 from collections.abc import Mapping, Sequence
@@ -63,8 +62,7 @@ class OctreeTexture:
             raise ArgumentError("metadata must map strings to strings")
         for name, channel in self.channels.items():
             channel.check(name, tree)
-        if not np.isfinite(self.placement.origin).all() or not 0 < self.placement.size < math.inf:
-            raise ArgumentError(f"the root cell must be finite, its size above zero, not {self.placement}")
+        self.placement.check()
         if self.bounds.shape != (2, 3) or not np.isfinite(self.bounds).all():
             raise ArgumentError(f"bounds must be two finite corners, not {self.bounds.tolist()}")
 

@@ -15,6 +15,10 @@ from octex.checks import as_depth, as_points, as_positive
 from octex.errors import ArgumentError
 from octex.tree.layout import MAX_DEPTH
 
+#: The least and the largest edge of a root cell, and how far from 0 its corner may be: slopes by position and
+#: footprints then stay inside the range of single precision.
+SMALLEST, LARGEST = 1e-30, 1e30
+
 
 class Placement(NamedTuple):
     """The root cell in rest space: its lowest corner and the length of its edge."""
@@ -27,7 +31,8 @@ class Placement(NamedTuple):
         """Fit a root cell of ``depth`` levels around ``bounds`` (2, 3) with as small a margin as is safe.
 
         The longest side takes 2ᵈ − 3 finest cells (of depth 2 at least), so every side keeps a margin of at
-        least one of them. Raises ArgumentError for bounds that are not finite or out of order.
+        least one of them. Raises ArgumentError for bounds that are not finite, out of order, or so far out or
+        so close together that the root cell is out of range.
         """
         bounds, extent = _checked(bounds)
         cells = 1 << max(as_depth(depth), 2)
@@ -49,13 +54,23 @@ class Placement(NamedTuple):
             f"cell {cell:g} needs more than {MAX_DEPTH} levels; the smallest for this model is {smallest:g}"
         )
 
+    def check(self) -> None:
+        """Raise ArgumentError for a root cell whose size or corner is not finite or out of range."""
+        if not SMALLEST <= self.size <= LARGEST or not all(abs(each) <= LARGEST for each in self.origin):
+            raise ArgumentError(
+                f"the root cell must have a size from {SMALLEST:g} to {LARGEST:g} and a corner no farther "
+                f"from 0, not size {self.size:g} at {tuple(self.origin)}; use other units"
+            )
+
     @classmethod
     def _centred(cls, bounds: npt.NDArray[np.float64], size: float, depth: int) -> Placement:
         cells = 1 << depth
         size = as_positive(size, "the size of the root cell")
         centre = bounds[0] + (bounds[1] - bounds[0]) / 2
         x, y, z = (centre - (cells // 2 + 1 / 3) * (size / cells)).tolist()
-        return cls((x, y, z), size)
+        placement = cls((x, y, z), size)
+        placement.check()
+        return placement
 
     def to_texture_space(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """Map rest positions (n, 3) into texture space, in float64."""

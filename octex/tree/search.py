@@ -127,8 +127,10 @@ def find_leaf(arrays: TreeArrays, i: int, j: int, k: int, scratch: Scratch) -> i
 
 
 @inlined
-def nearest_cell(arrays: TreeArrays, x: float, y: float, z: float, scratch: Scratch) -> int:
-    """Find the leaf that holds a point of texture space, else the stored cell nearest to it: its number.
+def nearest_cell(arrays: TreeArrays, x: float, y: float, z: float, scratch: Scratch) -> tuple[int, bool]:
+    """Find the leaf that holds a point of texture space, else the stored cell nearest to it.
+
+    Returns its number, and whether it is a leaf that holds the point.
 
     The point is first clamped into the root. Where no leaf holds it, the level is the deepest at which any of
     the 27 cells around it is stored, or lies in a leaf of a level above, whose box then counts. The nearest
@@ -138,8 +140,8 @@ def nearest_cell(arrays: TreeArrays, x: float, y: float, z: float, scratch: Scra
     i, j, k = fixed(x), fixed(y), fixed(z)
     cell = find_leaf(arrays, i, j, k, scratch)
     if cell >= 0:
-        return cell
-    return _nearest_neighbor(arrays, x * UNITS, y * UNITS, z * UNITS, i, j, k, scratch)
+        return cell, True
+    return _nearest_neighbor(arrays, x * UNITS, y * UNITS, z * UNITS, i, j, k, scratch), False
 
 
 @inlined
@@ -238,8 +240,9 @@ def nearest_cells(
     origin: Origin,
     size: float,
     cells: npt.NDArray[np.int64],
+    held: npt.NDArray[np.bool_],
 ) -> int:
-    """Write the ``nearest_cell`` of each rest position (n, 3) to ``cells`` (n,).
+    """Write the ``nearest_cell`` of each rest position (n, 3) to ``cells`` (n,), and whether it is held.
 
     Returns the index of the first position that is not finite, where it stopped, or −1.
     """
@@ -248,7 +251,7 @@ def nearest_cells(
         x, y, z = np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2])
         if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
             return n
-        cells[n] = nearest_cell(
+        cells[n], held[n] = nearest_cell(
             arrays, (x - origin[0]) / size, (y - origin[1]) / size, (z - origin[2]) / size, scratch
         )
     return -1
