@@ -313,7 +313,7 @@ def test_a_broken_save_leaves_the_old_set_or_none(
     old = tmp_path / "old"
     TextureSet({"body": eight_colors()}).save(old)
     before = {name: (old / name).read_bytes() for name in names_in(old)}
-    save, replacing = OctreeTexture.save, folder.container.replacing
+    save, replacing = OctreeTexture.save, folder.files.replacing
 
     def failing_save(texture: OctreeTexture, path: Path) -> None:
         if "left" in path.name:
@@ -328,7 +328,7 @@ def test_a_broken_save_leaves_the_old_set_or_none(
     if at == "part":
         monkeypatch.setattr(OctreeTexture, "save", failing_save)
     else:
-        monkeypatch.setattr(folder.container, "replacing", failing_replacing)
+        monkeypatch.setattr(folder.files, "replacing", failing_replacing)
     wanted = OutputError if isinstance(error, OSError) else KeyboardInterrupt
     for place in (old, tmp_path / "new"):
         with pytest.raises(wanted):
