@@ -1,7 +1,7 @@
 """Files read whole and replaced whole: devices and pipes are refused, and nothing half-written stays.
 
 What is being made is known here from before it exists until it is complete. A command that is told to end
-calls ``undo_all``; so does Python at its own end.
+calls ``undo_all``; so does SIGTERM where it would end the process at once, and Python at its own end.
 """
 
 from __future__ import annotations
@@ -12,12 +12,15 @@ import errno
 import os
 import secrets
 import shutil
+import signal
 import stat
 import tempfile
+import threading
 from collections.abc import Callable, Iterator
 from functools import partial
 from io import BufferedReader
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from types import FrameType
 from typing import BinaryIO
 
 from octex.errors import OutputError
@@ -73,14 +76,35 @@ def undone_on_failure(undo: Callable[[], None]) -> Iterator[None]:
     ``undo`` may be called when nothing is made yet, when all is made and complete, and twice.
     """
     key = object()
-    _undos[key] = undo
+    with _undone_by_sigterm():
+        _undos[key] = undo
+        try:
+            yield
+        except BaseException:
+            undo()
+            _undos.pop(key, None)
+            raise
+        _undos.pop(key, None)
+
+
+@contextlib.contextmanager
+def _undone_by_sigterm() -> Iterator[None]:
+    """Have SIGTERM undo all before it ends the process; Python lets only the main thread say so."""
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGTERM, _end)
     try:
         yield
-    except BaseException:
-        undo()
-        _undos.pop(key, None)
-        raise
-    _undos.pop(key, None)
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _end(number: int, _frame: FrameType | None) -> None:
+    undo_all()
+    signal.signal(number, signal.SIG_DFL)
+    signal.raise_signal(number)
 
 
 def undo_all() -> None:

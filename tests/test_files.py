@@ -187,16 +187,25 @@ def test_a_second_signal_ends_the_process_and_leaves_nothing(tmp_path: Path) -> 
 KILLED = """
 import os, signal, sys
 from octex import files
+signal.signal(signal.SIGTERM, signal.SIG_DFL)
+if sys.argv[3] == "named":
+    files._nameless_file = lambda folder: None
 with files.replacing(sys.argv[1]) as file:
     file.write(bytes(100000))
     os.kill(os.getpid(), getattr(signal, sys.argv[2]))
 """
 
 
-@pytest.mark.skipif(not HAS_NAMELESS, reason="this system has no files without a name")
-@pytest.mark.parametrize("name", ["SIGTERM", "SIGKILL"])
-def test_a_process_that_is_killed_leaves_nothing(tmp_path: Path, name: str) -> None:
-    done = python(KILLED, str(tmp_path / "a"), name)
+without_name = pytest.mark.skipif(not HAS_NAMELESS, reason="this system has no files without a name")
+
+
+@posix
+@pytest.mark.parametrize(
+    ("name", "way"),
+    [("SIGTERM", "named"), ("SIGTERM", "nameless"), pytest.param("SIGKILL", "nameless", marks=without_name)],
+)
+def test_a_process_that_a_signal_ends_leaves_nothing(tmp_path: Path, name: str, way: str) -> None:
+    done = python(KILLED, str(tmp_path / "a"), name, way)
     assert done.returncode == -getattr(signal, name)
     assert names_in(tmp_path) == []
 

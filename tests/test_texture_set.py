@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -335,6 +337,26 @@ def test_a_broken_save_leaves_the_old_set_or_none(
             parts.save(place)
     assert {name: (old / name).read_bytes() for name in names_in(old)} == before
     assert not (tmp_path / "new").exists()
+
+
+def test_a_save_that_is_interrupted_after_its_index_is_whole(
+    parts: TextureSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replacing = folder.files.replacing
+
+    @contextmanager
+    def interrupted(path: Path) -> Iterator[Any]:
+        with replacing(path) as file:
+            yield file
+        if path.name == "set.json":
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(folder.files, "replacing", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        parts.save(tmp_path / "new")
+    again = TextureSet.open(tmp_path / "new")
+    again.validate()
+    assert again.names == parts.names
 
 
 def test_a_folder_that_cannot_be_made_is_an_output_error(parts: TextureSet, tmp_path: Path) -> None:
