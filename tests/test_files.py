@@ -64,7 +64,7 @@ def test_relative_paths_lead_from_the_folder() -> None:
 
 
 @pytest.fixture(params=["nameless", "named"])
-def _ways_to_write(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+def _way_to_write(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "fsync", lambda _: None)  # which takes most of the time
     if request.param == "named":
         monkeypatch.setattr(files, "_nameless_file", lambda _: None)
@@ -77,17 +77,19 @@ def interrupted_at(moment: int, number: int, body: Callable[[], None]) -> tuple[
     """
     count = 0
 
-    def trace(frame: FrameType, event: str, _argument: Any) -> Any:
-        nonlocal count
-        if Path(frame.f_code.co_filename).name not in ("files.py", "contextlib.py"):
+    def trace(frame: FrameType, _event: str, _argument: Any) -> Any:
+        if not frame.f_code.co_filename.endswith(("octex/files.py", "contextlib.py")):
             return None
         frame.f_trace_opcodes = True
-        if event in ("opcode", "line"):
-            count += 1
-            if count == moment:
-                sys.settrace(None)
-                signal.raise_signal(number)
-        return trace
+        return at_instruction
+
+    def at_instruction(_frame: FrameType, event: str, _argument: Any) -> Any:
+        nonlocal count
+        count += event in ("line", "opcode")
+        if count == moment:
+            sys.settrace(None)
+            signal.raise_signal(number)
+        return at_instruction
 
     def traced() -> int:
         sys.settrace(trace)
@@ -116,7 +118,7 @@ unclosed = pytest.mark.filterwarnings(
 
 @posix
 @unclosed
-@pytest.mark.usefixtures("_ways_to_write")
+@pytest.mark.usefixtures("_way_to_write")
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGTERM, ExitCode.TERMINATED), (signal.SIGINT, ExitCode.INTERRUPTED)]
 )
@@ -236,7 +238,7 @@ def test_handlers_are_set_back() -> None:
     assert (signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)) == before
 
 
-@pytest.mark.usefixtures("_ways_to_write")
+@pytest.mark.usefixtures("_way_to_write")
 def test_a_new_file_has_the_permissions_of_any_new_file(tmp_path: Path) -> None:
     (tmp_path / "usual").write_bytes(b"")
     with files.replacing(tmp_path / "a") as file:
@@ -245,7 +247,7 @@ def test_a_new_file_has_the_permissions_of_any_new_file(tmp_path: Path) -> None:
     assert (tmp_path / "a").read_bytes() == b"new"
 
 
-@pytest.mark.usefixtures("_ways_to_write")
+@pytest.mark.usefixtures("_way_to_write")
 def test_an_error_leaves_the_old_file(tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes(b"old")
     with pytest.raises(ZeroDivisionError), files.replacing(tmp_path / "a") as file:
