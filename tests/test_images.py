@@ -225,6 +225,13 @@ def test_formats_that_are_not_listed_are_not_opened(kind: str) -> None:
         decode_image(data, "a")
 
 
+def test_a_pillow_without_some_formats_reads_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    PIL.Image.init()
+    for kind in ("AVIF", "WEBP"):
+        monkeypatch.delitem(PIL.Image.OPEN, kind)
+    assert decode_image(png(random_image(2, 2)), "a").shape == (2, 2, 4)
+
+
 def test_an_image_of_a_few_bytes_cannot_be_of_any_size() -> None:
     data = bytearray(saved(PIL.Image.new("RGB", (8, 8)), "WEBP", lossless=True))
     at = data.index(b"VP8L") + 9  # after the signature: 14 bits of width − 1, 14 of height − 1

@@ -146,10 +146,12 @@ def _open(file: BinaryIO) -> PIL.Image.Image:
     with suppress(ImportError):  # from Pillow 11.3 on
         settings.append((import_module("PIL.AvifImagePlugin"), "DEFAULT_MAX_THREADS", cpu_count()))
     before = [getattr(module, name) for module, name, _ in settings]
+    PIL.Image.init()
+    known = [name for name in FORMATS if name in PIL.Image.OPEN]  # Pillow may be built without some
     try:
         for module, name, value in settings:
             setattr(module, name, value)
-        return PIL.Image.open(file, formats=FORMATS)
+        return PIL.Image.open(file, formats=known)
     finally:
         for (module, name, _), value in zip(settings, before, strict=True):
             setattr(module, name, value)
