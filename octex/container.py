@@ -9,21 +9,19 @@ Reading maps the file: arrays are views of it, and pages are loaded when they ar
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import mmap
 import os
-import secrets
 import sys
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from octex.errors import ArgumentError, OutputError, TextureFileError
+from octex.errors import ArgumentError, TextureFileError
+from octex.files import open_file, replacing
 
 Array = npt.NDArray[Any]
 
@@ -95,43 +93,13 @@ def write(path: str | os.PathLike[str], tensors: Mapping[str, Array], metadata: 
                 file.write(little_endian.reshape(-1).view(np.uint8).data)
 
 
-@contextlib.contextmanager
-def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """Open a new file that takes the place of ``path`` at the end of the block, whole or not at all.
-
-    Raises OutputError if anything cannot be written (also for an OSError of the block itself).
-    """
-    target = Path(path)
-    temporary: Path | None = None
-    try:
-        real = Path(os.path.realpath(target))  # through links, so that a link stays one
-        if real.exists() and not real.is_file():
-            raise OutputError(f"{target}: is not a file that can be replaced; choose another name")
-        new = real.with_name(f".octex-{secrets.token_hex(8)}")
-        with new.open("xb") as file:
-            temporary = new
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        new.replace(real)
-        temporary = None
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise OutputError(
-            f"{target}: cannot be written: {reason}; make room or choose another place"
-        ) from error
-    finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
-
-
 def read(path: str | os.PathLike[str]) -> Contents:
     """Map a file; only its header is read.
 
     Raises TextureFileError if there is no such file, or its header is damaged or does not fit the file.
     """
     try:
-        with Path(path).open("rb") as file:
+        with open_file(path) as file:
             length = os.fstat(file.fileno()).st_size
             text = _read_header(file, length)
             tensors, metadata = _parsed(text, length)
@@ -203,12 +171,19 @@ def _first_offset(item: tuple[str, Any]) -> tuple[int, int]:
 
 
 def _checked_entry(name: str, entry: Any) -> tuple[np.dtype[Any], tuple[int, ...], int, int]:
+    """Return the type, the shape and the first and last byte of a tensor.
+
+    numpy holds no larger shape than these, also where one of the sizes is 0.
+    """
+    if not name or name != name.encode(errors="replace").decode():
+        raise _HeaderError(f"its header is damaged: a tensor cannot have the name {name!r}")
     if not isinstance(entry, dict) or not {"dtype", "shape", "data_offsets"} <= entry.keys():
         raise _HeaderError(f"its header is damaged: {name!r} lacks its dtype, shape or data_offsets")
     dtype, shape, offsets = entry["dtype"], entry["shape"], entry["data_offsets"]
     if not isinstance(dtype, str) or dtype not in _DTYPES:
         raise _HeaderError(f"{name!r} has the dtype {dtype!r}, which octex does not read")
-    if not _is_whole(shape) or not _is_whole(offsets) or len(offsets) != 2 or len(shape) > 8:
+    is_shape = _is_whole(shape) and len(shape) <= 8 and math.prod(size or 1 for size in shape) < 2**48
+    if not is_shape or not _is_whole(offsets) or len(offsets) != 2:
         raise _HeaderError(f"its header is damaged: {name!r} has impossible shape or data_offsets")
     return np.dtype(_DTYPES[dtype]).newbyteorder("<"), tuple(shape), offsets[0], offsets[1]
 

@@ -9,6 +9,8 @@ OctexError                  anything octex refuses; the message names what, why 
 │   └── TextureFileError    an .octex file
 ├── OutputError             something could not be written; what stood there before still stands
 └── MissingExtraError       an optional package is not installed (also an ImportError)
+
+ModelWarning                something that a model refers to is not there; it is read without (a UserWarning)
 """
 
 from __future__ import annotations
@@ -35,6 +37,7 @@ class ExitCode(IntEnum):
     NOTHING_PAINTED = 3, "nothing was painted"
     CRASHED = 70, "a defect of octex itself"
     INTERRUPTED = 130, "interrupted (Ctrl-C)"
+    TERMINATED = 143, "told to end (SIGTERM)"
 
 
 class OctexError(Exception):
@@ -71,3 +74,7 @@ class OutputError(OctexError):
 
 class MissingExtraError(OctexError, ImportError):
     """An optional dependency is needed; the message names the extra to install."""
+
+
+class ModelWarning(UserWarning):
+    """A model was read without something that it refers to."""

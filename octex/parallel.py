@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -33,8 +33,26 @@ def memory_size() -> float:
         return math.inf
 
 
+_most: int | None = None  # as ``at_most`` says
+_pools = 0  # that there are
+
+
+@contextmanager
+def at_most(count: int | None) -> Iterator[None]:
+    """Let octex start no more than ``count`` threads while the block lasts; None changes nothing."""
+    global _most
+    before = _most
+    _most = before if count is None else count
+    try:
+        yield
+    finally:
+        _most = before
+
+
 def cpu_count() -> int:
-    """Processors that this process may use."""
+    """Processors that this process may use, or as many as ``at_most`` says."""
+    if _most is not None:
+        return _most
     try:
         return len(os.sched_getaffinity(0))
     except AttributeError:  # not on this operating system
@@ -44,12 +62,31 @@ def cpu_count() -> int:
 @contextmanager
 def threads(count: int) -> Iterator[Executor]:
     """Yield a pool of ``count`` threads that ends with the block; an error drops what has not begun."""
+    global _pools
+    if _most is not None and _pools:  # which has all threads that may be
+        yield _Here()
+        return
     with ThreadPoolExecutor(count, thread_name_prefix="octex") as pool:
+        _pools += 1
         try:
             yield pool
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+        finally:
+            _pools -= 1
+
+
+class _Here(Executor):
+    """Works at once, in the thread that asks."""
+
+    def submit(self, function: Callable[..., Result], /, *given: Any, **named: Any) -> Future[Result]:
+        future: Future[Result] = Future()
+        try:
+            future.set_result(function(*given, **named))
+        except Exception as error:
+            future.set_exception(error)
+        return future
 
 
 @contextmanager

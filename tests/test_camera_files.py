@@ -589,9 +589,19 @@ def test_a_file_of_another_kind_is_refused(tmp_path, content, complaint):
     assert complaint in message
 
 
+def test_an_absolute_path_of_a_picture_is_a_name_beside_the_file(tmp_path):
+    matrix = to_opengl(view(1)).tolist()
+    names = [str(tmp_path / "far" / "a.png"), "C:\\pictures\\b.png"]
+    frames = [{"file_path": name, "transform_matrix": matrix} for name in names]
+    path = tmp_path / "transforms.json"
+    path.write_text(json.dumps({"fl_x": 700.0, "frames": frames}))
+    assert [frame.image for frame in read_cameras(path)] == [tmp_path / "a.png", tmp_path / "b.png"]
+    assert [frame.name for frame in read_cameras(path)] == names
+
+
 @pytest.mark.skipif(not Path("/dev/null").exists(), reason="this system has no devices among its files")
 def test_a_device_is_not_read():
-    assert "/dev/null: is not a file" in refusal("/dev/null")
+    assert "/dev/null: cannot be read: it is a pipe or a device, not a file" in refusal("/dev/null")
 
 
 def test_a_file_that_cannot_be_is_refused(tmp_path):

@@ -16,6 +16,7 @@ from octex.cli.convert import main, parser
 from octex.cli.models import DEFAULT_FILTER
 from octex.errors import ExitCode
 from tests.command import colored_box, python, refusal, result
+from tests.fixtures import OBJ_SQUARE, obj, png, random_image, textured_square
 
 HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.texture", "octex.tree")
 
@@ -237,6 +238,73 @@ def made(model: Path) -> Path:
     return path
 
 
+# --- the order of arguments
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "a.glb b.octex --depth 5 --separate",
+        "a.glb --depth 5 b.octex --separate",
+        "--depth 5 a.glb --separate b.octex",
+        "--separate a.glb b.octex --depth=5",
+        "--separate 3 a.glb b.octex --depth 5",
+        "a.glb --separate 3 b.octex --depth 5",
+        "--separate --depth 5 -- a.glb b.octex",
+        "a.glb --separate=3 --depth 5 -- b.octex",
+    ],
+)
+def test_options_may_stand_anywhere(arguments: str) -> None:
+    given = vars(parser().parsed(arguments.split()))
+    stated = {name: value for name, value in given.items() if value not in (None, False)}
+    paths = {"INPUT": Path("a.glb"), "OUTPUT": Path("b.octex")}
+    assert stated == {**paths, "depth": 5, "separate": 3.0}
+
+
+def test_options_of_two_values_and_those_given_twice_may_stand_anywhere() -> None:
+    words = "--source alpha=1 --diff a b --source roughness=0 --json"
+    options = parser().parsed(words.split())
+    assert options.diff == [Path("a"), Path("b")]
+    assert [name for name, _ in options.source] == ["alpha", "roughness"]
+    assert (options.json, options.INPUT) == (True, None)
+
+
+def test_values_may_begin_with_a_minus_and_files_after_two() -> None:
+    words = "--crop -1,0,0,1,1,1 a.octex --project-axis -y -- -b.octex"
+    options = parser().parsed(words.split())
+    assert options.crop == (-1, 0, 0, 1, 1, 1)
+    assert options.project_axis == "-y"
+    assert [str(path) for path in (options.INPUT, options.OUTPUT)] == ["a.octex", "-b.octex"]
+
+
+def test_a_model_is_converted_with_options_between_its_files(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result(capsys, model, "--depth", 3, tmp_path / "a.octex", "--quiet")
+    assert octex.open(tmp_path / "a.octex").tree.max_depth == 3
+
+
+# --- warnings
+
+
+def test_a_warning_is_a_line_on_stderr(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = obj(tmp_path / "a.obj", "mtllib gone.mtl\n" + OBJ_SQUARE + "usemtl wood\nf 1 2 3\nf 1 3 4\n")
+    result(capsys, model, tmp_path / "quiet.octex", "--depth", 3, "--quiet")
+    for given in ([], ["--source", "base_color=1,0,0"]):
+        code = main([str(model), str(tmp_path / "a.octex"), "--depth", "3", "--force", *given])
+        said = capsys.readouterr().err.splitlines()
+        assert code == ExitCode.DONE
+        assert (
+            said.count(
+                "octree-convert: warning: a.obj: gone.mtl is missing, so the material wood is white; "
+                "put it beside the model"
+            )
+            == 1
+        )
+    main([str(model), str(tmp_path / "b.octex"), "--depth", "3", "--quiet"])
+    assert capsys.readouterr().err == ""
+
+
 # --- as a process
 
 CONVERT = "import sys; from octex.cli.convert import main; sys.exit(main())"
@@ -287,6 +355,60 @@ sys.exit(convert.main())
     assert done.returncode == ExitCode.INTERRUPTED
     assert done.stderr.splitlines()[-1] == "octree-convert: interrupted"
     assert list(tmp_path.iterdir()) == []
+
+
+@posix
+def test_a_command_that_is_told_to_end_ends_with_143_and_leaves_nothing(model: Path, tmp_path: Path) -> None:
+    ending = """
+import os, signal, sys
+from octex import files
+from octex.cli import convert
+
+signal.signal(signal.SIGTERM, signal.SIG_DFL)
+files._nameless_file = lambda folder: None
+sync = os.fsync
+
+def end(file):
+    os.kill(os.getpid(), signal.SIGTERM)
+    sync(file)
+
+os.fsync = end
+sys.exit(convert.main())
+"""
+    done = python(ending, str(model), str(tmp_path / "box.octex"), "--depth", "3")
+    assert done.returncode == ExitCode.TERMINATED
+    assert done.stderr.splitlines()[-1] == "octree-convert: told to end"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="this system does not count threads there")
+@pytest.mark.parametrize("count", [1, 2])
+def test_no_more_threads_are_started_than_asked_for(tmp_path: Path, count: int) -> None:
+    watching = """
+import re, sys, threading
+from pathlib import Path
+from octex.cli.convert import main
+
+most, ended = 0, threading.Event()
+
+def watch():
+    global most
+    while not ended.wait(0.001):
+        most = max(most, int(re.search("Threads:\\s*(\\d+)", Path("/proc/self/status").read_text())[1]))
+
+watcher = threading.Thread(target=watch)
+watcher.start()
+code = main()
+ended.set()
+watcher.join()
+print(most - 2)  # but for this one and the watcher
+sys.exit(code)
+"""
+    model = textured_square(tmp_path / "a.glb", png(random_image(64, 64)))
+    arguments = [str(model), str(tmp_path / "a.octex"), "--threads", str(count), "--depth", "4", "--quiet"]
+    done = python(watching, *arguments)
+    assert done.returncode == ExitCode.DONE, done.stderr
+    assert int(done.stdout) <= count
 
 
 @posix

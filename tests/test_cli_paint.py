@@ -761,3 +761,25 @@ def test_a_model_is_drawn_edited_and_painted_from_a_checkout(tmp_path: Path) -> 
     red, green, blue, _ = np.median(patch.reshape(-1, 4), axis=0)
     assert red > 240
     assert max(green, blue) < 20
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "m.glb t.octex a.png b.png --camera c.json --out n.octex --mask m.png --balance",
+        "--camera c.json m.glb --balance t.octex a.png --mask m.png b.png --out n.octex",
+        "m.glb --mask m.png t.octex --out n.octex a.png --camera c.json --balance b.png",
+        "--balance --out=n.octex --mask m.png --camera=c.json -- m.glb t.octex a.png b.png",
+    ],
+)
+def test_options_may_stand_anywhere(arguments: str) -> None:
+    stated = {name: value for name, value in vars(parser().parsed(arguments.split())).items() if value}
+    assert stated == {
+        "MODEL": Path("m.glb"),
+        "TEXTURE": Path("t.octex"),
+        "IMAGE": [Path("a.png"), Path("b.png")],
+        "camera": (Path("c.json"), None),
+        "out": Path("n.octex"),
+        "mask": [Path("m.png")],
+        "balance": True,
+    }

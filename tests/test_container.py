@@ -11,7 +11,7 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
-from octex import container
+from octex import container, files
 from octex.errors import ArgumentError, OutputError, TextureFileError
 
 DTYPES = [
@@ -147,6 +147,8 @@ def test_text_that_is_not_unicode_does_not_stop_a_save(tmp_path: Path) -> None:
         ({"dtype": "U8", "shape": 4, "data_offsets": [0, 4]}, "impossible shape"),
         ({"dtype": "U8", "shape": [4], "data_offsets": [0, 4, 8]}, "impossible shape"),
         ({"dtype": "U8", "shape": [0, 10**30], "data_offsets": [0, 0]}, "impossible shape"),
+        ({"dtype": "U8", "shape": [0, 2**48 - 1, 2**48 - 1], "data_offsets": [0, 0]}, "impossible shape"),
+        ({"dtype": "U64", "shape": [2**47, 0, 2], "data_offsets": [0, 0]}, "impossible shape"),
         ({"dtype": "U8", "shape": [4] + [1] * 50, "data_offsets": [0, 4]}, "impossible shape"),
         ({"dtype": "U8", "shape": [5], "data_offsets": [0, 4]}, "do not fit its shape"),
         ({"dtype": "U8", "shape": [4], "data_offsets": [4, 8]}, "do not fit its shape"),
@@ -177,6 +179,22 @@ def test_damaged_headers_are_refused(tmp_path: Path, text: bytes, message: str) 
     with pytest.raises(TextureFileError, match=message) as error:
         container.read(path)
     assert "a.octex" in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["", "\ud800"])
+def test_names_that_cannot_be_written_are_not_read(tmp_path: Path, name: str) -> None:
+    path = write_header(
+        tmp_path / "a", {name: {"dtype": "U8", "shape": [4], "data_offsets": [0, 4]}}, b"1234"
+    )
+    with pytest.raises(TextureFileError, match="a tensor cannot have the name"):
+        container.read(path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes among its files")
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.octex")
+    with pytest.raises(TextureFileError, match=r"a\.octex: cannot be read: it is a pipe or a device"):
+        container.read(tmp_path / "a.octex")
 
 
 def test_overlapping_tensors_are_refused(tmp_path: Path) -> None:
@@ -247,7 +265,7 @@ def test_a_disk_that_fills_up_leaves_the_old_file_whole(tmp_path: Path) -> None:
 def test_a_save_that_is_interrupted_leaves_the_old_file_whole(tmp_path: Path) -> None:
     path = tmp_path / "a"
     path.write_bytes(b"old")
-    with pytest.raises(KeyboardInterrupt), container.replacing(path) as file:
+    with pytest.raises(KeyboardInterrupt), files.replacing(path) as file:
         file.write(b"new")
         raise KeyboardInterrupt
     assert path.read_bytes() == b"old"

@@ -111,6 +111,8 @@ def broken(change: str, tmp_path: Path) -> Path:
         gltf.json["extensionsRequired"] = ["ACME_magic"]
     elif change == "image missing":
         gltf.json["images"][0] = {"uri": "wood.png"}
+    elif change.startswith("image at "):
+        gltf.json["images"][0] = {"uri": change.removeprefix("image at ")}
     elif change == "image nowhere":
         gltf.json["images"][0] = {}
     elif change == "image broken":
@@ -234,6 +236,10 @@ def test_a_bad_model_is_refused_in_one_line_that_names_it(tmp_path: Path, change
     ("change", "message"),
     [
         ("image missing", "wood.png: No such file"),
+        ("image at /dev/zero", "/dev/zero: absolute paths are not followed; name it from"),
+        ("image at %2Fdev%2Fzero", "absolute paths are not followed"),
+        ("image at C:\\wood.png", "absolute paths are not followed"),
+        ("image at ../../../../../../../../../../dev/zero", "it is a pipe or a device, not a file"),
         ("image nowhere", "neither a uri nor a bufferView"),
         ("image broken", "not an image"),
         ("image on the web", "download it first"),

@@ -18,7 +18,7 @@ MODULES = sorted(path.relative_to(ROOT).with_suffix("").as_posix() for path in R
 
 # A module imports only from its own row and the rows above.
 ROWS = [
-    {"errors", "checks", "jit", "parallel", "channels"},
+    {"errors", "files", "checks", "jit", "parallel", "channels"},
     {"tree"},
     {"nearest"},
     {"field"},

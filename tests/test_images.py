@@ -218,13 +218,67 @@ def test_an_image_that_needs_too_much_memory_is_refused(monkeypatch: pytest.Monk
         decode_image(png(random_image(2, 2)), "wood")
 
 
+@pytest.mark.parametrize("kind", ["ICO", "ICNS", "PCX"])
+def test_formats_that_are_not_listed_are_not_opened(kind: str) -> None:
+    data = saved(PIL.Image.fromarray(random_image(16, 16)), kind)
+    with pytest.raises(ImageError, match="not an image of a format that octex reads: PNG, JPEG"):
+        decode_image(data, "a")
+
+
+def test_a_pillow_without_some_formats_reads_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    PIL.Image.init()
+    for kind in ("AVIF", "WEBP"):
+        monkeypatch.delitem(PIL.Image.OPEN, kind)
+    assert decode_image(png(random_image(2, 2)), "a").shape == (2, 2, 4)
+
+
+def test_an_image_of_a_few_bytes_cannot_be_of_any_size() -> None:
+    data = bytearray(saved(PIL.Image.new("RGB", (8, 8)), "WEBP", lossless=True))
+    at = data.index(b"VP8L") + 9  # after the signature: 14 bits of width − 1, 14 of height − 1
+    data[at : at + 4] = (int.from_bytes(data[at : at + 4], "little") | (1 << 28) - 1).to_bytes(4, "little")
+    with pytest.raises(ImageError, match="it cannot hold 16384 × 16384 texels"):
+        decode_image(bytes(data), "a")
+
+
+def test_the_size_of_a_jpeg_2000_image_is_that_of_its_codestream() -> None:
+    data = bytearray(saved(PIL.Image.new("RGB", (8, 8)), "JPEG2000"))
+    at = data.index(b"\xff\x4f\xff\x51") + 8  # the right and lower end of the picture
+    data[at : at + 8] = struct.pack(">II", 16000, 16000)
+    with pytest.raises(ImageError, match="it cannot hold 16000 × 16000 texels"):
+        decode_image(bytes(data), "a")
+
+
+def test_plain_images_of_formats_that_pack_well_are_read() -> None:
+    plain = PIL.Image.new("RGB", (1024, 1024), (10, 20, 30))
+    for kind in ("WEBP", "JPEG2000"):
+        assert decode_image(saved(plain, kind), "a").shape == (1024, 1024, 4)
+
+
+@pytest.mark.parametrize("compression", ["tiff_adobe_deflate", "tiff_lzw", "jpeg"])
+def test_nothing_is_printed_of_a_damaged_tiff_image(
+    compression: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    image = PIL.Image.fromarray(random_image(16, 16))
+    data = bytearray(saved(image, "TIFF", compression=compression))
+    refused = 0
+    for at in range(8, len(data) - 8, 16):
+        damaged = bytearray(data)
+        damaged[at : at + 8] = bytes(byte ^ 0x55 for byte in damaged[at : at + 8])
+        try:
+            decode_image(bytes(damaged), "a")
+        except ImageError as error:
+            refused += "\n" not in str(error)
+    assert refused > 5
+    assert capfd.readouterr() == ("", "")
+
+
 def test_large_images_are_not_mistaken_for_bombs() -> None:
     before = PIL.Image.MAX_IMAGE_PIXELS
     image = PIL.Image.new("1", (16384, 11000))
     assert MAX_TEXELS > 11000 * 16384
     from octex.source.images import decode as images
 
-    with images._open(saved(image, "PNG")) as opened:
+    with images._open(io.BytesIO(saved(image, "PNG"))) as opened:
         assert opened.size == (16384, 11000)
     after = PIL.Image.MAX_IMAGE_PIXELS
     assert after == before

@@ -239,6 +239,11 @@ def test_bad_textures_of_a_ply_file_are_named(tmp_path: Path) -> None:
         load_surface(ply(tmp_path / "a.ply", ply_square(), comments=comments))
     with pytest.raises(ModelError, match="texnumber is not among its 1 TextureFiles"):
         load_surface(ply(tmp_path / "a.ply", ply_square(**st, texnumber=("int", [0, 1])), comments=comments))
+    elsewhere = [f"TextureFile {tmp_path / 'wood.png'}"]
+    with pytest.raises(
+        ImageError, match=r"a\.ply: .*wood\.png cannot be read: absolute paths are not followed"
+    ):
+        load_surface(ply(tmp_path / "a.ply", ply_square(**st), comments=elsewhere))
 
 
 def off(path: Path, text: str) -> Path:

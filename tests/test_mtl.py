@@ -203,6 +203,17 @@ def test_base_and_gain_change_the_stored_values(tmp_path: Path, monkeypatch: pyt
     np.testing.assert_allclose(texels(given)[0, 0, :3], [0, 0.75, 5.75])
 
 
+def test_absolute_paths_are_names_beside_the_model(tmp_path: Path) -> None:
+    (tmp_path / "far").mkdir()
+    (tmp_path / "near").mkdir()
+    (tmp_path / "far" / "a.png").write_bytes(png(255 - COLORS))
+    found = describe(tmp_path / "near", f"map_Kd {tmp_path / 'far' / 'a.png'}").material.inputs["base_color"]
+    np.testing.assert_array_equal(texels(found)[..., :3], COLORS.astype(np.uint16) * 257)
+    (tmp_path / "far" / "other.png").write_bytes(png(COLORS))
+    with pytest.raises(ImageError, match=r"other\.png is missing; put it beside m\.mtl"):
+        describe(tmp_path / "near", f"map_Kd {tmp_path / 'far' / 'other.png'}")
+
+
 def test_maps_that_move_coordinates_alike_share_a_slot(tmp_path: Path) -> None:
     found = describe(
         tmp_path,

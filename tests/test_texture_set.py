@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -313,7 +315,7 @@ def test_a_broken_save_leaves_the_old_set_or_none(
     old = tmp_path / "old"
     TextureSet({"body": eight_colors()}).save(old)
     before = {name: (old / name).read_bytes() for name in names_in(old)}
-    save, replacing = OctreeTexture.save, folder.container.replacing
+    save, replacing = OctreeTexture.save, folder.files.replacing
 
     def failing_save(texture: OctreeTexture, path: Path) -> None:
         if "left" in path.name:
@@ -328,13 +330,33 @@ def test_a_broken_save_leaves_the_old_set_or_none(
     if at == "part":
         monkeypatch.setattr(OctreeTexture, "save", failing_save)
     else:
-        monkeypatch.setattr(folder.container, "replacing", failing_replacing)
+        monkeypatch.setattr(folder.files, "replacing", failing_replacing)
     wanted = OutputError if isinstance(error, OSError) else KeyboardInterrupt
     for place in (old, tmp_path / "new"):
         with pytest.raises(wanted):
             parts.save(place)
     assert {name: (old / name).read_bytes() for name in names_in(old)} == before
     assert not (tmp_path / "new").exists()
+
+
+def test_a_save_that_is_interrupted_after_its_index_is_whole(
+    parts: TextureSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replacing = folder.files.replacing
+
+    @contextmanager
+    def interrupted(path: Path) -> Iterator[Any]:
+        with replacing(path) as file:
+            yield file
+        if path.name == "set.json":
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(folder.files, "replacing", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        parts.save(tmp_path / "new")
+    again = TextureSet.open(tmp_path / "new")
+    again.validate()
+    assert again.names == parts.names
 
 
 def test_a_folder_that_cannot_be_made_is_an_output_error(parts: TextureSet, tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from PIL import Image
 import octex
 from octex.channels import CHANNELS
 from octex.compare import difference
-from octex.container import replacing
+from octex.files import replacing
 from octex.preview import draw_preview
 
 ENDINGS = {".glb", ".gltf", ".obj", ".ply", ".off", ".stl"}

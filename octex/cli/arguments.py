@@ -58,9 +58,7 @@ def cells_apart(text: str) -> float:
     try:
         number = float(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is no number of cells; write --separate behind the files, or --separate=3"
-        ) from None
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of cells") from None
     if not 1.0 <= number <= 1e6:
         raise argparse.ArgumentTypeError(f"{text} is not from 1 to a million")
     return number

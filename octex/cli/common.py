@@ -5,25 +5,41 @@ from __future__ import annotations
 import argparse
 import os
 import shutil
+import signal
 import sys
+import threading
 import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+import warnings
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import Any, NoReturn, Self, TextIO
 
-from octex.errors import ArgumentError, ExitCode, InputError, OctexError, OutputError
+from octex.errors import ArgumentError, ExitCode, InputError, ModelWarning, OctexError, OutputError
+from octex.files import undo_all
+from octex.parallel import at_most
 
+# What numpy and OpenImageIO start besides the threads of octex, which spreads the work itself: none.
+_NO_THREADS = {
+    **dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), "1"),
+    "VECLIB_MAXIMUM_THREADS": "1",
+    "OPENIMAGEIO_OPTIONS": "threads=1,exr_threads=-1",
+}
 #: Set to anything, it shows the traceback of an unexpected error.
 TRACEBACK_VARIABLE = "OCTEX_TRACEBACK"
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser that refuses in one line, knows no abbreviations, and lists the exit codes."""
+    """An argument parser that refuses in one line, knows no abbreviations, and lists the exit codes.
+
+    Options may stand before, between and behind the files.
+    """
 
     def __init__(self, **arguments: Any) -> None:
+        self._options: dict[str, argparse.Action] = {}
         codes = "\n".join(f"  {code:3}  {code.meaning}" for code in ExitCode)
         super().__init__(
             allow_abbrev=False,
@@ -32,16 +48,107 @@ class Parser(argparse.ArgumentParser):
             **arguments,
         )
 
+    def add_argument(self, *names: Any, **settings: Any) -> argparse.Action:
+        """Add an argument, as argparse does."""
+        action = super().add_argument(*names, **settings)
+        self._options.update(dict.fromkeys(action.option_strings, action))
+        return action
+
     def error(self, message: str) -> NoReturn:
         """Raise ArgumentError."""
         raise ArgumentError(f"{message}; see {self.prog} --help")
+
+    def parsed(self, arguments: Sequence[str] | None) -> argparse.Namespace:
+        """Parse arguments in any order, those of the process for None; what follows -- is no option.
+
+        A value that an option may go without is one if it is a number. Raises ArgumentError.
+        """
+        words = deque(sys.argv[1:] if arguments is None else arguments)
+        options: list[str] = []
+        files: list[str] = []
+        while words:
+            word = words.popleft()
+            if word == "--":
+                files += words
+                break
+            action = self._options.get(word)
+            if action is None:
+                (options if word.startswith("-") and word != "-" else files).append(word)
+                continue
+            options.append(word)
+            if action.nargs is None and words and words[0] not in self._options:
+                options[-1] += f"={words.popleft()}"  # which may begin with a minus
+            elif action.nargs == "?" and words and _is_number(words[0]):
+                options[-1] += f"={words.popleft()}"
+            elif isinstance(action.nargs, int):
+                options += [words.popleft() for _ in range(min(action.nargs, len(words)))]
+        return self.parse_args([*options, "--", *files] if files else options)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+@contextmanager
+def limited(count: int | None) -> Iterator[None]:
+    """Work on ``count`` threads while the block lasts, which imports numpy; None: on all processors."""
+    added = {} if count is None else {name: _NO_THREADS[name] for name in _NO_THREADS.keys() - os.environ}
+    os.environ.update(added)
+    try:
+        with at_most(count):
+            yield
+    finally:
+        for name in added:
+            os.environ.pop(name, None)
 
 
 def run(command: str, body: Callable[[], int]) -> int:
     """Run the body of a command and return its exit code, whatever happens in it.
 
-    Every failure becomes one line on stderr. A defect shows its traceback if OCTEX_TRACEBACK is set.
+    Every failure becomes one line on stderr. A defect shows its traceback if OCTEX_TRACEBACK is set. Told to
+    end by SIGINT or SIGTERM, it leaves nothing half-written; told twice, it does not wait for its threads.
     """
+    with _ended_by_signals():
+        return _run(command, body)
+
+
+class _TerminatedError(KeyboardInterrupt):
+    """The process is told to end."""
+
+
+@contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """Turn SIGINT and SIGTERM into exceptions, the second into the end, where they would end the process."""
+    told = False
+
+    def end(number: int, _frame: FrameType | None) -> NoReturn:
+        nonlocal told
+        if told:
+            undo_all()
+            os._exit(128 + number)
+        told = True
+        raise _TerminatedError if number == signal.SIGTERM else KeyboardInterrupt
+
+    replaced = {}
+    if threading.current_thread() is threading.main_thread():
+        for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGTERM, signal.SIG_DFL)):
+            if signal.getsignal(number) is usual:  # not where whoever called ignores it
+                replaced[number] = usual
+                signal.signal(number, end)
+    try:
+        yield
+    finally:
+        if told:
+            undo_all()
+        for number, usual in replaced.items():
+            signal.signal(number, usual)
+
+
+def _run(command: str, body: Callable[[], int]) -> int:
     try:
         try:
             code = body()
@@ -56,6 +163,8 @@ def run(command: str, body: Callable[[], int]) -> int:
     except MemoryError as error:
         reason = f" ({error})" if str(error) else ""
         return fail(command, f"error: out of memory{reason}; a smaller depth needs less", ExitCode.REFUSED)
+    except _TerminatedError:
+        return fail(command, "told to end", ExitCode.TERMINATED)
     except KeyboardInterrupt:
         return fail(command, "interrupted", ExitCode.INTERRUPTED)
     except Exception as error:
@@ -123,6 +232,8 @@ class Reporter:
         self._stage: str | None = None
         self._began = 0.0
         self._listener: Any = None
+        self._warned = warnings.catch_warnings()
+        self._others: Callable[..., None] = warnings.showwarning
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Report that ``done`` of ``total`` units of a stage are done."""
@@ -143,6 +254,8 @@ class Reporter:
         self._began = time.perf_counter()
         if self._on_terminal:
             from tqdm import tqdm
+
+            tqdm.monitor_interval = 0  # else a thread redraws bars that nothing moves
 
             columns, lines = shutil.get_terminal_size()
             self._bar = tqdm(
@@ -178,6 +291,20 @@ class Reporter:
             with suppress(OSError):
                 self._line(text)
 
+    def _warn(
+        self,
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        if issubclass(category, ModelWarning):
+            self.note(f"warning: {message}")
+        else:
+            self._others(message, category, filename, lineno, file, line)
+
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Report a stage that tells nothing of its progress."""
@@ -186,7 +313,11 @@ class Reporter:
         self(name, 1, 1)
 
     def __enter__(self) -> Self:
-        """Listen to the compiler."""
+        """Listen to the compiler, and to what is said of models."""
+        self._warned.__enter__()
+        warnings.simplefilter("always", ModelWarning)
+        self._others = warnings.showwarning
+        warnings.showwarning = self._warn
         if self._announce and not self._quiet:
             self._listener = _announce_compilation(self)
         return self
@@ -195,6 +326,7 @@ class Reporter:
         self, kind: type[BaseException] | None, _value: BaseException | None, _trace: TracebackType | None
     ) -> None:
         """End the last stage; after an error without a word about it."""
+        self._warned.__exit__(kind, _value, _trace)
         if self._listener is not None:
             from numba.core import event
 

@@ -7,12 +7,11 @@ import json
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import octex
-from octex.cli.common import Reporter, bytes_text, check_outputs, run, say
+from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
 from octex.cli.convert_options import COMMAND, check_input, parser, work_of
 from octex.cli.diff import diff
 from octex.cli.inspect import info, validate
@@ -21,7 +20,7 @@ from octex.cli.overlaps import overlaps, separated_as_json, separated_text
 from octex.cli.process import others_of, processed
 from octex.cli.sets import convert_parts
 from octex.errors import ExitCode
-from octex.parallel import threads
+from octex.parallel import workers
 
 if TYPE_CHECKING:
     from octex.source.cloud import PointCloud
@@ -34,11 +33,15 @@ OUTPUT_ENDINGS = (TEXTURE_ENDING, ".ply")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run octree-convert and return its exit code (octex.errors.ExitCode)."""
-    return run(COMMAND, lambda: _main(parser().parse_args(arguments)))
+    return run(COMMAND, lambda: _main(parser().parsed(arguments)))
 
 
 def _main(options: argparse.Namespace) -> int:
-    work = work_of(options)
+    with limited(options.threads):
+        return _done(work_of(options), options)
+
+
+def _done(work: str, options: argparse.Namespace) -> int:
     if work == "--info":
         return info(options.info, options.json)
     if work == "--validate":
@@ -73,7 +76,7 @@ def _convert(options: argparse.Namespace) -> int:
 
     with Reporter(COMMAND, options.quiet) as progress:
         if kind == "texture":
-            with nullcontext() if options.threads is None else threads(options.threads) as executor:
+            with workers(None) as executor:
                 texture = processed(options, executor)
         else:
             with progress.stage("read"):
@@ -87,19 +90,17 @@ def _convert(options: argparse.Namespace) -> int:
                         surface, options.separate, depth=options.depth, cell=options.cell
                     )
                     model = surface
-            with nullcontext() if options.threads is None else threads(options.threads) as executor:
-                texture = octex.convert(
-                    model,
-                    options.depth,
-                    cell=options.cell,
-                    channels=options.channels,
-                    dtype=options.dtype,
-                    fit=not options.no_fit,
-                    max_error=options.max_error,
-                    detail=options.detail,
-                    executor=executor,
-                    progress=progress,
-                )
+            texture = octex.convert(
+                model,
+                options.depth,
+                cell=options.cell,
+                channels=options.channels,
+                dtype=options.dtype,
+                fit=not options.no_fit,
+                max_error=options.max_error,
+                detail=options.detail,
+                progress=progress,
+            )
         if options.preview is not None:  # first: without room for it, no OUTPUT is left unannounced
             from octex.preview import write_preview
 

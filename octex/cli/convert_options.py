@@ -58,7 +58,7 @@ _OPTIONS = {
 }
 
 
-def parser() -> argparse.ArgumentParser:
+def parser() -> Parser:
     """Return the parser of octree-convert's arguments."""
     parser = Parser(
         prog=COMMAND,
@@ -166,15 +166,13 @@ def parser() -> argparse.ArgumentParser:
         "--project-axis",
         metavar="AXIS",
         type=axis,
-        help=f"where a plane is seen from, or the other kinds' up: {', '.join(AXES)} (default z); write "
-        "--project-axis=-y with a sign",
+        help=f"where a plane is seen from, or the other kinds' up: {', '.join(AXES)} (default z)",
     )
     add(
         "--project-center",
         metavar="X,Y,Z",
         type=position,
-        help="where the picture's middle is, or what it goes around (default: the middle of the bounds); "
-        "write --project-center=-1,0,0 with a sign",
+        help="where the picture's middle is, or what it goes around (default: the middle of the bounds)",
     )
     add(
         "--project-size",

@@ -12,6 +12,7 @@ import octex
 from octex.cli.common import say
 from octex.cli.sets import INDEX, set_text
 from octex.errors import ExitCode, TextureFileError
+from octex.files import open_file
 
 if TYPE_CHECKING:
     from octex.texture import OctreeTexture, TextureSet
@@ -76,7 +77,7 @@ def triple(numbers: Sequence[float]) -> str:
 
 def validate(path: Path, as_json: bool, quiet: bool) -> int:
     """Say whether a texture, or each of a set, is sound, or what is broken."""
-    with (path / INDEX if path.is_dir() else path).open("rb"):  # what cannot be read is not broken
+    with open_file(path / INDEX if path.is_dir() else path):  # what cannot be read is not broken
         pass
     broken = None
     try:

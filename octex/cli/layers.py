@@ -14,6 +14,7 @@ from octex.cli.common import Reporter
 from octex.cli.models import DEFAULT_CHANNEL
 from octex.cli.shots import Shot
 from octex.errors import ArgumentError
+from octex.files import open_file
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -134,7 +135,7 @@ def entries_of(
     """Return what provenance says of the paint in files."""
     found: list[dict[str, str | float]] = []
     for path in files:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
         found.append(
             {

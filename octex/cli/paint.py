@@ -7,7 +7,6 @@ import json
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +29,7 @@ from octex.cli.common import (
     bytes_text,
     check_outputs,
     fail,
+    limited,
     run,
     say,
     words_given,
@@ -47,11 +47,9 @@ from octex.cli.models import (
 from octex.cli.shots import shots_of
 from octex.cli.view import DEFAULT_SIZE, view
 from octex.errors import ArgumentError, ExitCode, InputError
-from octex.parallel import threads
+from octex.parallel import workers
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
@@ -74,7 +72,7 @@ _NEEDED = {
 }
 
 
-def parser() -> argparse.ArgumentParser:
+def parser() -> Parser:
     """Return the parser of octree-paint's arguments."""
     indent = f"{'':20}"
     parser = Parser(
@@ -180,11 +178,15 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run octree-paint and return its exit code (octex.errors.ExitCode)."""
-    return run(COMMAND, lambda: _main(parser().parse_intermixed_args(arguments)))
+    return run(COMMAND, lambda: _main(parser().parsed(arguments)))
 
 
 def _main(options: argparse.Namespace) -> int:
-    work = _work(options)
+    with limited(options.threads):
+        return _done(_work(options), options)
+
+
+def _done(work: str, options: argparse.Namespace) -> int:
     if options.max_depth is not None:
         from octex.checks import as_depth
 
@@ -231,7 +233,7 @@ def _paint(options: argparse.Namespace) -> int:
             progress.note(f"{options.TEXTURE} does not exist yet: painting begins a new texture")
         with progress.stage("read"):
             surface = read_posed(options)
-        with _executor(options) as executor:
+        with workers(None) as executor:
             if options.layer:
                 layers = [open_sound(path) for path in options.layer]
             else:
@@ -273,10 +275,6 @@ def _check_files(options: argparse.Namespace) -> None:
     if options.out.resolve() != options.TEXTURE.resolve():
         others.append(options.TEXTURE)
     check_outputs(outputs, posed_inputs(options) + others, force=options.force)
-
-
-def _executor(options: argparse.Namespace) -> AbstractContextManager[Executor | None]:
-    return nullcontext() if options.threads is None else threads(options.threads)
 
 
 def _write_preview(path: Path, surface: Surface, texture: OctreeTexture, channel: str) -> None:

@@ -7,7 +7,6 @@ import json
 import os
 import time
 from collections.abc import Iterator
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,6 @@ from octex.cli.common import Reporter, bytes_text, say
 from octex.cli.convert_options import check_input
 from octex.cli.models import TEXTURE_ENDING, is_cloud, read_model
 from octex.errors import ArgumentError, ExitCode, OutputError
-from octex.parallel import threads
 
 INDEX = "set.json"  # as octex.texture.folder.INDEX
 
@@ -34,19 +32,17 @@ def convert_parts(command: str, options: argparse.Namespace) -> int:
     with Reporter(command, options.quiet) as progress:
         with progress.stage("read"):
             surface = read_model(options.INPUT, options)
-        with nullcontext() if options.threads is None else threads(options.threads) as executor:
-            made = octex.convert_set(
-                surface,
-                options.depth,
-                cell=options.cell,
-                channels=options.channels,
-                dtype=options.dtype,
-                fit=not options.no_fit,
-                max_error=options.max_error,
-                detail=options.detail,
-                executor=executor,
-                progress=progress,
-            )
+        made = octex.convert_set(
+            surface,
+            options.depth,
+            cell=options.cell,
+            channels=options.channels,
+            dtype=options.dtype,
+            fit=not options.no_fit,
+            max_error=options.max_error,
+            detail=options.detail,
+            progress=progress,
+        )
         with progress.stage("write"):
             made.save(options.OUTPUT)
     seconds = time.perf_counter() - began

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -28,6 +27,8 @@ class Shot(NamedTuple):
 
 def shots_of(options: argparse.Namespace, progress: Reporter) -> tuple[list[Shot], list[str]]:
     """Return pictures with their cameras, and the names of those that are missing."""
+    from octex.source.images.decode import image_size
+
     pairs, missing = _pairs(options)
     if missing:
         progress.note(f"skipped {len(missing)} of {len(pairs) + len(missing)} pictures: {_listing(missing)}")
@@ -37,7 +38,7 @@ def shots_of(options: argparse.Namespace, progress: Reporter) -> tuple[list[Shot
     shots = []
     for (path, frame), mask in zip(pairs, masks, strict=True):
         try:
-            size = _size_of(path)
+            size = image_size(path)
         except ImageError as error:
             raise ImageError(f"{error} (for frame {frame.name!r} of {frame.file})") from None
         try:
@@ -90,23 +91,3 @@ def frame_of(frames: Sequence[Frame], name: str, file: Path) -> Frame:
 def _listing(names: Sequence[str]) -> str:
     more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
     return ", ".join(map(repr, names[:_LISTED])) + more
-
-
-def _size_of(path: Path) -> tuple[int, int]:
-    """Return the width and height of an image file; raises ImageError."""
-    import PIL.Image
-
-    from octex.source.images.decode import decode_image
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with PIL.Image.open(path) as image:
-                return image.size
-    except Exception:  # Pillow's plugins raise nearly anything, and do not know all that octex reads
-        try:
-            data = path.read_bytes()
-        except OSError as error:
-            raise ImageError(f"{path} cannot be read: {error.strerror or error}") from None
-        height, width = decode_image(data, path.name).shape[:2]
-        return width, height

@@ -113,7 +113,7 @@ def _draw(
 def _write_png(path: Path, codes: npt.NDArray[np.uint8]) -> None:
     from PIL import Image
 
-    from octex.container import replacing
+    from octex.files import replacing
 
     picture = Image.fromarray(codes)
     with replacing(path) as file:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import PIL.Image
 
 import octex
+from octex.files import scratch_folder
 from octex.formats.ply import write_points
 from octex.parallel import Progress
 from octex.preview import write_preview
@@ -52,8 +52,7 @@ end_header
 
 def warm_up(progress: Progress) -> None:
     """Read, convert, save, open, sample, validate, draw and paint tiny models, to cache all kernels."""
-    with TemporaryDirectory() as name:
-        folder = Path(name)
+    with scratch_folder() as folder:
         surfaces = _surfaces(folder)
         stages = 2 * len(surfaces) + 1
         for number, surface in enumerate(surfaces):

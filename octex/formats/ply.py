@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ColorSpace, encode
-from octex.container import replacing
 from octex.errors import TextureFileError
+from octex.files import replacing
 from octex.parallel import Progress, silent
 from octex.tree.morton import decode_cells
 from octex.tree.normals import estimate_normals

@@ -14,6 +14,7 @@ import PIL.Image
 from octex.channels import ChannelFormat, decode_table
 from octex.checks import as_choice, as_number
 from octex.errors import ArgumentError, ImageError
+from octex.files import read_bytes
 from octex.jit import inlined
 from octex.source.images.decode import as_texels, decode_image
 from octex.source.images.pyramid import resized
@@ -114,7 +115,7 @@ def _texels(image: Image, otherwise: str) -> npt.NDArray[np.uint16 | np.float32]
             raise ImageError(f"{otherwise}: {error}") from None
     path = Path(image)
     try:
-        data = path.read_bytes()
+        data = read_bytes(path)
     except OSError as error:
         raise ImageError(f"{path} cannot be read: {error.strerror or error}") from None
     return decode_image(data, path.name)

@@ -21,7 +21,7 @@ from octex.compare import (
     placed,
     readers_of,
 )
-from octex.container import replacing
+from octex.files import replacing
 from octex.preview.looks import Appearance, Hits, Look, source_look, texture_look
 from octex.preview.panels import (
     Panel,

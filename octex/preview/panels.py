@@ -12,8 +12,8 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from octex.channels import encode, linear_to_srgb
-from octex.container import replacing
 from octex.errors import ArgumentError
+from octex.files import replacing
 from octex.preview.directions import best_direction, view_directions
 from octex.preview.looks import Floats, Look, Shown, source_look, texture_look
 from octex.preview.pictures import Leaves, film_surface, render_leaves, rest_normals, seen_hits, visible_level

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from octex.channels import ALPHA, BASE_COLOR, ChannelFormat
 from octex.checks import as_number
 from octex.errors import ArgumentError, InputError, ModelError
+from octex.files import open_file, read_bytes
 from octex.nearest.points import Points
 from octex.source.colors import linear_colors, screen_colors
 from octex.source.models.text import parse_numbers
@@ -237,7 +238,7 @@ def is_cloud(path: str | Path) -> bool:
     if path.suffix.lower() != ".ply":
         return path.suffix.lower() in CLOUD_ENDINGS
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             head = file.read(_HEADER).partition(b"end_header")[0]
     except OSError:
         return False
@@ -274,11 +275,11 @@ def _read_ply(path: Path) -> _Arrays:
 
 
 def _read_npz(path: Path) -> _Arrays:
-    with path.open("rb") as file:
+    with open_file(path) as file:
         if not zipfile.is_zipfile(file):
             raise ModelError(f"{path.name} is no .npz file; save it with np.savez(…, points=…, colors=…)")
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+        with open_file(path) as file, np.load(file, allow_pickle=False) as arrays:
             found = {
                 kind: next((arrays[name] for name in names if name in arrays), None)
                 for kind, names in _NAMES.items()
@@ -296,7 +297,7 @@ def _read_npz(path: Path) -> _Arrays:
 
 
 def _read_xyz(path: Path) -> _Arrays:
-    text = path.read_text(encoding="latin-1")
+    text = read_bytes(path).decode("latin-1")
     first = next((line for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"), "")
     columns = len(first.replace(",", " ").split())
     lines = (line for line in text.splitlines() if line.lstrip()[:1] != "#")

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.checks import as_choice
-from octex.errors import InputError, ModelError
+from octex.errors import InputError, ModelError, ModelWarning
+from octex.files import read_bytes
 from octex.source.images.filters import FILTERS
 from octex.source.models.gltf import load_gltf
 from octex.source.models.meshfiles import load_off, load_ply, load_stl
@@ -48,7 +49,8 @@ def load_surface(
     filters.FILTERS, is how images are averaged over footprints.
 
     Raises ModelError or ImageError, with one line that names the file, the cause and the remedy, and
-    ArgumentError for names and values that do not fit.
+    ArgumentError for names and values that do not fit. Warns with ModelWarning where a model is read without
+    something that it refers to: the material file of an OBJ model, or a material.
     """
     as_choice(filter, FILTERS, "filter")
     own = dict(sources or {})
@@ -87,13 +89,13 @@ def _read(path: Path, options: Options) -> Surface:
         endings = ", ".join(MODEL_ENDINGS)
         raise ModelError(f"{path.name} is not a model that octex reads; it reads {endings}")
     try:
-        data = path.read_bytes()
+        data = read_bytes(path)
         if not data:
             raise ModelError(f"{path.name} is empty; export the model again")
         digest = hashlib.sha256(data)
         del data
         surface = reader(path, options)
-    except InputError:
+    except (InputError, ModelWarning):  # warnings may be errors
         raise
     except OSError as error:
         raise ModelError(f"{path} cannot be read: {error.strerror or error}") from None

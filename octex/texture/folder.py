@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, TypeGuard
 
-from octex import container
+from octex import container, files
 from octex.errors import OutputError, TextureFileError
 from octex.texture.file import ENDING
 from octex.texture.texture import OctreeTexture
@@ -44,7 +44,7 @@ def read_index(folder: Path) -> Index:
     """
     path = folder / INDEX
     try:
-        text = path.read_bytes()
+        text = files.read_bytes(path)
     except (FileNotFoundError, NotADirectoryError):
         raise TextureFileError(f"{folder}: is not the folder of a texture set: it has no {INDEX}") from None
     except OSError as error:
@@ -60,10 +60,10 @@ def read_index(folder: Path) -> Index:
         raise TextureFileError(
             f"{path}: has format version {version!r}, newer than this octex reads; update octex"
         )
-    files, metadata = content.get("parts"), content.get("provenance")
-    if not (_are_texts(files) and files and all(files) and _are_texts(metadata)):
+    parts, metadata = content.get("parts"), content.get("provenance")
+    if not (_are_texts(parts) and parts and all(parts) and _are_texts(metadata)):
         raise TextureFileError(f"{path}: its parts or its provenance are damaged; make the set again")
-    for name, file in files.items():
+    for name, file in parts.items():
         # Whatever the system, no file of a set leads out of its folder.
         if not file.lower().endswith(ENDING) or re.search(r"[/\\:\0]", file):
             raise TextureFileError(
@@ -73,7 +73,7 @@ def read_index(folder: Path) -> Index:
             raise TextureFileError(
                 f"{folder / file}: the file of part {name!r} is missing; copy the folder again"
             )
-    return Index(files, metadata)
+    return Index(parts, metadata)
 
 
 def _are_texts(value: Any) -> TypeGuard[dict[str, str]]:
@@ -88,31 +88,35 @@ def write_folder(folder: Path, textures: Mapping[str, OctreeTexture], metadata: 
     old = _files_there(folder)
     is_new = not folder.exists()
     written: dict[str, str] = {}
-    try:
-        folder.mkdir(exist_ok=True)
-        taken = {path.name.lower() for path in folder.iterdir()}
-        for name, texture in textures.items():
-            written[name] = _free_name(name, taken)
-            texture.save(folder / written[name])
-        index = {
-            "format": FORMAT,
-            "format_version": FORMAT_VERSION,
-            "parts": written,
-            "provenance": dict(metadata),
-        }
-        with container.replacing(folder / INDEX) as file:
-            file.write(json.dumps(index, indent=1).encode() + b"\n")
-    except BaseException as error:
-        with contextlib.suppress(OSError):
-            for file_name in written.values():
+
+    def undo() -> None:
+        """Remove the files that no index names, neither that of an older set nor that of this one."""
+        with contextlib.suppress(OSError, OutputError):
+            kept = _files_there(folder)
+            for file_name in set(written.values()) - kept:
                 (folder / file_name).unlink(missing_ok=True)
-            if is_new:
+            if is_new and not kept:
                 folder.rmdir()
-        if isinstance(error, OSError):
-            raise OutputError(
-                f"{folder}: cannot be written: {error.strerror or error}; choose another place"
-            ) from error
-        raise
+
+    try:
+        with files.undone_on_failure(undo):
+            folder.mkdir(exist_ok=True)
+            taken = {path.name.lower() for path in folder.iterdir()}
+            for name, texture in textures.items():
+                written[name] = _free_name(name, taken)
+                texture.save(folder / written[name])
+            index = {
+                "format": FORMAT,
+                "format_version": FORMAT_VERSION,
+                "parts": written,
+                "provenance": dict(metadata),
+            }
+            with files.replacing(folder / INDEX) as file:
+                file.write(json.dumps(index, indent=1).encode() + b"\n")
+    except OSError as error:
+        raise OutputError(
+            f"{folder}: cannot be written: {error.strerror or error}; choose another place"
+        ) from error
     for file_name in old - set(written.values()):
         with contextlib.suppress(OSError):  # open elsewhere, which some systems forbid; it is of no set now
             (folder / file_name).unlink()

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octex.errors import CameraError
+from octex.files import read_bytes
 from octex.view.camera import Distortion
 from octex.view.camera_records import (
     BrokenError,
@@ -18,7 +19,6 @@ from octex.view.camera_records import (
     Frame,
     Json,
     as_finite,
-    content_of,
     fixed_lens,
     intrinsics_of,
     is_file,
@@ -63,10 +63,10 @@ def read_colmap(folder: Path, ending: str) -> list[Frame]:
     """Read the cameras and images of a folder whose files have an ending."""
     optics_path, images_path = folder / f"cameras{ending}", folder / f"images{ending}"
     with reading(optics_path):
-        content = content_of(optics_path)
+        content = read_bytes(optics_path)
         optics = dict((_optics_binary if ending == ".bin" else _optics_text)(content))
     with reading(images_path):
-        content = content_of(images_path)
+        content = read_bytes(images_path)
         images = (_images_binary if ending == ".bin" else _images_text)(content)
         return [_colmap_frame(images_path, image, optics) for image in images]
 

@@ -13,14 +13,14 @@ from __future__ import annotations
 import json
 import os
 import reprlib
-import secrets
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from octex.errors import CameraError, OutputError
+from octex.errors import CameraError
+from octex.files import read_bytes, referred, replacing
 from octex.view.camera import Camera, Convention
 from octex.view.camera_colmap import colmap_folder, read_colmap
 from octex.view.camera_gltf import json_chunk, read_gltf
@@ -30,7 +30,6 @@ from octex.view.camera_records import (
     Json,
     Lens,
     choice_field,
-    content_of,
     file_name,
     fixed_lens,
     focal_per_size,
@@ -71,7 +70,7 @@ def read_cameras(path: str | os.PathLike[str]) -> list[Frame]:
         frames = read_colmap(*folder)
     else:
         with reading(path):
-            frames = _read_document(path, content_of(path))
+            frames = _read_document(path, read_bytes(path))
     if not frames:
         raise CameraError(f"{path}: has no cameras; choose another file")
     return frames
@@ -100,7 +99,8 @@ def write_cameras(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -
     """
     entries = [json.dumps(_entry(name, camera), allow_nan=False) for name, camera in cameras.items()]
     head = f'{{"{_OURS}": {_VERSION}, "cameras": ['
-    _replace(Path(path), (head + ",".join("\n" + entry for entry in entries) + "\n]}\n").encode("ascii"))
+    with replacing(path) as file:
+        file.write((head + ",".join("\n" + entry for entry in entries) + "\n]}\n").encode("ascii"))
 
 
 def _entry(name: str, camera: Camera) -> Json:
@@ -114,28 +114,6 @@ def _entry(name: str, camera: Camera) -> Json:
         "convention": "opencv",
         "distortion": list(camera.distortion),
     }
-
-
-def _replace(path: Path, content: bytes) -> None:
-    temporary: Path | None = None
-    try:
-        real = Path(os.path.realpath(path))  # through links, so that a link stays one
-        if real.exists() and not real.is_file():
-            raise OutputError(f"{path}: is not a file that can be replaced; choose another name")
-        new = real.with_name(f".octex-{secrets.token_hex(8)}")
-        with new.open("xb") as file:
-            temporary = new
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        new.replace(real)
-        temporary = None
-    except (OSError, ValueError) as error:  # ValueError: names that no file can have
-        reason = getattr(error, "strerror", None) or str(error)
-        raise OutputError(f"{path}: cannot be written: {reason}; choose another place") from error
-    finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
 
 
 # What is wrong, and where
@@ -238,7 +216,10 @@ def _transforms_frame(path: Path, name: str, record: Json) -> Frame:
     pose = matrix_field(record, "transform_matrix", (4, 4), (3, 4))
     with within("transform_matrix"):
         view = view_of_pose(pose, "opengl")
-    base = path.parent / name
+    try:
+        base = referred(path.parent, name)
+    except OSError:
+        base = path.parent / file_name(name)
     tried = [Path(f"{base}{ending}") for ending in _ENDINGS]
     image = next((place for place in tried if is_file(place)), base)
     return Frame(name, image, size, path, lens, view, distortion=(k1, k2, p1, p2))

@@ -33,7 +33,9 @@ class Frame(NamedTuple):
     """A camera of a file; ``camera`` makes it."""
 
     name: str  # transforms.json: file_path; COLMAP: the image's name; glTF: the node's or camera's name
-    image: Path | None  # where the file says that the picture is, which need not exist; transforms.json only
+    # Where the file says that the picture is, which need not exist; of an absolute path only the name counts,
+    # beside the file. transforms.json only.
+    image: Path | None
     size: tuple[int, int] | None  # (width, height), if the file says
     file: Path
     lens: Lens
@@ -115,13 +117,6 @@ def is_file(path: Path) -> bool:
         return path.is_file()
     except (OSError, ValueError):  # too long a name, for example
         return False
-
-
-def content_of(path: Path) -> bytes:
-    """Read a file, whatever it is called."""
-    if path.exists() and not path.is_file():  # reading a device or a pipe may never end
-        raise BrokenError("is not a file; give a file of cameras")
-    return path.read_bytes()
 
 
 # Fields of JSON objects

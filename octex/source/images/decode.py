@@ -8,24 +8,46 @@ are read as of 8.
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import io
 import logging
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
+from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
+import PIL._imaging
 import PIL.Image
 
 from octex.errors import ImageError, MissingExtraError
+from octex.files import open_file, read_bytes
+from octex.parallel import cpu_count
 from octex.source.alone import alone
-from octex.source.images.openimage import check_size, decode_deep, deep_format, spread
+from octex.source.images.openimage import (
+    MOST_PER_BYTE,
+    check_size,
+    decode_deep,
+    deep_format,
+    jpeg2000_size,
+    spread,
+)
 from octex.source.images.png import SIGNATURE, decode_png16, is_png16, png_chunks
 from octex.source.images.pyramid import Texels
 
-# These may hold a plain image of any size in a few bytes.
+#: The formats that octex opens with Pillow, by its names. Others are seldom of textures, and some are traps:
+#: an icon's images may be larger than it says, and for EPS Pillow runs a program.
+FORMATS = (
+    "AVIF", "BMP", "DDS", "GIF", "JPEG", "JPEG2000", "PNG", "PPM", "PSD", "QOI", "SGI", "TGA", "TIFF", "WEBP",
+)  # fmt: skip
+# Plain images of 8192 × 8192 take a byte for 30,000 texels in these, as Pillow writes them.
 _DENSEST = ("WEBP", "AVIF", "JPEG2000")
+_MOST_PER_BYTE_DENSEST = 65536
 _KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"
 # What Pillow logs of damaged files, the errors here say.
 logging.getLogger("PIL").addHandler(logging.NullHandler())
@@ -46,7 +68,7 @@ def decode_image(data: bytes, name: str) -> Texels:
     try:
         with alone():
             warnings.simplefilter("ignore")
-            image = deep_format(data) or _open(data)
+            image = deep_format(data) or _open(io.BytesIO(data))
         # No longer alone: threads decode side by side.
         if isinstance(image, str):
             return _finite(decode_deep(data, image, name), name)
@@ -90,7 +112,7 @@ def read_image(given: object) -> tuple[Texels, dict[str, str]]:
         return texels, {"array": hashlib.sha256(texels.tobytes()).hexdigest()}
     path = Path(given)
     try:
-        data = path.read_bytes()
+        data = read_bytes(path)
     except OSError as error:
         raise ImageError(f"{path} cannot be read: {error.strerror or error}") from None
     return decode_image(data, path.name), {path.name: hashlib.sha256(data).hexdigest()}
@@ -106,17 +128,60 @@ def _finite(texels: Texels, name: str) -> Texels:
     return texels
 
 
-def _open(data: bytes) -> PIL.Image.Image:
-    before = PIL.Image.MAX_IMAGE_PIXELS  # Pillow's own limit on sizes is lower, and global
-    PIL.Image.MAX_IMAGE_PIXELS = None
+def image_size(path: Path) -> tuple[int, int]:
+    """Return the width and height of an image file; raises ImageError as ``read_image`` does."""
     try:
-        return PIL.Image.open(io.BytesIO(data))
+        with open_file(path) as file, alone():
+            warnings.simplefilter("ignore")
+            with _open(file) as image:
+                return image.size
+    except Exception:  # Pillow's plugins raise nearly anything, and do not know all that octex reads
+        height, width = read_image(path)[0].shape[:2]
+        return width, height
+
+
+def _open(file: BinaryIO) -> PIL.Image.Image:
+    # Pillow's own limit on sizes is lower, and global, as that on AVIF's threads is.
+    settings: list[tuple[ModuleType, str, object]] = [(PIL.Image, "MAX_IMAGE_PIXELS", None)]
+    with suppress(ImportError):  # from Pillow 11.3 on
+        settings.append((import_module("PIL.AvifImagePlugin"), "DEFAULT_MAX_THREADS", cpu_count()))
+    before = [getattr(module, name) for module, name, _ in settings]
+    PIL.Image.init()
+    known = [name for name in FORMATS if name in PIL.Image.OPEN]  # Pillow may be built without some
+    try:
+        for module, name, value in settings:
+            setattr(module, name, value)
+        return PIL.Image.open(file, formats=known)
     finally:
-        PIL.Image.MAX_IMAGE_PIXELS = before
+        for (module, name, _), value in zip(settings, before, strict=True):
+            setattr(module, name, value)
+
+
+@contextmanager
+def _silent_libtiff() -> Iterator[None]:
+    """Keep libtiff, by which Pillow decodes TIFF images, from printing what the errors here say."""
+    library = ctypes.CDLL(PIL._imaging.__file__)
+    set_handler = getattr(library, "TIFFSetErrorHandler", None)
+    if set_handler is None:  # hidden in Pillow, as on Windows
+        yield
+        return
+    set_handler.argtypes, set_handler.restype = [ctypes.c_void_p], ctypes.c_void_p
+    with alone():
+        before = set_handler(None)
+        try:
+            yield
+        finally:
+            set_handler(before)
 
 
 def _texels(image: PIL.Image.Image, data: bytes, name: str) -> Texels:
-    check_size(*image.size, len(data) if data and image.format not in _DENSEST else None, name)
+    most = _MOST_PER_BYTE_DENSEST if image.format in _DENSEST else MOST_PER_BYTE
+    check_size(*image.size, len(data) or None, name, most)
+    if image.format == "JPEG2000":  # what is decoded is as large as the codestream says
+        check_size(*jpeg2000_size(data), len(data), name, most)
+    if image.format == "TIFF":
+        with _silent_libtiff():
+            image.load()
     if data[:8] == SIGNATURE:
         png_chunks(data, name)  # Pillow overlooks wrong checksums of texels
     if is_png16(data):
@@ -137,5 +202,5 @@ def _texels(image: PIL.Image.Image, data: bytes, name: str) -> Texels:
 
 def _reason(error: Exception) -> str:
     if isinstance(error, PIL.UnidentifiedImageError):
-        return "not an image, or of an unknown format"
+        return "not an image of a format that octex reads: PNG, JPEG, WebP, AVIF, TIFF, EXR, HDR and others"
     return " ".join(str(error).split()) or type(error).__name__

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import io
 import re
-import tempfile
 from collections.abc import Sequence
 from contextlib import closing
-from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
@@ -19,6 +17,7 @@ import numpy.typing as npt
 import PIL.TiffImagePlugin
 
 from octex.errors import ImageError, MissingExtraError
+from octex.files import scratch_folder
 from octex.source.images.pyramid import Texels
 
 #: The largest image that is read.
@@ -69,6 +68,11 @@ def _tiff_is_deep(data: bytes) -> bool:
     return max(bits) > 8 and not whole
 
 
+def jpeg2000_size(data: bytes) -> tuple[int, int]:
+    """Return the width and height of a JPEG 2000 codestream."""
+    return _jpeg2000_header(data)[:2]
+
+
 def _jpeg2000_header(data: bytes) -> tuple[int, int, bytes]:
     """Return the width, height and component sizes (depth − 1, the upper bit for signs) of its codestream."""
     at = data.find(_JPEG2000[1]) + 4
@@ -99,10 +103,9 @@ def decode_deep(data: bytes, ending: str, name: str) -> Texels:
             f"{name} needs OpenImageIO to be read without loss; install it: pip install 'octex[images]'"
         ) from None
     if ending == "jp2":
-        width, height, _ = _jpeg2000_header(data)
-        check_size(width, height, len(data), name, _MOST_PER_BYTE_JPEG2000)
-    with tempfile.TemporaryDirectory() as folder:  # the library reads paths only
-        path = Path(folder) / f"image.{ending}"
+        check_size(*jpeg2000_size(data), len(data), name, _MOST_PER_BYTE_JPEG2000)
+    with scratch_folder() as folder:  # the library reads paths only
+        path = folder / f"image.{ending}"
         path.write_bytes(data)
         config = OpenImageIO.ImageSpec()
         config.attribute("oiio:UnassociatedAlpha", 1)

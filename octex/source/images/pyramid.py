@@ -13,7 +13,6 @@ texels themselves, averaged along the border only.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +22,7 @@ from octex.channels import decode_table, encode
 from octex.checks import as_choice
 from octex.errors import ArgumentError
 from octex.jit import kernel
-from octex.parallel import cpu_count
+from octex.parallel import cpu_count, threads
 
 #: 16-bit codes, or floats as they are.
 Texels = npt.NDArray[np.uint16 | np.float32]
@@ -129,7 +128,7 @@ def store(pictures: Sequence[Picture], what: int) -> Stored:
         else:
             _fill(pictures[number], what, images.codes[rows].view(np.uint16).reshape(-1, 4))
 
-    with ThreadPoolExecutor(cpu_count()) as pool:
+    with threads(cpu_count()) as pool:
         list(pool.map(fill, range(len(pictures))))
     return Stored(images, layout_of)
 

@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.errors import ImageError, ModelError
+from octex.files import read_bytes, referred
 
 _COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -54,7 +55,7 @@ class Document:
         self.name = path.name
         self.files: dict[str, str] = {}  # SHA-256 of the other files read, by their names in this one
         self._buffers: dict[int, bytes] = {}
-        data = path.read_bytes()
+        data = read_bytes(path)
         self._binary: bytes | None = None
         if data[:4] == b"glTF":
             data = self._unpack(data)
@@ -130,8 +131,9 @@ class Document:
             raise error_class(f"{self.name}: {what} is at {uri}; octex reads files only: download it first")
         folder = self.path.parent
         try:
-            exact = folder / uri  # some exporters leave a percent sign as it is
-            data = (exact if exact.is_file() else folder / urllib.parse.unquote(uri)).read_bytes()
+            exact = referred(folder, uri)  # some exporters leave a percent sign as it is
+            decoded = referred(folder, urllib.parse.unquote(uri))
+            data = read_bytes(exact if exact.is_file() else decoded)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             raise error_class(f"{self.name}: {what} cannot be read: {uri}: {reason}") from None

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from octex.files import read_bytes
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, Texels
 
@@ -36,7 +37,7 @@ class ImageFiles:
         key = (path, base, gain)
         if key not in self._texels:
             if (base, gain) == (0.0, 1.0):
-                data = path.read_bytes()
+                data = read_bytes(path)
                 self.note(path, data)
                 self._texels[key] = decode_image(data, what)
             else:

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from octex.channels import ONE
 from octex.errors import ImageError, ModelError
+from octex.files import read_bytes, referred
 from octex.jit import kernel
 from octex.source.alone import alone
 from octex.source.colors import screen_colors
@@ -72,7 +73,7 @@ def load_stl(path: Path, options: Options = EVERYTHING) -> Surface:
     import trimesh  # takes a third of a second
 
     logging.getLogger("trimesh").addHandler(_quiet)
-    data = path.read_bytes()
+    data = read_bytes(path)
     if len(data) != 84 + 50 * int.from_bytes(data[80:84], "little"):  # not of the binary kind
         if b"endsolid" not in data.lower():
             raise ModelError(f"{path.name} is truncated, or not an STL file; export it again")
@@ -157,7 +158,7 @@ class _Ply:
         self.name = path.name
         self.images: list[str] = []
         self._elements: list[tuple[str, int, list[_Property]]] = []
-        data = path.read_bytes()
+        data = read_bytes(path)
         head = re.match(rb"ply\s(.*?)\bend_header[^\S\n]*(\r\n|\n|\r)?", data, re.DOTALL)
         if head is None:
             raise ModelError(f"{self.name} is not a PLY file, or its header is truncated")
@@ -326,10 +327,11 @@ class _Ply:
     def _image(self, image: str) -> Texels:
         what = f"{self.name}: {image}"
         try:
-            data = (self.path.parent / image).read_bytes()
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise ImageError(f"{what} cannot be read: {reason}; put it beside the model") from None
+            data = read_bytes(referred(self.path.parent, image))
+        except OSError as error:
+            raise ImageError(
+                f"{what} cannot be read: {error.strerror or error}; put it beside the model"
+            ) from None
         texels = decode_image(data, what)
         texels[..., 3] = ONE[texels.dtype.name]
         return texels
@@ -394,7 +396,7 @@ class _Off:
 
     def __init__(self, path: Path) -> None:
         self.name = path.name
-        lines = path.read_bytes().decode("latin-1").splitlines()
+        lines = read_bytes(path).decode("latin-1").splitlines()
         lines = [line.partition("#")[0] if "#" in line else line for line in lines]
         lines = [line for line in lines if line and not line.isspace()]
         first = lines.pop(0).split() if lines else [""]

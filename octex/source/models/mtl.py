@@ -36,6 +36,7 @@ import numpy as np
 
 from octex.channels import srgb_to_linear
 from octex.errors import ImageError, ModelError
+from octex.files import read_bytes, referred
 from octex.source.images.pyramid import CLAMP, REPEAT, Texels
 from octex.source.materials import Input, Material, Texture
 from octex.source.models.imagefiles import ImageFiles, is_grey, is_translucent
@@ -66,30 +67,30 @@ class Description(NamedTuple):
 
 
 class Library(NamedTuple):
-    """Materials by name, and the SHA-256 of each file read, by its name beside the model."""
+    """Materials by name, the SHA-256 of each file read, by its name beside the model, and what is missing."""
 
     materials: dict[str, Description]
     files: dict[str, str]
+    missing: list[str]
 
 
 def load_materials(path: Path, lines: Sequence[str], wanted: set[str], options: Options) -> Library:
     """Read the ``wanted`` materials of the mtllib ``lines`` of the OBJ file ``path``.
 
     Each line names one file, whose name may hold blanks, or several. Images are read of the channels that
-    ``options`` asks for. Raises ModelError for a missing file or a line that cannot be read, ImageError for
-    an image that is missing or cannot be read.
+    ``options`` asks for. A missing file is named in the result. Raises ModelError for a line that cannot be
+    read, ImageError for an image that is missing or cannot be read.
     """
     images = ImageFiles(path.parent)
     materials: dict[str, Description] = {}
+    missing = []
     for line in lines:
         found = beside(path.parent, line)
         for each in [found] if found is not None else [beside(path.parent, word) for word in line.split()]:
-            if each is None:
-                raise ModelError(
-                    f"{path.name}: the material file {line} is missing; put it beside the model, or remove "
-                    "the mtllib line to do without colours"
-                )
-            materials |= _parse(each, wanted, images, options)
+            if each is not None:
+                materials |= _parse(each, wanted, images, options)
+            elif line not in missing:
+                missing.append(line)
     stated = {
         channel
         for material in materials.values()
@@ -97,7 +98,7 @@ def load_materials(path: Path, lines: Sequence[str], wanted: set[str], options: 
     }
     stated |= set(options.channels or ())
     kept = {name: _without(each, each.assumed - stated) for name, each in materials.items()}
-    return Library(kept, images.files)
+    return Library(kept, images.files, missing)
 
 
 def wavefront_lines(data: bytes, path: Path) -> Iterator[str]:
@@ -123,8 +124,9 @@ def wavefront_lines(data: bytes, path: Path) -> Iterator[str]:
 def beside(folder: Path, name: str) -> Path | None:
     """Find a file by a path relative to a folder, or by its name there if the path leads nowhere."""
     windows = PureWindowsPath(name)
-    for candidate in (folder / name, folder / windows.as_posix(), folder / windows.name):
+    for given in (name, windows.as_posix(), windows.name):
         try:
+            candidate = referred(folder, given)
             if candidate.is_file():
                 return candidate
         except (OSError, ValueError):
@@ -140,7 +142,7 @@ def _without(description: Description, channels: frozenset[str]) -> Description:
 
 def _parse(path: Path, wanted: set[str], images: ImageFiles, options: Options) -> dict[str, Description]:
     """Read the wanted materials of an MTL file."""
-    data = path.read_bytes()
+    data = read_bytes(path)
     images.note(path, data)
     materials: dict[str, Description] = {}
     entries: dict[str, str] = {}

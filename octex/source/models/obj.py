@@ -10,28 +10,33 @@ only below normal maps; faces without them are flat there, whatever their smooth
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from octex.errors import ModelError
+from octex.errors import ModelError, ModelWarning
+from octex.files import read_bytes
 from octex.jit import kernel
 from octex.source.colors import screen_colors
 from octex.source.corners import Corners
 from octex.source.materials import MaterialSource
-from octex.source.models.mtl import Description, Transform, load_materials, wavefront_lines
+from octex.source.models.mtl import Description, Library, Transform, load_materials, wavefront_lines
 from octex.source.models.options import EVERYTHING, Options
 from octex.source.models.polygons import triangulate
 from octex.source.models.text import parse_numbers
 from octex.source.surface import Surface, flip_v
 from octex.source.tangents import corner_frames
 
+_LISTED = 5
+
 
 def load_obj(path: Path, options: Options = EVERYTHING) -> Surface:
     """Read an OBJ model with what ``options`` asks for of its materials (``mtl`` says how).
 
-    Lines, points, curves and groups are left out. ``provenance`` names the other files that were read.
+    Lines, points, curves and groups are left out. ``provenance`` names the other files that were read. Warns
+    with ModelWarning of material files that are missing and of materials that none defines: they are white.
     Raises ModelError or ImageError.
     """
     text = _Text(path)
@@ -108,7 +113,7 @@ class _Text:
         self.uses: list[tuple[int, str]] = []  # first face, material
         self.libraries: list[str] = []
         moved = True
-        for line in wavefront_lines(path.read_bytes(), path):
+        for line in wavefront_lines(read_bytes(path), path):
             key, _, rest = line.partition(" ")
             if key == "v":
                 self.vertices.append(rest)
@@ -239,16 +244,25 @@ def _bind(
         return known, numbers[polygons], {}
     names = list(dict.fromkeys(material for _, _, material in uses))
     library = load_materials(path, text.libraries, set(names), options)
-    for name in names:
-        if name not in library.materials:
-            raise ModelError(
-                f"{path.name} uses the material {name}, which {', '.join(text.libraries)} does not "
-                "define; add it there, or remove the usemtl line"
-            )
-        known.append(library.materials[name])
+    lost = [name for name in names if name not in library.materials]
+    if lost:
+        warnings.warn(
+            _without_materials(path.name, lost, library, text.libraries), ModelWarning, stacklevel=2
+        )
+    known += [library.materials.get(name, Description()) for name in names]
     for first, end, material in uses:
         numbers[first:end] = 1 + names.index(material)
     return known, numbers[polygons], library.files
+
+
+def _without_materials(name: str, lost: list[str], library: Library, libraries: list[str]) -> str:
+    more = f" and {len(lost) - _LISTED} more" if len(lost) > _LISTED else ""
+    listing = ", ".join(lost[:_LISTED]) + more
+    if library.missing:
+        files = " and ".join(library.missing)
+        return f"{name}: {files} is missing, so the material {listing} is white; put it beside the model"
+    files = ", ".join(libraries)
+    return f"{name}: {files} does not define the material {listing}, which is white; add it there"
 
 
 def _coordinates(

@@ -1,4 +1,4 @@
-"""Polygons as triangles: fans where they are convex, ears clipped where they are not."""
+"""Polygons as triangles: fans where one corner sees all of a polygon, manifold3d's ear clipping elsewhere."""
 
 from __future__ import annotations
 
@@ -7,9 +7,6 @@ import numpy.typing as npt
 
 from octex.jit import kernel
 
-# Clipping ears takes up to the cube of the corners; larger polygons become fans.
-_MOST_CLIPPED = 512
-
 
 def triangulate(
     positions: npt.NDArray[np.float64], corners: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64]
@@ -17,39 +14,111 @@ def triangulate(
     """Cut polygons into triangles.
 
     ``corners`` are rows of ``positions``, all in range, polygon after polygon, of ``sizes`` corners each.
-    Returns triangles (m, 3) as indices into ``corners``, and the polygon of each (m,). Polygons of fewer than
-    three corners give none. A polygon stays as it winds.
+    Returns triangles (m, 3) as indices into ``corners``, and the polygon of each (m,): n − 2 for one of n
+    corners, none for fewer than three. A polygon stays as it winds. Convex ones become fans from their first
+    corner.
     """
     if len(sizes) and (sizes == 3).all():
         return np.arange(len(corners)).reshape(-1, 3), np.arange(len(sizes))
     counts = np.maximum(sizes - 2, 0)
     triangles = np.empty((int(counts.sum()), 3), np.int64)
-    work = np.empty(max(int(sizes.max(initial=0)), 1), np.int64)
-    _triangulate(positions, corners, sizes, work, triangles)
+    lacking = np.zeros(len(sizes), np.bool_)
+    _fans(positions, corners, sizes, triangles, lacking)
+    firsts, ends = np.cumsum(sizes) - sizes, np.cumsum(counts)
+    for polygon in np.flatnonzero(lacking).tolist():
+        first, size, end = firsts[polygon], sizes[polygon], ends[polygon]
+        cut = _ears(positions[corners[first : first + size]])
+        if len(cut) == size - 2:
+            triangles[end - size + 2 : end] = first + cut
     return triangles, np.repeat(np.arange(len(sizes)), counts)
 
 
+def _ears(outline: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
+    """Return the triangles (m, 3) of a polygon (n, 3), by its area vector; none if it has no extent."""
+    from manifold3d import triangulate  # takes 6 ms
+
+    low = outline.min(axis=0)
+    with np.errstate(all="ignore"):
+        outline = (outline - low) / (outline - low).max()
+        after = np.roll(outline, -1, axis=0)
+        normal = np.cross(outline, after).sum(axis=0)
+    if not np.isfinite(outline).all():
+        return np.empty((0, 3), np.int64)
+    # Without one axis the coordinates stay as they are: corners at one place stay at one.
+    axis = int(np.abs(normal).argmax())
+    across, up = (axis + 1) % 3, (axis + 2) % 3
+    plane = [across, up] if normal[axis] >= 0 else [up, across]
+    return np.asarray(triangulate([np.ascontiguousarray(outline[:, plane])]), np.int64).reshape(-1, 3)
+
+
 @kernel
-def _triangulate(
+def _fans(
     positions: npt.NDArray[np.float64],
     corners: npt.NDArray[np.int64],
     sizes: npt.NDArray[np.int64],
-    work: npt.NDArray[np.int64],
     triangles: npt.NDArray[np.int64],
+    lacking: npt.NDArray[np.bool_],
 ) -> None:
+    """Cut each polygon into a fan; say in ``lacking`` where that may cover what is outside of it.
+
+    A polygon with one reflex corner is the union of two convex ones that share it: a fan from there is right.
+    """
     first = 0
     done = 0
     for polygon in range(len(sizes)):
         size = sizes[polygon]
-        if size > 3 and size <= _MOST_CLIPPED and not _is_convex(positions, corners, first, size):
-            _clip_ears(positions, corners, first, size, work, triangles, done)
-        else:
-            for i in range(size - 2):
-                triangles[done + i, 0] = first
-                triangles[done + i, 1] = first + i + 1
-                triangles[done + i, 2] = first + i + 2
+        apex = 0
+        if size > 3:
+            apex = _apex(positions, corners, first, size)
+            lacking[polygon] = apex < 0
+            apex = max(apex, 0)
+        for i in range(size - 2):
+            triangles[done + i, 0] = first + apex
+            triangles[done + i, 1] = first + (apex + i + 1) % size
+            triangles[done + i, 2] = first + (apex + i + 2) % size
         done += max(size - 2, 0)
         first += size
+
+
+@kernel
+def _apex(positions: npt.NDArray[np.float64], corners: npt.NDArray[np.int64], first: int, size: int) -> int:
+    """Return the reflex corner of a polygon, 0 if it has none, −1 if it has several or turns right back.
+
+    A quad with two crosses itself, however it is cut.
+    """
+    nx, ny, nz = _normal(positions, corners, first, size)
+    last = size - 1
+    x, y, z = _edge(positions, corners, first, size, last)
+    while last > 0 and x == y == z == 0.0:
+        last -= 1
+        x, y, z = _edge(positions, corners, first, size, last)
+    apex = 0
+    reflex = 0
+    for i in range(size):
+        to_x, to_y, to_z = _edge(positions, corners, first, size, i)
+        if to_x == to_y == to_z == 0.0:  # two corners at one place turn once
+            continue
+        turn = (y * to_z - z * to_y) * nx + (z * to_x - x * to_z) * ny + (x * to_y - y * to_x) * nz
+        if turn < 0.0:
+            apex = i
+            reflex += 1
+        elif turn == 0.0 and x * to_x + y * to_y + z * to_z < 0.0:
+            return -1
+        x, y, z = to_x, to_y, to_z
+    return apex if reflex <= 1 or size == 4 else -1
+
+
+@kernel
+def _edge(
+    positions: npt.NDArray[np.float64], corners: npt.NDArray[np.int64], first: int, size: int, i: int
+) -> tuple[float, float, float]:
+    """Return the way from a corner of a polygon to the next."""
+    a, b = corners[first + i], corners[first + (i + 1) % size]
+    return (
+        positions[b, 0] - positions[a, 0],
+        positions[b, 1] - positions[a, 1],
+        positions[b, 2] - positions[a, 2],
+    )
 
 
 @kernel
@@ -64,76 +133,3 @@ def _normal(
         y += (positions[a, 2] - positions[b, 2]) * (positions[a, 0] + positions[b, 0])
         z += (positions[a, 0] - positions[b, 0]) * (positions[a, 1] + positions[b, 1])
     return x, y, z
-
-
-@kernel
-def _turn(
-    positions: npt.NDArray[np.float64], a: int, b: int, c: int, normal: tuple[float, float, float]
-) -> float:
-    """Return twice the area of a triangle seen along a normal: positive if it turns left."""
-    x1, x2 = positions[b, 0] - positions[a, 0], positions[c, 0] - positions[a, 0]
-    y1, y2 = positions[b, 1] - positions[a, 1], positions[c, 1] - positions[a, 1]
-    z1, z2 = positions[b, 2] - positions[a, 2], positions[c, 2] - positions[a, 2]
-    turn: float = (
-        (y1 * z2 - z1 * y2) * normal[0] + (z1 * x2 - x1 * z2) * normal[1] + (x1 * y2 - y1 * x2) * normal[2]
-    )
-    return turn
-
-
-@kernel
-def _is_convex(
-    positions: npt.NDArray[np.float64], corners: npt.NDArray[np.int64], first: int, size: int
-) -> bool:
-    normal = _normal(positions, corners, first, size)
-    for i in range(size):
-        a, b = corners[first + i], corners[first + (i + 1) % size]
-        if _turn(positions, a, b, corners[first + (i + 2) % size], normal) < 0.0:
-            return False
-    return True
-
-
-@kernel
-def _clip_ears(
-    positions: npt.NDArray[np.float64],
-    corners: npt.NDArray[np.int64],
-    first: int,
-    size: int,
-    work: npt.NDArray[np.int64],
-    triangles: npt.NDArray[np.int64],
-    done: int,
-) -> None:
-    """Cut off corners that hold no other until three are left (Meisters 1975)."""
-    normal = _normal(positions, corners, first, size)
-    for i in range(size):
-        work[i] = first + i
-    left = size
-    at = 0
-    misses = 0
-    while left > 3:
-        before, here, after = work[(at + left - 1) % left], work[at % left], work[(at + 1) % left]
-        a, b, c = corners[before], corners[here], corners[after]
-        is_ear = _turn(positions, a, b, c, normal) > 0.0
-        if is_ear:
-            for i in range(left):
-                p = corners[work[i]]
-                if p in (a, b, c):
-                    continue
-                if (
-                    _turn(positions, a, b, p, normal) >= 0.0
-                    and _turn(positions, b, c, p, normal) >= 0.0
-                    and _turn(positions, c, a, p, normal) >= 0.0
-                ):
-                    is_ear = False
-                    break
-        if is_ear or misses >= left:  # a polygon that crosses itself may have no ear
-            triangles[done, 0], triangles[done, 1], triangles[done, 2] = before, here, after
-            done += 1
-            for i in range(at % left, left - 1):
-                work[i] = work[i + 1]
-            left -= 1
-            at = (at % (left + 1)) % left
-            misses = 0
-        else:
-            at += 1
-            misses += 1
-    triangles[done, 0], triangles[done, 1], triangles[done, 2] = work[0], work[1], work[2]

@@ -1,0 +1,179 @@
+"""Files read whole and replaced whole: devices and pipes are refused, and nothing half-written stays.
+
+What is being made is known here from before it exists until it is complete. A command that is told to end
+calls ``undo_all``; so does SIGTERM where it would end the process at once, and Python at its own end.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import errno
+import os
+import secrets
+import shutil
+import signal
+import stat
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from functools import partial
+from io import BufferedReader
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from types import FrameType
+from typing import BinaryIO
+
+from octex.errors import OutputError
+
+_undos: dict[object, Callable[[], None]] = {}
+
+
+def open_file(path: str | os.PathLike[str]) -> BufferedReader:
+    """Open a file to read its bytes.
+
+    Raises OSError, also for a pipe or a device, which may have no end, and for a name that no file can have.
+    """
+    try:
+        # A pipe that nobody writes to is opened at once; for files this changes nothing.
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    except ValueError as error:
+        raise OSError(errno.EINVAL, f"no file has such a name ({error})", repr(path)) from None
+    try:
+        mode = os.fstat(descriptor).st_mode
+        if stat.S_ISDIR(mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+        if not stat.S_ISREG(mode):
+            raise OSError(errno.EINVAL, "it is a pipe or a device, not a file", str(path))
+        return os.fdopen(descriptor, "rb")
+    except BaseException:
+        os.close(descriptor)
+        raise
+
+
+def read_bytes(path: str | os.PathLike[str]) -> bytes:
+    """Return the content of a file; raises what ``open_file`` does."""
+    with open_file(path) as file:
+        return file.read()
+
+
+def referred(folder: Path, name: str) -> Path:
+    """Return the place of a file that another one in ``folder`` names.
+
+    Raises OSError for an absolute path, Windows' or other: a file that is given away must not name others'.
+    """
+    windows = PureWindowsPath(name)
+    if PurePosixPath(name).is_absolute() or windows.drive or windows.root:
+        raise OSError(
+            errno.EINVAL, "absolute paths are not followed; name it from the referring file's folder"
+        )
+    return folder / name
+
+
+@contextlib.contextmanager
+def undone_on_failure(undo: Callable[[], None]) -> Iterator[None]:
+    """Call ``undo`` if the block fails or the process ends in it.
+
+    ``undo`` may be called when nothing is made yet, when all is made and complete, and twice.
+    """
+    key = object()
+    with _undone_by_sigterm():
+        _undos[key] = undo
+        try:
+            yield
+        except BaseException:
+            undo()
+            _undos.pop(key, None)
+            raise
+        _undos.pop(key, None)
+
+
+@contextlib.contextmanager
+def _undone_by_sigterm() -> Iterator[None]:
+    """Have SIGTERM undo all before it ends the process; Python lets only the main thread say so."""
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGTERM, _end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _end(number: int, _frame: FrameType | None) -> None:
+    undo_all()
+    signal.signal(number, signal.SIG_DFL)
+    signal.raise_signal(number)
+
+
+def undo_all() -> None:
+    """Undo all that is not complete, for a process that is about to end."""
+    for undo in list(_undos.values()):
+        with contextlib.suppress(Exception):
+            undo()
+    _undos.clear()
+
+
+atexit.register(undo_all)
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_undos.clear)  # they are the parent's
+
+
+@contextlib.contextmanager
+def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """Open a new file that takes the place of ``path`` at the end of the block, whole or not at all.
+
+    Where the system can do so, the new file has no name before it is complete, so that nothing is left of it
+    however the process ends. Raises OutputError if anything cannot be written (also for an OSError of the
+    block itself).
+    """
+    target = Path(path)
+    try:
+        real = Path(os.path.realpath(target))  # through links, so that a link stays one
+    except ValueError as error:
+        raise OutputError(f"{str(target)!r}: cannot be a file's name ({error}); choose another") from error
+    try:
+        if real.exists() and not real.is_file():
+            raise OutputError(f"{target}: is not a file that can be replaced; choose another name")
+        temporary = real.with_name(f".octex-{secrets.token_hex(8)}")
+        with undone_on_failure(lambda: temporary.unlink(missing_ok=True)):
+            nameless = _nameless_file(real.parent)
+            with nameless or temporary.open("xb") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+                if nameless:
+                    _name(file, temporary)
+            temporary.replace(real)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise OutputError(
+            f"{target}: cannot be written: {reason}; make room or choose another place"
+        ) from error
+
+
+@contextlib.contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """Make a folder that is gone, with all that is in it, at the end of the block or of the process."""
+    folder = Path(tempfile.gettempdir()) / f"octex-{secrets.token_hex(8)}"
+    remove = partial(shutil.rmtree, folder, ignore_errors=True)
+    with undone_on_failure(remove):
+        folder.mkdir(mode=0o700)
+        yield folder
+        remove()
+
+
+def _nameless_file(folder: Path) -> BinaryIO | None:
+    """Open a new file that no folder lists; None where the system or the file system has none."""
+    if hasattr(os, "O_TMPFILE") and Path("/proc/self/fd").is_dir():
+        with contextlib.suppress(OSError):
+            return os.fdopen(os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666), "wb")
+    return None
+
+
+def _name(file: BinaryIO, path: Path) -> None:
+    """Give a nameless file its name."""
+    number = file.fileno()
+    # Given a folder's number Python follows the link to the file; for an absolute path it means nothing else.
+    os.link(f"/proc/self/fd/{number}", path, src_dir_fd=number, follow_symlinks=True)
