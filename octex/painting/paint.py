@@ -14,7 +14,7 @@ from octex.errors import ArgumentError
 from octex.painting.balance import balanced
 from octex.painting.merge import merge
 from octex.painting.pictures import Projection, check_projections
-from octex.painting.projected import Projected, stretches_of, take_shot, terms_of
+from octex.painting.projected import Projected, in_fixed_order, stretches_of, take_shot, terms_of
 from octex.painting.rasterize import empty_texture, rasterize_paint, wanted_depth
 from octex.parallel import Progress, silent, workers
 from octex.source.surface import Surface
@@ -47,7 +47,8 @@ def paint(
     is, which is the undo; None stands for one without any cell.
 
     projections  pictures that follow each other with one blend mode are one layer: in each cell they are
-                 averaged, the finer one outweighing the coarser, and then merged once
+                 averaged, the finer one outweighing the coarser, and then merged once; their order does not
+                 matter
     channel      what is painted, of any type; colours are blended in linear light
     max_depth    the deepest level that paint goes to; by default that at which its cells are half as wide as
                  the pixels, or 14
@@ -124,6 +125,7 @@ def project(
             mesh = surface.vertices, surface.triangles
             shots.append(take_shot(projection, form, *mesh, edge_feather, scale, pool))
         report("look", len(given), len(given))
+        shots = in_fixed_order(shots)
         stretches = stretches_of(surface.vertices, surface.rest, surface.triangles)
         source = Projected(shots, form, terms, surface.vertices, surface.triangles, stretches)
         extent = float(np.ptp(surface.bounds, axis=0).max())
