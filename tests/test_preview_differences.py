@@ -140,6 +140,21 @@ def test_of_two_textures_the_finer_leaves_show_the_difference(surface: Surface) 
         assert is_bright(apart).sum() > 20
 
 
+@pytest.mark.parametrize("kind", ["textures", "model"])
+def test_both_sides_are_drawn_with_alpha_and_what_is_emitted_or_neither_is(
+    kind: str, surface: Surface, texture: OctreeTexture
+) -> None:
+    changed = surface.with_sources({"alpha": lambda points: points[:, 0], "emissive": (0.0, 0.5, 0.0)})
+    clear = octex.convert(changed, 4)
+    without, with_both = (surface, changed) if kind == "model" else (texture, clear)
+    (plain, beside, _), found = drawn(without, clear, channels=["base_color"])
+    assert found["base_color"].maximum < 1
+    assert np.abs(plain - beside)[:75].max() <= 2
+    (first, second, _), _ = drawn(with_both, clear, channels=["base_color"])
+    assert np.abs(first - second)[:75].max() <= 8
+    assert np.abs(first - plain)[:75].max() > 50
+
+
 def test_every_channel_has_a_row(surface: Surface, texture: OctreeTexture) -> None:
     _, found = drawn(surface, texture)
     assert list(found) == ["base_color", "roughness"]
