@@ -161,8 +161,10 @@ def posed_inputs(options: argparse.Namespace) -> list[Path]:
 def read_posed(options: argparse.Namespace) -> Surface:
     """Read a model that cameras see: of its materials what a preview shows, else nothing."""
     if options.preview is not None:
-        return octex.load_surface(options.MODEL, options.rest)
-    surface = octex.load_surface(options.MODEL, options.rest, channels=["alpha"], sources={"alpha": 1.0})
+        return octex.load_surface(options.MODEL, options.rest, normals=True)
+    surface = octex.load_surface(
+        options.MODEL, options.rest, channels=["alpha"], sources={"alpha": 1.0}, normals=True
+    )
     del surface.provenance["source_alpha"]
     return surface
 

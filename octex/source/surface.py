@@ -286,8 +286,8 @@ class Surface:
         and face normals (see function.FunctionSource); or a value, linear light for colours: a number, or one
         for each component.
         Images of ``normal`` are in the tangent's frame; triangles are flat below them unless
-        the surface has ``frames``, which ``load_surface`` keeps if it is given these sources. Vertex colours
-        do not multiply what is given here. Where the source of any channel leaves a gap, ``alpha`` is 0,
+        the surface has ``frames``, which ``load_surface`` keeps if it is given these sources or asked for
+        ``normals``. Vertex colours do not multiply what is given here. Where the source of any channel leaves a gap, ``alpha`` is 0,
         whatever gives it, and nothing is converted.
 
         Raises ArgumentError for an unknown channel or another kind of value, ImageError for an image that
