@@ -18,6 +18,7 @@ from octex.errors import ExitCode
 from octex.preview import write_difference
 from octex.source.surface import Surface
 from tests.command import colored_box, refusal, result
+from tests.conftest import needs_jit
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +132,7 @@ def test_a_picture_is_drawn_and_named(
     assert refusal(capsys, *again[:3], "--preview", tmp_path / "a.gif").endswith("octex writes .png here")
 
 
+@needs_jit
 def test_light_is_compared_and_drawn_times_alpha_also_if_colours_alone_are_asked_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -19,6 +19,7 @@ from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.tree.morton import decode_cells
 from octex.tree.walk import walk_leaves
+from tests.conftest import needs_jit
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
 TWO = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
@@ -140,6 +141,7 @@ def test_of_two_textures_the_finer_leaves_show_the_difference(surface: Surface) 
         assert is_bright(apart).sum() > 20
 
 
+@needs_jit
 @pytest.mark.parametrize("kind", ["textures", "model"])
 def test_both_sides_are_drawn_with_alpha_and_what_is_emitted_or_neither_is(
     kind: str, surface: Surface, texture: OctreeTexture

@@ -287,8 +287,8 @@ class Surface:
         for each component.
         Images of ``normal`` are in the tangent's frame; triangles are flat below them unless
         the surface has ``frames``, which ``load_surface`` keeps if it is given these sources or asked for
-        ``normals``. Vertex colours do not multiply what is given here. Where the source of any channel leaves a gap, ``alpha`` is 0,
-        whatever gives it, and nothing is converted.
+        ``normals``. Vertex colours do not multiply what is given here. Where the source of any channel leaves
+        a gap, ``alpha`` is 0, whatever gives it, and nothing is converted.
 
         Raises ArgumentError for an unknown channel or another kind of value, ImageError for an image that
         cannot be used, ModelError where the surface has no texture coordinates for it.
