@@ -263,6 +263,19 @@ def placed(a: Side, b: Side) -> tuple[Side, Side]:
     return a, b
 
 
+def in_common(a: Side, b: Side) -> tuple[Side, Side]:
+    """Return both sides with the channels alone that both have; there must be one."""
+    names = [name for name in _formats(a) if name in _formats(b)]
+
+    def restricted(side: Side) -> Side:
+        if isinstance(side, Surface):
+            return side.with_channels(names)
+        channels = {name: side.channels[name] for name in names}
+        return OctreeTexture(side.tree, channels, side.placement, side.bounds, side.metadata)
+
+    return restricted(a), restricted(b)
+
+
 def readers_of(
     sides: tuple[Side, Side], channels: Sequence[str] | None, width: float, filter: str
 ) -> tuple[Reader, Reader]:

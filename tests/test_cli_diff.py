@@ -18,6 +18,7 @@ from octex.errors import ExitCode
 from octex.preview import write_difference
 from octex.source.surface import Surface
 from tests.command import colored_box, refusal, result
+from tests.conftest import needs_jit
 
 
 @pytest.fixture(scope="module")
@@ -129,6 +130,43 @@ def test_a_picture_is_drawn_and_named(
     assert refusal(capsys, *again) == f"{path}: exists already; --force overwrites it"
     assert result(capsys, *again, "--force", "--quiet") == ""
     assert refusal(capsys, *again[:3], "--preview", tmp_path / "a.gif").endswith("octex writes .png here")
+
+
+@needs_jit
+def test_light_is_compared_and_drawn_times_alpha_also_if_colours_alone_are_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    colors = np.array([[1.0, 0, 0, 0], [0, 1, 0, 1], [0, 0, 1, 1], [1, 1, 1, 0]])
+    model, texture, path = tmp_path / "clear.ply", tmp_path / "clear.octex", tmp_path / "diff.png"
+    codes = np.rint(255 * colors).astype(np.uint8)
+    faces = ["3 0 1 2", "3 0 2 3"]
+    rows = [" ".join(map(str, [*place, *color])) for place, color in zip(points, codes, strict=True)]
+    kinds = ["float x", "float y", "float z"] + [
+        f"uchar {name}" for name in ("red", "green", "blue", "alpha")
+    ]
+    header = ["ply", "format ascii 1.0", "element vertex 4", *(f"property {kind}" for kind in kinds)]
+    header += ["element face 2", "property list uchar int vertex_indices", "end_header"]
+    model.write_text("\n".join([*header, *rows, *faces, ""]))
+    octex.convert(model, 4).save(texture)
+    assert "alpha" in octex.open(texture).channels
+    small = partial(write_difference, size=(300, 110), supersample=1)
+    monkeypatch.setattr("octex.preview.write_difference", small)
+    few = ["--diff", texture, model, "--points", 2000]
+    whole = json.loads(result(capsys, *few, "--json"))["channels"]
+    shown = ["--channels", "base_color", "--preview", path]
+    assert json.loads(result(capsys, *few, *shown, "--json"))["channels"] == {
+        "base_color": whole["base_color"]
+    }
+    left, right, _ = np.split(np.array(Image.open(path)).astype(int)[:75], 3, axis=1)
+    assert np.abs(left - right).mean() < 2
+    # an opaque model beside a texture with alpha
+    opaque = tmp_path / "opaque.ply"
+    opaque.write_text(model.read_text().replace("property uchar alpha", "property uchar other"))
+    few[2] = opaque
+    assert list(json.loads(result(capsys, *few, *shown, "--force", "--json"))["channels"]) == ["base_color"]
+    left, right, _ = np.split(np.array(Image.open(path)).astype(int)[:75], 3, axis=1)
+    assert np.abs(left - right).mean() < 12  # colours that the texture weighs by alpha
 
 
 def test_progress_goes_to_stderr(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

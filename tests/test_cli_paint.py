@@ -148,6 +148,40 @@ def test_a_picture_that_was_drawn_is_edited_and_painted_back(
 
 
 @needs_jit
+def test_what_is_erased_is_transparent_in_the_view_and_stays_erased_when_it_is_painted_back(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    erased, view, out = tmp_path / "erased.octex", tmp_path / "square.png", tmp_path / "out.octex"
+    result(capsys, *scene.shot, "--blend", "erase", "--out", erased)
+    before = octex.open(erased)
+    look = [scene.model, erased, "--view", view, "--camera", scene.cameras]
+    result(capsys, *look)
+    picture = np.array(Image.open(view)).astype(int)
+    left, top, right, bottom = SQUARE
+    assert not picture[top + 2 : bottom - 1, left + 2 : right - 1].any()
+    result(capsys, scene.model, scene.texture, *look[2:], "--force")
+    whole = np.array(Image.open(view)).astype(int)
+    beside = np.ones((SIZE, SIZE), bool)
+    beside[top - 2 : bottom + 3, left - 2 : right + 3] = False
+    assert np.abs(picture - whole)[beside].max() <= 1
+    part = (picture[..., 3] > 100) & (picture[..., 3] < 255)
+    assert part.any()
+    assert np.abs(picture - whole)[part, :3].mean() < 6  # black, were they multiplied by alpha
+    result(capsys, *look, "--force")
+    points, inside = scene.places(1.5)
+    assert (before.sample(points, "alpha")[inside] == 0).all()
+    back = [scene.model, erased, view, "--camera", scene.cameras, "--out", out, "--force"]
+    for blend in ("over", "replace"):
+        result(capsys, *back, "--blend", blend)
+        after = octex.open(out)
+        assert (after.sample(points, "alpha")[inside] < 0.01).all()
+        if blend == "replace":
+            np.testing.assert_allclose(
+                after.sample(points, "alpha"), before.sample(points, "alpha"), atol=0.005
+            )
+
+
+@needs_jit
 def test_a_layer_kept_and_merged_later_is_the_same_paint(
     scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -538,9 +572,10 @@ def test_the_view_is_of_the_channel_alone(
     assert made == {"output": str(view), "size": [30, 20], "bytes": size, "camera": str(file)}
     picture = np.array(Image.open(view))
     assert picture.shape == (20, 30, 4)
-    seen = picture[picture[:, :, 3] == 255]
+    seen = picture[picture[:, :, 3] == 128]  # of the texture; colours are not multiplied by it
     assert 40 < len(seen) < 600
     assert np.abs(seen[:, :3].astype(int) - [124, 170, 203]).max() <= 1
+    assert set(np.unique(picture[:, :, 3])) == {0, 128}
     assert not picture[picture[:, :, 3] == 0].any()
     frame = octex.read_cameras(file)[0]
     assert (frame.name, frame.size) == ("view.png", (30, 20))
@@ -548,7 +583,7 @@ def test_the_view_is_of_the_channel_alone(
     np.testing.assert_array_equal(frame.camera().matrix, expected.matrix)
     result(capsys, *arguments, "--size", "30,20", "--channel", "roughness", "--quiet")
     picture = np.array(Image.open(view))
-    assert set(picture[picture[:, :, 3] == 255][:, :3].ravel().tolist()) == {51}
+    assert set(picture[picture[:, :, 3] == 128][:, :3].ravel().tolist()) == {51}
     assert "'normal'" in complaint(capsys, *arguments, "--channel", "normal")
 
 

@@ -11,7 +11,7 @@ from octex.channels import srgb_to_linear
 from octex.errors import ImageError, ModelError, ModelWarning
 from octex.source.load import load_surface
 from octex.source.surface import Surface
-from tests.fixtures import OBJ_SQUARE, obj, png, random_image
+from tests.fixtures import OBJ_SQUARE, Gltf, obj, png, random_image
 from tests.test_gltf import assert_agrees
 
 FACES = "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
@@ -456,6 +456,31 @@ def test_faces_without_a_normal_map_keep_their_normals_beside_others(tmp_path: P
     surface = load_surface(path)
     samples = surface.scatter(50)
     np.testing.assert_allclose(surface.evaluate(samples, "normal"), [[1, 0, 0]] * 50, atol=0.02)
+
+
+def test_normals_of_the_model_are_kept_if_asked_for_and_there(tmp_path: Path) -> None:
+    bent = np.array([[0, 0, 1], [0.6, 0, 0.8], [0, 0.6, 0.8], [0, 0, 1]], np.float32)
+    lines = OBJ_SQUARE + "".join(f"vn {x} {y} {z}\n" for x, y, z in bent)
+    smooth = obj(tmp_path / "smooth.obj", lines + "f 1/1/1 2/2/2 3/3/3\nf 1/1/1 3/3/3 4/4/4\n")
+    flat = obj(tmp_path / "flat.obj", lines + FACES)
+    gltf = Gltf()
+    gltf.show(gltf.primitive(NORMAL=gltf.accessor(bent)))
+    bare = Gltf()
+    bare.show(bare.primitive())
+    for path, has_normals in (
+        (smooth, True),
+        (gltf.save(tmp_path / "smooth.glb"), True),
+        (flat, False),
+        (bare.save(tmp_path / "flat.glb"), False),
+    ):
+        assert load_surface(path).frames is None
+        surface = load_surface(path, normals=True)
+        if has_normals:
+            assert surface.frames is not None
+            corners = surface.frames.normals.values[surface.frames.normals.rows]
+            np.testing.assert_allclose(corners, bent[surface.triangles], atol=1e-6)
+        else:
+            assert surface.frames is None
 
 
 @pytest.mark.parametrize(

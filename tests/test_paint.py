@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -10,15 +12,19 @@ import numpy.typing as npt
 import pytest
 
 import octex
-from octex.channels import decode
+from octex.channels import BASE_COLOR, decode
+from octex.conversion.samples import Samples
 from octex.errors import ArgumentError
 from octex.painting.balance import balanced
 from octex.painting.cells import boundary, paint_of
 from octex.painting.merge import blended
 from octex.painting.pictures import BLENDS
+from octex.painting.samples import with_centres
+from octex.painting.source import COVERAGE, PaintSource
 from octex.parallel import threads
 from octex.texture import OctreeTexture
 from octex.tree.layout import KEPT, SPLIT
+from octex.tree.placement import Placement
 from tests.conftest import needs_jit
 from tests.painted import above, ball, centres, codes, one_color, picture_of, plain, square, together
 from tests.small_surfaces import sheet
@@ -377,6 +383,75 @@ def test_the_finer_of_two_pictures_outweighs_the_other() -> None:
     assert (sampled[:, 0] > 0.95).all()
     other = octex.paint(None, surface, pictures[::-1]).sample(on_square(200, 0.2))
     np.testing.assert_allclose(other, sampled, atol=1e-6)
+
+
+@pytest.mark.parametrize("balance", [False, True])
+def test_the_order_of_pictures_in_one_blend_mode_does_not_matter(balance: bool) -> None:
+    surface, random = ball(12), np.random.default_rng(4)
+    pictures = []
+    for number, direction in enumerate([(0.1, 0.2, 1), (0.5, 0.1, 1), (-0.4, 0.3, 1)]):
+        camera = octex.Camera.fitted(surface.vertices, direction, size=(32, 32))
+        noise = random.integers(0, 256, (32, 32, 3)).astype(np.uint8)
+        pictures.append(octex.Projection(noise, camera, opacity=1.0 - 0.2 * number))
+    first = octex.paint(None, surface, pictures, balance=balance)
+    assert first.tree.n_leaves > 10_000
+    for order in list(permutations(pictures))[1:]:
+        other = octex.paint(None, surface, order, balance=balance)
+        assert np.array_equal(other.tree.arrays.flags, first.tree.arrays.flags)
+        for name, channel in first.channels.items():
+            assert np.array_equal(other.channels[name].values, channel.values)
+            assert np.array_equal(other.channels[name].split_values, channel.split_values)
+
+
+class Dots(PaintSource):
+    """Half grey, to be exact at given points, some at a time."""
+
+    def __init__(self, batches: list[tuple[Array, Array]]) -> None:
+        super().__init__(BASE_COLOR)
+        self._batches = batches
+
+    def touched(self) -> Array:
+        raise NotImplementedError
+
+    def on(self, chosen: Array) -> PaintSource:
+        raise NotImplementedError
+
+    def widths(self, triangles: Array, barycentric: Array) -> Array:  # noqa: ARG002
+        return np.ones(len(triangles), np.float32)
+
+    def evaluate(self, triangles: Array, barycentric: Array, widths: Array) -> Array:  # noqa: ARG002
+        return np.column_stack([barycentric, np.ones(len(triangles))]).astype(np.float32)
+
+    def centres(self) -> Iterator[tuple[Array, Array]]:
+        yield from self._batches
+
+
+def test_centres_of_every_picture_count_alike() -> None:
+    surface, random = plain(square()), np.random.default_rng(1)
+    batches = []
+    for _ in range(3):
+        triangles = random.integers(0, len(surface.triangles), 20).astype(np.int32)
+        batches.append((triangles, random.dirichlet(np.ones(3), 20)))
+    placement = Placement.around(surface.bounds, 4)
+    cells = octex.convert(surface, 4).tree.level_codes(4)
+    counts = 2 * len(cells)
+    samples = Samples(
+        4,
+        (BASE_COLOR, COVERAGE),
+        cells,
+        np.arange(0, counts + 1, 2),
+        np.zeros((counts, 3), np.uint16),
+        np.full(counts, 128, np.uint8),
+        np.zeros((counts, 4), np.float32),
+    )
+    found = with_centres(samples, Dots(batches), surface, placement)
+    assert (found.shares == 255).sum() == 60
+    assert set(found.shares.tolist()) == {255, 128, 128 // 16}
+    at_once = (np.concatenate([part[k] for part in batches]) for k in (0, 1))
+    for one, other in zip(
+        found, with_centres(samples, Dots([tuple(at_once)]), surface, placement), strict=True
+    ):
+        assert np.array_equal(one, other)
 
 
 def test_pictures_of_other_blend_modes_are_merged_one_after_another() -> None:

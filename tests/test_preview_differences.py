@@ -19,6 +19,7 @@ from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.tree.morton import decode_cells
 from octex.tree.walk import walk_leaves
+from tests.conftest import needs_jit
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
 TWO = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
@@ -138,6 +139,22 @@ def test_of_two_textures_the_finer_leaves_show_the_difference(surface: Surface) 
     for a, b in ((fine, coarse), (coarse, fine)):
         (_, _, apart), _ = drawn(a, b, channels=["base_color"])
         assert is_bright(apart).sum() > 20
+
+
+@needs_jit
+@pytest.mark.parametrize("kind", ["textures", "model"])
+def test_both_sides_are_drawn_with_alpha_and_what_is_emitted_or_neither_is(
+    kind: str, surface: Surface, texture: OctreeTexture
+) -> None:
+    changed = surface.with_sources({"alpha": lambda points: points[:, 0], "emissive": (0.0, 0.5, 0.0)})
+    clear = octex.convert(changed, 4)
+    without, with_both = (surface, changed) if kind == "model" else (texture, clear)
+    (plain, beside, _), found = drawn(without, clear, channels=["base_color"])
+    assert found["base_color"].maximum < 1
+    assert np.abs(plain - beside)[:75].max() <= 2
+    (first, second, _), _ = drawn(with_both, clear, channels=["base_color"])
+    assert np.abs(first - second)[:75].max() <= 8
+    assert np.abs(first - plain)[:75].max() > 50
 
 
 def test_every_channel_has_a_row(surface: Surface, texture: OctreeTexture) -> None:

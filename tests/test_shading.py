@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from octex.view.camera import Camera
-from octex.view.shading import background, corner_normals, face_normals, light
+from octex.view.shading import background, corner_normals, corner_normals_of, face_normals, light
 
 # A cube of 12 triangles, counter-clockwise seen from outside; its faces share vertices.
 CUBE = np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0)])
@@ -52,6 +52,15 @@ def test_a_sphere_is_smooth_also_across_doubled_vertices():
     assert np.allclose(shared, own, atol=1e-6)
     inner = np.abs(points[triangles][..., 2]).max(axis=1) < 0.9
     assert np.einsum("nkc,nkc->nk", shared, points[triangles])[inner].min() > 0.995
+
+
+def test_some_triangles_have_the_normals_that_they_have_among_all():
+    points, triangles = _sphere(12)
+    both = np.vstack([points, points]), np.vstack([triangles[::2], triangles[1::2] + len(points)])
+    whole = corner_normals(*both)
+    for chosen in ([], [7], [200, 3, 250, 3], np.arange(len(triangles))):
+        some = corner_normals_of(np.array(chosen, np.int32), *both)
+        assert np.array_equal(some, whole[np.array(chosen, int)])
 
 
 def test_a_triangle_wound_the_other_way_keeps_its_own_normal():

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 
 import octex
-from octex.channels import BASE_COLOR, EMISSIVE
+from octex.channels import BASE_COLOR, DETAIL, EMISSIVE, ROUGHNESS
 from octex.errors import ArgumentError, ModelError
 from octex.source.surface import Surface
 from tests.conftest import needs_jit
@@ -173,11 +173,91 @@ def test_normals_that_are_the_same_agree_at_any_angle() -> None:
     assert (made.evaluate(made.scatter(500), "alpha") == 1).all()
 
 
-def test_only_one_source_may_leave_gaps() -> None:
+def leaves_and_gaps(surface: Surface, depth: int, sources: Any) -> tuple[octex.OctreeTexture, int]:
+    texture = octex.convert(surface, depth, sources=sources)
+    texture.validate()
+    return texture, json.loads(texture.metadata["convert"]).get("empty", 0)
+
+
+def two_squares() -> tuple[Surface, Surface]:
+    """A red square, and it in grey with another one above."""
+    near = square(0.0)
+    red = Surface.from_arrays(*near, colors=np.tile([1.0, 0.0, 0.0], (len(near[0]), 1)))
+    return red, plain(together(near, square(1.0)))
+
+
+def in_half(points: Array) -> Array:
+    return (points[:, 0] > 0.1).astype(np.float64)
+
+
+@needs_jit
+@pytest.mark.parametrize("alpha", [1.0, 0.5, in_half])
+@pytest.mark.parametrize("kind", ["transfer", "radius", "distance"])
+def test_alpha_from_elsewhere_does_not_fill_gaps(kind: str, alpha: Any) -> None:
+    red, both = two_squares()
+    colors: Any = octex.Transfer(red, distance=0.1)
+    if kind != "transfer":
+        dots = red.scatter(2000).rest
+        limit = {kind: 0.1}
+        colors = octex.PointCloud(dots, np.tile(np.float32([1, 0, 0]), (len(dots), 1)), **limit)  # type: ignore[arg-type]
+    texture, empty = leaves_and_gaps(both, 4, {"base_color": colors, "alpha": alpha})
+    bare, missing = leaves_and_gaps(both, 4, {"base_color": colors})
+    assert empty == missing > 0
+    assert texture.tree.n_leaves == bare.tree.n_leaves  # also those whose own alpha is 0
+    assert np.array_equal(texture.tree.level_codes(4), bare.tree.level_codes(4))
+    points = np.random.default_rng(0).uniform(-0.4, 0.4, (100, 3)) * [1, 1, 0]
+    points = points[np.abs(points[:, 0] - 0.1) > 0.15]
+    wanted = alpha(points) if callable(alpha) else np.full(len(points), alpha)
+    np.testing.assert_allclose(texture.sample(points, "alpha")[:, 0], wanted, atol=0.003)
+    shown = wanted > 0
+    np.testing.assert_allclose(texture.sample(points)[shown], [[1.0, 0, 0]] * shown.sum(), atol=2e-3)
+
+
+@needs_jit
+def test_any_of_several_sources_may_leave_gaps() -> None:
+    red, both = two_squares()
+    half = Surface(red.vertices, red.triangles[:16], red.source)
+    wide, narrow = octex.Transfer(red, distance=0.1), octex.Transfer(half, distance=0.01)
+    alone = [leaves_and_gaps(both, 4, {"base_color": each}) for each in (wide, narrow)]
+    texture, empty = leaves_and_gaps(both, 4, {"base_color": wide, "roughness": Rough(narrow)})
+    assert np.array_equal(texture.tree.level_codes(4), alone[1][0].tree.level_codes(4))
+    assert empty == alone[1][1] > alone[0][1] > 0
+    # what is not asked for leaves none
+    made = both.with_sources({"base_color": wide, "roughness": Rough(narrow)})
+    assert (
+        json.loads(octex.convert(made, 4, channels=["base_color"]).metadata["convert"])["empty"]
+        == alone[0][1]
+    )
+    assert not made.with_sources({"base_color": (1.0, 0, 0), "roughness": 0.5}).source.has_gaps
+
+
+class Rough(octex.Transfer):
+    """The red of another model as roughness."""
+
+    def __init__(self, other: octex.Transfer) -> None:
+        surface = other._surface
+        values = surface.evaluate(surface.scatter(1))[:, :1]
+        rough = FaceSource((ROUGHNESS,), np.tile(values, (len(surface.triangles), 1)))
+        super().__init__(Surface(surface.vertices, surface.triangles, rough), distance=other.distance)
+
+
+@needs_jit
+def test_gaps_of_the_other_model_are_gaps_here() -> None:
+    red, both = two_squares()
+    other = both.with_sources({"base_color": octex.Transfer(red, distance=0.1), "alpha": 1.0})
+    for sources in (octex.Transfer(other).sources, {"base_color": octex.Transfer(other)}):
+        texture, empty = leaves_and_gaps(both, 4, sources)
+        assert empty == texture.tree.n_leaves > 0
+
+
+def test_resolution_is_read_from_its_own_channel_beside_gaps() -> None:
     surface = tetrahedron()
-    one, other = octex.Transfer(whole(), distance=1.0), octex.Transfer(whole(), distance=2.0)
-    with pytest.raises(ArgumentError, match="only one source may leave gaps"):
-        surface.with_sources({"base_color": one, "roughness": other})
+    steps = Surface(surface.vertices, surface.triangles, FaceSource((DETAIL,), np.full((4, 1), 0.25)))
+    made = [
+        octex.convert(surface, 4, channels=["base_color"], detail="detail", sources={"detail": transfer})
+        for transfer in (octex.Transfer(steps), octex.Transfer(steps, distance=9.0))
+    ]
+    assert made[0].tree.max_depth == made[1].tree.max_depth == 2
 
 
 def test_gaps_stay_with_channels_and_rest_positions_chosen_later() -> None:

@@ -10,12 +10,15 @@ import pytest
 
 from octex.channels import BASE_COLOR
 from octex.painting.pictures import Projection
-from octex.painting.projected import Projected, stretches_of, take_shot, terms_of
+from octex.painting.projected import Projected, shading_of, stretches_of, take_shot, terms_of
 from octex.parallel import threads
+from octex.source.corners import Corners
 from octex.source.surface import Surface
+from octex.source.tangents import corner_frames
 from octex.view.camera import Camera
 from octex.view.visibility import distances_to_edges, look, straight, view_of
 from tests.painted import above, ball, one_color, plain, square, together
+from tests.solids import cube
 
 Array = npt.NDArray[Any]
 
@@ -33,6 +36,7 @@ def seen(surface: Surface, camera: Camera, triangles: Array, barycentric: Array,
         surface.vertices,
         surface.triangles,
         stretches_of(surface.vertices, surface.rest, surface.triangles),
+        shading=shading_of(surface),
     )
     return source.evaluate(triangles.astype(np.int32), barycentric, np.zeros(len(triangles), np.float32))[
         :, 3
@@ -118,14 +122,99 @@ def test_paint_fades_at_grazing_angles() -> None:
     surface, camera = ball(), above(4.0, 200)
     samples = surface.scatter(5000, 1)
     toward = camera.position - samples.points
-    cosine = np.einsum("nx,nx->n", samples.normals, toward) / np.linalg.norm(toward, axis=1)
+    normals = samples.points / np.linalg.norm(samples.points, axis=1)[:, None]
+    cosine = np.einsum("nx,nx->n", normals, toward) / np.linalg.norm(toward, axis=1)
     angles = np.degrees(np.arccos(cosine))
     found = seen(surface, camera, samples.triangles, samples.barycentric, max_angle=60.0)
-    assert (found[angles > 60] == 0).all()
-    assert (found[angles < 49.9] == 1).all()
+    assert (found[angles > 60.5] == 0).all()
+    assert (found[angles < 49.5] == 1).all()
     between = (angles > 52) & (angles < 58)
     assert (found[between] > 0).all()
     assert (found[between] < 1).all()
+
+
+def faded(cosines: Array, max_angle: float) -> Array:
+    """How opaque paint is by the angle to the camera: it fades over the last ten degrees."""
+    low, high = np.cos(np.radians([max_angle, max_angle - 10]))
+    t = np.clip((cosines - low) / (high - low), 0, 1)
+    return t * t * (3 - 2 * t)
+
+
+def cosines_to(camera: Camera, points: Array, normals: Array) -> Array:
+    toward = camera.position - points
+    return np.einsum("nx,nx->n", normals, toward) / (
+        np.linalg.norm(toward, axis=1) * np.linalg.norm(normals, axis=1)
+    )
+
+
+def on_edges(surface: Surface) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Three points on each edge between two triangles, on the one and on the other."""
+    places = np.unique(surface.vertices.round(9), axis=0, return_inverse=True)[1].reshape(-1)
+    sides: dict[tuple[int, int], list[tuple[int, int, int]]] = {}
+    for number, corners in enumerate(places[surface.triangles].tolist()):
+        for k in range(3):
+            a, b = corners[k], corners[(k + 1) % 3]
+            first, second = (k, (k + 1) % 3) if a < b else ((k + 1) % 3, k)
+            sides.setdefault((min(a, b), max(a, b)), []).append((number, first, second))
+    pairs = [pair for (a, b), pair in sides.items() if a != b and len(pair) == 2]
+    found = []
+    for side in (0, 1):
+        number, first, second = np.array([pair[side] for pair in pairs]).T
+        barycentric = np.zeros((3, len(pairs), 3))
+        for row, part in enumerate((0.25, 0.5, 0.7)):
+            barycentric[row, np.arange(len(pairs)), first] = 1 - part
+            barycentric[row, np.arange(len(pairs)), second] = part
+        found.append((np.tile(number, 3), barycentric.reshape(-1, 3)))
+    return found[0], found[1]
+
+
+@pytest.mark.parametrize("back_faces", [False, True])
+def test_paint_on_a_coarse_ball_fades_as_on_a_round_one(back_faces: bool) -> None:
+    surface, camera = ball(9), above(4.0, 100)
+    samples = surface.scatter(1500, 1)
+    terms = {"max_angle": 60.0, "back_faces": back_faces}
+    found = seen(surface, camera, samples.triangles, samples.barycentric, **terms)
+    round_one = faded(cosines_to(camera, samples.points, samples.points), 60.0)
+    round_one[samples.points[:, 2] < 0] = 0
+    flat = faded(cosines_to(camera, samples.points, samples.normals), 60.0)
+    assert np.abs(flat - round_one).max() > 0.9
+    assert np.abs(found - round_one).max() < 0.15  # a normal between three corners' is off by a degree
+    one, other = (seen(surface, camera, *places, **terms) for places in on_edges(surface))
+    assert ((one > 0.1) & (one < 0.9)).sum() > 30
+    assert np.abs(one - other).max() < 0.01
+
+
+def test_paint_on_a_cube_keeps_its_creases() -> None:
+    points, triangles = cube([-0.5, -0.5, -0.5])
+    surface = plain((points, triangles))
+    for direction in ((0.75, 0.6, 1), (0.2, 0.5, 1)):
+        camera = Camera.fitted(surface.vertices, direction, size=(160, 160))
+        samples = surface.scatter(2000)
+        inner = samples.barycentric.min(axis=1) > 0.05
+        found = seen(surface, camera, samples.triangles, samples.barycentric, max_angle=78.0)
+        expected = faded(cosines_to(camera, samples.points, samples.normals), 78.0)
+        assert ((expected > 0.05) & (expected < 0.95)).any()
+        np.testing.assert_allclose(found[inner], expected[inner], atol=1e-4)
+
+
+@pytest.mark.parametrize("posed", [False, True])
+def test_normals_of_the_model_itself_come_first(posed: bool) -> None:
+    rest = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
+    faces = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]
+    triangles = np.array(faces, np.int32)
+    given = Corners(rest.astype(np.float32), triangles)
+    frames = corner_frames(rest, triangles, given, None, None)
+    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]) if posed else np.eye(3)
+    vertices = rest @ turn.T
+    source = plain((rest, triangles)).source
+    surface = Surface(vertices, triangles, source, rest=rest if posed else None, frames=frames)
+    camera = above(4.0, 200)
+    samples = surface.scatter(2000)
+    found = seen(surface, camera, samples.triangles, samples.barycentric, max_angle=40.0)
+    expected = faded(cosines_to(camera, samples.points, samples.points), 40.0)
+    shown = samples.points[:, 2] > 0.2
+    np.testing.assert_allclose(found[shown], expected[shown], atol=1e-4)
+    assert ((expected > 0.1) & (expected < 0.9)).sum() > 20
 
 
 def test_back_faces_are_painted_only_if_asked_for() -> None:

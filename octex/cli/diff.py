@@ -39,7 +39,7 @@ def diff(command: str, options: argparse.Namespace) -> int:
 
     with Reporter(command, options.quiet) as progress:
         with progress.stage("read"):
-            a, b = (_side(path, options) for path in paths)
+            a, b = _sides(paths, options)
         found = difference(
             a, b, channels=options.channels, points=options.points or DEFAULT_POINTS, progress=progress
         )
@@ -57,10 +57,15 @@ def diff(command: str, options: argparse.Namespace) -> int:
     return ExitCode.DONE
 
 
-def _side(path: Path, options: argparse.Namespace) -> Side:
-    if path.suffix.lower() == TEXTURE_ENDING:
-        return open_sound(path)
-    return read_model(path, options)
+def _sides(paths: Sequence[Path], options: argparse.Namespace) -> list[Side]:
+    """Read both; of a model also alpha, by which light is multiplied, if the texture has it."""
+    sides: dict[Path, Side] = {}
+    beside: list[str] = []
+    for path in paths:
+        if path.suffix.lower() == TEXTURE_ENDING:
+            sides[path] = texture = open_sound(path)
+            beside = ["alpha"] if "alpha" in texture.channels else beside
+    return [sides[path] if path in sides else read_model(path, options, beside) for path in paths]
 
 
 def as_json(found: Differences) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -117,32 +118,38 @@ def input_files(options: argparse.Namespace) -> list[Path]:
     return [each for each in [*files, *others] if isinstance(each, Path)]
 
 
-def read_model(path: Path, options: argparse.Namespace) -> Surface:
+def read_model(path: Path, options: argparse.Namespace, beside: Sequence[str] = ()) -> Surface:
     """Read a model at its rest positions, with the channels that are used, wherever they come from.
 
-    It may be a function, FILE.py:NAME, and there may be others beside it: ``--also``.
+    It may be a function, FILE.py:NAME, and there may be others beside it: ``--also``. Channels ``beside``
+    those that are used are read if the model has them.
     """
     sources = {**_elsewhere(options), **sources_of(options)}
     for channel, given in sources.items():
         if isinstance(given, FunctionName):
             sources[channel] = load_function(given)
-    if not options.also:
-        return _read(path, options, sources)
-    return octex.Surface.joined([_read(each, options, sources) for each in [path, *options.also]])
+    names = _wanted(options)
+    wanted = None if beside else names
+    every = [_read(each, options, sources, wanted) for each in [path, *(options.also or [])]]
+    surface = octex.Surface.joined(every) if options.also else every[0]
+    if names is None or not beside:
+        return surface
+    others = [form.name for form in surface.channels if form.name in beside and form.name not in names]
+    return surface.with_channels([*names, *others])
 
 
-def _read(path: Path, options: argparse.Namespace, sources: dict[str, object]) -> Surface:
+def _read(
+    path: Path, options: argparse.Namespace, sources: dict[str, object], wanted: Sequence[str] | None
+) -> Surface:
     named = function_name(str(path))
     image_filter = options.filter or DEFAULT_FILTER
     if named is None:
-        return octex.load_surface(
-            path, options.rest, channels=_wanted(options), sources=sources, filter=image_filter
-        )
+        return octex.load_surface(path, options.rest, channels=wanted, sources=sources, filter=image_filter)
     if options.bounds is None or options.edge is None:
         raise ArgumentError(f"{path} is a function: give --bounds x0,y0,z0,x1,y1,z1 and --edge LENGTH too")
     bounds = [options.bounds[:3], options.bounds[3:]]
     surface = octex.Surface.from_function(load_function(named), bounds, options.edge, name=named.path.name)
-    return surface.completed(sources, _wanted(options), image_filter)
+    return surface.completed(sources, wanted, image_filter)
 
 
 def posed_inputs(options: argparse.Namespace) -> list[Path]:
@@ -154,8 +161,10 @@ def posed_inputs(options: argparse.Namespace) -> list[Path]:
 def read_posed(options: argparse.Namespace) -> Surface:
     """Read a model that cameras see: of its materials what a preview shows, else nothing."""
     if options.preview is not None:
-        return octex.load_surface(options.MODEL, options.rest)
-    surface = octex.load_surface(options.MODEL, options.rest, channels=["alpha"], sources={"alpha": 1.0})
+        return octex.load_surface(options.MODEL, options.rest, normals=True)
+    surface = octex.load_surface(
+        options.MODEL, options.rest, channels=["alpha"], sources={"alpha": 1.0}, normals=True
+    )
     del surface.provenance["source_alpha"]
     return surface
 

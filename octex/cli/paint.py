@@ -159,7 +159,8 @@ def parser() -> Parser:
         "--view",
         metavar="PNG",
         type=Path,
-        help="draw what the camera sees, unlit, to be painted on and sent back",
+        help="draw what the camera sees, unlit and as transparent as the texture, to be painted on and sent "
+        "back; --blend replace then leaves transparency as it is, over adds to what is translucent",
     )
     add("--camera-out", metavar="CAMERA", type=Path, help="the camera of that picture, .json, for --camera")
     add(

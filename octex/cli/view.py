@@ -81,7 +81,10 @@ def _view_camera(options: argparse.Namespace, surface: Surface) -> Camera:
 def _draw(
     texture: OctreeTexture | None, surface: Surface, camera: Camera, channel: str
 ) -> npt.NDArray[np.uint8]:
-    """Draw a channel at the pixels' centres: codes (height, width, 4), alpha 0 beside the model."""
+    """Draw a channel at the pixels' centres: codes (height, width, 4).
+
+    Alpha is the texture's, 0 beside the model; colours are not multiplied by it.
+    """
     import numpy as np
 
     from octex.channels import encode
@@ -97,8 +100,10 @@ def _draw(
         smooth = corner_normals(surface.vertices, surface.triangles)
     codes = np.zeros((camera.height * camera.width, 4), np.uint8)
     for seen, hits in seen_hits(surface, camera, rest_normals(surface)):
+        coverage = None
         if texture is not None:
-            colors = look(hits).unlit()
+            appearance = look(hits)
+            colors, coverage = appearance.unlit(), appearance.coverage
         else:
             corners = surface.vertices[surface.triangles[hits.triangles]]
             points = np.einsum("nk,nkc->nc", hits.barycentric, corners)
@@ -106,7 +111,8 @@ def _draw(
             lit = light(camera, points, faces[hits.triangles], normals)
             colors = np.repeat(0.5 * lit[:, None], 3, axis=1)
         codes[seen, :3] = encode(colors, "uint8", "srgb")
-        codes[seen, 3] = 255
+        codes[seen, 3] = 255 if coverage is None else encode(coverage, "uint8", "data")
+    codes[codes[:, 3] == 0] = 0
     return codes.reshape(camera.height, camera.width, 4)
 
 

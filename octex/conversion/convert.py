@@ -127,7 +127,11 @@ def convert(
         report("build", 1, 1)
         samples, degenerate, deepest, empty = filled.samples, filled.degenerate, filled.wanted, 0
         if surface.source.has_gaps:
-            tree, values, samples, deepest, empty = without_gaps(tree, values, filled)
+            coverage = None
+            if not surface.source.alpha_is_coverage:
+                known = surface.coverage
+                coverage = fill(known, known.channels, placement, depth, pool, report, has_samples=False)
+            tree, values, samples, deepest, empty = without_gaps(tree, values, filled, coverage)
             if not tree.n_leaves:
                 raise ModelError(
                     f"{surface.name}: its source is too far from all of it, or faces another way; allow more "
@@ -145,7 +149,7 @@ def convert(
             values[ALPHA.name] = means[ALPHA.name]  # fitted, what is covered would not seem to be beside gaps
         if fitting is not None:
             tree, values = separated(tree, means, values)
-    if surface.source.has_gaps and not empty:
+    if surface.source.alpha_is_coverage and not empty:
         values = without_opaque(values)
     options = {
         **({"depth": depth} if cell is None else {"cell": float(cell)}),

@@ -13,7 +13,7 @@ from octex.checks import as_choice
 from octex.conversion.pieces import Pieces
 from octex.errors import ArgumentError, ModelError
 from octex.jit import kernel
-from octex.source.base import Source
+from octex.source.base import Source, by_channel
 from octex.source.surface import Surface
 
 #: Says how deep to go at rest positions (n, 3): levels (n,), fractions allowed.
@@ -64,7 +64,7 @@ def wanted_levels(detail: DetailFunction | str, surface: Surface, depth: int) ->
     form = forms[as_choice(detail, [*forms, STRETCH], "detail")]
     if form.components != 1 or form.space != "data":
         raise ArgumentError(f"detail must be a channel of one number in 0 … 1, which {detail!r} is not")
-    return partial(_by_channel, surface.with_channels([detail]).source, depth)
+    return partial(_by_channel, surface.with_channels([detail]).source, detail, depth)
 
 
 def deepest_wanted(wanted: Wanted, pieces: Pieces, widths: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
@@ -111,13 +111,14 @@ def _by_function(
 
 def _by_channel(
     source: Source,
+    name: str,
     depth: int,
     triangles: npt.NDArray[np.int32],
     barycentric: npt.NDArray[np.float64],
     widths: npt.NDArray[np.float32],
 ) -> npt.NDArray[np.float64]:
-    resolutions = source.evaluate(triangles, barycentric, widths)[:, 0].astype(np.float64)
-    return _levels(resolutions, depth)
+    values = by_channel(source.channels, source.evaluate(triangles, barycentric, widths))
+    return _levels(values[name][:, 0].astype(np.float64), depth)
 
 
 def _by_stretch(

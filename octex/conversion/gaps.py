@@ -26,12 +26,20 @@ class Covered(NamedTuple):
     empty: int  # leaves that were left out
 
 
-def without_gaps(tree: Octree, channels: Mapping[str, Channel], filled: Filled) -> Covered:
-    """Leave out the leaves whose ``alpha`` is 0, and the nodes without any; see ``Source.has_gaps``.
+def without_gaps(
+    tree: Octree, channels: Mapping[str, Channel], filled: Filled, coverage: Filled | None = None
+) -> Covered:
+    """Leave out the leaves that are gaps alone, and the nodes without any others; see ``Source.has_gaps``.
 
-    Nodes keep their facings, also those that no cell below has any more: see ``split.refaced``.
+    Those are they whose ``alpha`` is 0; or, where it says more than that, whose ``coverage`` is, the same
+    cells filled with ``Surface.coverage``. Nodes keep their facings, also those that no cell below has any
+    more: see ``split.refaced``.
     """
-    is_left = channels[ALPHA.name].values[:, 0] > 0
+    if coverage is None:
+        is_left = channels[ALPHA.name].values[:, 0] > 0
+    else:
+        stored = [part.values[0] for level in coverage.levels for part in level]
+        is_left = np.concatenate(stored)[:, 0] > 0
     samples, wanted = filled.samples, filled.wanted
     cells = np.flatnonzero(is_left[-filled.codes.size :])
     empty = filled.codes.size - cells.size

@@ -14,7 +14,14 @@ from octex.errors import ArgumentError
 from octex.painting.balance import balanced
 from octex.painting.merge import merge
 from octex.painting.pictures import Projection, check_projections
-from octex.painting.projected import Projected, stretches_of, take_shot, terms_of
+from octex.painting.projected import (
+    Projected,
+    in_fixed_order,
+    shading_of,
+    stretches_of,
+    take_shot,
+    terms_of,
+)
 from octex.painting.rasterize import empty_texture, rasterize_paint, wanted_depth
 from octex.parallel import Progress, silent, workers
 from octex.source.surface import Surface
@@ -47,12 +54,15 @@ def paint(
     is, which is the undo; None stands for one without any cell.
 
     projections  pictures that follow each other with one blend mode are one layer: in each cell they are
-                 averaged, the finer one outweighing the coarser, and then merged once
+                 averaged, the finer one outweighing the coarser, and then merged once; their order does not
+                 matter
     channel      what is painted, of any type; colours are blended in linear light
     max_depth    the deepest level that paint goes to; by default that at which its cells are half as wide as
                  the pixels, or 14
     max_angle    degrees between the surface's normal and the way to the camera from which on no paint is
-                 put; over the last 10 it fades. From 90 on all that faces the camera is painted in full
+                 put; over the last 10 it fades. From 90 on all that faces the camera is painted in full.
+                 The normal is the surface's own where it has ``frames``, else the mean of the triangles
+                 around that are within 40 degrees of each other, so that round things fade evenly
     edge_feather  pixels over which paint fades towards the picture's rim and towards edges in depth
     balance      multiply each picture, by component, so that overlapping ones agree
     back_faces   paint also what faces away
@@ -117,15 +127,16 @@ def project(
     terms = terms_of(max_angle, edge_feather, back_faces)
     largest = max(projection.opacity for projection in given) or 1.0
     with workers(executor) as pool:
+        mesh = surface.vertices, surface.triangles
         shots = []
         for number, projection in enumerate(given):
             report("look", number, len(given))
             scale = projection.opacity / largest
-            mesh = surface.vertices, surface.triangles
             shots.append(take_shot(projection, form, *mesh, edge_feather, scale, pool))
         report("look", len(given), len(given))
+        shots = in_fixed_order(shots)
         stretches = stretches_of(surface.vertices, surface.rest, surface.triangles)
-        source = Projected(shots, form, terms, surface.vertices, surface.triangles, stretches)
+        source = Projected(shots, form, terms, *mesh, stretches, shading=shading_of(surface))
         extent = float(np.ptp(surface.bounds, axis=0).max())
         size = like.placement.size if like is not None else extent
         depth = min(wanted_depth(source, size), deepest)

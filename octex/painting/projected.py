@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +15,10 @@ from octex.channels import ChannelFormat
 from octex.jit import inlined, kernel
 from octex.painting.pictures import Levels, Projection, levels_of, read_paint
 from octex.painting.source import PaintSource
-from octex.view.shading import face_normals
+from octex.source.corners import Frames
+from octex.source.surface import Surface
+from octex.source.tangents import carried
+from octex.view.shading import corner_normals_of, face_normals
 from octex.view.visibility import (
     Seen,
     View,
@@ -30,6 +35,8 @@ from octex.view.visibility import (
 
 Floats = npt.NDArray[np.float64]
 Int32s = npt.NDArray[np.int32]
+#: Gives normals (k, 3, 3), of any length, at the corners of triangles (k,).
+Shading = Callable[[Int32s], npt.NDArray[np.float32]]
 
 #: By how many degrees before the largest angle paint begins to fade.
 FADE = 10.0
@@ -38,6 +45,8 @@ FADE = 10.0
 _LEAST_SEEN, _WELL_SEEN = 0.5, 1.0
 #: Beside an edge pictures are blurred with what is behind it: within so many pixels others count for more.
 _TRUSTED = 4.0
+#: Where what faces the camera shades as if it did not, it counts for so much of a cosine.
+_LEAST_COSINE = 1e-3
 #: How strongly the finer of two pictures outweighs the other: by this power of their pixels on the surface.
 _FINER = 2.0
 
@@ -85,6 +94,21 @@ def take_shot(
     return Shot(view, lens, levels.result(), seen, margins, centres)
 
 
+def in_fixed_order(shots: Sequence[Shot]) -> list[Shot]:
+    """Sort shots by what they hold: sums over them are then the same to the bit, in whatever order they came.
+
+    Samples are taken in that order too, and the fit counts no more than a few of each leaf.
+    """
+
+    def digest(shot: Shot) -> bytes:
+        made = hashlib.sha256(bytes([shot.camera.is_pinhole]))
+        for array in (shot.camera.world_to_camera, shot.camera.K, shot.lens, shot.levels.pixels):
+            made.update(np.ascontiguousarray(array).data)
+        return made.digest()
+
+    return sorted(shots, key=digest) if len(shots) > 1 else list(shots)
+
+
 def terms_of(max_angle: float, feather: float, back_faces: bool) -> Terms:
     """Return terms for angles in degrees between the surface's normal and what looks at it."""
     vanishing, fading = np.radians(max_angle), np.radians(max(max_angle - FADE, 0.0))
@@ -103,6 +127,8 @@ class Projected(PaintSource):
     shots      what cameras see of it; stretches (m,) what is 1 long on a posed triangle is so long at rest
     vertices   (n, 3) posed positions; triangles (m, 3)
     gains      (shots, 3), factors of each shot's components
+    shading    gives the normals that the camera's angles are measured to; default: ``corner_normals``. What
+               is hidden or faces away is so by the triangles themselves
     """
 
     def __init__(
@@ -114,8 +140,10 @@ class Projected(PaintSource):
         triangles: Int32s,
         stretches: npt.NDArray[np.float32],
         gains: npt.NDArray[np.float32] | None = None,
+        shading: Shading | None = None,
     ) -> None:
         super().__init__(form)
+        self._shading = shading or partial(_computed, vertices, triangles)
         self._shots = list(shots)
         self._terms = terms
         self._mesh = vertices, triangles, stretches
@@ -123,7 +151,11 @@ class Projected(PaintSource):
 
     def with_gains(self, gains: npt.NDArray[np.float32]) -> Projected:
         """Return the same paint with other gains."""
-        return Projected(self._shots, self._channels[0], self._terms, *self._mesh, gains)
+        return Projected(self._shots, self._channels[0], self._terms, *self._mesh, gains, self._shading)
+
+    @cached_property
+    def _normals(self) -> npt.NDArray[np.float32]:
+        return self._shading(np.arange(len(self._mesh[1]), dtype=np.int32))
 
     def touched(self) -> Int32s:
         """Return the triangles that own a pixel of a shot."""
@@ -141,9 +173,11 @@ class Projected(PaintSource):
             shot._replace(seen=shot.seen._replace(triangle=names[shot.seen.triangle])) for shot in self._shots
         ]
         faces = np.ascontiguousarray(triangles[chosen])
+        normals = self._shading(chosen)
         return Projected(
-            shots, self._channels[0], self._terms, vertices, faces, stretches[chosen], self._gains
-        )
+            shots, self._channels[0], self._terms, vertices, faces, stretches[chosen], self._gains,
+            lambda some: normals[some],
+        )  # fmt: skip
 
     def evaluate(
         self, triangles: Int32s, barycentric: Floats, widths: npt.NDArray[np.float32]
@@ -152,7 +186,7 @@ class Projected(PaintSource):
         sums, clear = np.zeros((len(triangles), 4)), np.ones(len(triangles))
         where = triangles, barycentric, widths
         for shot, gains in zip(self._shots, self._gains, strict=True):
-            _add(shot, self._terms, *self._mesh, gains, *where, sums, clear)
+            _add(shot, self._terms, *self._mesh, self._normals, gains, *where, sums, clear)
         found = np.zeros((len(triangles), self._channels[0].components + 1), np.float32)
         _finish(sums, clear, found)
         return found
@@ -166,7 +200,7 @@ class Projected(PaintSource):
         where = triangles, barycentric, widths
         for number, (shot, gains) in enumerate(zip(self._shots, self._gains, strict=True)):
             sums, clear = np.zeros((len(triangles), 4)), np.ones(len(triangles))
-            _add(shot, self._terms, *self._mesh, gains, *where, sums, clear)
+            _add(shot, self._terms, *self._mesh, self._normals, gains, *where, sums, clear)
             weights[number] = sums[:, 3]
             paint[number] = sums[:, :3] / np.maximum(sums[:, 3:], 1e-300)
         return paint, weights
@@ -203,6 +237,25 @@ def stretches_of(vertices: Floats, rest: Floats, triangles: Int32s) -> npt.NDArr
     with np.errstate(divide="ignore", invalid="ignore"):
         stretches = np.sqrt(resting / posed)
     return np.nan_to_num(stretches, nan=1.0, posinf=1e6).astype(np.float32)
+
+
+def shading_of(surface: Surface) -> Shading:
+    """Return a surface's shading normals: its own if it has ``frames``, else those of `corner_normals`."""
+    frames = surface.frames
+    if frames is None:
+        return partial(_computed, surface.vertices, surface.triangles)
+    return partial(_given, surface, frames)
+
+
+def _computed(vertices: Floats, triangles: Int32s, chosen: Int32s) -> npt.NDArray[np.float32]:
+    return corner_normals_of(chosen, vertices, triangles)
+
+
+def _given(surface: Surface, frames: Frames, chosen: Int32s) -> npt.NDArray[np.float32]:
+    some = Frames(frames.normals.of(chosen), frames.tangents.of(chosen))
+    if surface.rest is not surface.vertices:
+        some = carried(some, surface.triangles[chosen], surface.rest, surface.vertices)
+    return some.normals.values[some.normals.rows]
 
 
 @inlined
@@ -257,6 +310,40 @@ def _facing(view: View, plane: tuple[float, float, float, float], x: float, y: f
 
 
 @inlined
+def _shaded(
+    view: View,
+    plane: tuple[float, float, float, float],
+    normals: npt.NDArray[np.float32],
+    triangle: int,
+    barycentric: Floats,
+    n: int,
+    x: float,
+    y: float,
+    z: float,
+) -> float:
+    """Return the cosine between the normal that a point shades by and the way to the camera.
+
+    The normal is on the side of the triangle's own, which it is where there is none.
+    """
+    M = view.world_to_camera
+    p, q, r = barycentric[n, 0], barycentric[n, 1], barycentric[n, 2]
+    a = p * normals[triangle, 0, 0] + q * normals[triangle, 1, 0] + r * normals[triangle, 2, 0]
+    b = p * normals[triangle, 0, 1] + q * normals[triangle, 1, 1] + r * normals[triangle, 2, 1]
+    c = p * normals[triangle, 0, 2] + q * normals[triangle, 1, 2] + r * normals[triangle, 2, 2]
+    u = M[0, 0] * a + M[0, 1] * b + M[0, 2] * c
+    v = M[1, 0] * a + M[1, 1] * b + M[1, 2] * c
+    w = M[2, 0] * a + M[2, 1] * b + M[2, 2] * c
+    length = np.sqrt(u * u + v * v + w * w)
+    if not length > 0.0:
+        return _facing(view, plane, x, y, z)
+    if u * plane[0] + v * plane[1] + w * plane[2] < 0.0:
+        length = -length
+    if not view.is_pinhole:
+        return float(-w / length)
+    return float(-(u * x + v * y + w * z) / (length * np.sqrt(x * x + y * y + z * z)))
+
+
+@inlined
 def _pixel(view: View, z: float) -> float:
     """Return how wide a pixel is across the view."""
     return float((z if view.is_pinhole else 1.0) / np.sqrt(view.K[0, 0] * view.K[1, 1]))
@@ -269,6 +356,7 @@ def _add(
     vertices: Floats,
     faces: Int32s,
     stretches: npt.NDArray[np.float32],
+    normals: npt.NDArray[np.float32],
     gains: npt.NDArray[np.float32],
     triangles: Int32s,
     barycentric: Floats,
@@ -299,7 +387,13 @@ def _add(
         cosine = _facing(view, plane, x, y, z)
         if cosine < 0.0 and terms.back_faces:
             cosine = -cosine
-        if not cosine > max(terms.vanishing, 0.0):
+        if not cosine > 0.0:
+            continue
+        shaded = _shaded(view, plane, normals, triangle, barycentric, n, x, y, z)
+        if shaded < 0.0 and terms.back_faces:
+            shaded = -shaded
+        shaded = min(shaded, 1.0)
+        if not shaded > terms.vanishing:
             continue
         u, v = _in_picture(shot, view, x, y, z)
         if not (0.0 <= u < columns and 0.0 <= v < rows):
@@ -319,7 +413,7 @@ def _add(
         part = seen_part(shot.seen, triangle, px, py, near, right, down, slack)
         coverage = _smooth((part - _LEAST_SEEN) / (_WELL_SEEN - _LEAST_SEEN))
         if terms.vanishing > -1.0:
-            coverage *= _smooth((cosine - terms.vanishing) / (terms.fading - terms.vanishing))
+            coverage *= _smooth((shaded - terms.vanishing) / (terms.fading - terms.vanishing))
         inside = min(min(u, columns - u), min(v, rows - v))
         margin = float(min(inside, np.float64(shot.margins[int(py), int(px)])))
         if terms.feather > 0.0:
@@ -330,7 +424,7 @@ def _add(
         red, green, blue, alpha = read_paint(shot.levels, u, v, wide)
         if not alpha > 0.0:
             continue
-        density = cosine / (pixel * pixel)
+        density = max(shaded, _LEAST_COSINE) / (pixel * pixel)
         trust = 0.01 + min(margin / _TRUSTED, 1.0)
         weight = coverage * trust * density**_FINER  # of what is multiplied by alpha already
         sums[n, 0] += weight * red * gains[0]

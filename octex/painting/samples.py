@@ -23,33 +23,35 @@ def with_centres(samples: Samples, source: PaintSource, surface: Surface, placem
     """
     edge = placement.size / 2**samples.depth
     grid = on_grid(surface.rest, placement)
+    owners, places, values = [], [], []
     for triangles, barycentric in source.centres():
         fine = source.widths(triangles, barycentric) >= edge
         triangles, barycentric = triangles[fine], barycentric[fine]
         steps = np.einsum("nc,ncx->nx", barycentric, grid[surface.triangles[triangles]].astype(np.float64))
-        places = steps / (1 << (GRID_BITS - samples.depth))
-        cells = np.floor(places).astype(np.int64)
+        steps /= 1 << (GRID_BITS - samples.depth)
+        cells = np.floor(steps).astype(np.int64)
         codes = encode_cells(np.clip(cells, 0, (1 << samples.depth) - 1))
         at = np.minimum(np.searchsorted(samples.codes, codes), samples.codes.size - 1)
         there = np.flatnonzero(samples.codes[at] == codes)
-        values = source.evaluate(triangles[there], barycentric[there], np.zeros(there.size, np.float32))
-        opaque = values[:, -1] > 0
-        there, values = there[opaque], values[opaque]
-        order = np.argsort(at[there], kind="stable")
-        there, values = there[order], values[order]
-        own = at[there]
-        within = (places[there] - cells[there]) * PLACE_STEPS
-        counts = np.bincount(own, minlength=samples.codes.size)
-        shares = samples.shares.copy()
-        faint = np.repeat(counts > 0, np.diff(samples.firsts))
-        shares[faint] = np.maximum(shares[faint] // _OUTWEIGH, 1)
-        ends = samples.firsts[own + 1]
-        samples = samples._replace(
-            firsts=samples.firsts + np.concatenate([[0], np.cumsum(counts)]),
-            places=np.insert(
-                samples.places, ends, np.clip(within, 0, PLACE_STEPS - 1).astype(np.uint16), axis=0
-            ),
-            shares=np.insert(shares, ends, np.uint8(SHARE_STEPS)),
-            values=np.insert(samples.values, ends, values.astype(samples.values.dtype), axis=0),
-        )
-    return samples
+        found = source.evaluate(triangles[there], barycentric[there], np.zeros(there.size, np.float32))
+        opaque = found[:, -1] > 0
+        there = there[opaque]
+        within = (steps[there] - cells[there]) * PLACE_STEPS
+        owners.append(at[there])
+        places.append(np.clip(within, 0, PLACE_STEPS - 1).astype(np.uint16))
+        values.append(found[opaque].astype(samples.values.dtype))
+    if not owners:
+        return samples
+    own = np.concatenate(owners)
+    order = np.argsort(own, kind="stable")
+    counts = np.bincount(own, minlength=samples.codes.size)
+    shares = samples.shares.copy()
+    faint = np.repeat(counts > 0, np.diff(samples.firsts))
+    shares[faint] = np.maximum(shares[faint] // _OUTWEIGH, 1)
+    ends = samples.firsts[own[order] + 1]
+    return samples._replace(
+        firsts=samples.firsts + np.concatenate([[0], np.cumsum(counts)]),
+        places=np.insert(samples.places, ends, np.concatenate(places)[order], axis=0),
+        shares=np.insert(shares, ends, np.uint8(SHARE_STEPS)),
+        values=np.insert(samples.values, ends, np.concatenate(values)[order], axis=0),
+    )

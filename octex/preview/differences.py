@@ -18,6 +18,7 @@ from octex.compare import (
     Side,
     cover,
     degrees_between,
+    in_common,
     placed,
     readers_of,
 )
@@ -106,9 +107,10 @@ def draw_difference(
     pixel, on a scale from black to yellow that reaches at least to the 99th percentile and to a tenth of the
     maximum. A ring marks the maximum if it is in sight; blue is where only one of them has a surface. A
     model, if there is one, is what is drawn of both; else the leaves of each are, no finer than two to a
-    pixel, and of the difference the finer ones.
+    pixel, and of the difference the finer ones. Alpha and emitted light are drawn if both have them.
     """
-    sides = placed(a, b)
+    whole = placed(a, b)
+    sides = in_common(*whole)
     model = next((side for side in sides if isinstance(side, Surface)), None)
     room = round(1.6 * caption_height(size[1]))
     panel_size = size[0] // 3, size[1]
@@ -126,7 +128,7 @@ def draw_difference(
             camera = camera or leaf_camera(textures, channel, panel_size, room)
             leaves = leaves or _TwoTrees(textures, camera, supersample)
             row = leaves.row(found, channel)
-        captions = [_caption(side, channel) for side in sides]
+        captions = [_caption(side, channel) for side in whole]
         panels = [
             captioned(Panel(picture, name, caption), room)
             for picture, name, caption in zip(row.pictures, names, captions, strict=True)

@@ -60,7 +60,7 @@ class Shown(NamedTuple):
     def of(cls, formats: Iterable[ChannelFormat], channel: str | None = None) -> Shown:
         """Choose ``channel``; or base colour; else the first colour, the first data, the first direction.
 
-        Base colour brings alpha and emitted light with it. Raises ArgumentError if there is none such.
+        Alpha comes with it, and with base colour emitted light. Raises ArgumentError if there is none such.
         """
         known = {form.name: form for form in formats}
         if not known:
@@ -70,8 +70,8 @@ class Shown(NamedTuple):
             ranked = [name for kind in kinds for name, form in known.items() if form.space in kind]
             channel = "base_color" if "base_color" in known else ranked[0]
         as_choice(channel, known, "channel")
-        others = ["alpha", "emissive"] if channel == "base_color" else []
-        return cls(known[channel], [channel, *(name for name in others if name in known)])
+        others = [ALPHA.name, "emissive"] if channel == "base_color" else [ALPHA.name]
+        return cls(known[channel], [channel, *(name for name in others if name in known and name != channel)])
 
     @property
     def is_lit(self) -> bool:
@@ -84,20 +84,18 @@ class Shown(NamedTuple):
         Data and directions are shown as sRGB values: data as they are, unit vectors as (x + 1) / 2.
         """
         shown = values[self.channel.name]
+        alpha = values.get(ALPHA.name) if self.channel.name != ALPHA.name else None
+        coverage = None if alpha is None else alpha[:, 0]
         shown = shown[:, :3] if shown.shape[1] > 2 else np.repeat(shown[:, :1], 3, axis=1)
         if self.is_lit:
-            alpha, emissive = values.get("alpha"), values.get("emissive")
-            return Appearance(
-                shown,
-                None if emissive is None else np.clip(emissive, 0.0, 1.0),
-                None if alpha is None else alpha[:, 0],
-            )
+            emissive = values.get("emissive")
+            return Appearance(shown, None if emissive is None else np.clip(emissive, 0.0, 1.0), coverage)
         if self.channel.space == "direction":
             lengths = np.linalg.norm(shown, axis=1, keepdims=True)
             shown = (shown / np.maximum(lengths, 1e-30) + 1) / 2
         if self.channel.space in ("data", "direction"):
             shown = srgb_to_linear(np.clip(shown, 0.0, 1.0))
-        return Appearance(emitted=np.clip(shown, 0.0, 1.0))
+        return Appearance(emitted=np.clip(shown, 0.0, 1.0), coverage=coverage)
 
 
 def source_look(surface: Surface, channel: str | None = None) -> Look:

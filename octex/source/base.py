@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import CHANNELS, ChannelFormat
+from octex.channels import ALPHA, CHANNELS, ChannelFormat
 
 
 class Source(ABC):
@@ -36,6 +36,11 @@ class Source(ABC):
         """Whether it may know nothing of some points: its channel ``alpha`` is 0 there."""
         return False
 
+    @property
+    def alpha_is_coverage(self) -> bool:
+        """Whether ``alpha`` says no more than that: 1 wherever it knows something."""
+        return False
+
     def texel_edges(self, triangles: npt.NDArray[np.int32]) -> npt.NDArray[np.float32]:
         """Return the edge of a texel on triangles (n,), in rest units: what lies closer varies smoothly.
 
@@ -52,8 +57,11 @@ class Source(ABC):
         return self
 
     def only(self, names: Sequence[str]) -> Source:
-        """Return the same source with these of its channels alone."""
-        return Combined(dict.fromkeys(names, self))
+        """Return the same source with these of its channels alone, and ``alpha`` if they have gaps.
+
+        Without any name that is where there are none: ``alpha``, 0 or 1.
+        """
+        return Combined(dict.fromkeys(names, self), [self])
 
 
 def in_order(names: Sequence[str]) -> list[str]:
@@ -72,14 +80,23 @@ def by_channel(
 
 
 class Combined(Source):
-    """Channels from several sources; ``sources`` names the one of each channel."""
+    """Channels from several sources; ``sources`` names the one of each channel.
 
-    def __init__(self, sources: Mapping[str, Source]) -> None:
+    Where any of them, or of ``others``, leaves a gap, ``alpha`` is 0; elsewhere it is what its own source
+    gives, 1 if there is none.
+    """
+
+    def __init__(self, sources: Mapping[str, Source], others: Sequence[Source] = ()) -> None:
         self._sources = {name: sources[name] for name in in_order(list(sources))}
-        self._channels = tuple(
-            next(form for form in source.channels if form.name == name)
+        self._every = list({id(source): source for source in [*self._sources.values(), *others]}.values())
+        self._gaps = [source for source in self._every if source.has_gaps]
+        forms = {
+            name: next(form for form in source.channels if form.name == name)
             for name, source in self._sources.items()
-        )
+        }
+        if self._gaps:
+            forms.setdefault(ALPHA.name, ALPHA)
+        self._channels = tuple(forms[name] for name in in_order(list(forms)))
 
     @property
     def channels(self) -> tuple[ChannelFormat, ...]:
@@ -93,22 +110,31 @@ class Combined(Source):
         widths: npt.NDArray[np.float32],
     ) -> npt.NDArray[np.float32]:
         """Return every channel's values (n, components), each from its source."""
-        found: dict[int, dict[str, npt.NDArray[np.float32]]] = {}
-        for source in self._sources.values():
-            if id(source) not in found:
-                values = source.evaluate(triangles, barycentric, widths)
-                found[id(source)] = by_channel(source.channels, values)
-        return np.hstack([found[id(source)][name] for name, source in self._sources.items()])
+        found = {
+            id(source): by_channel(source.channels, source.evaluate(triangles, barycentric, widths))
+            for source in self._every
+        }
+        given = {name: found[id(source)][name] for name, source in self._sources.items()}
+        for source in self._gaps:
+            alpha = given.get(ALPHA.name, np.float32(1.0))
+            given[ALPHA.name] = alpha * (found[id(source)][ALPHA.name] > 0)
+        return np.hstack([given[form.name] for form in self._channels])
 
     @property
     def has_gaps(self) -> bool:
-        """Whether the source of ``alpha`` may know nothing of some points."""
-        return "alpha" in self._sources and self._sources["alpha"].has_gaps
+        """Whether any of the sources may know nothing of some points."""
+        return bool(self._gaps)
+
+    @property
+    def alpha_is_coverage(self) -> bool:
+        """Whether ``alpha`` says no more than where all of the sources know something."""
+        own = self._sources.get(ALPHA.name)
+        return self.has_gaps and (own is None or own.alpha_is_coverage)
 
     def texel_edges(self, triangles: npt.NDArray[np.int32]) -> npt.NDArray[np.float32]:
         """Return the finest of the sources' texels."""
-        sources = {id(source): source for source in self._sources.values()}.values()
-        return np.asarray(np.min([source.texel_edges(triangles) for source in sources], axis=0), np.float32)
+        edges = [source.texel_edges(triangles) for source in self._every]
+        return np.asarray(np.min(edges, axis=0), np.float32)
 
     def with_rest(self, rest: npt.NDArray[np.float64]) -> Combined:
         """Return the same sources on other rest positions (n, 3)."""
@@ -119,14 +145,18 @@ class Combined(Source):
         return self._each(lambda source: source.with_filter(name))
 
     def only(self, names: Sequence[str]) -> Source:
-        """Return these channels alone; sources that give none of them are dropped."""
+        """Return these channels alone; sources that give none of them are dropped, and their gaps with them.
+
+        ``alpha`` without a source of its own, and no name at all, ask for the gaps of all.
+        """
         wanted = {name: source for name, source in self._sources.items() if name in names}
-        kept = {id(source): [n for n, each in wanted.items() if each is source] for source in wanted.values()}
-        only = {id(source): source.only(kept[id(source)]) for source in wanted.values()}
-        return Combined({name: only[id(source)] for name, source in wanted.items()})
+        asks_for_gaps = not names or (ALPHA.name in names and ALPHA.name not in self._sources)
+        kept = [*wanted.values(), *(self._gaps if asks_for_gaps else [])]
+        return Combined(wanted, kept)._each(
+            lambda source: source.only([name for name, each in wanted.items() if each is source])
+        )
 
     def _each(self, change: Callable[[Source], Source]) -> Combined:
-        changed: dict[int, Source] = {}
-        for source in self._sources.values():
-            changed.setdefault(id(source), change(source))
-        return Combined({name: changed[id(source)] for name, source in self._sources.items()})
+        changed = {id(source): change(source) for source in self._every}
+        sources = {name: changed[id(source)] for name, source in self._sources.items()}
+        return Combined(sources, list(changed.values()))

@@ -210,16 +210,21 @@ class _FromPoints(SpatialSource):
             self._nearest = cloud.distance
         self._is_faced = cloud.normals is not None and cloud.max_angle < 180.0
         self._least_cosine = least_cosine(cloud.max_angle)
-        has_alpha = cloud.is_translucent or self.has_gaps
-        super().__init__((BASE_COLOR, ALPHA) if has_alpha else (BASE_COLOR,), rest, triangles)
+        self._is_translucent = cloud.is_translucent
+        super().__init__((BASE_COLOR, ALPHA), rest, triangles)
 
     @property
     def has_gaps(self) -> bool:
         """Whether points of the surface may be too far from all of the cloud's."""
         return self._is_faced or self._nearest is None or bool(np.isfinite(self._nearest))
 
+    @property
+    def alpha_is_coverage(self) -> bool:
+        """Whether all points are opaque."""
+        return self.has_gaps and not self._is_translucent
+
     def at(self, points: Floats, normals: Floats, widths: Float32s) -> Float32s:
-        """Return colours, and alpha if there is any (n, 3 or 4), of the points around places."""
+        """Return colours and alpha (n, 4) of the points around places."""
         values, _ = self._ready.around(
             points,
             np.maximum(widths.astype(np.float64), self._radius),
@@ -229,7 +234,7 @@ class _FromPoints(SpatialSource):
         )
         alpha = values[:, 3:]
         np.divide(values[:, :3], alpha, where=alpha > 0, out=values[:, :3])
-        return np.ascontiguousarray(values[:, : sum(form.components for form in self._channels)])
+        return values
 
 
 def is_cloud(path: str | Path) -> bool:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import NORMAL, ChannelFormat
+from octex.channels import ALPHA, NORMAL, ChannelFormat
 from octex.source.base import Source, by_channel, in_order
 from octex.source.materials import DEFAULTS
 from octex.source.spatial import SpatialSource
@@ -52,6 +52,13 @@ class Joined(Source):
     def has_gaps(self) -> bool:
         """Whether any of the sources may know nothing of some points."""
         return any(part.source.has_gaps for part in self._parts if part.source)
+
+    @property
+    def alpha_is_coverage(self) -> bool:
+        """Whether the ``alpha`` of every source that has it says no more than where it knows something."""
+        sources = [part.source for part in self._parts if part.source]
+        having = [source for source in sources if ALPHA.name in [form.name for form in source.channels]]
+        return self.has_gaps and all(source.alpha_is_coverage for source in having)
 
     def evaluate(
         self, triangles: Int32s, barycentric: Floats, widths: npt.NDArray[np.float32]
@@ -106,7 +113,7 @@ class Joined(Source):
 
         def restricted(source: Source, _: Part) -> Source | None:
             own = [form.name for form in source.channels if form.name in names]
-            return source.only(own) if own else None
+            return source.only(own) if own or (source.has_gaps and not names) else None
 
         return self._each(restricted, self._faces)
 

@@ -39,6 +39,7 @@ def load_surface(
     channels: Sequence[str] | None = None,
     sources: Mapping[str, object] | None = None,
     filter: str = "ewa",
+    normals: bool = False,
 ) -> Surface:
     """Read a model: its triangles as placed in the scene, and what its materials are made of.
 
@@ -46,7 +47,8 @@ def load_surface(
     vertex; its materials are not read), or an array (vertices, 3). Positions are in the model's units.
     ``channels`` names those that are wanted, by default all that the materials state; images of others are
     not read. ``sources`` gives some from elsewhere, as for ``Surface.with_sources``. ``filter``, one of
-    filters.FILTERS, is how images are averaged over footprints.
+    filters.FILTERS, is how images are averaged over footprints. With ``normals`` the model's own shading
+    normals are kept, if it has any: ``Surface.frames``, on which ``octex.paint`` fades.
 
     Raises ModelError or ImageError, with one line that names the file, the cause and the remedy, and
     ArgumentError for names and values that do not fit. Warns with ModelWarning where a model is read without
@@ -56,7 +58,7 @@ def load_surface(
     own = dict(sources or {})
     names = [channels] if isinstance(channels, str) else channels
     wanted = None if names is None else tuple(name for name in names if name not in own)
-    surface = _read(Path(path), Options(True, wanted, filter, tuple(own), "normal" in own))
+    surface = _read(Path(path), Options(True, wanted, filter, tuple(own), normals or "normal" in own))
     surface.provenance["filter"] = filter
     if rest is not None:
         surface = at_rest(surface, rest)

@@ -43,6 +43,11 @@ class Picked(Source):
         """Whether the whole's source may know nothing of some points."""
         return self._source.has_gaps
 
+    @property
+    def alpha_is_coverage(self) -> bool:
+        """Whether the whole's ``alpha`` says no more than where it knows something."""
+        return self._source.alpha_is_coverage
+
     def evaluate(
         self, triangles: Int32s, barycentric: Floats, widths: npt.NDArray[np.float32]
     ) -> npt.NDArray[np.float32]:

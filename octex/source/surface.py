@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 import PIL.Image
 
-from octex.channels import NORMAL, ONE, ChannelFormat
+from octex.channels import ALPHA, NORMAL, ONE, ChannelFormat
 from octex.checks import as_choice
 from octex.errors import ArgumentError, ModelError
-from octex.source.base import Combined, Source
+from octex.source.base import Combined, Source, by_channel
 from octex.source.colors import linear_colors
 from octex.source.corners import Corners, Frames
 from octex.source.given import given_source
@@ -252,7 +252,7 @@ class Surface:
         return surface
 
     def with_channels(self, channels: Sequence[str]) -> Surface:
-        """Return the same surface with these of its channels alone, and ``alpha`` if its source has gaps.
+        """Return the same surface with these of its channels alone, and ``alpha`` if their sources have gaps.
 
         Raises ArgumentError for one that it lacks, and for none at all.
         """
@@ -260,8 +260,12 @@ class Surface:
             raise ArgumentError("channels must name one at least")
         for channel in channels:
             as_choice(channel, [form.name for form in self.channels], "channel")
-        gaps = ["alpha"] if self.source.has_gaps and "alpha" not in channels else []
-        return self._with(self.source.only([*channels, *gaps]))
+        return self._with(self.source.only(channels))
+
+    @property
+    def coverage(self) -> Surface:
+        """The same surface with ``alpha`` alone: 0 in the gaps that its source has, else 1."""
+        return self._with(self.source.only([]))
 
     def with_filter(self, filter: str) -> Surface:
         """Return the same surface with its images read by another filter, one of filters.FILTERS.
@@ -282,15 +286,16 @@ class Surface:
         and face normals (see function.FunctionSource); or a value, linear light for colours: a number, or one
         for each component.
         Images of ``normal`` are in the tangent's frame; triangles are flat below them unless
-        the surface has ``frames``, which ``load_surface`` keeps if it is given these sources. Vertex colours
-        do not multiply what is given here. A source that leaves gaps gives ``alpha`` too, 0 there; what they
-        cover is not converted.
+        the surface has ``frames``, which ``load_surface`` keeps if it is given these sources or asked for
+        ``normals``. Vertex colours do not multiply what is given here. Where the source of any channel leaves
+        a gap, ``alpha`` is 0, whatever gives it, and nothing is converted.
 
         Raises ArgumentError for an unknown channel or another kind of value, ImageError for an image that
         cannot be used, ModelError where the surface has no texture coordinates for it.
         """
         filter = as_choice(filter or self.provenance.get("filter", "ewa"), FILTERS, "filter")
-        remaining = [form.name for form in self.channels if form.name not in sources]
+        replaced = {*sources, *(["alpha"] if self.source.alpha_is_coverage else [])}
+        remaining = [form.name for form in self.channels if form.name not in replaced]
         parts: dict[str, Source] = dict.fromkeys(remaining, self.source.only(remaining))
         made = self._with(self.source)
         for channel, given in sources.items():
@@ -301,11 +306,6 @@ class Surface:
             else:
                 parts[channel], names = given_source(self, channel, given, filter)
                 made.provenance |= names
-        gaps = {id(part): part for part in parts.values() if part.has_gaps}
-        if len(gaps) > 1:
-            raise ArgumentError("only one source may leave gaps; limit the distance or radius of one alone")
-        if gaps and "alpha" not in sources:
-            (parts["alpha"],) = gaps.values()
         made.source = Combined(parts).only(list(parts))
         return made
 
@@ -444,16 +444,19 @@ class Surface:
         if not 0 <= side < np.inf:
             raise ArgumentError(f"width must be finite and not negative, not {side!r}")
         widths = np.full(len(triangles), min(side, _FARTHEST), np.float32)
-        return self._only(channel).evaluate(
+        source = self._only(channel)
+        found = source.evaluate(
             np.ascontiguousarray(triangles, np.int32),
             np.ascontiguousarray(samples.barycentric, np.float64),
             widths,
         )
+        return by_channel(source.channels, found)[channel]
 
     def _only(self, channel: str) -> Source:
-        """Return the source of one channel, kept ready for the next time."""
+        """Return a source of one channel, kept ready for the next time."""
         if channel not in self._single:
-            self._single[channel] = self.source.only([channel])
+            needs_all = channel == ALPHA.name and self.source.has_gaps
+            self._single[channel] = self.source if needs_all else self.source.only([channel])
         return self._single[channel]
 
     def evaluate_all(

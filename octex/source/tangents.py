@@ -56,13 +56,13 @@ def corner_frames(
         return Frames(normals, Corners(signed, normals.rows))
     keys = np.stack(
         [
-            _welded(positions)[triangles],
-            _welded(normals.values)[normals.rows],
-            _welded(coordinates.values)[coordinates.rows],
+            welded(positions)[triangles],
+            welded(normals.values)[normals.rows],
+            welded(coordinates.values)[coordinates.rows],
         ],
         axis=-1,
     )
-    groups = _welded(keys.reshape(-1, 3)).reshape(-1, 3)
+    groups = welded(keys.reshape(-1, 3)).reshape(-1, 3)
     values = np.zeros((2 * (int(groups.max(initial=-1)) + 1), 4), np.float32)
     rows = np.empty((len(triangles), 3), np.int32)
     sums = np.zeros((len(values), 3))
@@ -151,7 +151,7 @@ def _mended(corners: Corners, fallback: npt.NDArray[np.floating]) -> Corners:
     return Corners(values, corners.rows)
 
 
-def _welded(rows: npt.NDArray[np.floating | np.integer]) -> npt.NDArray[np.int32]:
+def welded(rows: npt.NDArray[np.floating | np.integer]) -> npt.NDArray[np.int32]:
     """Return a number for each row, the same for equal rows and counting from 0 up."""
     words = np.ascontiguousarray(rows + np.zeros((), rows.dtype)).view(np.uint32)  # −0 becomes 0
     hashes = np.zeros(len(rows), np.uint64)

@@ -90,9 +90,12 @@ class _Transferred(SpatialSource):
         self._mesh = mesh
         self._distance = np.inf if distance is None else distance
         self._least_cosine = least_cosine(max_angle) if max_angle < 180.0 else -np.inf
-        has_alpha = not self.has_gaps or ALPHA.name in [form.name for form in other.channels]
-        channels = other.channels if has_alpha else (*other.channels, ALPHA)
-        super().__init__(channels, surface.rest, surface.triangles)
+        super().__init__((), surface.rest, surface.triangles)
+
+    @property
+    def channels(self) -> tuple[ChannelFormat, ...]:
+        """The other's channels, and ``alpha`` last if there are gaps and it has none."""
+        return (*self._own_channels, ALPHA) if self._adds_alpha else self._own_channels
 
     @property
     def _own_channels(self) -> tuple[ChannelFormat, ...]:
@@ -100,8 +103,19 @@ class _Transferred(SpatialSource):
 
     @property
     def has_gaps(self) -> bool:
-        """Whether points may be too far from the other surface, or face another way than all of it."""
-        return bool(np.isfinite(self._distance) or np.isfinite(self._least_cosine))
+        """Whether points may be too far from the other surface or face another way, or it has gaps itself."""
+        is_limited = bool(np.isfinite(self._distance) or np.isfinite(self._least_cosine))
+        return is_limited or (self._other is not None and self._other.has_gaps)
+
+    @property
+    def alpha_is_coverage(self) -> bool:
+        """Whether the other has no ``alpha``, or one that says no more than where it knows something."""
+        is_own = self._other is not None and self._other.alpha_is_coverage
+        return self.has_gaps and (self._adds_alpha or is_own)
+
+    @property
+    def _adds_alpha(self) -> bool:
+        return self.has_gaps and ALPHA.name not in [form.name for form in self._own_channels]
 
     def at(self, points: Floats, normals: Floats, widths: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return the other's values (n, components) at the points nearest to these."""
@@ -113,17 +127,13 @@ class _Transferred(SpatialSource):
         )
         if (found.triangles >= 0).all():
             own = self._evaluated(found.triangles, found.barycentric, widths)
-            return own if own.shape[1] == self._width else np.insert(own, own.shape[1], 1.0, axis=1)
+            return np.insert(own, own.shape[1], 1.0, axis=1) if self._adds_alpha else own
         there = np.flatnonzero(found.triangles >= 0)
         own = self._evaluated(found.triangles[there], found.barycentric[there], widths[there])
-        values = np.zeros((len(points), self._width), np.float32)
+        values = np.zeros((len(points), own.shape[1] + self._adds_alpha), np.float32)
         values[there, : own.shape[1]] = own
         values[there, own.shape[1] :] = 1.0
         return values
-
-    @property
-    def _width(self) -> int:
-        return sum(form.components for form in self._channels)
 
     def _evaluated(
         self, triangles: Int32s, barycentric: Floats, widths: npt.NDArray[np.float32]
@@ -133,11 +143,11 @@ class _Transferred(SpatialSource):
         return self._other.evaluate(triangles, barycentric, widths)
 
     def only(self, names: Sequence[str]) -> _Transferred:
-        """Return the same source with these of its channels alone."""
+        """Return the same source with these of its channels alone, and ``alpha`` if it has gaps."""
         own = [form.name for form in self._own_channels if form.name in names]
         other = copy.copy(self)
-        other._other = self._other.only(own) if self._other is not None and own else None
-        other._channels = tuple(form for form in self._channels if form.name in names)
+        is_needed = self._other is not None and (own or self._other.has_gaps)
+        other._other = self._other.only(own) if self._other is not None and is_needed else None
         return other
 
     def with_filter(self, name: str) -> _Transferred:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.jit import kernel
+from octex.source.tangents import welded
 from octex.view.camera import Camera
 
 Floats = npt.NDArray[np.float64]
@@ -45,18 +46,37 @@ def corner_normals(
     _measure(positions, triangles, faces, np.empty(len(triangles)), angles)
 
     # Corners at one position one after the other, whatever vertices they use.
-    x, y, z = (positions + 0.0).T  # −0 becomes 0
-    order = np.lexsort((x, y, z))
-    changes = (np.diff(positions[order], axis=0) != 0.0).any(axis=1)
-    places = np.empty(len(positions), np.int64)
-    places[order] = np.concatenate([[0], np.cumsum(changes)])
-    corner_places = places[triangles.ravel()]
+    corner_places = welded(positions)[triangles.ravel()]
     by_place = np.argsort(corner_places, kind="stable")
     starts = np.flatnonzero(np.diff(corner_places[by_place], prepend=-1, append=-2))
 
     normals = np.empty((triangles.size, 3), np.float32)
-    _smooth(faces, angles.ravel(), by_place, starts, np.cos(np.radians(crease)), normals)
+    cosines = np.cos(np.radians(crease)), np.cos(np.radians(crease / 2))
+    _smooth(faces, angles.ravel(), by_place, starts, cosines, normals)
     return normals.reshape(-1, 3, 3)
+
+
+def corner_normals_of(
+    chosen: npt.NDArray[np.integer], positions: Floats, triangles: npt.NDArray[np.int32], crease: float = 40.0
+) -> npt.NDArray[np.float32]:
+    """Return those of `corner_normals` at the corners of ``chosen`` triangles (k,): (k, 3, 3).
+
+    Measured are the triangles with a corner in the box around these: 30 ms less of a million for a brush.
+    """
+    if not len(chosen):
+        return np.empty((0, 3, 3), np.float32)
+    corners = positions[triangles[chosen].ravel()]
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    is_inside = np.ones(len(positions), np.bool_)
+    for axis in range(3):
+        is_inside &= (positions[:, axis] >= low[axis]) & (positions[:, axis] <= high[axis])
+    first, second, third = triangles.T
+    near = np.flatnonzero(is_inside[first] | is_inside[second] | is_inside[third])
+    is_used = np.zeros(len(positions), np.bool_)
+    is_used[triangles[near]] = True
+    names = np.cumsum(is_used, dtype=np.int32) - np.int32(1)
+    normals = corner_normals(positions[is_used], names[triangles[near]], crease)
+    return normals[np.searchsorted(near, chosen)]
 
 
 @kernel
@@ -89,20 +109,36 @@ def _smooth(
     angles: Floats,
     by_place: npt.NDArray[np.int64],
     starts: npt.NDArray[np.int64],
-    least_cosine: float,
+    cosines: tuple[float, float],
     normals: npt.NDArray[np.float32],
 ) -> None:
+    """Fill in the normals of corners; ``cosines`` are those of the crease angle and of half of it."""
     for place in range(len(starts) - 1):
         first, end = starts[place], starts[place + 1]
+        a = b = c = 0.0
+        for at in range(first, end):
+            corner = by_place[at]
+            face = faces[corner // 3]
+            a += angles[corner] * face[0]
+            b += angles[corner] * face[1]
+            c += angles[corner] * face[2]
+        # Triangles within half the angle of their mean are within the whole of each other: it is that of all.
+        least = cosines[1] * np.sqrt(a * a + b * b + c * c) * (1.0 + 1e-9)
+        is_shared = end - first <= _MANY
+        for at in range(first, end):
+            face = faces[by_place[at] // 3]
+            is_shared = is_shared and a * face[0] + b * face[1] + c * face[2] > least
         for at in range(first, end):
             corner = by_place[at]
             own = faces[corner // 3]
             x, y, z = own[0], own[1], own[2]
-            if end - first <= _MANY:
+            if is_shared:
+                x, y, z = a, b, c
+            elif end - first <= _MANY:
                 x, y, z = 0.0, 0.0, 0.0
                 for other in by_place[first:end]:
                     face = faces[other // 3]
-                    if own[0] * face[0] + own[1] * face[1] + own[2] * face[2] >= least_cosine:
+                    if own[0] * face[0] + own[1] * face[1] + own[2] * face[2] >= cosines[0]:
                         x += angles[other] * face[0]
                         y += angles[other] * face[1]
                         z += angles[other] * face[2]

@@ -80,7 +80,9 @@ class _Scene:
         if not placed:
             raise ModelError(f"{document.name} has no triangles; octex needs a surface, not points or lines")
         bound = read_materials(document, (shape.material for _, shape in placed), self._options)
-        has_normals = self._options.normals or any(each.normal_slot is not None for each in bound.values())
+        is_smooth = any("NORMAL" in shape.attributes for _, shape in placed)
+        is_mapped = any(each.normal_slot is not None for each in bound.values())
+        has_normals = is_mapped or (self._options.normals and is_smooth)
         primitives: dict[str, _Primitive] = {}
         for _, shape in placed:
             if shape.name not in primitives:
@@ -140,7 +142,7 @@ class _Scene:
             joined,
             source,
             uv=uv,
-            frames=frames,
+            frames=frames if is_smooth else None,
             name=document.name,
             provenance=self._provenance(),
         )

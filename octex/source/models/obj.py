@@ -61,11 +61,12 @@ def load_obj(path: Path, options: Options = EVERYTHING) -> Surface:
         uv, *coordinates = _coordinates(text, known, numbers, rows, name)
     slots = np.array([_normal_slot(each) for each in known])[numbers]
     is_mapped = uv is not None and bool((slots >= 0).any())
-    if is_mapped or options.normals:
+    normals = _normals(text, indices[corners, 2], name) if is_mapped or options.normals else None
+    if is_mapped or normals is not None:
         frames = corner_frames(
             positions,
             triangles,
-            _normals(text, indices[corners, 2], name),
+            normals,
             None,
             _chosen([*coordinates, uv], slots) if uv is not None and is_mapped else None,
         )
@@ -87,7 +88,7 @@ def load_obj(path: Path, options: Options = EVERYTHING) -> Surface:
         triangles,
         source,
         uv=uv if (rows >= 0).all() else None,
-        frames=frames,
+        frames=frames if normals is not None else None,
         name=name,
         provenance=provenance,
     )

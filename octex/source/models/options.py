@@ -12,7 +12,7 @@ class Options(NamedTuple):
     channels: tuple[str, ...] | None = None  # None: every channel that the materials state
     filter: str = "ewa"
     without: tuple[str, ...] = ()  # channels whose images are not read, as they come from elsewhere
-    normals: bool = False  # also where no normal map needs them
+    normals: bool = False  # the model's own, also where no normal map needs them
 
     def wants(self, channel: str) -> bool:
         """Say whether a channel is to be read."""
