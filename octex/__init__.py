@@ -78,7 +78,8 @@ _HOMES = {
     "write_cameras": ("octex.view.camera_files", "write_cameras"),
 }
 
-__all__ = sorted([*_HOMES, "__version__"])
+# ``from octex import *`` leaves Python's own ``map`` and ``open`` as they are.
+__all__ = sorted({*_HOMES, "__version__"} - {"map", "open"})
 
 
 def __getattr__(name: str) -> Any:
@@ -91,4 +92,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return sorted([*_HOMES, "__version__"])

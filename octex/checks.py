@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any
+import os
+import reprlib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeGuard, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from octex.errors import ArgumentError
+from octex.errors import ArgumentError, OctexError
 from octex.tree.layout import MAX_DEPTH
+
+Item = TypeVar("Item")
+Array = TypeVar("Array", bound=npt.NDArray[Any])
 
 
 def as_points(points: npt.ArrayLike, name: str = "points") -> npt.NDArray[np.float32 | np.float64]:
@@ -39,17 +45,134 @@ def as_point_rows(points: npt.ArrayLike, name: str = "points") -> npt.NDArray[An
     return array
 
 
+def as_reals(
+    given: npt.ArrayLike, name: str, *shapes: tuple[int, ...], most: float = np.inf
+) -> npt.NDArray[np.float64]:
+    """Return numbers as a float64 array of one of ``shapes``, in which −1 stands for any length.
+
+    Raises ArgumentError for another shape, for what are no real numbers, and for those beyond ±``most``,
+    infinity not among them, unless it is infinite.
+    """
+    wanted = " or ".join(str(shape).replace("-1", "n") for shape in shapes)
+    kind = "finite numbers" if most < np.inf else "numbers"
+    refusal = ArgumentError(f"{name} must be {kind} of shape {wanted}, not {reprlib.repr(given)}")
+    try:
+        array = np.asarray(given)
+    except ValueError:  # rows of unequal lengths
+        raise refusal from None
+    is_shape = any(
+        len(shape) == array.ndim and all(n in (-1, m) for n, m in zip(shape, array.shape, strict=True))
+        for shape in shapes
+    )
+    if not is_shape or array.dtype.kind not in "fiu":
+        raise refusal
+    with np.errstate(over="ignore"):  # of longer floats
+        array = array.astype(np.float64)
+    if most < np.inf and not (np.abs(array) <= most).all():
+        raise ArgumentError(f"{refusal}, all from {-most:g} to {most:g}")
+    return array
+
+
+def as_whole(number: int, name: str, least: int, most: int) -> int:
+    """Return a whole number from ``least`` to ``most``, or raise ArgumentError."""
+    is_whole = isinstance(number, (int, np.integer)) and not isinstance(number, bool)
+    if not is_whole or not least <= number <= most:
+        raise ArgumentError(f"{name} must be a whole number from {least} to {most}, not {number!r}")
+    return int(number)
+
+
+def as_path(path: Any, name: str = "path", refusal: type[OctexError] = ArgumentError) -> Path:
+    """Return the path of a file or folder.
+
+    Raises ArgumentError for what is no path, and ``refusal`` for what no file can be named.
+    """
+    try:
+        text = os.fsdecode(path)
+        named = bool(text) and b"\0" not in os.fsencode(text)
+    except TypeError:
+        raise ArgumentError(f"{name} must be a path, not {path!r}") from None
+    except UnicodeError:  # lone surrogates
+        named = False
+    if not named:
+        raise refusal(f"{name}: no file can be named {path!r}")
+    return Path(text)
+
+
+def is_path(given: object) -> TypeGuard[str | os.PathLike[str]]:
+    """Say whether something is the path of a file: text, bytes too, or what ``os.fspath`` takes."""
+    return isinstance(given, (str, bytes, os.PathLike))
+
+
+def as_flag(flag: bool, name: str) -> bool:
+    """Return True or False, or raise ArgumentError."""
+    if not isinstance(flag, (bool, np.bool_)):
+        raise ArgumentError(f"{name} must be True or False, not {flag!r}")
+    return bool(flag)
+
+
+def is_several(given: object) -> TypeGuard[Iterable[Any]]:
+    """Say whether something can be gone through, and is no text."""
+    if isinstance(given, np.ndarray):
+        return given.ndim > 0
+    return isinstance(given, Iterable) and not isinstance(given, (str, bytes))
+
+
+def as_names(names: str | Iterable[str], name: str) -> list[str]:
+    """Return one name or several as a list, or raise ArgumentError for what is no text."""
+    listed: list[Any] = list(names) if is_several(names) else [names]
+    for each in listed:
+        if not isinstance(each, str):
+            raise ArgumentError(f"{name} must be text, one or several, not {each!r}")
+    return listed
+
+
+def as_text(text: str, name: str) -> str:
+    """Return text, or raise ArgumentError."""
+    if not isinstance(text, str):
+        raise ArgumentError(f"{name} must be text, not {text!r}")
+    return text
+
+
+def as_entries(given: Mapping[Any, Item], name: str) -> dict[str, Item]:
+    """Return what is given by name as a dict, or raise ArgumentError."""
+    if not isinstance(given, Mapping):
+        raise ArgumentError(f"{name} must be a dict, with names, not {given!r}")
+    entries = dict(given)
+    for each in entries:
+        if not isinstance(each, str):
+            raise ArgumentError(f"{name} must have names, not {each!r}")
+    return entries
+
+
+def locked(array: Array) -> Array:
+    """Return a read-only view of an array; kernels take it as any other."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
 def as_depth(depth: int, name: str = "depth") -> int:
     """Return a tree depth, 0 … 21, or raise ArgumentError."""
-    if isinstance(depth, bool) or not isinstance(depth, (int, np.integer)) or not 0 <= depth <= MAX_DEPTH:
-        raise ArgumentError(f"{name} must be a whole number from 0 to {MAX_DEPTH}, not {depth!r}")
-    return int(depth)
+    return as_whole(depth, name, 0, MAX_DEPTH)
+
+
+def as_items(given: Any, kind: type[Item], name: str) -> list[Item]:
+    """Return one thing or several of a kind as a list, or raise ArgumentError for anything else."""
+    if isinstance(given, kind):
+        return [given]
+    listed = list(given) if is_several(given) else []
+    if not listed:
+        raise ArgumentError(f"there is no {name}: give octex.{kind.__name__}, one or several, not {given!r}")
+    for each in listed:
+        if not isinstance(each, kind):
+            raise ArgumentError(f"each {name} must be an octex.{kind.__name__}, not {each!r}")
+    return listed
 
 
 def as_choice(value: str, choices: Iterable[str], name: str) -> str:
     """Return ``value`` if it is one of ``choices``; else raise ArgumentError listing them."""
     known = list(choices)
-    if value not in known:
+    if not isinstance(value, str) or value not in known:
         listing = ", ".join(known) or "none"
         raise ArgumentError(f"unknown {name} {value!r}; there are: {listing}")
     return value
@@ -57,10 +180,7 @@ def as_choice(value: str, choices: Iterable[str], name: str) -> str:
 
 def as_number(value: float, name: str, least: float, most: float) -> float:
     """Return a number from ``least`` to ``most``, or raise ArgumentError."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise ArgumentError(f"{name} must be a number, not {value!r}") from None
+    number = as_real(value, name)
     if not least <= number <= most:
         above = f" to {most:g}" if most < np.finfo(np.float64).max else " on"
         raise ArgumentError(f"{name} must be from {least:g}{above}, not {number:g}")
@@ -69,10 +189,17 @@ def as_number(value: float, name: str, least: float, most: float) -> float:
 
 def as_positive(value: float, name: str) -> float:
     """Return a finite number above zero, or raise ArgumentError."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise ArgumentError(f"{name} must be a number, not {value!r}") from None
+    number = as_real(value, name)
     if not 0.0 < number < np.inf:
         raise ArgumentError(f"{name} must be finite and above zero, not {number:g}")
     return number
+
+
+def as_real(value: Any, name: str, kind: str = "a number") -> float:
+    """Return one real number, be it infinite or none, or raise ArgumentError."""
+    try:
+        if isinstance(value, (str, bytes)) or np.iscomplexobj(value) or is_several(value):
+            raise TypeError
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise ArgumentError(f"{name} must be {kind}, not {value!r}") from None

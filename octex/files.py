@@ -134,7 +134,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     except ValueError as error:
         raise OutputError(f"{str(target)!r}: cannot be a file's name ({error}); choose another") from error
     try:
-        if real.exists() and not real.is_file():
+        if real.is_symlink() or (real.exists() and not real.is_file()):  # a link still: it leads to itself
             raise OutputError(f"{target}: is not a file that can be replaced; choose another name")
         temporary = real.with_name(f".octex-{secrets.token_hex(8)}")
         with undone_on_failure(lambda: temporary.unlink(missing_ok=True)):

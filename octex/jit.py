@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache, partial
 from pathlib import Path
+from threading import Lock
 from typing import Any, TypeVar
 
 import numba
@@ -79,12 +80,52 @@ def _compiled(function: Function, **options: Any) -> Function:
         compiled = compiler(cache=False)(function)
     if not DISABLED:
         compiled.get_call_template = partial(_call_template, compiled.get_call_template)
+        compiled._compile_for_args = partial(_compile_for_args, compiled, compiled._compile_for_args, set())
     # What a kernel calls is compiled into it, but numba looks for changes in the kernel's own file only.
     with suppress(AttributeError):
         cache_file = compiled._cache._cache_file
         cache_file._source_stamp = (cache_file._source_stamp, _digest_behind(compiled.py_func.__module__))
         cache_file._load_index = partial(_load_index, cache_file._load_index)
     return compiled  # type: ignore[no-any-return]
+
+
+def _compile_for_args(
+    compiled: Any, compile_for_args: Callable[..., Any], known: set[Any], *arguments: Any
+) -> Any:
+    """Return the code for arguments: for read-only arrays that for arrays that can be written to.
+
+    Their types differ, and each kernel would be compiled once more. Kernels write to what they are given to
+    write to, and to nothing else.
+    """
+    if not any(map(_has_locked, arguments)):
+        return compile_for_args(*arguments)
+    given = tuple(map(compiled.typeof_pyval, arguments))
+    code = compiled.compile(tuple(map(_unlocked, given)))
+    with _LOCK:
+        if given not in known:
+            known.add(given)
+            compiled._insert([each._code for each in given], code, False)
+    return code
+
+
+_LOCK = Lock()
+
+
+def _has_locked(argument: Any) -> bool:
+    if isinstance(argument, np.ndarray):
+        return not argument.flags.writeable
+    return isinstance(argument, tuple) and any(map(_has_locked, argument))
+
+
+def _unlocked(given: Any) -> Any:
+    """Return the type of the same arguments if all arrays could be written to."""
+    if isinstance(given, types.Array):
+        return given.copy(readonly=False)
+    if isinstance(given, types.BaseTuple):
+        return types.BaseTuple.from_types(
+            tuple(map(_unlocked, given.types)), getattr(given, "instance_class", None)
+        )
+    return given
 
 
 def _call_template(resolve: Callable[..., Any], arguments: Any, keywords: Any) -> Any:

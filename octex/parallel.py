@@ -10,6 +10,8 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any, Protocol, TypeVar
 
+from octex.errors import ArgumentError
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -23,6 +25,20 @@ class Progress(Protocol):
 
 def silent(stage: str, done: int, total: int) -> None:
     """Report nothing."""
+
+
+def as_progress(progress: Progress | None) -> Progress:
+    """Return what is called with progress, which for None says nothing, or raise ArgumentError."""
+    if progress is not None and not callable(progress):
+        raise ArgumentError(f"progress must be a function (stage, done, total), not {progress!r}")
+    return silent if progress is None else progress
+
+
+def as_executor(executor: Executor | None) -> Executor | None:
+    """Return an executor or None, or raise ArgumentError."""
+    if executor is not None and not callable(getattr(executor, "submit", None)):
+        raise ArgumentError(f"executor must be a concurrent.futures.Executor, not {executor!r}")
+    return executor
 
 
 def memory_size() -> float:
@@ -92,6 +108,7 @@ class _Here(Executor):
 @contextmanager
 def workers(executor: Executor | None) -> Iterator[Executor]:
     """Yield ``executor``, or for None a thread pool over all processors that ends with the block."""
+    executor = as_executor(executor)
     if executor is not None:
         yield executor
     else:

@@ -342,6 +342,9 @@ def test_interruption_ends_with_130_and_leaves_nothing(model: Path, tmp_path: Pa
 import os, signal, sys
 from octex.cli import convert
 
+# A job in the background inherits that it is ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 class Interrupting(convert.Reporter):
     def __call__(self, stage, done, total):
         super().__call__(stage, done, total)
@@ -426,3 +429,22 @@ def test_a_broken_pipe_is_harmless_and_a_full_device_is_not(made: Path) -> None:
         assert done.stderr == (
             "octree-convert: error: standard output cannot be written: No space left on device\n"
         )
+
+
+@posix
+def test_a_link_that_leads_to_itself_is_no_output(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loop, other = tmp_path / "loop.octex", tmp_path / "other.octex"
+    loop.symlink_to(loop)
+    for force in ([], ["--force"]):
+        said = refusal(capsys, model, loop, "--depth", "3", *force)
+        assert f"{loop}: is a link that leads to itself" in said
+    other.symlink_to(tmp_path / "target.octex")  # one that leads to nothing yet is a name as any
+    result(capsys, model, other, "--depth", "3", "--quiet")
+    assert other.is_symlink() and (tmp_path / "target.octex").is_file()
+    texture = octex.open(other)
+    for write in (texture.save, lambda path: octex.write_cameras(path, {})):
+        with pytest.raises(octex.OctexError, match="is not a file that can be replaced"):
+            write(loop)
+    assert loop.is_symlink()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -145,9 +146,18 @@ def test_alone_types_cells_and_channels_are_as_asked_for() -> None:
     with pytest.raises(ArgumentError, match="channel"):
         octex.convert(cloud, 3, channels=["roughness"])
     refused = {"rest": "a.ply", "sources": {}, "max_error": 2, "detail": "stretch", "separate": True}
+    refused |= {"filter": "ewa", "fit": False}
     for name, given in refused.items():
         with pytest.raises(ArgumentError, match=f"{name} needs a surface"):
             octex.convert(cloud, 3, **{name: given})  # type: ignore[arg-type]
+    with ThreadPoolExecutor(1) as pool:
+        with pytest.raises(ArgumentError, match=r"executor needs a surface, .* leave it out"):
+            octex.convert(cloud, 3, executor=pool)
+        with pytest.raises(ArgumentError, match="executor needs a surface"):
+            octex.convert_set({"a": cloud}, 3, executor=pool)
+        parts = {"a": cloud, "b": plain(square())}
+        assert len(octex.convert_set(parts, 3, executor=pool, fit=False, filter="ewa")) == 2
+    octex.convert(cloud, 3, filter=None, fit=True, executor=None, separate=False)
 
 
 def test_points_in_one_place_make_one_cell() -> None:
@@ -222,7 +232,7 @@ def test_arrays_that_are_not_there_are_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "options", "complaint"),
     [
-        ((np.zeros((3, 2)), np.zeros((3, 3))), {}, "points must have shape"),
+        ((np.zeros((3, 2)), np.zeros((3, 3))), {}, "points must be numbers of shape"),
         (("red", np.zeros((3, 3))), {}, "must be numbers"),
         ((np.full((3, 3), np.nan), np.zeros((3, 3))), {}, "number 0 is not"),
         ((np.zeros((3, 3)), np.full((3, 3), np.inf)), {}, "colour 0 is not finite"),

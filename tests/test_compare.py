@@ -379,6 +379,10 @@ def test_every_difference_says_what_it_is_measured_in() -> None:
 def test_values_that_are_not_finite_are_refused_by_their_channel() -> None:
     surface = Surface.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
     texture = octex.convert(surface, 3, dtype="float32")
-    texture.channels["base_color"].values[-1] = np.nan
+    channel = texture.channels["base_color"]
+    values = channel.values.copy()
+    values[-1] = np.nan
+    channels = {"base_color": channel._replace(values=values)}
+    texture = octex.OctreeTexture(texture.tree, channels, texture.placement, texture.bounds)
     with pytest.raises(ArgumentError, match="channel 'base_color' has values that are not finite; validate"):
         difference(texture, surface, points=1000)

@@ -334,11 +334,23 @@ def test_colours_of_trees_without_tiles_take_the_other_way() -> None:
         ({"sharpness": 2, "width": 0.1}, "sharpness must be from 0 to 1, not 2"),
         ({"sharpness": 0.5}, "sharpness is for footprints: give a width"),
         ({"bleed_threshold": -0.1}, "bleed_threshold must be from 0 on"),
+        ({"anisotropy": 4}, "anisotropy is for footprints longer than wide: give dPdx and dPdy"),
+        ({"anisotropy": 4, "width": 0.1}, "anisotropy is for footprints longer than wide"),
+        ({"bleed_threshold": 0.5}, "bleed_threshold is for footprints without normals"),
+        ({"bleed_threshold": 0.5, "width": 0.1, "normals": np.ones((3, 3))}, "and no normals"),
     ],
 )
 def test_views_that_make_no_sense_are_refused(views: dict[str, Any], message: str) -> None:
     with pytest.raises(ArgumentError, match=message):
         shell(2).sample(np.full((3, 3), 0.5), **views)
+
+
+def test_defaults_may_be_given_where_they_do_nothing() -> None:
+    points, texture = np.full((3, 3), 0.5), shell(2)
+    found = texture.sample(points, anisotropy=16, bleed_threshold=1 / 32, blur=0.0, sharpness=0.0)
+    assert np.array_equal(found, texture.sample(points))
+    texture.sample(points, blur=0.1, bleed_threshold=0.5)
+    texture.sample(points, dPdx=points, dPdy=points, anisotropy=np.float32(4), bleed_threshold=0.5)
 
 
 def test_any_finite_number_has_an_answer() -> None:

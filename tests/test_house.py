@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import builtins
 import subprocess
 import sys
 import tomllib
@@ -50,10 +51,8 @@ EXPORTED = [
         "fill",
         "levels",
         "load_surface",
-        "map",
         "merge",
         "mix",
-        "open",
         "paint",
         "project",
         "read_cameras",
@@ -116,8 +115,16 @@ def test_each_big_package_has_one_user(module: str) -> None:
 
 def test_the_exported_names_are_these_and_each_exists() -> None:
     assert octex.__all__ == EXPORTED
-    for name in EXPORTED:
+    for name in [*EXPORTED, "map", "open"]:
         assert getattr(octex, name) is not None
+        assert name in dir(octex)
+
+
+def test_a_star_import_leaves_what_python_has() -> None:
+    names: dict[str, object] = {}
+    exec("from octex import *", names)
+    assert set(names) - {"__builtins__"} == set(EXPORTED)
+    assert not set(EXPORTED) & set(dir(builtins)) - {"__version__"}
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:

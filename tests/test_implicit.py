@@ -28,7 +28,7 @@ def ball(points: Array) -> Array:
 
 
 def solid(surface: Surface) -> Manifold:
-    return Manifold(Mesh64(surface.vertices, surface.triangles.astype(np.uint64)))
+    return Manifold(Mesh64(surface.vertices.copy(), surface.triangles.astype(np.uint64)))
 
 
 def test_vertices_lie_on_the_surface_and_triangles_near_it() -> None:

@@ -116,5 +116,5 @@ def test_projections_that_make_no_sense_are_refused() -> None:
         Projection(image, np.eye(4))  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="there is no projection"):
         check_projections([])
-    with pytest.raises(ArgumentError, match=r"projections must be octex\.Projection, not str"):
+    with pytest.raises(ArgumentError, match=r"must be an octex\.Projection, not 'a\.png'"):
         check_projections(["a.png"])  # type: ignore[list-item]

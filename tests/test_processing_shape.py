@@ -119,8 +119,8 @@ def test_areas_of_cut_nodes_are_those_of_what_is_left() -> None:
     [
         ((0, 0, 0), (np.nan, 1, 1), "a finite lowest and highest corner"),
         ((1, 0, 0), (0, 1, 1), "a finite lowest and highest corner"),
-        ((0, 0), (0, 1, 1), r"low must have shape \(n, 3\)"),
-        ((0, 0, 0), [(0, 1, 1), (1, 1, 1)], r"high must be one corner \(3,\)"),
+        ((0, 0), (0, 1, 1), "low must be numbers of shape"),
+        ((0, 0, 0), [(0, 1, 1), (1, 1, 1)], "high must be numbers of shape"),
         ((2, 2, 2), (3, 3, 3), "no leaf of the texture meets the box"),
     ],
 )

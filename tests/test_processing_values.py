@@ -245,7 +245,7 @@ def test_each_component_can_have_a_curve_of_its_own() -> None:
     [
         (lambda each: octex.levels(each, black=0.5, white=0.5), "black below white and gamma above zero"),
         (lambda each: octex.levels(each, gamma=0), "gamma above zero"),
-        (lambda each: octex.levels(each, black=(0, 0)), "one for each of 3 components of 'base_color'"),
+        (lambda each: octex.levels(each, black=(0, 0)), "black of 'base_color' must be numbers of shape"),
         (lambda each: octex.levels(each, white=2), "white must be from 0 to 1, not 2"),
         (lambda each: octex.levels(each, "normal"), "'normal' holds directions, which have no levels"),
         (lambda each: octex.curves(each, "base_color", [(1, 0), (0, 1)]), "pairs of encoded values"),

@@ -150,7 +150,10 @@ def test_a_file_is_opened_by_its_metadata_not_by_its_name(tmp_path: Path) -> Non
     ("name", "text", "message"),
     [
         ("format_version", "2", r"format version '2', newer than this octex reads; update octex"),
-        ("format_version", None, "format version ''"),
+        ("format_version", "12", "format version '12', newer"),
+        ("format_version", None, "format version '', which is none: damaged, or made by something else"),
+        ("format_version", "0", "format version '0', which is none"),
+        ("format_version", "abc", "format version 'abc', which is none"),
         ("placement", None, "'placement' are missing or damaged"),
         ("placement", "{}", "'placement' are missing or damaged"),
         ("placement", '{"origin": [0, 0], "size": 1}', "'placement' are missing or damaged"),

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,6 +9,7 @@ from hypothesis import strategies as st
 
 from octex.errors import ArgumentError, TextureFileError
 from octex.tree import octree as octree_module
+from octex.tree import validate as validate_module
 from octex.tree.layout import KEPT, SPLIT, KeptTable, SplitTable, TreeArrays
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
@@ -134,6 +137,34 @@ def test_more_cells_than_32_bits_number_are_refused(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(octree_module, "MAX_CELLS", 72)
     with pytest.raises(ArgumentError, match="73 cells"):
         full_tree()
+
+
+def test_more_rows_than_32_bits_number_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    validate_module.check_rows(2**32 - 3, 1, 1)
+    with pytest.raises(ArgumentError, match="2 rows of split cells and 1 kept nodes together are more"):
+        validate_module.check_rows(2**32 - 3, 2, 1)
+    tree = with_random_data(full_tree(), 0)
+    tables = tree.split, tree.kept
+    rows = tree.n_cells + tree.split.areas.size + tree.kept.cells.size
+    assert rows > tree.n_cells + 1
+    monkeypatch.setattr(validate_module, "MAX_CELLS", rows)
+    Octree(tree.arrays, *tables)
+    monkeypatch.setattr(validate_module, "MAX_CELLS", rows - 1)
+    for make in (
+        lambda: Octree(tree.arrays, *tables),
+        lambda: full_tree().with_cell_data(tree.arrays.flags, tree.arrays.areas, *tables),
+    ):
+        with pytest.raises(ArgumentError, match="together are more than can be numbered"):
+            make()
+
+
+@pytest.mark.parametrize(
+    "codes",
+    [[0.5], [True], ["0"], [[0]], 0, [None], [[0], [0, 1]], np.array([2**63], np.uint64), [2**70]],
+)
+def test_codes_that_are_not_whole_numbers_are_refused(codes: Any) -> None:
+    with pytest.raises(ArgumentError, match="codes must be"):
+        Octree.from_leaves(codes, 1)
 
 
 @needs_jit

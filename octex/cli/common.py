@@ -374,6 +374,10 @@ def check_outputs(
     for path, endings, word in outputs:
         if path.is_dir():
             raise OutputError(f"{path}: is a folder; give {word} a file's name")
+        if Path(os.path.realpath(path)).is_symlink():
+            raise OutputError(
+                f"{path}: is a link that leads to itself; remove it, or give {word} another name"
+            )
         known = list(endings)
         if path.suffix.lower() not in known:
             ending = f"the ending {path.suffix!r}" if path.suffix else "no ending"
@@ -394,7 +398,7 @@ def _identity(path: Path) -> tuple[int, int] | Path:
     with suppress(OSError):
         status = path.stat()
         return status.st_dev, status.st_ino
-    return path.resolve()
+    return Path(os.path.realpath(path))  # which takes links that lead to themselves
 
 
 def bytes_text(number: int) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import time
 from collections.abc import Sequence
@@ -273,7 +274,7 @@ def _check_files(options: argparse.Namespace) -> None:
         outputs.append((options.preview, (".png",), "--preview"))
     others = [*options.IMAGE, *(options.mask or []), *(options.layer or [])]
     # --out may take the place of TEXTURE, which is not written to: the old file is there until all is done.
-    if options.out.resolve() != options.TEXTURE.resolve():
+    if os.path.realpath(options.out) != os.path.realpath(options.TEXTURE):
         others.append(options.TEXTURE)
     check_outputs(outputs, posed_inputs(options) + others, force=options.force)
 

@@ -8,13 +8,15 @@ from typing import NamedTuple
 from octex.checks import as_depth, as_number, as_positive
 from octex.errors import ArgumentError
 from octex.source.parts import Overlaps
-from octex.source.surface import Surface
+from octex.source.surface import Surface, as_surface
 from octex.tree.placement import Placement
 
 DEFAULT_DEPTH = 10
 #: Parts that are so many cells apart share none, and no lookup at the finest level reads both: the widest
 #: filter reads two cells to each side.
 CELLS = 3.0
+#: How many cells parts may be kept apart by.
+RANGE = (1.0, 1e6)
 # Surfaces n cells apart along no axis may be √3 times as far from each other.
 _DIAGONAL = math.sqrt(3.0)
 # Beyond so many times the surface's extent, cells grow as fast as what parts must be apart.
@@ -39,11 +41,12 @@ def separate(
 
     Raises ArgumentError for numbers out of range, and for a depth with too few cells for all parts.
     """
-    cells = as_number(cells, "cells", 1.0, 1e6)
+    as_surface(surface)
+    cells = as_number(cells, "cells", *RANGE)
     if depth is not None and cell is not None:
         raise ArgumentError("give depth or cell, not both")
     if cell is not None:
-        as_positive(cell, "cell")
+        cell = as_positive(cell, "cell")
     depth = as_depth(DEFAULT_DEPTH if depth is None else depth)
 
     def reach(placed: Surface) -> float:

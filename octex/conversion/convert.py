@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+import os
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
-from pathlib import Path
 
+import numpy as np
 import numpy.typing as npt
 
 import octex
 from octex.channels import ALPHA
-from octex.checks import as_depth
+from octex.checks import (
+    as_depth,
+    as_entries,
+    as_flag,
+    as_names,
+    as_number,
+    as_path,
+    as_positive,
+    as_real,
+    is_path,
+    is_several,
+)
 from octex.conversion import apart
 from octex.conversion.adapt import adapted, as_max_error
 from octex.conversion.detail import DetailFunction, channel_of, wanted_levels
@@ -23,7 +35,7 @@ from octex.conversion.gaps import without_gaps, without_opaque
 from octex.conversion.points import convert_points
 from octex.conversion.stored import Dtypes, stored_as
 from octex.errors import ArgumentError, ModelError
-from octex.parallel import Progress, silent, workers
+from octex.parallel import Progress, as_progress, workers
 from octex.source.cloud import PointCloud, is_cloud
 from octex.source.load import at_rest, load_surface
 from octex.source.surface import Surface
@@ -36,11 +48,11 @@ DEFAULT_FILTER = "ewa"
 
 
 def convert(
-    model: str | Path | Surface | PointCloud | Sequence[str | Path | Surface],
+    model: str | os.PathLike[str] | Surface | PointCloud | Sequence[str | os.PathLike[str] | Surface],
     depth: int | None = None,
     *,
     cell: float | None = None,
-    rest: str | Path | npt.ArrayLike | None = None,
+    rest: str | os.PathLike[str] | npt.ArrayLike | None = None,
     channels: Sequence[str] | None = None,
     sources: Mapping[str, object] | None = None,
     dtype: Dtypes = None,
@@ -84,6 +96,8 @@ def convert(
     "stretch", which evens out the resolution of the posed surface: see ``detail.wanted_levels``. A channel
     that only steers is not stored if ``channels`` do not name it.
 
+    Points know only ``depth``, ``cell``, ``channels``, ``dtype`` and ``progress``.
+
     ``separate`` moves parts apart at rest that come nearer to each other than so many finest cells (True: 3),
     so that they share none: see ``apart.separate``. Lookups then take ``Surface.rest_positions``.
 
@@ -92,28 +106,35 @@ def convert(
     for a channel that goes above 1, for a ``max_error`` that is no number or negative, and a ``detail`` that
     cannot be used.
     """
-    report = progress or silent
-    most = None if max_error is None else as_max_error(max_error)
-    if depth is not None and cell is not None:
-        raise ArgumentError("give depth or cell, not both")
-    if depth is not None:
-        as_depth(depth)
-    if isinstance(model, (str, Path)) and is_cloud(model):
+    report = as_progress(progress)
+    most = None
+    if max_error is not None:
+        most = as_max_error(as_real(max_error, "max_error", "a number of 8-bit codes"))
+    depth, cell = as_fineness(depth, cell)
+    fit = as_flag(fit, "fit")
+    cells = None
+    if isinstance(separate, (bool, np.bool_)):
+        cells = apart.CELLS if separate else None
+    elif separate is not None:
+        cells = as_number(separate, "separate", *apart.RANGE)
+    if is_path(model) and is_cloud(as_path(model, "model")):
         model = PointCloud.load(model)
     if isinstance(model, PointCloud):
-        of_surfaces = {"rest": rest, "sources": sources, "max_error": max_error, "detail": detail}
-        for name, given in [*of_surfaces.items(), ("separate", separate or None)]:
+        of_surfaces = {
+            "rest": rest, "sources": sources, "filter": filter, "max_error": max_error, "detail": detail,
+            "separate": cells, "executor": executor, "fit": None if fit else fit,
+        }  # fmt: skip
+        for name, given in of_surfaces.items():
             if given is not None:
-                raise ArgumentError(f"{name} needs a surface, which {model.name} is not")
+                raise ArgumentError(f"{name} needs a surface, which {model.name} is not; leave it out")
         return convert_points(model, depth, cell=cell, channels=channels, dtype=dtype, progress=report)
-    names = [channels] if isinstance(channels, str) else channels
+    names = None if channels is None else as_names(channels, "channels")
     steering = channel_of(detail)
     if names is None or steering is None or steering in names:
-        whole = surface = surface_of(model, rest, names, sources or {}, filter, report)
+        whole = surface = surface_of(model, rest, names, sources, filter, report)
     else:
-        whole = surface_of(model, rest, [*names, steering], sources or {}, filter, report)
+        whole = surface_of(model, rest, [*names, steering], sources, filter, report)
         surface = whole.with_channels(names)
-    cells = {True: apart.CELLS, False: None}[separate] if isinstance(separate, bool) else separate
     if cells is not None:
         surface = apart.separate(surface, cells, depth=depth, cell=cell).surface
     stored = stored_as(surface.channels, dtype, surface.name)
@@ -167,6 +188,13 @@ def convert(
     return refaced(texture) if empty else texture
 
 
+def as_fineness(depth: int | None, cell: float | None) -> tuple[int | None, float | None]:
+    """Return ``depth`` and ``cell`` as numbers, one at most, or raise ArgumentError."""
+    if depth is not None and cell is not None:
+        raise ArgumentError("give depth or cell, not both")
+    return None if depth is None else as_depth(depth), None if cell is None else as_positive(cell, "cell")
+
+
 def placed(surface: Surface, depth: int | None, cell: float | None) -> tuple[Placement, int]:
     """Return the root cell of a surface and the finest level, for ``depth`` or ``cell`` as in ``convert``."""
     if cell is not None:
@@ -176,28 +204,33 @@ def placed(surface: Surface, depth: int | None, cell: float | None) -> tuple[Pla
 
 
 def surface_of(
-    model: str | Path | Surface | Sequence[str | Path | Surface],
-    rest: str | Path | npt.ArrayLike | None,
+    model: str | os.PathLike[str] | Surface | Sequence[str | os.PathLike[str] | Surface],
+    rest: str | os.PathLike[str] | npt.ArrayLike | None,
     channels: Sequence[str] | None,
-    sources: Mapping[str, object],
+    sources: Mapping[str, object] | None,
     filter: str | None,
     report: Progress,
 ) -> Surface:
     """Return what is to be converted, with the wanted channels alone."""
-    if not isinstance(model, (str, Path, Surface)):
-        given = list(model) if isinstance(model, Iterable) else [model]
+    sources = {} if sources is None else as_entries(sources, "sources")
+    if not is_path(model) and not isinstance(model, Surface):
+        given = list(model) if is_several(model) else [model]
         for each in given:
-            if not isinstance(each, (str, Path, Surface)):
+            if not is_path(each) and not isinstance(each, Surface):
                 raise ArgumentError(
                     "a model must be a file, a Surface or a PointCloud, or a list of files and Surfaces; not "
-                    f"{'a list with ' if isinstance(model, Iterable) else ''}{each!r}"
+                    f"{'a list with ' if is_several(model) else ''}{each!r}"
                 )
-        surfaces = [each if isinstance(each, Surface) else load_surface(each) for each in given]
+        surfaces = [each if isinstance(each, Surface) else load_surface(as_path(each)) for each in given]
         model = Surface.joined(surfaces)
     if not isinstance(model, Surface):
         report("read", 0, 1)
         surface = load_surface(
-            model, rest, channels=channels, sources=sources, filter=filter or DEFAULT_FILTER
+            as_path(model, "model"),
+            rest,
+            channels=channels,
+            sources=sources,
+            filter=DEFAULT_FILTER if filter is None else filter,
         )
         report("read", 1, 1)
         return surface

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 import octex
 from octex.channels import ALPHA, BASE_COLOR
-from octex.checks import as_choice
+from octex.checks import as_choice, as_names
 from octex.conversion.accumulate import Columns, Sums
 from octex.conversion.fill import Filled, assemble, climb
 from octex.conversion.stored import Dtypes, stored_as
@@ -49,7 +49,7 @@ def convert_points(
     report = progress or silent
     report("points", 0, 1)
     forms = [BASE_COLOR, ALPHA] if cloud.is_translucent else [BASE_COLOR]
-    names = [channels] if isinstance(channels, str) else channels
+    names = None if channels is None else as_names(channels, "channels")
     for name in names or ():
         as_choice(name, [form.name for form in forms], "channel")
     forms = [form for form in forms if names is None or form.name in names]

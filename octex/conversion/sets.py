@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from octex.channels import encode
-from octex.conversion.convert import convert, placed, surface_of
+from octex.checks import as_entries, as_names, as_path, is_path
+from octex.conversion.convert import as_fineness, convert, placed, surface_of
 from octex.conversion.detail import DetailFunction, channel_of
 from octex.conversion.fill import is_degenerate
 from octex.conversion.stored import Dtypes, stored_as
 from octex.errors import ArgumentError, ModelError
-from octex.parallel import Progress, silent, workers
+from octex.parallel import Progress, as_progress, workers
 from octex.source.base import by_channel
-from octex.source.cloud import PointCloud
+from octex.source.cloud import PointCloud, is_cloud
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture, TextureSet
 from octex.tree.octree import Octree
@@ -25,11 +26,11 @@ from octex.tree.placement import Placement
 
 
 def convert_set(
-    parts: str | Path | Surface | Mapping[str, str | Path | Surface | PointCloud],
+    parts: str | os.PathLike[str] | Surface | Mapping[str, str | os.PathLike[str] | Surface | PointCloud],
     depth: int | None = None,
     *,
     cell: float | None = None,
-    rest: str | Path | npt.ArrayLike | None = None,
+    rest: str | os.PathLike[str] | npt.ArrayLike | None = None,
     channels: Sequence[str] | None = None,
     sources: Mapping[str, object] | None = None,
     dtype: Dtypes = None,
@@ -53,23 +54,22 @@ def convert_set(
 
     Raises ArgumentError, ModelError and ImageError as ``convert`` does.
     """
-    if depth is not None and cell is not None:
-        raise ArgumentError("give depth or cell, not both")
-    report = progress or silent
-    names = [channels] if isinstance(channels, str) else channels
-    models: dict[str, str | Path | Surface | PointCloud] = {}
+    depth, cell = as_fineness(depth, cell)
+    report = as_progress(progress)
+    names = None if channels is None else as_names(channels, "channels")
+    models: dict[str, str | os.PathLike[str] | Surface | PointCloud] = {}
     metadata: dict[str, str] = {}
     made: dict[str, OctreeTexture] = {}
     if isinstance(parts, Mapping):
         if rest is not None:
             raise ArgumentError("rest is for one model; give parts that are at rest, as load_surface does")
-        models |= parts
+        models |= as_entries(parts, "parts")
     else:
         if isinstance(parts, PointCloud):
             raise ArgumentError(f"{parts.name} is points, which have no parts; convert takes it")
         steering = channel_of(detail)
         wanted = names if names is None or steering is None else [*names, steering]
-        surface = surface_of(parts, rest, wanted, sources or {}, filter, report)
+        surface = surface_of(parts, rest, wanted, sources, filter, report)
         sources = filter = None  # they are in it
         metadata |= surface.provenance
         for name, part in _taken_apart(surface):
@@ -81,14 +81,25 @@ def convert_set(
             raise ModelError(f"{surface.name}: none of its parts has an area; there is nothing to convert")
     report("convert", len(made), len(models))
     with workers(executor) as pool:
+        points = [name for name, model in models.items() if _is_points(model)]
+        # What is for surfaces does nothing to points beside them.
+        is_mixed = len(points) < len(models)
         for name in [name for name in models if name not in made]:
+            of_surfaces: tuple[str | None, bool, Executor | None] = (filter, fit, pool)
+            if name in points:
+                of_surfaces = (None, True, None) if is_mixed else (filter, fit, executor)
+            own_filter, own_fit, own_pool = of_surfaces
             made[name] = convert(
                 models[name], depth,
-                cell=cell, channels=names, sources=sources, dtype=dtype, filter=filter, fit=fit,
-                max_error=max_error, detail=detail, executor=pool,
+                cell=cell, channels=names, sources=sources, dtype=dtype, filter=own_filter, fit=own_fit,
+                max_error=max_error, detail=detail, executor=own_pool,
             )  # fmt: skip
             report("convert", len(made), len(models))
     return TextureSet({name: made[name] for name in models}, metadata)
+
+
+def _is_points(model: object) -> bool:
+    return isinstance(model, PointCloud) or (is_path(model) and is_cloud(as_path(model)))
 
 
 def _taken_apart(surface: Surface) -> Iterator[tuple[str, Surface]]:

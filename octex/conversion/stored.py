@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
 from octex.channels import ONE, ChannelFormat
-from octex.checks import as_choice
+from octex.checks import as_choice, as_entries
 from octex.errors import ArgumentError
 
 #: A stored type for all channels, for some by their names, or the source's own.
@@ -20,7 +20,7 @@ def stored_as(channels: Sequence[ChannelFormat], dtype: Dtypes, name: str) -> tu
     unknown names and types, and an integer type for a channel that goes above 1.
     """
     names = [channel.name for channel in channels]
-    wanted = dict(dtype) if isinstance(dtype, Mapping) else dict.fromkeys(names, dtype)
+    wanted = as_entries(dtype, "dtype") if isinstance(dtype, Mapping) else dict.fromkeys(names, dtype)
     for each in wanted:
         as_choice(each, names, "channel of dtype")
     formats = []

@@ -16,9 +16,9 @@ from octex.painting.averages import updated_averages
 from octex.painting.cells import Paint, paint_of, painted_channel, refine_paint
 from octex.painting.pictures import BLENDS, Blend
 from octex.painting.raising import raise_texture
-from octex.parallel import Progress, silent, workers
-from octex.source.surface import Surface
-from octex.texture import OctreeTexture
+from octex.parallel import Progress, as_progress, workers
+from octex.source.surface import Surface, as_surface
+from octex.texture import OctreeTexture, as_texture
 from octex.texture.channel import Channel
 from octex.texture.split import bits_of, rows_facing, with_split
 from octex.tree.edit import locate
@@ -48,6 +48,10 @@ def merge(
     Raises ArgumentError for a layer of another root cell, of several channels, or of one that the texture
     does not have.
     """
+    as_texture(texture)
+    as_texture(layer, "layer")
+    as_surface(surface)
+    report = as_progress(progress)
     as_choice(blend, BLENDS, "blend")
     opacity = as_number(opacity, "opacity", 0.0, 1.0)
     form, paint = paint_of(layer, opacity)
@@ -72,7 +76,7 @@ def merge(
         )
     with workers(executor) as pool:
         base, is_fresh, paint = raise_texture(
-            texture, layer, paint, surface, pool, progress or silent, adds=blend != "erase"
+            texture, layer, paint, surface, pool, report, adds=blend != "erase"
         )
     if not any(each.codes.size for each in paint):
         return given

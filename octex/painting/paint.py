@@ -9,7 +9,7 @@ from itertools import groupby
 import numpy as np
 
 from octex.channels import ALPHA, CHANNELS, ChannelFormat
-from octex.checks import as_choice, as_depth, as_number
+from octex.checks import as_choice, as_depth, as_flag, as_number
 from octex.errors import ArgumentError
 from octex.painting.balance import balanced
 from octex.painting.merge import merge
@@ -23,9 +23,9 @@ from octex.painting.projected import (
     terms_of,
 )
 from octex.painting.rasterize import empty_texture, rasterize_paint, wanted_depth
-from octex.parallel import Progress, silent, workers
-from octex.source.surface import Surface
-from octex.texture import OctreeTexture
+from octex.parallel import Progress, as_progress, workers
+from octex.source.surface import Surface, as_surface
+from octex.texture import OctreeTexture, as_texture
 from octex.tree.placement import Placement
 
 #: Pictures get no deeper than this on their own: cells of a 16,000th of the model.
@@ -76,8 +76,10 @@ def paint(
     2002, 4.1 and 4.2.)
     """
     given = check_projections(projections)
-    report = progress or silent
+    report = as_progress(progress)
+    as_surface(surface)
     if texture is not None:
+        as_texture(texture)
         surface = surface.placed_in(texture)
     made = texture
     with workers(executor) as pool:
@@ -118,10 +120,13 @@ def project(
     texture that it will be merged into, or None for a new one. All else as for ``paint``.
     """
     given = check_projections(projections)
-    report = progress or silent
+    report = as_progress(progress)
+    as_surface(surface)
     form = format_of(like, channel)
-    as_number(max_angle, "max_angle", 0.0, 180.0)
-    as_number(edge_feather, "edge_feather", 0.0, 1e6)
+    max_angle = as_number(max_angle, "max_angle", 0.0, 180.0)
+    edge_feather = as_number(edge_feather, "edge_feather", 0.0, 1e6)
+    balance, back_faces = as_flag(balance, "balance"), as_flag(back_faces, "back_faces")
+    fit = as_flag(fit, "fit")
     surface = surface if like is None else surface.placed_in(like)
     deepest = _DEEPEST if max_depth is None else as_depth(max_depth, "max_depth")
     terms = terms_of(max_angle, edge_feather, back_faces)
@@ -151,6 +156,7 @@ def project(
 def format_of(texture: OctreeTexture | None, channel: str) -> ChannelFormat:
     """Return how a channel is stored, in a texture or in a new one."""
     if texture is not None:
+        as_texture(texture)
         as_choice(channel, texture.channels, "channel of the texture")
         form = texture.channels[channel].format
     else:

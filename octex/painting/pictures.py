@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy.typing as npt
 import PIL.Image
 
 from octex.channels import ChannelFormat, decode_table
-from octex.checks import as_choice, as_number
+from octex.checks import as_choice, as_items, as_number, as_path, is_path
 from octex.errors import ArgumentError, ImageError
 from octex.files import read_bytes
 from octex.jit import inlined
@@ -21,7 +21,7 @@ from octex.source.images.pyramid import resized
 from octex.view.camera import Camera
 
 Floats = npt.NDArray[np.float32]
-Image = str | Path | PIL.Image.Image | npt.ArrayLike
+Image = str | os.PathLike[str] | PIL.Image.Image | npt.ArrayLike
 
 #: How paint p of coverage a meets what is there, b, in linear light:
 #: ``over`` (1−a)·b + a·p, ``multiply`` and ``screen`` likewise with b·p and 1 − (1−b)(1−p) for p, ``add``
@@ -56,7 +56,7 @@ class Projection:
     def __post_init__(self) -> None:
         if not isinstance(self.camera, Camera):
             raise ArgumentError(f"camera must be an octex.Camera, not {type(self.camera).__name__}")
-        as_number(self.opacity, "opacity", 0.0, 1.0)
+        object.__setattr__(self, "opacity", as_number(self.opacity, "opacity", 0.0, 1.0))
         as_choice(self.blend, BLENDS, "blend")
 
     @property
@@ -104,16 +104,16 @@ def levels_of(projection: Projection, form: ChannelFormat, scale: float = 1.0) -
 
 
 def _name_of(image: Image, otherwise: str) -> str:
-    return str(image) if isinstance(image, (str, Path)) else otherwise
+    return str(as_path(image, "image")) if is_path(image) else otherwise
 
 
 def _texels(image: Image, otherwise: str) -> npt.NDArray[np.uint16 | np.float32]:
-    if not isinstance(image, (str, Path)):
+    if not is_path(image):
         try:
-            return as_texels(image)
+            return as_texels(image)  # type: ignore[arg-type]
         except ImageError as error:
             raise ImageError(f"{otherwise}: {error}") from None
-    path = Path(image)
+    path = as_path(image, "image")
     try:
         data = read_bytes(path)
     except OSError as error:
@@ -152,13 +152,7 @@ def _decoded(texels: npt.NDArray[np.uint16 | np.float32], form: ChannelFormat) -
 
 def check_projections(projections: Projection | Sequence[Projection]) -> list[Projection]:
     """Return projections as a list, or raise ArgumentError if there is none or another thing among them."""
-    given: list[Projection] = [projections] if isinstance(projections, Projection) else list(projections)
-    if not given:
-        raise ArgumentError("there is no projection to paint")
-    for each in given:
-        if not isinstance(each, Projection):
-            raise ArgumentError(f"projections must be octex.Projection, not {type(each).__name__}")
-    return given
+    return as_items(projections, Projection, "projection to paint")
 
 
 @inlined

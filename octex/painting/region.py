@@ -10,15 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ChannelFormat
-from octex.checks import as_depth, as_number, as_positive
+from octex.checks import as_choice, as_depth, as_number, as_points, as_positive, as_reals
 from octex.errors import ArgumentError
 from octex.painting.merge import merge
 from octex.painting.paint import check_inside, format_of
-from octex.painting.pictures import Blend
+from octex.painting.pictures import BLENDS, Blend
 from octex.painting.rasterize import empty_texture, rasterize_paint
 from octex.painting.source import PaintSource
-from octex.parallel import Progress, silent, workers
-from octex.source.surface import Surface
+from octex.parallel import Progress, as_progress, workers
+from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture
 from octex.tree.placement import Placement
 
@@ -29,6 +29,7 @@ Int32s = npt.NDArray[np.int32]
 RegionFunction: TypeAlias = Callable[[Floats], npt.ArrayLike]
 
 _DEPTH = 10
+_FARTHEST = 1e100
 
 
 class Sphere(NamedTuple):
@@ -38,10 +39,17 @@ class Sphere(NamedTuple):
     radius: float
     soft: float = 0.0
 
+    def checked(self) -> Sphere:
+        """Return the same of plain numbers, or raise ArgumentError."""
+        x, y, z = as_reals(self.center, "center", (3,), most=_FARTHEST).tolist()
+        radius = as_number(as_positive(self.radius, "radius"), "radius", 0.0, _FARTHEST)
+        return Sphere((x, y, z), radius, as_number(self.soft, "soft", 0.0, np.inf))
+
     def covers(self, points: Floats) -> Floats:
         """Return how much of points (n, 3) it covers, (n,)."""
-        inside = self.radius - np.linalg.norm(points - np.asarray(self.center, np.float64), axis=1)
-        return _falling_off(inside, self.soft)
+        apart = as_points(points) - np.asarray(self.center, np.float64)
+        with np.errstate(over="ignore", invalid="ignore"):  # of points that are not finite, or nearly
+            return _falling_off(self.radius - np.linalg.norm(apart, axis=1), self.soft)
 
     def bounds(self) -> Floats:
         """Return its lowest and highest corner (2, 3)."""
@@ -56,10 +64,23 @@ class Box(NamedTuple):
     high: tuple[float, float, float]
     soft: float = 0.0
 
+    def checked(self) -> Box:
+        """Return the same of plain numbers, or raise ArgumentError."""
+        low, high = (
+            as_reals(corner, name, (3,), most=_FARTHEST)
+            for corner, name in ((self.low, "low"), (self.high, "high"))
+        )
+        if (low > high).any():
+            raise ArgumentError(f"{self!r} is no region: its corners must be in order")
+        (x, y, z), (u, v, w) = low.tolist(), high.tolist()
+        return Box((x, y, z), (u, v, w), as_number(self.soft, "soft", 0.0, np.inf))
+
     def covers(self, points: Floats) -> Floats:
         """Return how much of points (n, 3) it covers, (n,)."""
         low, high = self.bounds()
-        return _falling_off(np.minimum(points - low, high - points).min(axis=1), self.soft)
+        points = as_points(points).astype(np.float64, copy=False)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return _falling_off(np.minimum(points - low, high - points).min(axis=1), self.soft)
 
     def bounds(self) -> Floats:
         """Return its lowest and highest corner (2, 3)."""
@@ -101,9 +122,12 @@ def fill(
     Raises ArgumentError for another kind of region, for a function that returns another shape, values that
     are not in 0 … 1, or NaN, and as ``paint`` does.
     """
+    as_surface(surface)
     form = format_of(texture, channel)
     value = _value(form, color)
-    as_number(opacity, "opacity", 0.0, 1.0)
+    opacity = as_number(opacity, "opacity", 0.0, 1.0)
+    as_choice(blend, BLENDS, "blend")
+    report = as_progress(progress)
     if max_depth is not None:
         depth = as_depth(max_depth, "max_depth")
     else:
@@ -112,7 +136,6 @@ def fill(
     source = Filled(form, value, surface.rest, surface.triangles, *_coverage(region, surface))
     surface = surface if texture is None else surface.placed_in(texture)
     check_inside(surface, placement)
-    report = progress or silent
     with workers(executor) as pool:
         layer = rasterize_paint(surface, source, placement, depth, fit=False, executor=pool, progress=report)
         base = texture or empty_texture([form], placement, surface.bounds, surface)
@@ -165,30 +188,26 @@ class Filled(PaintSource):
 
 
 def _value(form: ChannelFormat, color: npt.ArrayLike) -> npt.NDArray[np.float32]:
-    value = np.atleast_1d(np.asarray(color, np.float32))
-    if value.shape != (form.components,) or not np.isfinite(value).all():
-        raise ArgumentError(
-            f"color must be {form.components} finite numbers for {form.name!r}, not {color!r}"
-        )
-    return value
+    shapes = [(form.components,), *([()] if form.components == 1 else [])]
+    most = float(np.finfo(np.float32).max)
+    return np.atleast_1d(as_reals(color, f"color of {form.name!r}", *shapes, most=most)).astype(np.float32)
 
 
 def _coverage(region: Region, surface: Surface) -> tuple[npt.NDArray[np.bool_], RegionFunction]:
     """Return which triangles a region may cover, and what it covers of positions."""
     count = len(surface.triangles)
     if isinstance(region, (Sphere, Box)):
-        if isinstance(region, Sphere):
-            as_positive(region.radius, "radius")
-        as_number(region.soft, "soft", 0.0, np.inf)
+        region = region.checked()
         low, high = region.bounds()
-        if low.shape != (3,) or not np.isfinite([low, high]).all() or (low > high).any():
-            raise ArgumentError(f"{region!r} is no region: its corners must be finite and in order")
         corners = surface.rest[surface.triangles]
         meets = (corners.min(axis=1) <= high).all(axis=1) & (corners.max(axis=1) >= low).all(axis=1)
         return meets, region.covers
     if callable(region):
         return np.ones(count, np.bool_), region
-    part = np.asarray(region)
+    try:
+        part = np.asarray(region)
+    except ValueError:  # rows of unequal lengths
+        part = np.empty((), np.void)
     if part.dtype == np.bool_ and part.shape == (count,):
         return part, _everywhere
     if (

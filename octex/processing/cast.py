@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ONE, ChannelFormat, decode, encode
-from octex.checks import as_choice
+from octex.checks import as_choice, as_entries, as_names
 from octex.errors import ArgumentError
 from octex.processing.edit import noted
-from octex.texture import Channel, OctreeTexture
+from octex.texture import Channel, OctreeTexture, as_texture
 
 
 def cast(
@@ -29,12 +29,13 @@ def cast(
     Raises ArgumentError for unknown channels and types, and for an integer type where values that are light
     or data go above 1 or below 0.
     """
-    names = list(texture.channels) if channels is None else list(channels)
+    as_texture(texture)
+    names = list(texture.channels) if channels is None else as_names(channels, "channels")
     for name in names:
         as_choice(name, texture.channels, "channel")
     if len(set(names)) < len(names):
         raise ArgumentError(f"channels are named twice: {', '.join(names)}")
-    wanted = dict(dtype) if isinstance(dtype, Mapping) else dict.fromkeys(names, dtype)
+    wanted = as_entries(dtype, "dtype") if isinstance(dtype, Mapping) else dict.fromkeys(names, dtype)
     for name, each in wanted.items():
         as_choice(name, names, "channel of dtype")
         if each is not None:

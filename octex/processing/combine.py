@@ -7,14 +7,14 @@ from concurrent.futures import Executor
 import numpy as np
 
 from octex.channels import ALPHA, ONE, ChannelFormat
-from octex.checks import as_number
+from octex.checks import as_flag, as_number
 from octex.errors import ArgumentError
 from octex.parallel import workers
 from octex.processing.cast import in_format
 from octex.processing.edit import noted
 from octex.processing.mixing import Amount, Mixing
 from octex.source.separation import SEPARATION
-from octex.texture import Channel, OctreeTexture
+from octex.texture import Channel, OctreeTexture, as_texture
 from octex.tree.octree import Octree
 
 
@@ -31,6 +31,9 @@ def combine(
     Raises ArgumentError for textures of different root cells or separated otherwise, or without a channel in
     common.
     """
+    as_texture(first, "first")
+    as_texture(second, "second")
+    over = as_flag(over, "over")
     amount = None if over and ALPHA.name in second.channels else 1.0
     metadata = noted(first.metadata, "combine", over=over, second=dict(second.metadata))
     return _united(first, second, amount, metadata, executor)
@@ -58,6 +61,8 @@ def mix(
     Raises ArgumentError for textures of different root cells or separated otherwise, or without a channel in
     common, for channels that differ in their components or meaning, and for an amount that cannot be used.
     """
+    as_texture(first, "first")
+    as_texture(second, "second")
     if isinstance(amount, OctreeTexture):
         how: object = "a texture"
         if [each.format.components for each in amount.channels.values()] != [1]:

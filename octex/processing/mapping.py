@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import decode, encode
-from octex.checks import as_choice
+from octex.checks import as_choice, as_names
 from octex.errors import ArgumentError
 from octex.processing.edit import noted, with_values
 from octex.processing.facings import rows_of
-from octex.texture import Channel, OctreeTexture
+from octex.texture import Channel, OctreeTexture, as_texture
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree
 
@@ -31,8 +31,9 @@ ValueFunction = Callable[..., npt.ArrayLike]
 
 
 def names_of(texture: OctreeTexture, channel: str | Sequence[str] | None) -> list[str]:
-    """Return the names of channels to work on, None for all. Raises ArgumentError."""
-    names = list(texture.channels) if channel is None else [channel] if isinstance(channel, str) else channel
+    """Return the names of channels to work on, None for all. Raises ArgumentError, also for no texture."""
+    as_texture(texture)
+    names = list(texture.channels) if channel is None else as_names(channel, "channel")
     return [as_choice(name, texture.channels, "channel") for name in dict.fromkeys(names)]
 
 
@@ -54,6 +55,8 @@ def map_values(
     Raises ArgumentError for unknown channels, and for an f that raises or returns another shape, what is
     not finite, or no numbers; it names the position of the first cell where it does.
     """
+    if not callable(f):
+        raise ArgumentError(f"f must be a function of values, not {f!r}")
     made, change = {}, {}
     cells = _Cells(texture)
     for name in names_of(texture, channel):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
+from functools import partial
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -66,6 +68,10 @@ class Mixing:
         self._both = has_first & has_second
         self._share = has_second.astype(np.float32)  # of the second, in the colour of cells
         self._is_made = np.zeros(self._tree.n_nodes, np.bool_)  # nodes that are not as in one of the two
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the executor, which does not travel to its own processes."""
+        return {**self.__dict__, "_executor": None}
 
     def _cells(self, origins: Origins) -> Cells | None:
         if not (origins.cells < NOTHING).any():
@@ -208,12 +214,12 @@ class Mixing:
         one, other, found = (array.view(np.uint8) for array in (*given, taken))
         cells = self._first.origins.cells, self._second.origins.cells
 
-        def take_some(begin: int) -> None:
-            some = slice(begin, begin + _MANY)
-            take(cells[0][some], cells[1][some], self._share[some], one, other, found[some])
-
-        for _ in ordered_map(self._executor, take_some, range(0, len(found), _MANY)):
-            pass
+        parts = [slice(begin, begin + _MANY) for begin in range(0, len(found), _MANY)]
+        rows = [(cells[0][some], cells[1][some], self._share[some], found[some]) for some in parts]
+        done = ordered_map(self._executor, partial(_taken, one, other), rows)
+        for (*_, here), own in zip(rows, done, strict=True):
+            if not np.may_share_memory(here, own):  # the executor works in other processes
+                here[:] = own
 
     def _give_areas(self) -> None:
         """Give cells the areas of the texture that prevails; nodes of both get those of all children.
@@ -268,3 +274,10 @@ class Mixing:
             side.row_areas(owners[prevails], bits[prevails], own)
             areas[prevails] = own
         return areas
+
+
+def _taken(one: Uint8s, other: Uint8s, rows: tuple[Int64s, Int64s, Float32s, Uint8s]) -> Uint8s:
+    """Take some rows, in place."""
+    first, second, share, found = rows
+    take(first, second, share, one, other, found)
+    return found

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from concurrent.futures import Executor
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +16,7 @@ from octex.parallel import ordered_map, workers
 from octex.texture import Channel, OctreeTexture
 from octex.texture.split import rows_facing
 from octex.tree.edit import locate
+from octex.tree.octree import Octree
 
 Int64s = npt.NDArray[np.int64]
 Float32s = npt.NDArray[np.float32]
@@ -35,13 +38,15 @@ def refined(texture: OctreeTexture, codes: Int64s, level: int, executor: Executo
     blocks = [codes[begin : begin + _BLOCK] for begin in range(0, codes.size, _BLOCK)] or [codes]
     with workers(executor) as pool:
         found = list(
-            ordered_map(
-                pool, lambda block: refined_values(texture.tree, texture.channels, block, level), blocks
-            )
+            ordered_map(pool, partial(_refined, texture.tree, dict(texture.channels), level), blocks)
         )
     where = locate(texture.tree, codes, level)
     values = {name: np.concatenate([each[name] for each in found]) for name in texture.channels}
     return Refined(values, where.cells, where.levels)
+
+
+def _refined(tree: Octree, channels: Mapping[str, Channel], level: int, codes: Int64s) -> dict[str, Float32s]:
+    return refined_values(tree, channels, codes, level)
 
 
 def rows_below(

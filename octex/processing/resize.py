@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ALPHA, decode, encode
-from octex.checks import as_depth, as_points
+from octex.checks import as_depth, as_reals
 from octex.conversion.facings import MOST, in_codes
 from octex.errors import ArgumentError
 from octex.painting.averages import add_up_areas
@@ -17,7 +17,7 @@ from octex.processing.averages import average, coverage, difference, node_cells,
 from octex.processing.edit import noted
 from octex.processing.facings import average_rows, row_residuals, rows_of
 from octex.processing.refine import refined, rows_below
-from octex.texture import Channel, OctreeTexture
+from octex.texture import Channel, OctreeTexture, as_texture
 from octex.texture.split import bits_of, find_rows, refaced, with_split
 from octex.tree.edit import children_of, cull, raised
 from octex.tree.layout import AREA_STEPS, FACING_FLAGS, MAX_CELLS, SPLIT
@@ -39,6 +39,7 @@ def resize(texture: OctreeTexture, depth: int, *, executor: Executor | None = No
 
     Raises ArgumentError for a depth that is not 0 … 21, and for one with more cells than can be numbered.
     """
+    as_texture(texture)
     depth = as_depth(depth)
     metadata = noted(texture.metadata, "resize", depth=depth)
     if any(leaves for leaves, _ in texture.tree.cells_by_depth()[:depth]):
@@ -137,7 +138,8 @@ def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> Oct
 
     Raises ArgumentError for corners that are not finite or out of order, and for a box that no leaf meets.
     """
-    corners = np.array([_corner(low, "low"), _corner(high, "high")], np.float64)
+    as_texture(texture)
+    corners = np.array([as_reals(low, "low", (3,)), as_reals(high, "high", (3,))])
     if not np.isfinite(corners).all() or (corners[0] > corners[1]).any():
         raise ArgumentError(f"a box needs a finite lowest and highest corner, not {corners.tolist()}")
     tree = texture.tree
@@ -176,21 +178,16 @@ def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> Oct
         for name, each in texture.channels.items()
     }
     made = refaced(OctreeTexture(cut, channels, texture.placement, bounds, metadata))
+    for name, each in made.channels.items():
+        channels[name] = channels[name]._replace(split_values=each.split_values.copy())
+    made = OctreeTexture(made.tree, channels, texture.placement, bounds, metadata)
     rows, cells, bits = rows_of(made.tree)
     there, old_rows = find_rows(tree.split, edited.old[cells], bits)
     for name in sorted(channels, key=lambda name: name != ALPHA.name):
-        before, after = texture.channels[name], made.channels[name]
+        before, after = texture.channels[name], channels[name]
         left = residuals(tree, before, coverage(texture.channels, name))[were]
         average(made.tree, after, coverage(made.channels, name), left)
         left = np.zeros((rows.size, before.format.components))
         left[there] = row_residuals(texture, before, difference)[old_rows]
         average_rows(made, after, left)
     return made
-
-
-def _corner(corner: npt.ArrayLike, name: str) -> npt.NDArray[np.float64]:
-    """Return a corner (3,), or raise ArgumentError."""
-    given = as_points(np.atleast_2d(np.asarray(corner)), name)
-    if len(given) != 1:
-        raise ArgumentError(f"{name} must be one corner (3,), not {given.shape}")
-    return np.array(given[0], np.float64)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from contextlib import suppress
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ONE, ChannelFormat, decode, decode_table, encode, linear_to_srgb, srgb_to_linear
-from octex.checks import as_number
+from octex.checks import as_number, as_reals
 from octex.errors import ArgumentError
 from octex.jit import kernel
 from octex.processing.averages import Change, Float64s, Tables, tables_of
@@ -27,6 +28,7 @@ PerComponent = float | Sequence[float]
 Tone = Callable[[Float64s], Float64s]
 
 _MOST_GAMMA = 100.0
+_LARGEST = float(np.finfo(np.float32).max)
 
 
 def levels(
@@ -62,15 +64,17 @@ def levels(
                 f"levels of {form.name!r} need black below white and gamma above zero, "
                 f"not {low.tolist()}, {high.tolist()} and {power.tolist()}"
             )
-        top = np.inf if form.dtype.startswith("float") else 1.0
+        top = _LARGEST if form.dtype.startswith("float") else 1.0
 
         def tone(values: Float64s) -> Float64s:
-            part = np.clip((values - low) / (high - low), 0, top)
-            return np.asarray(below + (above - below) * part ** (1 / power))
+            with np.errstate(over="ignore"):  # where black is next to white, or gamma next to nothing
+                part = np.clip((values - low) / (high - low), 0, top) ** (1 / power)
+            return np.asarray(below + (above - below) * np.minimum(part, top))
 
         return tone
 
-    how = {"black": black, "white": white, "gamma": gamma, "out_black": out_black, "out_white": out_white}
+    given = {"black": black, "white": white, "gamma": gamma, "out_black": out_black, "out_white": out_white}
+    how = {name: as_reals(each, name, (), (-1,)).tolist() for name, each in given.items()}
     return _toned(texture, channel, tone_of, "levels", how)
 
 
@@ -179,27 +183,20 @@ def _toned_light(form: ChannelFormat, tone: Tone, values: Floats) -> Float64s:
 
 
 def _per_component(form: ChannelFormat, name: str, value: PerComponent, most: float) -> Float64s:
-    given = list(value) if isinstance(value, (Sequence, np.ndarray)) else [value] * form.components
-    if len(given) != form.components:
-        raise ArgumentError(
-            f"{name} must be a number, or one for each of {form.components} components of {form.name!r}"
-        )
-    return np.array([as_number(each, name, 0.0, most) for each in given])
+    given = as_reals(value, f"{name} of {form.name!r}", (), (form.components,))
+    return np.array([as_number(each, name, 0.0, most) for each in np.broadcast_to(given, form.components)])
 
 
 def _curves_of(form: ChannelFormat, points: npt.ArrayLike | Sequence[npt.ArrayLike]) -> list[Float64s]:
     """Return a curve for each component, or raise ArgumentError."""
     try:
-        whole = np.asarray(points, np.float64)
+        whole = as_reals(cast(npt.ArrayLike, points), "points", (-1, 2), (-1, -1, 2))
         curves = [whole] * form.components if whole.ndim == 2 else list(whole)
-    except (TypeError, ValueError):  # curves of different lengths, or no numbers
+    except ArgumentError:  # curves of different lengths, or no numbers
         curves = []
-        if isinstance(points, Sequence):
-            for each in points:
-                try:
-                    curves.append(np.asarray(each, np.float64))
-                except (TypeError, ValueError):
-                    break
+        for each in points if isinstance(points, Sequence) else ():
+            with suppress(ArgumentError):
+                curves.append(as_reals(each, "points", (-1, 2)))
     good = len(curves) == form.components and all(
         each.ndim == 2
         and each.shape[1] == 2

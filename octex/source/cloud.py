@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import zipfile
 from collections.abc import Callable
@@ -13,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ALPHA, BASE_COLOR, ChannelFormat
-from octex.checks import as_number
+from octex.checks import as_number, as_path, as_reals, as_text, locked
 from octex.errors import ArgumentError, InputError, ModelError
 from octex.files import open_file, read_bytes
 from octex.nearest.points import Points
@@ -57,8 +58,9 @@ class PointCloud(Placeable):
     distance   without ``radius``: how far the nearest point may be; what is farther from all stays empty
     max_angle  degrees between the surface's normal and a point's, from which on it does not count
 
-    Raises ArgumentError for arrays of another shape, type or length, and ModelError for points that are not
-    finite or fewer than three, and for colours out of range.
+    Arrays are copied, and those of the cloud are read-only. Raises ArgumentError for arrays of another shape,
+    type or length, and ModelError for points that are not finite or fewer than three, and for colours out of
+    range.
     """
 
     def __init__(
@@ -72,28 +74,28 @@ class PointCloud(Placeable):
         max_angle: float = 90.0,
         name: str = "points",
     ) -> None:
-        self.name = name
-        self.points = _rows(points, f"{name}: points")
+        self.name = as_text(name, "name")
+        self.points = locked(_rows(points, f"{name}: points"))
         if len(self.points) < _LEAST_POINTS:
             raise ModelError(f"{name} has {len(self.points)} points; a cloud needs three at least")
-        self.colors = linear_colors(colors, len(self.points), f"{name}: colors")
-        if not np.isfinite(self.colors).all():
-            raise ModelError(f"{name}: colour {_first_bad(self.colors)} is not finite")
-        fits = (self.colors >= 0.0) & (self.colors <= 1.0 + _ROUNDING)
+        light = linear_colors(colors, len(self.points), f"{name}: colors")
+        if not np.isfinite(light).all():
+            raise ModelError(f"{name}: colour {_first_bad(light)} is not finite")
+        fits = (light >= 0.0) & (light <= 1.0 + _ROUNDING)
         if not fits.all():
             bad = int(np.argmin(fits.all(axis=1)))
             raise ModelError(
                 f"{name}: colour {bad} is not from 0 to 1, as linear light is; give sRGB codes as uint8 or "
                 "uint16"
             )
-        np.minimum(self.colors, 1.0, out=self.colors)
+        self.colors = locked(np.minimum(light, np.float32(1.0)))
         self.normals = None
         if normals is not None:
             facing = _rows(normals, f"{name}: normals")
             if len(facing) != len(self.points):
                 raise ArgumentError(f"{name}: {len(facing)} normals for {len(self.points)} points")
             lengths = np.sqrt(np.einsum("nk,nk->n", facing, facing))[:, None]
-            self.normals = np.divide(facing, lengths, where=lengths > 0, out=np.zeros_like(facing))
+            self.normals = locked(np.divide(facing, lengths, where=lengths > 0, out=np.zeros_like(facing)))
         if radius is not None and distance is not None:
             raise ArgumentError("give radius or distance, not both: with a radius nothing farther counts")
         self.radius = None if radius is None else as_number(radius, "radius", 0.0, np.inf)
@@ -104,7 +106,7 @@ class PointCloud(Placeable):
     @classmethod
     def load(
         cls,
-        path: str | Path,
+        path: str | os.PathLike[str],
         *,
         radius: float | None = None,
         distance: float | None = None,
@@ -119,7 +121,7 @@ class PointCloud(Placeable):
 
         Raises ModelError, with the file's name, for what cannot be read, is not there or does not fit.
         """
-        path = Path(path)
+        path = as_path(path)
         reader = _READERS.get(path.suffix.lower())
         if reader is None:
             raise ModelError(f"{path.name} is no cloud that octex reads; it reads {', '.join(CLOUD_ENDINGS)}")
@@ -237,9 +239,8 @@ class _FromPoints(SpatialSource):
         return values
 
 
-def is_cloud(path: str | Path) -> bool:
+def is_cloud(path: Path) -> bool:
     """Say whether a file is one of points: ``.xyz``, ``.npz``, or ``.ply`` whose header has no faces."""
-    path = Path(path)
     if path.suffix.lower() != ".ply":
         return path.suffix.lower() in CLOUD_ENDINGS
     try:
@@ -251,13 +252,8 @@ def is_cloud(path: str | Path) -> bool:
 
 
 def _rows(array: npt.ArrayLike, what: str) -> Floats:
-    """Return finite rows of three, or raise ArgumentError or ModelError."""
-    try:
-        rows = np.ascontiguousarray(array, np.float64)
-    except (TypeError, ValueError):
-        raise ArgumentError(f"{what} must be numbers of shape (n, 3)") from None
-    if rows.ndim != 2 or rows.shape[1] != 3:
-        raise ArgumentError(f"{what} must have shape (n, 3), not {rows.shape}")
+    """Return a copy of finite rows of three, or raise ArgumentError or ModelError."""
+    rows = as_reals(array, what, (-1, 3))
     if not (np.abs(rows) <= _FARTHEST).all():
         raise ModelError(f"{what} are not all finite: number {_first_bad(rows)} is not")
     return rows

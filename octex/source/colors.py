@@ -15,7 +15,10 @@ def linear_colors(colors: npt.ArrayLike, rows: int, name: str) -> npt.NDArray[np
     Unsigned integers are sRGB codes, floats are linear light already.
     Raises ArgumentError for another shape or type.
     """
-    array = np.asarray(colors)
+    try:
+        array = np.asarray(colors)
+    except ValueError:  # rows of unequal lengths
+        array = np.empty(0, np.void)
     if array.ndim != 2 or array.shape[0] != rows or array.shape[1] not in (3, 4):
         raise ArgumentError(f"{name} must have shape ({rows}, 3) or ({rows}, 4), not {array.shape}")
     if array.dtype in (np.uint8, np.uint16):
@@ -26,7 +29,8 @@ def linear_colors(colors: npt.ArrayLike, rows: int, name: str) -> npt.NDArray[np
     if array.dtype.kind != "f":
         raise ArgumentError(f"{name} must be uint8 or uint16 (sRGB) or floats (linear), not {array.dtype}")
     linear = np.ones((rows, 4), np.float32)
-    linear[:, : array.shape[1]] = array
+    with np.errstate(over="ignore"):  # what becomes infinite is refused where it is used
+        linear[:, : array.shape[1]] = array
     return linear
 
 

@@ -76,9 +76,9 @@ def _value(form: ChannelFormat, given: Any) -> tuple[float, ...]:
     numbers = tuple(given) if isinstance(given, (tuple, list)) else (given,)
     if len(numbers) == 1:
         numbers *= form.components
-    most = np.inf if form.name == "emissive" else 1.0
+    most = float(np.finfo(np.float64).max) if form.name == "emissive" else 1.0
     fits = len(numbers) == form.components and all(
-        isinstance(number, Real) and 0.0 <= float(number) <= most and np.isfinite(float(number))
+        isinstance(number, Real) and 0 <= number <= most  # type: ignore[operator]
         for number in numbers
     )
     if form.space == "direction":

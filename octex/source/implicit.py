@@ -35,7 +35,8 @@ def level_set(
     low, high = _box(bounds)
     edge = as_positive(edge_length, "edge_length")
     level = as_number(level, "level", -_LARGEST, _LARGEST)
-    nodes = _NODES * float(np.prod((high - low) / edge + 1.0))
+    with np.errstate(over="ignore"):
+        nodes = _NODES * float(np.prod((high - low) / edge + 1.0))
     if nodes * _NODE_MEMORY > memory_size():
         raise ArgumentError(
             f"an edge_length of {edge:g} takes about {nodes:.2g} values of the function, more than fit into "

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from octex.checks import as_choice
+from octex.checks import as_choice, as_entries, as_flag, as_names, as_path, is_path
 from octex.errors import InputError, ModelError, ModelWarning
 from octex.files import read_bytes
 from octex.source.images.filters import FILTERS
@@ -33,8 +34,8 @@ MODEL_ENDINGS = tuple(_READERS)
 
 
 def load_surface(
-    path: str | Path,
-    rest: str | Path | npt.ArrayLike | None = None,
+    path: str | os.PathLike[str],
+    rest: str | os.PathLike[str] | npt.ArrayLike | None = None,
     *,
     channels: Sequence[str] | None = None,
     sources: Mapping[str, object] | None = None,
@@ -55,24 +56,27 @@ def load_surface(
     something that it refers to: the material file of an OBJ model, or a material.
     """
     as_choice(filter, FILTERS, "filter")
-    own = dict(sources or {})
-    names = [channels] if isinstance(channels, str) else channels
+    own = {} if sources is None else as_entries(sources, "sources")
+    names = None if channels is None else as_names(channels, "channels")
     wanted = None if names is None else tuple(name for name in names if name not in own)
-    surface = _read(Path(path), Options(True, wanted, filter, tuple(own), normals or "normal" in own))
+    surface = _read(
+        as_path(path),
+        Options(True, wanted, filter, tuple(own), as_flag(normals, "normals") or "normal" in own),
+    )
     surface.provenance["filter"] = filter
     if rest is not None:
         surface = at_rest(surface, rest)
     return surface.completed(own, names, filter)
 
 
-def at_rest(surface: Surface, rest: str | Path | npt.ArrayLike) -> Surface:
+def at_rest(surface: Surface, rest: str | os.PathLike[str] | npt.ArrayLike) -> Surface:
     """Return the same surface at the rest positions of another model file or of an array.
 
     Raises ModelError as ``load_surface`` does.
     """
-    if not isinstance(rest, (str, Path)):
-        return surface.with_rest(rest)
-    other = _read(Path(rest), Options(materials=False))
+    if not is_path(rest):
+        return surface.with_rest(rest)  # type: ignore[arg-type]
+    other = _read(as_path(rest, "rest"), Options(materials=False))
     if len(other.vertices) != len(surface.vertices) or not np.array_equal(other.triangles, surface.triangles):
         raise ModelError(
             f"{other.name} is no rest mesh of {surface.name}: the topology differs "

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import copy
 import json
+import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy.typing as npt
 import PIL.Image
 
 from octex.channels import ChannelFormat
-from octex.checks import as_choice, as_number
+from octex.checks import as_choice, as_number, as_reals
 from octex.errors import ArgumentError
 from octex.source.base import Source
 from octex.source.corners import Frames
@@ -76,7 +76,7 @@ class MappedImage(Placeable):
 
     def __init__(
         self,
-        image: str | Path | PIL.Image.Image | npt.ArrayLike,
+        image: str | os.PathLike[str] | PIL.Image.Image | npt.ArrayLike,
         kind: str,
         *,
         axis: str = "z",
@@ -225,13 +225,5 @@ class MappedSource(SpatialSource):
 
 def _three(given: float | Sequence[float], name: str, least: float) -> Floats:
     """Return a number for each direction."""
-    try:
-        numbers = np.asarray(given, np.float64)
-    except (TypeError, ValueError):
-        numbers = np.empty(0)
-    if name == "size" and numbers.ndim == 0:
-        numbers = np.full(3, numbers)
-    if numbers.shape != (3,):
-        wanted = "a number or three" if name == "size" else "three numbers"
-        raise ArgumentError(f"{name} must be {wanted}, not {given!r}")
+    numbers = np.broadcast_to(as_reals(given, name, (3,), *([()] if name == "size" else [])), 3)
     return np.array([as_number(number, name, least, _FARTHEST) for number in numbers])

@@ -78,7 +78,12 @@ class Picked(Source):
 
 def part_of(surface: Surface, triangles: npt.ArrayLike, source: Source | None = None) -> Surface:
     """Return some triangles of a surface: ``Surface.part``."""
-    chosen = np.asarray(triangles)
+    if source is not None and not isinstance(source, Source):
+        raise ArgumentError(f"source must be a Source, not {source!r}")
+    try:
+        chosen = np.asarray(triangles)
+    except ValueError:  # rows of unequal lengths
+        chosen = np.empty(1, np.void)
     if chosen.size and (chosen.ndim != 1 or chosen.dtype.kind not in "iu"):
         raise ArgumentError(
             f"triangles must be whole numbers of shape (k,), not {chosen.dtype} {chosen.shape}"

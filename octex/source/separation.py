@@ -33,6 +33,8 @@ def separated(surface: Surface, margin: float, found: Overlaps | None = None) ->
         raise ArgumentError(f"{surface.name} is separated already; separate the surface that it was made of")
     if found is None:
         found = overlapping_parts(surface.rest, surface.triangles, margin)
+    elif not isinstance(found, Overlaps):
+        raise ArgumentError(f"found must be what overlapping_parts returns, not {found!r}")
     elif found.margin < margin or len(found.parts) != len(surface.triangles):
         raise ArgumentError(f"the overlaps given are of a margin of {found.margin:g}, or of another surface")
     near = [(pair.a, pair.b) for pair in found.pairs if pair.gap < margin or pair.gap == 0.0]

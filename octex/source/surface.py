@@ -5,14 +5,25 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from types import NoneType
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import PIL.Image
 
 from octex.channels import ALPHA, NORMAL, ONE, ChannelFormat
-from octex.checks import as_choice
+from octex.checks import (
+    as_choice,
+    as_entries,
+    as_items,
+    as_names,
+    as_number,
+    as_reals,
+    as_text,
+    as_whole,
+    locked,
+)
 from octex.errors import ArgumentError, ModelError
 from octex.source.base import Combined, Source, by_channel
 from octex.source.colors import linear_colors
@@ -52,7 +63,7 @@ class Surface:
     ``vertices`` (n, 3) posed positions, ``triangles`` (m, 3) rows of vertices, counter-clockwise seen from
     outside, ``rest`` (n, 3) rest positions (the vertices themselves if None), all in the model's units.
     ``uv`` are texture coordinates at corners, v running down, and ``frames`` the shading normals and tangents
-    there, at rest, for images of one's own.
+    there, at rest, for images of one's own. Arrays are copied, and those of the surface are read-only.
 
     Raises ModelError for positions that are not finite, triangles that use vertices that are not there, no
     triangles, or rest positions of another shape.
@@ -77,16 +88,20 @@ class Surface:
             raise ModelError(
                 f"{name}: {len(self.rest)} rest positions for {len(self.vertices)} vertices; give one each"
             )
+        if not isinstance(source, Source):
+            raise ArgumentError(f"{name}: source must be a Source, not {source!r}")
+        if not isinstance(uv, (Corners, NoneType)) or not isinstance(frames, (Frames, NoneType)):
+            raise ArgumentError(f"{name}: uv must be Corners, and frames must be Frames, or None")
         self.source = source
-        self.uv = uv
-        self.frames = frames
+        self.uv = None if uv is None else _locked_corners(uv)
+        self.frames = None if frames is None else _locked_frames(frames)
         self.name = name
-        self.provenance = dict(provenance or {})
+        self.provenance = {} if provenance is None else as_entries(provenance, "provenance")
         self._single: dict[str, Source] = {}
         used = np.zeros(len(self.rest), bool)
         used[self.triangles] = True
-        self.bounds: npt.NDArray[np.float64] = np.array(
-            [self.rest[used].min(axis=0), self.rest[used].max(axis=0)]
+        self.bounds: npt.NDArray[np.float64] = locked(
+            np.array([self.rest[used].min(axis=0), self.rest[used].max(axis=0)])
         )
 
     @classmethod
@@ -126,7 +141,8 @@ class Surface:
         """
         positions = _positions(vertices, f"{name}: vertices")
         placed = positions if rest is None else _positions(rest, f"{name}: rest positions")
-        faces = _triangles(np.asarray(triangles), len(positions), name)
+        as_text(name, "name")
+        faces = _triangles(triangles, len(positions), name)
         if colors is not None and face_colors is not None:
             raise ArgumentError("give colors per vertex or face_colors per triangle, not both")
         corners = None
@@ -135,9 +151,10 @@ class Surface:
         elif face_colors is not None:
             rows = np.repeat(np.arange(len(faces), dtype=np.int32), 3).reshape(-1, 3)
             corners = Corners(linear_colors(face_colors, len(faces), "face_colors"), rows)
-        if len(factor) not in (3, 4):
-            raise ArgumentError(f"factor must be three or four numbers, not {factor!r}")
-        full = (factor[0], factor[1], factor[2], factor[3] if len(factor) > 3 else 1.0)
+        most = float(np.finfo(np.float32).max)
+        parts = as_reals(factor, "factor", (3,), (4,), most=most).tolist()
+        full = (parts[0], parts[1], parts[2], parts[3] if len(parts) > 3 else 1.0)
+        cutoff = as_number(cutoff, "cutoff", -most, most)
         texture = coordinates = None
         if image is not None:
             if uv is None:
@@ -176,8 +193,7 @@ class Surface:
         give that do not: 1, no light, and the faces' own normals. Its triangles and vertices are theirs in
         order. It has no texture coordinates. Raises ArgumentError for none.
         """
-        if not surfaces:
-            raise ArgumentError("there is no surface to join")
+        surfaces = as_items(surfaces, Surface, "surface to join")
         vertices = np.cumsum([0, *(len(each.vertices) for each in surfaces)]).tolist()
         triangles = np.cumsum([0, *(len(each.triangles) for each in surfaces)]).tolist()
         parts = [
@@ -256,6 +272,7 @@ class Surface:
 
         Raises ArgumentError for one that it lacks, and for none at all.
         """
+        channels = as_names(channels, "channels")
         if not channels:
             raise ArgumentError("channels must name one at least")
         for channel in channels:
@@ -293,7 +310,9 @@ class Surface:
         Raises ArgumentError for an unknown channel or another kind of value, ImageError for an image that
         cannot be used, ModelError where the surface has no texture coordinates for it.
         """
-        filter = as_choice(filter or self.provenance.get("filter", "ewa"), FILTERS, "filter")
+        sources = as_entries(sources, "sources")
+        given_filter = self.provenance.get("filter", "ewa") if filter is None else filter
+        filter = as_choice(given_filter, FILTERS, "filter")
         replaced = {*sources, *(["alpha"] if self.source.alpha_is_coverage else [])}
         remaining = [form.name for form in self.channels if form.name not in replaced]
         parts: dict[str, Source] = dict.fromkeys(remaining, self.source.only(remaining))
@@ -316,7 +335,8 @@ class Surface:
 
         Sources of channels that are not wanted are left out.
         """
-        names = [channels] if isinstance(channels, str) else channels
+        names = None if channels is None else as_names(channels, "channels")
+        sources = as_entries(sources, "sources")
         given = {name: each for name, each in sources.items() if names is None or name in names}
         surface = self.with_sources(given, filter) if given else self
         return surface if names is None else surface.with_channels(names)
@@ -384,7 +404,10 @@ class Surface:
         This is the surface itself, unless the texture was made of one that was ``separated``. Raises
         ArgumentError if the parts are not those of the texture's surface.
         """
-        return placed_as(self, texture.metadata)
+        metadata = getattr(texture, "metadata", None)  # whatever a texture is, its provenance says it
+        if not isinstance(metadata, Mapping):
+            raise ArgumentError(f"texture must be an octex.OctreeTexture, not {texture!r}")
+        return placed_as(self, metadata)
 
     def rest_positions(self, texture: OctreeTexture) -> npt.NDArray[np.float64]:
         """Return where a texture has the vertices (n, 3): what lookups on the surface take.
@@ -403,8 +426,8 @@ class Surface:
 
         Raises ModelError if the surface has no area, ArgumentError for a negative ``n``.
         """
-        if n < 0:
-            raise ArgumentError(f"the number of points must not be negative, like {n}")
+        n = as_whole(n, "n, the number of points,", 0, 2**32)
+        seed = as_whole(seed, "seed", 0, 2**128)
         crosses = self._crosses()
         norms = np.linalg.norm(crosses, axis=1)
         cumulative = np.cumsum(norms)
@@ -435,14 +458,14 @@ class Surface:
         a channel that is not there or samples of another surface.
         """
         as_choice(channel, [form.name for form in self.channels], "channel")
+        if not isinstance(samples, Samples):
+            raise ArgumentError(f"samples must be what scatter returns, not {samples!r}")
         triangles = np.asarray(samples.triangles)
         if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(self.triangles):
             raise ArgumentError(f"samples name triangles that {self.name} does not have")
         if not (np.abs(samples.barycentric) <= _FARTHEST).all():
             raise ArgumentError(f"samples have barycentric coordinates that are not below {_FARTHEST:g}")
-        side = 0.0 if width is None else width
-        if not 0 <= side < np.inf:
-            raise ArgumentError(f"width must be finite and not negative, not {side!r}")
+        side = 0.0 if width is None else as_number(width, "width", 0.0, np.finfo(np.float64).max)
         widths = np.full(len(triangles), min(side, _FARTHEST), np.float32)
         source = self._only(channel)
         found = source.evaluate(
@@ -483,15 +506,10 @@ class Surface:
 
 def _corner_coordinates(uv: npt.ArrayLike, triangles: npt.NDArray[np.int32], vertices: int) -> Corners:
     """Bind coordinates with v up, per vertex or per corner."""
-    array = np.asarray(uv, np.float64)
-    if array.shape == (len(triangles), 3, 2):
+    array = as_reals(uv, "uv", (vertices, 2), (len(triangles), 3, 2))
+    rows = triangles
+    if array.ndim == 3:
         rows = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
-    elif array.shape == (vertices, 2):
-        rows = triangles
-    else:
-        raise ArgumentError(
-            f"uv must have shape ({vertices}, 2) or ({len(triangles)}, 3, 2), not {array.shape}"
-        )
     return Corners(flip_v(array.reshape(-1, 2)), rows)
 
 
@@ -506,9 +524,12 @@ def flip_v(uv: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
 
 def _positions(positions: npt.ArrayLike, what: str) -> npt.NDArray[np.float64]:
     try:
-        array = np.ascontiguousarray(positions, np.float64)
-    except (TypeError, ValueError):
-        raise ModelError(f"{what} must be numbers of shape (n, 3)") from None
+        array = np.asarray(positions)
+    except ValueError:  # rows of unequal lengths
+        array = np.empty(0, np.void)
+    if array.dtype.kind not in "fiu":
+        raise ModelError(f"{what} must be numbers of shape (n, 3)")
+    array = _owned(array, np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise ModelError(f"{what} must have shape (n, 3), not {array.shape}")
     usable = (np.abs(array) <= _FARTHEST).all(axis=1)
@@ -522,7 +543,11 @@ def _positions(positions: npt.ArrayLike, what: str) -> npt.NDArray[np.float64]:
     return array
 
 
-def _triangles(triangles: npt.NDArray[np.integer], vertices: int, name: str) -> npt.NDArray[np.int32]:
+def _triangles(given: npt.ArrayLike, vertices: int, name: str) -> npt.NDArray[np.int32]:
+    try:
+        triangles = np.asarray(given)
+    except ValueError:  # rows of unequal lengths
+        triangles = np.empty(0, np.void)
     if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
         raise ModelError(f"{name}: triangles must be whole numbers of shape (m, 3), not {triangles.shape}")
     if len(triangles) == 0:
@@ -531,4 +556,32 @@ def _triangles(triangles: npt.NDArray[np.integer], vertices: int, name: str) -> 
     if low < 0 or high >= vertices:
         worst = low if low < 0 else high
         raise ModelError(f"{name}: a triangle uses vertex {worst}, but there are {vertices}; export it again")
-    return np.ascontiguousarray(triangles, np.int32)
+    return _owned(triangles, np.int32)
+
+
+def _owned(given: npt.ArrayLike, dtype: type) -> npt.NDArray[Any]:
+    """Return a read-only array of one's own: a copy, unless it is one already."""
+    if isinstance(given, np.ndarray) and given.base is None and not given.flags.writeable:
+        return np.asarray(given, dtype, order="C")
+    array: npt.NDArray[Any] = np.array(given, dtype, order="C")
+    array.flags.writeable = False
+    return array
+
+
+def _locked_frames(frames: Frames) -> Frames:
+    normals, tangents = map(_locked_corners, frames)
+    is_locked = normals is frames.normals and tangents is frames.tangents
+    return frames if is_locked else Frames(normals, tangents)
+
+
+def _locked_corners(corners: Corners) -> Corners:
+    if not any(array.flags.writeable for array in corners):
+        return corners
+    return Corners(locked(corners.values), locked(corners.rows))
+
+
+def as_surface(surface: Surface, name: str = "surface") -> Surface:
+    """Return a surface, or raise ArgumentError for anything else."""
+    if not isinstance(surface, Surface):
+        raise ArgumentError(f"{name} must be an octex.Surface, not {surface!r}")
+    return surface

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import copy
+import os
 from collections.abc import Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ALPHA, ChannelFormat
-from octex.checks import as_choice, as_number
+from octex.checks import as_choice, as_number, is_path
 from octex.errors import ModelError
 from octex.nearest.triangles import Triangles
 from octex.source.spatial import Floats, Int32s, Placeable, SpatialSource, least_cosine
@@ -37,11 +37,16 @@ class Transfer(Placeable):
     """
 
     def __init__(
-        self, model: str | Path | Surface, *, distance: float | None = None, max_angle: float = 180.0
+        self,
+        model: str | os.PathLike[str] | Surface,
+        *,
+        distance: float | None = None,
+        max_angle: float = 180.0,
     ) -> None:
         from octex.source.load import load_surface
+        from octex.source.surface import as_surface
 
-        self._surface = load_surface(model) if isinstance(model, (str, Path)) else model
+        self._surface = as_surface(load_surface(model) if is_path(model) else model, "model")  # type: ignore[arg-type]
         self.distance = None if distance is None else as_number(distance, "distance", 0.0, np.inf)
         self.max_angle = as_number(max_angle, "max_angle", 0.0, 180.0)
         self._latest: _Transferred | None = None

@@ -13,4 +13,5 @@ from octex.field.splines import FILTERS as FILTERS
 from octex.texture.channel import Channel as Channel
 from octex.texture.set import TextureSet as TextureSet
 from octex.texture.texture import OctreeTexture as OctreeTexture
+from octex.texture.texture import as_texture as as_texture
 from octex.texture.texture import open_texture as open_texture

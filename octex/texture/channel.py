@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import COLOR_SPACES, ONE, ChannelFormat
-from octex.checks import as_choice
+from octex.checks import as_choice, locked
 from octex.errors import ArgumentError
 from octex.tree.octree import Octree
 
@@ -31,11 +31,13 @@ class Channel(NamedTuple):
     def check(self, name: str, tree: Octree) -> None:
         """Raise ArgumentError unless the channel fits a tree and its own format."""
         form = self.format
+        if not isinstance(form, ChannelFormat):
+            raise ArgumentError(f"channel {name!r} must have a ChannelFormat, not {form!r}")
         if not name or name != form.name:
             raise ArgumentError(f"channel {name!r} must have the name of its format, {form.name!r}")
         as_choice(form.space, COLOR_SPACES, f"colour space of channel {name!r}:")
         as_choice(form.dtype, ONE, f"dtype of channel {name!r}:")
-        if not 1 <= form.components <= 4:
+        if form.components not in range(1, 5):
             raise ArgumentError(f"channel {name!r} must have 1 to 4 components, not {form.components}")
         for array, rows in (
             (self.values, tree.n_cells),
@@ -43,6 +45,8 @@ class Channel(NamedTuple):
             (self.kept_values, tree.kept.cells.size),
         ):
             expected = (rows, form.components)
+            if not isinstance(array, np.ndarray):
+                raise ArgumentError(f"channel {name!r} must have arrays, not {array!r}")
             if array.shape != expected or array.dtype != form.dtype or not array.flags.c_contiguous:
                 raise ArgumentError(
                     f"channel {name!r} must be a C-ordered {form.dtype} array of shape {expected}, "
@@ -55,6 +59,16 @@ class Channel(NamedTuple):
             values=self.values[: tree.n_cells],
             split_values=self.split_values[: tree.split.areas.size],
             kept_values=self.kept_values[: tree.kept.cells.size],
+        )
+
+    def locked(self) -> Channel:
+        """Return the same values as read-only views; itself, if they are."""
+        if not any(array.flags.writeable for array in self[1:]):
+            return self
+        return self._replace(
+            values=locked(self.values),
+            split_values=locked(self.split_values),
+            kept_values=locked(self.kept_values),
         )
 
     def is_finite(self) -> bool:

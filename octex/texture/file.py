@@ -28,6 +28,7 @@ from __future__ import annotations
 
 import json
 import mmap
+import re
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, TypeVar
 
@@ -63,7 +64,7 @@ class File(NamedTuple):
     """The file that a texture was opened from."""
 
     path: str
-    mapping: mmap.mmap
+    mapping: mmap.mmap | None  # None: it was pickled or copied, and lies in memory
     tensors: dict[str, Array]  # those that octex does not know
     metadata: dict[str, str]
 
@@ -105,7 +106,7 @@ def taken(tensors: dict[str, Array], metadata: dict[str, str]) -> Parts:
         raise TextureFileError("is not an octree texture; make one with octree-convert")
     version = metadata.pop("format_version", "")
     if version != str(FORMAT_VERSION):
-        raise TextureFileError(f"has format version {version!r}, newer than this octex reads; update octex")
+        raise TextureFileError(f"has format version {version!r}, {wrong_version(version)}")
     placement = _json(metadata, "placement", _placement)
     bounds = _json(metadata, "bounds", _floats)
     spaces = _json(metadata, "channels", _texts)
@@ -127,6 +128,13 @@ def taken(tensors: dict[str, Array], metadata: dict[str, str]) -> Parts:
         form = ChannelFormat(name, values.shape[1], space, values.dtype.name)  # type: ignore[arg-type]
         channels[name] = Channel(form, values, split_values, kept_values)
     return Parts(tree, channels, placement, bounds, provenance)
+
+
+def wrong_version(version: str) -> str:
+    """Say what is wrong with a version that is not the one that is read."""
+    if re.fullmatch("[1-9][0-9]*", version):  # there is none before the first
+        return "newer than this octex reads; update octex"
+    return "which is none: damaged, or made by something else; make it again"
 
 
 def _tensor(tensors: dict[str, Array], name: str) -> Array:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, TypeGuard
 
 from octex import container, files
 from octex.errors import OutputError, TextureFileError
-from octex.texture.file import ENDING
+from octex.texture.file import ENDING, wrong_version
 from octex.texture.texture import OctreeTexture
 
 INDEX = "set.json"
@@ -56,10 +56,9 @@ def read_index(folder: Path) -> Index:
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise TextureFileError(f"{path}: is not the index of a texture set")
     version = content.get("format_version")
-    if version != FORMAT_VERSION:
-        raise TextureFileError(
-            f"{path}: has format version {version!r}, newer than this octex reads; update octex"
-        )
+    if type(version) is not int or version != FORMAT_VERSION:
+        fault = wrong_version(repr(version))
+        raise TextureFileError(f"{path}: has format version {version!r}, {fault}")
     parts, metadata = content.get("parts"), content.get("provenance")
     if not (_are_texts(parts) and parts and all(parts) and _are_texts(metadata)):
         raise TextureFileError(f"{path}: its parts or its provenance are damaged; make the set again")
@@ -86,7 +85,7 @@ def write_folder(folder: Path, textures: Mapping[str, OctreeTexture], metadata: 
     Raises OutputError if that cannot be done; an older set in the folder is then as it was.
     """
     old = _files_there(folder)
-    is_new = not folder.exists()
+    is_new = not os.path.lexists(folder)
     written: dict[str, str] = {}
 
     def undo() -> None:

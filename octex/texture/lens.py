@@ -17,6 +17,9 @@ from octex.texture.lookup import Given
 #: Difference of a front and a back, of 1, that footprints without normals may mix.
 BLEED_THRESHOLD = 1 / 32
 
+#: How much longer than wide a footprint may be, if nobody says.
+ANISOTROPY = 16.0
+
 #: Most that a footprint may be longer than wide.
 MOST_ANISOTROPY = 256.0
 
@@ -59,6 +62,15 @@ class Lens(NamedTuple):
             raise ArgumentError("a footprint has a width, or dPdx and dPdy, not both")
         if self.sharpness > 0 and not self._has_footprints(given):
             raise ArgumentError("sharpness is for footprints: give a width, or dPdx and dPdy, or blur")
+        if self.anisotropy != ANISOTROPY and "dPdx" not in given:
+            raise ArgumentError("anisotropy is for footprints longer than wide: give dPdx and dPdy")
+        if self.bleed_threshold != BLEED_THRESHOLD and (
+            "normals" in given or not self._has_footprints(given)
+        ):
+            raise ArgumentError(
+                "bleed_threshold is for footprints without normals: leave it out, or give a width, or dPdx "
+                "and dPdy, or blur, and no normals"
+            )
 
     def _has_footprints(self, given: Given) -> bool:
         return "width" in given or "dPdx" in given or self.blur > 0
@@ -80,7 +92,10 @@ class Lens(NamedTuple):
 
 
 def _as_widths(width: npt.ArrayLike, n: int) -> npt.NDArray[Any]:
-    array = np.asarray(width)
+    try:
+        array = np.asarray(width)
+    except ValueError:  # rows of unequal lengths
+        array = np.empty(0, np.void)
     if array.dtype.kind not in "fiu" or array.shape not in ((), (n,)):
         raise ArgumentError(f"width must be a real number or (n,) of them, not {array.dtype} {array.shape}")
     return np.broadcast_to(array, (n,))

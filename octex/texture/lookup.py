@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from octex.checks import as_choice
 from octex.errors import ArgumentError
-from octex.parallel import ordered_map
+from octex.parallel import as_executor, ordered_map
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float32]
@@ -56,6 +56,7 @@ def in_blocks(given: Given, answers: list[Array], look_up: LookUp, executor: Exe
     Only a block is copied, and only if it is not as kernels take it. Raises ArgumentError naming the first
     row that is not finite, or a width that is below zero; the answers are then written in part.
     """
+    as_executor(executor)
     blocks = _Blocks(given, answers)
     work = partial(_look_up_block, look_up)
     done = map(work, blocks) if executor is None else ordered_map(executor, work, blocks)
@@ -83,7 +84,7 @@ def _look_up_block(look_up: LookUp, block: tuple[Given, list[Array]]) -> tuple[_
 
 
 def _as_kernels_take_it(array: Array) -> Array:
-    return np.require(array, np.float32 if array.dtype == np.float32 else np.float64, ["C", "A", "W"])
+    return np.require(array, np.float32 if array.dtype == np.float32 else np.float64, ["C", "A"])
 
 
 class Answers:

@@ -13,12 +13,12 @@ from typing import Any, Literal, TypedDict, Unpack, overload
 import numpy as np
 import numpy.typing as npt
 
-from octex.checks import as_choice, as_point_rows
+from octex.checks import as_choice, as_entries, as_flag, as_path, as_point_rows
 from octex.errors import ArgumentError, TextureFileError
 from octex.texture.folder import FORMAT, FORMAT_VERSION, read_index, write_folder
-from octex.texture.lens import BLEED_THRESHOLD, Lens
+from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens
 from octex.texture.lookup import Answers, Given, LookUp, check_apart, in_blocks
-from octex.texture.texture import OctreeTexture, open_texture
+from octex.texture.texture import OctreeTexture, as_metadata, open_texture
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float32]
@@ -56,17 +56,16 @@ class TextureSet(Mapping[str, OctreeTexture]):
     def __init__(
         self, textures: Mapping[str, OctreeTexture], metadata: Mapping[str, str] | None = None
     ) -> None:
-        if not textures:
+        parts = as_entries(textures, "parts")
+        if not parts:
             raise ArgumentError("a texture set needs one part at least")
-        for name, texture in textures.items():
-            if not isinstance(name, str) or not name:
+        for name, texture in parts.items():
+            if not name:
                 raise ArgumentError(f"parts must have names, not {name!r}")
             if not isinstance(texture, OctreeTexture):
                 raise ArgumentError(f"part {name!r} must be an OctreeTexture, not {type(texture).__name__}")
-        self.metadata = MappingProxyType(dict(metadata or {}))
-        if not all(isinstance(text, str) for pair in self.metadata.items() for text in pair):
-            raise ArgumentError("metadata must map strings to strings")
-        self._textures: dict[str, OctreeTexture | Path] = dict(textures)
+        self.metadata = MappingProxyType(as_metadata(metadata))
+        self._textures: dict[str, OctreeTexture | Path] = dict(parts)
         self.names = tuple(self._textures)
 
     @classmethod
@@ -76,12 +75,16 @@ class TextureSet(Mapping[str, OctreeTexture]):
         Raises TextureFileError for an index that is missing, damaged or of a newer version, for files that
         are missing or not in the folder; and for a part's damaged file when it is opened.
         """
-        index = read_index(Path(folder))
+        folder = as_path(folder, "folder")
+        index = read_index(folder)
         made = cls.__new__(cls)
         made.metadata = MappingProxyType(index.metadata)
-        made._textures = {name: Path(folder) / file for name, file in index.files.items()}
+        made._textures = {name: folder / file for name, file in index.files.items()}
         made.names = tuple(made._textures)
         return made
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return TextureSet, (dict(self), dict(self.metadata))
 
     def __getitem__(self, name: str) -> OctreeTexture:
         texture = self._textures[name]
@@ -166,7 +169,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
         normals: npt.ArrayLike | None = None,
         dPdx: npt.ArrayLike | None = None,
         dPdy: npt.ArrayLike | None = None,
-        anisotropy: float = 16.0,
+        anisotropy: float = ANISOTROPY,
         blur: float = 0.0,
         sharpness: float = 0.0,
         bleed_threshold: float = BLEED_THRESHOLD,
@@ -183,6 +186,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
         """
         given = {"points": as_point_rows(points)}
         lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
+        gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
         lens.check(given, gradient=gradient, width=width, normals=normals, dPdx=dPdx, dPdy=dPdy)
         used = self._with_parts(given, parts)
         components = self._components(list(used) or [0], channel)
@@ -235,8 +239,12 @@ class TextureSet(Mapping[str, OctreeTexture]):
             )
         if array.dtype.kind in "UO":
             known = {name: number for number, name in enumerate(self.names)}
-            kinds = {name: known[as_choice(name, known, "part")] for name in set(array.ravel().tolist())}
-            array = np.array([kinds[name] for name in array.ravel().tolist()], np.int64).reshape(array.shape)
+            names = array.ravel().tolist()
+            for name in names:
+                if not isinstance(name, str):
+                    as_choice(name, known, "part")
+            kinds = {name: known[as_choice(name, known, "part")] for name in set(names)}
+            array = np.array([kinds[name] for name in names], np.int64).reshape(array.shape)
         elif array.size and not 0 <= array.min() <= array.max() < len(self):
             worst = array.min() if array.min() < 0 else array.max()
             raise ArgumentError(f"there is no part {worst}; there are 0 to {len(self) - 1}: {self!r}")
@@ -268,7 +276,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
         Raises OutputError if something cannot be written, or if there is a ``set.json`` that is no index of a
         set; an older set is then as it was.
         """
-        write_folder(Path(folder), self, self.metadata)
+        write_folder(as_path(folder, "folder"), self, self.metadata)
 
     def validate(self) -> None:
         """Prove that every part's tree is sound and its values are finite.

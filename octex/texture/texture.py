@@ -7,7 +7,6 @@ import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal, overload
 
@@ -15,13 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from octex import container
-from octex.checks import as_depth, as_point_rows
+from octex.checks import as_depth, as_entries, as_flag, as_path, as_point_rows, as_reals, locked
 from octex.errors import ArgumentError, InputError, TextureFileError
 from octex.field.field import Field
 from octex.texture.blend import NO_GRADIENTS, facing_spreads, look_up, make_unit
 from octex.texture.channel import Channel
 from octex.texture.file import ENDING, FORMAT, FORMAT_VERSION, File, Parts, taken, written
-from octex.texture.lens import BLEED_THRESHOLD, Lens
+from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens
 from octex.texture.lookup import Answers, Given, LookUp, check_apart, in_blocks
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -34,7 +33,9 @@ Floats = npt.NDArray[np.float32]
 class OctreeTexture:
     """Values stored in the octree cells that a surface passes through, looked up by rest position.
 
-    Immutable. ``metadata`` is provenance: free text by name, kept in the file.
+    Immutable: what ``channels`` and ``bounds`` hand out is read-only. The arrays given of a tree and of
+    channels are not copied. ``metadata`` is provenance: free text by name, kept in the file. It can be
+    pickled and copied, whole: also what is in a file.
 
     Raises ArgumentError if tree, channels, placement and bounds do not fit together.
     """
@@ -49,25 +50,29 @@ class OctreeTexture:
         bounds: npt.ArrayLike,
         metadata: Mapping[str, str] | None = None,
     ) -> None:
+        if not isinstance(tree, Octree):
+            raise ArgumentError(f"tree must be an Octree, not {tree!r}")
         self.tree = tree
-        self.channels = MappingProxyType(dict(channels))
-        x, y, z = map(float, placement.origin)
-        self.placement = Placement((x, y, z), float(placement.size))
-        self.bounds = np.asarray(bounds, np.float64)
-        self.metadata = MappingProxyType(dict(metadata or {}))
+        self.placement = Placement.checked(placement)
+        self.bounds = _as_bounds(bounds)
+        self.metadata = MappingProxyType(as_metadata(metadata))
         self._field = Field(tree)
         self._known_spreads: dict[tuple[str, int], Floats] = {}
         self._file: File | None = None
-        if not all(isinstance(text, str) for pair in self.metadata.items() for text in pair):
-            raise ArgumentError("metadata must map strings to strings")
-        for name, channel in self.channels.items():
+        given = as_entries(channels, "channels")
+        for name, channel in given.items():
+            if not isinstance(channel, Channel):
+                raise ArgumentError(f"channel {name!r} must be a Channel, not {channel!r}")
             channel.check(name, tree)
-        self.placement.check()
-        if self.bounds.shape != (2, 3) or not np.isfinite(self.bounds).all():
-            raise ArgumentError(f"bounds must be two finite corners, not {self.bounds.tolist()}")
+        self.channels = MappingProxyType({name: channel.locked() for name, channel in given.items()})
 
     def __repr__(self) -> str:
         return f"<OctreeTexture of {', '.join(self.channels) or 'no channels'}; {self.tree!r}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        others = (self._file.path, self._file.tensors, self._file.metadata) if self._file else None
+        parts = self.tree, dict(self.channels), self.placement, self.bounds, dict(self.metadata)
+        return _received, (parts, others)
 
     @property
     def nbytes(self) -> int:
@@ -85,7 +90,7 @@ class OctreeTexture:
         normals: npt.ArrayLike | None = None,
         dPdx: npt.ArrayLike | None = None,
         dPdy: npt.ArrayLike | None = None,
-        anisotropy: float = 16.0,
+        anisotropy: float = ANISOTROPY,
         blur: float = 0.0,
         sharpness: float = 0.0,
         bleed_threshold: float = BLEED_THRESHOLD,
@@ -105,7 +110,7 @@ class OctreeTexture:
         normals: npt.ArrayLike | None = None,
         dPdx: npt.ArrayLike | None = None,
         dPdy: npt.ArrayLike | None = None,
-        anisotropy: float = 16.0,
+        anisotropy: float = ANISOTROPY,
         blur: float = 0.0,
         sharpness: float = 0.0,
         bleed_threshold: float = BLEED_THRESHOLD,
@@ -125,7 +130,7 @@ class OctreeTexture:
         normals: npt.ArrayLike | None = None,
         dPdx: npt.ArrayLike | None = None,
         dPdy: npt.ArrayLike | None = None,
-        anisotropy: float = 16.0,
+        anisotropy: float = ANISOTROPY,
         blur: float = 0.0,
         sharpness: float = 0.0,
         bleed_threshold: float = BLEED_THRESHOLD,
@@ -145,7 +150,7 @@ class OctreeTexture:
         normals: npt.ArrayLike | None = None,
         dPdx: npt.ArrayLike | None = None,
         dPdy: npt.ArrayLike | None = None,
-        anisotropy: float = 16.0,
+        anisotropy: float = ANISOTROPY,
         blur: float = 0.0,
         sharpness: float = 0.0,
         bleed_threshold: float = BLEED_THRESHOLD,
@@ -164,7 +169,7 @@ class OctreeTexture:
         normals: npt.ArrayLike | None = None,
         dPdx: npt.ArrayLike | None = None,
         dPdy: npt.ArrayLike | None = None,
-        anisotropy: float = 16.0,
+        anisotropy: float = ANISOTROPY,
         blur: float = 0.0,
         sharpness: float = 0.0,
         bleed_threshold: float = BLEED_THRESHOLD,
@@ -187,6 +192,7 @@ class OctreeTexture:
                   footprint is then the pixel's parallelogram: several looks along its longer axis, and, but
                   for ``nearest`` and ``linear``, two across.
         anisotropy  how much longer than wide such a footprint may be, up to 256; a narrower one is widened
+                  (for dPdx and dPdy alone)
         blur      width that is added to both sides of a footprint, in the model's units
         sharpness  0 … 1: from the mean over the footprint to a kernel of variance zero, whose results may
                   leave the range of the stored values. Leaves are not sharpened.
@@ -210,7 +216,8 @@ class OctreeTexture:
                   (n, components, 3), per unit of the model's length. ``nearest`` has none.
         out       where to write and what to return: a C-ordered float32 array of the answer's shape, a dict
                   of them for a list of channels, with ``gradient`` a pair of either; else new arrays
-        executor  spreads blocks of points over its threads; by default the calling thread does all
+        executor  spreads blocks of points over its threads; by default the calling thread does all. To other
+                  processes the texture travels with each block
 
         Blending is done in linear light. Where the texture has a channel ``alpha``, all others weigh by it.
 
@@ -221,6 +228,7 @@ class OctreeTexture:
         """
         given = {"points": as_point_rows(points)}
         lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
+        gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
         lens.check(given, gradient=gradient, width=width, normals=normals, dPdx=dPdx, dPdy=dPdy)
         components = {name: each.format.components for name, each in self.channels.items()}
         answers = Answers(components, channel, len(given["points"]), gradient, out)
@@ -231,12 +239,13 @@ class OctreeTexture:
 
     def _look_up(self, names: Sequence[str], lens: Lens, normalize: bool) -> LookUp:
         """Return how a block of points is looked up: what `lookup.in_blocks` takes."""
-        return partial(self._sampled, [self.channels[name] for name in names], lens, normalize)
+        return partial(self._sampled, list(names), lens, normalize)
 
     def _sampled(
-        self, channels: list[Channel], lens: Lens, normalize: bool, given: Given, answers: list[Array]
+        self, names: list[str], lens: Lens, normalize: bool, given: Given, answers: list[Array]
     ) -> int:
         """Look up a block: its values in ``answers``, then, if they are wanted, as many gradients."""
+        channels = [self.channels[name] for name in names]
         values, gradients = answers[: len(channels)], answers[len(channels) :]
         alpha = self.channels.get("alpha")
         if alpha and alpha.format.components != 1:
@@ -306,7 +315,8 @@ class OctreeTexture:
         Raises ArgumentError for another ending, OutputError if the file cannot be written; what stood at
         ``path`` then still stands.
         """
-        if not os.fspath(path).lower().endswith(ENDING):
+        path = as_path(path)
+        if not path.name.lower().endswith(ENDING):
             raise ArgumentError(f"{path}: a texture is saved as NAME{ENDING}")
         self._read_ahead()
         container.write(path, *written(self._parts(), self._file))
@@ -364,11 +374,47 @@ class OctreeTexture:
         }
 
     def _read_ahead(self) -> None:
-        if self._file:
+        if self._file and self._file.mapping:
             container.read_ahead(self._file.mapping)
 
     def _parts(self) -> Parts:
         return Parts(self.tree, self.channels, self.placement, self.bounds, self.metadata)
+
+
+def _as_bounds(bounds: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Return the lowest and highest corner (2, 3), read-only, or raise ArgumentError."""
+    most = float(np.finfo(np.float64).max)
+    corners = as_reals(bounds, "bounds, two finite corners,", (2, 3), most=most)
+    return locked(corners)
+
+
+def as_metadata(metadata: Mapping[str, str] | None) -> dict[str, str]:
+    """Return provenance, or raise ArgumentError for what is no text by name."""
+    found: dict[str, str] = {}
+    if metadata is not None:
+        is_mapping = isinstance(metadata, Mapping)
+        if not is_mapping or not all(isinstance(text, str) for pair in metadata.items() for text in pair):
+            raise ArgumentError("metadata must map strings to strings")
+        found = dict(metadata)
+    return found
+
+
+def as_texture(texture: OctreeTexture, name: str = "texture") -> OctreeTexture:
+    """Return a texture, or raise ArgumentError for anything else."""
+    if not isinstance(texture, OctreeTexture):
+        raise ArgumentError(f"{name} must be an octex.OctreeTexture, not {texture!r}")
+    return texture
+
+
+def _received(
+    parts: tuple[Any, ...], others: tuple[str, dict[str, Array], dict[str, str]] | None
+) -> OctreeTexture:
+    """Make the texture that was pickled, or copied, anew."""
+    texture = OctreeTexture(*parts)
+    if others is not None:
+        path, tensors, metadata = others
+        texture._file = File(path, None, tensors, metadata)
+    return texture
 
 
 def open_texture(path: str | os.PathLike[str]) -> OctreeTexture:
@@ -376,7 +422,8 @@ def open_texture(path: str | os.PathLike[str]) -> OctreeTexture:
 
     Raises TextureFileError for a file that is missing, damaged, of another type or of a newer version.
     """
-    if Path(path).is_dir():
+    path = as_path(path)
+    if os.path.isdir(path):  # noqa: PTH112  # a name too long is none, and no error
         raise TextureFileError(f"{path}: is a folder; octex.TextureSet.open opens a texture set")
     contents = container.read(path)
     tensors, metadata = dict(contents.tensors), dict(contents.metadata)
@@ -384,5 +431,5 @@ def open_texture(path: str | os.PathLike[str]) -> OctreeTexture:
         texture = OctreeTexture(*taken(tensors, metadata))
     except InputError as error:
         raise TextureFileError(f"{path}: {error}") from error
-    texture._file = File(os.fspath(path), contents.mapping, tensors, metadata)
+    texture._file = File(str(path), contents.mapping, tensors, metadata)
     return texture

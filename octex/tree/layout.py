@@ -38,7 +38,7 @@ MAX_DEPTH = 21
 #: Positions are rounded to 2⁻³⁰ of the root's edge before the cells that hold them are found, a surface's and
 #: those looked up alike: points of a face in a cell plane then lie in the cells stored for it.
 GRID_BITS = 30
-#: Cells and nodes are numbered in 32 bits.
+#: Cells and nodes are numbered in 32 bits, and so are rows of values: cells', facings' and kept nodes'.
 MAX_CELLS = 2**32 - 1
 
 # A cell's flags. Bits 0 to 5, the normal flags, say which ways the surface in the cell faces (paper 3.5.2):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import islice
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -62,13 +63,13 @@ class Octree:
         Raises ArgumentError for leaves out of order or overlapping, for codes outside their depth, and for
         trees of more than 2³² − 1 cells.
         """
-        codes = np.ascontiguousarray(codes, np.int64)
-        if np.ndim(depths) == 0:
+        codes = np.ascontiguousarray(_whole(codes, "codes"), np.int64)
+        if isinstance(depths, (int, np.integer)):
             depths = np.full(codes.shape, as_depth(depths), np.uint8)  # type: ignore[arg-type]
-        depths = np.asarray(depths)
-        if codes.ndim != 1 or depths.shape != codes.shape or depths.dtype.kind not in "iu":
+        depths = _whole(depths, "depths")
+        if depths.shape != codes.shape:
             raise ArgumentError(
-                f"codes and depths must be whole numbers of shape (n,), not {codes.shape} and {depths.shape}"
+                f"codes and depths must be whole numbers, one each, not {codes.shape} and {depths.shape}"
             )
         if codes.size and not 0 <= depths.min() <= depths.max() <= MAX_DEPTH:
             raise ArgumentError(f"depths must be 0 to {MAX_DEPTH}")
@@ -218,6 +219,19 @@ class Octree:
     def validate(self) -> None:
         """Prove that the arrays are an octree, or raise TextureFileError naming the broken invariant."""
         check_meaning(self.arrays, self.split, self.kept)
+
+
+def _whole(numbers: npt.ArrayLike, name: str) -> npt.NDArray[Any]:
+    """Return whole numbers (n,) of any type, or raise ArgumentError."""
+    try:
+        array = np.asarray(numbers)
+    except ValueError:  # rows of unequal lengths
+        array = np.empty((), np.void)
+    if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
+        raise ArgumentError(f"{name} must be whole numbers of shape (n,), not {array.dtype} {array.shape}")
+    if array.dtype == np.uint64 and array.size and array.max() > np.iinfo(np.int64).max:
+        raise ArgumentError(f"{name} must be below 2⁶³, not {array.max()}")
+    return array
 
 
 def _count_before(cells: npt.NDArray[np.uint32], end: int) -> int:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.checks import as_depth, as_points, as_positive
+from octex.checks import as_depth, as_points, as_positive, as_real, as_reals
 from octex.errors import ArgumentError
 from octex.tree.layout import MAX_DEPTH
 
@@ -25,6 +25,16 @@ class Placement(NamedTuple):
 
     origin: tuple[float, float, float]
     size: float
+
+    @classmethod
+    def checked(cls, placement: Placement) -> Placement:
+        """Return a placement of plain numbers, or raise ArgumentError for what is none, or out of range."""
+        if not isinstance(placement, Placement):
+            raise ArgumentError(f"placement must be a Placement, not {placement!r}")
+        x, y, z = as_reals(placement.origin, "the corner of the root cell", (3,)).tolist()
+        found = cls((x, y, z), as_real(placement.size, "the size of the root cell"))
+        found.check()
+        return found
 
     @classmethod
     def around(cls, bounds: npt.ArrayLike, depth: int) -> Placement:

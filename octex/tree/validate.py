@@ -67,6 +67,16 @@ def check_layout(arrays: TreeArrays, split: SplitTable, kept: KeptTable) -> None
     for name, found, wanted in shapes:
         if found != wanted:
             raise ArgumentError(f"{name} must have shape {wanted}, not {found}")
+    check_rows(int(arrays.level_cells[-1]), split.areas.size, kept.cells.size)
+
+
+def check_rows(cells: int, split_rows: int, kept: int) -> None:
+    """Raise ArgumentError for more rows of values than can be numbered: cells', facings' and kept nodes'."""
+    if cells + split_rows + kept > MAX_CELLS:
+        raise ArgumentError(
+            f"{cells:,} cells, {split_rows:,} rows of split cells and {kept:,} kept nodes together are more "
+            "than can be numbered; use a smaller depth"
+        )
 
 
 def check_meaning(arrays: TreeArrays, split: SplitTable, kept: KeptTable) -> None:

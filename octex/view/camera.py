@@ -15,7 +15,16 @@ from typing import Literal, cast, get_args
 import numpy as np
 import numpy.typing as npt
 
-from octex.checks import as_choice, as_points, as_positive
+from octex.checks import (
+    as_choice,
+    as_number,
+    as_points,
+    as_positive,
+    as_reals,
+    as_whole,
+    is_several,
+    locked,
+)
 from octex.errors import ArgumentError
 
 Floats = npt.NDArray[np.float64]
@@ -28,6 +37,17 @@ Convention = Literal["opengl", "opencv"]
 #: k1, k2, p1, p2 of OpenCV's radial-tangential model.
 Distortion = tuple[float, float, float, float]
 NO_DISTORTION: Distortion = (0.0, 0.0, 0.0, 0.0)
+
+#: How parallel the rays are.
+Projection = Literal["pinhole", "orthographic"]
+
+#: Of numbers of a camera: their powers are still far from overflow.
+LARGEST, SMALLEST = 1e30, 1e-30
+#: Of the sides of pictures, in pixels.
+LARGEST_SIZE = 1_000_000
+_MOST_DIMENSIONS = 9
+#: By which a field of view must be from nothing, and from a half circle, in degrees.
+_LEAST_ANGLE = 1e-6
 
 #: From OpenGL's camera axes to ours, and back.
 _FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -48,14 +68,28 @@ class Camera:
     K                 (3, 3), to pixel coordinates. pinhole: K · (x/z, y/z, 1); orthographic: K · (x, y, 1)
     world_to_camera   (4, 4): a rotation and a translation into camera axes (x right, y down, z forward)
     distortion        k1, k2, p1, p2: what ``distort`` does to (x/z, y/z) before K; zeros if orthographic
+
+    Matrices are copied, and read-only. Raises ArgumentError for what is none of these.
     """
 
     width: int
     height: int
     K: Floats
     world_to_camera: Floats
-    projection: Literal["pinhole", "orthographic"]
+    projection: Projection
     distortion: Distortion = NO_DISTORTION
+
+    def __post_init__(self) -> None:
+        made = {
+            "width": as_whole(self.width, "width", 1, LARGEST_SIZE),
+            "height": as_whole(self.height, "height", 1, LARGEST_SIZE),
+            "K": locked(_as_intrinsics(self.K)),
+            "world_to_camera": locked(_as_rigid(self.world_to_camera, "world_to_camera")),
+            "projection": as_choice(self.projection, get_args(Projection), "projection"),
+            "distortion": _as_distortion(self.distortion),
+        }
+        for name, value in made.items():
+            object.__setattr__(self, name, value)
 
     @classmethod
     def pinhole(
@@ -85,19 +119,16 @@ class Camera:
         if (K is None) == (focal is None) or (K is not None and center is not None):
             raise ArgumentError("give a pinhole camera either K, or focal with or without center")
         if K is None:
-            x, y = focal if isinstance(focal, tuple) else (focal, focal)
-            K = _intrinsics(
-                as_positive(cast(float, x), "focal"),
-                as_positive(cast(float, y), "focal"),
-                center if center is not None else (width / 2, height / 2),
-            )
+            x, y = np.broadcast_to(as_reals(cast(float, focal), "focal", (), (2,)), 2).tolist()
+            middle = _as_center(center, width, height)
+            K = _intrinsics(as_positive(x, "focal"), as_positive(y, "focal"), middle)
         return cls(
             width,
             height,
             _as_intrinsics(K),
             _as_view(pose, convention),
             "pinhole",
-            _as_distortion(distortion),
+            NO_DISTORTION if distortion is None else _as_distortion(distortion),
         )
 
     @classmethod
@@ -113,7 +144,7 @@ class Camera:
         """Make a camera of parallel rays, ``pixels_per_unit`` to a unit of the world; else as ``pinhole``."""
         width, height = _as_size(size)
         scale = as_positive(pixels_per_unit, "pixels_per_unit")
-        K = _intrinsics(scale, scale, center if center is not None else (width / 2, height / 2))
+        K = _intrinsics(scale, scale, _as_center(center, width, height))
         return cls(width, height, _as_intrinsics(K), _as_view(pose, convention), "orthographic")
 
     @classmethod
@@ -140,12 +171,13 @@ class Camera:
         """
         width, height = _as_size(size)
         points = as_points(points).astype(np.float64, copy=False)
-        if not points.size or not np.isfinite(points).all():
-            raise ArgumentError("points must be finite, and at least one")
-        if not 0.0 < fov < 180.0:
-            raise ArgumentError(f"fov must be between 0 and 180 degrees, not {fov:g}")
-        if not 0.0 <= margin < 0.5:
-            raise ArgumentError(f"margin must be from 0 to below 0.5, not {margin:g}")
+        if not points.size or not (np.abs(points) <= LARGEST).all():
+            raise ArgumentError(f"points must be finite, up to {LARGEST:g}, and at least one")
+        fov, margin = as_number(fov, "fov", 0.0, 180.0), as_number(margin, "margin", 0.0, 0.5)
+        if not _LEAST_ANGLE <= fov <= 180.0 - _LEAST_ANGLE:
+            raise ArgumentError(f"fov must be between 0 and 180 degrees, by {_LEAST_ANGLE:g}, not {fov:g}")
+        if margin == 0.5:
+            raise ArgumentError("margin must be from 0 to below 0.5, which leaves nothing")
         rotation = _look_along(-_as_vector(direction, "direction"), _as_vector(up, "up"))
 
         focal = min(width, height) / 2 / np.tan(np.radians(fov) / 2)
@@ -192,9 +224,7 @@ class Camera:
         NaN from where the radial polynomial r · (1 + k1 · r² + k2 · r⁴) stops rising: points farther out
         would be folded back into the picture.
         """
-        points = np.asarray(points, np.float64)
-        if points.ndim != 2 or points.shape[1] != 2:
-            raise ArgumentError(f"points must have shape (n, 2), not {points.shape}")
+        points = as_reals(points, "points", (-1, 2))
         k1, k2, p1, p2 = self.distortion
         with np.errstate(over="ignore", invalid="ignore"):
             x, y = points.T
@@ -215,34 +245,33 @@ class Camera:
         coordinates are NaN.
         """
         points = as_points(points)
-        if self.distortion == NO_DISTORTION:
-            x, y, w, depth = self.matrix[:, :3] @ points.T + self.matrix[:, 3:]
-            w = np.where(w > 0.0, w, np.nan)
-            return np.column_stack([x / w, y / w]), depth
-        x, y, depth = self.world_to_camera[:3, :3] @ points.T + self.world_to_camera[:3, 3:]
-        z = np.where(depth > 0.0, depth, np.nan)
-        return self.distort(np.column_stack([x / z, y / z])) @ self.K[:2, :2].T + self.K[:2, 2], depth
+        with np.errstate(over="ignore", invalid="ignore"):  # of points that are not finite, or nearly
+            if self.distortion == NO_DISTORTION:
+                x, y, w, depth = self.matrix[:, :3] @ points.T + self.matrix[:, 3:]
+                w = np.where(w > 0.0, w, np.nan)
+                return np.column_stack([x / w, y / w]), depth
+            x, y, depth = self.world_to_camera[:3, :3] @ points.T + self.world_to_camera[:3, 3:]
+            z = np.where(depth > 0.0, depth, np.nan)
+            return self.distort(np.column_stack([x / z, y / z])) @ self.K[:2, :2].T + self.K[:2, 2], depth
 
     def rays(self, pixels: npt.ArrayLike) -> tuple[Floats, Floats]:
         """Return rays through pixel coordinates (n, 2): origins at depth 0 and unit directions, (n, 3).
 
         Directions are NaN for pixels that no point reaches through the lens.
         """
-        pixels = np.asarray(pixels, np.float64)
-        if pixels.ndim != 2 or pixels.shape[1] != 2:
-            raise ArgumentError(f"pixels must have shape (n, 2), not {pixels.shape}")
+        pixels = as_reals(pixels, "pixels", (-1, 2))
         on_plane = np.linalg.solve(self.K, np.column_stack([pixels, np.ones(len(pixels))]).T).T
-        if self.projection == "pinhole":
-            if self.distortion != NO_DISTORTION:
-                on_plane[:, :2] = self._undistort(on_plane[:, :2])
-            origins, directions = np.zeros_like(on_plane), on_plane
-        else:
-            origins, directions = on_plane * [1.0, 1.0, 0.0], np.tile([0.0, 0.0, 1.0], (len(pixels), 1))
-        rotation, translation = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
-        directions = directions @ rotation
-        return (origins - translation) @ rotation, directions / np.linalg.norm(
-            directions, axis=1, keepdims=True
-        )
+        with np.errstate(over="ignore", invalid="ignore"):  # of pixels that are not finite, or nearly
+            if self.projection == "pinhole":
+                if self.distortion != NO_DISTORTION:
+                    on_plane[:, :2] = self._undistort(cast(Floats, on_plane[:, :2]))
+                origins, directions = np.zeros_like(on_plane), on_plane
+            else:
+                origins, directions = on_plane * [1.0, 1.0, 0.0], np.tile([0.0, 0.0, 1.0], (len(pixels), 1))
+            rotation, translation = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
+            directions = directions @ rotation
+            lengths = np.linalg.norm(directions, axis=1, keepdims=True)
+            return (origins - translation) @ rotation, directions / lengths
 
     def differentials(self, points: npt.ArrayLike, normals: npt.ArrayLike) -> tuple[Floats, Floats]:
         """Return how seen points (n, 3) move, in the world, from a pixel to the next: to the right and down.
@@ -250,7 +279,14 @@ class Camera:
         What is seen there is taken for planes with ``normals`` (n, 3) (Igehy, "Tracing Ray Differentials",
         1999). Planes that are seen edge-on are taken as turned by 0.06°. Lens distortion is left out.
         """
-        points, normals = as_points(points), as_points(normals, "normals")
+        points = as_points(points).astype(np.float64, copy=False)
+        normals = as_points(normals, "normals").astype(np.float64, copy=False)
+        if len(points) != len(normals):
+            raise ArgumentError(f"there are {len(normals)} normals for {len(points)} points")
+        with np.errstate(all="ignore"):  # of points that are not finite, or where the camera is
+            return self._differentials(points, normals)
+
+    def _differentials(self, points: Floats, normals: Floats) -> tuple[Floats, Floats]:
         rotation = self.world_to_camera[:3, :3]
         steps = (np.linalg.inv(self.K)[:, :2].T * [1.0, 1.0, 0.0]) @ rotation  # at depth 1
         if self.projection == "pinhole":
@@ -271,11 +307,12 @@ class Camera:
         Lens distortion is left out.
         """
         focal = np.sqrt(self.K[0, 0] * self.K[1, 1])
-        depth = np.asarray(depth, np.float64)
+        depth = as_reals(depth, "depth", *((-1,) * n for n in range(_MOST_DIMENSIONS)))
         return depth / focal if self.projection == "pinhole" else np.full(depth.shape, 1.0 / focal)
 
     def scaled(self, factor: int) -> Camera:
         """Return the same view with ``factor`` times as many pixels each way."""
+        factor = as_whole(factor, "factor", 1, LARGEST_SIZE)
         return replace(
             self,
             width=self.width * factor,
@@ -339,25 +376,32 @@ def _intrinsics(focal_x: float, focal_y: float, center: tuple[float, float]) -> 
 
 
 def _as_size(size: tuple[int, int]) -> tuple[int, int]:
-    width, height = size
-    if not (isinstance(width, int) and isinstance(height, int) and width > 0 and height > 0):
+    given = list(size) if is_several(size) else []
+    is_size = [isinstance(each, (int, np.integer)) and 0 < each <= LARGEST_SIZE for each in given]
+    if is_size != [True, True]:
         raise ArgumentError(f"size must be (width, height) in whole pixels above zero, not {size!r}")
-    return width, height
+    return int(given[0]), int(given[1])
+
+
+def _as_center(center: npt.ArrayLike | None, width: int, height: int) -> tuple[float, float]:
+    if center is None:
+        return width / 2, height / 2
+    x, y = as_reals(center, "center", (2,), most=LARGEST).tolist()
+    return x, y
 
 
 def _as_vector(vector: npt.ArrayLike, name: str) -> Floats:
-    array = np.asarray(vector, np.float64)
-    length = np.linalg.norm(array)
-    if array.shape != (3,) or not 0.0 < length < np.inf:
+    array = as_reals(vector, name, (3,), most=np.finfo(np.float64).max)
+    largest = np.abs(array).max()
+    if not largest > 0.0:
         raise ArgumentError(f"{name} must be three finite numbers, not all zero")
-    return cast(Floats, array / length)
+    array = np.ldexp(array, -np.frexp(largest)[1])  # squares of these neither overflow nor vanish
+    return cast(Floats, array / np.linalg.norm(array))
 
 
 def _as_intrinsics(K: npt.ArrayLike) -> Floats:
-    matrix = np.array(K, np.float64)
-    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
-        raise ArgumentError("K must be a finite (3, 3) matrix")
-    if not (matrix[0, 0] > 0.0 and matrix[1, 1] > 0.0):
+    matrix = as_reals(K, "K", (3, 3), most=LARGEST)
+    if not (matrix[0, 0] >= SMALLEST and matrix[1, 1] >= SMALLEST):
         raise ArgumentError(
             f"K's focal lengths must be above zero, not {matrix[0, 0]:g} and {matrix[1, 1]:g}"
         )
@@ -366,15 +410,8 @@ def _as_intrinsics(K: npt.ArrayLike) -> Floats:
     return matrix
 
 
-def _as_distortion(distortion: Sequence[float] | None) -> Distortion:
-    if distortion is None:
-        return NO_DISTORTION
-    try:
-        numbers = np.asarray(distortion, np.float64)
-    except (TypeError, ValueError):
-        numbers = np.empty(0)
-    if numbers.shape not in ((2,), (4,)) or not np.isfinite(numbers).all():
-        raise ArgumentError("distortion must be two or four finite numbers: k1, k2, p1, p2")
+def _as_distortion(distortion: Sequence[float]) -> Distortion:
+    numbers = as_reals(distortion, "distortion", (2,), (4,), most=LARGEST)
     k1, k2, p1, p2 = np.append(numbers, np.zeros(4 - len(numbers))).tolist()
     return k1, k2, p1, p2
 
@@ -382,20 +419,26 @@ def _as_distortion(distortion: Sequence[float] | None) -> Distortion:
 def _as_view(pose: npt.ArrayLike, convention: Convention) -> Floats:
     """Return a user's pose as a world-to-camera matrix in our camera axes."""
     as_choice(convention, get_args(Convention), "camera convention")
-    given = np.asarray(pose, np.float64)
-    if given.shape not in ((4, 4), (3, 4)) or not np.isfinite(given).all():
-        raise ArgumentError("a camera's pose must be a finite (4, 4) or (3, 4) matrix")
-    if given.shape == (4, 4) and not np.allclose(given[3], [0.0, 0.0, 0.0, 1.0]):
-        raise ArgumentError("a camera's pose must have the last row 0 0 0 1; is the matrix transposed?")
-    left, stretch, right = np.linalg.svd(given[:3, :3])
-    if np.abs(stretch - 1.0).max() > 1e-4:
-        raise ArgumentError("a camera's pose must not scale or shear: its upper left 3×3 must be a rotation")
-    pose = np.eye(4)
+    given = as_reals(pose, "a camera's pose", (4, 4), (3, 4), most=LARGEST)
+    if len(given) == 3:
+        given = np.vstack([given, [0.0, 0.0, 0.0, 1.0]])
+    pose = _as_rigid(given, "a camera's pose")
+    left, _, right = np.linalg.svd(given[:3, :3])
     pose[:3, :3] = left @ right  # the nearest rotation: files round to a few digits
-    pose[:3, 3] = given[:3, 3]
-    if np.linalg.det(pose) < 0.0:
-        raise ArgumentError("a camera's pose must not mirror; is one of its axes negated?")
+    pose[3] = [0.0, 0.0, 0.0, 1.0]
     return cast(Floats, _FLIP_YZ @ np.linalg.inv(pose) if convention == "opengl" else pose)
+
+
+def _as_rigid(matrix: npt.ArrayLike, name: str) -> Floats:
+    """Return a matrix (4, 4) that rotates and moves, or raise ArgumentError."""
+    given = as_reals(matrix, name, (4, 4), most=LARGEST)
+    if not np.allclose(given[3], [0.0, 0.0, 0.0, 1.0]):
+        raise ArgumentError(f"{name} must have the last row 0 0 0 1; is the matrix transposed?")
+    if np.abs(np.linalg.svd(given[:3, :3])[1] - 1.0).max() > 1e-4:
+        raise ArgumentError(f"{name} must not scale or shear: its upper left 3×3 must be a rotation")
+    if np.linalg.det(given[:3, :3]) < 0.0:
+        raise ArgumentError(f"{name} must not mirror; is one of its axes negated?")
+    return given
 
 
 def _look_along(forward: Floats, up: Floats) -> Floats:

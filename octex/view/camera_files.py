@@ -19,7 +19,8 @@ from typing import Literal
 
 import numpy as np
 
-from octex.errors import CameraError
+from octex.checks import as_entries, as_path
+from octex.errors import ArgumentError, CameraError, OutputError
 from octex.files import read_bytes, referred, replacing
 from octex.view.camera import Camera, Convention
 from octex.view.camera_colmap import colmap_folder, read_colmap
@@ -63,7 +64,7 @@ def read_cameras(path: str | os.PathLike[str]) -> list[Frame]:
     Raises CameraError if there is no such file, if it is of no known kind, damaged or without cameras, and
     for cameras that octex does not know (fisheye and such).
     """
-    path = Path(path)
+    path = as_path(path, refusal=CameraError)
     with reading(path):
         folder = colmap_folder(path)
     if folder is not None:
@@ -97,6 +98,10 @@ def write_cameras(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -
 
     What stood at ``path`` is replaced when all is written, or not at all: raises OutputError if it cannot be.
     """
+    path = as_path(path, refusal=OutputError)
+    for name, camera in as_entries(cameras, "cameras").items():
+        if not isinstance(camera, Camera):
+            raise ArgumentError(f"camera {name!r} must be an octex.Camera, not {camera!r}")
     entries = [json.dumps(_entry(name, camera), allow_nan=False) for name, camera in cameras.items()]
     head = f'{{"{_OURS}": {_VERSION}, "cameras": ['
     with replacing(path) as file:

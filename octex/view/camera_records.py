@@ -15,7 +15,15 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.errors import ArgumentError, CameraError
-from octex.view.camera import NO_DISTORTION, Camera, Convention, Distortion
+from octex.view.camera import (
+    LARGEST,
+    LARGEST_SIZE,
+    NO_DISTORTION,
+    SMALLEST,
+    Camera,
+    Convention,
+    Distortion,
+)
 
 Floats = npt.NDArray[np.float64]
 Json = dict[str, Any]
@@ -23,9 +31,6 @@ Json = dict[str, Any]
 #: The intrinsics (3, 3) for a picture's width and height.
 Lens = Callable[[int, int], Floats]
 
-LARGEST = 1e30  # of a number in a file: its powers are still far from overflow
-SMALLEST = 1e-30  # above zero
-LARGEST_SIZE = 1_000_000
 _LISTED = 10
 
 
@@ -66,7 +71,7 @@ class Frame(NamedTuple):
                 K=self.lens(width, height),
                 distortion=self.distortion,
             )
-        except BrokenError as error:
+        except (BrokenError, ArgumentError) as error:
             raise CameraError(f"{frame}: {error}") from None
         return replace(camera, projection=self.projection, world_to_camera=self.world_to_camera)
 

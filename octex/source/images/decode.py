@@ -25,6 +25,7 @@ import numpy.typing as npt
 import PIL._imaging
 import PIL.Image
 
+from octex.checks import as_path, is_path
 from octex.errors import ImageError, MissingExtraError
 from octex.files import open_file, read_bytes
 from octex.parallel import cpu_count
@@ -92,11 +93,14 @@ def as_texels(image: npt.ArrayLike | PIL.Image.Image) -> Texels:
     """
     if isinstance(image, PIL.Image.Image):
         return _texels(image, b"", "the image")
-    array = np.asarray(image)
+    try:
+        array = np.asarray(image)
+    except ValueError:  # rows of unequal lengths
+        array = np.empty(0, np.void)
     if array.ndim == 2:
         array = array[:, :, None]
     if array.ndim != 3 or not 1 <= array.shape[2] <= 4 or 0 in array.shape:
-        raise ImageError(f"an image must have shape (height, width, 1 to 4), not {np.shape(image)}")
+        raise ImageError(f"an image must have shape (height, width, 1 to 4), not {array.shape}")
     if array.dtype not in (np.uint8, np.uint16) and array.dtype.kind != "f":
         raise ImageError(f"an image must be uint8 or uint16 (codes) or float (linear), not {array.dtype}")
     return _finite(spread(array), "the image")
@@ -107,10 +111,10 @@ def read_image(given: object) -> tuple[Texels, dict[str, str]]:
 
     Raises ImageError as ``decode_image`` and ``as_texels`` do, and for a file that cannot be read.
     """
-    if not isinstance(given, (str, Path)):
+    if not is_path(given):
         texels = as_texels(given)  # type: ignore[arg-type]
         return texels, {"array": hashlib.sha256(texels.tobytes()).hexdigest()}
-    path = Path(given)
+    path = as_path(given, "image")
     try:
         data = read_bytes(path)
     except OSError as error:

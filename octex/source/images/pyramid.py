@@ -33,8 +33,8 @@ WRAPS = ("repeat", "mirror", "clamp")
 
 def as_wraps(wrap: str | tuple[str, str]) -> tuple[int, int]:
     """Return the wraps of u and v of one name, or one for each; raises ArgumentError for anything else."""
-    names = (wrap, wrap) if isinstance(wrap, str) else tuple(wrap)
-    if len(names) != 2:
+    names = (wrap, wrap) if isinstance(wrap, str) else wrap
+    if not isinstance(names, (tuple, list)) or len(names) != 2:
         raise ArgumentError(f"wrap must be one name, or one for u and one for v, not {wrap!r}")
     return WRAPS.index(as_choice(names[0], WRAPS, "wrap")), WRAPS.index(as_choice(names[1], WRAPS, "wrap"))
 

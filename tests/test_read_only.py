@@ -1,0 +1,132 @@
+"""Nobody changes what textures, surfaces, clouds and cameras hold; kernels take read-only arrays as any."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import octex
+from octex.jit import kernel
+from octex.source.surface import Surface
+from octex.tree.layout import KeptTable
+from tests.conftest import needs_jit
+from tests.small_surfaces import FACES, TETRAHEDRON, tetrahedron
+from tests.small_textures import shell
+
+
+def handed_out(folder: Path) -> dict[str, npt.NDArray[Any]]:
+    """Return the arrays that callers get, by name."""
+    surface = tetrahedron(uv=TETRAHEDRON[:, :2])
+    texture = octex.convert(surface, 2, fit=False)
+    texture.save(folder / "a.octex")
+    cloud = octex.PointCloud(TETRAHEDRON, np.full((4, 3), 0.5), TETRAHEDRON + 1)
+    camera = octex.Camera.fitted(TETRAHEDRON, (0, 0, 1), size=(4, 4))
+    found = {
+        "vertices": surface.vertices,
+        "triangles": surface.triangles,
+        "rest": surface.rest,
+        "other rest": surface.with_rest(TETRAHEDRON * 2).rest,
+        "surface.bounds": surface.bounds,
+        "points": cloud.points,
+        "colors": cloud.colors,
+        "normals": cloud.normals,
+        "K": camera.K,
+        "world_to_camera": camera.scaled(2).world_to_camera,
+    }
+    assert surface.uv is not None
+    found |= {"uv": surface.uv.values, "uv rows": surface.uv.rows}
+    for name, each in (("texture", texture), ("opened", octex.open(folder / "a.octex"))):
+        for made in (each, each.level(1), octex.map(each, np.sqrt)):
+            found |= {f"{name}.{n}": array for n, array in enumerate(made.channels["base_color"][1:])}
+            found[f"{name}.bounds"] = made.bounds
+    return found  # type: ignore[return-value]
+
+
+def test_arrays_that_are_handed_out_cannot_be_written_to(tmp_path: Path) -> None:
+    for name, array in handed_out(tmp_path).items():
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
+        assert not array.flags.writeable, name
+
+
+def test_arrays_that_are_given_may_change_afterwards() -> None:
+    vertices, faces, rest = TETRAHEDRON.copy(), FACES.copy(), TETRAHEDRON * 2.0
+    bounds, colors = np.array([[0.0] * 3, [1.0] * 3]), np.full((4, 3), 0.5, np.float32)
+    K, pose = np.eye(3), np.eye(4)
+    surface = Surface.from_arrays(vertices, faces, rest=rest)
+    cloud = octex.PointCloud(vertices, colors)
+    camera = octex.Camera(4, 4, K, pose, "pinhole")
+    whole = shell(1)
+    texture = octex.OctreeTexture(whole.tree, whole.channels, whole.placement, bounds)
+    for array in (vertices, faces, rest, bounds, colors, K, pose):
+        array[...] = 3
+    assert np.array_equal(surface.vertices, TETRAHEDRON)
+    assert np.array_equal(surface.triangles, FACES)
+    assert np.array_equal(surface.rest, TETRAHEDRON * 2.0)
+    assert np.array_equal(cloud.points, TETRAHEDRON)
+    assert np.array_equal(cloud.colors[:, :3], np.full((4, 3), 0.5))
+    assert np.array_equal(texture.bounds, [[0.0] * 3, [1.0] * 3])
+    assert np.array_equal(camera.K, np.eye(3))
+    assert np.array_equal(camera.world_to_camera, np.eye(4))
+
+
+def test_what_is_read_only_is_not_copied_once_more(tmp_path: Path) -> None:
+    surface = tetrahedron()
+    assert surface.with_filter("sat").vertices is surface.vertices
+    shell(2).save(tmp_path / "a.octex")
+    texture = octex.open(tmp_path / "a.octex")
+    assert texture._file is not None
+    mapped = np.frombuffer(texture._file.mapping or b"", np.uint8)
+    for each in (texture, texture.level(1), octex.cast(texture)):
+        assert np.shares_memory(each.channels["base_color"].values, mapped)
+        del each
+    del mapped
+
+
+@kernel
+def _total(numbers: npt.NDArray[np.float64], table: KeptTable, more: npt.NDArray[np.float64]) -> float:
+    total = 0.0
+    for n in range(numbers.size):
+        total += numbers[n] + np.float64(table.cells[n])
+    more[0] = total
+    return total
+
+
+def test_kernels_take_read_only_arrays_without_being_compiled_anew() -> None:
+    arguments = np.arange(5.0), np.arange(5, dtype=np.uint32), np.zeros(1)
+    for locked in ([], [0], [1], [0, 1], [0, 1]):
+        numbers, cells, more = (array.copy() for array in arguments)
+        for which in locked:
+            (numbers, cells)[which].flags.writeable = False
+        assert _total(numbers, KeptTable(cells), more) == more[0] == 20.0
+    if hasattr(_total, "signatures"):
+        assert len(_total.signatures) == 1
+
+
+@needs_jit
+def test_nothing_of_octex_is_compiled_for_read_only_arrays(tmp_path: Path) -> None:
+    handed_out(tmp_path)
+    texture, points = shell(3), np.random.default_rng(0).random((50, 3))
+    points.flags.writeable = False
+    for options in ({}, {"width": 0.2}, {"filter": "nearest"}, {"filter": "linear", "normals": points}):
+        texture.sample(points, **options)  # type: ignore[call-overload]
+    octex.mix(texture, octex.blur(texture, 0.1), 0.4)
+    surface = tetrahedron()
+    picture = octex.Projection(
+        np.full((4, 4, 3), 200, np.uint8), octex.Camera.fitted(surface.rest, (0, 0, 1), size=(4, 4))
+    )
+    octex.paint(None, surface, picture, max_depth=3)
+    compiled = {
+        f"{name}.{own}": str(each.signatures)
+        for name, module in list(sys.modules.items())
+        if name.startswith("octex.")
+        for own, each in vars(module).items()
+        if hasattr(each, "signatures") and hasattr(each, "py_func")
+    }
+    assert len(compiled) > 50
+    assert [name for name, signatures in compiled.items() if "readonly" in signatures] == []
