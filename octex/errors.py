@@ -11,10 +11,13 @@ OctexError                  anything octex refuses; the message names what, why 
 └── MissingExtraError       an optional package is not installed (also an ImportError)
 
 ModelWarning                something that a model refers to is not there; it is read without (a UserWarning)
+DefectError                 octex made something that does not fit together: nobody's input is to blame
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import IntEnum
 from typing import Self
 
@@ -78,3 +81,16 @@ class MissingExtraError(OctexError, ImportError):
 
 class ModelWarning(UserWarning):
     """A model was read without something that it refers to."""
+
+
+class DefectError(Exception):
+    """Octex itself made something inconsistent: a defect, whatever was given to it."""
+
+
+@contextmanager
+def own_making() -> Iterator[None]:
+    """Raise DefectError for what is refused inside: for parts that octex made itself out of checked input."""
+    try:
+        yield
+    except InputError as error:
+        raise DefectError(str(error)) from error

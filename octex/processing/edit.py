@@ -6,17 +6,9 @@ import json
 from collections.abc import Mapping
 
 from octex.channels import ALPHA
-from octex.processing.averages import (
-    Change,
-    Tables,
-    average,
-    average_by_tables,
-    changed_by,
-    coverage,
-    difference,
-    residuals,
-)
-from octex.processing.facings import average_rows, row_residuals
+from octex.editing.averages import Change, alpha_beside, average, difference, residuals
+from octex.editing.facings import average_rows, row_residuals
+from octex.processing.averages import Tables, average_by_tables, changed_by
 from octex.texture import Channel, OctreeTexture
 
 #: The name in the metadata under which operations are listed, as JSON.
@@ -56,11 +48,12 @@ def with_values(
     after = OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, metadata)
     for name in sorted(made, key=lambda name: name != ALPHA.name):
         before, own = texture.channels[name], change.get(name, difference)
-        if isinstance(own, Tables):
-            average_by_tables(texture.tree, before, made[name], coverage(texture.channels, name), own)
+        was, alpha = (alpha_beside(each, name) for each in (texture.channels, channels))
+        if isinstance(own, Tables) and was is alpha:
+            average_by_tables(texture.tree, before, made[name], alpha, own)
             own = changed_by(own)
         else:
-            left = residuals(texture.tree, before, coverage(texture.channels, name), own)
-            average(texture.tree, made[name], coverage(channels, name), left)
+            own = changed_by(own) if isinstance(own, Tables) else own
+            average(texture.tree, made[name], alpha, residuals(texture.tree, before, was, own))
         average_rows(after, made[name], row_residuals(texture, before, own))
     return after
