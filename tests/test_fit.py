@@ -19,6 +19,7 @@ from octex.channels import (
     ROUGHNESS,
     ChannelFormat,
     decode,
+    encode,
     linear_to_srgb,
 )
 from octex.conversion import fit
@@ -26,6 +27,7 @@ from octex.conversion.fill import Filled, assemble, fill
 from octex.conversion.numbering import Leaves, members_of
 from octex.conversion.samples import PLACE_STEPS, SHARE_STEPS, sample_points
 from octex.conversion.solve import SHRINK
+from octex.errors import ArgumentError
 from octex.field.field import Field
 from octex.jit import add_to_rows, kernel, weighted_rows
 from octex.parallel import silent
@@ -162,6 +164,22 @@ def test_values_stay_inside_the_range_of_every_type(dtype: str) -> None:
         assert np.isfinite(values).all()
         assert values.min() >= (-1 if form.space == "direction" else 0) - 1e-6
         assert form.space == "linear" or values.max() <= 1 + 1e-6
+
+
+@pytest.mark.parametrize("dtype", ["float16", "float32"])
+def test_light_that_is_nowhere_above_one_is_fitted_below_it_and_other_light_is_not(dtype: str) -> None:
+    checkers = (np.indices((8, 8)).sum(axis=0) % 2 * 255).astype(np.uint8)
+    surface = painted(np.repeat(np.repeat(checkers, 2, axis=0), 2, axis=1))
+    texture = octex.convert(surface, 4, dtype=dtype)
+    values = texture.channels["base_color"].values
+    assert values.max() <= 1 + 1e-6
+    whole = octex.cast(texture, "uint8")
+    assert np.array_equal(whole.channels["base_color"].values, encode(values, "uint8", "srgb"))
+    bright = FaceSource((LIGHT._replace(dtype=dtype),), [[9.0] * 3, [0.0] * 3, [1.5] * 3, [0.0] * 3])
+    light = octex.convert(Surface(TETRAHEDRON, FACES, bright), 3).channels["emissive"]
+    assert light.values.max() > 9
+    with pytest.raises(ArgumentError, match="channel 'emissive' goes above 1, which uint8 cannot hold"):
+        octex.cast(octex.convert(Surface(TETRAHEDRON, FACES, bright), 3), "uint8")
 
 
 def test_nodes_and_sides_keep_the_means_of_the_source() -> None:

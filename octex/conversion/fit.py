@@ -37,6 +37,8 @@ LEAF_SAMPLES = 8
 SWEEPS, FREE_SWEEPS = 4, 2
 #: Taps that a sample mostly has at most.
 TAPS = 16
+#: Light by so much above 1 is 1, rounded.
+LEAST_BRIGHT = 2.0**-10
 #: What samples that nothing covers still weigh.
 LEAST_COVERAGE = 2.0**-10
 
@@ -47,16 +49,21 @@ class Group(NamedTuple):
     columns: list[int]
     format: ChannelFormat
 
-    @property
-    def range(self) -> tuple[float, float]:
-        """The least and the largest value that can be stored, or that a material's channel can have."""
+    def range(self, samples: Samples) -> tuple[float, float]:
+        """Return the least and the largest value that can be stored, or that such a channel can have.
+
+        Floats can hold any light, but what is nowhere above 1 is fitted in 0 … 1, as integers are.
+        """
         space, dtype = self.format.space, self.format.dtype
         if space == "direction":
             return -1.0, 1.0
         if not dtype.startswith("float") or (space == "data" and self.format.name in CHANNELS):
             return 0.0, 1.0
         largest = float(np.finfo(dtype).max)
-        return 0.0 if space != "data" else -largest, largest
+        if space == "data":
+            return -largest, largest
+        is_bright = (samples.values[:, self.columns] > 1.0 + LEAST_BRIGHT).any()
+        return 0.0, largest if is_bright else 1.0
 
 
 class Job(NamedTuple):
@@ -68,6 +75,7 @@ class Job(NamedTuple):
     placement: Placement
     leaves: Leaves
     groups: list[Group]
+    ranges: list[tuple[float, float]]  # of each group
 
 
 class Lookups(NamedTuple):
@@ -106,7 +114,9 @@ def fitted(
     given = [channels[form.name] for form in samples.channels]
     field = Field(tree)
     field.tiles  # noqa: B018 (built before threads share them)
-    job = Job(field, given, samples, placement, leaves, _groups(samples.channels))
+    groups = _groups(samples.channels)
+    ranges = [group.range(samples) for group in groups]
+    job = Job(field, given, samples, placement, leaves, groups, ranges)
     values = [channel.values.copy() for channel in given]
     for (first, end), parts in zip(
         bricks,
@@ -168,7 +178,7 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[npt.NDArray[np.generic]
     values = _values(job.channels, lookups.cells, job.field.tree.n_cells)
     targets = job.samples.values[samples]
     shares = job.samples.shares[samples] * (lookups.strides * np.float32(1 / SHARE_STEPS))
-    for group in job.groups:
+    for group, limits in zip(job.groups, job.ranges, strict=True):
         components = len(group.columns)
         is_light = int(group.format.space in ("srgb", "linear"))
         means, wanted = _four(values[:, group.columns]), _four(targets[:, group.columns])
@@ -183,7 +193,7 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[npt.NDArray[np.generic]
         to_codes = Codes.of_bytes(group.format.space) if is_rounded else Codes.none()
         for turn in range(SWEEPS):
             codes = to_codes if turn >= FREE_SWEEPS else Codes.none()
-            sweep(equations, rows, sums, is_flat, means, components, *group.range, codes, turn % 2, found)
+            sweep(equations, rows, sums, is_flat, means, components, *limits, codes, turn % 2, found)
         values[:, group.columns] = found[:, :components]
         if group.format.name == "alpha":
             weights = covered(starts, leaves, weights, found[:, 0].copy())
