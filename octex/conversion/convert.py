@@ -16,7 +16,6 @@ from octex.checks import as_depth
 from octex.conversion import apart
 from octex.conversion.adapt import adapted, as_max_error
 from octex.conversion.detail import DetailFunction, channel_of, wanted_levels
-from octex.conversion.facings import separated
 from octex.conversion.fill import assemble, fill
 from octex.conversion.fit import fitted
 from octex.conversion.gaps import without_gaps, without_opaque
@@ -136,15 +135,15 @@ def convert(
         del filled  # holds all values once more
         fitting = None
         if samples is not None and fit:
-            fitting = partial(fitted, samples=samples, placement=placement, executor=pool, progress=report)
-        tree, means, values = adapted(
+            # With a fitted alpha, what is covered would not seem to be beside gaps.
+            fitting = partial(
+                fitted, samples=samples, placement=placement, executor=pool, progress=report,
+                unfitted=(ALPHA.name,) if surface.source.has_gaps else (),
+            )  # fmt: skip
+        tree, values = adapted(
             tree, values, samples,
             max_error=most, wanted=deepest, fit=fitting, executor=pool, progress=report,
         )  # fmt: skip
-        if surface.source.has_gaps:
-            values[ALPHA.name] = means[ALPHA.name]  # fitted, what is covered would not seem to be beside gaps
-        if fitting is not None:
-            tree, values = separated(tree, means, values)
     if surface.source.has_gaps and not empty:
         values = without_opaque(values)
     options = {

@@ -9,20 +9,27 @@ their normal. It is then split too, and keeps the mean of what faces each way.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ONE, ChannelFormat, linear_to_srgb
-from octex.field.field import Field
+from octex.field.field import Field, Taps
 from octex.texture.channel import Channel
 from octex.tree.layout import AREA_STEPS, FACING_FLAGS, POSITIVE_FACINGS, SPLIT, SplitTable
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 
+#: Of cells: a bit for each of the 2⁶ sets of facings that a cell can have; the empty set's for split cells.
+Kinds: TypeAlias = npt.NDArray[np.uint64]
+_SPLIT_KIND = np.uint64(1)
+
 #: Difference, in 8-bit codes, from which on a facing's value is stored for itself.
 MOST = 1.0
+#: Cosine from which on lookups take what faces so in full: see `field.facings`; and what it is rounded by.
+_FULL = 0.52
 #: Cells whose surroundings are looked at at once.
 _BLOCK = 1 << 16
 
@@ -83,6 +90,67 @@ def separated(
     return tree.with_cell_data(flags, tree.arrays.areas, table, tree.kept), channels
 
 
+def kinds_around(tree: Octree) -> Kinds:
+    """Return the kinds of all leaves that lookups in each leaf may read, 0 where they are of one (cells,).
+
+    Found from the root down: what is around a cell is around what lies in it.
+    """
+    kinds = _kinds_below(tree)
+    field = Field(tree)
+    found = np.zeros(tree.n_cells, np.uint64)
+    meets, codes_above = np.ones(1, np.bool_), np.zeros(1, np.int64)
+    for level, (codes, is_node) in enumerate(tree.walk()):
+        chosen = np.flatnonzero(meets[np.searchsorted(codes_above, codes >> 3)]) if level else np.arange(1)
+        meets, codes_above = np.zeros(len(codes), np.bool_), codes
+        first = int(tree.arrays.level_cells[level])
+        for begin in range(0, len(chosen), _BLOCK):
+            some = chosen[begin : begin + _BLOCK]
+            taps = _around(field, level, codes[some])
+            around = np.bitwise_or.reduceat(kinds[taps.rows], taps.starts[:-1])
+            meets[some] = (np.bitwise_count(around) > 1) | (around == _SPLIT_KIND)
+            found[first + some] = np.where(meets[some] & ~is_node[some], around, 0)
+    return found
+
+
+def _kinds_below(tree: Octree) -> Kinds:
+    """Return the kind of each leaf, and the kinds of all leaves below each node (cells,)."""
+    flags, firsts = tree.arrays.flags, tree.arrays.level_cells
+    facings = flags & np.uint8(FACING_FLAGS)
+    kinds = np.where(facings > 0, np.uint64(1) << facings.astype(np.uint64), np.uint64(0))
+    kinds[flags & SPLIT > 0] = _SPLIT_KIND
+    levels = list(tree.walk())
+    for level in range(len(levels) - 1, 0, -1):
+        starts = np.flatnonzero(np.diff(levels[level][0] >> 3, prepend=-1))
+        nodes = np.flatnonzero(levels[level - 1][1]) + int(firsts[level - 1])
+        kinds[nodes] = np.bitwise_or.reduceat(kinds[firsts[level] : firsts[level + 1]], starts)
+    return kinds
+
+
+def sees_all(normals: npt.NDArray[np.int8], kinds: Kinds) -> npt.NDArray[np.bool_]:
+    """Say whether lookups with normals (n, 3) take in full what is of some kinds (n,), and nothing is split.
+
+    Lookups without normals then find the same.
+    """
+    lengths = np.maximum(np.linalg.norm(normals.astype(np.float32), axis=1), 1)
+    least = (_FULL * lengths)[:, None]
+    full = np.stack([normals >= least, -normals.astype(np.float32) >= least], axis=2).reshape(-1, 6)
+    hidden = _HIDDEN[np.packbits(full, axis=1, bitorder="little")[:, 0]]
+    seen: npt.NDArray[np.bool_] = (kinds & hidden) == 0
+    return seen
+
+
+#: By the facings that are taken in full: the kinds of cells that have none of them, and of split ones.
+_HIDDEN = np.array(
+    [sum(1 << kind for kind in range(64) if kind & facings == 0) for facings in range(64)], np.uint64
+)
+
+
+def _around(field: Field, level: int, codes: npt.NDArray[np.int64]) -> Taps:
+    """Return the taps in the middles of a level's cells, where all 3×3×3 cells around weigh."""
+    centres = (decode_cells(codes) + np.float64(0.5)) / 2**level
+    return field.level(level).taps(centres, Placement((0.0, 0.0, 0.0), 1.0))
+
+
 def _beside_opposite(tree: Octree) -> npt.NDArray[np.int64]:
     """Numbers of the leaves that have cells around them, 3×3×3, which do not show what the leaf itself faces.
 
@@ -98,9 +166,7 @@ def _beside_opposite(tree: Octree) -> npt.NDArray[np.int64]:
         first = int(tree.arrays.level_cells[level])
         for begin in range(0, len(chosen), _BLOCK):
             some = chosen[begin : begin + _BLOCK]
-            centres = (decode_cells(codes[some]) + np.float64(0.5)) / 2**level
-            # The spline's weight in the middle of a cell falls on all 3×3×3 cells.
-            taps = field.level(level).taps(centres, Placement((0.0, 0.0, 0.0), 1.0))
+            taps = _around(field, level, codes[some])
             around, own = flags[taps.rows], np.repeat(flags[first + some], np.diff(taps.starts))
             opposite = _opposite(own) & around
             is_beside = (opposite != 0) & ((_opposite(opposite) & ~around | around & SPLIT) != 0)

@@ -8,7 +8,7 @@ nothing else, so that of the whole does not depend on threads.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from typing import Any, NamedTuple
@@ -100,13 +100,15 @@ def fitted(
     *,
     executor: Executor,
     progress: Progress,
+    unfitted: Collection[str] = (),
 ) -> dict[str, Channel]:
     """Return channels whose leaves make the quadratic field meet the samples; all else keeps its values.
 
     The leaves of ``tree`` are the samples' finest cells, or cells above them; the leaves' values in
     ``channels``, which hold what the samples hold, are means. Colours are fitted on sRGB's curve, light above
     1 by ratio, directions as vectors; what alpha does not cover counts for alpha alone. Values stay inside
-    their types' ranges. The result does not depend on the executor.
+    their types' ranges. Channels that are ``unfitted`` keep their values after they served the others. The
+    result does not depend on the executor.
     """
     leaves = Leaves.of(tree, samples)
     cuts = _cuts(leaves.firsts, BRICK_SAMPLES, LEAF_SAMPLES)
@@ -129,6 +131,7 @@ def fitted(
     return dict(channels) | {
         channel.format.name: channel._replace(values=each)
         for channel, each in zip(given, values, strict=True)
+        if channel.format.name not in unfitted
     }
 
 

@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from octex.channels import ALPHA, ChannelFormat
 from octex.conversion.adapt import adapted
-from octex.conversion.facings import separated
 from octex.conversion.fill import assemble, fill
 from octex.conversion.fit import fitted
 from octex.conversion.gaps import without_gaps
@@ -86,14 +85,14 @@ def rasterize_paint(
     fitting = None
     if covered.samples is not None:
         samples = with_centres(covered.samples, here, part, placement)
-        fitting = partial(fitted, samples=samples, placement=placement, executor=executor, progress=progress)
-    tree, means, values = adapted(
+        fitting = partial(
+            fitted, samples=samples, placement=placement, executor=executor, progress=progress,
+            unfitted=(ALPHA.name,),  # opaque paint stays opaque
+        )  # fmt: skip
+    tree, values = adapted(
         covered.tree, covered.channels, None,
         max_error=None, wanted=covered.wanted, fit=fitting, executor=executor, progress=progress,
     )  # fmt: skip
-    if fitting is not None:
-        values[ALPHA.name] = means[ALPHA.name]  # opaque paint stays opaque
-        tree, values = separated(tree, means, values)
     return refaced(OctreeTexture(tree, values, placement, surface.bounds))
 
 

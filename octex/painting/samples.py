@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from octex.conversion.fill import on_grid
-from octex.conversion.samples import PLACE_STEPS, SHARE_STEPS, Samples
+from octex.conversion.samples import PLACE_STEPS, SHARE_STEPS, Samples, face_normals
 from octex.painting.source import PaintSource
 from octex.source.surface import Surface
 from octex.tree.layout import GRID_BITS
@@ -48,6 +48,9 @@ def with_centres(samples: Samples, source: PaintSource, surface: Surface, placem
             firsts=samples.firsts + np.concatenate([[0], np.cumsum(counts)]),
             places=np.insert(
                 samples.places, ends, np.clip(within, 0, PLACE_STEPS - 1).astype(np.uint16), axis=0
+            ),
+            normals=np.insert(
+                samples.normals, ends, face_normals(grid, surface.triangles, triangles[there]), axis=0
             ),
             shares=np.insert(shares, ends, np.uint8(SHARE_STEPS)),
             values=np.insert(samples.values, ends, values.astype(samples.values.dtype), axis=0),
