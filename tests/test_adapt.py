@@ -24,12 +24,14 @@ from octex.channels import (
     linear_to_srgb,
 )
 from octex.conversion.adapt import Fit, adapted, as_max_error
+from octex.conversion.facings import kinds_around, sees_all
 from octex.conversion.lookups import Coefficients, source_at, values_of
 from octex.conversion.prune import Finest, limits_of, prune
 from octex.conversion.samples import Samples, sample_points
 from octex.errors import ArgumentError
 from octex.parallel import silent
 from octex.texture import Channel, OctreeTexture
+from octex.tree.layout import SPLIT, SplitTable
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -210,6 +212,56 @@ def test_cells_by_themselves_show_their_own_values(seed: int):
     np.testing.assert_allclose(found, np.hstack(expected), atol=1e-6)
 
 
+@given(st.integers(0, 2**32 - 1))
+def test_where_all_is_taken_in_full_lookups_find_the_same_with_normals_and_without(seed: int):
+    random = np.random.default_rng(seed)
+    full = Octree.from_leaves(np.unique(random.integers(0, 8**4, 80)), 4)
+    finest = Finest.of(full)
+    depths = limits_of(finest, random.integers(2, 5, full.n_leaves).astype(np.uint8))
+    pruned = prune(finest, depths)
+    flags = random.choice([[1], [4], [1, 5], [1, 1, 1, 3, 4, 5, 21]][seed % 4], pruned.tree.n_cells)
+    cells = np.flatnonzero((flags == 3) & (random.random(flags.size) < 0.5))
+    flags[cells] |= SPLIT
+    split = SplitTable(
+        cells.astype(np.uint32), np.full(cells.size, 3, np.uint8), np.zeros(2 * cells.size, np.uint8)
+    )
+    tree = pruned.tree.with_cell_data(flags.astype(np.uint8), pruned.tree.arrays.areas, split)
+    rows = [random.random((n, 3)).astype(np.float32) for n in (flags.size, 2 * cells.size)]
+    form = BASE_COLOR._replace(space="linear", dtype="float32")
+    channel = Channel(form, rows[0], rows[1], rows[1][:0])
+    texture = OctreeTexture(tree, {"base_color": channel}, UNIT, [[0, 0, 0], [1, 1, 1]])
+    points = places(full) + (random.random((full.n_leaves, 3)) - 0.5) / 16
+    normals = np.rint(127 * random.normal(size=points.shape) / 3).clip(-127, 127).astype(np.int8)
+    normals[::2] = [101, 76, 0]
+    kinds = np.repeat(kinds_around(tree)[pruned.leaf_cells(depths)], pruned.sizes)
+    same = sees_all(normals, kinds)
+    assert same.any() or seed % 4 == 3
+    plain, facing = texture.sample(points), texture.sample(points, normals=normals)
+    np.testing.assert_allclose(facing[same], plain[same], atol=1e-5)
+    if seed % 4 in (0, 1):
+        assert same.all()
+
+
+def test_points_of_a_rim_lie_in_their_cells_and_in_the_plane_of_their_sample():
+    random = np.random.default_rng(5)
+    tree = plane(3)
+    samples = sampled(tree, painted(tree, noise(tree)))
+    n = tree.n_leaves
+    normals = random.normal(size=(n, 3))
+    normals = np.rint(127 * normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.int8)
+    samples = samples._replace(places=random.integers(0, 1 << 16, (n, 3)).astype(np.uint16), normals=normals)
+    chosen = np.arange(0, n, 3)
+    rim = samples.rims(chosen, chosen)
+    found = sample_points(rim, np.arange(4 * chosen.size), UNIT).reshape(-1, 4, 3)
+    middles = sample_points(samples, chosen, UNIT)[:, None]
+    assert np.array_equal(np.floor(found * 8), np.floor(middles * 8) + np.zeros((1, 4, 1)))
+    across = np.abs(np.einsum("ncx,nx->nc", found - middles, normals[chosen] / 127.0))
+    assert across.max() < 1e-5
+    flat = sampled(tree, painted(tree, noise(tree)))
+    corners = sample_points(flat.rims(chosen, chosen), np.arange(4 * chosen.size), UNIT).reshape(-1, 4, 3)
+    assert np.allclose(np.ptp(corners, axis=1), [1 / 8, 1 / 8, 0], atol=1e-4)
+
+
 def test_without_wishes_nothing_is_pruned():
     tree = plane(3)
     color = noise(tree)
@@ -256,6 +308,18 @@ def test_all_samples_are_as_near_as_asked_for(most: float):
     assert errors(texture, merge(tree, channels, None)).max() <= most + ROUNDING
 
 
+@needs_jit
+@pytest.mark.parametrize("seed", range(4))
+def test_a_dot_is_kept_wherever_it_is(seed: int):
+    tree = plane(6)
+    color = np.full((tree.n_leaves, 3), 0.3)
+    color[np.random.default_rng(seed).integers(tree.n_leaves)] = [1, 0, 0.5]
+    channels = painted(tree, color)
+    texture = merge(tree, channels, 2)
+    assert texture.tree.n_leaves < 0.1 * tree.n_leaves
+    assert errors(texture, merge(tree, channels, None)).max() <= 2 + ROUNDING
+
+
 def test_the_slow_field_agrees_that_all_samples_are_near():
     tree = plane(4)
     color = ramp(tree)
@@ -272,7 +336,7 @@ def test_the_slow_field_agrees_that_all_samples_are_near():
         ]
         values = decode(each.channels["base_color"].values, "srgb")
         fields.append(naive.Field(naive.cells_of(leaves), values, "quadratic").at)
-    for place in places(tree):
+    for place in places(tree)[::3]:
         wanted, found = (linear_to_srgb(field(place)) for field in fields)
         assert 255 * np.abs(found - wanted).max() <= 3 + ROUNDING + 1e-3
 

@@ -77,11 +77,12 @@ def convert(
     ``fit`` their means, as nodes do.
 
     Leaves are as deep as the finest cells unless ``max_error`` or ``detail`` say otherwise. ``max_error``, in
-    8-bit codes of what is encoded, merges leaves wherever the field then stays that near to the source: see
-    ``adapt.adapted``. ``detail`` says how deep to go where: a function of rest positions (n, 3) that returns
-    levels (n,), the name of a channel of one component that holds the resolution relative to the finest, or
-    "stretch", which evens out the resolution of the posed surface: see ``detail.wanted_levels``. A channel
-    that only steers is not stored if ``channels`` do not name it.
+    8-bit codes of what is encoded, merges leaves wherever the field, looked up with normals or without, then
+    stays that near to the one without it: see ``adapt.adapted``. ``detail`` says how deep to go where: a
+    function of rest positions (n, 3) that returns levels (n,), the name of a channel of one component that
+    holds the resolution relative to the finest, or "stretch", which evens out the resolution of the posed
+    surface: see ``detail.wanted_levels``. A channel that only steers is not stored if ``channels`` do not
+    name it.
 
     ``separate`` moves parts apart at rest that come nearer to each other than so many finest cells (True: 3),
     so that they share none: see ``apart.separate``. Lookups then take ``Surface.rest_positions``.
