@@ -23,11 +23,12 @@ from octex.channels import (
     encode,
     linear_to_srgb,
 )
-from octex.conversion.adapt import Fit, adapted, as_max_error
+from octex.conversion.adapt import adapted, as_max_error
 from octex.conversion.facings import kinds_around, sees_all
 from octex.conversion.lookups import Coefficients, source_at, values_of
 from octex.conversion.prune import Finest, limits_of, prune
 from octex.conversion.samples import Samples, sample_points
+from octex.conversion.sides import Fit
 from octex.errors import ArgumentError
 from octex.parallel import silent
 from octex.texture import Channel, OctreeTexture
@@ -103,6 +104,7 @@ def merge(
         max_error=max_error,
         wanted=wanted,
         fit=fit,
+        split=None,
         executor=None,
         progress=silent,
     )

@@ -7,28 +7,23 @@ detail than that, a leaf that meets it at some points can be far off at others.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import Executor
 from functools import partial
-from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from octex.conversion.facings import kinds_around, sees_all, separated
+from octex.conversion.facings import kinds_around, sees_all
 from octex.conversion.lookups import Coefficients, FacingField, Reference, source_at, values_of
 from octex.conversion.measure import exceeding
 from octex.conversion.prune import Bools, Channels, Depths, Finest, Pruned, grafted, limits_of, prune
 from octex.conversion.samples import RIM_POINTS, Samples
+from octex.conversion.sides import Fit, Split
 from octex.errors import ArgumentError
 from octex.parallel import Progress, ordered_map
 from octex.texture.channel import Channel
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
-
-#: Fits the leaves of a tree whose values are means: a conversion's `fitted` with all but these two given.
-Fit: TypeAlias = Callable[[Octree, Channels], Channels]
-Values: TypeAlias = npt.NDArray[Any]
 
 #: Finest cells whose samples are looked up at once.
 _BLOCK = 1 << 15
@@ -64,14 +59,14 @@ def adapted(
     max_error: float | None,
     wanted: Depths | None,
     fit: Fit | None,
+    split: Split | None,
     executor: Executor | None,
     progress: Progress,
 ) -> tuple[Octree, dict[str, Channel]]:
-    """Return the tree with fewer leaves, and its channels, fitted if there is a ``fit``.
+    """Return the tree with fewer leaves, and its channels, fitted if there is a ``fit``, then ``split``.
 
     ``tree`` is full: all its leaves have its depth; channels hold the source's means. ``wanted`` (finest
-    cells,) are the depths wanted there, in Morton order. Without samples none can merge. Fitted leaves beside
-    others that face the other way are split: see `facings.separated`.
+    cells,) are the depths wanted there, in Morton order. Without samples none can merge.
 
     With ``max_error``, in 8-bit codes of what is encoded (see `measure`), leaves merge upward from there.
     Then the quadratic field differs from that of the tree without ``max_error`` by at most that and 1/8 (what
@@ -85,11 +80,11 @@ def adapted(
         pruned = prune(finest, limits)
     whole = tree if pruned is None else pruned.tree
     means = channels if pruned is None else pruned.carried(channels)
-    values = dict(fit(whole, means) if fit else means)
-    if fit:
-        whole, values = separated(whole, means, values)
+    values = fit(whole, means) if fit else means
+    if split:
+        whole, values = split(whole, means, values)
     if max_error is None or samples is None:
-        return whole, values
+        return whole, dict(values)
     if finest is None or limits is None or pruned is None:
         finest = Finest.of(tree)
         limits = limits_of(finest, None)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
-from functools import partial
 from pathlib import Path
 
 import numpy.typing as npt
@@ -17,9 +16,9 @@ from octex.conversion import apart
 from octex.conversion.adapt import adapted, as_max_error
 from octex.conversion.detail import DetailFunction, channel_of, wanted_levels
 from octex.conversion.fill import assemble, fill
-from octex.conversion.fit import fitted
 from octex.conversion.gaps import without_gaps, without_opaque
 from octex.conversion.points import convert_points
+from octex.conversion.sides import fitters
 from octex.conversion.stored import Dtypes, stored_as
 from octex.errors import ArgumentError, ModelError
 from octex.parallel import Progress, silent, workers
@@ -71,10 +70,10 @@ def convert(
     by alpha too if it is among them (Benson & Davis 2002, 3.1, 3.5 and 5). Directions are averaged as
     vectors: the less they agree, the shorter is the mean. A cell in which the surface shows both ways along
     an axis keeps a mean for each facing too, if one differs from the whole by more than 1/255 of the encoded
-    range; light stored as floats is compared on sRGB's curve, and above 1 by ratio (0.9 %). So do fitted
-    leaves beside others that face the other way, if they differ as much from their means. Leaves hold the
-    values with which the field, read with the filter "quadratic", comes nearest to the source; without
-    ``fit`` their means, as nodes do.
+    range; light stored as floats is compared on sRGB's curve, and above 1 by ratio (0.9 %). Leaves
+    hold the values with which the field, read with the filter "quadratic", comes nearest to the source;
+    without ``fit`` their means, as nodes do. Beside others that face the other way, fitted leaves keep a
+    value for each facing, too, if the one with which lookups with normals come nearest differs as much.
 
     Leaves are as deep as the finest cells unless ``max_error`` or ``detail`` say otherwise. ``max_error``, in
     8-bit codes of what is encoded, merges leaves wherever the field, looked up with normals or without, then
@@ -134,16 +133,14 @@ def convert(
                     "distance, or a larger angle"
                 )
         del filled  # holds all values once more
-        fitting = None
+        fitting = splitting = None
         if samples is not None and fit:
             # With a fitted alpha, what is covered would not seem to be beside gaps.
-            fitting = partial(
-                fitted, samples=samples, placement=placement, executor=pool, progress=report,
-                unfitted=(ALPHA.name,) if surface.source.has_gaps else (),
-            )  # fmt: skip
+            unfitted = (ALPHA.name,) if surface.source.has_gaps else ()
+            fitting, splitting = fitters(samples, placement, pool, report, unfitted)
         tree, values = adapted(
             tree, values, samples,
-            max_error=most, wanted=deepest, fit=fitting, executor=pool, progress=report,
+            max_error=most, wanted=deepest, fit=fitting, split=splitting, executor=pool, progress=report,
         )  # fmt: skip
     if surface.source.has_gaps and not empty:
         values = without_opaque(values)

@@ -8,7 +8,7 @@ nothing else, so that of the whole does not depend on threads.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from typing import Any, NamedTuple
@@ -20,7 +20,8 @@ from octex.channels import CHANNELS, ChannelFormat, decode, encode
 from octex.conversion.numbering import Leaves, Outside, members_of, number
 from octex.conversion.samples import SHARE_STEPS, Samples, sample_points
 from octex.conversion.solve import Codes, approach, covered, diagonal, residuals, sweep, transpose
-from octex.field.field import Field
+from octex.field.field import Field, Taps
+from octex.field.filtered import Query, filtered_taps
 from octex.jit import kernel
 from octex.parallel import Progress, ordered_map
 from octex.texture.channel import Channel
@@ -76,6 +77,7 @@ class Job(NamedTuple):
     leaves: Leaves
     groups: list[Group]
     ranges: list[tuple[float, float]]  # of each group
+    is_facing: bool  # whether lookups are those with the samples' normals
 
 
 class Lookups(NamedTuple):
@@ -111,20 +113,10 @@ def fitted(
     result does not depend on the executor.
     """
     leaves = Leaves.of(tree, samples)
-    cuts = _cuts(leaves.firsts, BRICK_SAMPLES, LEAF_SAMPLES)
-    bricks = list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
     given = [channels[form.name] for form in samples.channels]
-    field = Field(tree)
-    field.tiles  # noqa: B018 (built before threads share them)
-    groups = _groups(samples.channels)
-    ranges = [group.range(samples) for group in groups]
-    job = Job(field, given, samples, placement, leaves, groups, ranges)
     values = [channel.values.copy() for channel in given]
-    for (first, end), parts in zip(
-        bricks,
-        ordered_map(executor, partial(_fit_brick, job), bricks, stage="fit", progress=progress),
-        strict=True,
-    ):
+    job = _job(tree, given, samples, placement, leaves, is_facing=False)
+    for (first, end), parts in _fit_bricks(job, executor, progress):
         cells = leaves.where(first, end)
         for whole, part in zip(values, parts, strict=True):
             whole[cells] = part
@@ -133,6 +125,63 @@ def fitted(
         for channel, each in zip(given, values, strict=True)
         if channel.format.name not in unfitted
     }
+
+
+def fitted_rows(
+    tree: Octree,
+    channels: Mapping[str, Channel],
+    samples: Samples,
+    rows: Leaves,
+    placement: Placement,
+    *,
+    executor: Executor,
+    progress: Progress,
+    unfitted: Collection[str] = (),
+) -> dict[str, Channel]:
+    """Return channels some ``rows`` of whose split leaves make the field meet ``samples``.
+
+    These are all samples in these leaves, and looked up with their normals. All else is as in ``fitted``.
+    """
+    given = [channels[form.name] for form in samples.channels]
+    values = [channel.split_values.copy() for channel in given]
+    after_cells = [channel._replace(kept_values=channel.split_values) for channel in given]
+    job = _job(tree, after_cells, samples, placement, rows, is_facing=True)
+    for (first, end), parts in _fit_bricks(job, executor, progress):
+        for whole, part in zip(values, parts, strict=True):
+            whole[rows.numbers(first, end) - tree.n_cells] = part
+    return dict(channels) | {
+        channel.format.name: channel._replace(split_values=each)
+        for channel, each in zip(given, values, strict=True)
+        if channel.format.name not in unfitted
+    }
+
+
+def _job(
+    tree: Octree,
+    channels: list[Channel],
+    samples: Samples,
+    placement: Placement,
+    leaves: Leaves,
+    *,
+    is_facing: bool,
+) -> Job:
+    field = Field(tree)
+    field.tiles  # noqa: B018 (built before threads share them)
+    if is_facing:
+        field.facings  # noqa: B018
+    groups = _groups(samples.channels)
+    ranges = [group.range(samples) for group in groups]
+    return Job(field, channels, samples, placement, leaves, groups, ranges, is_facing)
+
+
+def _fit_bricks(
+    job: Job, executor: Executor, progress: Progress
+) -> Iterator[tuple[tuple[int, int], list[npt.NDArray[np.generic]]]]:
+    """Yield runs of leaves, and each channel's values of them, as stored."""
+    cuts = _cuts(job.leaves.firsts, BRICK_SAMPLES, LEAF_SAMPLES)
+    bricks = list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
+    found = ordered_map(executor, partial(_fit_brick, job), bricks, stage="fit", progress=progress)
+    yield from zip(bricks, found, strict=True)
 
 
 @kernel
@@ -215,7 +264,7 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
     leaves = job.leaves
     own = leaves.numbers(first, end)
     outside = Outside.of(0)
-    ring = np.arange(first, end)
+    ring = leaves.with_samples(np.arange(first, end))
     samples, strides, counts = [], [], []
     numbers, weights = np.empty(0, np.int32), np.empty(0, np.float32)
     n_taps = unknowns = 0
@@ -226,7 +275,7 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
         samples.append(members)
         strides.append(stride)
         points = sample_points(job.samples, members, job.placement)
-        for starts, rows, found, *_ in job.field.batches(points, job.placement):
+        for starts, rows, found, *_ in _taps(job, members, points):
             if n_taps + rows.size > numbers.size:
                 room = (n_taps + rows.size) * 2 + TAPS * len(members)
                 numbers, weights = _with_room(numbers, n_taps, room), _with_room(weights, n_taps, room)
@@ -236,7 +285,7 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
             n_taps += rows.size
             counts.append(np.diff(starts))
         ranks = leaves.ranks_of(outside.found()[known:])
-        ring = np.sort(ranks[ranks >= 0])
+        ring = leaves.with_samples(ranks[ranks >= 0])
     return Lookups(
         np.concatenate(samples),
         np.concatenate(strides),
@@ -246,6 +295,13 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
         np.concatenate([own, outside.found()]),
         unknowns,
     )
+
+
+def _taps(job: Job, samples: npt.NDArray[np.int64], points: npt.NDArray[np.float64]) -> Iterator[Taps]:
+    if not job.is_facing:
+        return job.field.batches(points, job.placement)
+    query = Query("quadratic", normals=job.samples.normals[samples].astype(np.float32))
+    return filtered_taps(job.field, points, job.placement, query)
 
 
 def _with_room(array: npt.NDArray[Any], used: int, room: int) -> npt.NDArray[Any]:
