@@ -42,10 +42,11 @@ def in_codes(stored: npt.NDArray[np.generic], channel: ChannelFormat) -> npt.NDA
     return stored.astype(np.float32) * np.float32(scale)
 
 
-def kinds_around(tree: Octree) -> Kinds:
+def kinds_around(tree: Octree, *, opposite: bool = False) -> Kinds:
     """Return the kinds of all leaves that lookups in each leaf may read, 0 where they are of one (cells,).
 
-    Found from the root down: what is around a cell is around what lies in it.
+    With ``opposite`` also 0 where none of them face opposite ways or are split. Found from the root down:
+    what is around a cell is around what lies in it.
     """
     kinds = _kinds_below(tree)
     field = Field(tree)
@@ -59,9 +60,22 @@ def kinds_around(tree: Octree) -> Kinds:
             some = chosen[begin : begin + _BLOCK]
             taps = _around(field, level, codes[some])
             around = np.bitwise_or.reduceat(kinds[taps.rows], taps.starts[:-1])
-            meets[some] = (np.bitwise_count(around) > 1) | (around == _SPLIT_KIND)
+            meets[some] = _face_opposite(around) if opposite else np.bitwise_count(around) > 1
+            meets[some] |= around & _SPLIT_KIND > 0
             found[first + some] = np.where(meets[some] & ~is_node[some], around, 0)
     return found
+
+
+def _face_opposite(kinds: Kinds) -> npt.NDArray[np.bool_]:
+    """Say whether any of some kinds (n,) face both ways along an axis, one by itself or two."""
+    found = np.zeros(kinds.size, np.bool_)
+    for axis in range(3):
+        found |= (kinds & _HAVING[2 * axis] > 0) & (kinds & _HAVING[2 * axis + 1] > 0)
+    return found
+
+
+#: By the number of a facing: the kinds of cells that have it.
+_HAVING = np.array([sum(1 << kind for kind in range(64) if kind >> f & 1) for f in range(6)], np.uint64)
 
 
 def _kinds_below(tree: Octree) -> Kinds:
