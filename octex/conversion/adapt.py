@@ -31,8 +31,7 @@ _BLOCK = 1 << 15
 _ROUNDING = 1 / 16
 #: Where a sample is farther off than this part of what is allowed, the rim of its cell is tested, too.
 #: Between samples fields are up to 2.4 times as far apart as at them.
-#: There it may be by so many codes farther off than at samples.
-_DOUBT, _RIM = 0.5, 1.0
+_DOUBT = 0.5
 #: If no more than this part of all leaves fail, only those around them are tested again.
 _FEW = 0.05
 #: Leaves that fail are split by a level, which mostly is enough; by one more after each so many rounds, since
@@ -70,8 +69,9 @@ def adapted(
 
     With ``max_error``, in 8-bit codes of what is encoded (see `measure`), leaves merge upward from there.
     Then the quadratic field differs from that of the tree without ``max_error`` by at most that and 1/8 (what
-    it is rounded by, and what is allowed for it) at every sample, looked up without normals and with the
-    samples' own. Leaves that do not merge have the values that they have without it.
+    it is rounded by, and what is allowed for it) at every sample, and at the rims of finest cells where it
+    may be more there, looked up without normals and with the samples' own; between these points by little
+    more. Leaves that do not merge have the values that they have without it.
     """
     finest, limits, pruned = None, None, None
     if wanted is not None and wanted.min(initial=tree.max_depth) < tree.max_depth:
@@ -200,10 +200,11 @@ class _Merger:
             pruned = prune(self._finest, depths)
             values = pruned.carried(self._known)
             field = Coefficients.of(pruned.tree, values, self._samples)
-            failing = self._fails(field, suspects)
+            failing = self._fails(field, suspects, rims=rounds is None)
             if rounds is None:
                 facing = FacingField.of(pruned.tree, values, self._samples)
-                failing |= self._fails(facing, self._mixed(suspects & ~failing, pruned, depths))
+                mixed = self._mixed(suspects & ~failing, pruned, depths)
+                failing |= self._fails(facing, mixed, rims=True)
             splits = self._splits(failing, pruned, depths)
             if not splits.any():
                 return
@@ -256,16 +257,22 @@ class _Merger:
         return marked
 
     def _fails(
-        self, field: Coefficients | FacingField, chosen: Bools, nodes: npt.NDArray[np.int64] | None = None
+        self,
+        field: Coefficients | FacingField,
+        chosen: Bools,
+        nodes: npt.NDArray[np.int64] | None = None,
+        *,
+        rims: bool = False,
     ) -> Bools:
         """Say in which of the chosen finest cells a field is too far from the full tree's at a sample.
 
         With ``nodes``, the first finest cells in those of the field's last level, it is their own values.
+        With ``rims`` it is tested at the rims of cells, too, where it is not much nearer than it may be.
         """
         fails = np.zeros(chosen.size, np.bool_)
         cells = np.flatnonzero(chosen)
         blocks = [cells[begin : begin + _BLOCK] for begin in range(0, cells.size, _BLOCK)]
-        work = partial(_failing, field, self._reference, self._samples, self._most, nodes)
+        work = partial(_failing, field, self._reference, self._samples, self._most, nodes, rims)
         done = map(work, blocks) if self._executor is None else ordered_map(self._executor, work, blocks)
         for failing in done:
             fails[failing] = True
@@ -278,6 +285,7 @@ def _failing(
     samples: Samples,
     most: float,
     nodes: npt.NDArray[np.int64] | None,
+    rims: bool,
     cells: npt.NDArray[np.int64],
 ) -> npt.NDArray[np.int64]:
     """Return the finest cells, of some, where a field is more than ``most`` codes from the full tree's."""
@@ -294,11 +302,11 @@ def _failing(
     else:
         wanted = full.values_at(samples, cells)
     far = exceeding(found, wanted, forms, most)
-    doubtful = ~far & exceeding(found, wanted, forms, _DOUBT * most)
-    if doubtful.any():
+    doubtful = ~far & exceeding(found, wanted, forms, _DOUBT * most) if rims else far
+    if rims and doubtful.any():
         rim = samples.rims(samples.rows(cells)[doubtful], owners[doubtful])
         every = np.arange(rim.codes.size)
-        beyond = exceeding(field.values_at(rim, every), full.values_at(rim, every), forms, most + _RIM)
+        beyond = exceeding(field.values_at(rim, every), full.values_at(rim, every), forms, most)
         far[doubtful] = beyond.reshape(-1, RIM_POINTS).any(axis=1)
     return owners[far]
 
