@@ -161,7 +161,11 @@ def _check_references(
         found = texture.sample(
             points, list(texture.channels), filter, normalize=False, bleed_threshold=np.inf, **views
         )
-    more = {"bleed_threshold": np.inf} if threshold == np.inf and "normals" not in views else {}
+    more = (
+        {"bleed_threshold": np.inf}
+        if threshold == np.inf and "width" in views and "normals" not in views
+        else {}
+    )
     for name in texture.channels:
         alone = texture.sample(points, name, filter, normalize=False, **views, **more)
         slow = Views(texture, name, filter)

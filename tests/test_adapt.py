@@ -23,12 +23,16 @@ from octex.channels import (
     encode,
     linear_to_srgb,
 )
-from octex.conversion.adapt import Finest, Fit, adapted, as_max_error, limits_of, prune
-from octex.conversion.lookups import Coefficients, source_at, values_at, values_of
+from octex.conversion.adapt import adapted, as_max_error
+from octex.conversion.facings import kinds_around, sees_all
+from octex.conversion.lookups import Coefficients, source_at, values_of
+from octex.conversion.prune import Finest, limits_of, prune
 from octex.conversion.samples import Samples, sample_points
+from octex.conversion.sides import Fit
 from octex.errors import ArgumentError
 from octex.parallel import silent
 from octex.texture import Channel, OctreeTexture
+from octex.tree.layout import SPLIT, SplitTable
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -79,6 +83,7 @@ def sampled(tree: Octree, channels: Mapping[str, Channel]) -> Samples:
         codes=tree.level_codes(tree.max_depth),
         firsts=np.arange(n + 1),
         places=np.full((n, 3), 1 << 15, np.uint16),
+        normals=np.tile(np.array([[0, 0, 127]], np.int8), (n, 1)),
         shares=np.full(n, 255, np.uint8),
         values=np.hstack(values).astype(np.float16),
     )
@@ -92,13 +97,14 @@ def merge(
     fit: Fit | None = None,
 ) -> OctreeTexture:
     """Adapt a tree to what its finest cells hold."""
-    found, _, values = adapted(
+    found, values = adapted(
         tree,
         channels,
         sampled(tree, channels),
         max_error=max_error,
         wanted=wanted,
         fit=fit,
+        split=None,
         executor=None,
         progress=silent,
     )
@@ -110,24 +116,10 @@ def painted(tree: Octree, color: Floats, form: ChannelFormat = BASE_COLOR) -> di
     return {form.name: means(tree, color, form)}
 
 
-def errors(texture: OctreeTexture, full: Octree, channel: Channel) -> npt.NDArray[np.float64]:
-    """How far the field of colours is from the full tree's leaves in their middles, in codes (n,)."""
-    found = texture.sample(places(full), "base_color", "quadratic")
-    return np.abs(255 * linear_to_srgb(found) - channel.values[-full.n_leaves :]).max(axis=1)
-
-
-def is_tested(texture: OctreeTexture, full: Octree) -> npt.NDArray[np.bool_]:
-    """Say of each finest cell whether its sample counts: it lies in a leaf that is less deep.
-
-    It does if it is the first one in a cell two levels below the leaf, or if there is no such level.
-    """
-    codes, depth = full.level_codes(full.max_depth), full.max_depth
-    tested = np.zeros(codes.size, np.bool_)
-    for level in range(min(texture.tree.max_depth + 1, depth)):
-        leaves = texture.tree.level_codes(level)[~texture.tree.is_node(level)]
-        below = codes >> 3 * max(depth - level - 2, 0)
-        tested |= np.isin(codes >> 3 * (depth - level), leaves) & (np.diff(below, prepend=-1) != 0)
-    return tested
+def errors(texture: OctreeTexture, full: OctreeTexture) -> npt.NDArray[np.float64]:
+    """How far two fields of colours are apart in the middles of the full tree's leaves, in codes (n,)."""
+    found, wanted = (each.sample(places(full.tree), "base_color", "quadratic") for each in (texture, full))
+    return np.asarray(np.abs(255 * (linear_to_srgb(found) - linear_to_srgb(wanted))).max(axis=1))
 
 
 def noise(tree: Octree, seed: int = 0) -> npt.NDArray[np.float64]:
@@ -202,7 +194,7 @@ def test_values_at_samples_are_those_of_the_field(seed: int, has_alpha: bool):
     values = pruned.carried(channels)
     texture = OctreeTexture(pruned.tree, values, UNIT, [[0, 0, 0], [1, 1, 1]])
     chosen = np.flatnonzero(random.random(codes.size) < 0.7)
-    found = values_at(Coefficients.of(pruned.tree, values, samples), samples, chosen)
+    found = Coefficients.of(pruned.tree, values, samples).values_at(samples, chosen)
     expected = texture.sample(sample_points(samples, chosen, UNIT), list(channels), normalize=False)
     np.testing.assert_allclose(found, np.hstack(list(expected.values())), atol=2e-5)
     np.testing.assert_array_equal(source_at(samples, chosen), samples.values[chosen])
@@ -220,6 +212,56 @@ def test_cells_by_themselves_show_their_own_values(seed: int):
     rows = tree.arrays.level_cells[2] + owners
     expected = [decode(each.values[rows], each.format.space) for each in channels.values()]
     np.testing.assert_allclose(found, np.hstack(expected), atol=1e-6)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_where_all_is_taken_in_full_lookups_find_the_same_with_normals_and_without(seed: int):
+    random = np.random.default_rng(seed)
+    full = Octree.from_leaves(np.unique(random.integers(0, 8**4, 80)), 4)
+    finest = Finest.of(full)
+    depths = limits_of(finest, random.integers(2, 5, full.n_leaves).astype(np.uint8))
+    pruned = prune(finest, depths)
+    flags = random.choice([[1], [4], [1, 5], [1, 1, 1, 3, 4, 5, 21]][seed % 4], pruned.tree.n_cells)
+    cells = np.flatnonzero((flags == 3) & (random.random(flags.size) < 0.5))
+    flags[cells] |= SPLIT
+    split = SplitTable(
+        cells.astype(np.uint32), np.full(cells.size, 3, np.uint8), np.zeros(2 * cells.size, np.uint8)
+    )
+    tree = pruned.tree.with_cell_data(flags.astype(np.uint8), pruned.tree.arrays.areas, split)
+    rows = [random.random((n, 3)).astype(np.float32) for n in (flags.size, 2 * cells.size)]
+    form = BASE_COLOR._replace(space="linear", dtype="float32")
+    channel = Channel(form, rows[0], rows[1], rows[1][:0])
+    texture = OctreeTexture(tree, {"base_color": channel}, UNIT, [[0, 0, 0], [1, 1, 1]])
+    points = places(full) + (random.random((full.n_leaves, 3)) - 0.5) / 16
+    normals = np.rint(127 * random.normal(size=points.shape) / 3).clip(-127, 127).astype(np.int8)
+    normals[::2] = [101, 76, 0]
+    kinds = np.repeat(kinds_around(tree)[pruned.leaf_cells(depths)], pruned.sizes)
+    same = sees_all(normals, kinds)
+    assert same.any() or seed % 4 == 3
+    plain, facing = texture.sample(points), texture.sample(points, normals=normals)
+    np.testing.assert_allclose(facing[same], plain[same], atol=1e-5)
+    if seed % 4 in (0, 1):
+        assert same.all()
+
+
+def test_points_of_a_rim_lie_in_their_cells_and_in_the_plane_of_their_sample():
+    random = np.random.default_rng(5)
+    tree = plane(3)
+    samples = sampled(tree, painted(tree, noise(tree)))
+    n = tree.n_leaves
+    normals = random.normal(size=(n, 3))
+    normals = np.rint(127 * normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.int8)
+    samples = samples._replace(places=random.integers(0, 1 << 16, (n, 3)).astype(np.uint16), normals=normals)
+    chosen = np.arange(0, n, 3)
+    rim = samples.rims(chosen, chosen)
+    found = sample_points(rim, np.arange(4 * chosen.size), UNIT).reshape(-1, 4, 3)
+    middles = sample_points(samples, chosen, UNIT)[:, None]
+    assert np.array_equal(np.floor(found * 8), np.floor(middles * 8) + np.zeros((1, 4, 1)))
+    across = np.abs(np.einsum("ncx,nx->nc", found - middles, normals[chosen] / 127.0))
+    assert across.max() < 1e-5
+    flat = sampled(tree, painted(tree, noise(tree)))
+    corners = sample_points(flat.rims(chosen, chosen), np.arange(4 * chosen.size), UNIT).reshape(-1, 4, 3)
+    assert np.allclose(np.ptp(corners, axis=1), [1 / 8, 1 / 8, 0], atol=1e-4)
 
 
 def test_without_wishes_nothing_is_pruned():
@@ -250,13 +292,11 @@ def test_slow_changes_merge_and_stay_near():
     channels = painted(tree, ramp(tree))
     texture = merge(tree, channels, 2)
     assert texture.tree.n_leaves < 0.1 * tree.n_leaves
-    found = errors(texture, tree, channels["base_color"])
-    assert found[is_tested(texture, tree)].max() <= 2 + ROUNDING
-    assert found.max() <= 3
+    assert errors(texture, merge(tree, channels, None)).max() <= 2 + ROUNDING
 
 
 @pytest.mark.parametrize("most", [1, 2, 8])
-def test_samples_in_merged_leaves_are_as_near_as_asked_for(most: float):
+def test_all_samples_are_as_near_as_asked_for(most: float):
     tree = plane(6)
     random = np.random.default_rng(3)
     color = ramp(tree)
@@ -266,30 +306,41 @@ def test_samples_in_merged_leaves_are_as_near_as_asked_for(most: float):
         color[near] = random.random(3)
     channels = painted(tree, color)
     texture = merge(tree, channels, most)
-    tested = is_tested(texture, tree)
-    assert tested.any()
-    assert errors(texture, tree, channels["base_color"])[tested].max() <= most + ROUNDING
+    assert 1 < texture.tree.n_leaves < tree.n_leaves
+    assert errors(texture, merge(tree, channels, None)).max() <= most + ROUNDING
 
 
-def test_the_slow_field_agrees_that_merged_leaves_are_near():
+@needs_jit
+@pytest.mark.parametrize("seed", range(4))
+def test_a_dot_is_kept_wherever_it_is(seed: int):
+    tree = plane(6)
+    color = np.full((tree.n_leaves, 3), 0.3)
+    color[np.random.default_rng(seed).integers(tree.n_leaves)] = [1, 0, 0.5]
+    channels = painted(tree, color)
+    texture = merge(tree, channels, 2)
+    assert texture.tree.n_leaves < 0.1 * tree.n_leaves
+    assert errors(texture, merge(tree, channels, None)).max() <= 2 + ROUNDING
+
+
+def test_the_slow_field_agrees_that_all_samples_are_near():
     tree = plane(4)
     color = ramp(tree)
     color[:20] = noise(tree)[:20]
     channels = painted(tree, color)
-    texture = merge(tree, channels, 3)
-    tested = is_tested(texture, tree)
-    assert tested.any()
-    leaves = [
-        (level, naive.unmorton(code))
-        for level in range(texture.tree.max_depth + 1)
-        for code in texture.tree.level_codes(level)[~texture.tree.is_node(level)].tolist()
-    ]
-    values = decode(texture.channels["base_color"].values, "srgb")
-    field = naive.Field(naive.cells_of(leaves), values, "quadratic").at
-    for place, code in zip(
-        places(tree)[tested], channels["base_color"].values[-tree.n_leaves :][tested], strict=True
-    ):
-        assert np.abs(255 * linear_to_srgb(field(place)) - code).max() <= 3 + ROUNDING + 1e-3
+    full, texture = merge(tree, channels, None), merge(tree, channels, 3)
+    assert 1 < texture.tree.n_leaves < tree.n_leaves
+    fields = []
+    for each in (full, texture):
+        leaves = [
+            (level, naive.unmorton(code))
+            for level in range(each.tree.max_depth + 1)
+            for code in each.tree.level_codes(level)[~each.tree.is_node(level)].tolist()
+        ]
+        values = decode(each.channels["base_color"].values, "srgb")
+        fields.append(naive.Field(naive.cells_of(leaves), values, "quadratic").at)
+    for place in places(tree)[::3]:
+        wanted, found = (linear_to_srgb(field(place)) for field in fields)
+        assert 255 * np.abs(found - wanted).max() <= 3 + ROUNDING + 1e-3
 
 
 @needs_jit
@@ -328,13 +379,12 @@ def test_what_a_fit_breaks_is_split_again():
     def fit(pruned: Octree, values: Mapping[str, Channel]) -> dict[str, Channel]:
         spoilt = values["base_color"].values.copy()
         broken = pruned.leaf_cells()[::5]
-        spoilt[broken] = 255 - spoilt[broken]
+        spoilt[broken] = 255 - spoilt[broken] if pruned.n_leaves < tree.n_leaves else spoilt[broken]
         return {"base_color": values["base_color"]._replace(values=spoilt)}
 
     texture = merge(tree, channels, 2, fit=fit)
-    assert texture.tree.n_leaves > plain.tree.n_leaves
-    tested = is_tested(texture, tree)
-    assert errors(texture, tree, channels["base_color"])[tested].max(initial=0) <= 2 + ROUNDING
+    assert plain.tree.n_leaves < texture.tree.n_leaves < tree.n_leaves
+    assert errors(texture, merge(tree, channels, None)).max() <= 2 + ROUNDING
 
 
 def test_leaves_hold_what_was_fitted_and_nodes_the_means():
@@ -347,12 +397,17 @@ def test_leaves_hold_what_was_fitted_and_nodes_the_means():
 
     color = np.full((tree.n_leaves, 3), 0.3)
     color[:16] = [0.9, 0.1, 0.5]
+    means = painted(tree, color)["base_color"].values
     for most in (None, 3):
-        plain, fitted = (merge(tree, painted(tree, color), most, fit=each) for each in (None, fit))
-        assert fitted.tree.n_leaves == plain.tree.n_leaves
-        shift = fitted.channels["base_color"].values - plain.channels["base_color"].values
-        is_leaf = np.isin(np.arange(plain.tree.n_cells), plain.tree.leaf_cells())
-        np.testing.assert_array_equal(shift[:, 0], is_leaf)
+        texture = merge(tree, painted(tree, color), most, fit=fit)
+        values = texture.channels["base_color"].values
+        for level, (codes, is_node) in enumerate(texture.tree.walk()):
+            first, end = texture.tree.arrays.level_cells[level : level + 2]
+            rows = tree.arrays.level_cells[level] + np.searchsorted(tree.level_codes(level), codes)
+            shift = values[first:end, 0] - means[rows, 0]
+            assert (shift[is_node] == 0).all()
+            if level == tree.max_depth:  # those of the full tree
+                assert (shift == 1).all()
 
 
 def test_wishes_and_errors_combine():

@@ -109,6 +109,20 @@ def test_a_model_without_thin_places_has_no_leaf_split_and_pays_nothing() -> Non
     assert (texture.tree.split.cells < texture.tree.arrays.level_cells[3]).all()
 
 
+@needs_jit
+def test_what_is_thin_is_fitted_on_each_of_its_sides() -> None:
+    surface = bent(0.02)
+    samples = surface.scatter(20_000)
+    source = linear_to_srgb(surface.evaluate(samples))
+
+    def error(fit: bool, normals: np.ndarray | None) -> float:
+        found = octex.convert(surface, depth=6, fit=fit).sample(samples.rest, normals=normals)
+        return float(np.sqrt(np.mean((linear_to_srgb(found) - source) ** 2)))
+
+    assert error(True, samples.normals) < 0.65 * error(False, samples.normals) < 0.01
+    assert error(True, None) < error(False, None)
+
+
 def test_leaves_that_only_look_moved_are_not_split() -> None:
     tree = octex.convert(sheet(np.eye(3), 0.0), depth=4, fit=False).tree
     assert np.array_equal(tree.split.cells, np.arange(tree.n_cells))

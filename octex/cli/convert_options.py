@@ -116,7 +116,7 @@ def parser() -> Parser:
         "--max-error",
         metavar="CODES",
         type=error_codes,
-        help="merge leaves where what is looked up then stays this near to the model, in 8-bit codes, like 2",
+        help="merge leaves where lookups then stay this near to what they were, in 8-bit codes, like 2",
     )
     add(
         "--detail",

@@ -1,50 +1,42 @@
-"""Adaptive trees: which cells become leaves, so that the field stays near the source.
+"""Adaptive trees: which cells become leaves, so that the field stays near that of the full tree.
 
-Everything here counts in the finest cells, those of the tree that a conversion fills: the state is the depth
-of the leaf that each of them lies in.
+The full tree's field is what leaves are judged by, not the source: two fields differ smoothly within a finest
+cell, so that a few points in each say how far they are apart everywhere in it. Where the source has more
+detail than that, a leaf that meets it at some points can be far off at others.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from functools import partial
-from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from octex.conversion.lookups import Coefficients, source_at, values_at, values_of
+from octex.conversion.facings import kinds_around, sees_all
+from octex.conversion.lookups import Coefficients, FacingField, Reference, source_at, values_of
 from octex.conversion.measure import exceeding
-from octex.conversion.samples import Samples
+from octex.conversion.prune import Bools, Channels, Depths, Finest, Pruned, grafted, limits_of, prune
+from octex.conversion.samples import RIM_POINTS, Samples
+from octex.conversion.sides import Fit, Split
 from octex.errors import ArgumentError
-from octex.jit import kernel
 from octex.parallel import Progress, ordered_map
 from octex.texture.channel import Channel
-from octex.tree.layout import SplitTable
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
 
-Channels: TypeAlias = Mapping[str, Channel]
-#: Fits the leaves of a tree whose values are means: a conversion's `fitted` with all but these two given.
-Fit: TypeAlias = Callable[[Octree, Channels], Channels]
-Bools: TypeAlias = npt.NDArray[np.bool_]
-Depths: TypeAlias = npt.NDArray[np.uint8]
-Values: TypeAlias = npt.NDArray[Any]
-
 #: Finest cells whose samples are looked up at once.
 _BLOCK = 1 << 15
-#: What samples, float16 numbers, are rounded by at most, in codes: so much more is allowed.
+#: What the full tree's field, in float16 at samples, is rounded by at most, in codes: so much more may be.
 _ROUNDING = 1 / 16
-#: A leaf is tested at a sample in each cell so many levels below it: at most 16 or so where it is flat.
-_TESTED_BELOW = 2
+#: Where a sample is farther off than this part of what is allowed, the rim of its cell is tested, too.
+#: Between samples fields are up to 2.4 times as far apart as at them.
+_DOUBT = 0.5
 #: If no more than this part of all leaves fail, only those around them are tested again.
 _FEW = 0.05
 #: Leaves that fail are split by a level, which mostly is enough; by one more after each so many rounds, since
 #: their neighbours may fail in turn.
 _PATIENCE = 6
-#: Rounds of tests after the first fit; they find nearly all that is to be split.
-_FIRST_ROUNDS = 2
 
 
 def as_max_error(max_error: float) -> float:
@@ -58,121 +50,6 @@ def as_max_error(max_error: float) -> float:
     return number
 
 
-class Finest(NamedTuple):
-    """The finest cells of a full tree, and which of them the cells above hold."""
-
-    tree: Octree
-    codes: npt.NDArray[np.int64]  # (n,)   Morton codes, ascending
-    firsts: list[npt.NDArray[np.int64]]  # for each level above, the first finest cell in each of its cells
-
-    @classmethod
-    def of(cls, tree: Octree) -> Finest:
-        """List the finest cells below each cell of a tree whose leaves are all of one level."""
-        codes = tree.level_codes(tree.max_depth)
-        firsts: list[npt.NDArray[np.int64]] = []
-        above = codes
-        for _ in range(tree.max_depth):
-            above = above >> 3
-            starts = np.flatnonzero(np.diff(above, prepend=-1))
-            above = above[starts]
-            firsts.append(firsts[-1][starts] if firsts else starts)
-        return cls(tree, codes, firsts[::-1])
-
-    def first(self, level: int) -> npt.NDArray[np.int64] | slice:
-        """Return what picks the first finest cell in each cell of a level."""
-        return self.firsts[level] if level < self.tree.max_depth else slice(None)
-
-    def spread(self, level: int, values: Bools) -> Bools:
-        """Give each finest cell what the cell of ``level`` that holds it has."""
-        return np.repeat(values, np.diff(self.firsts[level], append=self.codes.size))
-
-
-class Pruned(NamedTuple):
-    """A tree with some nodes as leaves, and where its cells were."""
-
-    tree: Octree
-    cells: npt.NDArray[np.int64]  # (cells,)   their numbers in the full tree
-    leaves: Bools  # (cells,)
-    starts: npt.NDArray[np.int64]  # (leaves,)   the first finest cell of each leaf, in Morton order
-    split_rows: Bools  # (rows of the full tree's split table,)   those that are left
-
-    def carried(self, channels: Channels) -> dict[str, Channel]:
-        """Return the values of the full tree's channels in this tree."""
-        return {
-            name: channel._replace(
-                values=channel.values[self.cells], split_values=channel.split_values[self.split_rows]
-            )
-            for name, channel in channels.items()
-        }
-
-    def scattered(self, fitted: Channels, means: Channels) -> dict[str, Values]:
-        """Return the values of this tree's leaves where they are in the full tree, between its means."""
-        found = {name: channel.values.copy() for name, channel in means.items()}
-        for name, values in found.items():
-            values[self.cells[self.leaves]] = fitted[name].values[self.leaves]
-        return found
-
-
-def prune(finest: Finest, depths: Depths) -> Pruned:
-    """Make leaves of the nodes at ``depths`` (n,) above the finest cells; flags and areas are taken over."""
-    tree = finest.tree
-    starts, codes = _leaves_of(finest.codes, depths, tree.max_depth)
-    full = tree.arrays
-    cells, leaves = [], []
-    for level, first in enumerate(full.level_cells[:-1]):
-        depths_there = depths[finest.first(level)]
-        stored = np.flatnonzero(depths_there >= level)
-        cells.append(stored + first)
-        leaves.append(depths_there[stored] == level)
-    numbers = np.concatenate(cells)
-    is_left = np.zeros(tree.n_cells, np.bool_)
-    is_left[numbers] = True
-    split = tree.split
-    is_split = is_left[split.cells]
-    rows = np.repeat(is_split, np.bitwise_count(split.facings))
-    split = SplitTable(
-        np.searchsorted(numbers, split.cells[is_split]).astype(np.uint32),
-        split.facings[is_split],
-        split.areas[rows],
-    )
-    pruned = Octree.from_leaves(codes, depths[starts])
-    pruned = pruned.with_cell_data(full.flags[numbers], full.areas[numbers], split)
-    return Pruned(pruned, numbers, np.concatenate(leaves), starts, rows)
-
-
-@kernel
-def _leaves_of(
-    codes: npt.NDArray[np.int64], depths: Depths, depth: int
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return the first finest cell of each leaf, and the leaf's Morton code at its own level."""
-    starts = np.empty(codes.size, np.int64)
-    leaves = np.empty(codes.size, np.int64)
-    count = 0
-    end = np.int64(-1)  # of the latest leaf, as a code of the deepest level
-    for n in range(codes.size):
-        if codes[n] >= end:
-            shift = 3 * (depth - np.int64(depths[n]))
-            starts[count] = n
-            leaves[count] = codes[n] >> shift
-            end = (leaves[count] + 1) << shift
-            count += 1
-    return starts[:count].copy(), leaves[:count].copy()
-
-
-def limits_of(finest: Finest, wanted: Depths | None) -> Depths:
-    """Return the depth that each finest cell's leaf must not go below, for the depths wanted in them.
-
-    A node becomes a leaf if no cell in it wants to go deeper.
-    """
-    depth = finest.tree.max_depth
-    limits = np.full(finest.codes.size, depth, np.uint8)
-    if wanted is not None:
-        for level in range(depth - 1, -1, -1):
-            shallow = np.maximum.reduceat(wanted, finest.firsts[level]) <= level
-            limits[finest.spread(level, shallow)] = level
-    return limits
-
-
 def adapted(
     tree: Octree,
     channels: Channels,
@@ -181,39 +58,53 @@ def adapted(
     max_error: float | None,
     wanted: Depths | None,
     fit: Fit | None,
+    split: Split | None,
     executor: Executor | None,
     progress: Progress,
-) -> tuple[Octree, dict[str, Channel], dict[str, Channel]]:
-    """Return the tree with fewer leaves, its channels' means, and its channels, fitted if there is a ``fit``.
+) -> tuple[Octree, dict[str, Channel]]:
+    """Return the tree with fewer leaves, and its channels, fitted if there is a ``fit``, then ``split``.
 
     ``tree`` is full: all its leaves have its depth; channels hold the source's means. ``wanted`` (finest
     cells,) are the depths wanted there, in Morton order. Without samples none can merge.
 
     With ``max_error``, in 8-bit codes of what is encoded (see `measure`), leaves merge upward from there.
-    Then the quadratic field, as it is stored, differs from the source by at most that and 1/8 (what samples
-    are rounded by, and what is allowed for it) in all leaves that are less deep than what is wanted: at every
-    sample of those one or two levels above the finest cells, at one in each cell two levels below of those
-    further up. Leaves as deep as wanted stay, whatever their error. What the last tests split
-    has means, unfitted.
+    Then the quadratic field differs from that of the tree without ``max_error`` by at most that and 1/8 (what
+    it is rounded by, and what is allowed for it) at every sample, and at the rims of finest cells where it
+    may be more there, looked up without normals and with the samples' own; between these points by little
+    more. Leaves that do not merge have the values that they have without it.
     """
-    if max_error is None and (wanted is None or wanted.min(initial=tree.max_depth) == tree.max_depth):
-        return tree, dict(channels), dict(fit(tree, channels) if fit else channels)
-    finest = Finest.of(tree)
-    limits = limits_of(finest, wanted)
-    if max_error is None or samples is None:
+    finest, limits, pruned = None, None, None
+    if wanted is not None and wanted.min(initial=tree.max_depth) < tree.max_depth:
+        finest = Finest.of(tree)
+        limits = limits_of(finest, wanted)
         pruned = prune(finest, limits)
-        carried = pruned.carried(channels)
-        return pruned.tree, carried, dict(fit(pruned.tree, carried) if fit else carried)
-    return _Merger(finest, channels, samples, max_error, limits, executor, progress).merged(fit)
+    whole = tree if pruned is None else pruned.tree
+    means = channels if pruned is None else pruned.carried(channels)
+    values = fit(whole, means) if fit else means
+    if split:
+        whole, values = split(whole, means, values)
+    if max_error is None or samples is None:
+        return whole, dict(values)
+    if finest is None or limits is None or pruned is None:
+        finest = Finest.of(tree)
+        limits = limits_of(finest, None)
+        pruned = prune(finest, limits)
+    full, known = grafted(tree, channels, pruned, whole, values)
+    reference = Reference.of(whole, values, samples, executor)
+    finest = finest._replace(tree=full)
+    merger = _Merger(finest, channels, known, reference, samples, max_error, limits, executor, progress)
+    return merger.merged(fit)
 
 
 class _Merger:
-    """Merges leaves and splits them again until every merged one is near the source."""
+    """Merges leaves and splits them again until the field is near that of the full tree."""
 
     def __init__(
         self,
         finest: Finest,
-        channels: Channels,
+        means: Channels,
+        known: Channels,
+        reference: Reference,
         samples: Samples,
         max_error: float,
         limits: Depths,
@@ -221,40 +112,53 @@ class _Merger:
         progress: Progress,
     ) -> None:
         self._finest = finest
-        self._channels = channels
+        self._means = means
+        self._known = dict(known)
+        self._reference = reference
         self._samples = samples
         self._most = max_error + _ROUNDING
         self._limits = limits
         self._executor = executor
         self._progress = progress
+        whole = prune(finest, limits)
+        self._kinds = kinds_around(whole.tree)[np.repeat(whole.leaf_cells(limits), whole.sizes)]
 
-    def merged(self, fit: Fit | None) -> tuple[Octree, dict[str, Channel], dict[str, Channel]]:
-        """Return the tree of fewest leaves that was found, and its channels' means and values."""
+    def merged(self, fit: Fit | None) -> tuple[Octree, dict[str, Channel]]:
+        """Return the tree of fewest leaves that was found, and its channels."""
         depth = self._finest.tree.max_depth
         depths = self._limits.copy()
         for done, level in enumerate(range(depth - 1, -1, -1)):
             self._progress("adapt", done, depth + 3)
             self._merge(level, depths)
         self._progress("adapt", depth, depth + 3)
-        # What was judged on even trees is judged again on the tree of many depths: first at few samples, and
-        # at more as the leaves were fitted. What that splits is worth another fit.
-        pruned, values = self._split(depths, None, 1, 1)
-        for done, rounds in ((1, _FIRST_ROUNDS if fit else depths.size), (2, depths.size)):
-            self._progress("adapt", depth + done, depth + 3)
-            before = pruned
-            fitted = None
-            if fit:
-                fitted = before.scattered(fit(before.tree, before.carried(self._channels)), self._channels)
-            pruned, values = self._split(depths, fitted, _TESTED_BELOW, rounds)
-            if not fit or pruned.tree.n_leaves == before.tree.n_leaves:
-                break
+        # What was judged on even trees is judged again on the tree of many depths.
+        self._split(depths, rounds=1)
+        self._progress("adapt", depth + 1, depth + 3)
+        if fit:
+            self._fit(fit, depths)
+        self._progress("adapt", depth + 2, depth + 3)
+        self._split(depths)
         self._progress("adapt", depth + 3, depth + 3)
-        return pruned.tree, pruned.carried(self._channels), values
+        pruned = prune(self._finest, depths)
+        return pruned.tree, pruned.carried(self._known)
+
+    def _fit(self, fit: Fit, depths: Depths) -> None:
+        """Give merged leaves fitted values."""
+        pruned = prune(self._finest, depths)
+        means = {
+            name: channel._replace(split_values=self._known[name].split_values)
+            for name, channel in self._means.items()
+        }
+        values = fit(pruned.tree, pruned.carried(means))
+        cells = pruned.leaf_cells(depths)
+        merged = cells[(depths < self._limits)[pruned.starts]]
+        for name, channel in values.items():
+            self._known[name].values[pruned.cells[merged]] = channel.values[merged]
 
     def _merge(self, level: int, depths: Depths) -> None:
         """Make leaves of the nodes of a level all of whose children are, where that seems to be near enough.
 
-        Either the averages of this level, as a field, are near the source in the node, or the node's own
+        Either the averages of this level, as a field, are near the full tree's in the node, or the node's own
         average is: beside an edge the former are not, but finer leaves on the edge will keep it.
         """
         finest = self._finest
@@ -262,13 +166,13 @@ class _Merger:
         may = np.maximum.reduceat(depths, firsts) == level + 1
         if not may.any():
             return
-        averages = Coefficients.of(finest.tree.truncated(level), self._channels, self._samples)
+        averages = Coefficients.of(finest.tree.truncated(level), self._means, self._samples)
         smooth = self._near(level, averages, may)
         flat = self._near(level, averages, may & ~smooth, by_itself=True)
         depths[finest.spread(level, smooth | flat)] = level
 
     def _near(self, level: int, averages: Coefficients, may: Bools, *, by_itself: bool = False) -> Bools:
-        """Say in which of some nodes of a level its averages are near enough to the source.
+        """Say in which of some nodes of a level its averages are near enough to the full tree's field.
 
         Each ``by_itself``, or as a field.
         """
@@ -285,75 +189,90 @@ class _Merger:
         failing = self._fails(averages, children & finest.spread(level, may), nodes)
         return may & ~np.logical_or.reduceat(failing, firsts)
 
-    def _probes(self, depths: Depths, below: int) -> Bools:
-        """Mark the first finest cell in each cell ``below`` levels below a leaf that may be split."""
-        finest = self._finest
-        marked = np.zeros(depths.size, np.bool_)
-        for level in range(finest.tree.max_depth):
-            first = finest.first(min(level + below, finest.tree.max_depth))
-            marked[first] |= depths[first] == level
-        return marked & (depths < self._limits)
+    def _split(self, depths: Depths, rounds: int | None = None) -> None:
+        """Split merged leaves where the field is not near the full tree's; changes ``depths``.
 
-    def _split(
-        self, depths: Depths, fitted: Mapping[str, Values] | None, below: int, rounds: int
-    ) -> tuple[Pruned, dict[str, Channel]]:
-        """Split merged leaves until the field is near the source in each that is left; changes ``depths``.
-
-        Tested is a finest cell in each cell ``below`` levels below a leaf, at most ``rounds`` times. Leaves
-        have ``fitted`` values, by cells of the full tree; new ones have their means there.
+        At most ``rounds`` times; or until it is near everywhere, looked up with normals too.
         """
         suspects = np.ones(depths.size, np.bool_)
-        for attempt in range(rounds):
-            pruned, values = self._pruned(depths, fitted)
+        attempt = 0
+        while rounds is None or attempt < rounds:
+            pruned = prune(self._finest, depths)
+            values = pruned.carried(self._known)
             field = Coefficients.of(pruned.tree, values, self._samples)
-            failing = self._fails(field, suspects & self._probes(depths, below))
-            failing = np.logical_or.reduceat(failing, pruned.starts)
-            if not failing.any():
-                return pruned, values
-            if np.count_nonzero(failing) > _FEW * failing.size:
-                suspects = np.ones(depths.size, np.bool_)
-            else:
-                suspects = self._around(pruned.starts[failing], depths)
-            failing = np.repeat(failing, np.diff(pruned.starts, append=depths.size))
+            failing = self._fails(field, suspects, rims=rounds is None)
+            if rounds is None:
+                facing = FacingField.of(pruned.tree, values, self._samples)
+                mixed = self._mixed(suspects & ~failing, pruned, depths)
+                failing |= self._fails(facing, mixed, rims=True)
+            splits = self._splits(failing, pruned, depths)
+            if not splits.any():
+                return
+            starts = pruned.starts[splits[pruned.starts]]
+            few = starts.size <= _FEW * pruned.starts.size
+            suspects = self._around(starts, depths) if few else np.ones(depths.size, np.bool_)
             steps = 1 + attempt // _PATIENCE
-            depths[failing] = np.minimum(depths[failing] + steps, self._limits[failing])
-        return self._pruned(depths, fitted)
+            depths[splits] = np.minimum(depths[splits] + steps, self._limits[splits])
+            attempt += 1
 
-    def _pruned(
-        self, depths: Depths, fitted: Mapping[str, Values] | None
-    ) -> tuple[Pruned, dict[str, Channel]]:
-        """Return the tree whose leaves have some depths, and their values: ``fitted`` ones, or means."""
-        pruned = prune(self._finest, depths)
-        values = pruned.carried(self._channels)
-        for name, leaf_values in (fitted or {}).items():
-            values[name].values[pruned.leaves] = leaf_values[pruned.cells[pruned.leaves]]
-        return pruned, values
+    def _mixed(self, chosen: Bools, pruned: Pruned, depths: Depths) -> Bools:
+        """Mark those of the chosen finest cells where lookups with normals find something else."""
+        around = self._kinds | kinds_around(pruned.tree)[np.repeat(pruned.leaf_cells(depths), pruned.sizes)]
+        marked: Bools = chosen & (around != 0)
+        cells = np.flatnonzero(marked)
+        owners = np.repeat(cells, np.diff(self._samples.firsts)[cells])
+        marked[cells] = False
+        normals = self._samples.normals[self._samples.rows(cells)]
+        marked[owners[~sees_all(normals, around[owners])]] = True
+        return marked
+
+    def _splits(self, failing: Bools, pruned: Pruned, depths: Depths) -> Bools:
+        """Mark the finest cells in the merged leaves that are to be split where the field is too far off.
+
+        Those that hold the place; where the leaf there has not merged, those whose values reach it.
+        """
+        may = depths < self._limits
+        splits = np.repeat(np.logical_or.reduceat(failing & may, pruned.starts), pruned.sizes)
+        codes, depth = self._finest.codes, self._finest.tree.max_depth
+        others = codes[failing & ~may]
+        for level in np.unique(depths[may]).tolist() if others.size else ():
+            shift = 3 * (depth - level)
+            held = _around(others >> shift, level)
+            firsts, ends = np.searchsorted(codes, [held << shift, held + 1 << shift])
+            stored = firsts < ends
+            firsts, ends = firsts[stored], ends[stored]
+            merged = may[firsts] & (depths[firsts] == level)
+            splits |= _marked(firsts[merged], ends[merged], codes.size)
+        return splits
 
     def _around(self, starts: npt.NDArray[np.int64], depths: Depths) -> Bools:
         """Mark the finest cells in leaves and in the cells of their sizes around: as far as splits reach."""
         codes, depth = self._finest.codes, self._finest.tree.max_depth
-        changes = np.zeros(codes.size + 1, np.int32)
-        offsets = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), axis=-1).reshape(-1, 3)
+        marked = np.zeros(codes.size, np.bool_)
         for level in np.unique(depths[starts]).tolist():
             shift = 3 * (depth - level)
-            cells = decode_cells(codes[starts[depths[starts] == level]] >> shift)
-            around = (cells[:, None] + offsets).reshape(-1, 3)
-            around = around[((around >= 0) & (around < 1 << level)).all(axis=1)]
-            held = encode_cells(around)
-            np.add.at(changes, np.searchsorted(codes, held << shift), 1)
-            np.add.at(changes, np.searchsorted(codes, held + 1 << shift), -1)
-        np.cumsum(changes, out=changes)
-        return changes[:-1] > 0
+            held = _around(codes[starts[depths[starts] == level]] >> shift, level)
+            firsts, ends = np.searchsorted(codes, [held << shift, held + 1 << shift])
+            marked |= _marked(firsts, ends, codes.size)
+        return marked
 
-    def _fails(self, field: Coefficients, chosen: Bools, nodes: npt.NDArray[np.int64] | None = None) -> Bools:
-        """Say in which of the chosen finest cells a field is too far from the source at a sample.
+    def _fails(
+        self,
+        field: Coefficients | FacingField,
+        chosen: Bools,
+        nodes: npt.NDArray[np.int64] | None = None,
+        *,
+        rims: bool = False,
+    ) -> Bools:
+        """Say in which of the chosen finest cells a field is too far from the full tree's at a sample.
 
         With ``nodes``, the first finest cells in those of the field's last level, it is their own values.
+        With ``rims`` it is tested at the rims of cells, too, where it is not much nearer than it may be.
         """
         fails = np.zeros(chosen.size, np.bool_)
         cells = np.flatnonzero(chosen)
         blocks = [cells[begin : begin + _BLOCK] for begin in range(0, cells.size, _BLOCK)]
-        work = partial(_failing, field, self._samples, self._most, nodes)
+        work = partial(_failing, field, self._reference, self._samples, self._most, nodes, rims)
         done = map(work, blocks) if self._executor is None else ordered_map(self._executor, work, blocks)
         for failing in done:
             fails[failing] = True
@@ -361,14 +280,52 @@ class _Merger:
 
 
 def _failing(
-    field: Coefficients,
+    field: Coefficients | FacingField,
+    reference: Reference,
     samples: Samples,
     most: float,
     nodes: npt.NDArray[np.int64] | None,
+    rims: bool,
     cells: npt.NDArray[np.int64],
 ) -> npt.NDArray[np.int64]:
-    """Return the finest cells, of some, where a field is more than ``most`` codes from the source."""
-    found = values_at(field, samples, cells) if nodes is None else values_of(field, samples, cells, nodes)
-    far = exceeding(found, source_at(samples, cells), samples.channels, most)
-    counts = samples.firsts[cells + 1] - samples.firsts[cells]
-    return np.repeat(cells, counts)[far]
+    """Return the finest cells, of some, where a field is more than ``most`` codes from the full tree's."""
+    forms = samples.channels
+    owners = np.repeat(cells, samples.firsts[cells + 1] - samples.firsts[cells])
+    if nodes is not None:
+        assert isinstance(field, Coefficients)
+        found = values_of(field, samples, cells, nodes)
+        return owners[exceeding(found, source_at(reference.samples, cells), forms, most)]
+    full = reference.field if isinstance(field, Coefficients) else reference.facing
+    found = field.values_at(samples, cells)
+    if isinstance(field, Coefficients):
+        wanted = source_at(reference.samples, cells)
+    else:
+        wanted = full.values_at(samples, cells)
+    far = exceeding(found, wanted, forms, most)
+    doubtful = ~far & exceeding(found, wanted, forms, _DOUBT * most) if rims else far
+    if rims and doubtful.any():
+        rim = samples.rims(samples.rows(cells)[doubtful], owners[doubtful])
+        every = np.arange(rim.codes.size)
+        beyond = exceeding(field.values_at(rim, every), full.values_at(rim, every), forms, most)
+        far[doubtful] = beyond.reshape(-1, RIM_POINTS).any(axis=1)
+    return owners[far]
+
+
+_OFFSETS = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), axis=-1).reshape(-1, 3)
+
+
+def _around(codes: npt.NDArray[np.int64], level: int) -> npt.NDArray[np.int64]:
+    """Return cells of a level and all around them, each once."""
+    cells = decode_cells(np.unique(codes))
+    around = (cells[:, None] + _OFFSETS).reshape(-1, 3)
+    around = around[((around >= 0) & (around < 1 << level)).all(axis=1)]
+    return np.unique(encode_cells(around))
+
+
+def _marked(firsts: npt.NDArray[np.int64], ends: npt.NDArray[np.int64], size: int) -> Bools:
+    """Mark all from each of ``firsts`` up to its end."""
+    changes = np.zeros(size + 1, np.int32)
+    np.add.at(changes, firsts, 1)
+    np.add.at(changes, ends, -1)
+    np.cumsum(changes, out=changes)
+    return changes[:-1] > 0

@@ -6,7 +6,6 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -28,11 +27,10 @@ from octex.checks import (
 from octex.conversion import apart
 from octex.conversion.adapt import adapted, as_max_error
 from octex.conversion.detail import DetailFunction, channel_of, wanted_levels
-from octex.conversion.facings import separated
 from octex.conversion.fill import assemble, fill
-from octex.conversion.fit import fitted
 from octex.conversion.gaps import without_gaps, without_opaque
 from octex.conversion.points import convert_points
+from octex.conversion.sides import fitters
 from octex.conversion.stored import Dtypes, stored_as
 from octex.errors import ArgumentError, ModelError
 from octex.parallel import Progress, as_progress, workers
@@ -84,17 +82,18 @@ def convert(
     by alpha too if it is among them (Benson & Davis 2002, 3.1, 3.5 and 5). Directions are averaged as
     vectors: the less they agree, the shorter is the mean. A cell in which the surface shows both ways along
     an axis keeps a mean for each facing too, if one differs from the whole by more than 1/255 of the encoded
-    range; light stored as floats is compared on sRGB's curve, and above 1 by ratio (0.9 %). So do fitted
-    leaves beside others that face the other way, if they differ as much from their means. Leaves hold the
-    values with which the field, read with the filter "quadratic", comes nearest to the source; without
-    ``fit`` their means, as nodes do.
+    range; light stored as floats is compared on sRGB's curve, and above 1 by ratio (0.9 %). Leaves
+    hold the values with which the field, read with the filter "quadratic", comes nearest to the source;
+    without ``fit`` their means, as nodes do. Beside others that face the other way, fitted leaves keep a
+    value for each facing, too, if the one with which lookups with normals come nearest differs as much.
 
     Leaves are as deep as the finest cells unless ``max_error`` or ``detail`` say otherwise. ``max_error``, in
-    8-bit codes of what is encoded, merges leaves wherever the field then stays that near to the source: see
-    ``adapt.adapted``. ``detail`` says how deep to go where: a function of rest positions (n, 3) that returns
-    levels (n,), the name of a channel of one component that holds the resolution relative to the finest, or
-    "stretch", which evens out the resolution of the posed surface: see ``detail.wanted_levels``. A channel
-    that only steers is not stored if ``channels`` do not name it.
+    8-bit codes of what is encoded, merges leaves wherever the field, looked up with normals or without, then
+    stays that near to the one without it: see ``adapt.adapted``. ``detail`` says how deep to go where: a
+    function of rest positions (n, 3) that returns levels (n,), the name of a channel of one component that
+    holds the resolution relative to the finest, or "stretch", which evens out the resolution of the posed
+    surface: see ``detail.wanted_levels``. A channel that only steers is not stored if ``channels`` do not
+    name it.
 
     Points know only ``depth``, ``cell``, ``channels``, ``dtype`` and ``progress``.
 
@@ -159,17 +158,15 @@ def convert(
                     "distance, or a larger angle"
                 )
         del filled  # holds all values once more
-        fitting = None
+        fitting = splitting = None
         if samples is not None and fit:
-            fitting = partial(fitted, samples=samples, placement=placement, executor=pool, progress=report)
-        tree, means, values = adapted(
+            # With a fitted alpha, what is covered would not seem to be beside gaps.
+            unfitted = (ALPHA.name,) if surface.source.has_gaps else ()
+            fitting, splitting = fitters(samples, placement, pool, report, unfitted)
+        tree, values = adapted(
             tree, values, samples,
-            max_error=most, wanted=deepest, fit=fitting, executor=pool, progress=report,
+            max_error=most, wanted=deepest, fit=fitting, split=splitting, executor=pool, progress=report,
         )  # fmt: skip
-        if surface.source.has_gaps:
-            values[ALPHA.name] = means[ALPHA.name]  # fitted, what is covered would not seem to be beside gaps
-        if fitting is not None:
-            tree, values = separated(tree, means, values)
     if surface.source.alpha_is_coverage and not empty:
         values = without_opaque(values)
     options = {

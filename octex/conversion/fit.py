@@ -8,7 +8,7 @@ nothing else, so that of the whole does not depend on threads.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from typing import Any, NamedTuple
@@ -20,7 +20,8 @@ from octex.channels import CHANNELS, ChannelFormat, decode, encode
 from octex.conversion.numbering import Leaves, Outside, members_of, number
 from octex.conversion.samples import SHARE_STEPS, Samples, sample_points
 from octex.conversion.solve import Codes, approach, covered, diagonal, residuals, sweep, transpose
-from octex.field.field import Field
+from octex.field.field import Field, Taps
+from octex.field.filtered import Query, filtered_taps
 from octex.jit import kernel
 from octex.parallel import Progress, ordered_map
 from octex.texture.channel import Channel
@@ -37,6 +38,8 @@ LEAF_SAMPLES = 8
 SWEEPS, FREE_SWEEPS = 4, 2
 #: Taps that a sample mostly has at most.
 TAPS = 16
+#: Light by so much above 1 is 1, rounded.
+LEAST_BRIGHT = 2.0**-10
 #: What samples that nothing covers still weigh.
 LEAST_COVERAGE = 2.0**-10
 
@@ -47,16 +50,21 @@ class Group(NamedTuple):
     columns: list[int]
     format: ChannelFormat
 
-    @property
-    def range(self) -> tuple[float, float]:
-        """The least and the largest value that can be stored, or that a material's channel can have."""
+    def range(self, samples: Samples) -> tuple[float, float]:
+        """Return the least and the largest value that can be stored, or that such a channel can have.
+
+        Floats can hold any light, but what is nowhere above 1 is fitted in 0 … 1, as integers are.
+        """
         space, dtype = self.format.space, self.format.dtype
         if space == "direction":
             return -1.0, 1.0
         if not dtype.startswith("float") or (space == "data" and self.format.name in CHANNELS):
             return 0.0, 1.0
         largest = float(np.finfo(dtype).max)
-        return 0.0 if space != "data" else -largest, largest
+        if space == "data":
+            return -largest, largest
+        is_bright = (samples.values[:, self.columns] > 1.0 + LEAST_BRIGHT).any()
+        return 0.0, largest if is_bright else 1.0
 
 
 class Job(NamedTuple):
@@ -68,6 +76,8 @@ class Job(NamedTuple):
     placement: Placement
     leaves: Leaves
     groups: list[Group]
+    ranges: list[tuple[float, float]]  # of each group
+    is_facing: bool  # whether lookups are those with the samples' normals
 
 
 class Lookups(NamedTuple):
@@ -92,34 +102,86 @@ def fitted(
     *,
     executor: Executor,
     progress: Progress,
+    unfitted: Collection[str] = (),
 ) -> dict[str, Channel]:
     """Return channels whose leaves make the quadratic field meet the samples; all else keeps its values.
 
     The leaves of ``tree`` are the samples' finest cells, or cells above them; the leaves' values in
     ``channels``, which hold what the samples hold, are means. Colours are fitted on sRGB's curve, light above
     1 by ratio, directions as vectors; what alpha does not cover counts for alpha alone. Values stay inside
-    their types' ranges. The result does not depend on the executor.
+    their types' ranges. Channels that are ``unfitted`` keep their values after they served the others. The
+    result does not depend on the executor.
     """
     leaves = Leaves.of(tree, samples)
-    cuts = _cuts(leaves.firsts, BRICK_SAMPLES, LEAF_SAMPLES)
-    bricks = list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
     given = [channels[form.name] for form in samples.channels]
-    field = Field(tree)
-    field.tiles  # noqa: B018 (built before threads share them)
-    job = Job(field, given, samples, placement, leaves, _groups(samples.channels))
     values = [channel.values.copy() for channel in given]
-    for (first, end), parts in zip(
-        bricks,
-        ordered_map(executor, partial(_fit_brick, job), bricks, stage="fit", progress=progress),
-        strict=True,
-    ):
+    job = _job(tree, given, samples, placement, leaves, is_facing=False)
+    for (first, end), parts in _fit_bricks(job, executor, progress):
         cells = leaves.where(first, end)
         for whole, part in zip(values, parts, strict=True):
             whole[cells] = part
     return dict(channels) | {
         channel.format.name: channel._replace(values=each)
         for channel, each in zip(given, values, strict=True)
+        if channel.format.name not in unfitted
     }
+
+
+def fitted_rows(
+    tree: Octree,
+    channels: Mapping[str, Channel],
+    samples: Samples,
+    rows: Leaves,
+    placement: Placement,
+    *,
+    executor: Executor,
+    progress: Progress,
+    unfitted: Collection[str] = (),
+) -> dict[str, Channel]:
+    """Return channels some ``rows`` of whose split leaves make the field meet ``samples``.
+
+    These are all samples in these leaves, and looked up with their normals. All else is as in ``fitted``.
+    """
+    given = [channels[form.name] for form in samples.channels]
+    values = [channel.split_values.copy() for channel in given]
+    after_cells = [channel._replace(kept_values=channel.split_values) for channel in given]
+    job = _job(tree, after_cells, samples, placement, rows, is_facing=True)
+    for (first, end), parts in _fit_bricks(job, executor, progress):
+        for whole, part in zip(values, parts, strict=True):
+            whole[rows.numbers(first, end) - tree.n_cells] = part
+    return dict(channels) | {
+        channel.format.name: channel._replace(split_values=each)
+        for channel, each in zip(given, values, strict=True)
+        if channel.format.name not in unfitted
+    }
+
+
+def _job(
+    tree: Octree,
+    channels: list[Channel],
+    samples: Samples,
+    placement: Placement,
+    leaves: Leaves,
+    *,
+    is_facing: bool,
+) -> Job:
+    field = Field(tree)
+    field.tiles  # noqa: B018 (built before threads share them)
+    if is_facing:
+        field.facings  # noqa: B018
+    groups = _groups(samples.channels)
+    ranges = [group.range(samples) for group in groups]
+    return Job(field, channels, samples, placement, leaves, groups, ranges, is_facing)
+
+
+def _fit_bricks(
+    job: Job, executor: Executor, progress: Progress
+) -> Iterator[tuple[tuple[int, int], list[npt.NDArray[np.generic]]]]:
+    """Yield runs of leaves, and each channel's values of them, as stored."""
+    cuts = _cuts(job.leaves.firsts, BRICK_SAMPLES, LEAF_SAMPLES)
+    bricks = list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
+    found = ordered_map(executor, partial(_fit_brick, job), bricks, stage="fit", progress=progress)
+    yield from zip(bricks, found, strict=True)
 
 
 @kernel
@@ -168,7 +230,7 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[npt.NDArray[np.generic]
     values = _values(job.channels, lookups.cells, job.field.tree.n_cells)
     targets = job.samples.values[samples]
     shares = job.samples.shares[samples] * (lookups.strides * np.float32(1 / SHARE_STEPS))
-    for group in job.groups:
+    for group, limits in zip(job.groups, job.ranges, strict=True):
         components = len(group.columns)
         is_light = int(group.format.space in ("srgb", "linear"))
         means, wanted = _four(values[:, group.columns]), _four(targets[:, group.columns])
@@ -183,7 +245,7 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[npt.NDArray[np.generic]
         to_codes = Codes.of_bytes(group.format.space) if is_rounded else Codes.none()
         for turn in range(SWEEPS):
             codes = to_codes if turn >= FREE_SWEEPS else Codes.none()
-            sweep(equations, rows, sums, is_flat, means, components, *group.range, codes, turn % 2, found)
+            sweep(equations, rows, sums, is_flat, means, components, *limits, codes, turn % 2, found)
         values[:, group.columns] = found[:, :components]
         if group.format.name == "alpha":
             weights = covered(starts, leaves, weights, found[:, 0].copy())
@@ -202,7 +264,7 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
     leaves = job.leaves
     own = leaves.numbers(first, end)
     outside = Outside.of(0)
-    ring = np.arange(first, end)
+    ring = leaves.with_samples(np.arange(first, end))
     samples, strides, counts = [], [], []
     numbers, weights = np.empty(0, np.int32), np.empty(0, np.float32)
     n_taps = unknowns = 0
@@ -213,7 +275,7 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
         samples.append(members)
         strides.append(stride)
         points = sample_points(job.samples, members, job.placement)
-        for starts, rows, found, *_ in job.field.batches(points, job.placement):
+        for starts, rows, found, *_ in _taps(job, members, points):
             if n_taps + rows.size > numbers.size:
                 room = (n_taps + rows.size) * 2 + TAPS * len(members)
                 numbers, weights = _with_room(numbers, n_taps, room), _with_room(weights, n_taps, room)
@@ -223,7 +285,7 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
             n_taps += rows.size
             counts.append(np.diff(starts))
         ranks = leaves.ranks_of(outside.found()[known:])
-        ring = np.sort(ranks[ranks >= 0])
+        ring = leaves.with_samples(ranks[ranks >= 0])
     return Lookups(
         np.concatenate(samples),
         np.concatenate(strides),
@@ -233,6 +295,13 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
         np.concatenate([own, outside.found()]),
         unknowns,
     )
+
+
+def _taps(job: Job, samples: npt.NDArray[np.int64], points: npt.NDArray[np.float64]) -> Iterator[Taps]:
+    if not job.is_facing:
+        return job.field.batches(points, job.placement)
+    query = Query("quadratic", normals=job.samples.normals[samples].astype(np.float32))
+    return filtered_taps(job.field, points, job.placement, query)
 
 
 def _with_room(array: npt.NDArray[Any], used: int, room: int) -> npt.NDArray[Any]:

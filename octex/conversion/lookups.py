@@ -6,25 +6,35 @@ Samples lie in Morton order, so that what lies around a cell is gathered once fo
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import Executor
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import decode
-from octex.conversion.samples import PLACE_STEPS, Samples
+from octex.channels import ALPHA, decode
+from octex.conversion.samples import PLACE_STEPS, Samples, sample_points
 from octex.field.coefficients import add_up, new_windows
+from octex.field.field import Field
+from octex.field.filtered import Query
 from octex.field.windows import new_walk
 from octex.jit import kernel
+from octex.parallel import ordered_map
+from octex.texture.blend import look_up
 from octex.texture.channel import Channel
 from octex.tree.layout import TreeArrays
 from octex.tree.morton import decode as decode_cell
 from octex.tree.octree import Octree
+from octex.tree.placement import Placement
 
 Floats = npt.NDArray[np.float32]
 Int64s = npt.NDArray[np.int64]
 
 _NO_KEPT = np.empty(0, np.uint32)
+_UNIT = Placement((0.0, 0.0, 0.0), 1.0)
+#: Finest cells whose samples are looked up at once.
+_BLOCK = 1 << 15
 
 
 class Coefficients(NamedTuple):
@@ -52,17 +62,67 @@ class Coefficients(NamedTuple):
         rows[:, components] = 1.0
         return cls(tree.arrays, rows.reshape(-1, 4), components, alpha)
 
+    def values_at(self, samples: Samples, cells: Int64s) -> Floats:
+        """Return the field (n, components) at all samples of finest cells, which ascend.
 
-def values_at(coefficients: Coefficients, samples: Samples, cells: Int64s) -> Floats:
-    """Return the field (n, components) at all samples of finest cells, which ascend.
+        Every one of the cells must lie in a leaf of the tree. What nothing covers is black.
+        """
+        counts = samples.firsts[cells + 1] - samples.firsts[cells]
+        found = np.empty((int(counts.sum()), self.components), np.float32)
+        arrays = samples.codes, samples.firsts, samples.places
+        _values_at(self, _NO_KEPT, *arrays, samples.depth, cells, found)
+        return found
 
-    Every one of the cells must lie in a leaf of the tree. What nothing covers is black.
-    """
-    counts = samples.firsts[cells + 1] - samples.firsts[cells]
-    found = np.empty((int(counts.sum()), coefficients.components), np.float32)
-    arrays = samples.codes, samples.firsts, samples.places
-    _values_at(coefficients, _NO_KEPT, *arrays, samples.depth, cells, found)
-    return found
+
+class FacingField(NamedTuple):
+    """A tree and its channels, looked up with the normals of samples."""
+
+    field: Field
+    channels: list[Channel]
+    alpha: Channel | None
+
+    @classmethod
+    def of(cls, tree: Octree, channels: Mapping[str, Channel], samples: Samples) -> FacingField:
+        """Take the channels that the samples have."""
+        field = Field(tree)
+        field.tiles, field.facings  # noqa: B018 (built before threads share them)
+        return cls(field, [channels[form.name] for form in samples.channels], channels.get(ALPHA.name))
+
+    def values_at(self, samples: Samples, cells: Int64s) -> Floats:
+        """Return the field (n, components) at all samples of finest cells, which ascend."""
+        rows = samples.rows(cells)
+        query = Query("quadratic", normals=samples.normals[rows].astype(np.float32))
+        answers = [np.empty((rows.size, each.format.components), np.float32) for each in self.channels]
+        points = sample_points(samples, rows, _UNIT)
+        look_up(self.field, _UNIT, points, query, self.channels, self.alpha, answers, ())
+        return np.hstack(answers)
+
+
+class Reference(NamedTuple):
+    """The field of a full tree, looked up without normals and with them."""
+
+    samples: Samples  # whose values are the field's
+    field: Coefficients
+    facing: FacingField
+
+    @classmethod
+    def of(
+        cls, tree: Octree, channels: Mapping[str, Channel], samples: Samples, executor: Executor | None
+    ) -> Reference:
+        """Look the field up without normals, rounded as samples are."""
+        field = Coefficients.of(tree, channels, samples)
+        values = np.empty_like(samples.values)
+        most = np.finfo(values.dtype).max
+        blocks = [
+            np.arange(begin, min(begin + _BLOCK, samples.codes.size))
+            for begin in range(0, samples.codes.size, _BLOCK)
+        ]
+        work = partial(field.values_at, samples)
+        done = map(work, blocks) if executor is None else ordered_map(executor, work, blocks)
+        for block, found in zip(blocks, done, strict=True):
+            here = slice(samples.firsts[block[0]], samples.firsts[block[-1] + 1])
+            values[here] = np.clip(found, -most, most)
+        return cls(samples._replace(values=values), field, FacingField.of(tree, channels, samples))
 
 
 def values_of(coefficients: Coefficients, samples: Samples, cells: Int64s, nodes: Int64s) -> Floats:

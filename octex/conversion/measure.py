@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from octex.channels import ChannelFormat, linear_to_srgb
 from octex.jit import inlined, kernel
+from octex.texture.blend import NO_GRADIENTS, make_unit
 
 _LIGHT, _FRACTION, _DIRECTION = 0, 1, 2
 _KINDS = {"srgb": _LIGHT, "linear": _LIGHT, "data": _FRACTION, "direction": _DIRECTION}
@@ -31,7 +32,8 @@ def exceeding(
 ) -> npt.NDArray[np.bool_]:
     """Say of each point whether a component of any channel differs by more than ``most`` codes.
 
-    Both have the values (n, components) of ``channels`` side by side. Light is linear.
+    Both have the values (n, components) of ``channels`` side by side. Light is linear. Directions count both
+    as they are and as unit vectors, as lookups give them.
     """
     source = np.ascontiguousarray(source, np.float32)
     ends = np.cumsum([0, *(form.components for form in channels)]).tolist()
@@ -41,7 +43,19 @@ def exceeding(
         alpha = firsts.get("alpha", -1) if form.name != "alpha" else -1
         columns = firsts[form.name], firsts[form.name] + form.components
         _mark(found, source, *columns, alpha, _KINDS[form.space], most, _CURVE, exceeds)
+        if form.space == "direction":
+            units, wanted = _with_units(found, *columns), _with_units(source, *columns)
+            _mark(units, wanted, *columns, alpha, _DIRECTION, most, _CURVE, exceeds)
     return exceeds
+
+
+def _with_units(values: npt.NDArray[np.float32], first: int, end: int) -> npt.NDArray[np.float32]:
+    """Return values whose columns from ``first`` up to ``end`` are unit vectors."""
+    vectors = values[:, first:end].copy()
+    make_unit(vectors, NO_GRADIENTS)
+    values = values.copy()
+    values[:, first:end] = vectors
+    return values
 
 
 @inlined

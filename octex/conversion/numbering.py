@@ -1,4 +1,4 @@
-"""Leaves in Morton order, the samples of each, and the numbers that cells have within a brick."""
+"""Leaves or their rows in Morton order, the samples of each, and what numbers cells have within a brick."""
 
 from __future__ import annotations
 
@@ -21,13 +21,14 @@ class Leaves(NamedTuple):
     ranks: Int64s  # (cells,)   each leaf's place in this order, −1 for nodes; empty likewise
     offset: int
     firsts: Int64s  # (leaves + 1,)   the first sample of each
+    heads: Int64s  # (leaves,)   of rows of leaves: the place of each leaf's first, which has the samples
 
     @classmethod
     def of(cls, tree: Octree, samples: Samples) -> Leaves:
         """Put the leaves of a tree in order; they are the samples' finest cells, or cells above them."""
         none = np.empty(0, np.int64)
         if tree.max_depth == samples.depth and tree.n_leaves == len(samples.codes):
-            return cls(none, none, tree.n_cells - tree.n_leaves, samples.firsts)
+            return cls(none, none, tree.n_cells - tree.n_leaves, samples.firsts, none)
         codes, cells = [], []
         first = 0
         for level, (level_codes, is_node) in enumerate(tree.walk()):
@@ -40,11 +41,34 @@ class Leaves(NamedTuple):
         ranks = np.full(tree.n_cells, -1, np.int64)
         ranks[in_order] = np.arange(len(in_order))
         starts = np.searchsorted(samples.codes, finest[order])
-        return cls(in_order, ranks, 0, samples.firsts[np.append(starts, len(samples.codes))])
+        return cls(in_order, ranks, 0, samples.firsts[np.append(starts, len(samples.codes))], none)
+
+    def rows_of(self, tree: Octree, chosen: npt.NDArray[np.bool_]) -> Leaves:
+        """Put the rows of some leaves (leaves,), all split, in order: after all cells, by table.
+
+        The samples are then those of these leaves alone.
+        """
+        cells = self.numbers(0, len(self.firsts) - 1)[chosen]
+        counts = np.bitwise_count(tree.split.facings).astype(np.int64)
+        at = np.searchsorted(tree.split.cells, cells)
+        first_rows, counts = (np.cumsum(counts) - counts)[at], counts[at]
+        heads = np.cumsum(counts) - counts
+        within = np.arange(counts.sum()) - np.repeat(heads, counts)
+        rows = tree.n_cells + np.repeat(first_rows, counts) + within
+        ranks = np.full(tree.n_cells + tree.split.areas.size, -1, np.int64)
+        ranks[rows] = np.arange(rows.size)
+        ends = np.cumsum(np.diff(self.firsts)[chosen])
+        firsts = np.repeat(ends, counts)
+        firsts[heads] = np.append(0, ends[:-1])
+        return Leaves(rows, ranks, 0, np.append(firsts, ends[-1:]), np.repeat(heads, counts))
 
     def numbers(self, first: int, end: int) -> Int64s:
         """Return the cell numbers of leaves ``first`` … ``end`` − 1 of the order."""
         return self.cells[first:end] if self.cells.size else np.arange(first, end) + self.offset
+
+    def with_samples(self, places: Int64s) -> Int64s:
+        """Return which leaves have the samples of those at places in the order, each once."""
+        return np.unique(self.heads[places]) if self.heads.size else np.sort(places)
 
     def where(self, first: int, end: int) -> Int64s | slice:
         """Return what picks the same leaves among all cells."""

@@ -22,8 +22,11 @@ from octex.tree.morton import decode
 from octex.tree.placement import Placement
 from octex.tree.search import Origin
 
-#: Places in a cell are stored in steps of this part of its edge, shares of its area in steps of that.
-PLACE_STEPS, SHARE_STEPS = 65536, 255
+#: Places in a cell are stored in steps of this part of its edge, shares of its area in steps of that, unit
+#: normals in steps of that.
+PLACE_STEPS, SHARE_STEPS, NORMAL_STEPS = 65536, 255, 127
+#: Points of a cell's rim, near the corners of the surface in it.
+RIM_POINTS = 4
 #: The least width over which the source is read, in cells. Half a cell costs 0.1 dB to points, and wins
 #: 1 dB against the source filtered to the cell.
 LEAST_WIDTH = 0.5
@@ -41,20 +44,57 @@ class Samples(NamedTuple):
     codes: npt.NDArray[np.int64]  # (cells,)   Morton codes, ascending
     firsts: npt.NDArray[np.int64]  # (cells + 1,)   the first sample of each cell
     places: npt.NDArray[np.uint16]  # (n, 3)   in the cell, (place + ½) / 65536 of its edge
+    normals: npt.NDArray[np.int8]  # (n, 3)   of the surface at rest, in 127ths
     shares: npt.NDArray[np.uint8]  # (n,)   of the area in the cell, in 255ths
     values: npt.NDArray[np.float16 | np.float32]  # (n, components)   linear light, −1 … 1 for directions
 
+    def rows(self, cells: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """Return the numbers of the samples of some cells, cell by cell."""
+        counts = self.firsts[cells + 1] - self.firsts[cells]
+        ends = np.cumsum(counts)
+        return np.repeat(self.firsts[cells] - ends + counts, counts) + np.arange(counts.sum())
+
     def of(self, cells: npt.NDArray[np.int64]) -> Samples:
         """Return the samples of some cells, in order."""
-        counts = np.diff(self.firsts)[cells]
-        firsts = np.concatenate([[0], np.cumsum(counts)])
-        rows = np.repeat(self.firsts[cells] - firsts[:-1], counts) + np.arange(firsts[-1])
+        rows = self.rows(cells)
         return self._replace(
             codes=self.codes[cells],
-            firsts=firsts,
+            firsts=np.concatenate([[0], np.cumsum(np.diff(self.firsts)[cells])]),
             places=self.places[rows],
+            normals=self.normals[rows],
             shares=self.shares[rows],
             values=self.values[rows],
+        )
+
+    def rims(self, chosen: npt.NDArray[np.int64], cells: npt.NDArray[np.int64]) -> Samples:
+        """Return samples at the rims of the cells (n,) of ``chosen`` ones (n,), RIM_POINTS for each.
+
+        They lie in the plane of the surface at the chosen sample, and have no values. Each n is a cell.
+        """
+        places = (self.places[chosen] + 0.5) / PLACE_STEPS
+        normals = self.normals[chosen].astype(np.float64)
+        steep = np.abs(normals).argmax(axis=1)[:, None]
+        found = np.empty((chosen.size, RIM_POINTS, 3))
+        for corner in range(RIM_POINTS):
+            ends = np.empty((chosen.size, 3))
+            along = [(steep + 1) % 3, (steep + 2) % 3]
+            for axis, end in zip(along, (corner & 1, corner >> 1), strict=True):
+                np.put_along_axis(ends, axis, end, axis=1)
+            np.put_along_axis(ends, steep, np.take_along_axis(places, steep, 1), axis=1)
+            steps = ends - places
+            rise = -(normals * steps).sum(axis=1, keepdims=True) / np.take_along_axis(normals, steep, 1)
+            height = np.take_along_axis(places, steep, 1)
+            room = np.where(rise > 0, 1 - height, height)
+            part = np.minimum(1, room / np.maximum(np.abs(rise), 1e-9))
+            np.put_along_axis(steps, steep, rise, axis=1)
+            found[:, corner] = places + part * steps
+        return self._replace(
+            codes=self.codes[cells],
+            firsts=np.arange(chosen.size + 1) * RIM_POINTS,
+            places=np.clip(found.reshape(-1, 3) * PLACE_STEPS, 0, PLACE_STEPS - 1).astype(np.uint16),
+            normals=np.repeat(self.normals[chosen], RIM_POINTS, axis=0),
+            shares=self.shares[:0],
+            values=self.values[:0],
         )
 
 
@@ -63,6 +103,7 @@ class Taken(NamedTuple):
 
     counts: npt.NDArray[np.uint8]
     places: npt.NDArray[np.uint16]
+    normals: npt.NDArray[np.int8]
     shares: npt.NDArray[np.uint8]
     values: npt.NDArray[np.float16 | np.float32]
 
@@ -103,7 +144,9 @@ def take_samples(
     _reorder(found.astype(rows.dtype).view(bits), order, rows.view(bits))
     places = np.empty((len(order), 3), np.uint16)
     _place(grid, surface.triangles, triangles, barycentric, order, pieces.codes, counts, depth, places)
-    return Taken(counts, places, shares, rows)
+    normals = np.empty((len(order), 3), np.int8)
+    _reorder(face_normals(grid, surface.triangles, triangles).view(np.uint8), order, normals.view(np.uint8))
+    return Taken(counts, places, normals, shares, rows)
 
 
 def join(
@@ -113,10 +156,10 @@ def join(
     taken: Sequence[Taken],
 ) -> Samples:
     """Lay the samples of all runs end to end."""
-    counts, places, shares, values = (np.concatenate(arrays) for arrays in zip(*taken, strict=True))
+    counts, places, normals, shares, values = (np.concatenate(arrays) for arrays in zip(*taken, strict=True))
     firsts = np.zeros(len(codes) + 1, np.int64)
     np.cumsum(counts, out=firsts[1:])
-    return Samples(depth, channels, codes, firsts, places, shares, values)
+    return Samples(depth, channels, codes, firsts, places, normals, shares, values)
 
 
 def sample_points(
@@ -215,14 +258,39 @@ def _largest(
 
 @kernel
 def _reorder(
-    rows: npt.NDArray[np.uint16 | np.uint32],
+    rows: npt.NDArray[np.uint8 | np.uint16 | np.uint32],
     order: npt.NDArray[np.int32],
-    found: npt.NDArray[np.uint16 | np.uint32],
+    found: npt.NDArray[np.uint8 | np.uint16 | np.uint32],
 ) -> None:
     """Write row i to row order[i]."""
     for i in range(order.size):
         for column in range(rows.shape[1]):
             found[order[i], column] = rows[i, column]
+
+
+@kernel
+def face_normals(
+    grid: npt.NDArray[np.int32], corners: npt.NDArray[np.int32], triangles: npt.NDArray[np.int32]
+) -> npt.NDArray[np.int8]:
+    """Return the unit normals (n, 3) of triangles (n,), in 127ths."""
+    normals = np.zeros((triangles.size, 3), np.int8)
+    edges = np.empty((2, 3), np.float64)
+    for n in range(triangles.size):
+        for side in range(2):
+            for axis in range(3):
+                edges[side, axis] = np.float64(grid[corners[triangles[n], side + 1], axis]) - np.float64(
+                    grid[corners[triangles[n], 0], axis]
+                )
+        x = edges[0, 1] * edges[1, 2] - edges[0, 2] * edges[1, 1]
+        y = edges[0, 2] * edges[1, 0] - edges[0, 0] * edges[1, 2]
+        z = edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0]
+        length = np.sqrt(x * x + y * y + z * z)
+        if length > 0.0:
+            scale = NORMAL_STEPS / length
+            normals[n, 0] = np.int8(np.rint(x * scale))
+            normals[n, 1] = np.int8(np.rint(y * scale))
+            normals[n, 2] = np.int8(np.rint(z * scale))
+    return normals
 
 
 @inlined

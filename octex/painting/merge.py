@@ -83,9 +83,7 @@ def merge(
             f"{stored.components}"
         )
     with workers(executor) as pool:
-        raised = raise_texture(
-            texture, layer, paint, surface, pool, report, adds=blend != "erase"
-        )
+        raised = raise_texture(texture, layer, paint, surface, pool, report, adds=blend != "erase")
     if not any(each.codes.size for each in raised.paint):
         return given
     with own_making():

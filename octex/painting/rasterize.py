@@ -11,10 +11,9 @@ import numpy.typing as npt
 
 from octex.channels import ALPHA, ChannelFormat
 from octex.conversion.adapt import adapted
-from octex.conversion.facings import separated
 from octex.conversion.fill import assemble, fill
-from octex.conversion.fit import fitted
 from octex.conversion.gaps import without_gaps
+from octex.conversion.sides import fitters
 from octex.painting.near import around
 from octex.painting.samples import with_centres
 from octex.painting.source import PaintSource
@@ -83,17 +82,16 @@ def rasterize_paint(
     covered = without_gaps(tree, values, filled)
     if not covered.tree.n_leaves:
         return nothing
-    fitting = None
+    fitting = splitting = None
     if covered.samples is not None:
         samples = with_centres(covered.samples, here, part, placement)
-        fitting = partial(fitted, samples=samples, placement=placement, executor=executor, progress=progress)
-    tree, means, values = adapted(
+        # Opaque paint stays opaque.
+        fitting, splitting = fitters(samples, placement, executor, progress, unfitted=(ALPHA.name,))
+    tree, values = adapted(
         covered.tree, covered.channels, None,
-        max_error=None, wanted=covered.wanted, fit=fitting, executor=executor, progress=progress,
+        max_error=None, wanted=covered.wanted, fit=fitting, split=splitting, executor=executor,
+        progress=progress,
     )  # fmt: skip
-    if fitting is not None:
-        values[ALPHA.name] = means[ALPHA.name]  # opaque paint stays opaque
-        tree, values = separated(tree, means, values)
     return refaced(OctreeTexture(tree, values, placement, surface.bounds))
 
 

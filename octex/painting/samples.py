@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from octex.conversion.fill import on_grid
-from octex.conversion.samples import PLACE_STEPS, SHARE_STEPS, Samples
+from octex.conversion.samples import PLACE_STEPS, SHARE_STEPS, Samples, face_normals
 from octex.painting.source import PaintSource
 from octex.source.surface import Surface
 from octex.tree.layout import GRID_BITS
@@ -23,7 +23,7 @@ def with_centres(samples: Samples, source: PaintSource, surface: Surface, placem
     """
     edge = placement.size / 2**samples.depth
     grid = on_grid(surface.rest, placement)
-    owners, places, values = [], [], []
+    owners, places, normals, values = [], [], [], []
     for triangles, barycentric in source.centres():
         fine = source.widths(triangles, barycentric) >= edge
         triangles, barycentric = triangles[fine], barycentric[fine]
@@ -39,6 +39,7 @@ def with_centres(samples: Samples, source: PaintSource, surface: Surface, placem
         within = (steps[there] - cells[there]) * PLACE_STEPS
         owners.append(at[there])
         places.append(np.clip(within, 0, PLACE_STEPS - 1).astype(np.uint16))
+        normals.append(face_normals(grid, surface.triangles, triangles[there]))
         values.append(found[opaque].astype(samples.values.dtype))
     if not owners:
         return samples
@@ -52,6 +53,7 @@ def with_centres(samples: Samples, source: PaintSource, surface: Surface, placem
     return samples._replace(
         firsts=samples.firsts + np.concatenate([[0], np.cumsum(counts)]),
         places=np.insert(samples.places, ends, np.concatenate(places)[order], axis=0),
+        normals=np.insert(samples.normals, ends, np.concatenate(normals)[order], axis=0),
         shares=np.insert(shares, ends, np.uint8(SHARE_STEPS)),
         values=np.insert(samples.values, ends, np.concatenate(values)[order], axis=0),
     )

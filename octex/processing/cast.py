@@ -14,6 +14,9 @@ from octex.errors import ArgumentError
 from octex.processing.edit import noted
 from octex.texture import Channel, OctreeTexture, as_texture
 
+#: Values by so much above 1 or below 0 are rounded: half a code of 16 bits is twice that.
+_ROUNDING = 2.0**-18
+
 
 def cast(
     texture: OctreeTexture,
@@ -74,7 +77,8 @@ def _recoded(values: npt.NDArray[Any], form: ChannelFormat, made: ChannelFormat)
         here = slice(begin, begin + (1 << 14))
         block = decode(values[here], form.space)
         if made.dtype.startswith("u") and form.space != "direction" and form.dtype.startswith("float"):
-            for is_beyond, where in ((block > 1, "above 1"), (block < 0, "below 0")):
+            beyond = ((block > 1 + _ROUNDING, "above 1"), (block < -_ROUNDING, "below 0"))
+            for is_beyond, where in beyond:
                 if is_beyond.any():
                     raise ArgumentError(
                         f"channel {form.name!r} goes {where}, which {made.dtype} cannot hold; "

@@ -74,7 +74,8 @@ class SplitTable(NamedTuple):
     """Values per facing of the cells flagged SPLIT.
 
     A split cell has a row for each of its facings, cell after cell, in the order of the facings' bits. The
-    rows' values stand in the channels, row for row: means over the surface in the cell that faces so.
+    rows' values stand in the channels, row for row: a node's are means over the surface in it that faces so,
+    a leaf's what lookups with normals blend in its place.
     """
 
     cells: npt.NDArray[np.uint32]  # (split cells,)   ascending

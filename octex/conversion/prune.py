@@ -1,0 +1,164 @@
+"""Trees with some nodes as leaves.
+
+Everything here counts in the finest cells, those of the tree that a conversion fills: the state is the depth
+of the leaf that each of them lies in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.jit import kernel
+from octex.texture.channel import Channel
+from octex.tree.layout import SPLIT, SplitTable
+from octex.tree.octree import Octree
+
+Channels: TypeAlias = Mapping[str, Channel]
+Bools: TypeAlias = npt.NDArray[np.bool_]
+Depths: TypeAlias = npt.NDArray[np.uint8]
+
+
+class Finest(NamedTuple):
+    """The finest cells of a full tree, and which of them the cells above hold."""
+
+    tree: Octree
+    codes: npt.NDArray[np.int64]  # (n,)   Morton codes, ascending
+    firsts: list[npt.NDArray[np.int64]]  # for each level above, the first finest cell in each of its cells
+
+    @classmethod
+    def of(cls, tree: Octree) -> Finest:
+        """List the finest cells below each cell of a tree whose leaves are all of one level."""
+        codes = tree.level_codes(tree.max_depth)
+        firsts: list[npt.NDArray[np.int64]] = []
+        above = codes
+        for _ in range(tree.max_depth):
+            above = above >> 3
+            starts = np.flatnonzero(np.diff(above, prepend=-1))
+            above = above[starts]
+            firsts.append(firsts[-1][starts] if firsts else starts)
+        return cls(tree, codes, firsts[::-1])
+
+    def first(self, level: int) -> npt.NDArray[np.int64] | slice:
+        """Return what picks the first finest cell in each cell of a level."""
+        return self.firsts[level] if level < self.tree.max_depth else slice(None)
+
+    def spread(self, level: int, values: Bools) -> Bools:
+        """Give each finest cell what the cell of ``level`` that holds it has."""
+        return np.repeat(values, np.diff(self.firsts[level], append=self.codes.size))
+
+
+class Pruned(NamedTuple):
+    """A tree with some nodes as leaves, and where its cells were."""
+
+    tree: Octree
+    cells: npt.NDArray[np.int64]  # (cells,)   their numbers in the full tree
+    leaves: Bools  # (cells,)
+    starts: npt.NDArray[np.int64]  # (leaves,)   the first finest cell of each leaf, in Morton order
+    split_rows: Bools  # (rows of the full tree's split table,)   those that are left
+    n_finest: int  # finest cells
+
+    @property
+    def sizes(self) -> npt.NDArray[np.int64]:
+        """How many finest cells each leaf (leaves,) holds, in Morton order."""
+        return np.diff(self.starts, append=self.n_finest)
+
+    def leaf_cells(self, depths: Depths) -> npt.NDArray[np.int64]:
+        """Return the cell number of each leaf (leaves,) in Morton order."""
+        levels = depths[self.starts]
+        cells = np.empty(self.starts.size, np.int64)
+        for level, first in enumerate(self.tree.arrays.level_cells[:-1].tolist()):
+            rows = slice(first, int(self.tree.arrays.level_cells[level + 1]))
+            cells[levels == level] = first + np.flatnonzero(self.leaves[rows])
+        return cells
+
+    def carried(self, channels: Channels) -> dict[str, Channel]:
+        """Return the values of the full tree's channels in this tree."""
+        return {
+            name: channel._replace(
+                values=channel.values[self.cells], split_values=channel.split_values[self.split_rows]
+            )
+            for name, channel in channels.items()
+        }
+
+
+def prune(finest: Finest, depths: Depths) -> Pruned:
+    """Make leaves of the nodes at ``depths`` (n,) above the finest cells; flags and areas are taken over."""
+    tree = finest.tree
+    starts, codes = _leaves_of(finest.codes, depths, tree.max_depth)
+    full = tree.arrays
+    cells, leaves = [], []
+    for level, first in enumerate(full.level_cells[:-1]):
+        depths_there = depths[finest.first(level)]
+        stored = np.flatnonzero(depths_there >= level)
+        cells.append(stored + first)
+        leaves.append(depths_there[stored] == level)
+    numbers = np.concatenate(cells)
+    is_left = np.zeros(tree.n_cells, np.bool_)
+    is_left[numbers] = True
+    split = tree.split
+    is_split = is_left[split.cells]
+    rows = np.repeat(is_split, np.bitwise_count(split.facings))
+    split = SplitTable(
+        np.searchsorted(numbers, split.cells[is_split]).astype(np.uint32),
+        split.facings[is_split],
+        split.areas[rows],
+    )
+    pruned = Octree.from_leaves(codes, depths[starts])
+    pruned = pruned.with_cell_data(full.flags[numbers], full.areas[numbers], split)
+    return Pruned(pruned, numbers, np.concatenate(leaves), starts, rows, depths.size)
+
+
+def grafted(
+    tree: Octree, channels: Channels, pruned: Pruned, grown: Octree, values: Channels
+) -> tuple[Octree, dict[str, Channel]]:
+    """Return a tree and its channels with the split rows and the leaves' values of a pruned one.
+
+    ``grown`` is the pruned tree, perhaps with more leaves split; ``values`` are its channels. Cells below its
+    leaves are not split.
+    """
+    flags = tree.arrays.flags & np.uint8(~SPLIT & 0xFF)
+    flags[pruned.cells] = grown.arrays.flags
+    split = grown.split._replace(cells=pruned.cells[grown.split.cells].astype(np.uint32))
+    made = {}
+    for name, channel in channels.items():
+        found = channel.values.copy()
+        found[pruned.cells[pruned.leaves]] = values[name].values[pruned.leaves]
+        made[name] = channel._replace(values=found, split_values=values[name].split_values)
+    return tree.with_cell_data(flags, tree.arrays.areas, split), made
+
+
+@kernel
+def _leaves_of(
+    codes: npt.NDArray[np.int64], depths: Depths, depth: int
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return the first finest cell of each leaf, and the leaf's Morton code at its own level."""
+    starts = np.empty(codes.size, np.int64)
+    leaves = np.empty(codes.size, np.int64)
+    count = 0
+    end = np.int64(-1)  # of the latest leaf, as a code of the deepest level
+    for n in range(codes.size):
+        if codes[n] >= end:
+            shift = 3 * (depth - np.int64(depths[n]))
+            starts[count] = n
+            leaves[count] = codes[n] >> shift
+            end = (leaves[count] + 1) << shift
+            count += 1
+    return starts[:count].copy(), leaves[:count].copy()
+
+
+def limits_of(finest: Finest, wanted: Depths | None) -> Depths:
+    """Return the depth that each finest cell's leaf must not go below, for the depths wanted in them.
+
+    A node becomes a leaf if no cell in it wants to go deeper.
+    """
+    depth = finest.tree.max_depth
+    limits = np.full(finest.codes.size, depth, np.uint8)
+    if wanted is not None:
+        for level in range(depth - 1, -1, -1):
+            shallow = np.maximum.reduceat(wanted, finest.firsts[level]) <= level
+            limits[finest.spread(level, shallow)] = level
+    return limits

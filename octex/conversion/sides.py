@@ -1,0 +1,161 @@
+"""Leaves that show each side of a surface something of its own.
+
+A leaf is fitted together with all leaves around it. Where some of them face another way, as in a wall that is
+thinner than a few cells or along a crease, its value suits lookups that see all of them, but not those that
+know their normal and see their own side alone. Its rows, one for each facing, are fitted to those: to what is
+looked up with the samples' own normals. Leaves whose rows then hold what they hold themselves need none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from concurrent.futures import Executor
+from functools import partial
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.conversion.facings import MOST, has_opposite, in_codes, kinds_around
+from octex.conversion.fit import fitted, fitted_rows
+from octex.conversion.numbering import Leaves
+from octex.conversion.samples import Samples, sample_points
+from octex.field.field import Field
+from octex.field.filtered import Query, filtered_taps
+from octex.parallel import Progress
+from octex.texture.channel import Channel
+from octex.tree.layout import AREA_STEPS, FACING_FLAGS, SPLIT, SplitTable
+from octex.tree.octree import Octree
+from octex.tree.placement import Placement
+
+Channels: TypeAlias = Mapping[str, Channel]
+#: Fits the leaves of a tree whose values are means.
+Fit: TypeAlias = Callable[[Octree, Channels], Channels]
+#: Splits leaves of a tree, given their means and their fitted values.
+Split: TypeAlias = Callable[[Octree, Channels, Channels], tuple[Octree, Channels]]
+Bools = npt.NDArray[np.bool_]
+Int64s = npt.NDArray[np.int64]
+
+#: Leaves that have less of the weight of a lookup are left as they are.
+_LEAST_WEIGHT = 0.03
+#: Samples looked up at once.
+_BLOCK = 1 << 16
+_UNIT = Placement((0.0, 0.0, 0.0), 1.0)
+
+
+def fitters(
+    samples: Samples,
+    placement: Placement,
+    executor: Executor,
+    progress: Progress,
+    unfitted: Collection[str] = (),
+) -> tuple[Fit, Split]:
+    """Return what fits the leaves of a tree to samples, and what then gives them rows. See `with_sides`."""
+    fit = partial(
+        fitted, samples=samples, placement=placement, executor=executor, progress=progress, unfitted=unfitted
+    )
+    split = partial(
+        with_sides, samples=samples, placement=placement, executor=executor, progress=progress,
+        unfitted=unfitted,
+    )  # fmt: skip
+    return fit, split
+
+
+def with_sides(
+    tree: Octree,
+    means: Channels,
+    values: Channels,
+    samples: Samples,
+    placement: Placement,
+    *,
+    executor: Executor,
+    progress: Progress,
+    unfitted: Collection[str] = (),
+) -> tuple[Octree, dict[str, Channel]]:
+    """Return a tree and its channels with rows for leaves that lookups with normals want other values of.
+
+    ``means`` and the fitted ``values`` hold the same in nodes and rows; the latter's cells are kept. See
+    `fit.fitted_rows` for the rest.
+    """
+    leaves = Leaves.of(tree, samples)
+    chosen = _in_sight(tree, leaves, samples)
+    if not chosen.any():
+        return tree, dict(values)
+    order = leaves.numbers(0, len(chosen))
+    tried, rows = split_leaves(tree, means, order[chosen])
+    start = {name: channel._replace(values=values[name].values) for name, channel in rows.items()}
+    own = np.repeat(chosen, np.diff(leaves.firsts))
+    finest = np.logical_or.reduceat(own, samples.firsts[:-1])
+    found = fitted_rows(
+        tried, start, samples.of(np.flatnonzero(finest)), leaves.rows_of(tried, chosen), placement,
+        executor=executor, progress=progress, unfitted=unfitted,
+    )  # fmt: skip
+    owners = np.repeat(tried.split.cells, np.bitwise_count(tried.split.facings))
+    differs = tree.arrays.flags[owners] & SPLIT > 0
+    for channel in found.values():
+        apart = in_codes(channel.split_values, channel.format)
+        apart = apart - in_codes(channel.values[owners], channel.format)
+        differs |= (np.abs(apart) > MOST).any(axis=1)
+    needs = np.zeros(tree.n_cells, np.bool_)
+    needs[owners[differs]] = True
+    needed = needs[owners]
+    is_split = needs[tried.split.cells]
+    split = SplitTable(tried.split.cells[is_split], tried.split.facings[is_split], tried.split.areas[needed])
+    flags = tried.arrays.flags & np.where(needs, 0xFF, 0xFF ^ SPLIT).astype(np.uint8)
+    channels = {
+        name: channel._replace(split_values=channel.split_values[needed]) for name, channel in found.items()
+    }
+    return tree.with_cell_data(flags, tree.arrays.areas, split, tree.kept), channels
+
+
+def _in_sight(tree: Octree, leaves: Leaves, samples: Samples) -> Bools:
+    """Say which leaves, in order, weigh where lookups with normals find something else than others."""
+    counts = np.diff(leaves.firsts)
+    order = leaves.numbers(0, len(counts))
+    kinds = np.repeat(kinds_around(tree, opposite=True)[order], counts)
+    mixed = np.flatnonzero(kinds)
+    mixed = mixed[has_opposite(samples.normals[mixed], kinds[mixed])]
+    field = Field(tree)
+    owners = np.repeat(tree.split.cells, np.bitwise_count(tree.split.facings)).astype(np.int64)
+    reached = np.zeros(tree.n_cells, np.bool_)
+    for begin in range(0, mixed.size, _BLOCK):
+        some = mixed[begin : begin + _BLOCK]
+        query = Query("quadratic", normals=samples.normals[some].astype(np.float32))
+        for taps in filtered_taps(field, sample_points(samples, some, _UNIT), _UNIT, query):
+            rows = taps.rows[: taps.starts[-1]][taps.weights[: taps.starts[-1]] >= _LEAST_WEIGHT].astype(
+                np.int64
+            )
+            in_table = rows >= tree.n_cells
+            rows[in_table] = owners[rows[in_table] - tree.n_cells]
+            reached[rows] = True
+    flags = tree.arrays.flags[order]
+    return reached[order] & (flags & FACING_FLAGS > 0)
+
+
+def split_leaves(tree: Octree, channels: Channels, cells: Int64s) -> tuple[Octree, dict[str, Channel]]:
+    """Split leaves (n,), unless they are: their rows hold their values, and a part of their areas each."""
+    flags = tree.arrays.flags
+    cells = np.sort(cells[flags[cells] & SPLIT == 0])
+    facings = flags[cells] & np.uint8(FACING_FLAGS)
+    counts = np.bitwise_count(facings).astype(np.int64)
+    rows = np.repeat(cells, counts)
+    areas = tree.arrays.areas[rows].astype(np.float64) - np.repeat(AREA_STEPS * np.log2(counts), counts)
+    areas = np.where(tree.arrays.areas[rows] > 0, np.clip(np.rint(areas), 1, 255), 0).astype(np.uint8)
+    split = tree.split
+    order = np.argsort(np.concatenate([split.cells, cells]), kind="stable")
+    old_rows = np.repeat(split.cells, np.bitwise_count(split.facings))
+    row_order = np.argsort(np.concatenate([old_rows, rows]), kind="stable")
+    table = SplitTable(
+        np.concatenate([split.cells, cells]).astype(np.uint32)[order],
+        np.concatenate([split.facings, facings])[order],
+        np.concatenate([split.areas, areas])[row_order],
+    )
+    flags = flags.copy()
+    flags[cells] |= SPLIT
+    made = {
+        name: channel._replace(
+            split_values=np.concatenate([channel.split_values, channel.values[rows]])[row_order]
+        )
+        for name, channel in channels.items()
+    }
+    return tree.with_cell_data(flags, tree.arrays.areas, table, tree.kept), made
