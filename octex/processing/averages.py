@@ -2,7 +2,8 @@
 
 A fitted leaf holds a coefficient, not a mean, so the value of a node, the mean of the source, is not the mean
 of its children. What it differs by is its *residual*; a difference that is no more than rounding is none.
-An edit says what becomes of residuals; the mean of the children as they are now is added to that.
+An edit says what becomes of residuals; the mean of the children as they are now is added to that, and the
+sum is kept in the range that there is: no light is darker than black.
 """
 
 from __future__ import annotations
@@ -152,6 +153,27 @@ def _mapped_means(
             found[n, k] = mapped
 
 
+def within(values: Floats, form: ChannelFormat, *stored: npt.NDArray[Any]) -> Floats:
+    """Bring what was reckoned into 0 … 1, directions −1 … 1, or as far beyond as what is ``stored`` goes.
+
+    Residuals and differences may lead out of it. ``stored`` are decoded and broadcast with ``values``.
+    """
+    low, high = np.float64(-1.0 if form.space == "direction" else 0.0), np.float64(1.0)
+    for each in stored:
+        low, high = np.minimum(low, each), np.maximum(high, each)
+    return np.clip(values, low, high)
+
+
+def limits(channel: Channel) -> tuple[npt.NDArray[Any], ...]:
+    """Return the least and the largest value of a channel of floats, decoded; integers limit themselves."""
+    values = channel.values
+    if values.dtype.kind != "f":
+        return ()
+    return decode(values.min(keepdims=True), channel.format.space), decode(
+        values.max(keepdims=True), channel.format.space
+    )
+
+
 def node_cells(tree: Octree) -> Int64s:
     """Return the cell numbers of all nodes (nodes,), ascending."""
     cells = np.zeros(tree.n_nodes, np.int64)
@@ -190,13 +212,13 @@ def average(
 
     ``left`` (nodes, components), if not all are ``chosen`` of those alone.
     """
-    form, nodes = channel.format, node_cells(tree)
+    form, nodes, bounds = channel.format, node_cells(tree), limits(channel)
     end = len(left)
     for level, here in reversed(list(_levels(tree, chosen))):
         begin = end - here.size if chosen is not None else int(here[0])
         means = child_means(tree, level, channel.values, form.space, weights, chosen)
         means += left[begin : begin + here.size]
-        channel.values[nodes[here]] = encode(means, form.dtype, form.space)
+        channel.values[nodes[here]] = encode(within(means, form, *bounds), form.dtype, form.space)
         end = begin
 
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 
+import numpy as np
+import numpy.typing as npt
+
 from octex.channels import ALPHA
 from octex.processing.averages import (
     Change,
@@ -21,6 +24,8 @@ from octex.texture import Channel, OctreeTexture
 
 #: The name in the metadata under which operations are listed, as JSON.
 PROCESSED = "processed"
+#: What differs by less of alpha counts as alike: half an 8-bit code.
+_FAINT = np.float32(0.5 / 255)
 
 
 def noted(metadata: Mapping[str, str], operation: str, **how: object) -> dict[str, str]:
@@ -43,10 +48,12 @@ def with_values(
 
     Leaves, their rows and kept coefficients stay as ``made`` has them, whose arrays are written to; nodes and
     rows of split nodes are made anew, residuals by the ``change`` of each channel. After a change of alpha,
-    the averages of all channels weigh by the new one.
+    the averages of all channels weigh by the new one; a node that gets more opaque keeps as much of its
+    residual as it was opaque before.
     """
     made = dict(made)
-    if ALPHA.name in made:
+    has_other_alpha = ALPHA.name in made
+    if has_other_alpha:
         for name, channel in texture.channels.items():
             if name not in made:
                 made[name] = channel._replace(
@@ -56,11 +63,20 @@ def with_values(
     after = OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, metadata)
     for name in sorted(made, key=lambda name: name != ALPHA.name):
         before, own = texture.channels[name], change.get(name, difference)
-        if isinstance(own, Tables):
-            average_by_tables(texture.tree, before, made[name], coverage(texture.channels, name), own)
+        weights = coverage(texture.channels, name)
+        if isinstance(own, Tables) and not (has_other_alpha and weights.size):
+            average_by_tables(texture.tree, before, made[name], weights, own)
             own = changed_by(own)
         else:
-            left = residuals(texture.tree, before, coverage(texture.channels, name), own)
+            own = changed_by(own) if isinstance(own, Tables) else own
+            if has_other_alpha and weights.size:
+                own = _covered(own, np.minimum((weights + _FAINT) / (coverage(channels, name) + _FAINT), 1))
+            left = residuals(texture.tree, before, weights, own)
             average(texture.tree, made[name], coverage(channels, name), left)
         average_rows(after, made[name], row_residuals(texture, before, own))
     return after
+
+
+def _covered(change: Change, parts: npt.NDArray[np.float32]) -> Change:
+    """Return a change that keeps ``parts`` (cells,) of what residuals become."""
+    return lambda cells, values, means: change(cells, values, means) * parts[cells, None]

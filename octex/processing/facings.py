@@ -11,7 +11,7 @@ import numpy.typing as npt
 from octex.channels import ALPHA, decode, encode
 from octex.conversion.accumulate import LEAST_COVERAGE
 from octex.painting.averages import AREAS
-from octex.processing.averages import Change, node_cells
+from octex.processing.averages import Change, limits, node_cells, within
 from octex.texture import Channel, OctreeTexture
 from octex.texture.split import bits_of, find_rows, rows_facing
 from octex.tree.edit import children_of
@@ -56,10 +56,10 @@ def average_rows(texture: OctreeTexture, channel: Channel, left: Float64s) -> No
 
     A row that no child shows the same way as stays.
     """
-    form = channel.format
+    form, bounds = channel.format, limits(channel)
     for rows in _by_level(texture.tree):
         means, has = _means(texture, channel, rows)
-        made = means[has] + left[rows.rows[has]]
+        made = within(means[has] + left[rows.rows[has]], form, *bounds)
         channel.split_values[rows.rows[has]] = encode(made, form.dtype, form.space)
 
 

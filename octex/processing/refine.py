@@ -11,6 +11,7 @@ import numpy.typing as npt
 from octex.channels import decode
 from octex.painting.cells import refined_values
 from octex.parallel import ordered_map, workers
+from octex.processing.averages import within
 from octex.texture import Channel, OctreeTexture
 from octex.texture.split import rows_facing
 from octex.tree.edit import locate
@@ -53,4 +54,5 @@ def rows_below(
 ) -> Float32s:
     """Return what cells (n,) below leaves show facings: what differs from their ``own`` as in the leaves."""
     whole = decode(channel.values[leaves], channel.format.space)
-    return np.asarray(own + rows_facing(texture, channel, leaves, bits) - whole, np.float32)
+    rows = rows_facing(texture, channel, leaves, bits)
+    return np.asarray(within(own + rows - whole, channel.format, own, rows), np.float32)
