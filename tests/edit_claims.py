@@ -269,6 +269,16 @@ def _stored(texture: OctreeTexture, cells: Cells) -> dict[str, tuple[Array, Arra
     return found
 
 
+def _below_leaves(cells: Cells, others: Cells) -> Array:
+    """Say which cells lie inside leaves of another tree."""
+    found = np.zeros(cells.keys.size, np.bool_)
+    leaves, above = others.keys[others.is_leaf], cells.keys >> 3
+    while (above > 0).any():
+        found |= np.isin(above, leaves)
+        above = above >> 3
+    return found
+
+
 def assert_far_cells_stay(before: OctreeTexture, after: OctreeTexture, region: Any, reach: float) -> None:
     """Cells farther than ``reach`` cells of paint from a region are stored as they were, bit by bit."""
     both = [(texture, cells_of(texture)) for texture in (before, after)]
@@ -278,6 +288,7 @@ def assert_far_cells_stay(before: OctreeTexture, after: OctreeTexture, region: A
         # Of very many cells some.
         some = cells.keys * 2654435761 % 1000003 % (1 + pairs // MOST_PAIRS) == 0
         own[some] = region.gaps(cells.low[some], cells.high[some]) > reach
+    far[1] &= ~_below_leaves(both[1][1], both[0][1])  # near paint a leaf is divided as a whole
     stored = [_stored(texture, cells) for texture, cells in both]
     for what, (keys, rows) in stored[0].items():
         is_row = what.startswith(("rows", "split"))

@@ -173,10 +173,11 @@ def beyond(axis: int, place: float, width: float) -> Callable[[Array], Array]:
     return lambda points: np.clip(1 + (points[:, axis] - place) / max(width, 1e-9), 0, 1)
 
 
-def layer_boxes(before: OctreeTexture, surface: Surface, pictures: Any, **options: Any) -> claims.Boxes:
-    """Where ``octex.paint`` would put paint."""
-    layer = octex.project(surface, pictures, like=before, **options)
-    return claims.painted_boxes(layer)
+def reopened(texture: OctreeTexture) -> OctreeTexture:
+    """The same texture, mapped from a file."""
+    with TemporaryDirectory(prefix="octex-edits-") as folder:
+        texture.save(Path(folder) / "texture.octex")
+        return octex.open(Path(folder) / "texture.octex")
 
 
 # --- steps
@@ -256,7 +257,7 @@ class Run:
 
 def vars_of_scripts() -> dict[str, Any]:
     names = globals()
-    made = ("mesh", "waved", "cloud", "picture", "camera", "beyond", "layer_boxes", "np", "octex")
+    made = ("mesh", "waved", "cloud", "picture", "camera", "beyond", "reopened", "np", "octex")
     return {name: names[name] for name in made}
 
 
@@ -402,10 +403,10 @@ def draw_paint(random: Random, run: Run) -> Step:
         options["balance"] = True
     pictures = shots[0] if len(shots) == 1 else f"[{', '.join(shots)}]"
     line = call("texture = octex.paint", "texture", "surface", "pictures", **options)
-    code = call("layer_boxes", "texture", "surface", "pictures", **options)
+    code = call("octex.project", "surface", "pictures", like="texture", **options)
 
     def painted(run: Run, before: OctreeTexture) -> Any:
-        return eval(code, {**run.names, "texture": before})
+        return claims.painted_boxes(eval(code, {**run.names, "texture": before}))
 
     fits = "fit" not in options
     lines, spreads = (f"pictures = {pictures}", line), overshoots(pictures)
@@ -709,6 +710,17 @@ def draw_level(random: Random, run: Run) -> Step:
     return Step((line,), claim)
 
 
+def draw_reopened(random: Random, run: Run) -> Step:  # noqa: ARG001
+    return Step(("texture = reopened(texture)",))
+
+
+def draw_curves(random: Random, run: Run) -> Step:
+    name = one_of(random, [each for each in run.texture.channels if each != "normal"])
+    points = one_of(random, ([(0, 0.2), (0.5, 0.9), (1, 1)], [(0, 1), (1, 0)], [(0.3, 0), (0.6, 1)]))
+    line = call("texture = octex.curves", "texture", repr(name), points)
+    return Step((line,), lambda _run, before, after: assert_same_tree(before, after), spreads=True)
+
+
 STEPS: tuple[tuple[Callable[[Random, Run], Step], int], ...] = (
     (draw_fill, 6),
     (draw_paint, 4),
@@ -722,6 +734,8 @@ STEPS: tuple[tuple[Callable[[Random, Run], Step], int], ...] = (
     (draw_resize, 2),
     (draw_cast, 2),
     (draw_level, 1),
+    (draw_curves, 1),
+    (draw_reopened, 1),
 )
 SMALL_STEPS = tuple(pair for pair in STEPS if pair[0] not in (draw_paint, draw_layer, draw_mix, draw_combine))
 

@@ -157,7 +157,10 @@ def within(values: Floats, form: ChannelFormat, *stored: npt.NDArray[Any]) -> Fl
     """Bring what was reckoned into 0 … 1, directions −1 … 1, or as far beyond as what is ``stored`` goes.
 
     Residuals and differences may lead out of it. ``stored`` are decoded and broadcast with ``values``.
+    Integers are clamped when they are encoded.
     """
+    if form.dtype.startswith("u"):
+        return values
     low, high = np.float64(-1.0 if form.space == "direction" else 0.0), np.float64(1.0)
     for each in stored:
         low, high = np.minimum(low, each), np.maximum(high, each)
