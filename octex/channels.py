@@ -41,6 +41,9 @@ SPECULAR = ChannelFormat("specular", 3, "srgb")
 NORMAL = ChannelFormat("normal", 3, "direction")
 DETAIL = ChannelFormat("detail", 1, "data")
 
+#: Averages weigh by alpha, but by no less: where nothing covers a cell its colour is still a mean.
+LEAST_COVERAGE = 2.0**-40
+
 #: The channels of materials, with glTF's names, in the order in which a texture holds them; and one that says
 #: how fine the others are to be kept, 1 for the finest.
 CHANNELS = {

@@ -9,10 +9,14 @@ OctexError                  anything octex refuses; the message names what, why 
 │   └── TextureFileError    an .octex file
 ├── OutputError             something could not be written; what stood there before still stands
 └── MissingExtraError       an optional package is not installed (also an ImportError)
+
+DefectError                 octex made something that does not fit together: nobody's input is to blame
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import IntEnum
 from typing import Self
 
@@ -71,3 +75,16 @@ class OutputError(OctexError):
 
 class MissingExtraError(OctexError, ImportError):
     """An optional dependency is needed; the message names the extra to install."""
+
+
+class DefectError(Exception):
+    """Octex itself made something inconsistent: a defect, whatever was given to it."""
+
+
+@contextmanager
+def own_making() -> Iterator[None]:
+    """Raise DefectError for what is refused inside: for parts that octex made itself out of checked input."""
+    try:
+        yield
+    except InputError as error:
+        raise DefectError(str(error)) from error

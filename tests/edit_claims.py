@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 import octex
 from octex.channels import ALPHA, ONE, ChannelFormat, decode, encode
-from octex.processing.facings import rows_of
+from octex.editing.facings import rows_of
 from octex.texture import OctreeTexture
 from octex.tree.layout import KEPT
 from octex.tree.morton import decode_cells

@@ -24,6 +24,7 @@ ROWS = [
     {"field"},
     {"container"},
     {"texture"},
+    {"editing"},
     {"source"},
     {"conversion"},
     {"view"},
@@ -35,7 +36,7 @@ ROWS = [
     {"cli"},
 ]
 # The wing of what models look like does not know the wing of what is stored.
-STORED = {"tree", "field", "container", "texture"}
+STORED = {"tree", "field", "container", "texture", "editing"}
 FORBIDDEN = {"source": STORED, "view": STORED}
 # Depth and cell limits are checked at the border too.
 EXCEPTIONS = {("checks", "octex.tree.layout")}

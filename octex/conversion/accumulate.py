@@ -19,12 +19,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import ChannelFormat
+from octex.channels import LEAST_COVERAGE, ChannelFormat
 from octex.jit import inlined, kernel, popcount
 from octex.tree.layout import AREA_ONE, AREA_STEPS, POSITIVE_FACINGS
 
-#: Where nothing covers a cell its colour is still the mean of what the source holds there.
-LEAST_COVERAGE = 2.0**-40
 #: Areas below this many faces come from contacts alone and are stored as none.
 LEAST_AREA = 2.0**-40
 #: What the seven leading mantissa bits add to an area's code.

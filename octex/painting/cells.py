@@ -135,27 +135,48 @@ def boundary(codes: Int64s, level: int) -> Int64s:
     return around[~among(around, codes)]
 
 
-def is_painted(codes: Int64s, paint: Sequence[Paint], level: int) -> npt.NDArray[np.bool_]:
-    """Say which cells of a level lie on paint, whose leaves may be larger."""
+def is_within(codes: Int64s, cells: Sequence[Int64s], level: int) -> npt.NDArray[np.bool_]:
+    """Say which cells of a level are among others, given level by level, or lie in larger ones of them."""
     found = np.zeros(codes.size, np.bool_)
-    for above, each in enumerate(paint[: level + 1]):
-        found |= among(codes >> 3 * (level - above), each.codes)
+    for above, own in enumerate(cells[: level + 1]):
+        found |= among(codes >> 3 * (level - above), own)
     return found
 
 
-def skirt_of(outer: Int64s, paint: Sequence[Paint], ring: Int64s, met: Int64s, level: int) -> Int64s:
+def facings_within(codes: Int64s, paint: Sequence[Paint], level: int) -> npt.NDArray[np.uint8]:
+    """Return which facings have paint in cells (n,) of a level, which may lie in larger painted ones."""
+    found = np.zeros(codes.size, np.uint8)
+    for above, each in enumerate(paint[: level + 1]):
+        own = codes >> 3 * (level - above)
+        inside = among(own, each.codes)
+        found[inside] |= each.facings[np.searchsorted(each.codes, own[inside])]
+    return found
+
+
+def beside_larger(codes: Int64s, tree: Octree, level: int) -> npt.NDArray[np.bool_]:
+    """Say which cells (n,) of a level are beside leaves of a tree that are larger."""
+    found = np.zeros(codes.size, np.bool_)
+    for step in _AROUND if codes.size else ():
+        cells = decode_cells(codes) + step
+        inside = ((cells >= 0) & (cells < 1 << level)).all(axis=1)
+        where = locate(tree, encode_cells(np.where(inside[:, None], cells, 0)), level)
+        found |= inside & where.is_leaf & (where.levels < level)
+    return found
+
+
+def skirt_of(outer: Int64s, painted: Sequence[Int64s], ring: Int64s, met: Int64s, level: int) -> Int64s:
     """Return those cells beside paint, off the surface, that nothing but paint and its boundary is beside."""
     free = np.ones(outer.size, np.bool_)
     for step in _AROUND:
         cells = decode_cells(outer) + step
         inside = ((cells >= 0) & (cells < 1 << level)).all(axis=1)
         codes = encode_cells(np.where(inside[:, None], cells, 0))
-        free &= ~inside | among(codes, ring) | is_painted(codes, paint, level) | ~among(codes, met)
+        free &= ~inside | among(codes, ring) | is_within(codes, painted, level) | ~among(codes, met)
     return outer[free]
 
 
 def skirt_on_nothing(
-    absent: Int64s, tops: Int64s, paint: Sequence[Paint], ring: Int64s, met: Int64s, level: int, top: int
+    absent: Int64s, tops: Int64s, painted: Sequence[Int64s], ring: Int64s, met: Int64s, level: int, top: int
 ) -> Int64s:
     """Return those of cells below nothing whose whole surroundings, a cell of level ``top``, are free.
 
@@ -165,7 +186,7 @@ def skirt_on_nothing(
     shift = 3 * (level - top)
     near = distinct(np.concatenate([tops, boundary(tops, top)]))
     outer = met[among(met >> shift, near)]
-    outer = outer[~among(outer, ring) & ~is_painted(outer, paint, level)]
+    outer = outer[~among(outer, ring) & ~is_within(outer, painted, level)]
     taken = distinct(np.concatenate([outer, boundary(outer, level)]) >> shift)
     return absent[~among(absent >> shift, taken)]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 
 import numpy as np
@@ -11,18 +11,25 @@ import numpy.typing as npt
 from octex.channels import ALPHA, ONE, decode, encode
 from octex.checks import as_choice, as_number
 from octex.conversion.facings import MOST, in_codes
-from octex.errors import ArgumentError
-from octex.painting.averages import updated_averages
+from octex.editing.facings import average_rows, rows_of
+from octex.errors import ArgumentError, DefectError, own_making
+from octex.painting.averages import (
+    Above,
+    average_above,
+    nodes_above,
+    residuals_before,
+    residuals_of_paint,
+)
 from octex.painting.cells import Paint, paint_of, painted_channel, refine_paint
 from octex.painting.pictures import BLENDS, Blend
-from octex.painting.raising import raise_texture
+from octex.painting.raising import Raised, raise_texture
 from octex.parallel import Progress, silent, workers
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.texture.channel import Channel
-from octex.texture.split import bits_of, rows_facing, with_split
-from octex.tree.edit import locate
-from octex.tree.layout import FACING_FLAGS, SPLIT
+from octex.texture.split import rows_facing, with_split, without_split
+from octex.tree.edit import among, locate
+from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
 from octex.tree.octree import Octree
 
 Int64s = npt.NDArray[np.int64]
@@ -71,13 +78,14 @@ def merge(
             f"{stored.components}"
         )
     with workers(executor) as pool:
-        base, is_fresh, paint = raise_texture(
+        raised = raise_texture(
             texture, layer, paint, surface, pool, progress or silent, adds=blend != "erase"
         )
-    if not any(each.codes.size for each in paint):
+    if not any(each.codes.size for each in raised.paint):
         return given
-    paint = refine_paint(paint, layer, base.tree, opacity)
-    return _blended(base, is_fresh, paint, layer, target, blend, opacity)
+    with own_making():
+        paint = refine_paint(raised.paint, layer, raised.texture.tree, opacity)
+        return _blended(texture, raised, paint, layer, target, blend, opacity)
 
 
 def _with_alpha(texture: OctreeTexture) -> OctreeTexture:
@@ -114,9 +122,41 @@ def blended(base: Float32s, paint: Float32s, coverage: Float32s, blend: Blend) -
     return base + part * (paint - base)
 
 
-def _blended(
-    base: OctreeTexture,
+def mixed(
+    blend: Blend,
+    target: str,
+    old: Mapping[str, Float32s],
+    paint: Float32s,
+    coverage: Float32s,
     is_fresh: npt.NDArray[np.bool_],
+) -> dict[str, tuple[Float32s, Float32s]]:
+    """Return what paint (n, components) makes of the values of channels, and how much of each is paint (n,).
+
+    ``old`` are the channel that is painted, ``target``, and alpha if there is one; where the texture had
+    nothing, ``is_fresh``, there is paint alone.
+    """
+    ones = np.ones((len(paint), 1), np.float32)
+    if blend == "erase":
+        paint = 0 * ones
+    found = {target: (paint, (coverage > 0).astype(np.float32) if blend == "replace" else coverage)}
+    if blend == "over" and target != ALPHA.name and ALPHA.name in old:
+        # Over what is translucent itself, paint counts for more of the colour (Porter & Duff 1984).
+        there = np.where(is_fresh, np.float32(0), old[ALPHA.name][:, 0])
+        united = coverage + there * (1 - coverage)
+        part = np.where(united > 0, coverage / np.maximum(united, np.float32(1e-9)), np.float32(0))
+        found = {target: (paint, part), ALPHA.name: (ones, coverage)}
+    elif ALPHA.name in old and target != ALPHA.name and is_fresh.any():
+        found[ALPHA.name] = ones, np.zeros_like(coverage)
+    for name, (own, part) in found.items():
+        new = blended(old[name], own, part, "over" if name == ALPHA.name and blend != "erase" else blend)
+        new[is_fresh] = own[is_fresh] if name == target else coverage[is_fresh, None]
+        found[name] = new, np.where(is_fresh, np.float32(1), part)
+    return found
+
+
+def _blended(
+    texture: OctreeTexture,
+    raised: Raised,
     paint: Sequence[Paint],
     layer: OctreeTexture,
     target: str,
@@ -124,97 +164,111 @@ def _blended(
     opacity: float,
 ) -> OctreeTexture:
     """Blend paint into the cells that it is on, once each (step 5), and average anew."""
-    tree = base.tree
-    whole = [_in_tree(tree, each, level) for level, each in enumerate(paint) if each.codes.size]
-    cells, values, coverage, sources = (np.concatenate(arrays) for arrays in zip(*whole, strict=True))
-    order = np.argsort(cells, kind="stable")
-    cells, values, coverage, sources = cells[order], values[order], coverage[order], sources[order]
-    stored = base.channels
-    if blend == "erase":
-        values = np.zeros((len(values), 1), np.float32)
-    made = {target: values}
-    parts = {target: (coverage > 0).astype(np.float32) if blend == "replace" else coverage}
-    if blend == "over" and target != ALPHA.name and ALPHA.name in stored:
-        # Over what is translucent itself, paint counts for more of the colour (Porter & Duff 1984).
-        there = decode(stored[ALPHA.name].values[cells], "data")[:, 0]
-        there[is_fresh[cells]] = 0
-        united = coverage + there * (1 - coverage)
-        parts[target] = np.where(united > 0, coverage / np.maximum(united, 1e-9), 0).astype(np.float32)
-        made[ALPHA.name], parts[ALPHA.name] = np.ones((len(cells), 1), np.float32), coverage
-    elif ALPHA.name in stored and target != ALPHA.name and is_fresh.any():
-        made[ALPHA.name], parts[ALPHA.name] = np.ones((len(cells), 1), np.float32), np.zeros_like(coverage)
-    channels = dict(stored)
-    for name, paints in made.items():
-        form = stored[name].format
-        mode: Blend = "over" if name == ALPHA.name and blend != "erase" else blend
-        old = decode(stored[name].values[cells], form.space)
-        new = blended(old, paints, parts[name], mode)
-        fresh = is_fresh[cells]
-        new[fresh] = paints[fresh] if name == target else coverage[fresh, None]
-        after = stored[name].values.copy()
-        after[cells] = encode(new, form.dtype, form.space)
-        part = parts[name].copy()
-        part[fresh] = 1
-        codes = [each.codes for each in paint]
-        counts = name == target and blend in ("over", "replace")
-        above = updated_averages(
-            tree, stored[name].values, after, form, cells, part, codes, layer,
-            layer.channels[painted_channel(layer)] if counts else None, ~is_fresh,
-        )  # fmt: skip
-        after[above.nodes] = encode(above.values, form.dtype, form.space)
-        channels[name] = stored[name]._replace(values=after)
-    made_of = OctreeTexture(tree, channels, base.placement, base.bounds, base.metadata)
-    cells, sources = np.concatenate([cells, above.nodes]), np.concatenate([sources, above.sources])
-    return _facing(made_of, base, is_fresh, cells, sources, layer, target, blend, opacity)
+    source = layer.channels[painted_channel(layer)]
+    tree, is_fresh = raised.texture.tree, raised.is_fresh
+    cells, values, coverage, sources = _on_leaves(tree, paint)
+    above = nodes_above(tree, [each.codes for each in paint], texture.tree, layer.tree)
+    may_split = _may_split(tree, layer.tree, cells, sources, above)
+    base = raised.texture
+    if may_split.size:
+        base = with_split(base, may_split, tree.arrays.flags[may_split] & np.uint8(FACING_FLAGS), {})
+    old = {name: decode(own.values[cells], own.format.space) for name, own in _met(base, target)}
+    made = mixed(blend, target, old, values, coverage, is_fresh[cells])
+    changes_alpha = ALPHA.name in made
+    channels, parts = dict(base.channels), {}
+    for name, channel in base.channels.items():
+        if name in made or changes_alpha or is_fresh.any():
+            own = channel._replace(values=channel.values.copy(), split_values=channel.split_values.copy())
+            channels[name] = own
+            counts = len(own.values), len(own.split_values), 0
+            parts[name] = Channel(channel.format, *(np.zeros((n, 1), np.float32) for n in counts))
+    for name, (new, part) in made.items():
+        form = channels[name].format
+        channels[name].values[cells] = encode(new, form.dtype, form.space)
+        parts[name].values[cells, 0] = part
+    rows = rows_of(base.tree, cells)
+    owners = np.searchsorted(cells, rows.cells)
+    paints = rows_facing(layer, source, sources[owners], rows.bits)
+    covers = rows_facing(layer, layer.channels[ALPHA.name], sources[owners], rows.bits)[:, 0]
+    covers *= np.float32(opacity)
+    covers[layer.tree.arrays.flags[sources[owners]] & rows.bits == 0] = 0
+    old = {name: decode(own.split_values[rows.rows], own.format.space) for name, own in _met(base, target)}
+    fresh = is_fresh[rows.cells]
+    bare = fresh & (covers == 0)
+    for name, (new, part) in mixed(blend, target, old, paints, covers, fresh).items():
+        form = channels[name].format
+        if name != ALPHA.name:
+            new[bare] = decode(channels[name].values[rows.cells[bare]], form.space)
+        channels[name].split_values[rows.rows] = encode(new, form.dtype, form.space)
+        parts[name].split_values[rows.rows, 0] = part
+    after = OctreeTexture(base.tree, channels, base.placement, base.bounds, base.metadata)
+    rows = rows_of(base.tree, above.nodes.cells)
+    left_rows = {}
+    for name in sorted(parts, key=lambda name: name != ALPHA.name):
+        left = residuals_before(texture, raised.texture, name, above, is_fresh, rows)
+        takes_on = name == target and blend in ("over", "replace")
+        own_left = residuals_of_paint(layer, source.format.name, above, rows) if takes_on else None
+        left_rows[name] = average_above(after, name, parts[name], above, rows, left, own_left)
+    new = may_split[tree.arrays.flags[may_split] & SPLIT == 0]
+    excess = _split_in_vain(after, new)
+    found = without_split(after, excess)
+    gone = rows_of(after.tree, excess).rows
+    for name, own in left_rows.items():  # areas of rows are rounded: they weigh otherwise than even parts
+        if gone.size:
+            average_rows(found, found.channels[name], np.delete(own, gone, axis=0), above.nodes)
+    # Rows of other channels change where cells are split, or faced, otherwise than before.
+    was = np.where(above.before.cells >= 0, texture.tree.arrays.flags[above.before.cells], np.uint8(0))
+    faced_anew = (found.tree.arrays.flags[above.nodes.cells] ^ was) & np.uint8(FACING_FLAGS | SPLIT) != 0
+    some = above.of(faced_anew & (above.before.numbers >= 0))
+    rows = rows_of(found.tree, some.nodes.cells)
+    for name in found.channels.keys() - left_rows.keys() if rows.rows.size else ():
+        own = np.zeros((found.tree.split.areas.size, found.channels[name].format.components))
+        own[rows.rows] = residuals_before(texture, raised.texture, name, some, is_fresh, rows).rows
+        average_rows(found, found.channels[name], own, some.nodes)
+    return found
 
 
-def _in_tree(tree: Octree, paint: Paint, level: int) -> tuple[Int64s, Float32s, Float32s, Int64s]:
-    """Return the numbers of painted cells of a level, their paint, coverage and sources."""
-    return locate(tree, paint.codes, level).cells, paint.values, paint.coverage, paint.cells
+def _met(base: OctreeTexture, target: str) -> list[tuple[str, Channel]]:
+    """Return the channels that paint meets: its own, and alpha."""
+    return [(name, base.channels[name]) for name in base.channels if name in (target, ALPHA.name)]
 
 
-def _facing(
-    texture: OctreeTexture,
-    before: OctreeTexture,
-    is_fresh: npt.NDArray[np.bool_],
-    cells: Int64s,
-    sources: Int64s,
-    layer: OctreeTexture,
-    target: str,
-    blend: Blend,
-    opacity: float,
-) -> OctreeTexture:
-    """Paint what cells show each way, where the paint, of ``sources``, or the cells tell facings apart."""
-    tree = texture.tree
-    if not (tree.split.cells.size or layer.tree.split.cells.size):
-        return texture
-    flags, paint_flags = tree.arrays.flags, layer.tree.arrays.flags
-    chosen = ((flags[cells] | paint_flags[sources]) & SPLIT != 0) & (flags[cells] & FACING_FLAGS != 0)
-    cells, sources = cells[chosen], sources[chosen]
-    if not cells.size:
-        return texture
-    order = np.argsort(cells, kind="stable")
-    cells, sources = cells[order], sources[order]
-    facings = flags[cells] & np.uint8(FACING_FLAGS)
-    owners = np.repeat(np.arange(cells.size), np.bitwise_count(facings))
-    bits = bits_of(facings)
-    paint = rows_facing(layer, layer.channels[painted_channel(layer)], sources[owners], bits)
-    coverage = rows_facing(layer, layer.channels[ALPHA.name], sources[owners], bits)[:, 0]
-    coverage = coverage * np.float32(opacity)
-    coverage[paint_flags[sources[owners]] & bits == 0] = 0
-    if blend == "erase":
-        paint = np.zeros((len(owners), 1), np.float32)
-    form = texture.channels[target].format
-    old = rows_facing(before, before.channels[target], cells[owners], bits)
-    new = blended(old, paint, coverage, blend)
-    fresh = is_fresh[cells[owners]]
-    bare = fresh & (coverage == 0)
-    new[fresh] = paint[fresh]
-    new[bare] = decode(texture.channels[target].values[cells[owners[bare]]], form.space)
-    rows = encode(new, form.dtype, form.space)
-    scaled = in_codes(rows, form)
-    starts = np.flatnonzero(np.diff(owners, prepend=-1))
-    spread = np.maximum.reduceat(scaled, starts) - np.minimum.reduceat(scaled, starts)
-    was_split = flags[cells] & SPLIT != 0
-    is_split = was_split | (spread > MOST).any(axis=1)
-    return with_split(texture, cells[is_split], facings[is_split], {target: rows[is_split[owners]]})
+def _on_leaves(tree: Octree, paint: Sequence[Paint]) -> tuple[Int64s, Float32s, Float32s, Int64s]:
+    """Return the leaves that are painted, ascending, and their paint, coverage and sources."""
+    found = []
+    for level, each in enumerate(paint):
+        if each.codes.size:
+            where = locate(tree, each.codes, level)
+            if not (where.is_leaf & (where.levels == level)).all():
+                raise DefectError(f"paint of level {level} does not lie on leaves")
+            found.append((where.cells, each.values, each.coverage, each.cells))
+    cells, values, coverage, sources = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+    if (np.diff(cells) <= 0).any():
+        raise DefectError("paint lies twice on a cell, or out of order")
+    return cells, values, coverage, sources
+
+
+def _may_split(tree: Octree, layer: Octree, cells: Int64s, sources: Int64s, above: Above) -> Int64s:
+    """Return cells, ascending, in which paint may make a difference between facings.
+
+    These are painted leaves that tell facings apart, or whose paint does, and nodes above that show both
+    ways along an axis.
+    """
+    flags = tree.arrays.flags
+    facings = flags & np.uint8(FACING_FLAGS)
+    leaves = cells[((flags[cells] | layer.arrays.flags[sources]) & SPLIT != 0) & (facings[cells] != 0)]
+    nodes = above.nodes.cells
+    both = facings[nodes] & facings[nodes] >> np.uint8(1) & np.uint8(POSITIVE_FACINGS)
+    chosen = (both != 0) | (flags[nodes] & SPLIT != 0)
+    return np.sort(np.concatenate([leaves, nodes[chosen]]))
+
+
+def _split_in_vain(texture: OctreeTexture, cells: Int64s) -> Int64s:
+    """Return those of split cells in which no facing differs from the whole."""
+    rows = rows_of(texture.tree, cells)
+    differs = np.zeros(rows.rows.size, np.bool_)
+    for channel in texture.channels.values():
+        apart = in_codes(channel.split_values[rows.rows], channel.format)
+        apart = apart - in_codes(channel.values[rows.cells], channel.format)
+        differs |= (np.abs(apart) > MOST).any(axis=1)
+    return cells[~among(cells, rows.cells[differs])]

@@ -12,10 +12,14 @@ import numpy.typing as npt
 from octex.channels import decode, encode
 from octex.conversion.facings import MOST, in_codes
 from octex.conversion.fill import assemble, fill
-from octex.painting.averages import add_up_areas
+from octex.editing.averages import add_up_areas
+from octex.errors import ModelError, own_making
 from octex.painting.cells import (
     Paint,
+    beside_larger,
     boundary,
+    facings_within,
+    is_within,
     refined_values,
     skirt_of,
     skirt_on_nothing,
@@ -53,6 +57,7 @@ class Raised(NamedTuple):
     """A texture raised to paint."""
 
     texture: OctreeTexture
+    old: Int64s  # (cells,)   each cell's number in the texture as it was; −1: it was not there
     is_fresh: Bools  # (cells,)   where the texture had nothing
     paint: list[Paint]  # with skirts
 
@@ -75,12 +80,15 @@ def raise_texture(
 
     Paint below what was a leaf gets a skirt: cells off the surface beside it, which would else be refined
     from the coefficients kept, and show through.
+
+    All cells of the paint that is returned are cells of the texture, and none lies in another.
     """
     if not adds:
         paint = [_on(texture.tree, each, level) for level, each in enumerate(paint)]
     edited, paint, met = _raised(texture, paint, surface, executor, progress)
-    made, is_fresh = _carried(texture, edited, edited.tree, met, layer, paint)
-    return Raised(made, is_fresh, paint)
+    with own_making():
+        made, is_fresh = _carried(texture, edited, edited.tree, met, layer, paint)
+    return Raised(made, edited.old, is_fresh, paint)
 
 
 def _on(tree: Octree, paint: Paint, level: int) -> Paint:
@@ -103,6 +111,7 @@ def _raised(
     added: list[Int64s] = []
     below: list[Int64s] = []
     virtual: list[Int64s] = []  # beside paint: refined from what is above, or skirts of earlier paint
+    rings: list[Int64s] = []  # beside paint: stored
     absent: list[Int64s] = []  # beside paint below leaves: where nothing is
     tops: list[tuple[int, Int64s]] = []
     for level, each in enumerate(paint):
@@ -112,6 +121,7 @@ def _raised(
         added.append(each.codes[is_missing & ~where.is_leaf])
         tops += _above(below[-1], where.of(is_missing & where.is_leaf), level)
         virtual.append(none)
+        rings.append(none)
         absent.append(none)
         if each.codes.size and (tree.kept.cells.size or (shallowest is not None and shallowest < level)):
             around = boundary(each.codes, level)
@@ -120,6 +130,7 @@ def _raised(
             is_refined = (where.levels < level) & (where.is_leaf | (flags & KEPT != 0))
             is_skirt = (where.levels == level) & where.is_leaf & (tree.arrays.areas[where.cells] == _SKIRT)
             virtual[-1] = around[is_refined | is_skirt]
+            rings[-1] = around[(where.levels == level) & ~is_skirt]
             is_absent = (where.levels < level - 1) & ~where.is_leaf & (flags & KEPT == 0)
             absent[-1] = around[is_absent & among(around, boundary(below[-1], level))]
             is_below = is_refined & where.is_leaf
@@ -128,33 +139,53 @@ def _raised(
         return unchanged(tree), paint, None
     depth = max((level for level, each in enumerate(paint) if each.codes.size), default=0)
     met = _met_cells(surface, texture, tops, depth, executor, progress)
-    wanted, skirts, with_skirts = [], [], []
+    # New cells of paint, and what is above them, count as met: whatever the surface says, no skirt holds any.
+    new = _with_all_above([np.concatenate([below[level], added[level]]) for level in range(depth + 1)])
+    painted = [each.codes for each in paint]
+    wanted: list[Int64s] = []
+    skirts: list[Int64s] = []  # none lies in another
+    with_skirts: list[Paint] = []
     for level, each in enumerate(paint[: depth + 1]):
-        surface_cells = met.codes[level]
+        surface_cells = distinct(np.concatenate([met.codes[level], new[level]]))
         is_met = among(virtual[level], surface_cells)
-        ring, outer = virtual[level][is_met], virtual[level][~is_met]
+        raised_ring, outer = virtual[level][is_met], virtual[level][~is_met]
+        ring = np.sort(np.concatenate([raised_ring, rings[level]]))
         if (outer.size or absent[level].size) and level <= tree.max_depth:
             surface_cells = distinct(np.concatenate([surface_cells, _facing_cells(tree, level)]))
-        skirt = skirt_of(outer, paint, ring, surface_cells, level)
-        is_new = locate(tree, skirt, level).levels < level
+        skirt = skirt_of(outer, painted, ring, surface_cells, level)
         where = locate(tree, absent[level], level)
         extra = [none]
         for top in (np.flatnonzero(np.bincount(where.levels)) + 1).tolist():
             here = absent[level][where.levels == top - 1]
             tops_here = distinct(here >> 3 * (level - top))
-            extra.append(skirt_on_nothing(here, tops_here, paint, ring, surface_cells, level, top))
-        added[level] = np.sort(np.concatenate([added[level], *extra]))
-        every = np.sort(np.concatenate([skirt, *extra]))
-        with_skirts.append(with_skirt(each, every, level))
+            extra.append(skirt_on_nothing(here, tops_here, painted, ring, surface_cells, level, top))
+        skirt = np.sort(np.concatenate([skirt, *extra]))
+        skirt = skirt[~is_within(skirt, skirts, level) & ~among(skirt, new[level])]
+        where = locate(tree, skirt, level)
+        # What the surface meets in leaves beside kept nodes is not known: they might not stay as they are.
+        is_below_kept = (where.levels < level) & (tree.arrays.flags[where.cells] & KEPT != 0)
+        is_below_kept[is_below_kept] = beside_larger(skirt[is_below_kept], tree, level)
+        skirt, where = skirt[~is_below_kept], where.of(~is_below_kept)
         skirts.append(skirt)
-        wanted.append(distinct(np.concatenate([below[level], ring, skirt[is_new]])))
-    stored = list(met.codes)
-    above = none
-    for level in range(depth, -1, -1):
-        above = distinct(np.concatenate([skirts[level], above]))
-        stored[level] = distinct(np.concatenate([stored[level], above]))
-        above = above >> 3
-    return raised(tree, wanted, stored, added), with_skirts, met
+        is_free = ~is_within(skirt, painted, level)  # others are painted with the larger cells around them
+        is_new = where.levels < level
+        with_skirts.append(with_skirt(each, skirt[is_free], level))
+        added[level] = np.sort(np.concatenate([added[level], skirt[is_free & is_new & ~where.is_leaf]]))
+        wanted.append(distinct(np.concatenate([below[level], raised_ring, skirt[is_new & where.is_leaf]])))
+    kinds = met.codes, new, _with_all_above(skirts)
+    stored = [distinct(np.concatenate(each)) for each in zip(*kinds, strict=True)]
+    with own_making():
+        return raised(tree, wanted, stored, added), with_skirts, met
+
+
+def _with_all_above(codes: Sequence[Int64s]) -> list[Int64s]:
+    """Return cells, given level by level, with all cells above them; ascending."""
+    found = []
+    above = np.empty(0, np.int64)
+    for own in reversed(codes):
+        found.append(distinct(np.concatenate([own, above])))
+        above = found[-1] >> 3
+    return found[::-1]
 
 
 def _facing_cells(tree: Octree, level: int) -> Int64s:
@@ -182,12 +213,15 @@ def _met_cells(
 ) -> Met:
     """Find the cells down to ``depth`` that the surface meets in some cells, given by level."""
     chosen = touching(surface, tops, texture.placement) if tops else np.empty(0, np.int32)
+    nothing = Met(Octree.from_leaves(np.empty(0, np.int64), 0), [np.empty(0, np.int64)] * (depth + 1))
     if not chosen.size:
-        nothing = Octree.from_leaves(np.empty(0, np.int64), 0)
-        return Met(nothing, [np.empty(0, np.int64)] * (depth + 1))
+        return nothing
     part = Surface(surface.vertices, surface.triangles[chosen], Flat(), rest=surface.rest, name=surface.name)
     channels = part.source.channels
-    filled = fill(part, channels, texture.placement, depth, executor, progress, has_samples=False)
+    try:
+        filled = fill(part, channels, texture.placement, depth, executor, progress, has_samples=False)
+    except ModelError:  # no triangle there has an area
+        return nothing
     tree, _ = assemble(channels, filled)
     return Met(tree, [codes for codes, _ in tree.walk()])
 
@@ -202,8 +236,8 @@ def _carried(
 ) -> tuple[OctreeTexture, npt.NDArray[np.bool_]]:
     """Give an edited tree the texture's values, and new cells what the field refines to.
 
-    Cells that are added where nothing was, which are marked in the second result, take other channels from
-    the coarser averages there.
+    Cells that are added where nothing was, which are marked in the second result with new nodes above them,
+    take other channels from the coarser averages there.
     """
     is_fresh = np.zeros(tree.n_cells, np.bool_)
     is_fresh[0] = texture.tree.n_leaves == 0
@@ -230,67 +264,55 @@ def _carried(
         kept_values[was_kept] = channel.kept_values[at[was_kept]]
         was_leaf = ~was_kept & (old_kept >= 0)
         kept_values[was_leaf] = channel.values[old_kept[was_leaf]]
-    for level, (codes, _) in enumerate(tree.walk()):
+    kept = tree.kept.cells.astype(np.int64)
+    for level, (codes, is_node) in enumerate(tree.walk()):
         first = int(tree.arrays.level_cells[level])
         new = np.flatnonzero(edited.old[first : first + codes.size] < 0)
         if not new.size:
             continue
-        where = locate(texture.tree, codes[new], level)
-        below = new[where.is_leaf]
-        if below.size:
-            found = refined_values(texture.tree, texture.channels, codes[below], level)
-            kept_at = np.searchsorted(tree.kept.cells, (first + below).astype(np.uint32))
-            kept_at = np.minimum(kept_at, tree.kept.cells.size - 1)
-            keeps = tree.kept.cells[kept_at] == first + below
-            for name, channel in texture.channels.items():
-                stored = encode(found[name], channel.format.dtype, channel.format.space)
-                channels[name][0][first + below] = stored
-                channels[name][2][kept_at[keeps]] = stored[keeps]
-            if met is not None and level < len(met.codes) and met.codes[level].size:
-                is_met = among(codes[below], met.codes[level])
-                source = int(met.tree.arrays.level_cells[level]) + np.searchsorted(
-                    met.codes[level], codes[below[is_met]]
-                )
-                flags[first + below[is_met]] |= met.tree.arrays.flags[source] & np.uint8(FACING_FLAGS)
-                areas[first + below[is_met]] = met.tree.arrays.areas[source]
-            if level < len(paint):  # skirts face as the paint beside them
-                own = paint[level]
-                bare = below[flags[first + below] & FACING_FLAGS == 0]
-                bare = bare[among(codes[bare], own.codes)]
-                flags[first + bare] |= own.facings[np.searchsorted(own.codes, codes[bare])]
-                areas[first + bare] = _SKIRT
-        fresh = new[~where.is_leaf]
-        if fresh.size:
-            inside = locate(layer.tree, codes[fresh], level)
-            is_own = inside.levels == level
-            own_cells, cells = first + fresh[is_own], inside.cells[is_own]
-            is_added[own_cells] = True
-            flags[own_cells] |= layer.tree.arrays.flags[cells] & np.uint8(FACING_FLAGS)
-            areas[own_cells] = layer.tree.arrays.areas[cells]
-            bare = fresh[~is_own]  # skirts, and nodes above them
-            areas[first + bare] = _SKIRT
-            is_fresh[first + fresh] = True
-            if level < len(paint):
-                bare = bare[among(codes[bare], paint[level].codes)]
-                at = np.searchsorted(paint[level].codes, codes[bare])
-                flags[first + bare] |= paint[level].facings[at]
-                is_fresh[first + bare] = False
-            if texture.tree.n_leaves:
-                centres = (decode_cells(codes[fresh]) + 0.5) / 2**level
-                points = texture.placement.to_rest(centres)
-                around = texture.sample(points, list(texture.channels), normalize=False)
-                refined = refined_values(texture.tree, texture.channels, codes[bare], level)
-                is_bare = np.isin(fresh, bare)
-                for name, channel in texture.channels.items():
-                    around[name][is_bare] = refined[name]
-                    stored = encode(around[name], channel.format.dtype, channel.format.space)
-                    channels[name][0][first + fresh] = stored
+        cells, new_codes = first + new, codes[new]
+        where, inside = locate(texture.tree, new_codes, level), locate(layer.tree, new_codes, level)
+        is_met = np.zeros(new.size, np.bool_)
+        if met is not None and level < len(met.codes) and met.codes[level].size:
+            is_met = where.is_leaf & among(new_codes, met.codes[level])
+            at = np.searchsorted(met.codes[level], new_codes[is_met])
+            _face(flags, areas, cells[is_met], met.tree, at + int(met.tree.arrays.level_cells[level]))
+        is_painted = (inside.levels == level) & ~is_met
+        _face(flags, areas, cells[is_painted], layer.tree, inside.cells[is_painted])
+        is_bare = ~is_met & ~is_painted  # skirts, which face as the paint beside them, and nodes above them
+        flags[cells[is_bare]] |= facings_within(new_codes[is_bare], paint, level)
+        areas[cells[is_bare]] = _SKIRT
+        is_own = is_painted & ~where.is_leaf
+        is_added[cells[is_own]] = True
+        is_fresh[cells[~where.is_leaf & (is_own | is_node[new])]] = True
+        is_kept = texture.tree.arrays.flags[where.cells] & KEPT != 0
+        is_refined = where.is_leaf | is_kept | is_bare & ~is_node[new]
+        values = [(is_refined, refined_values(texture.tree, texture.channels, new_codes[is_refined], level))]
+        if texture.tree.n_leaves and not is_refined.all():
+            centres = (decode_cells(new_codes[~is_refined]) + 0.5) / 2**level
+            points = texture.placement.to_rest(centres)
+            values.append((~is_refined, texture.sample(points, list(texture.channels), normalize=False)))
+        keeps = among(cells, kept)
+        kept_at = np.searchsorted(kept, cells[keeps])
+        for name, channel in texture.channels.items():
+            for chosen, found in values:
+                own = encode(found[name], channel.format.dtype, channel.format.space)
+                channels[name][0][cells[chosen]] = own
+            channels[name][2][kept_at] = channels[name][0][cells[keeps]]
     if is_added.any():
         add_up_areas(tree, is_added, areas)
     tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
     made = {name: Channel(texture.channels[name].format, *arrays) for name, arrays in channels.items()}
     whole = OctreeTexture(tree, made, texture.placement, texture.bounds, texture.metadata)
     return refaced(_split_below(whole, texture, edited)), is_fresh
+
+
+def _face(
+    flags: npt.NDArray[np.uint8], areas: npt.NDArray[np.uint8], cells: Int64s, tree: Octree, sources: Int64s
+) -> None:
+    """Give cells the facings and areas of cells of another tree, in place."""
+    flags[cells] |= tree.arrays.flags[sources] & np.uint8(FACING_FLAGS)
+    areas[cells] = tree.arrays.areas[sources]
 
 
 def _split_below(made: OctreeTexture, texture: OctreeTexture, edited: Edited) -> OctreeTexture:

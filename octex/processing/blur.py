@@ -8,13 +8,11 @@ from concurrent.futures import Executor
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import ALPHA, decode, encode
+from octex.channels import ALPHA, LEAST_COVERAGE, decode, encode
 from octex.checks import as_number
-from octex.conversion.accumulate import LEAST_COVERAGE
-from octex.painting.averages import AREAS
-from octex.processing.averages import average_plain, node_cells
+from octex.editing.averages import AREAS, average_plain, node_cells
+from octex.editing.facings import Rows, rows_of
 from octex.processing.edit import noted, with_values
-from octex.processing.facings import Rows, rows_of
 from octex.processing.mapping import centres_of, levels_of, names_of
 from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import FACING_FLAGS

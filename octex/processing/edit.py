@@ -9,22 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ALPHA
-from octex.processing.averages import (
-    Change,
-    Tables,
-    average,
-    average_by_tables,
-    changed_by,
-    coverage,
-    difference,
-    residuals,
-)
-from octex.processing.facings import average_rows, row_residuals
+from octex.editing.averages import Change, alpha_beside, average, coverage, difference, residuals
+from octex.editing.facings import average_rows, row_residuals
+from octex.processing.averages import Tables, average_by_tables, changed_by
 from octex.texture import Channel, OctreeTexture
 
 #: The name in the metadata under which operations are listed, as JSON.
 PROCESSED = "processed"
-#: What differs by less of alpha counts as alike: half an 8-bit code.
+#: Alphas that differ by less count as alike: half an 8-bit code.
 _FAINT = np.float32(0.5 / 255)
 
 
@@ -52,8 +44,7 @@ def with_values(
     residual as it was opaque before.
     """
     made = dict(made)
-    has_other_alpha = ALPHA.name in made
-    if has_other_alpha:
+    if ALPHA.name in made:
         for name, channel in texture.channels.items():
             if name not in made:
                 made[name] = channel._replace(
@@ -63,20 +54,20 @@ def with_values(
     after = OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, metadata)
     for name in sorted(made, key=lambda name: name != ALPHA.name):
         before, own = texture.channels[name], change.get(name, difference)
-        weights = coverage(texture.channels, name)
-        if isinstance(own, Tables) and not (has_other_alpha and weights.size):
-            average_by_tables(texture.tree, before, made[name], weights, own)
+        was, alpha = (alpha_beside(each, name) for each in (texture.channels, channels))
+        if isinstance(own, Tables) and was is alpha:
+            average_by_tables(texture.tree, before, made[name], alpha, own)
             own = changed_by(own)
         else:
             own = changed_by(own) if isinstance(own, Tables) else own
-            if has_other_alpha and weights.size:
-                own = _covered(own, np.minimum((weights + _FAINT) / (coverage(channels, name) + _FAINT), 1))
-            left = residuals(texture.tree, before, weights, own)
-            average(texture.tree, made[name], coverage(channels, name), left)
+            if was is not alpha and was is not None and alpha is not None:
+                own = _covered(own, was, alpha)
+            average(texture.tree, made[name], alpha, residuals(texture.tree, before, was, own))
         average_rows(after, made[name], row_residuals(texture, before, own))
     return after
 
 
-def _covered(change: Change, parts: npt.NDArray[np.float32]) -> Change:
-    """Return a change that keeps ``parts`` (cells,) of what residuals become."""
+def _covered(change: Change, was: npt.NDArray[np.generic], alpha: npt.NDArray[np.generic]) -> Change:
+    """Return a change that keeps of residuals what is as opaque now, by ``alpha``, as it ``was``."""
+    parts = np.minimum((coverage(was) + _FAINT) / (coverage(alpha) + _FAINT), 1)
     return lambda cells, values, means: change(cells, values, means) * parts[cells, None]

@@ -11,9 +11,9 @@ import numpy.typing as npt
 
 from octex.channels import ALPHA, decode, encode
 from octex.checks import as_choice
+from octex.editing.facings import rows_of
 from octex.errors import ArgumentError
 from octex.processing.edit import noted, with_values
-from octex.processing.facings import rows_of
 from octex.texture import Channel, OctreeTexture
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree

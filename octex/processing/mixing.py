@@ -9,10 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ALPHA, encode
+from octex.editing.averages import AREAS, Nodes, alpha_beside, average, average_plain, node_cells
 from octex.errors import ArgumentError
-from octex.painting.averages import AREAS
 from octex.parallel import ordered_map
-from octex.processing.averages import average, average_plain, coverage, node_cells
 from octex.processing.mapping import centres_of, levels_of
 from octex.processing.sides import Cells, Side
 from octex.processing.union import NOTHING, Origins, add_up, find_made, take, unite
@@ -107,14 +106,17 @@ class Mixing:
 
     def _average(self, tree: Octree, channels: dict[str, Channel], name: str) -> None:
         """Make nodes that are not as in one of the two anew, in place; residuals count by the parts."""
-        tasks = []
-        for side in (self._first, self._second):
-            weights = coverage(side.texture.channels, name)
-            tasks.append(self._executor.submit(side.residuals, name, weights, self._is_made))
+        made = self._made()
+        sides = self._first, self._second
+        tasks = [self._executor.submit(side.residuals, name, made.numbers) for side in sides]
         one, other = (task.result() for task in tasks)
-        share = self._share[self._nodes[self._is_made], None]
+        share = self._share[made.cells, None]
         left = (1 - share) * one + share * other
-        average(tree, channels[name], coverage(channels, name), left, self._is_made)
+        average(tree, channels[name], alpha_beside(channels, name), left, made)
+
+    def _made(self) -> Nodes:
+        """Return the nodes that are not as in one of the two."""
+        return Nodes(np.flatnonzero(self._is_made), self._nodes[self._is_made])
 
     def _leaves(self) -> dict[str, Array]:
         """Return the channels' values, as stored, those of nodes still to be averaged."""
@@ -223,7 +225,7 @@ class Mixing:
         tree, areas = self._tree, self._tree.arrays.areas
         given = [side.texture.tree.arrays.areas[:, None] for side in (self._first, self._second)]
         self._take(given, areas[:, None])
-        average_plain(tree, self._share, self._is_made)
+        average_plain(tree, self._share, self._made())
         self._take(given, areas[:, None])
         add_up(tree.arrays, self._nodes, self._is_made, self._both, AREAS)
 

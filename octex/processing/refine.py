@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import decode
+from octex.editing.averages import with_residuals
 from octex.painting.cells import refined_values
 from octex.parallel import ordered_map, workers
-from octex.processing.averages import within
 from octex.texture import Channel, OctreeTexture
 from octex.texture.split import rows_facing
 from octex.tree.edit import locate
@@ -55,4 +55,4 @@ def rows_below(
     """Return what cells (n,) below leaves show facings: what differs from their ``own`` as in the leaves."""
     whole = decode(channel.values[leaves], channel.format.space)
     rows = rows_facing(texture, channel, leaves, bits)
-    return np.asarray(within(own + rows - whole, channel.format, own, rows), np.float32)
+    return np.asarray(with_residuals(channel.format, rows.astype(np.float64), own - whole), np.float32)

@@ -10,12 +10,18 @@ import numpy.typing as npt
 from octex.channels import ALPHA, decode, encode
 from octex.checks import as_depth, as_points
 from octex.conversion.facings import MOST, in_codes
+from octex.editing.averages import (
+    Nodes,
+    add_up_areas,
+    alpha_beside,
+    average,
+    node_cells,
+    residuals,
+)
+from octex.editing.facings import average_rows, row_residuals, rows_of
 from octex.errors import ArgumentError
-from octex.painting.averages import add_up_areas
 from octex.painting.raising import sources_of
-from octex.processing.averages import average, coverage, difference, node_cells, residuals
 from octex.processing.edit import noted
-from octex.processing.facings import average_rows, row_residuals, rows_of
 from octex.processing.refine import refined, rows_below
 from octex.texture import Channel, OctreeTexture
 from octex.texture.split import bits_of, find_rows, refaced, with_split
@@ -159,9 +165,9 @@ def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> Oct
     metadata = noted(texture.metadata, "crop", box=corners.tolist())
     areas = edited.tree.arrays.areas.copy()
     nodes, old_nodes = node_cells(edited.tree), node_cells(tree)
-    were = np.searchsorted(old_nodes, edited.old[nodes])
+    old = Nodes(np.searchsorted(old_nodes, edited.old[nodes]), edited.old[nodes])
     firsts, counts = children_of(edited.tree, np.arange(nodes.size))
-    is_cut = counts < children_of(tree, were)[1]
+    is_cut = counts < children_of(tree, old.numbers)[1]
     below_cut = np.zeros(edited.tree.n_cells, np.bool_)
     below_cut[firsts[is_cut]] = True
     add_up_areas(edited.tree, below_cut, areas)
@@ -180,10 +186,10 @@ def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> Oct
     there, old_rows = find_rows(tree.split, edited.old[cells], bits)
     for name in sorted(channels, key=lambda name: name != ALPHA.name):
         before, after = texture.channels[name], made.channels[name]
-        left = residuals(tree, before, coverage(texture.channels, name))[were]
-        average(made.tree, after, coverage(made.channels, name), left)
+        left = residuals(tree, before, alpha_beside(texture.channels, name), nodes=old)
+        average(made.tree, after, alpha_beside(made.channels, name), left)
         left = np.zeros((rows.size, before.format.components))
-        left[there] = row_residuals(texture, before, difference)[old_rows]
+        left[there] = row_residuals(texture, before)[old_rows]
         average_rows(made, after, left)
     return made
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import decode
-from octex.processing.averages import residuals
+from octex.editing.averages import Nodes, alpha_beside, node_cells, residuals
 from octex.processing.refine import refined, rows_below
 from octex.processing.union import BELOW, NOTHING, Origins
 from octex.texture import OctreeTexture
@@ -110,14 +110,13 @@ class Side:
         found: Bools = is_kept | (self.origins.nodes < NOTHING)
         return found
 
-    def residuals(self, name: str, weights: Float32s, wanted: Bools) -> npt.NDArray[np.floating[Any]]:
-        """Return the residuals of nodes of the union that are ``wanted``; zeros for what is no node here."""
-        nodes = self.origins.nodes[wanted]
-        chosen = np.zeros(self.texture.tree.n_nodes, np.bool_)
-        chosen[nodes[nodes >= 0]] = True
-        channel = self.texture.channels[name]
-        if not chosen.any():
-            return np.zeros((nodes.size, channel.format.components), np.float32)
-        found = residuals(self.texture.tree, channel, weights, chosen=chosen)[np.maximum(nodes, 0)]
-        found[nodes < 0] = 0.0
+    def residuals(self, name: str, nodes: Int64s) -> npt.NDArray[np.floating[Any]]:
+        """Return the residuals of nodes (n,) of the union, by number; zeros for what is no node here."""
+        own = self.origins.nodes[nodes]
+        is_own = own >= 0
+        tree, channels = self.texture.tree, self.texture.channels
+        chosen = Nodes(own[is_own], node_cells(tree)[own[is_own]])
+        known = residuals(tree, channels[name], alpha_beside(channels, name), nodes=chosen)
+        found = np.zeros((own.size, known.shape[1]), known.dtype)
+        found[is_own] = known
         return found

@@ -19,9 +19,10 @@ from octex.channels import (
     srgb_to_linear,
 )
 from octex.checks import as_number
+from octex.editing.averages import Change, Float64s
 from octex.errors import ArgumentError
 from octex.jit import kernel
-from octex.processing.averages import Change, Float64s, Tables, tables_of
+from octex.processing.averages import Tables, tables_of
 from octex.processing.edit import noted, with_values
 from octex.processing.mapping import names_of
 from octex.texture import Channel, OctreeTexture

@@ -94,6 +94,24 @@ def with_split(
     return OctreeTexture(tree, channels, texture.placement, texture.bounds, texture.metadata)
 
 
+def without_split(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
+    """Return a texture in which ``cells``, that are split, are not."""
+    if not cells.size:
+        return texture
+    tree = texture.tree
+    stays = ~np.isin(tree.split.cells, cells)
+    rows = np.repeat(stays, np.bitwise_count(tree.split.facings))
+    table = SplitTable(tree.split.cells[stays], tree.split.facings[stays], tree.split.areas[rows])
+    flags = tree.arrays.flags.copy()
+    flags[cells] &= np.uint8(0xFF ^ SPLIT)
+    channels = {
+        name: channel._replace(split_values=channel.split_values[rows])
+        for name, channel in texture.channels.items()
+    }
+    tree = tree.with_cell_data(flags, tree.arrays.areas, table, tree.kept)
+    return OctreeTexture(tree, channels, texture.placement, texture.bounds, texture.metadata)
+
+
 def refaced(texture: OctreeTexture) -> OctreeTexture:
     """Return a texture whose nodes face all ways that their children do, and no other.
 

@@ -113,8 +113,9 @@ def raised(
     met      for each level, Morton codes, ascending: of all cells below these leaves those that are to be
     added    for each level, Morton codes, ascending: leaves to add where the tree has nothing
 
-    A leaf that none of ``met`` is below stays. Nodes that were leaves, and new nodes, are flagged KEPT: their
-    coefficients, in the order of the kept table, are for the caller to fill in.
+    A leaf that none of ``met`` is below stays. Nodes that were leaves, and new nodes below these or below
+    nodes that are KEPT, are flagged KEPT: their coefficients, in the order of the kept table, are for the
+    caller to fill in.
     """
     depth = max(tree.max_depth, len(wanted) - 1, len(added) - 1)
     none = np.empty(0, np.int64)
@@ -125,6 +126,14 @@ def raised(
     for level in range(depth, 0, -1):
         needed[level - 1] = distinct(np.concatenate([needed[level], wanted[level]]) >> 3)
     walk = tree.walk()
+    above_added = [none] * (depth + 1)  # new nodes below kept ones
+    if tree.kept.cells.size:
+        above = none
+        for level in range(depth, 0, -1):
+            above = distinct(np.concatenate([above, added[level]]) >> 3)
+            where = locate(tree, above, level - 1)
+            is_kept = tree.arrays.flags[where.cells] & KEPT != 0
+            above_added[level - 1] = above[is_kept & (where.levels < level - 1)]
     leaves: list[Int64s] = []
     keeping: list[Int64s] = []  # nodes that were leaves, and below them
     split_codes = none  # those of the level above
@@ -138,7 +147,7 @@ def raised(
         on = among(children, needed[level]) & among(children, below)
         leaves.append(np.sort(np.concatenate([own[~may], children[~on], added[level]])))
         split_codes = np.sort(np.concatenate([own[may], children[on]]))
-        keeping.append(split_codes)
+        keeping.append(np.sort(np.concatenate([split_codes, above_added[level]])))
     edited = rebuilt(tree, leaves)
     return _keeping(edited, keeping)
 
