@@ -190,9 +190,9 @@ class Step(NamedTuple):
     lines: tuple[str, ...]  # the last one makes ``texture``
     claim: Claim | None = None
     fits: bool = False  # leaves become coefficients: averages are not their means, and floats leave 0 … 1
-    spreads: bool = False  # averages above nodes that kept coefficients may be other than means
     leaves_range: bool = False  # floats may leave 0 … 1
     has_gaps: bool = False  # alpha of nodes counts surface where nothing is stored
+    adds: tuple[str, ...] = ()  # what gives other textures, whose averages differ from means too
 
 
 class Run:
@@ -202,8 +202,7 @@ class Run:
         self.names: dict[str, Any] = dict(vars_of_scripts())
         self.dtypes, self.folder, self.points = dtypes, folder, points
         self.steps: list[Step] = []
-        self.grains: dict[str, float] = {}
-        self.is_fitted = self.is_spread = self.is_free = self.has_gaps = False
+        self.is_fitted = self.is_free = False
 
     @property
     def texture(self) -> OctreeTexture:
@@ -230,21 +229,19 @@ class Run:
                 return False
             raise
         self.is_fitted |= step.fits
-        self.is_spread |= step.spreads
         self.is_free |= step.leaves_range
-        self.has_gaps |= step.has_gaps
         after = self.texture
-        for name, channel in after.channels.items():
-            grain = claims.code_width(channel.format)
-            self.grains[name] = max(self.grains.get(name, 0.0), grain)
         count = len(self.steps)
         claims.assert_sound(after, self.folder, count, self.points)
         if not self.is_fitted:
             claims.assert_in_unit_range(after, None if not self.is_free else ["alpha"])
-        if not self.is_fitted and not self.is_spread:
-            names = [name for name in after.channels if name != "alpha" or not self.has_gaps]
-            claims.assert_averaged(after, names, 1.0 + count, self.grains)
+        if before is None and not self.is_fitted:
+            names = [name for name in after.channels if name != "alpha" or not step.has_gaps]
+            claims.assert_averaged(after, names, 2.0)
         if before is not None:
+            if after.tree.n_cells < MOST_AVERAGED and (step.is_exact or not self.is_fitted):
+                layers = [eval(code, {**self.names, "texture": before}) for code in step.adds]
+                assert_averages(before, after, layers)
             assert claims.digest(before) == was, "the texture that was given has changed"
             assert after.placement == before.placement, "the root cell has moved"
             if step.claim is not None:
@@ -339,7 +336,7 @@ def first_steps(random: Random, run: Run, small: bool) -> list[Step]:
         fit = random.random() < 0.5
         shot = projection(random)
         line = call("texture = octex.paint", "None", "surface", shot, max_depth=depth, fit=fit)
-        return [Step((surface, line), fits=fit, spreads=overshoots(shot))]
+        return [Step((surface, line), fits=fit))]
     line = call("texture = octex.convert", "surface", depth, **options)
     return [Step((surface, line), fits=fit, has_gaps="sources" in options)]
 
@@ -409,8 +406,8 @@ def draw_paint(random: Random, run: Run) -> Step:
         return claims.painted_boxes(eval(code, {**run.names, "texture": before}))
 
     fits = "fit" not in options
-    lines, spreads = (f"pictures = {pictures}", line), overshoots(pictures)
-    return Step(lines, near(painted), fits=fits, spreads=spreads, leaves_range=True)
+    lines = f"pictures = {pictures}", line
+    return Step(lines, near(painted), fits=fits, leaves_range=True)
 
 
 def draw_layer(random: Random, run: Run) -> Step:
@@ -426,8 +423,8 @@ def draw_layer(random: Random, run: Run) -> Step:
     def painted(run: Run, before: OctreeTexture) -> Any:  # noqa: ARG001
         return claims.painted_boxes(run.names["layer"])
 
-    fits, spreads = "fit" not in options, overshoots(pictures)
-    return Step(tuple(lines), near(painted), fits=fits, spreads=spreads, leaves_range=True)
+    fits = "fit" not in options
+    return Step(tuple(lines), near(painted), fits=fits, leaves_range=True)
 
 
 def draw_fill(random: Random, run: Run) -> Step:
@@ -551,7 +548,7 @@ def draw_map(random: Random, run: Run) -> Step:
         assert np.abs(scale * was + shift - found).max() <= slack, "the field is not mapped as its values are"
 
     # Turned round, what light values were rounded by is many codes of dark ones.
-    return Step((line,), claim, spreads=scale < 0)
+    return Step((line,), claim)
 
 
 def assert_same_tree(before: OctreeTexture, after: OctreeTexture) -> None:
@@ -574,7 +571,7 @@ def draw_levels(random: Random, run: Run) -> Step:
     line = call("texture = octex.levels", "texture", chosen, **options)
     # What areas in steps of 9 % let averages differ by may grow with the slope of the curve.
     claim = lambda _run, before, after: assert_same_tree(before, after)  # noqa: E731
-    return Step((line,), claim, spreads=True, leaves_range=True)
+    return Step((line,), claim, leaves_range=True)
 
 
 def other_texture(random: Random, run: Run) -> tuple[str, ...]:
@@ -609,7 +606,7 @@ def draw_mix(random: Random, run: Run) -> Step:
     elif how < 0.4 and "roughness" in run.texture.channels:
         amount = "octex.cast(texture, channels=['roughness'])"
     line = call("texture = octex.mix", "texture", "other", amount)
-    return Step((*lines, line), claim, spreads=True, fits=fits_of(lines), leaves_range=True)
+    return Step((*lines, line), claim, fits=fits_of(lines), leaves_range=True)
 
 
 def fits_of(lines: Sequence[str]) -> bool:
@@ -629,7 +626,7 @@ def draw_combine(random: Random, run: Run) -> Step:
             return
         claims.assert_far_cells_stay(before, after, where, 0.01)
 
-    return Step((*lines, line), claim, spreads=True, fits=fits_of(lines), leaves_range=True)
+    return Step((*lines, line), claim, fits=fits_of(lines), leaves_range=True)
 
 
 def draw_blur(random: Random, run: Run) -> Step:
@@ -638,7 +635,7 @@ def draw_blur(random: Random, run: Run) -> Step:
     chosen = [] if name is None else [repr(name)]
     line = call("texture = octex.blur", "texture", width, *chosen)
     # What areas in steps of 9 % let averages differ by stays, while what they are means of gets alike.
-    return Step((line,), lambda _run, before, after: assert_same_tree(before, after), spreads=True)
+    return Step((line,), lambda _run, before, after: assert_same_tree(before, after))
 
 
 def draw_crop(random: Random, run: Run) -> Step:
@@ -667,7 +664,7 @@ def draw_crop(random: Random, run: Run) -> Step:
         claims.assert_far_cells_stay(before, after, where, 0.01)
         claims.assert_far_field_stays(before, after, run.surface, where, 1.01, len(run.steps))
 
-    return Step((line,), claim, spreads=True)  # what a node differs from its children's mean by stays
+    return Step((line,), claim)
 
 
 def draw_resize(random: Random, run: Run) -> Step:
@@ -680,7 +677,7 @@ def draw_resize(random: Random, run: Run) -> Step:
         points = run.surface.placed_in(before).scatter(200, len(run.steps)).rest
         claims.assert_same_field(before, after, points[before.contains(points)], None)
 
-    return Step((line,), claim, spreads=True)
+    return Step((line,), claim)
 
 
 def draw_cast(random: Random, run: Run) -> Step:
@@ -718,7 +715,7 @@ def draw_curves(random: Random, run: Run) -> Step:
     name = one_of(random, [each for each in run.texture.channels if each != "normal"])
     points = one_of(random, ([(0, 0.2), (0.5, 0.9), (1, 1)], [(0, 1), (1, 0)], [(0.3, 0), (0.6, 1)]))
     line = call("texture = octex.curves", "texture", repr(name), points)
-    return Step((line,), lambda _run, before, after: assert_same_tree(before, after), spreads=True)
+    return Step((line,), lambda _run, before, after: assert_same_tree(before, after))
 
 
 STEPS: tuple[tuple[Callable[[Random, Run], Step], int], ...] = (
