@@ -216,15 +216,14 @@ def _blended(
     for name, own in left_rows.items():  # areas of rows are rounded: they weigh otherwise than even parts
         if gone.size:
             average_rows(found, found.channels[name], np.delete(own, gone, axis=0), above.nodes)
-    # Rows of other channels change where cells are split, or faced, otherwise than before.
+    # Rows of other channels change where, or above where, cells are split or faced otherwise than before.
     was = np.where(above.before.cells >= 0, texture.tree.arrays.flags[above.before.cells], np.uint8(0))
-    faced_anew = (found.tree.arrays.flags[above.nodes.cells] ^ was) & np.uint8(FACING_FLAGS | SPLIT) != 0
-    some = above.of(faced_anew & (above.before.numbers >= 0))
-    rows = rows_of(found.tree, some.nodes.cells)
-    for name in found.channels.keys() - left_rows.keys() if rows.rows.size else ():
+    is_new = (found.tree.arrays.flags[above.nodes.cells] ^ was) & np.uint8(FACING_FLAGS | SPLIT) != 0
+    rows = rows_of(found.tree, above.nodes.cells)
+    for name in found.channels.keys() - left_rows.keys() if rows.rows.size and is_new.any() else ():
         own = np.zeros((found.tree.split.areas.size, found.channels[name].format.components))
-        own[rows.rows] = residuals_before(texture, raised.texture, name, some, is_fresh, rows).rows
-        average_rows(found, found.channels[name], own, some.nodes)
+        own[rows.rows] = residuals_before(texture, raised.texture, name, above, is_fresh, rows).rows
+        average_rows(found, found.channels[name], own, above.nodes)
     return found
 
 
