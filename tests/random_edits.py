@@ -481,6 +481,8 @@ def draw_fill(random: Random, run: Run) -> Step:
     line = call("texture = octex.fill", "texture", "surface", region, color, **options)
 
     def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
+        if run.surface.placed_in(before) is not run.surface:
+            return  # parts were moved, the region is where they were
         near(lambda _run, _before: where)(run, before, after)
         if kind in ("sphere", "box") and not soft:
             assert_filled(run, before, after, where, name, color, blend, opacity)
@@ -503,6 +505,8 @@ def assert_filled(
     texture_name = "alpha" if blend == "erase" else name
     if blend == "add" and after.channels[name].format.dtype.startswith("u"):
         return  # which clamp
+    if claims.adds_leaves(before, after):
+        return  # where there was nothing paint is opaque
     has_alpha = "alpha" in before.channels
     if has_alpha and blend != "erase" and (opacity < 1 or blend in ("multiply", "screen", "add")):
         return  # colours weigh by alphas that were other ones
