@@ -34,6 +34,7 @@ from octex.tree.octree import Octree
 
 Int64s = npt.NDArray[np.int64]
 Float32s = npt.NDArray[np.float32]
+Float64s = npt.NDArray[np.float64]
 
 
 def merge(
@@ -164,7 +165,6 @@ def _blended(
     opacity: float,
 ) -> OctreeTexture:
     """Blend paint into the cells that it is on, once each (step 5), and average anew."""
-    source = layer.channels[painted_channel(layer)]
     tree, is_fresh = raised.texture.tree, raised.is_fresh
     cells, values, coverage, sources = _on_leaves(tree, paint)
     above = nodes_above(tree, [each.codes for each in paint], texture.tree, layer.tree)
@@ -172,45 +172,65 @@ def _blended(
     base = raised.texture
     if may_split.size:
         base = with_split(base, may_split, tree.arrays.flags[may_split] & np.uint8(FACING_FLAGS), {})
-    old = {name: decode(own.values[cells], own.format.space) for name, own in _met(base, target)}
+    met = {name: own for name, own in base.channels.items() if name in (target, ALPHA.name)}
+    old = {name: decode(own.values[cells], own.format.space) for name, own in met.items()}
     made = mixed(blend, target, old, values, coverage, is_fresh[cells])
-    changes_alpha = ALPHA.name in made
     channels, parts = dict(base.channels), {}
     for name, channel in base.channels.items():
-        if name in made or changes_alpha or is_fresh.any():
-            own = channel._replace(values=channel.values.copy(), split_values=channel.split_values.copy())
-            channels[name] = own
-            counts = len(own.values), len(own.split_values), 0
-            parts[name] = Channel(channel.format, *(np.zeros((n, 1), np.float32) for n in counts))
+        if name in made or ALPHA.name in made or is_fresh.any():
+            arrays = channel.values.copy(), channel.split_values.copy(), channel.kept_values
+            channels[name] = Channel(channel.format, *arrays)
+            parts[name] = Channel(channel.format, *(np.zeros((len(own), 1), np.float32) for own in arrays))
     for name, (new, part) in made.items():
         form = channels[name].format
         channels[name].values[cells] = encode(new, form.dtype, form.space)
         parts[name].values[cells, 0] = part
+    after = OctreeTexture(base.tree, channels, base.placement, base.bounds, base.metadata)
+
     rows = rows_of(base.tree, cells)
     owners = np.searchsorted(cells, rows.cells)
-    paints = rows_facing(layer, source, sources[owners], rows.bits)
-    covers = rows_facing(layer, layer.channels[ALPHA.name], sources[owners], rows.bits)[:, 0]
-    covers *= np.float32(opacity)
-    covers[layer.tree.arrays.flags[sources[owners]] & rows.bits == 0] = 0
-    old = {name: decode(own.split_values[rows.rows], own.format.space) for name, own in _met(base, target)}
+    values, coverage = _shown(layer, sources[owners], rows.bits, opacity)
+    old = {name: decode(own.split_values[rows.rows], own.format.space) for name, own in met.items()}
     fresh = is_fresh[rows.cells]
-    bare = fresh & (covers == 0)
-    for name, (new, part) in mixed(blend, target, old, paints, covers, fresh).items():
+    bare = fresh & (coverage == 0)
+    for name, (new, part) in mixed(blend, target, old, values, coverage, fresh).items():
         form = channels[name].format
         if name != ALPHA.name:
             new[bare] = decode(channels[name].values[rows.cells[bare]], form.space)
         channels[name].split_values[rows.rows] = encode(new, form.dtype, form.space)
         parts[name].split_values[rows.rows, 0] = part
-    after = OctreeTexture(base.tree, channels, base.placement, base.bounds, base.metadata)
+
     rows = rows_of(base.tree, above.nodes.cells)
     left_rows = {}
     for name in sorted(parts, key=lambda name: name != ALPHA.name):
         left = residuals_before(texture, raised.texture, name, above, is_fresh, rows)
         takes_on = name == target and blend in ("over", "replace")
-        own_left = residuals_of_paint(layer, source.format.name, above, rows) if takes_on else None
-        left_rows[name] = average_above(after, name, parts[name], above, rows, left, own_left)
-    new = may_split[tree.arrays.flags[may_split] & SPLIT == 0]
-    excess = _split_in_vain(after, new)
+        of_paint = residuals_of_paint(layer, painted_channel(layer), above, rows) if takes_on else None
+        left_rows[name] = average_above(after, name, parts[name], above, rows, left, of_paint)
+    new_split = may_split[tree.arrays.flags[may_split] & SPLIT == 0]
+    return _settled(after, new_split, texture, raised, above, left_rows)
+
+
+def _shown(
+    layer: OctreeTexture, sources: Int64s, bits: npt.NDArray[np.uint8], opacity: float
+) -> tuple[Float32s, Float32s]:
+    """Return what paint, of cells ``sources`` (n,) of its octree, shows facings (n,), and its coverage."""
+    values = rows_facing(layer, layer.channels[painted_channel(layer)], sources, bits)
+    coverage = rows_facing(layer, layer.channels[ALPHA.name], sources, bits)[:, 0] * np.float32(opacity)
+    coverage[layer.tree.arrays.flags[sources] & bits == 0] = 0
+    return values, coverage
+
+
+def _settled(
+    after: OctreeTexture,
+    new_split: Int64s,
+    texture: OctreeTexture,
+    raised: Raised,
+    above: Above,
+    left_rows: Mapping[str, Float64s],
+) -> OctreeTexture:
+    """Keep those of the newly split cells that need it; average rows for the cells that are then split."""
+    excess = _split_in_vain(after, new_split)
     found = without_split(after, excess)
     gone = rows_of(after.tree, excess).rows
     for name, own in left_rows.items():  # areas of rows are rounded: they weigh otherwise than even parts
@@ -220,16 +240,13 @@ def _blended(
     was = np.where(above.before.cells >= 0, texture.tree.arrays.flags[above.before.cells], np.uint8(0))
     is_new = (found.tree.arrays.flags[above.nodes.cells] ^ was) & np.uint8(FACING_FLAGS | SPLIT) != 0
     rows = rows_of(found.tree, above.nodes.cells)
-    for name in found.channels.keys() - left_rows.keys() if rows.rows.size and is_new.any() else ():
-        own = np.zeros((found.tree.split.areas.size, found.channels[name].format.components))
-        own[rows.rows] = residuals_before(texture, raised.texture, name, above, is_fresh, rows).rows
-        average_rows(found, found.channels[name], own, above.nodes)
+    if not rows.rows.size or not is_new.any():
+        return found
+    for name in found.channels.keys() - left_rows.keys():
+        left = np.zeros((found.tree.split.areas.size, found.channels[name].format.components))
+        left[rows.rows] = residuals_before(texture, raised.texture, name, above, raised.is_fresh, rows).rows
+        average_rows(found, found.channels[name], left, above.nodes)
     return found
-
-
-def _met(base: OctreeTexture, target: str) -> list[tuple[str, Channel]]:
-    """Return the channels that paint meets: its own, and alpha."""
-    return [(name, base.channels[name]) for name in base.channels if name in (target, ALPHA.name)]
 
 
 def _on_leaves(tree: Octree, paint: Sequence[Paint]) -> tuple[Int64s, Float32s, Float32s, Int64s]:
