@@ -323,8 +323,8 @@ def assert_far_field_stays(
     """On the surface, farther than ``reach`` cells of paint from a region, lookups answer as before.
 
     Farther than a cell, too, from nodes where nothing was: no field spreads into what of these is empty.
-    With normals, farther than a cell too from leaves that were divided: smaller ones face fewer ways; and from
-    nodes that keep a coefficient and face other ways now.
+    With normals, farther than a cell too from leaves that were divided, as smaller ones face fewer ways, and
+    from nodes that keep a coefficient and face other ways now.
     """
     samples = surface.placed_in(before).scatter(300, seed)
     points, normals = samples.rest, samples.normals
@@ -341,6 +341,12 @@ def assert_far_field_stays(
     divided = Boxes(cells.low[was_divided], cells.high[was_divided], cells.edges[was_divided])
     far &= divided.gaps(points, points) > 1.0
     assert_same_field(before, after, points[far], normals[far])
+
+
+def largest(texture: OctreeTexture, name: str) -> float:
+    """The largest that a channel stores, decoded: what floats round by grows with it."""
+    channel = texture.channels[name]
+    return max(float(np.abs(decode(array, channel.format.space)).max(initial=1e-3)) for array in channel[1:])
 
 
 def assert_same_field(
@@ -360,7 +366,7 @@ def assert_same_field(
             for found in (one, other)
         )
         forms = [texture.channels[name].format for texture in (before, after)]
-        most = float(np.abs(one[name]).max()) + 1e-3
+        most = max(largest(texture, name) for texture in (before, after))
         slack = codes * max(code_width(form, most) for form in forms) + 1e-5 * most
         if ALPHA.name in names and name != ALPHA.name:
             slack += (

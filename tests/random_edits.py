@@ -533,7 +533,7 @@ def assert_filled(
     part = 1.0 if blend == "replace" else opacity
     wanted = was + part * paint if blend == "add" else was + part * (paint - was)
     found = after.sample(points, texture_name, normalize=False)
-    slack = 1.5 * claims.code_width(form, float(np.abs(wanted).max()) + 1e-3) + 2e-5
+    slack = 1.5 * claims.code_width(form, claims.largest(after, texture_name)) + 2e-5
     apart = np.abs(found - wanted).max(axis=1)
     worst = int(apart.argmax())
     assert apart[worst] <= slack, (

@@ -22,12 +22,12 @@ DTYPES = ("uint8", "float32")
 
 
 @needs_jit
-@pytest.mark.parametrize("seed", [2, 3, 4, 5, 7, 10, 12, 13, 19, 22])
+@pytest.mark.parametrize("seed", range(8))
 def test_whatever_is_done_to_a_texture_it_stays_sound(seed: int) -> None:
     check(seed, DTYPES)
 
 
-@pytest.mark.parametrize("seed", [1, 4])
+@pytest.mark.parametrize("seed", range(2))
 def test_whatever_is_done_to_a_tiny_texture_it_stays_sound(seed: int) -> None:
     check(seed, DTYPES[:1], small=True)
 

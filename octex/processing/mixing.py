@@ -117,8 +117,9 @@ class Mixing:
         rows = rows_of(tree, made.cells)
         if rows.rows.size:
             of_rows = np.zeros((tree.split.areas.size, left.shape[1]))
-            one, other = (side.row_residuals(name, rows) for side in sides)
-            share = self._share[rows.cells, None]
+            (one, is_one), (other, is_other) = (side.row_residuals(name, rows) for side in sides)
+            share = self._share[rows.cells]
+            share = np.where(is_one & is_other, share, is_other)[:, None]
             of_rows[rows.rows] = (1 - share) * one + share * other
             whole = OctreeTexture(tree, channels, self._texture.placement, self._texture.bounds)
             average_rows(whole, channels[name], of_rows, made)

@@ -123,12 +123,14 @@ class Side:
         found[is_own] = known
         return found
 
-    def row_residuals(self, name: str, rows: Rows) -> Float64s:
-        """Return the residuals of rows (n,) of the union; zeros for what is no row of a node here."""
+    def row_residuals(self, name: str, rows: Rows) -> tuple[Float64s, Bools]:
+        """Return the residuals of rows (n,) of the union, zeros for what is no row here, and which are."""
         where, channel = self.origins.cells[rows.cells], self.texture.channels[name]
         found = np.zeros((where.size, channel.format.components))
         own = np.flatnonzero(where > NOTHING)
         there, known = find_rows(self.texture.tree.split, where[own], rows.bits[own])
+        is_here = np.zeros(where.size, np.bool_)
+        is_here[own[there]] = True
         if known.size:
-            found[own[there]] = row_residuals(self.texture, channel)[known]
-        return found
+            found[is_here] = row_residuals(self.texture, channel)[known]
+        return found, is_here
