@@ -82,10 +82,12 @@ def _by_level(tree: Octree, nodes: Nodes | None) -> Iterator[tuple[Rows, Int64s]
     if not tree.split.cells.size:
         return
     nodes = all_nodes(tree) if nodes is None else nodes
+    rows = rows_of(tree, nodes.cells)
+    owners = np.searchsorted(nodes.cells, rows.cells)
     for here in levels_of(tree, nodes):
-        rows = rows_of(tree, nodes.cells[here])
-        if rows.rows.size:
-            yield rows, nodes.numbers[here][np.searchsorted(nodes.cells[here], rows.cells)]
+        some = slice(*np.searchsorted(owners, [here.start, here.stop]).tolist())
+        if some.start < some.stop:
+            yield Rows(rows.rows[some], rows.cells[some], rows.bits[some]), nodes.numbers[owners[some]]
 
 
 def _means(

@@ -120,7 +120,7 @@ def _take_rows(
 def average_above(
     texture: OctreeTexture,
     name: str,
-    part: Channel,
+    part: Channel | None,
     above: Above,
     rows: Rows,
     before: Left,
@@ -129,20 +129,23 @@ def average_above(
     """Make the averages of a channel anew, in place, for nodes and ``rows`` of theirs.
 
     ``part`` says how much of leaves, and of their rows, is painted, 0 … 1; that of nodes is filled in.
+    None stands for nothing.
     Returns what of residuals is left in all rows of the tree (rows, components).
     """
     tree, channel = texture.tree, texture.channels[name]
     alpha = alpha_beside(texture.channels, name)
-    own = part._replace(format=ChannelFormat(name, 1, "data", "float32"))
-    average(tree, own, alpha, np.zeros((above.nodes.cells.size, 1)), above.nodes)
-    average_rows(texture, own, np.zeros((len(own.split_values), 1)), above.nodes)
-    left_rows = np.zeros((len(own.split_values), channel.format.components))
-    covered, row_covered = own.values[above.nodes.cells], own.split_values[rows.rows]
-    left = before.nodes * (1 - covered)
-    left_rows[rows.rows] = before.rows * (1 - row_covered)
-    if paint is not None:
-        left += paint.nodes * covered
-        left_rows[rows.rows] += paint.rows * row_covered
+    left, of_rows = before
+    if part is not None:
+        own = part._replace(format=ChannelFormat(name, 1, "data", "float32"))
+        average(tree, own, alpha, np.zeros((above.nodes.cells.size, 1)), above.nodes)
+        average_rows(texture, own, np.zeros((len(own.split_values), 1)), above.nodes)
+        covered, row_covered = own.values[above.nodes.cells], own.split_values[rows.rows]
+        left, of_rows = left * (1 - covered), of_rows * (1 - row_covered)
+        if paint is not None:
+            left += paint.nodes * covered
+            of_rows += paint.rows * row_covered
+    left_rows = np.zeros(channel.split_values.shape)
+    left_rows[rows.rows] = of_rows
     average(tree, channel, alpha, left, above.nodes)
     average_rows(texture, channel, left_rows, above.nodes)
     return left_rows

@@ -175,14 +175,17 @@ def _blended(
     met = {name: own for name, own in base.channels.items() if name in (target, ALPHA.name)}
     old = {name: decode(own.values[cells], own.format.space) for name, own in met.items()}
     made = mixed(blend, target, old, values, coverage, is_fresh[cells])
-    channels, parts = dict(base.channels), {}
+    channels, parts = dict(base.channels), dict[str, Channel]()
+    averaged: list[str] = []
     for name, channel in base.channels.items():
         if name in made or ALPHA.name in made or is_fresh.any():
             arrays = channel.values.copy(), channel.split_values.copy(), channel.kept_values
             channels[name] = Channel(channel.format, *arrays)
-            parts[name] = Channel(channel.format, *(np.zeros((len(own), 1), np.float32) for own in arrays))
+            averaged.append(name)
     for name, (new, part) in made.items():
         form = channels[name].format
+        counts = len(channels[name].values), len(channels[name].split_values), 0
+        parts[name] = Channel(form, *(np.zeros((count, 1), np.float32) for count in counts))
         channels[name].values[cells] = encode(new, form.dtype, form.space)
         parts[name].values[cells, 0] = part
     after = OctreeTexture(base.tree, channels, base.placement, base.bounds, base.metadata)
@@ -202,11 +205,11 @@ def _blended(
 
     rows = rows_of(base.tree, above.nodes.cells)
     left_rows = {}
-    for name in sorted(parts, key=lambda name: name != ALPHA.name):
+    for name in sorted(averaged, key=lambda name: name != ALPHA.name):
         left = residuals_before(texture, raised.texture, name, above, is_fresh, rows)
         takes_on = name == target and blend in ("over", "replace")
         of_paint = residuals_of_paint(layer, painted_channel(layer), above, rows) if takes_on else None
-        left_rows[name] = average_above(after, name, parts[name], above, rows, left, of_paint)
+        left_rows[name] = average_above(after, name, parts.get(name), above, rows, left, of_paint)
     new_split = may_split[tree.arrays.flags[may_split] & SPLIT == 0]
     return _settled(after, new_split, texture, raised, above, left_rows)
 
