@@ -671,7 +671,8 @@ def draw_crop(random: Random, run: Run) -> Step:
         lost = (cells.low[gone] < np.array(high) - 1e-9).all(axis=1)
         lost &= (cells.high[gone] > np.array(low) + 1e-9).all(axis=1)
         assert not lost.any(), "leaves in the box are gone"
-        # A node that keeps a coefficient is gone, or faces other ways, where its children are.
+        # Where a node is gone the field spreads anew; one that keeps a coefficient faces other ways.
+        gone |= ~np.isin(cells.keys, left.keys)
         lost = gone
         while lost.any():
             lost = np.isin(cells.keys, cells.keys[lost] >> 3)
