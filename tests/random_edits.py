@@ -555,6 +555,9 @@ def draw_map(random: Random, run: Run) -> Step:
         if name == "alpha" or "alpha" in before.channels:
             return
         points = run.surface.placed_in(before).scatter(100, 1).rest
+        points = points[before.contains(points)]
+        if not len(points):
+            return
         was, found = (each.sample(points, name) for each in (before, after))
         form = after.channels[name].format
         stored = claims.decode(before.channels[name].values, form.space)
