@@ -184,7 +184,7 @@ def _residual(
 
 def _around(mean: Floats, residuals: Sequence[Floats]) -> tuple[Floats, Floats]:
     """The least and the most that some parts of residuals make of a mean."""
-    parts = [np.zeros_like(mean), *residuals]
+    parts = [np.zeros_like(mean), *(np.broadcast_to(each, mean.shape) for each in residuals)]
     return mean + np.min(parts, axis=0), mean + np.max(parts, axis=0)
 
 

@@ -18,6 +18,7 @@ from octex.tree.placement import Placement
 from tests import naive_processing as naive
 from tests.conftest import needs_jit
 from tests.small_textures import UNIT, UNIT_BOUNDS, eight_colors, shell
+from tests.solids import cube
 from tests.strategies import leaf_sets, random_values, with_random_data
 
 COLOR = ChannelFormat("base_color", 3, "srgb")
@@ -212,3 +213,15 @@ def test_what_cannot_be_put_together_is_refused() -> None:
         octex.mix(full, full, lambda points: np.where(points[:, 0] > 0.5, np.nan, 0))
     with pytest.raises(ArgumentError, match="the amount raised ZeroDivisionError"):
         octex.mix(full, full, lambda points: len(points) // 0)
+
+
+@needs_jit
+def test_a_part_laid_over_its_whole_leaves_what_nodes_show_each_way() -> None:
+    points, triangles = cube((0, 0, 0))
+    hues = np.random.default_rng(0).random((len(triangles), 3))
+    texture = octex.convert(octex.Surface.from_arrays(points, triangles, face_colors=hues), 3, fit=False)
+    part = octex.crop(texture, (0.5, 0.5, 0.5), (1.1, 1.1, 1.1))  # which shows three ways of six
+    made = octex.combine(texture, part)
+    np.testing.assert_array_equal(made.tree.split.cells, texture.tree.split.cells)
+    rows = made.channels["base_color"].split_values.astype(float)
+    np.testing.assert_allclose(rows, texture.channels["base_color"].split_values, atol=2)

@@ -8,8 +8,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 import octex
+from octex.channels import ROUGHNESS
 from octex.errors import ArgumentError
-from octex.texture import OctreeTexture
+from octex.texture import Channel, OctreeTexture
 from tests import naive_processing as naive
 from tests.conftest import needs_jit
 from tests.naive import unmorton
@@ -54,6 +55,18 @@ def test_leaves_at_any_depth_are_divided_soundly(texture: OctreeTexture) -> None
     made.validate()
     depths = [leaves for leaves, _ in made.tree.cells_by_depth()]
     assert not any(depths[:3])
+
+
+@given(textures(3))
+def test_what_facings_show_in_divided_leaves_stays_in_range(texture: OctreeTexture) -> None:
+    depth = texture.tree.max_depth
+    assume(depth < 3 or not texture.tree.n_leaves)
+    made = octex.resize(texture, depth + 1)
+    for name, channel in made.channels.items():
+        if channel.format.space in ("srgb", "linear") or name == "alpha":
+            assert channel.split_values.min(initial=0) >= 0, name
+    if "alpha" in made.channels and made.channels["alpha"].format.dtype.startswith("float"):
+        assert made.channels["alpha"].split_values.max(initial=0) <= 1
 
 
 def test_a_depth_that_cannot_be_is_refused() -> None:
@@ -127,3 +140,12 @@ def test_areas_of_cut_nodes_are_those_of_what_is_left() -> None:
 def test_a_box_that_is_none_is_refused(low: object, high: object, message: str) -> None:
     with pytest.raises(ArgumentError, match=message):
         octex.crop(eight_colors(), low, high)  # type: ignore[arg-type]
+
+
+def test_what_is_left_of_a_node_is_not_darker_than_black() -> None:
+    values = np.array([[0.4], *([[0.0]] * 4 + [[1.0]] * 4)], np.float32)  # the root is darker than its mean
+    form = ROUGHNESS._replace(dtype="float32")
+    texture = eight_colors(channels={"roughness": Channel(form, values, values[:0], values[:0])})
+    made = octex.crop(texture, (0.1, 0.1, 0.1), (0.9, 0.9, 0.4))
+    assert made.tree.n_leaves == 4
+    assert made.channels["roughness"].values.min() == 0.0

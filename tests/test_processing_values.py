@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 
 import octex
 from octex.channels import (
+    ALPHA,
     BASE_COLOR,
     EMISSIVE,
     NORMAL,
@@ -327,6 +329,58 @@ def test_nothing_bleeds_through_a_sheet() -> None:
 def test_a_width_that_is_none_is_refused(width: float) -> None:
     with pytest.raises(ArgumentError, match="width must be"):
         octex.blur(eight_colors(), width)
+
+
+# --- ranges
+
+
+def light(leaves: Sequence[float], root: float, alphas: Sequence[float], dtype: str) -> OctreeTexture:
+    """Eight grey leaves and their root, with alpha, that of the root first."""
+    colors = np.repeat(np.array([root, *leaves])[:, None], 3, axis=1)
+    channels = {}
+    space = "srgb" if dtype.startswith("u") else "linear"
+    for form, values in ((BASE_COLOR._replace(space=space), colors), (ALPHA, np.array(alphas)[:, None])):
+        stored = encode(values, dtype, form.space)
+        channels[form.name] = Channel(form._replace(dtype=dtype), stored, stored[:0], stored[:0])
+    return eight_colors(channels=channels)
+
+
+@pytest.mark.parametrize("edit", [octex.map, octex.levels])
+def test_alpha_stays_within_0_and_1_in_floats_too(edit: Callable[..., OctreeTexture]) -> None:
+    texture = light([0.5] * 8, 0.5, [0.5] * 9, "float32")
+    how = {"f": lambda values: 4 * values - 1.5} if edit is octex.map else {"white": 0.3}
+    made = edit(texture, channel=["alpha"], **how)
+    alpha = made.channels["alpha"].values
+    assert alpha.max() <= 1
+    lower = edit(texture, channel=["alpha"], **(how if edit is octex.levels else {"f": lambda a: a - 2}))
+    assert lower.channels["alpha"].values.min() >= 0
+
+
+def test_what_was_transparent_does_not_show_once_it_is_opaque() -> None:
+    texture = light([0.2] * 8, 0.9, [0.0] * 9, "float32")  # a colour that nothing covered
+    made = octex.map(texture, lambda alpha: 1 - alpha, "alpha")
+    np.testing.assert_allclose(made.channels["base_color"].values[0], 0.2, atol=0.002)
+
+
+def test_a_node_that_gets_less_opaque_keeps_what_it_differs_by() -> None:
+    texture = light([0.2] * 8, 0.3, [0.8] * 9, "float32")
+    made = octex.map(texture, lambda alpha: alpha / 2, "alpha")
+    np.testing.assert_allclose(made.channels["base_color"].values[0], 0.3, atol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "float32"])
+def test_levels_of_colours_and_alpha_at_once_are_those_of_one_after_the_other(dtype: str) -> None:
+    alphas = [0.45, *np.linspace(0.1, 0.8, 8)]
+    colors = np.linspace(0.0, 1.0, 8)
+    mean = np.average(colors, weights=alphas[1:])
+    texture = light(colors.tolist(), mean, alphas, dtype)
+    how = {"black": 0.3, "white": 0.6}
+    at_once = octex.levels(texture, ["base_color", "alpha"], **how)
+    one_by_one = octex.levels(octex.levels(texture, "alpha", **how), "base_color", **how)
+    for name, channel in at_once.channels.items():
+        other = one_by_one.channels[name].values.astype(float)
+        tolerance = 1 if dtype == "uint8" else 1e-6
+        np.testing.assert_allclose(channel.values.astype(float), other, atol=tolerance)
 
 
 # --- cast

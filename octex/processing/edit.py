@@ -5,14 +5,19 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 
+import numpy as np
+import numpy.typing as npt
+
 from octex.channels import ALPHA
-from octex.editing.averages import Change, alpha_beside, average, difference, residuals
+from octex.editing.averages import Change, alpha_beside, average, coverage, difference, residuals
 from octex.editing.facings import average_rows, row_residuals
 from octex.processing.averages import Tables, average_by_tables, changed_by
 from octex.texture import Channel, OctreeTexture
 
 #: The name in the metadata under which operations are listed, as JSON.
 PROCESSED = "processed"
+#: Alphas that differ by less count as alike: half an 8-bit code.
+_FAINT = np.float32(0.5 / 255)
 
 
 def noted(metadata: Mapping[str, str], operation: str, **how: object) -> dict[str, str]:
@@ -35,7 +40,8 @@ def with_values(
 
     Leaves, their rows and kept coefficients stay as ``made`` has them, whose arrays are written to; nodes and
     rows of split nodes are made anew, residuals by the ``change`` of each channel. After a change of alpha,
-    the averages of all channels weigh by the new one.
+    the averages of all channels weigh by the new one; a node that gets more opaque keeps as much of its
+    residual as it was opaque before.
     """
     made = dict(made)
     if ALPHA.name in made:
@@ -54,6 +60,14 @@ def with_values(
             own = changed_by(own)
         else:
             own = changed_by(own) if isinstance(own, Tables) else own
+            if was is not alpha and was is not None and alpha is not None:
+                own = _covered(own, was, alpha)
             average(texture.tree, made[name], alpha, residuals(texture.tree, before, was, own))
         average_rows(after, made[name], row_residuals(texture, before, own))
     return after
+
+
+def _covered(change: Change, was: npt.NDArray[np.generic], alpha: npt.NDArray[np.generic]) -> Change:
+    """Return a change that keeps of residuals what is as opaque now, by ``alpha``, as it ``was``."""
+    parts = np.minimum((coverage(was) + _FAINT) / (coverage(alpha) + _FAINT), 1)
+    return lambda cells, values, means: change(cells, values, means) * parts[cells, None]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import decode, encode
+from octex.channels import ALPHA, decode, encode
 from octex.checks import as_choice, as_names
 from octex.editing.facings import rows_of
 from octex.errors import ArgumentError
@@ -45,8 +45,8 @@ def map_values(
     ``f`` gets batches of values (n, components), float32: linear light for colours, −1 … 1 for directions,
     else as stored, 0 … 1 for integers. If it has a second parameter without a default, that gets the
     positions (n, 3), at rest, of the centres of their cells. It returns values of the same shape, which are
-    rounded and clamped as the channel is stored. Values of leaves, of their facings and kept coefficients are
-    mapped; ``channel`` names one or several, each of them mapped for itself.
+    rounded and clamped as the channel is stored, alpha to 0 … 1 in any type. Values of leaves, of their
+    facings and kept coefficients are mapped; ``channel`` names one or several, each mapped for itself.
 
     An average becomes the mean of what the values below it became. What it differed by from their mean
     before, since leaves are fitted, f takes along: f(average) − f(mean) is added. So an affine f gives
@@ -139,7 +139,8 @@ class _Mapped:
         if not sound.all():
             row = int(np.argmin(sound))
             raise self._fault(cells, row, f"returned {found[row].tolist()}")
-        return found.astype(np.float64, copy=False)
+        found = found.astype(np.float64, copy=False)
+        return np.clip(found, 0, 1) if self._form.name == ALPHA.name else found
 
     def _fault(self, cells: Int64s | range, row: int, what: str) -> ArgumentError:
         position = self._cells.centres(cells[row : row + 1])[0].tolist()

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from octex.channels import ALPHA, encode
 from octex.editing.averages import AREAS, Nodes, alpha_beside, average, average_plain, node_cells
+from octex.editing.facings import average_rows, rows_of
 from octex.errors import ArgumentError
 from octex.parallel import ordered_map
 from octex.processing.mapping import centres_of, levels_of
@@ -119,6 +120,15 @@ class Mixing:
         share = self._share[made.cells, None]
         left = (1 - share) * one + share * other
         average(tree, channels[name], alpha_beside(channels, name), left, made)
+        rows = rows_of(tree, made.cells)
+        if rows.rows.size:
+            of_rows = np.zeros((tree.split.areas.size, left.shape[1]))
+            (one, is_one), (other, is_other) = (side.row_residuals(name, rows) for side in sides)
+            share = self._share[rows.cells]
+            share = np.where(is_one & is_other, share, is_other)[:, None]
+            of_rows[rows.rows] = (1 - share) * one + share * other
+            whole = OctreeTexture(tree, channels, self._texture.placement, self._texture.bounds)
+            average_rows(whole, channels[name], of_rows, made)
 
     def _made(self) -> Nodes:
         """Return the nodes that are not as in one of the two."""

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from octex.channels import decode
 from octex.editing.averages import Nodes, alpha_beside, node_cells, residuals
+from octex.editing.facings import Rows, row_residuals
 from octex.processing.refine import refined, rows_below
 from octex.processing.union import BELOW, NOTHING, Origins
 from octex.texture import OctreeTexture
@@ -22,6 +23,7 @@ Bools = npt.NDArray[np.bool_]
 Int64s = npt.NDArray[np.int64]
 Uint8s = npt.NDArray[np.uint8]
 Float32s = npt.NDArray[np.float32]
+Float64s = npt.NDArray[np.float64]
 
 
 class Cells(NamedTuple):
@@ -120,3 +122,15 @@ class Side:
         found = np.zeros((own.size, known.shape[1]), known.dtype)
         found[is_own] = known
         return found
+
+    def row_residuals(self, name: str, rows: Rows) -> tuple[Float64s, Bools]:
+        """Return the residuals of rows (n,) of the union, zeros for what is no row here, and which are."""
+        where, channel = self.origins.cells[rows.cells], self.texture.channels[name]
+        found = np.zeros((where.size, channel.format.components))
+        own = np.flatnonzero(where > NOTHING)
+        there, known = find_rows(self.texture.tree.split, where[own], rows.bits[own])
+        is_here = np.zeros(where.size, np.bool_)
+        is_here[own[there]] = True
+        if known.size:
+            found[is_here] = row_residuals(self.texture, channel)[known]
+        return found, is_here

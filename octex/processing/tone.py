@@ -9,7 +9,16 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import ONE, ChannelFormat, decode, decode_table, encode, linear_to_srgb, srgb_to_linear
+from octex.channels import (
+    ALPHA,
+    ONE,
+    ChannelFormat,
+    decode,
+    decode_table,
+    encode,
+    linear_to_srgb,
+    srgb_to_linear,
+)
 from octex.checks import as_number, as_reals
 from octex.editing.averages import Change, Float64s
 from octex.errors import ArgumentError
@@ -46,7 +55,8 @@ def levels(
     All five are encoded values, 0 … 1, as image editors show them (of 255): for light those of sRGB, also
     where linear light is stored. In between they follow x^(1/gamma): above 1 the middle gets lighter. What
     is darker than black or lighter than white is clamped; but floats, which may be above 1, go on above
-    white. Each is a number for all components, or one for each. Averages follow as in ``octex.map``.
+    white, unless they are alpha. Each is a number for all components, or one for each. Averages follow as in
+    ``octex.map``.
 
     Raises ArgumentError for unknown channels, for directions, and for numbers out of range: ``black`` must be
     below ``white``, ``gamma`` above zero.
@@ -65,7 +75,7 @@ def levels(
                 f"levels of {form.name!r} need black below white and gamma above zero, "
                 f"not {low.tolist()}, {high.tolist()} and {power.tolist()}"
             )
-        top = _LARGEST if form.dtype.startswith("float") else 1.0
+        top = _LARGEST if form.dtype.startswith("float") and form.name != ALPHA.name else 1.0
 
         def tone(values: Float64s) -> Float64s:
             with np.errstate(over="ignore"):  # where black is next to white, or gamma next to nothing
