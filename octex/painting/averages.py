@@ -119,20 +119,20 @@ def _take_rows(
 
 def average_above(
     texture: OctreeTexture,
-    name: str,
+    channel: Channel,
     part: Channel | None,
     above: Above,
     rows: Rows,
     before: Left,
     paint: Left | None,
 ) -> Float64s:
-    """Make the averages of a channel anew, in place, for nodes and ``rows`` of theirs.
+    """Make the averages of a texture's channel anew, in place, for nodes and ``rows`` of theirs.
 
     ``part`` says how much of leaves, and of their rows, is painted, 0 … 1; that of nodes is filled in.
     None stands for nothing.
     Returns what of residuals is left in all rows of the tree (rows, components).
     """
-    tree, channel = texture.tree, texture.channels[name]
+    tree, name = texture.tree, channel.format.name
     alpha = alpha_beside(texture.channels, name)
     left, of_rows = before
     if part is not None:

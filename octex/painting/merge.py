@@ -211,7 +211,7 @@ def _blended(
         left = residuals_before(texture, raised.texture, name, above, is_fresh, rows)
         takes_on = name == target and blend in ("over", "replace")
         of_paint = residuals_of_paint(layer, painted_channel(layer), above, rows) if takes_on else None
-        left_rows[name] = average_above(after, name, parts.get(name), above, rows, left, of_paint)
+        left_rows[name] = average_above(after, channels[name], parts.get(name), above, rows, left, of_paint)
     new_split = may_split[tree.arrays.flags[may_split] & SPLIT == 0]
     return _settled(after, new_split, texture, raised, above, left_rows)
 
@@ -236,11 +236,11 @@ def _settled(
 ) -> OctreeTexture:
     """Keep those of the newly split cells that need it; average rows for the cells that are then split."""
     excess = _split_in_vain(after, new_split)
-    found = without_split(after, excess)
+    found, channels = _writable(without_split(after, excess))
     gone = rows_of(after.tree, excess).rows
     for name, own in left_rows.items():  # areas of rows are rounded: they weigh otherwise than even parts
         if gone.size:
-            average_rows(found, found.channels[name], np.delete(own, gone, axis=0), above.nodes)
+            average_rows(found, channels[name], np.delete(own, gone, axis=0), above.nodes)
     # Rows of other channels change where, or above where, cells are split or faced otherwise than before.
     was = np.where(above.before.cells >= 0, texture.tree.arrays.flags[above.before.cells], np.uint8(0))
     is_new = (found.tree.arrays.flags[above.nodes.cells] ^ was) & np.uint8(FACING_FLAGS | SPLIT) != 0
@@ -250,8 +250,18 @@ def _settled(
     for name in found.channels.keys() - left_rows.keys():
         left = np.zeros((found.tree.split.areas.size, found.channels[name].format.components))
         left[rows.rows] = residuals_before(texture, raised.texture, name, above, raised.is_fresh, rows).rows
-        average_rows(found, found.channels[name], left, above.nodes)
+        average_rows(found, channels[name], left, above.nodes)
     return found
+
+
+def _writable(texture: OctreeTexture) -> tuple[OctreeTexture, dict[str, Channel]]:
+    """Return a texture with rows of its own, and its channels, to whose rows can be written."""
+    channels = {
+        name: channel._replace(split_values=channel.split_values.copy())
+        for name, channel in texture.channels.items()
+    }
+    own = OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, texture.metadata)
+    return own, channels
 
 
 def _on_leaves(tree: Octree, paint: Sequence[Paint]) -> tuple[Int64s, Float32s, Float32s, Int64s]:
