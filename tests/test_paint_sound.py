@@ -14,6 +14,7 @@ from octex.channels import decode
 from octex.cli.common import run
 from octex.errors import DefectError, ExitCode
 from octex.painting import raising
+from octex.painting.pictures import Blend
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.texture.split import find_rows
@@ -21,6 +22,7 @@ from octex.tree.octree import Octree
 from tests.conftest import needs_jit
 from tests.naive_edits import assert_averages
 from tests.painted import above, ball, one_color, plain, square, together
+from tests.random_edits import beyond, waved
 from tests.small_surfaces import sheet
 
 Array = npt.NDArray[Any]
@@ -96,6 +98,19 @@ def test_a_layer_of_another_surface_is_merged_where_it_is() -> None:
     shot = octex.Projection(one_color(camera, (1, 0, 0)), camera)
     layer = octex.project(other, shot, like=texture, max_depth=5)
     octex.merge(texture, layer, surface).validate()
+
+
+@pytest.mark.parametrize("blend", ["over", "replace", "erase"])
+def test_a_texture_without_cells_takes_paint_on_the_root_alone(blend: Blend) -> None:
+    surface = plain(square())
+    found = octex.fill(None, surface, np.arange(9), (1, 0, 0), max_depth=0, blend=blend)
+    found.validate()
+    assert (found.tree.n_cells, found.tree.n_leaves) == (1, blend != "erase")
+    if found.tree.n_leaves:
+        fresh = octex.convert(surface.with_sources({"base_color": (1.0, 0.0, 0.0)}), 0)
+        np.testing.assert_array_equal(color_of(found, 0), [1, 0, 0])
+        np.testing.assert_array_equal(found.tree.arrays.flags, fresh.tree.arrays.flags)
+        np.testing.assert_array_equal(found.tree.arrays.areas, fresh.tree.arrays.areas)
 
 
 def test_what_octex_itself_gets_wrong_is_not_blamed_on_who_uses_it(
@@ -202,3 +217,15 @@ def test_tones_of_alpha_and_colours_at_once_average_by_the_new_alpha() -> None:
     found = octex.levels(texture, ["base_color", "alpha"], black=0.3)
     assert_averages(texture, found)
     np.testing.assert_allclose(color_of(found, 0), [1, 0, 0], atol=0.01)
+
+
+def test_rows_carried_below_leaves_stay_in_their_range() -> None:
+    surface = waved("open", 1, ["base_color", "roughness"], 75)
+    half = octex.Transfer(surface.part(range(len(surface.triangles) // 2)), distance=0.264)
+    texture = octex.convert(surface, 2, fit=False, sources={"base_color": half})
+    texture = octex.cast(texture, dtype="float16")
+    found = octex.fill(texture, surface, beyond(1, 0.9, 0.14), (1.0, 0.7, 0.7), blend="add", max_depth=3)
+    for name, most in (("alpha", 1), ("roughness", 1), ("base_color", 2)):
+        rows = found.channels[name].split_values
+        assert rows.size
+        assert 0 <= rows.min() <= rows.max() <= most

@@ -44,10 +44,11 @@ AREAS = 2.0 ** ((np.arange(256) - AREA_ONE) / AREA_STEPS)
 AREAS[0] = 2.0**-30
 
 _PLAIN = ChannelFormat("number", 1, "data", "float32")
-#: What values of floats may be; integers are clamped as they are stored.
+#: What values of floats may be, light that is nowhere brighter than white; integers are clamped as they are
+#: stored.
 _LIMITS = {
-    "srgb": (0.0, np.inf),
-    "linear": (0.0, np.inf),
+    "srgb": (0.0, 1.0),
+    "linear": (0.0, 1.0),
     "data": (-np.inf, np.inf),
     "direction": (-1.0, 1.0),
 }
@@ -135,10 +136,10 @@ def average(
     They become the means of their children and residuals ``left`` (n, components).
     """
     nodes = all_nodes(tree) if nodes is None else nodes
-    form = channel.format
+    form, limits = channel.format, limits_of(channel)
     for here in reversed(levels_of(tree, nodes)):
         means = child_means(tree, nodes.numbers[here], channel.values, form.space, alpha)
-        made = with_residuals(form, means, left[here])
+        made = with_residuals(limits, means, left[here])
         channel.values[nodes.cells[here]] = encode(made, form.dtype, form.space)
 
 
@@ -149,11 +150,22 @@ def average_plain(tree: Octree, numbers: Float32s, nodes: Nodes | None = None) -
     average(tree, channel, None, np.zeros((count, 1)), nodes)
 
 
-def with_residuals(form: ChannelFormat, means: Float64s, left: Floats) -> Float64s:
-    """Add residuals to means (n, components), decoded; they leave no value out of its channel's range."""
-    low, high = _LIMITS[form.space]
+def limits_of(channel: Channel) -> tuple[float, float]:
+    """Return what values of a channel may be, decoded: light no more than the most that is stored, or 1."""
+    form = channel.format
     if form.space == "data" and form.name in CHANNELS:
-        low, high = 0.0, 1.0
+        return 0.0, 1.0
+    low, high = _LIMITS[form.space]
+    if form.space in ("srgb", "linear"):
+        for stored in (channel.values, channel.split_values):
+            if stored.dtype.kind == "f" and stored.size:
+                high = max(high, float(decode(stored.max(keepdims=True), form.space).max()))
+    return low, high
+
+
+def with_residuals(limits: tuple[float, float], means: Float64s, left: Floats) -> Float64s:
+    """Add residuals to means (n, components), decoded; they leave no value out of limits that it was in."""
+    low, high = limits
     limited = np.clip(means + left, np.minimum(means, low), np.maximum(means, high))
     return np.asarray(limited, np.float64)
 

@@ -9,7 +9,16 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ALPHA, LEAST_COVERAGE, decode, encode
-from octex.editing.averages import AREAS, Change, Nodes, all_nodes, difference, levels_of, with_residuals
+from octex.editing.averages import (
+    AREAS,
+    Change,
+    Nodes,
+    all_nodes,
+    difference,
+    levels_of,
+    limits_of,
+    with_residuals,
+)
 from octex.texture import Channel, OctreeTexture
 from octex.texture.split import bits_of, find_rows, rows_facing
 from octex.tree.edit import among, children_of
@@ -70,10 +79,10 @@ def average_rows(
     They become the means of their children and residuals ``left`` (rows of the tree, components). A row that
     no child shows the same way as stays.
     """
-    form = channel.format
+    form, limits = channel.format, limits_of(channel)
     for rows, owners in reversed(list(_by_level(texture.tree, nodes))):
         means, has = _means(texture, channel, rows, owners)
-        made = with_residuals(form, means[has], left[rows.rows[has]])
+        made = with_residuals(limits, means[has], left[rows.rows[has]])
         channel.split_values[rows.rows[has]] = encode(made, form.dtype, form.space)
 
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from octex.channels import decode, encode
 from octex.conversion.facings import MOST, in_codes
 from octex.conversion.fill import assemble, fill
-from octex.editing.averages import add_up_areas
+from octex.editing.averages import add_up_areas, limits_of, with_residuals
 from octex.errors import ModelError, own_making
 from octex.painting.cells import (
     Paint,
@@ -240,7 +240,6 @@ def _carried(
     take other channels from the coarser averages there.
     """
     is_fresh = np.zeros(tree.n_cells, np.bool_)
-    is_fresh[0] = texture.tree.n_leaves == 0
     is_added = np.zeros(tree.n_cells, np.bool_)
     if tree is texture.tree:
         return texture, is_fresh
@@ -339,7 +338,9 @@ def _split_below(made: OctreeTexture, texture: OctreeTexture, edited: Edited) ->
         own = decode(made.channels[name].values[cells[owners]], form.space)
         whole = decode(channel.values[sources[owners]], form.space)
         facing = rows_facing(texture, channel, sources[owners], bits)
-        rows[name] = encode(own + facing - whole, form.dtype, form.space)
+        rows[name] = encode(
+            with_residuals(limits_of(channel), own.astype(np.float64), facing - whole), form.dtype, form.space
+        )
         apart = in_codes(rows[name], form) - in_codes(made.channels[name].values[cells[owners]], form)
         differs |= (np.abs(apart) > MOST).any(axis=1)
     is_split = np.zeros(cells.size, np.bool_)
