@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 import octex
-from octex.channels import ROUGHNESS
+from octex.channels import BASE_COLOR, ROUGHNESS, decode, encode
 from octex.errors import ArgumentError
 from octex.texture import Channel, OctreeTexture
 from tests import naive_processing as naive
@@ -149,3 +149,14 @@ def test_what_is_left_of_a_node_is_not_darker_than_black() -> None:
     made = octex.crop(texture, (0.1, 0.1, 0.1), (0.9, 0.9, 0.4))
     assert made.tree.n_leaves == 4
     assert made.channels["roughness"].values.min() == 0.0
+
+
+@pytest.mark.parametrize("brightest", [1.0, 3.0])
+def test_what_is_left_of_a_node_is_as_bright_as_the_texture_at_most(brightest: float) -> None:
+    form = BASE_COLOR._replace(dtype="float32")
+    light = np.array([0.9, *([0.0] * 4 + [1.0] * 4)])[:, None] * np.full(3, brightest)
+    values = encode(light, form.dtype, form.space)  # the root is brighter than its mean
+    texture = eight_colors(channels={"base_color": Channel(form, values, values[:0], values[:0])})
+    for low, high, root in ((0.1, 0.4, 0.4), (0.6, 0.9, 1.0)):
+        made = octex.crop(texture, (0.1, 0.1, low), (0.9, 0.9, high)).channels["base_color"]
+        np.testing.assert_allclose(decode(made.values[0], form.space), root * brightest, rtol=1e-5)
