@@ -229,3 +229,55 @@ def test_rows_carried_below_leaves_stay_in_their_range() -> None:
         rows = found.channels[name].split_values
         assert rows.size
         assert 0 <= rows.min() <= rows.max() <= most
+
+
+# --- kept coefficients
+
+
+def within(surface: Surface, texture: OctreeTexture, center: Array, low: float, high: float) -> Array:
+    """Points of a surface that a texture is on, so far from a centre."""
+    points = surface.scatter(4000, 1).rest
+    away = np.linalg.norm(points - center, axis=1)
+    points = points[(away > low) & (away < high)]
+    return np.asarray(points[texture.contains(points)])
+
+
+@pytest.mark.parametrize("kind", ["grown", "divided", "coarse"])
+def test_what_is_erased_finer_than_the_texture_leaves_nothing_of_it(kind: str) -> None:
+    if kind == "grown":
+        surface = waved("open", 6, ["base_color"], 99)
+        texture = octex.fill(None, surface, octex.Sphere(surface.rest[0], 0.387), (0, 0.2, 0.2), max_depth=3)
+    else:
+        surface = waved("triangle", 7, ["base_color", "roughness"], 3)
+        texture = octex.convert(surface, 3)
+        texture = octex.resize(texture, 4) if kind == "divided" else texture
+    everywhere = np.ones(len(surface.triangles), bool)
+    found = octex.fill(texture, surface, everywhere, (0, 0, 1), blend="erase", max_depth=5)
+    found.validate()
+    points = within(surface, texture, np.zeros(3), 0, 9)
+    assert len(points) > 30
+    np.testing.assert_array_equal(found.sample(points, "alpha"), 0)
+
+
+def test_deep_in_fine_paint_there_is_nothing_but_paint_and_beyond_it_nothing_moves() -> None:
+    surface = waved("flat", 11, ["base_color"], 19)
+    texture = octex.convert(surface, 5, dtype="uint16", fit=False)
+    center, radius, edge = np.array([-0.165, 0.283, 0]), 0.4, texture.placement.size / 32
+    found = octex.fill(texture, surface, octex.Sphere(tuple(center), radius), (0, 0.2, 1), max_depth=6)
+    points = within(surface, texture, center, 0, radius - 4.3 * edge)
+    assert len(points) > 100
+    np.testing.assert_allclose(found.sample(points), np.tile([0, 0.2, 1], (len(points), 1)), atol=1e-4)
+    points = within(surface, texture, center, radius + 2 * edge, 9)
+    assert len(points) > 100
+    np.testing.assert_allclose(found.sample(points), texture.sample(points), atol=1e-4)
+
+
+def test_half_a_coat_of_fine_paint_is_half_a_coat_on_kept_coefficients_too() -> None:
+    surface = waved("triangle", 7, ["base_color"], 3)
+    texture = octex.resize(octex.convert(surface, 3, dtype="float32"), 4)
+    everywhere = np.ones(len(surface.triangles), bool)
+    found = octex.fill(texture, surface, everywhere, (0, 0, 1), opacity=0.5, max_depth=3)
+    points = within(surface, texture, np.zeros(3), 0, 9)
+    expected = 0.5 * texture.sample(points) + [0, 0, 0.5]
+    np.testing.assert_allclose(found.sample(points), expected, atol=2e-5)
+    assert found.tree.kept.cells.size

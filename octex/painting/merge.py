@@ -21,6 +21,7 @@ from octex.painting.averages import (
     residuals_of_paint,
 )
 from octex.painting.cells import Paint, paint_of, painted_channel, refine_paint
+from octex.painting.kept import on_kept
 from octex.painting.pictures import BLENDS, Blend
 from octex.painting.raising import Raised, raise_texture
 from octex.parallel import Progress, as_progress, workers
@@ -190,6 +191,18 @@ def _blended(
         parts[name] = Channel(form, *(np.zeros((count, 1), np.float32) for count in counts))
         channels[name].values[cells] = encode(new, form.dtype, form.space)
         parts[name].values[cells, 0] = part
+    kept = on_kept(tree, paint)
+    if kept.rows.size:
+        old = {
+            name: decode(own.kept_values[kept.rows], own.format.space)
+            for name, own in raised.texture.channels.items()
+            if name in made
+        }
+        fresh = is_fresh[tree.kept.cells[kept.rows]]
+        for name, (new, _) in mixed(blend, target, old, kept.values, kept.coverage, fresh).items():
+            form, stored = channels[name].format, channels[name].kept_values.copy()
+            stored[kept.rows] = encode(new, form.dtype, form.space)
+            channels[name] = channels[name]._replace(kept_values=stored)
     after = OctreeTexture(base.tree, channels, base.placement, base.bounds, base.metadata)
 
     rows = rows_of(base.tree, cells)

@@ -15,6 +15,7 @@ from octex.conversion.fill import assemble, fill
 from octex.editing.averages import add_up_areas, limits_of, with_residuals
 from octex.errors import ModelError, own_making
 from octex.painting.cells import (
+    SKIRT,
     Paint,
     beside_larger,
     boundary,
@@ -40,10 +41,6 @@ from octex.tree.octree import Octree, distinct
 
 Int64s = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
-
-
-#: The area that skirts have, the least there is: in averages they weigh next to nothing.
-_SKIRT = np.uint8(1)
 
 
 class Met(NamedTuple):
@@ -83,9 +80,12 @@ def raise_texture(
 
     All cells of the paint that is returned are cells of the texture, and none lies in another.
     """
+    is_empty = texture.tree.n_leaves == 0  # its root stands for nothing
     if not adds:
-        paint = [_on(texture.tree, each, level) for level, each in enumerate(paint)]
+        paint = [] if is_empty else [_on(texture.tree, each, level) for level, each in enumerate(paint)]
     edited, paint, met = _raised(texture, paint, surface, executor, progress)
+    if is_empty:
+        edited = edited._replace(old=np.full_like(edited.old, -1))
     with own_making():
         made, is_fresh = _carried(texture, edited, edited.tree, met, layer, paint)
     return Raised(made, edited.old, is_fresh, paint)
@@ -116,7 +116,7 @@ def _raised(
     tops: list[tuple[int, Int64s]] = []
     for level, each in enumerate(paint):
         where = locate(tree, each.codes, level)
-        is_missing = where.levels < level
+        is_missing = (where.levels < level) | (tree.n_leaves == 0)
         below.append(each.codes[is_missing & where.is_leaf])
         added.append(each.codes[is_missing & ~where.is_leaf])
         tops += _above(below[-1], where.of(is_missing & where.is_leaf), level)
@@ -128,7 +128,7 @@ def _raised(
             where = locate(tree, around, level)
             flags = tree.arrays.flags[where.cells]
             is_refined = (where.levels < level) & (where.is_leaf | (flags & KEPT != 0))
-            is_skirt = (where.levels == level) & where.is_leaf & (tree.arrays.areas[where.cells] == _SKIRT)
+            is_skirt = (where.levels == level) & where.is_leaf & (tree.arrays.areas[where.cells] == SKIRT)
             virtual[-1] = around[is_refined | is_skirt]
             rings[-1] = around[(where.levels == level) & ~is_skirt]
             is_absent = (where.levels < level - 1) & ~where.is_leaf & (flags & KEPT == 0)
@@ -191,7 +191,7 @@ def _with_all_above(codes: Sequence[Int64s]) -> list[Int64s]:
 def _facing_cells(tree: Octree, level: int) -> Int64s:
     """Return the Morton codes of a level's cells that a surface is in."""
     first, end = tree.arrays.level_cells[level : level + 2]
-    codes: Int64s = tree.level_codes(level)[tree.arrays.areas[first:end] != _SKIRT]
+    codes: Int64s = tree.level_codes(level)[tree.arrays.areas[first:end] != SKIRT]
     return codes
 
 
@@ -280,7 +280,7 @@ def _carried(
         _face(flags, areas, cells[is_painted], layer.tree, inside.cells[is_painted])
         is_bare = ~is_met & ~is_painted  # skirts, which face as the paint beside them, and nodes above them
         flags[cells[is_bare]] |= facings_within(new_codes[is_bare], paint, level)
-        areas[cells[is_bare]] = _SKIRT
+        areas[cells[is_bare]] = SKIRT
         is_own = is_painted & ~where.is_leaf
         is_added[cells[is_own]] = True
         is_fresh[cells[~where.is_leaf & (is_own | is_node[new])]] = True

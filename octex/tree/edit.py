@@ -39,7 +39,7 @@ class Located(NamedTuple):
     """Where cells of one level are in a tree."""
 
     cells: Int64s  # (n,)   the deepest stored cell that holds each, down to its own level
-    levels: Int64s  # (n,)   that cell's level; −1 in a tree without leaves, which has nothing anywhere
+    levels: Int64s  # (n,)   that cell's level
     nodes: Int64s  # (n,)   its number among nodes; −1 for a leaf
 
     @property
@@ -57,8 +57,6 @@ def locate(tree: Octree, codes: Int64s, level: int) -> Located:
     """Find cells (n,) of a level, by their Morton codes, or what holds them."""
     cells, levels, nodes = np.empty((3, codes.size), np.int64)
     _locate(tree.arrays, codes, level, cells, levels, nodes)
-    if not tree.n_leaves:
-        levels[:] = -1
     return Located(cells, levels, nodes)
 
 
@@ -172,8 +170,7 @@ def rebuilt(tree: Octree, leaves: Sequence[Int64s]) -> Edited:
     for level, ((codes, nodes), (old_codes, _)) in enumerate(zip(built.walk(), tree.walk(), strict=False)):
         here = slice(int(starts[level]), int(starts[level + 1]))
         is_node[here] = nodes & (built.n_leaves > 0)  # a root without children keeps nothing
-        if tree.n_leaves:  # else the root is not there either
-            _match(codes, old_codes, int(old_starts[level]), old[here])
+        _match(codes, old_codes, int(old_starts[level]), old[here])
     flags, areas = np.zeros((2, built.n_cells), np.uint8)
     there = old >= 0
     flags[there], areas[there] = tree.arrays.flags[old[there]], tree.arrays.areas[old[there]]
