@@ -438,6 +438,7 @@ def test_exit_codes_are_the_shells_and_say_what_they_mean() -> None:
         "NOTHING_PAINTED": 3,
         "CRASHED": 70,
         "INTERRUPTED": 130,
+        "TERMINATED": 143,
     }
     assert all(code.meaning for code in ExitCode)
     assert ExitCode(2) is ExitCode.REFUSED

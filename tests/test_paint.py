@@ -441,6 +441,7 @@ def test_centres_of_every_picture_count_alike() -> None:
         cells,
         np.arange(0, counts + 1, 2),
         np.zeros((counts, 3), np.uint16),
+        np.zeros((counts, 3), np.int8),
         np.full(counts, 128, np.uint8),
         np.zeros((counts, 4), np.float32),
     )

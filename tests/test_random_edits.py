@@ -36,7 +36,9 @@ def test_whatever_is_done_to_a_tiny_texture_it_stays_sound(seed: int) -> None:
 def test_a_fault_is_told_as_the_shortest_script_that_has_it(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(texture: OctreeTexture, depth: int) -> OctreeTexture:
         made = texture.level(depth)
-        made.channels["base_color"].values[0] ^= 1  # a view of the texture that was given
+        values = made.channels["base_color"].values  # a view of the texture that was given
+        values.flags.writeable = True
+        values[0] ^= 1
         return made
 
     def draw(random: np.random.Generator, run: random_edits.Run) -> random_edits.Step:
