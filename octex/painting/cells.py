@@ -22,8 +22,7 @@ from octex.tree.octree import Octree, distinct
 Int64s = npt.NDArray[np.int64]
 Float32s = npt.NDArray[np.float32]
 
-#: Steps to the cells beside a cell, at faces, edges and corners.
-AROUND = np.array([[x, y, z] for z in (-1, 0, 1) for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y or z])
+_AROUND = np.array([[x, y, z] for z in (-1, 0, 1) for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y or z])
 #: The area that skirts have, the least there is: in averages they weigh next to nothing.
 SKIRT = np.uint8(1)
 #: Cells whose neighbours are listed at once.
@@ -131,7 +130,7 @@ def boundary(codes: Int64s, level: int) -> Int64s:
     """
     found = [np.empty(0, np.int64)]
     for begin in range(0, codes.size, _BLOCK):
-        cells = (decode_cells(codes[begin : begin + _BLOCK])[:, None] + AROUND).reshape(-1, 3)
+        cells = (decode_cells(codes[begin : begin + _BLOCK])[:, None] + _AROUND).reshape(-1, 3)
         cells = cells[((cells >= 0) & (cells < 1 << level)).all(axis=1)]
         found.append(distinct(encode_cells(cells)))
     around = distinct(np.concatenate(found))
@@ -159,7 +158,7 @@ def facings_within(codes: Int64s, paint: Sequence[Paint], level: int) -> npt.NDA
 def beside_larger(codes: Int64s, tree: Octree, level: int) -> npt.NDArray[np.bool_]:
     """Say which cells (n,) of a level are beside leaves of a tree that are larger."""
     found = np.zeros(codes.size, np.bool_)
-    for step in AROUND if codes.size else ():
+    for step in _AROUND if codes.size else ():
         cells = decode_cells(codes) + step
         inside = ((cells >= 0) & (cells < 1 << level)).all(axis=1)
         where = locate(tree, encode_cells(np.where(inside[:, None], cells, 0)), level)
@@ -170,7 +169,7 @@ def beside_larger(codes: Int64s, tree: Octree, level: int) -> npt.NDArray[np.boo
 def skirt_of(outer: Int64s, painted: Sequence[Int64s], ring: Int64s, met: Int64s, level: int) -> Int64s:
     """Return those cells beside paint, off the surface, that nothing but paint and its boundary is beside."""
     free = np.ones(outer.size, np.bool_)
-    for step in AROUND:
+    for step in _AROUND:
         cells = decode_cells(outer) + step
         inside = ((cells >= 0) & (cells < 1 << level)).all(axis=1)
         codes = encode_cells(np.where(inside[:, None], cells, 0))
@@ -202,7 +201,7 @@ def with_skirt(paint: Paint, skirt: Int64s, level: int) -> Paint:
     coverage, count = np.zeros(skirt.size), np.zeros(skirt.size)
     cells = np.zeros(skirt.size, np.int64)
     facings = np.zeros(skirt.size, np.uint8)
-    for step in AROUND:
+    for step in _AROUND:
         beside = decode_cells(skirt) + step
         inside = ((beside >= 0) & (beside < 1 << level)).all(axis=1)
         codes = encode_cells(np.where(inside[:, None], beside, 0))

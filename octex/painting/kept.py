@@ -8,10 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.painting.cells import AROUND, SKIRT, Paint, boundary, is_within
+from octex.painting.cells import SKIRT, Paint, boundary, is_within
 from octex.tree.edit import among
 from octex.tree.layout import FACING_FLAGS
-from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree, distinct
 
 Int64s = npt.NDArray[np.int64]
@@ -84,10 +83,5 @@ def _beside(codes: Int64s, leaves: Sequence[Int64s], level: int) -> npt.NDArray[
     for deeper in range(len(leaves) - 1, level - 1, -1):
         own = leaves[deeper] >> 3 * (deeper - level)
         below = np.concatenate([below, own[among(own, near)]])
-    others = [*leaves[:level], distinct(below)]
-    found = is_within(codes, others, level)
-    for step in AROUND:
-        cells = decode_cells(codes) + step
-        inside = ((cells >= 0) & (cells < 1 << level)).all(axis=1)
-        found |= inside & is_within(encode_cells(np.where(inside[:, None], cells, 0)), others, level)
-    return found
+    taken = near[is_within(near, [*leaves[:level], distinct(below)], level)]
+    return among(codes, taken) | among(codes, boundary(taken, level))

@@ -52,7 +52,8 @@ def merge(
 
     Each cell is blended once, in linear light, with the layer's coverage times ``opacity``; see BLENDS.
     Where the layer is finer the texture is raised to it, and keeps the coefficients that it had, so that the
-    field beside the paint does not move. ``surface`` is the one that both were made on.
+    field beside the paint does not move; those that only painted surface depends on are blended too.
+    ``surface`` is the one that both were made on.
 
     Raises ArgumentError for a layer of another root cell, of several channels, or of one that the texture
     does not have.
