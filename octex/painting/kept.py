@@ -41,8 +41,10 @@ def on_kept(tree: Octree, paint: Sequence[Paint]) -> OnKept:
     if tree.kept.cells.size:
         bare = _bare(tree, paint)
     for level, painted in enumerate(codes_above if tree.kept.cells.size else ()):
-        first = int(tree.arrays.level_cells[level])
         own = slice(*np.searchsorted(tree.kept.cells, tree.arrays.level_cells[level : level + 2]).tolist())
+        if own.start == own.stop:
+            continue
+        first = int(tree.arrays.level_cells[level])
         codes = tree.level_codes(level)[tree.kept.cells[own].astype(np.int64) - first]
         chosen = among(codes, painted)
         chosen[chosen] = ~_beside(codes[chosen], bare, level)
