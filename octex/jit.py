@@ -293,7 +293,7 @@ else:
             index = builder.zext(arguments[1], ir.IntType(64))
             return builder.load(_pointer(context, builder, signature.args[0], arguments[0], index))
 
-        return types.float32(table, code), codegen
+        return (code if code == types.float32 else table.dtype)(table, code), codegen
 
     # Rows of four as vectors, which the compiler does not make by itself: a sweep of the fit takes 55 to
     # 65 ns a leaf so, where scalars take 86 to 91.

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import decode
-from octex.field.blend import AREA_WEIGHTS
 from octex.field.field import Field
 from octex.field.footprints import ROUND_FINER, WHOLE
 from octex.field.splines import FILTERS
+from octex.field.stages import AREA_WEIGHTS
 from octex.texture import OctreeTexture
 from octex.tree.layout import SPLIT
 

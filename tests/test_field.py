@@ -10,14 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from octex.field.blend import Codes
-from octex.field.blocks import BLOCK
-from octex.field.facings import all_in_sight
-from octex.field.field import Field, NotFiniteError, Taps
-from octex.field.filtered import NO_AREAS
-from octex.field.neighborhood import MOST_TAPS
+from octex.field.field import Field, Finder, Listed, NotFiniteError
+from octex.field.sinks import Codes, blend
 from octex.field.splines import FILTERS
-from octex.field.tiles import can_be_tiled
+from octex.field.taps import place_points
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from tests import naive
@@ -57,7 +53,7 @@ def trees_and_points(draw: st.DrawFn) -> Drawn:
     return Drawn(tree, np.round(np.array(points) * 2.0**24) / 2.0**24)
 
 
-def spread(taps: Taps, column: npt.NDArray[np.float32], n_rows: int) -> npt.NDArray[np.float64]:
+def spread(taps: Listed, column: npt.NDArray[np.float32], n_rows: int) -> npt.NDArray[np.float64]:
     """A column of the taps by point and row (points, rows); a row may have several taps."""
     points = taps.starts.size - 1
     spread = np.zeros((points, n_rows))
@@ -65,7 +61,7 @@ def spread(taps: Taps, column: npt.NDArray[np.float32], n_rows: int) -> npt.NDAr
     return spread
 
 
-def blended(taps: Taps, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def blended(taps: Listed, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     terms = taps.weights[:, None].astype(np.float64) * values[taps.rows]
     return np.add.reduceat(terms, taps.starts[:-1])
 
@@ -154,47 +150,43 @@ def test_taps_do_not_depend_on_the_points_before_them(
     order = random.permutation(len(points))
     values = random.random((tree.n_cells, 1))
     found = blended(Field(tree).taps(points, UNIT, filter), values)
-    at_once = 1 if fine > 5 or filter == "quartic" else BLOCK
-    monkeypatch.setattr("octex.field.field._ROOM", at_once * MOST_TAPS + 1_000)
+    monkeypatch.setattr("octex.field.field.BLOCK", 100)
+    monkeypatch.setattr("octex.field.field._WALKED", 1)
     field = Field(tree)
     again = field.taps(points[order], UNIT, filter)
     assert len(list(field.batches(points, UNIT, filter))) > 1
     assert (found[order] == blended(again, values)).all()
 
 
-@pytest.mark.parametrize("filter", ["nearest", "linear", "quadratic"])
+@pytest.mark.parametrize("filter", FILTERS)
 @given(trees_and_points(), st.sampled_from([np.uint8, np.uint16, np.float32]))
-def test_colors_are_those_of_the_reference_where_leaves_reach(filter: str, drawn: Drawn, dtype: type) -> None:
+def test_blends_and_covers_are_those_of_the_reference(filter: str, drawn: Drawn, dtype: type) -> None:
     tree, points = drawn
     random = np.random.default_rng(0)
+    rows = [(count, 3) for count in (tree.n_cells, tree.kept.cells.size, tree.split.areas.size)]
+    table = np.empty(0, np.float32)
     if dtype == np.float32:
-        table = np.empty(0, np.float32)
-        values = decoded = random.random((tree.n_cells, 3), np.float32)
+        values = decoded = [random.random(shape, np.float32) for shape in rows]
     else:
-        table = random.random(np.iinfo(dtype).max + 1, np.float32)
-        values = random.integers(0, table.size, (tree.n_cells, 3), dtype)
-        decoded = table[values]
-    results = np.full((len(points), 3), -1.0, np.float32)
-    none = np.empty(0, np.float32)
-    codes = Codes(values, values[:0], table)
-    missed = Field(tree).colors(points, UNIT, filter, all_in_sight(), codes, NO_AREAS, results, none, none)
-    if not can_be_tiled(tree):
-        assert missed is None
-        assert (results == -1).all()
-        return
-    assert missed is not None
-    cells = reference(tree, "linear", np.zeros((tree.n_cells, 1))).cells
+        table = random.random(np.iinfo(dtype).max + 1, np.float32 if dtype == np.uint16 else np.float64)
+        values = [random.integers(0, table.size, shape, dtype) for shape in rows]
+        decoded = [table[codes] for codes in values]
+    places, results = np.empty_like(points), np.empty((len(points), 3), np.float32)
+    assert place_points(points, *UNIT, places) == -1
+    taps = Finder(Field(tree), filter).find(places)
+    blend(taps, Codes(*values, table), False, results)
+    field = reference(tree, "linear" if filter == "nearest" else filter, np.concatenate(decoded[:2]))
     for n, point in enumerate(points.tolist()):
         if filter == "nearest":
-            number = naive.find(cells, np.clip(point, 0, 1 - 2.0**-30).tolist())
-            reached = cells[number].is_leaf
-            expected = decoded[number]
+            number = naive.find(field.cells, np.clip(point, 0, 1 - 2.0**-30).tolist())
+            expected, weight = (
+                decoded[0][naive.nearest(field.cells, point)],
+                float(field.cells[number].is_leaf),
+            )
         else:
-            field = reference(tree, filter, decoded)
-            reached = field.weight(point) > 0
-            expected = field.at(point)
-        assert reached == (n not in missed)
-        np.testing.assert_allclose(results[n], expected if reached else -1.0, rtol=0, atol=1e-5)
+            expected, weight = field.at(point), field.weight(point)
+        np.testing.assert_allclose(results[n], expected, rtol=0, atol=1e-5)
+        assert taps.covers[n] == pytest.approx(weight, abs=1e-5)
 
 
 @each_filter
@@ -213,14 +205,6 @@ def test_a_point_that_is_not_finite_is_named(wrong: float, gradient: bool) -> No
     with pytest.raises(NotFiniteError, match=r"points\[23\]") as caught:
         Field(shell(3, 3)).taps(points, UNIT, gradient=gradient)
     assert caught.value.row == 23
-    values, none = np.zeros((shell(3, 3).n_cells, 3), np.uint8), np.empty(0, np.float32)
-    codes = Codes(values, values[:0], np.zeros(256, np.float32))
-    results = points.astype(np.float32)
-    for filter in FILTERS[:3]:
-        with pytest.raises(NotFiniteError, match=r"points\[23\]"):
-            Field(shell(3, 3)).colors(
-                points, UNIT, filter, all_in_sight(), codes, NO_AREAS, results, none, none
-            )
 
 
 def test_outside_the_root_slopes_are_those_of_the_nearest_point_inside() -> None:

@@ -13,8 +13,6 @@ from hypothesis import strategies as st
 
 from octex.channels import ChannelFormat
 from octex.errors import ArgumentError
-from octex.field.blend import Codes
-from octex.field.filtered import Query, filtered_colors
 from octex.texture import FILTERS, Channel, OctreeTexture
 from octex.tree.layout import SplitTable
 from octex.tree.morton import decode_cells, encode_cells
@@ -34,8 +32,8 @@ def on_shell(count: int, seed: int = 0) -> tuple[Array, Array]:
     return 0.5 + 0.45 * away / np.linalg.norm(away, axis=1)[:, None], normals
 
 
-def as_list(texture: OctreeTexture, points: Array, filter: str, **views: Any) -> Array:
-    """What the way through lists of taps finds, which a dtype that is decoded late must take."""
+def as_four(texture: OctreeTexture, points: Array, filter: str, **views: Any) -> Array:
+    """What the same colours give as four components."""
     form = texture.channels["base_color"].format._replace(name="other", components=4)
     channel = texture.channels["base_color"]
     wide = [np.ascontiguousarray(np.repeat(part, 2, axis=1)[:, :4]) for part in channel[1:]]
@@ -56,8 +54,8 @@ def test_footprints_and_facings_are_those_of_the_reference(filter: str, keep: fl
     views = Views(texture, "base_color", filter)
     for given_normals in (None, normals):
         found = texture.sample(points, filter=filter, width=widths, normals=given_normals)
-        listed = as_list(texture, points, filter, width=widths, normals=given_normals)
-        np.testing.assert_allclose(listed, found[:, :2], atol=2e-6)
+        wide = as_four(texture, points, filter, width=widths, normals=given_normals)
+        np.testing.assert_allclose(wide, found[:, :2], atol=2e-6)
         for n in range(len(points)):
             normal = None if given_normals is None else unit(normals[n])
             expected = views.value(points[n], float(widths[n]), normal)
@@ -131,14 +129,14 @@ def test_blocks_and_runs_do_not_change_what_is_found(monkeypatch: pytest.MonkeyP
     points, normals = on_shell(90)
     right, down = np.random.default_rng(4).normal(size=(2, 90, 3)) * [[[0.3]], [[0.05]]]
     views = {"dPdx": right, "dPdy": down, "normals": normals}
-    expected = texture.sample(points, **views), as_list(texture, points, "quadratic", **views)
+    expected = texture.sample(points, **views), as_four(texture, points, "quadratic", **views)
     monkeypatch.setattr("octex.texture.lookup.BLOCK", 32)
     monkeypatch.setattr("octex.field.footprints._ROOM", 100)
-    monkeypatch.setattr("octex.field.filtered._LOOKS_OF_TAPS", 50)
+    monkeypatch.setattr("octex.field.lookups.BLOCK", 50)
     with ThreadPoolExecutor(2) as pool:
         pool = pool if executor else None
         np.testing.assert_allclose(texture.sample(points, **views, executor=pool), expected[0], atol=1e-6)
-        found = as_list(texture, points, "quadratic", **views, executor=pool)
+        found = as_four(texture, points, "quadratic", **views, executor=pool)
         np.testing.assert_allclose(found, expected[1], atol=1e-6)
 
 
@@ -292,19 +290,6 @@ def test_levels_share_what_is_built_for_them() -> None:
     assert texture.level(3).level(2).tree.n_cells == texture.level(2).tree.n_cells
     texture.sample([[0.5, 0.5, 0.95]], width=0.5, bleed_threshold=9)
     assert "tiles" not in texture._field.__dict__  # the leaves were not looked at
-
-
-def test_colours_of_trees_without_tiles_take_the_other_way() -> None:
-    texture = shell(4, 0.5)
-    assert texture._field.tiles is None
-    codes = Codes(*(np.zeros((1, 3), np.uint8),) * 2, np.zeros(256, np.float32))
-    query = Query("quadratic", normals=np.ones((1, 3), np.float32))
-    assert (
-        filtered_colors(
-            texture._field, np.full((1, 3), 0.5), UNIT, query, codes, np.empty((1, 3), np.float32)
-        )
-        is None
-    )
 
 
 # --- what is refused

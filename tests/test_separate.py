@@ -245,7 +245,7 @@ def test_cells_are_a_number_or_three() -> None:
     plain, three, also = (octex.convert(pair(), 5, separate=cells) for cells in (False, True, 3))
     assert "separation" not in plain.metadata
     assert three.metadata == also.metadata
-    with pytest.raises(ArgumentError, match="cells must be from 1"):
+    with pytest.raises(ArgumentError, match="separate must be from 1"):
         octex.convert(pair(), 5, separate=0)
 
 

@@ -100,6 +100,7 @@ def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
             texture.sample(points, list(texture.channels), filter)
             texture.level(2).sample(points, filter=filter)
             texture.sample(points, filter=filter, width=0.1)
+            texture.sample(points + 0.1, filter=filter)
         texture.sample(points, list(texture.channels), gradient=True)
         right, down = points * 0.1, points[:, ::-1] * 0.2
         texture.sample(points, dPdx=right, dPdy=down)
@@ -160,4 +161,6 @@ def _process(texture: octex.OctreeTexture, surface: octex.Surface) -> None:
         octex.map(octex.levels(cast, gamma=(1.0, 1.1, 1.2)), lambda values: values)
         octex.levels(cast, gamma=1.5)
     octex.blur(octex.crop(texture, surface.bounds[0], surface.bounds[1]), 0.1)
-    octex.mix(octex.resize(texture, 3), texture, 0.3)
+    finer = octex.resize(texture, 3)
+    finer.sample(surface.rest, filter="nearest")
+    octex.mix(finer, texture, 0.3)

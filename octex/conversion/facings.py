@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ONE, ChannelFormat, linear_to_srgb
-from octex.field.field import Field, Taps
+from octex.field.field import Field, Listed
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree
@@ -24,7 +24,7 @@ _SPLIT_KIND = np.uint64(1)
 
 #: Difference, in 8-bit codes, from which on a facing's value is stored for itself.
 MOST = 1.0
-#: Cosine from which on lookups take what faces so in full: see `field.facings`; and what it is rounded by.
+#: Cosine from which on lookups take what faces so in full: see `field.stages`; and what it is rounded by.
 _FULL = 0.52
 #: Cells whose surroundings are looked at at once.
 _BLOCK = 1 << 16
@@ -126,7 +126,7 @@ _HIDDEN = np.array(
 )
 
 
-def _around(field: Field, level: int, codes: npt.NDArray[np.int64]) -> Taps:
+def _around(field: Field, level: int, codes: npt.NDArray[np.int64]) -> Listed:
     """Return the taps in the middles of a level's cells, where all 3×3×3 cells around weigh."""
     centres = (decode_cells(codes) + np.float64(0.5)) / 2**level
     return field.level(level).taps(centres, Placement((0.0, 0.0, 0.0), 1.0))

@@ -20,8 +20,7 @@ from octex.channels import CHANNELS, ChannelFormat, decode, encode
 from octex.conversion.numbering import Leaves, Outside, members_of, number
 from octex.conversion.samples import SHARE_STEPS, Samples, sample_points
 from octex.conversion.solve import Codes, approach, covered, diagonal, residuals, sweep, transpose
-from octex.field.field import Field, Taps
-from octex.field.filtered import Query, filtered_taps
+from octex.field.field import Field, Listed
 from octex.jit import kernel
 from octex.parallel import Progress, ordered_map
 from octex.texture.channel import Channel
@@ -297,11 +296,9 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
     )
 
 
-def _taps(job: Job, samples: npt.NDArray[np.int64], points: npt.NDArray[np.float64]) -> Iterator[Taps]:
-    if not job.is_facing:
-        return job.field.batches(points, job.placement)
-    query = Query("quadratic", normals=job.samples.normals[samples].astype(np.float32))
-    return filtered_taps(job.field, points, job.placement, query)
+def _taps(job: Job, samples: npt.NDArray[np.int64], points: npt.NDArray[np.float64]) -> Iterator[Listed]:
+    normals = job.samples.normals[samples].astype(np.float32) if job.is_facing else None
+    return job.field.batches(points, job.placement, normals=normals)
 
 
 def _with_room(array: npt.NDArray[Any], used: int, room: int) -> npt.NDArray[Any]:

@@ -17,11 +17,11 @@ from octex.channels import ALPHA, decode
 from octex.conversion.samples import PLACE_STEPS, Samples, sample_points
 from octex.field.coefficients import add_up, new_windows
 from octex.field.field import Field
-from octex.field.filtered import Query
+from octex.field.lookups import Query, Stored, look_up
 from octex.field.windows import new_walk
 from octex.jit import kernel
 from octex.parallel import ordered_map
-from octex.texture.blend import look_up
+from octex.texture.blend import stored
 from octex.texture.channel import Channel
 from octex.tree.layout import TreeArrays
 from octex.tree.morton import decode as decode_cell
@@ -78,21 +78,23 @@ class FacingField(NamedTuple):
     """A tree and its channels, looked up with the normals of samples."""
 
     field: Field
-    channels: list[Channel]
-    alpha: Channel | None
+    channels: list[Stored]
+    alpha: Stored | None
 
     @classmethod
     def of(cls, tree: Octree, channels: Mapping[str, Channel], samples: Samples) -> FacingField:
         """Take the channels that the samples have."""
         field = Field(tree)
         field.tiles, field.facings  # noqa: B018 (built before threads share them)
-        return cls(field, [channels[form.name] for form in samples.channels], channels.get(ALPHA.name))
+        alpha = channels.get(ALPHA.name)
+        read = [stored(channels[form.name]) for form in samples.channels]
+        return cls(field, read, stored(alpha) if alpha else None)
 
     def values_at(self, samples: Samples, cells: Int64s) -> Floats:
         """Return the field (n, components) at all samples of finest cells, which ascend."""
         rows = samples.rows(cells)
         query = Query("quadratic", normals=samples.normals[rows].astype(np.float32))
-        answers = [np.empty((rows.size, each.format.components), np.float32) for each in self.channels]
+        answers = [np.empty((rows.size, each.codes.components), np.float32) for each in self.channels]
         points = sample_points(samples, rows, _UNIT)
         look_up(self.field, _UNIT, points, query, self.channels, self.alpha, answers, ())
         return np.hstack(answers)

@@ -21,7 +21,6 @@ from octex.conversion.fit import fitted, fitted_rows
 from octex.conversion.numbering import Leaves
 from octex.conversion.samples import Samples, sample_points
 from octex.field.field import Field
-from octex.field.filtered import Query, filtered_taps
 from octex.parallel import Progress
 from octex.texture.channel import Channel
 from octex.tree.layout import AREA_STEPS, FACING_FLAGS, SPLIT, SplitTable
@@ -120,8 +119,8 @@ def _in_sight(tree: Octree, leaves: Leaves, samples: Samples) -> Bools:
     reached = np.zeros(tree.n_cells, np.bool_)
     for begin in range(0, mixed.size, _BLOCK):
         some = mixed[begin : begin + _BLOCK]
-        query = Query("quadratic", normals=samples.normals[some].astype(np.float32))
-        for taps in filtered_taps(field, sample_points(samples, some, _UNIT), _UNIT, query):
+        normals = samples.normals[some].astype(np.float32)
+        for taps in field.batches(sample_points(samples, some, _UNIT), _UNIT, normals=normals):
             rows = taps.rows[: taps.starts[-1]][taps.weights[: taps.starts[-1]] >= _LEAST_WEIGHT].astype(
                 np.int64
             )

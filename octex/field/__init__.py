@@ -1,1 +1,17 @@
-"""The function of position that lookups evaluate: what lies between the stored values."""
+"""The function of position that lookups evaluate: what lies between the stored values.
+
+A lookup goes through this room from left to right, a block of points at a time; `taps` is what is passed on.
+
+    lookups        sources                  stages                    sinks
+    what is asked  which cells, and how     areas, facings, what      blend channels,
+    of points      much each weighs         mixes, alpha (`stages`,   add levels up,
+                                            `sinks.cover`)            list taps
+
+    footprints     field: chooses by tree; off the surface it goes to coarser levels
+    looks at       ├── tiles · blocks · linear · spline    where all leaves have one depth
+    several        └── windows · refinement · neighborhood the walk: any tree, kept coefficients
+    levels
+
+`splines` has the weights. `refined` lists what cells below leaves refine from, for edits; `coefficients` is a
+way through the same field for conversions, whose samples lie close together one after another.
+"""

@@ -1,8 +1,8 @@
-"""Points by the block, as lookups by tiles take them: placed by vectors, then each in the tile that holds it.
+"""The tiles around points, found for 64 of them at once.
 
-All points of a block are placed before any tile is read, and all tiles are found before any value: of random
-points most of the time is waiting for memory, and so they wait together. What is known of a tile is kept
-while points stay in it.
+All points are placed, by vectors, before any tile is read, and all tiles are found before any value: of
+random points most of the time is waiting for memory, and so they wait together. What is known of a tile is
+kept while points stay in it.
 """
 
 from __future__ import annotations
@@ -14,29 +14,23 @@ import numpy.typing as npt
 
 from octex.field.tiles import Integer, Tiles, tile_row
 from octex.jit import inlined, kernel, prefetch, trailing_zeros
-from octex.tree.search import Origin
 
-#: Points in a block: enough that all can wait for memory at once, few enough to stay in the nearest cache.
-BLOCK = 64
+#: Points placed at once: enough that all can wait for memory together, few enough to stay in the first cache.
+GROUP = 64
 
-Points = npt.NDArray[np.float32 | np.float64]
-Values = npt.NDArray[np.uint8 | np.uint16 | np.float32]
-Rows = npt.NDArray[Any]  # (cells,) or (cells, components)
-Float32s = npt.NDArray[np.float32]
 Int64s = npt.NDArray[np.int64]
-Uint32s = npt.NDArray[np.uint32]
 Bytes = npt.NDArray[np.uint8]
 
 _AXIS_BITS = 20  # of a tile's coordinate plus one, in a key
 
 
 class Near(NamedTuple):
-    """The tiles around each point of a block. Octants are counted over all tiles."""
+    """The tiles around each point of a group. Octants are counted over all tiles."""
 
-    keys: Int64s  # (BLOCK,)   the tile of the lowest cell that is read, see `tile_key`
-    reached: Bytes  # (BLOCK,)   whether cells of the next tile are read too: a bit for each axis
-    slots: Int64s  # (BLOCK,)   where `octants` of the point begin
-    octants: Int64s  # (8 · (BLOCK + 1),)   the first of each of 2×2×2 tiles, as far as they are reached
+    keys: Int64s  # (GROUP,)   the tile of the lowest cell that is read, see `tile_key`
+    reached: Bytes  # (GROUP,)   whether cells of the next tile are read too: a bit for each axis
+    slots: Int64s  # (GROUP,)   where `octants` of the point begin
+    octants: Int64s  # (8 · (GROUP + 1),)   the first of each of 2×2×2 tiles, as far as they are reached
     latest: Int64s  # (3,)   the latest key, its slot, and which of its tiles are known
 
 
@@ -44,10 +38,10 @@ class Near(NamedTuple):
 def new_near() -> Near:
     """Return what knows nothing. It serves one tree."""
     return Near(
-        np.zeros(BLOCK, np.int64),
-        np.zeros(BLOCK, np.uint8),
-        np.zeros(BLOCK, np.int64),
-        np.zeros(8 * (BLOCK + 1), np.int64),
+        np.zeros(GROUP, np.int64),
+        np.zeros(GROUP, np.uint8),
+        np.zeros(GROUP, np.int64),
+        np.zeros(8 * (GROUP + 1), np.int64),
         np.array([-1, 0, 0]),
     )
 
@@ -74,7 +68,7 @@ def _find(tiles: Tiles, key: int, other: int) -> int:
 
 @inlined
 def find_tiles(tiles: Tiles, near: Near, count: int) -> None:
-    """Find the tiles of a block of points, whose keys and reach are known, and ask for them."""
+    """Find the tiles of a group of points, whose keys and reach are known, and ask for them."""
     octants = near.octants
     key, slot, known = near.latest[0], near.latest[1], near.latest[2]
     for other in range(8):
@@ -100,29 +94,3 @@ def find_tiles(tiles: Tiles, near: Near, count: int) -> None:
                 missing &= missing - 1
                 octants[np.uint64(slot + other)] = _find(tiles, key, other)
     near.latest[0], near.latest[1], near.latest[2] = key, slot, known
-
-
-@inlined
-def in_root(points: Points, point: int, origin: Origin, inverse: float) -> tuple[float, float, float, int]:
-    """Map a rest position, of flat ``points``, into the root cell, 0 … 1; and say if it is not finite (1).
-
-    What is no number is mapped to 0.
-    """
-    at = np.uint64(3 * point)
-    x = np.float64(points[at])
-    y = np.float64(points[at + np.uint64(1)])
-    z = np.float64(points[at + np.uint64(2)])
-    fault = int(not ((abs(x) < np.inf) & (abs(y) < np.inf) & (abs(z) < np.inf)))
-    a = min(max(0.0, (x - origin[0]) * inverse), 1.0)
-    b = min(max(0.0, (y - origin[1]) * inverse), 1.0)
-    c = min(max(0.0, (z - origin[2]) * inverse), 1.0)
-    return a, b, c, fault
-
-
-@inlined
-def first_fault(points: Points, begin: int, count: int, origin: Origin, inverse: float) -> int:
-    """Return the first of a block of points that is not finite; at least one is."""
-    point = begin
-    while point < begin + count - 1 and in_root(points, point, origin, inverse)[3] == 0:
-        point += 1
-    return point

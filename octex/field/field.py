@@ -1,4 +1,4 @@
-"""The field over one tree: what a lookup reads, for any tree and filter, and as fast as the tree allows."""
+"""The field over one tree: which taps a lookup reads, for any tree and filter."""
 
 from __future__ import annotations
 
@@ -10,29 +10,42 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.field.blend import Codes, Colors, Task
-from octex.field.blocks import BLOCK
-from octex.field.facings import Facings, Sight, facings_of
-from octex.field.linear import linear_colors
-from octex.field.nearest import nearest_colors
-from octex.field.neighborhood import MOST_TAPS, new_walk, walk_all
-from octex.field.quadratic import WINDOW_TABLES, quadratic_colors
-from octex.field.splines import FILTERS
-from octex.field.tiled import tiled_taps
+from octex.field.linear import linear_taps, nearest_rows
+from octex.field.neighborhood import MOST_TAPS, Walk, new_walk, walked_taps
+from octex.field.sinks import list_taps
+from octex.field.spline import (
+    QUADRATIC_TABLES,
+    QUARTIC_TABLES,
+    nearest_around,
+    quadratic_taps,
+    quartic_taps,
+)
+from octex.field.splines import FILTERS, LINEAR, NEAREST, QUADRATIC
+from octex.field.stages import MOST_ROWS, Facings, face, facings_of, take_rows
+from octex.field.taps import (
+    BLOCK,
+    MOST_TILED,
+    OFF,
+    Float32s,
+    Float64s,
+    Int64s,
+    Memory,
+    Points,
+    Taps,
+    place_points,
+)
 from octex.field.tiles import Tiles, build_tiles, can_be_tiled
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.search import nearest_cells
 
-Points = npt.NDArray[np.float32 | np.float64]
-Float32s = npt.NDArray[np.float32]
-
-#: Room for the taps of a batch of points: a thousand or more.
-_ROOM = BLOCK * MOST_TAPS + (1 << 14)
+#: Taps of a point that a walk is given room for at first.
+_WALKED = 24
+_NOTHING: Memory = np.empty((1, 1), np.uint8)
 
 
-class Taps(NamedTuple):
-    """What lookups read: rows of values, and the weights under which they are blended.
+class Listed(NamedTuple):
+    """The taps of points, one point's after another's.
 
     A row is a cell's number, that of a leaf or, off the surface, of a node; after the cells come the rows of
     the kept table.
@@ -56,8 +69,9 @@ class NotFiniteError(ValueError):
 class Field:
     """The field over one tree: which cells count, and how much, is the same for all channels."""
 
-    def __init__(self, tree: Octree) -> None:
+    def __init__(self, tree: Octree, root: Field | None = None) -> None:
         self.tree = tree
+        self.root = root or self  # of a level, the field that it is of
         self._levels: dict[int, Field] = {}
         self._areas: dict[int, npt.NDArray[np.uint8]] = {}
 
@@ -65,9 +79,10 @@ class Field:
         """Return the field over the averages of a level, whose cells have the same numbers."""
         if level >= self.tree.max_depth:
             return self
-        if level not in self._levels:
-            self._levels[level] = Field(self.tree.truncated(level))
-        return self._levels[level]
+        levels = self.root._levels
+        if level not in levels:
+            levels[level] = Field(self.tree.truncated(level), self.root)
+        return levels[level]
 
     def areas_of_averages(self, level: int) -> npt.NDArray[np.uint8]:
         """Return the codes of the areas of nodes down to a level (cells,), 0 for leaves: not known."""
@@ -94,26 +109,17 @@ class Field:
 
     def taps(
         self, points: Points, placement: Placement, filter: str = "quadratic", *, gradient: bool = False
-    ) -> Taps:
-        """Find the taps of rest positions (n, 3), with their slopes if ``gradient``.
+    ) -> Listed:
+        """List the taps of rest positions (n, 3), with their slopes if ``gradient``.
 
         Raises NotFiniteError.
         """
-        found = [
-            Taps(
-                taps.starts.copy(),
-                taps.rows.copy(),
-                taps.weights.copy(),
-                taps.slopes.copy(),
-                taps.covers.copy(),
-            )
-            for taps in self.batches(points, placement, filter, gradient=gradient)
-        ]
+        found = list(self.batches(points, placement, filter, gradient=gradient))
         if len(found) == 1:
             return found[0]
         ends = np.cumsum([0, *(taps.rows.size for taps in found)])
         starts = [taps.starts[:-1] + end for taps, end in zip(found, ends, strict=False)]
-        return Taps(
+        return Listed(
             np.concatenate([*starts, ends[-1:]]),
             np.concatenate([np.empty(0, np.uint32), *(taps.rows for taps in found)]),
             np.concatenate([np.empty(0, np.float32), *(taps.weights for taps in found)]),
@@ -122,73 +128,158 @@ class Field:
         )
 
     def batches(
-        self, points: Points, placement: Placement, filter: str = "quadratic", *, gradient: bool = False
-    ) -> Iterator[Taps]:
-        """Yield the taps of consecutive runs of rest positions, each valid until the next. See ``taps``."""
-        if filter == "nearest":
-            yield self._nearest(points, placement)
-            return
-        code, walk = FILTERS.index(filter), new_walk()
-        starts = np.empty(len(points) + 1, np.int64)
-        rows, weights = np.empty(_ROOM, np.uint32), np.empty(_ROOM, np.float32)
-        slopes = np.empty((_ROOM if gradient else 0, 3), np.float32)
-        covers = np.empty(len(points), np.float32)
-        target = starts, rows, weights, slopes, covers
-        arrays, kept_cells = self.tree.arrays, self.tree.kept.cells
-        tiles = None if gradient or filter == "quartic" else self.tiles
-        begin = 0
-        while begin < len(points):
-            where = points, begin, *placement, code, walk
-            if tiles is None:
-                done = walk_all(arrays, kept_cells, *where, *target)
-            else:
-                done = tiled_taps(tiles, arrays, kept_cells, *where, *target, *WINDOW_TABLES)
-            if done < 0:
-                raise NotFiniteError(-1 - done)
-            end = starts[done]
-            yield Taps(starts[: done + 1], rows[:end], weights[:end], slopes[:end], covers[:done])
-            begin += done
-
-    def _nearest(self, points: Points, placement: Placement) -> Taps:
-        n = len(points)
-        cells, held = np.empty(n, np.int64), np.empty(n, np.bool_)
-        fault = nearest_cells(self.tree.arrays, points, *placement, cells, held)
-        if fault >= 0:
-            raise NotFiniteError(fault)
-        ones = np.ones(n, np.float32)
-        covers = held.astype(np.float32)
-        return Taps(np.arange(n + 1), cells.astype(np.uint32), ones, np.empty((0, 3), np.float32), covers)
-
-    def colors(
         self,
         points: Points,
         placement: Placement,
-        filter: str,
-        sight: Sight,
-        codes: Codes,
-        areas: npt.NDArray[np.uint8],
-        results: Float32s,
-        covers: Float32s,
-        left: Float32s,
-    ) -> npt.NDArray[np.int64] | None:
-        """Write the field of three components at rest positions (n, 3) to ``results`` (n, 3).
+        filter: str = "quadratic",
+        *,
+        normals: Float32s | None = None,
+        gradient: bool = False,
+    ) -> Iterator[Listed]:
+        """Yield the taps of consecutive runs of rest positions. See ``taps``.
 
-        The shortest way through all, for what is asked for most. See `Colors` for ``covers`` and ``left``,
-        `Task` for ``areas``.
-        Returns the points that are off the surface, whose results are not written; or None, and nothing is
-        written, if the tree has no tiles or the filter none of its own. Raises NotFiniteError.
+        With ``normals`` (n, 3) they are what faces these; after the kept rows come those of the split table.
         """
-        if filter == "quartic" or self.tiles is None:
-            return None
-        missed = np.empty(len(points), np.int64)
-        colors = Colors(results, covers, left, missed)
-        task = self.tiles, *placement, Task(points, sight, codes, areas, colors)
-        if filter == "nearest":
-            n_missed, fault = nearest_colors(*task)
-        elif filter == "linear":
-            n_missed, fault = linear_colors(*task)
-        else:
-            n_missed, fault = quadratic_colors(*task, *WINDOW_TABLES)
-        if fault >= 0:
-            raise NotFiniteError(fault)
-        return missed[:n_missed]
+        finder = Finder(self, filter, gradient=gradient)
+        places = np.empty((min(len(points), BLOCK), 3))
+        for begin in range(0, len(points), BLOCK):
+            some = points[begin : begin + BLOCK]
+            here = places[: len(some)]
+            fault = place_points(some, *placement, here)
+            if fault >= 0:
+                raise NotFiniteError(begin + fault)
+            taps = finder.find(here)
+            if normals is not None:
+                taps = self.facing(taps, normals[begin : begin + BLOCK])
+            room = int((taps.ends - taps.starts).sum()) + 1
+            starts, rows, weights = (
+                np.empty(len(some) + 1, np.int64),
+                np.empty(room, np.uint32),
+                np.empty(room, np.float32),
+            )
+            slopes = np.empty((room if gradient else 0, 3), np.float32)
+            list_taps(taps, 1.0 / placement.size, starts, rows, weights, slopes)
+            end = starts[-1]
+            yield Listed(starts, rows[:end], weights[:end], slopes[:end], taps.covers)
+
+    def facing(self, taps: Taps, normals: Float32s) -> Taps:
+        """Return what faces the normals (points, 3) of taps, which change: see `stages.face`."""
+        first_kept = self.root.tree.n_cells
+        n_split = face(taps, self.facings, first_kept, normals)
+        if not n_split:
+            return taps
+        room = int((taps.ends - taps.starts).sum()) + (MOST_ROWS - 1) * n_split
+        rows = Taps.of(taps.starts.size, room, taps.slopes.shape[0] > 0)
+        first_row = first_kept + self.root.tree.kept.cells.size
+        take_rows(taps, self.facings, first_kept, first_row, normals, rows)
+        return rows
+
+
+class Finder:
+    """Finds the taps of points of texture space, a block after another, in one field."""
+
+    def __init__(self, field: Field, filter: str, *, gradient: bool = False) -> None:
+        self.field = field
+        self.filter = FILTERS.index(filter)
+        self._gradient = gradient
+        self._walk: Walk | None = None
+        self._taps: Taps | None = None
+        self._all = self._next = self._empty = self._rim = np.empty(0, np.int64)
+
+    def find(self, places: Float64s, rows: Memory = _NOTHING) -> Taps:
+        """Return the taps of points (n, 3), at most BLOCK; valid until the next are found.
+
+        ``rows`` are what will be read of the cells next: they are asked for.
+        """
+        self._rows = rows
+        n = len(places)
+        tiles = self.field.tiles
+        most = MOST_TILED[self.filter] * n + 8 if tiles is not None else _WALKED * n + MOST_TAPS
+        if self._taps is None or self._taps.starts.size < n:
+            self._taps = Taps.of(n, most, self._gradient)
+            self._all, self._next = np.arange(n), np.arange(1, n + 1)
+            self._empty, self._rim = np.empty(n, np.int64), np.empty(n, np.int64)
+        taps = self._taps
+        if taps.starts.size > n:
+            taps = taps._replace(starts=taps.starts[:n], ends=taps.ends[:n], covers=taps.covers[:n])
+        if self.filter == NEAREST:
+            return self._nearest(places, taps)
+        if tiles is None:
+            return self._walked(places, taps, 0, self._all[:n])
+        empty, rim = self._empty, self._rim
+        end, n_empty, n_rim = self._tiled(tiles, self.field, places, self._all[:n], False, taps, 0, rim)
+        level = self.field.tree.max_depth
+        while n_empty:  # off the surface: the averages of the deepest level that has any there
+            level -= 1
+            above = self.field.level(level)
+            which = empty[:n_empty].copy()
+            taps = taps.with_room(end, end + MOST_TILED[self.filter] * n_empty + 8)
+            assert above.tiles is not None  # as all leaves of the tree have one depth
+            end, n_empty, more = self._tiled(
+                above.tiles, above, places[which], which, True, taps, end, rim[n_rim:]
+            )
+            n_rim += more
+        return self._walked(places, taps, end, rim[:n_rim])
+
+    def _tiled(
+        self,
+        tiles: Tiles,
+        field: Field,
+        places: Float64s,
+        which: Int64s,
+        is_off: bool,
+        taps: Taps,
+        end: int,
+        rim: Int64s,
+    ) -> tuple[int, int, int]:
+        last = field.tree.n_cells - 1
+        if self.filter == LINEAR:
+            return linear_taps(tiles, places, which, is_off, last, taps, end, self._empty, rim, self._rows)
+        if self.filter == QUADRATIC:
+            more = QUADRATIC_TABLES, taps, end, self._empty, rim, self._rows
+            return quadratic_taps(tiles, places, which, is_off, last, *more)
+        more = QUARTIC_TABLES, taps, end, self._empty, rim, self._rows
+        return quartic_taps(tiles, places, which, is_off, last, *more)
+
+    def _walked(self, places: Float64s, taps: Taps, end: int, which: Int64s) -> Taps:
+        """Walk to the taps of some points."""
+        if not which.size:
+            return taps
+        if self._walk is None:
+            self._walk = new_walk()
+        tree = self.field.tree
+        root = self.field.root.tree
+        done = 0
+        while done < which.size:
+            taps = taps.with_room(end, end + MOST_TAPS)
+            done, end = walked_taps(
+                *(tree.arrays, tree.kept.cells, root.n_cells, places, which, done),
+                *(self.filter, self._walk, taps, end),
+            )
+        return taps
+
+    def _nearest(self, places: Float64s, taps: Taps) -> Taps:
+        tree, n = self.field.tree, len(places)
+        tiles = self.field.tiles
+        if tiles is None:
+            cells, held = np.empty(n, np.int64), np.empty(n, np.bool_)
+            nearest_cells(tree.arrays, places, (0.0, 0.0, 0.0), 1.0, cells, held)
+            taps.rows[:n], taps.weights[:n] = cells, np.where(held, np.float32(1), OFF)
+            taps.starts[:], taps.ends[:], taps.covers[:] = self._all[:n], self._next[:n], held
+            return taps
+        taps.starts[:], taps.ends[:], taps.covers[:] = self._all[:n], self._next[:n], 1
+        taps.weights[:n] = 1
+        n_empty = nearest_rows(tiles, places, tree.n_cells - 1, taps.rows, self._empty, self._rows)
+        end = n
+        level = tree.max_depth
+        while n_empty:
+            here = self.field.level(level)
+            which = self._empty[:n_empty].copy()
+            taps = taps.with_room(end, end + n_empty)
+            assert here.tiles is not None
+            end, n_empty = nearest_around(
+                *(here.tiles, places[which], which, here.tree.n_cells - 1, QUADRATIC_TABLES),
+                *(taps, end, self._empty, self._rows),
+            )
+            level -= 1
+        return taps

@@ -15,8 +15,8 @@ from typing import NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-from octex.field.blocks import Points
 from octex.field.splines import LINEAR
+from octex.field.taps import Points
 from octex.jit import inlined, kernel
 from octex.tree.layout import MAX_DEPTH
 

@@ -22,6 +22,7 @@ from octex.field.splines import (
     quartic_slopes,
     quartic_weights,
 )
+from octex.field.taps import OFF, Taps
 from octex.field.windows import (
     BEGIN,
     CONTENT,
@@ -345,3 +346,45 @@ def walk_all(
             slopes[n, 1] /= size
             slopes[n, 2] /= size
     return done
+
+
+@kernel
+def walked_taps(
+    arrays: TreeArrays,
+    kept_cells: Uint32s,
+    first_kept: int,
+    places: npt.NDArray[np.float64],
+    which: Int64s,
+    begin: int,
+    filter_code: int,
+    walk: Walk,
+    taps: Taps,
+    end: int,
+) -> tuple[int, int]:
+    """Find the taps of points ``which[begin:]`` of those in texture space (n, 3), from index ``end`` on.
+
+    ``first_kept`` is what the first row of ``kept_cells`` is counted as. Stops where there might be no room
+    for a point's taps; returns how far it came, and the end of the taps.
+    """
+    n_cells = np.uint32(arrays.flags.size)
+    shift = np.uint32(first_kept - arrays.flags.size)
+    gradient = taps.slopes.shape[0] > 0
+    for m in range(begin, which.size):
+        if end + MOST_TAPS > taps.rows.size:
+            return m, end
+        n = which[m]
+        start = end
+        x, y, z = places[n, 0], places[n, 1], places[n, 2]
+        end, cover = walk_taps(
+            arrays, kept_cells, x, y, z, filter_code, walk, taps.rows, taps.weights, taps.slopes, start
+        )
+        scale = np.float32(max(cover, np.float64(OFF)))
+        for tap in range(start, end):
+            if taps.rows[tap] >= n_cells:
+                taps.rows[tap] += shift
+            taps.weights[tap] *= scale
+            if gradient:
+                for axis in range(3):
+                    taps.slopes[tap, axis] *= scale
+        taps.starts[n], taps.ends[n], taps.covers[n] = start, end, cover
+    return which.size, end

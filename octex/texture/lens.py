@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from octex.checks import as_choice, as_number, as_point_rows
 from octex.errors import ArgumentError
-from octex.field.filtered import Query
 from octex.field.footprints import Footprints, long_footprints, round_footprints
+from octex.field.lookups import Query
 from octex.field.splines import FILTERS
 from octex.texture.lookup import Given
 

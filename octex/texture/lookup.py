@@ -57,17 +57,25 @@ def in_blocks(given: Given, answers: list[Array], look_up: LookUp, executor: Exe
     row that is not finite, or a width that is below zero; the answers are then written in part.
     """
     as_executor(executor)
+    if 0 < len(given["points"]) <= BLOCK:  # nothing to hand over
+        _check(_look_up_block(look_up, (given, answers))[0], 0, given)
+        return
     blocks = _Blocks(given, answers)
     work = partial(_look_up_block, look_up)
     done = map(work, blocks) if executor is None else ordered_map(executor, work, blocks)
     for number, (fault, found) in enumerate(done):
-        if fault is not None:
-            name, row = fault.name, number * BLOCK + fault.row
-            kind = "finite and not below zero" if name == "width" else "finite"
-            raise ArgumentError(f"{name} must be {kind}, but {name}[{row}] is {given[name][row].tolist()}")
+        _check(fault, number * BLOCK, given)
         for answer, rows in zip(blocks[number][1], found, strict=True):
             if not np.may_share_memory(answer, rows):  # the executor works in other processes
                 answer[:] = rows
+
+
+def _check(fault: _Fault | None, begin: int, given: Given) -> None:
+    """Raise ArgumentError for a fault in the block that begins at a row."""
+    if fault is not None:
+        name, row = fault.name, begin + fault.row
+        kind = "finite and not below zero" if name == "width" else "finite"
+        raise ArgumentError(f"{name} must be {kind}, but {name}[{row}] is {given[name][row].tolist()}")
 
 
 def _look_up_block(look_up: LookUp, block: tuple[Given, list[Array]]) -> tuple[_Fault | None, list[Array]]:

@@ -17,7 +17,8 @@ from octex import container
 from octex.checks import as_depth, as_entries, as_flag, as_path, as_point_rows, as_reals, locked
 from octex.errors import ArgumentError, InputError, TextureFileError
 from octex.field.field import Field
-from octex.texture.blend import NO_GRADIENTS, facing_spreads, look_up, make_unit
+from octex.field.lookups import Stored, look_up
+from octex.texture.blend import NO_GRADIENTS, facing_spreads, make_unit, stored
 from octex.texture.channel import Channel
 from octex.texture.file import ENDING, FORMAT, FORMAT_VERSION, File, Parts, taken, written
 from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens
@@ -40,7 +41,17 @@ class OctreeTexture:
     Raises ArgumentError if tree, channels, placement and bounds do not fit together.
     """
 
-    __slots__ = ("_field", "_file", "_known_spreads", "bounds", "channels", "metadata", "placement", "tree")
+    __slots__ = (
+        "_field",
+        "_file",
+        "_known_spreads",
+        "_known_stored",
+        "bounds",
+        "channels",
+        "metadata",
+        "placement",
+        "tree",
+    )
 
     def __init__(
         self,
@@ -58,6 +69,7 @@ class OctreeTexture:
         self.metadata = MappingProxyType(as_metadata(metadata))
         self._field = Field(tree)
         self._known_spreads: dict[tuple[str, int], Floats] = {}
+        self._known_stored: dict[str, Stored] = {}
         self._file: File | None = None
         given = as_entries(channels, "channels")
         for name, channel in given.items():
@@ -247,8 +259,9 @@ class OctreeTexture:
         """Look up a block: its values in ``answers``, then, if they are wanted, as many gradients."""
         channels = [self.channels[name] for name in names]
         values, gradients = answers[: len(channels)], answers[len(channels) :]
-        alpha = self.channels.get("alpha")
-        if alpha and alpha.format.components != 1:
+        read = [self._as_read(channel.format.name) for channel in channels]
+        alpha = self._as_read("alpha") if "alpha" in self.channels else None
+        if alpha and not alpha.is_alpha:
             alpha = None
         query = lens.query(given)
         groups = [slice(0, len(channels))]
@@ -260,7 +273,7 @@ class OctreeTexture:
             if is_ruled:
                 query = query._replace(spreads=partial(self._spreads, channels[group.start]))
             fault = look_up(
-                *(self._field, self.placement, given["points"], query, channels[group], alpha),
+                *(self._field, self.placement, given["points"], query, read[group], alpha),
                 *(values[group], gradients[group]),
             )
         if fault < 0 and normalize:
@@ -268,6 +281,11 @@ class OctreeTexture:
                 if channel.format.space == "direction":
                     make_unit(values[number], gradients[number] if gradients else NO_GRADIENTS)
         return fault
+
+    def _as_read(self, name: str) -> Stored:
+        if name not in self._known_stored:
+            self._known_stored[name] = stored(self.channels[name])
+        return self._known_stored[name]
 
     def _spreads(self, channel: Channel, level: int) -> Floats:
         key = channel.format.name, level
@@ -293,7 +311,8 @@ class OctreeTexture:
     def _read_for(self, count: int) -> None:
         """Prepare for so many lookups."""
         # About a page a point: most of the file will be read.
-        if count * mmap.PAGESIZE > self.nbytes:
+        mapping = self._file.mapping if self._file else None
+        if mapping and count * mmap.PAGESIZE > len(mapping):
             self._read_ahead()
 
     def level(self, level: int) -> OctreeTexture:

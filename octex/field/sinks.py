@@ -1,0 +1,316 @@
+"""Sinks: what is made of taps. Values are blended in double precision."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.field.taps import Float32s, Float64s, Int64s, Taps, Uint32s
+from octex.jit import decoded, fused_kernel, inlined, kernel, prefetch
+
+Rows = npt.NDArray[np.uint8 | np.uint16 | np.float32]
+Int32s = npt.NDArray[np.int32]
+Table = npt.NDArray[np.float32 | np.float64]
+
+#: Points whose values are asked for before any is read.
+_GROUP = 64
+
+
+class Codes(NamedTuple):
+    """A channel as it is stored, and what its codes stand for."""
+
+    values: Rows  # (cells, components)
+    kept_values: Rows  # (kept nodes, components)
+    split_values: Rows  # (split rows, components)
+    #: (codes,)   the decoded values, float64 for 8 bits, which saves an instruction each; empty for float32
+    table: Table
+
+    @property
+    def components(self) -> int:
+        """Components of a value."""
+        return int(self.values.shape[1])
+
+
+class Flat(NamedTuple):
+    """`Codes` as kernels read them."""
+
+    values: Rows
+    kept: Rows
+    split: Rows
+    table: Table
+    first_kept: int
+    first_row: int
+
+
+@kernel
+def flat_of(codes: Codes) -> Flat:
+    """Flatten the values."""
+    n_cells = codes.values.shape[0]
+    return Flat(
+        codes.values.reshape(-1),
+        codes.kept_values.reshape(-1),
+        codes.split_values.reshape(-1),
+        codes.table,
+        n_cells,
+        n_cells + codes.kept_values.shape[0],
+    )
+
+
+@inlined
+def _ask(taps: Taps, begin: int, end: int, rows: Rows) -> None:
+    """Ask for the rows of a group of points: for every other one, which the next mostly lies beside."""
+    for n in range(begin, end):
+        for tap in range(taps.starts[n], taps.ends[n], 2):
+            prefetch(rows, int(taps.rows[np.uint64(tap)]))
+
+
+@inlined
+def _four(values: Rows, table: Table, at: int, components: int) -> tuple[float, float, float, float]:
+    a = np.float64(decoded(table, values[np.uint64(at)]))
+    b = c = d = 0.0
+    if components > 1:
+        b = np.float64(decoded(table, values[np.uint64(at + 1)]))
+    if components > 2:
+        c = np.float64(decoded(table, values[np.uint64(at + 2)]))
+    if components > 3:
+        d = np.float64(decoded(table, values[np.uint64(at + 3)]))
+    return a, b, c, d
+
+
+@inlined
+def _value(flat: Flat, number: np.uint32, components: int) -> tuple[float, float, float, float]:
+    """Return the decoded components of a row."""
+    row = int(number)
+    if row < flat.first_kept:
+        return _four(flat.values, flat.table, row * components, components)
+    if row < flat.first_row:
+        return _four(flat.kept, flat.table, (row - flat.first_kept) * components, components)
+    row = min(row - flat.first_row, flat.split.size // components - 1)
+    return _four(flat.split, flat.table, row * components, components)
+
+
+@inlined
+def _sum(taps: Taps, n: int, flat: Flat, components: int) -> tuple[float, float, float, float, float]:
+    """Return Σ w·v of up to four components, and Σ w."""
+    a = b = c = d = total = 0.0
+    for tap in range(taps.starts[n], taps.ends[n]):
+        weight = np.float64(taps.weights[np.uint64(tap)])
+        row = np.int64(taps.rows[np.uint64(tap)])
+        total += weight
+        if row < flat.first_kept:
+            at = np.uint64(row * components)
+            a += weight * np.float64(decoded(flat.table, flat.values[at]))
+            if components > 1:
+                b += weight * np.float64(decoded(flat.table, flat.values[at + np.uint64(1)]))
+            if components > 2:
+                c += weight * np.float64(decoded(flat.table, flat.values[at + np.uint64(2)]))
+            if components > 3:
+                d += weight * np.float64(decoded(flat.table, flat.values[at + np.uint64(3)]))
+        else:
+            p, q, r, s = _value(flat, taps.rows[np.uint64(tap)], components)
+            a, b, c, d = a + weight * p, b + weight * q, c + weight * r, d + weight * s
+    return a, b, c, d, total
+
+
+@inlined
+def _sum_any(taps: Taps, n: int, flat: Flat, components: int) -> tuple[float, float, float, float, float]:
+    if components == 3:
+        return _sum(taps, n, flat, 3)
+    if components == 1:
+        return _sum(taps, n, flat, 1)
+    if components == 2:
+        return _sum(taps, n, flat, 2)
+    return _sum(taps, n, flat, 4)
+
+
+@inlined
+def _put(results: Float32s, at: int, components: int, a: float, b: float, c: float, d: float) -> None:
+    results[np.uint64(at)] = a
+    if components > 1:
+        results[np.uint64(at + 1)] = b
+    if components > 2:
+        results[np.uint64(at + 2)] = c
+    if components > 3:
+        results[np.uint64(at + 3)] = d
+
+
+@kernel
+def take(rows: Uint32s, codes: Codes, results: Float32s) -> None:
+    """Write the values of rows (points,), which are cells."""
+    flat, components = flat_of(codes), codes.values.shape[1]
+    flat_results = results.reshape(-1)
+    for n in range(rows.size):
+        a, b, c, d = _value(flat, rows[np.uint64(n)], components)
+        _put(flat_results, n * components, components, a, b, c, d)
+
+
+@fused_kernel
+def blend(taps: Taps, codes: Codes, is_asked: bool, results: Float32s) -> None:
+    """Write the mean (points, components) under the weights: Σ w·v / Σ w.
+
+    ``is_asked`` says that the values have been asked for.
+    """
+    flat, components = flat_of(codes), codes.values.shape[1]
+    flat_results = results.reshape(-1)
+    for begin in range(0, taps.starts.size, _GROUP):
+        end = min(begin + _GROUP, taps.starts.size)
+        if not is_asked:
+            _ask(taps, begin, end, codes.values)
+        for n in range(begin, end):
+            if taps.ends[n] - taps.starts[n] == 1:
+                a, b, c, d = _value(flat, taps.rows[taps.starts[n]], components)
+                _put(flat_results, n * components, components, a, b, c, d)
+                continue
+            a, b, c, d, total = _sum_any(taps, n, flat, components)
+            inverse = 1.0 / total if total > 0.0 else 0.0
+            _put(flat_results, n * components, components, a * inverse, b * inverse, c * inverse, d * inverse)
+
+
+@kernel
+def blend_slopes(taps: Taps, codes: Codes, scale: float, results: Float32s, gradients: Float32s) -> None:
+    """Write the derivatives of the mean, which is known: Σ w′·(v − mean) / Σ w, times ``scale``.
+
+    So those of constants are zero, however the weights are rounded.
+    """
+    flat, components = flat_of(codes), codes.values.shape[1]
+    for n in range(taps.starts.size):
+        total = 0.0
+        for component in range(components):
+            x = y = z = total = 0.0
+            mean = np.float64(results[n, component])
+            for tap in range(taps.starts[n], taps.ends[n]):
+                apart = _value(flat, taps.rows[tap], components)[component] - mean
+                x += np.float64(taps.slopes[tap, 0]) * apart
+                y += np.float64(taps.slopes[tap, 1]) * apart
+                z += np.float64(taps.slopes[tap, 2]) * apart
+                total += np.float64(taps.weights[tap])
+            factor = scale / total if total > 0.0 else 0.0
+            gradients[n, component, 0], gradients[n, component, 1] = x * factor, y * factor
+            gradients[n, component, 2] = z * factor
+
+
+class Sums(NamedTuple):
+    """What looks at several levels add up to, by the point whose looks they are."""
+
+    values: Float64s  # (points, components)
+    totals: Float64s  # (points,)   of the weights
+    slopes: Float64s  # (points, components, 3) or (0, components, 3)
+    total_slopes: Float64s  # (points, 3) or (0, 3)
+
+    @classmethod
+    def of(cls, points: int, components: int, gradient: bool) -> Sums:
+        """Return zeros."""
+        n = points if gradient else 0
+        return cls(
+            np.zeros((points, components)),
+            np.zeros(points),
+            np.zeros((n, components, 3)),
+            np.zeros((n, 3)),
+        )
+
+
+@fused_kernel
+def add_up(taps: Taps, codes: Codes, owners: Int32s, shares: Float32s, sums: Sums) -> None:
+    """Add the blends of looks, times their shares, to those of the points that own them.
+
+    ``owners`` (looks,), or (0,): each look is that of the point of its number.
+    """
+    flat, components = flat_of(codes), codes.values.shape[1]
+    gradient = sums.total_slopes.shape[0] > 0
+    for begin in range(0, taps.starts.size, _GROUP):
+        end = min(begin + _GROUP, taps.starts.size)
+        _ask(taps, begin, end, codes.values)
+        for n in range(begin, end):
+            a, b, c, d, total = _sum_any(taps, n, flat, components)
+            owner = np.int64(owners[n]) if owners.size > 0 else np.int64(n)
+            share = np.float64(shares[n])
+            sums.values[owner, 0] += share * a
+            if components > 1:
+                sums.values[owner, 1] += share * b
+            if components > 2:
+                sums.values[owner, 2] += share * c
+            if components > 3:
+                sums.values[owner, 3] += share * d
+            sums.totals[owner] += share * total
+            if gradient:
+                _add_slopes(taps, n, flat, components, int(owner), share, sums)
+
+
+@inlined
+def _add_slopes(
+    taps: Taps, n: int, flat: Flat, components: int, owner: int, share: float, sums: Sums
+) -> None:
+    for tap in range(taps.starts[n], taps.ends[n]):
+        value = _value(flat, taps.rows[tap], components)
+        for axis in range(3):
+            slope = share * np.float64(taps.slopes[tap, axis])
+            sums.total_slopes[owner, axis] += slope
+            for component in range(components):
+                sums.slopes[owner, component, axis] += slope * value[component]
+
+
+@kernel
+def divide(sums: Sums, scale: float, results: Float32s, gradients: Float32s) -> None:
+    """Write sums divided by their weights, and the derivatives of that times ``scale``."""
+    for n in range(sums.totals.size):
+        inverse = 1.0 / sums.totals[n] if sums.totals[n] != 0.0 else 0.0
+        for component in range(sums.values.shape[1]):
+            value = sums.values[n, component] * inverse
+            results[n, component] = value
+            for axis in range(3 if gradients.shape[0] > 0 else 0):
+                slope = sums.slopes[n, component, axis] - value * sums.total_slopes[n, axis]
+                gradients[n, component, axis] = slope * inverse * scale
+
+
+@kernel
+def cover(taps: Taps, alpha: Codes, always: bool) -> None:
+    """Multiply the weights by alpha, of one component; unless ``always``, only where any of it is left."""
+    flat = flat_of(alpha)
+    gradient = taps.slopes.shape[0] > 0
+    for begin in range(0, taps.starts.size, _GROUP):
+        end = min(begin + _GROUP, taps.starts.size)
+        _ask(taps, begin, end, alpha.values)
+        for n in range(begin, end):
+            total = _sum(taps, n, flat, 1)[0]
+            if not (total > 0.0 or always):
+                continue
+            for tap in range(taps.starts[n], taps.ends[n]):
+                part = np.float32(_value(flat, taps.rows[tap], 1)[0])
+                taps.weights[tap] *= part
+                if gradient:
+                    for axis in range(3):
+                        taps.slopes[tap, axis] *= part
+
+
+@kernel
+def list_taps(
+    taps: Taps, scale: float, starts: Int64s, rows: Uint32s, weights: Float32s, slopes: Float32s
+) -> None:
+    """List the taps that weigh anything, with weights that sum to 1 and slopes times ``scale``."""
+    end = 0
+    starts[0] = 0
+    gradient = slopes.shape[0] > 0
+    for n in range(taps.starts.size):
+        total = 0.0
+        sum_x = sum_y = sum_z = 0.0
+        for tap in range(taps.starts[n], taps.ends[n]):
+            total += np.float64(taps.weights[tap])
+            if gradient:
+                sum_x += np.float64(taps.slopes[tap, 0])
+                sum_y += np.float64(taps.slopes[tap, 1])
+                sum_z += np.float64(taps.slopes[tap, 2])
+        inverse = 1.0 / total if total > 0.0 else 0.0
+        for tap in range(taps.starts[n], taps.ends[n]):
+            weight = np.float64(taps.weights[tap]) * inverse
+            is_any = bool(weight > 0.0)
+            rows[end], weights[end] = taps.rows[tap], weight
+            if gradient:
+                x = (np.float64(taps.slopes[tap, 0]) - weight * sum_x) * inverse
+                y = (np.float64(taps.slopes[tap, 1]) - weight * sum_y) * inverse
+                z = (np.float64(taps.slopes[tap, 2]) - weight * sum_z) * inverse
+                slopes[end, 0], slopes[end, 1], slopes[end, 2] = x * scale, y * scale, z * scale
+                is_any = is_any or bool(x != 0.0 or y != 0.0 or z != 0.0)
+            end += is_any
+        starts[n + 1] = end

@@ -1,0 +1,418 @@
+"""`quadratic` and `quartic` by tiles: the 3×3×3 or 5×5×5 cells around that of the point, under a spline.
+
+They lie in a *window*, the children of 2×2×2 or 3×3×3 nodes, which is kept while points stay in it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.field.blocks import GROUP, Near, find_tiles, new_near, tile_key
+from octex.field.linear import cell_of
+from octex.field.splines import (
+    quadratic_slopes,
+    quadratic_weights,
+    quartic_slopes,
+    quartic_weights,
+)
+from octex.field.taps import LEAST, OFF, Bytes, Float32s, Float64s, Int64s, Memory, Taps, finish
+from octex.field.tiles import Tiles, code_in_tile
+from octex.jit import fused_kernel, inlined, kernel, popcount, prefetch, trailing_zeros
+from octex.tree.morton import encode
+from octex.tree.search import UNITS
+
+Uint16s = npt.NDArray[np.uint16]
+Uint64s = npt.NDArray[np.uint64]
+
+
+class Tables(NamedTuple):
+    """What of a window is read, by the parities of the lowest cell read: x | y << 1 | z << 2."""
+
+    masks: Uint64s  # (8 · words,)   which cells; bit child & 63 of word child >> 6, child = 8 · node + octant
+    #: (2 · 8 · children,) where in `Group.along` a child's weight along x is for the first point of a group,
+    #: and that along y and z.
+    places: Uint16s
+
+
+def _tables(reach: int) -> Tables:
+    """Tabulate windows of (2 · reach + 1)³ cells in the children of (reach + 1)³ nodes."""
+    side, nodes = 2 * reach + 1, reach + 1
+    children = 8 * nodes**3
+    masks = np.zeros((8, -(-children // 64)), np.uint64)
+    places = np.zeros((8, children, 2), np.uint16)
+    for parity in range(8):
+        for child in range(children):
+            node, octant = child >> 3, child & 7
+            corner = node % nodes, node // nodes % nodes, node // nodes**2
+            x, y, z = (2 * corner[axis] + (octant >> axis & 1) - (parity >> axis & 1) for axis in range(3))
+            if min(x, y, z) >= 0 and max(x, y, z) < side:
+                masks[parity, child >> 6] |= np.uint64(1 << (child & 63))
+                places[parity, child] = GROUP * x, GROUP * (side + side * y + z)
+    return Tables(masks.reshape(-1), places.reshape(-1))
+
+
+#: For `quadratic_taps` and `quartic_taps`.
+QUADRATIC_TABLES, QUARTIC_TABLES = _tables(1), _tables(2)
+
+
+class Group(NamedTuple):
+    """Points placed, and the window of the latest."""
+
+    near: Near
+    windows: Bytes  # (GROUP,)   the lowest node of each point's window in the tile: x | y << 2 | z << 4
+    parities: Bytes  # (GROUP,)   of the lowest cell read, which lies in that node: x | y << 1 | z << 2
+    along: Float32s  # (30 · GROUP,)   weights along x, then products of those along y and z
+    #: (55 · GROUP,) or (0,): slopes along x, then products of slopes along y and weights along z, then of
+    #: weights along y and slopes along z
+    slopes: Float32s
+    latest: Int64s  # (2,)   the latest window, and the key of its tile
+    masks: Uint64s  # (4,)   which of its cells are stored
+    firsts: Int64s  # (27,)   the first stored child of each of its nodes, less all that the word has before
+
+
+@kernel
+def new_group(gradient: bool) -> Group:
+    """Return a group that knows nothing. It serves one tree and one spline."""
+    return Group(
+        new_near(),
+        np.zeros(GROUP, np.uint8),
+        np.zeros(GROUP, np.uint8),
+        np.zeros(30 * GROUP, np.float32),
+        np.zeros(55 * GROUP if gradient else 0, np.float32),
+        np.full(2, -1, np.int64),
+        np.zeros(4, np.uint64),
+        np.zeros(27, np.int64),
+    )
+
+
+@inlined
+def _find_place(group: Group, n: int, i: np.int32, j: np.int32, k: np.int32, reach: int) -> None:
+    """Find the tile and the window whose lowest cell is (i, j, k)."""
+    one, two, three, four = np.int32(1), np.int32(2), np.int32(3), np.int32(4)
+    more = np.int32(reach)
+    at = np.uint64(n)
+    group.near.keys[at] = tile_key(np.int64(i >> three), np.int64(j >> three), np.int64(k >> three))
+    e, f, g = i >> one & three, j >> one & three, k >> one & three
+    group.windows[at] = e | f << two | g << four
+    group.near.reached[at] = (e + more) >> two | (f + more) >> two << one | (g + more) >> two << two
+    group.parities[at] = i & one | (j & one) << one | (k & one) << two
+
+
+@inlined
+def _lowest(places: Float64s, point: int, cells: float) -> tuple[float, float, float, float, float, float]:
+    """Return a point in cells, and the cell that holds it, as floats."""
+    at = np.uint64(3 * point)
+    x, y, z = places[at] * cells, places[at + np.uint64(1)] * cells, places[at + np.uint64(2)] * cells
+    most = cells - 1.0
+    return x, y, z, min(np.floor(x), most), min(np.floor(y), most), min(np.floor(z), most)
+
+
+@inlined
+def _quadratic(t: np.float32) -> tuple[np.float32, np.float32, np.float32]:
+    half, one = np.float32(0.5), np.float32(1.0)
+    low, high = half * (one - t) * (one - t), half * t * t
+    return low, one - low - high, high
+
+
+@inlined
+def _put_three(
+    along: Float32s, at: np.uint64, factor: np.float32, p: np.float32, q: np.float32, r: np.float32
+) -> None:
+    along[at] = factor * p
+    along[at + np.uint64(GROUP)] = factor * q
+    along[at + np.uint64(2 * GROUP)] = factor * r
+
+
+@inlined
+def _place_quadratic(places: Float64s, begin: int, count: int, depth: int, group: Group) -> None:
+    """Find each point's tile and window, and weigh."""
+    cells = float(1 << depth)
+    one = np.int32(1)
+    along = group.along
+    for n in range(count):
+        x, y, z, u, v, w = _lowest(places, begin + n, cells)
+        _find_place(group, n, np.int32(u) - one, np.int32(v) - one, np.int32(w) - one, 1)
+        at = np.uint64(n)
+        p, q, r = _quadratic(np.float32(x - u))
+        _put_three(along, at, np.float32(1.0), p, q, r)
+        a, b, c = _quadratic(np.float32(y - v))
+        p, q, r = _quadratic(np.float32(z - w))
+        _put_three(along, at + np.uint64(3 * GROUP), a, p, q, r)
+        _put_three(along, at + np.uint64(6 * GROUP), b, p, q, r)
+        _put_three(along, at + np.uint64(9 * GROUP), c, p, q, r)
+
+
+@inlined
+def _slope_quadratic(places: Float64s, begin: int, count: int, depth: int, group: Group) -> None:
+    cells = float(1 << depth)
+    slopes = group.slopes
+    for n in range(count):
+        x, y, z, u, v, w = _lowest(places, begin + n, cells)
+        of_y, of_z = quadratic_weights(y - v), quadratic_weights(z - w)
+        by_x, by_y, by_z = quadratic_slopes(x - u), quadratic_slopes(y - v), quadratic_slopes(z - w)
+        for a in range(3):
+            slopes[n + GROUP * a] = cells * by_x[a]
+            for b in range(3):
+                slopes[n + GROUP * (3 + 3 * a + b)] = cells * by_y[a] * of_z[b]
+                slopes[n + GROUP * (12 + 3 * a + b)] = cells * of_y[a] * by_z[b]
+
+
+@inlined
+def _place_quartic(places: Float64s, begin: int, count: int, depth: int, group: Group) -> None:
+    cells = float(1 << depth)
+    two = np.int32(2)
+    gradient = group.slopes.size > 0
+    along, slopes = group.along, group.slopes
+    for n in range(count):
+        x, y, z, u, v, w = _lowest(places, begin + n, cells)
+        _find_place(group, n, np.int32(u) - two, np.int32(v) - two, np.int32(w) - two, 2)
+        of_x, of_y, of_z = quartic_weights(x - u), quartic_weights(y - v), quartic_weights(z - w)
+        for a in range(5):
+            along[n + GROUP * a] = of_x[a]
+            for b in range(5):
+                along[n + GROUP * (5 + 5 * a + b)] = of_y[a] * of_z[b]
+        if gradient:
+            by_x, by_y, by_z = quartic_slopes(x - u), quartic_slopes(y - v), quartic_slopes(z - w)
+            for a in range(5):
+                slopes[n + GROUP * a] = cells * by_x[a]
+                for b in range(5):
+                    slopes[n + GROUP * (5 + 5 * a + b)] = cells * by_y[a] * of_z[b]
+                    slopes[n + GROUP * (30 + 5 * a + b)] = cells * of_y[a] * by_z[b]
+
+
+@inlined
+def _add_node(tiles: Tiles, group: Group, slot: int, node: int, i: int, j: int, k: int, rows: Memory) -> None:
+    """Add the children of a node at (i, j, k), 0 … 5, from the tile on, to the window's masks."""
+    code = code_in_tile(2 * i, 2 * j, 2 * k)
+    octant = np.uint64(group.near.octants[np.uint64(slot + (code >> 11))] + (code >> 8 & 7))
+    shift = np.uint64(code & 63)
+    stored = tiles.masks[octant]
+    below = stored & ((np.uint64(1) << shift) - np.uint64(1))
+    first = np.int64(tiles.firsts[octant]) + popcount(below)
+    prefetch(rows, int(first))
+    word = np.uint64(node >> 3)
+    group.firsts[np.uint64(node)] = first - popcount(group.masks[word])
+    group.masks[word] |= ((stored >> shift) & np.uint64(0xFF)) << np.uint64(8 * (node & 7))
+
+
+@inlined
+def _find_window(tiles: Tiles, group: Group, n: int, reach: int, rows: Memory) -> None:
+    """Know the window of point n, and ask for the rows of its cells."""
+    window, key = np.int64(group.windows[np.uint64(n)]), group.near.keys[np.uint64(n)]
+    if (window == group.latest[0]) & (key == group.latest[1]):
+        return
+    group.latest[0], group.latest[1] = window, key
+    i, j, k = int(window & 3), int(window >> 2 & 3), int(window >> 4)
+    slot = group.near.slots[np.uint64(n)]
+    side = reach + 1
+    for word in range(1 if reach == 1 else 4):
+        group.masks[word] = np.uint64(0)
+    node = 0
+    for c in range(side):
+        for b in range(side):
+            for a in range(side):
+                _add_node(tiles, group, slot, node, i + a, j + b, k + c, rows)
+                node += 1
+
+
+@inlined
+def _take_word(
+    group: Group,
+    n: int,
+    word: int,
+    tables: Tables,
+    reach: int,
+    last: int,
+    taps: Taps,
+    end: int,
+    total: np.float32,
+) -> tuple[int, np.float32]:
+    """Write the taps in one word of a window; return their end, and the weight of all."""
+    at = np.uint64(n)
+    words, children, ys = (1, 64, 9) if reach == 1 else (4, 216, 25)
+    parity = np.int64(group.parities[at])
+    mask = group.masks[np.uint64(word)]
+    left = mask & tables.masks[np.uint64(words * parity + word)]
+    base = 2 * (children * parity + 64 * word)
+    along, slopes, places = group.along, group.slopes, tables.places
+    gradient = slopes.size > 0
+    while left != np.uint64(0):
+        bit = np.uint64(trailing_zeros(left))
+        left &= left - np.uint64(1)
+        below = mask & ((np.uint64(1) << bit) - np.uint64(1))
+        place = np.uint64(base) + (bit << np.uint64(1))
+        x = np.uint64(places[place]) + at
+        yz = np.uint64(places[place + np.uint64(1)]) + at
+        weight = along[x] * along[yz]
+        cell = group.firsts[np.uint64(8 * word) + (bit >> np.uint64(3))] + popcount(below)
+        taps.rows[np.uint64(end)] = min(cell, last)
+        taps.weights[np.uint64(end)] = weight
+        if gradient:
+            taps.slopes[end, 0] = slopes[x] * along[yz]
+            taps.slopes[end, 1] = along[x] * slopes[yz]
+            taps.slopes[end, 2] = along[x] * slopes[yz + np.uint64(ys * GROUP)]
+        total += weight
+        end += 1
+    return end, total
+
+
+@fused_kernel
+def quadratic_taps(
+    tiles: Tiles,
+    places: Float64s,
+    which: Int64s,
+    is_off: bool,
+    last: int,
+    tables: Tables,
+    taps: Taps,
+    end: int,
+    empty: Int64s,
+    rim: Int64s,
+    rows: Memory,
+) -> tuple[int, int, int]:
+    """Find the taps of the quadratic spline at points (n, 3) of texture space, from index ``end`` on.
+
+    ``which`` (n,) are the points' numbers among the taps; ``is_off`` says that they are off the surface;
+    ``last`` is the largest cell number; ``rows`` is what will be read of the cells next, and is asked for.
+    Points without any cell around them are listed in ``empty``, those whose weights are too small in ``rim``.
+    Returns the end of the taps and how many both are.
+    """
+    group = new_group(taps.slopes.shape[0] > 0)
+    flat = places.reshape(-1)
+    n_empty = n_rim = 0
+    for begin in range(0, places.shape[0], GROUP):
+        count = min(GROUP, places.shape[0] - begin)
+        _place_quadratic(flat, begin, count, tiles.depth, group)
+        if group.slopes.size > 0:
+            _slope_quadratic(flat, begin, count, tiles.depth, group)
+        find_tiles(tiles, group.near, count)
+        for n in range(count):
+            _find_window(tiles, group, n, 1, rows)
+            start = end
+            end, total = _take_word(group, n, 0, tables, 1, last, taps, end, np.float32(0.0))
+            point = which[begin + n]
+            if total >= LEAST:
+                finish(taps, point, start, end, total, is_off)
+            elif end == start:
+                empty[n_empty] = point
+                n_empty += 1
+            else:
+                rim[n_rim] = point
+                n_rim += 1
+                end = start
+    return end, n_empty, n_rim
+
+
+@fused_kernel
+def quartic_taps(
+    tiles: Tiles,
+    places: Float64s,
+    which: Int64s,
+    is_off: bool,
+    last: int,
+    tables: Tables,
+    taps: Taps,
+    end: int,
+    empty: Int64s,
+    rim: Int64s,
+    rows: Memory,
+) -> tuple[int, int, int]:
+    """Find the taps of the quartic spline. See `quadratic_taps`."""
+    group = new_group(taps.slopes.shape[0] > 0)
+    flat = places.reshape(-1)
+    n_empty = n_rim = 0
+    for begin in range(0, places.shape[0], GROUP):
+        count = min(GROUP, places.shape[0] - begin)
+        _place_quartic(flat, begin, count, tiles.depth, group)
+        find_tiles(tiles, group.near, count)
+        for n in range(count):
+            _find_window(tiles, group, n, 2, rows)
+            start, total = end, np.float32(0.0)
+            for word in range(4):
+                end, total = _take_word(group, n, word, tables, 2, last, taps, end, total)
+            point = which[begin + n]
+            if total >= LEAST:
+                finish(taps, point, start, end, total, is_off)
+            elif end == start:
+                empty[n_empty] = point
+                n_empty += 1
+            else:
+                rim[n_rim] = point
+                n_rim += 1
+                end = start
+    return end, n_empty, n_rim
+
+
+@kernel
+def nearest_around(
+    tiles: Tiles,
+    places: Float64s,
+    which: Int64s,
+    last: int,
+    tables: Tables,
+    taps: Taps,
+    end: int,
+    empty: Int64s,
+    rows: Memory,
+) -> tuple[int, int]:
+    """Find the nearest stored cell of the 27 around points that no leaf holds; of equally near the first.
+
+    Else as `quadratic_taps`.
+    """
+    group = new_group(False)
+    shift = 21 - tiles.depth
+    size = 1 << shift
+    one = np.int32(1)
+    n_empty = 0
+    for begin in range(0, places.shape[0], GROUP):
+        count = min(GROUP, places.shape[0] - begin)
+        for n in range(count):
+            a = cell_of(places[begin + n, 0], tiles.depth) - one
+            b = cell_of(places[begin + n, 1], tiles.depth) - one
+            c = cell_of(places[begin + n, 2], tiles.depth) - one
+            _find_place(group, n, a, b, c, 1)
+        find_tiles(tiles, group.near, count)
+        for n in range(count):
+            _find_window(tiles, group, n, 1, rows)
+            x, y, z = (
+                places[begin + n, 0] * UNITS,
+                places[begin + n, 1] * UNITS,
+                places[begin + n, 2] * UNITS,
+            )
+            low = (
+                np.int64(cell_of(places[begin + n, 0], tiles.depth)) - 1,
+                np.int64(cell_of(places[begin + n, 1], tiles.depth)) - 1,
+                np.int64(cell_of(places[begin + n, 2], tiles.depth)) - 1,
+            )
+            parity = np.int64(group.parities[n])
+            mask = group.masks[0]
+            left = mask & tables.masks[parity]
+            nearest, least, least_code = np.int64(-1), np.inf, np.int64(0)
+            while left != np.uint64(0):
+                bit = trailing_zeros(left)
+                left &= left - np.uint64(1)
+                place = 2 * (64 * parity + bit)
+                yz = np.int64(tables.places[place + 1]) // GROUP - 3
+                i = int(low[0] + np.int64(tables.places[place]) // GROUP << shift)
+                j = int(low[1] + yz // 3 << shift)
+                k = int(low[2] + yz % 3 << shift)
+                dx = max(i - x, x - (i + size), 0.0)
+                dy = max(j - y, y - (j + size), 0.0)
+                dz = max(k - z, z - (k + size), 0.0)
+                distance = dx * dx + dy * dy + dz * dz
+                code = np.int64(encode(i, j, k))
+                if distance < least or (distance == least and code < least_code):
+                    below = mask & ((np.uint64(1) << np.uint64(bit)) - np.uint64(1))
+                    nearest, least, least_code = group.firsts[bit >> 3] + popcount(below), distance, code
+            point = which[begin + n]
+            if nearest < 0:
+                empty[n_empty] = point
+                n_empty += 1
+                continue
+            taps.rows[end], taps.weights[end] = min(int(nearest), last), OFF
+            taps.starts[point], taps.ends[point], taps.covers[point] = end, end + 1, np.float32(0.0)
+            end += 1
+    return end, n_empty

@@ -1,0 +1,114 @@
+"""Taps: the stored rows that a lookup blends, and their weights.
+
+A lookup of many points goes through three kinds of kernels, a block of points at a time:
+
+    sources   find each point's taps: from tiles (`cells_at`, `spline`) where the leaves have one depth, else
+              by the walk (`neighborhood`)
+    stages    change the weights: by the areas of averages, by what faces a normal, by alpha (`stages`)
+    sinks     blend the values of any channel under the weights, or list the taps (`sinks`)
+
+Weights are those of the spline, so that those of one point sum to its *cover*, 0 … 1: how much of the
+spline's weight falls on leaves. Off the surface, where that is zero, they are those of the coarser averages
+that answer there and sum to OFF: beside looks that lie on the surface they count for nothing.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.jit import inlined, kernel
+
+Points = npt.NDArray[np.float32 | np.float64]
+Float32s = npt.NDArray[np.float32]
+Float64s = npt.NDArray[np.float64]
+Int64s = npt.NDArray[np.int64]
+Uint32s = npt.NDArray[np.uint32]
+Bytes = npt.NDArray[np.uint8]
+#: Rows of cells as bytes (cells, bytes): what lookups will read, to be asked for ahead.
+Memory = npt.NDArray[np.uint8]
+
+#: Points whose taps are found before any is blended: enough that calls cost little, few enough that their
+#: taps stay in the processor's second cache.
+BLOCK = 4096
+#: Most taps of a point that tiles give, by filter.
+MOST_TILED = 1, 8, 27, 125
+#: What weights off the surface sum to.
+OFF = np.float32(1e-9)
+#: Taps that weigh less in sum lie at the rim of the spline's support, where products of single precision have
+#: lost their digits: the walk answers there.
+LEAST = np.float32(1e-24)
+
+
+class Taps(NamedTuple):
+    """The taps of a block of points.
+
+    A row is a cell's number; after all cells come the rows of the kept table, then those of the split table.
+    """
+
+    rows: Uint32s  # (room,)
+    weights: Float32s  # (room,)
+    slopes: Float32s  # (room, 3)   derivatives of the weights in texture space; (0, 3) if they are not wanted
+    starts: Int64s  # (points,)   those of a point are from its start
+    ends: Int64s  # (points,)   to its end
+    covers: Float32s  # (points,)
+
+    @classmethod
+    def of(cls, points: int, room: int, gradient: bool) -> Taps:
+        """Return room for the taps of so many points."""
+        return cls(
+            np.empty(room, np.uint32),
+            np.empty(room, np.float32),
+            np.empty((room if gradient else 0, 3), np.float32),
+            np.empty(points, np.int64),
+            np.empty(points, np.int64),
+            np.empty(points, np.float32),
+        )
+
+    def with_room(self, used: int, room: int) -> Taps:
+        """Return the same taps, of which so many are used, with room for as many in all."""
+        if room <= self.rows.size:
+            return self
+        larger = Taps.of(0, 2 * room, self.slopes.shape[0] > 0)
+        for new, old in zip(larger[:3], self[:3], strict=True):
+            new[: min(used, len(old))] = old[:used]
+        return larger._replace(starts=self.starts, ends=self.ends, covers=self.covers)
+
+
+@inlined
+def finish(taps: Taps, point: int, start: int, end: int, total: np.float32, is_off: bool) -> None:
+    """Note where the taps of a point are, and scale them if it is off the surface."""
+    taps.starts[point], taps.ends[point] = start, end
+    taps.covers[point] = np.float32(0.0) if is_off else total
+    if is_off:
+        scale = OFF / total
+        for tap in range(start, end):
+            taps.weights[tap] *= scale
+        for tap in range(start, end if taps.slopes.shape[0] > 0 else start):
+            for axis in range(3):
+                taps.slopes[tap, axis] *= scale
+
+
+@kernel
+def place_points(points: Points, origin: tuple[float, float, float], size: float, places: Float64s) -> int:
+    """Write where rest positions (n, 3) lie in texture space, clamped to 0 … 1.
+
+    Returns the first position that is not finite, or −1.
+    """
+    inverse = 1.0 / size
+    faults = 0
+    for n in range(points.shape[0]):
+        x, y, z = np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2])
+        faults |= int(not ((abs(x) < np.inf) & (abs(y) < np.inf) & (abs(z) < np.inf)))
+        places[n, 0] = min(max(0.0, (x - origin[0]) * inverse), 1.0)
+        places[n, 1] = min(max(0.0, (y - origin[1]) * inverse), 1.0)
+        places[n, 2] = min(max(0.0, (z - origin[2]) * inverse), 1.0)
+    if faults == 0:
+        return -1
+    for n in range(points.shape[0]):
+        for axis in range(3):
+            if not abs(np.float64(points[n, axis])) < np.inf:
+                return n
+    return -1
