@@ -24,7 +24,7 @@ from bench_adaptive import adaptive
 from bench_conversion import boombox, large, torus
 from bench_filtered import far, footprints, pages, stretched
 from bench_images import filters, materials
-from bench_lookups import kinds, lookup, resident, today
+from bench_lookups import kinds, lookup, questions, resident, today
 from bench_painting import painting, ring
 from bench_processing import processing
 from bench_sources import cloud, transfer
@@ -43,6 +43,7 @@ BENCHMARKS = {
         adaptive,
         psnr,
         lookup,
+        questions,
         kinds,
         resident,
         today,

@@ -173,6 +173,81 @@ def kinds(setup: Setup, report: Report) -> None:
     report.table(["", *heads], rows)
 
 
+#: The least rate of each question, of that of one colour in an even tree.
+QUESTIONS = {
+    "roughness": 0.9,
+    "float32": 0.6,
+    "all channels": 0.4,
+    "with alpha": 0.7,
+    "normals": 0.7,
+    "gradient": 0.5,
+    "quartic": 0.2,
+    "painted": 0.7,
+    "max_error=2": 0.7,
+    "half a cell off": 0.5,
+    "a cell off": 0.5,
+    "two cells off": 0.5,
+    "five cells off": 0.5,
+    "one width": 0.5,
+    "widths": 0.5,
+    "widths, normals": 0.4,
+}
+
+
+def questions(setup: Setup, report: Report) -> None:
+    """Each question that lookups answer, beside the colour of a point in an even tree."""
+    surface = octex.load_surface(HERE.parent / "samples" / "droid.glb")
+    depth, count = (5, 2000) if setup.quick else (10, 300_000)
+    texture = octex.convert(surface, depth, fit=False)
+    color = octex.convert(surface, depth, fit=False, channels="base_color", dtype="float32")
+    merged = octex.convert(surface, depth, max_error=2, channels="base_color")
+    clear = octex.convert(surface, depth, fit=False, sources={"alpha": 0.5})
+    centre, reach = surface.rest.mean(axis=0), 0.2 * float(np.ptp(surface.bounds, axis=0).max())
+    ball = octex.Sphere(tuple(centre.tolist()), reach)
+    painted = octex.fill(texture, surface, ball, (1, 0, 0), max_depth=depth + 1)
+    samples = surface.scatter(count)
+    points, normals = np.ascontiguousarray(samples.rest), samples.normals
+    cell = texture.placement.size / 2**depth
+    widths = cell * 2.0 ** np.random.default_rng(0).uniform(1, 6, count)
+    names = list(texture.channels)
+    ask: dict[str, Callable[[], object]] = {
+        "base": lambda: texture.sample(points),
+        "roughness": lambda: texture.sample(points, "roughness"),
+        "float32": lambda: color.sample(points),
+        "all channels": lambda: texture.sample(points, names),
+        "with alpha": lambda: clear.sample(points),
+        "normals": lambda: texture.sample(points, normals=normals),
+        "gradient": lambda: texture.sample(points, gradient=True),
+        "quartic": lambda: texture.sample(points, filter="quartic"),
+        "painted": lambda: painted.sample(points),
+        "max_error=2": lambda: merged.sample(points),
+        "one width": lambda: texture.sample(points, width=4 * cell),
+        "widths": lambda: texture.sample(points, width=widths),
+        "widths, normals": lambda: texture.sample(points, width=widths, normals=normals),
+    }
+    for what, cells in (("half a", 0.5), ("a", 1), ("two", 2), ("five", 5)):
+        beside = points + cells * cell * normals
+        word = "cells" if cells > 1 else "cell"
+        ask[f"{what} {word} off"] = lambda beside=beside: texture.sample(beside)  # type: ignore[misc]
+    for question in ask.values():
+        question()
+    with pinned({setup.core}):
+        spent = in_turns(
+            {what: lambda question=question: timed(question)[0] for what, question in ask.items()},  # type: ignore[misc]
+            setup.repeats,
+        )
+    report.title(
+        f"questions: the droid at depth {depth}, {texture.tree.n_leaves:,} leaves, quadratic, at random"
+    )
+    report.line("base_color", f"{millions(count / spent['base'].cpu)} lookups/s")
+    for what, least in QUESTIONS.items():
+        report.at_least(f"questions: {what}", spent["base"].cpu / spent[what].cpu, least, "of that")
+    one = points[:1]
+    calls = 100 if setup.quick else 3000
+    taken = timed(lambda: [texture.sample(one) for _ in range(calls)])[0]
+    report.at_most("questions: a call with one point", 1e6 * taken.cpu / calls, 25, "µs")
+
+
 def resident(setup: Setup, report: Report) -> None:
     """Memory that a process takes for lookups in a file, and beside it in arrays of its own."""
     depth = 6 if setup.quick else 10
