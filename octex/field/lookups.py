@@ -129,7 +129,9 @@ class _Lookup:
 
     def leaves(self, points: Points) -> int:
         """Look up the leaves."""
-        scale, alpha = 1.0 / self._placement.size, self._alpha
+        scale = 1.0 / self._placement.size
+        # Values of cells are asked for with their tiles, but not the rows of what faces a normal.
+        is_asked = self._alpha is None and self._query.normals is None
         for begin in range(0, len(points), BLOCK):
             rows = slice(begin, begin + BLOCK)
             normals = None if self._query.normals is None else self._query.normals[rows]
@@ -139,7 +141,7 @@ class _Lookup:
             for number, channel in self._weighed(taps, always=False):
                 used, codes = _as_read(taps, channel)
                 results = self._answers[number][rows]
-                blend(used, codes, number == self._order[0] and alpha is None, results)
+                blend(used, codes, is_asked and number == self._order[0], results)
                 if self._gradients:
                     blend_slopes(used, codes, scale, results, self._gradients[number][rows])
         return -1

@@ -59,11 +59,17 @@ def flat_of(codes: Codes) -> Flat:
 
 
 @inlined
-def _ask(taps: Taps, begin: int, end: int, rows: Rows) -> None:
+def _ask(taps: Taps, begin: int, end: int, codes: Codes) -> None:
     """Ask for the rows of a group of points: for every other one, which the next mostly lies beside."""
+    first_kept = codes.values.shape[0]
+    first_row = first_kept + codes.kept_values.shape[0]
     for n in range(begin, end):
         for tap in range(taps.starts[n], taps.ends[n], 2):
-            prefetch(rows, int(taps.rows[np.uint64(tap)]))
+            row = int(taps.rows[np.uint64(tap)])
+            if row < first_kept:
+                prefetch(codes.values, row)
+            else:
+                prefetch(codes.split_values, row - first_row)
 
 
 @inlined
@@ -157,7 +163,7 @@ def blend(taps: Taps, codes: Codes, is_asked: bool, results: Float32s) -> None:
     for begin in range(0, taps.starts.size, _GROUP):
         end = min(begin + _GROUP, taps.starts.size)
         if not is_asked:
-            _ask(taps, begin, end, codes.values)
+            _ask(taps, begin, end, codes)
         for n in range(begin, end):
             if taps.ends[n] - taps.starts[n] == 1:
                 a, b, c, d = _value(flat, taps.rows[taps.starts[n]], components)
@@ -221,7 +227,7 @@ def add_up(taps: Taps, codes: Codes, owners: Int32s, shares: Float32s, sums: Sum
     gradient = sums.total_slopes.shape[0] > 0
     for begin in range(0, taps.starts.size, _GROUP):
         end = min(begin + _GROUP, taps.starts.size)
-        _ask(taps, begin, end, codes.values)
+        _ask(taps, begin, end, codes)
         for n in range(begin, end):
             a, b, c, d, total = _sum_any(taps, n, flat, components)
             owner = np.int64(owners[n]) if owners.size > 0 else np.int64(n)
@@ -271,7 +277,7 @@ def cover(taps: Taps, alpha: Codes, always: bool) -> None:
     gradient = taps.slopes.shape[0] > 0
     for begin in range(0, taps.starts.size, _GROUP):
         end = min(begin + _GROUP, taps.starts.size)
-        _ask(taps, begin, end, alpha.values)
+        _ask(taps, begin, end, alpha)
         for n in range(begin, end):
             total = _sum(taps, n, flat, 1)[0]
             if not (total > 0.0 or always):

@@ -219,6 +219,8 @@ def face(taps: Taps, facings: Facings, first_kept: int, normals: Float32s) -> in
         for n in range(begin, end):
             for tap in range(taps.starts[n], taps.ends[n], 4):  # the others mostly lie beside these
                 prefetch(facings.flags, int(taps.rows[tap]))
+                if has_rows:
+                    prefetch(facings.rows, int(taps.rows[tap]))  # read by `take_rows`
         for n in range(begin, end):
             x, y, z, signs = _unit(normals, n)
             ramps = _ramp(x), _ramp(y), _ramp(z)
