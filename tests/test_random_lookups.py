@@ -24,6 +24,18 @@ def test_random_textures_are_looked_up_as_by_the_references(seed: int) -> None:
 
 
 @pytest.mark.parametrize("filter", FILTERS)
+def test_a_level_is_looked_up_as_a_texture_of_its_own(filter: str) -> None:
+    random = np.random.default_rng(0)
+    points, normals = random.random((60, 3)), random.normal(size=(60, 3))
+    for whole in (shell(4, 0.0), shell(4, 0.4)):
+        level = whole.level(3)
+        alone = OctreeTexture(level.tree, level.channels, level.placement, level.bounds)
+        for views in ({}, {"normals": normals}, {"width": 0.2}, {"width": 0.2, "normals": normals}):
+            expected = alone.sample(points, filter=filter, **views)
+            np.testing.assert_array_equal(level.sample(points, filter=filter, **views), expected)
+
+
+@pytest.mark.parametrize("filter", FILTERS)
 def test_points_at_the_rim_of_a_splines_support_have_an_answer(filter: str) -> None:
     tree = Octree.from_leaves(np.array([0, 63]), 2)
     values = np.array([[9] * 3, [40] * 3, [50] * 3, [100] * 3, [200] * 3], np.uint8)

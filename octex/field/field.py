@@ -150,7 +150,7 @@ class Field:
                 raise NotFiniteError(begin + fault)
             taps = finder.find(here)
             if normals is not None:
-                taps = self.facing(taps, normals[begin : begin + BLOCK])
+                taps = self.facing(taps, normals[begin : begin + BLOCK], self)
             room = int((taps.ends - taps.starts).sum()) + 1
             starts, rows, weights = (
                 np.empty(len(some) + 1, np.int64),
@@ -162,24 +162,33 @@ class Field:
             end = starts[-1]
             yield Listed(starts, rows[:end], weights[:end], slopes[:end], taps.covers)
 
-    def facing(self, taps: Taps, normals: Float32s) -> Taps:
-        """Return what faces the normals (points, 3) of taps, which change: see `stages.face`."""
-        first_kept = self.root.tree.n_cells
+    def facing(self, taps: Taps, normals: Float32s, whole: Field) -> Taps:
+        """Return what faces the normals (points, 3) of taps, which change: see `stages.face`.
+
+        ``whole`` is the field that this is a level of: its cells are those that rows are counted after.
+        """
+        first_kept = whole.tree.n_cells
         n_split = face(taps, self.facings, first_kept, normals)
         if not n_split:
             return taps
         room = int((taps.ends - taps.starts).sum()) + (MOST_ROWS - 1) * n_split
         rows = Taps.of(taps.starts.size, room, taps.slopes.shape[0] > 0)
-        first_row = first_kept + self.root.tree.kept.cells.size
+        first_row = first_kept + whole.tree.kept.cells.size
         take_rows(taps, self.facings, first_kept, first_row, normals, rows)
         return rows
 
 
 class Finder:
-    """Finds the taps of points of texture space, a block after another, in one field."""
+    """Finds the taps of points of texture space, a block after another, in one field.
 
-    def __init__(self, field: Field, filter: str, *, gradient: bool = False) -> None:
+    ``whole`` is the field that it is a level of, by default itself.
+    """
+
+    def __init__(
+        self, field: Field, filter: str, *, gradient: bool = False, whole: Field | None = None
+    ) -> None:
         self.field = field
+        self._whole = whole or field
         self.filter = FILTERS.index(filter)
         self._gradient = gradient
         self._walk: Walk | None = None
@@ -248,12 +257,11 @@ class Finder:
         if self._walk is None:
             self._walk = new_walk()
         tree = self.field.tree
-        root = self.field.root.tree
         done = 0
         while done < which.size:
             taps = taps.with_room(end, end + MOST_TAPS)
             done, end = walked_taps(
-                *(tree.arrays, tree.kept.cells, root.n_cells, places, which, done),
+                *(tree.arrays, tree.kept.cells, self._whole.tree.n_cells, places, which, done),
                 *(self.filter, self._walk, taps, end),
             )
         return taps

@@ -220,14 +220,14 @@ class _Lookup:
         fault = place_points(points, *self._placement, places)
         if here.tree.max_depth not in self._finders:
             self._finders[here.tree.max_depth] = Finder(
-                here, self._query.filter, gradient=bool(self._gradients)
+                here, self._query.filter, gradient=bool(self._gradients), whole=self._field
             )
         taps = self._finders[here.tree.max_depth].find(places, self._rows)
         field = self._field
         if here is not field:
             weigh_by_area(taps, field.areas_of_averages(here.tree.max_depth)[: here.tree.n_cells])
         if normals is not None:
-            taps = here.facing(taps, normals)
+            taps = here.facing(taps, normals, field)
         elif left is not None and self._mixes(here):
             assert self._query.spreads is not None
             spreads = self._query.spreads(here.tree.max_depth)
