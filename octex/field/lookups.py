@@ -130,8 +130,8 @@ class _Lookup:
     def leaves(self, points: Points) -> int:
         """Look up the leaves."""
         scale = 1.0 / self._placement.size
-        # Values of cells are asked for with their tiles, but not the rows of what faces a normal.
-        is_asked = self._alpha is None and self._query.normals is None
+        # Values of cells are asked for with their tiles; what is walked to is not, nor what faces a normal.
+        is_asked = self._alpha is None and self._query.normals is None and self._field.tiles is not None
         for begin in range(0, len(points), BLOCK):
             rows = slice(begin, begin + BLOCK)
             normals = None if self._query.normals is None else self._query.normals[rows]
