@@ -23,7 +23,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import octex
-from octex import channels, checks, errors, jit, parallel
+from octex import channels, checks, errors, jit, jit_cache, parallel
 from octex.channels import decode, encode, linear_to_srgb, srgb_to_linear
 from octex.errors import ArgumentError, ExitCode
 from octex.tree.layout import MAX_DEPTH
@@ -447,9 +447,10 @@ def test_exit_codes_are_the_shells_and_say_what_they_mean() -> None:
 @needs_jit
 def test_compiled_code_on_disk_is_of_this_state_of_all_that_it_is_compiled_from() -> None:
     # numba alone looks at the kernel's own file, and keeps callers of a function that has changed elsewhere.
-    stamp = jit.low_bits._cache._cache_file._source_stamp  # type: ignore[attr-defined]
-    assert stamp[1] == jit._digest_behind("octex.jit")
-    assert stamp[1] not in {jit._digest_behind("octex.channels"), jit._digest_behind("octex.checks")}
+    state = jit.low_bits._cache._cache_file._state  # type: ignore[attr-defined]
+    assert state.endswith(f" {jit_cache.digest_behind('octex.jit')}")
+    others = {jit_cache.digest_behind(f"octex.{name}") for name in ("channels", "checks")}
+    assert jit_cache.digest_behind("octex.jit") not in others
 
 
 @needs_jit
@@ -457,7 +458,7 @@ def test_what_kernels_call_is_in_a_module_behind_theirs() -> None:
     calls = 0
     for found in pkgutil.walk_packages(octex.__path__, "octex."):
         module = importlib.import_module(found.name)
-        behind = jit._modules_behind(module.__name__)
+        behind = jit_cache.modules_behind(module.__name__)
         for kernel in [each for each in vars(module).values() if hasattr(each, "py_func")]:
             if kernel.__module__ != module.__name__:
                 continue

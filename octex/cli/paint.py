@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import octex
+from octex.ahead import ahead
 from octex.cli.arguments import (
     BLENDS,
     angle,
@@ -193,7 +194,9 @@ def _done(work: str, options: argparse.Namespace) -> int:
         from octex.checks import as_depth
 
         as_depth(options.max_depth, "--max-depth")
-    return view(COMMAND, options) if work == "--view" else _paint(options)
+    stages = {"painting": ("paint",), "--view": ("view",)}
+    with ahead(*stages.get(work, ()) if options.threads is None else ()):
+        return view(COMMAND, options) if work == "--view" else _paint(options)
 
 
 def _work(options: argparse.Namespace) -> str:
