@@ -24,6 +24,8 @@ LIST = Path(__file__).with_name("signatures.txt")
 _MOST = 3
 #: What a helper runs; without the folder that the command is called in among those of modules.
 _CALL = ("-P", "-c", "from octex.ahead import main; main()")
+#: Held while a file is unfinished.
+WRITING = threading.Lock()
 
 _wanted: tuple[str, ...] = ()
 _helpers: list[subprocess.Popen[bytes]] = []
@@ -85,8 +87,6 @@ def main() -> None:
 
 
 def _watch() -> None:
-    from octex.jit_cache import WRITING
-
     os.read(0, 1)  # not sys.stdin, whose lock a thread must not hold when Python ends
     with WRITING:
         os._exit(0)

@@ -18,20 +18,24 @@ from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 import numba
 from numba import types
 from numba.core.serialize import dumps
 
-from octex.ahead import begin
+from octex.ahead import WRITING, begin
 
 #: Imports of octex, of whole modules or of names in them.
 _IMPORT = re.compile(r"^(?:from|import) (octex[\w.]*)(?: import (\([^)]*\)|.*))?", re.MULTILINE)
 
-#: Held while a file is unfinished.
-WRITING = Lock()
+#: Code that a wheel brings along (`tools/wheels.py`), for every processor with these features: x86-64-v3.
+SHIPPED = Path(__file__).with_name("compiled")
+PORTABLE = (
+    "x86-64-v3",
+    "+avx,+avx2,+bmi,+bmi2,+crc32,+cx16,+f16c,+fma,+fxsr,+lzcnt,+movbe,+popcnt,+sahf,+sse3,+sse4.1,+sse4.2,"
+    "+ssse3,+xsave",
+)
 
 
 class CodeFiles:
@@ -43,25 +47,33 @@ class CodeFiles:
         self._name = f"{function.__module__}.{function.__qualname__}.{python}"
         self._state = f"numba {numba.__version__}, source {digest_behind(function.__module__)}"
 
-    def _path(self, key: str) -> Path:
-        return self._folder / f"{self._name}.{hashlib.sha256(key.encode()).hexdigest()[:16]}.nbc"
+    def _path(self, folder: Path, key: str) -> Path:
+        return folder / f"{self._name}.{hashlib.sha256(key.encode()).hexdigest()[:16]}.nbc"
 
     def load(self, key: Any) -> Any:
         """Return what is kept under a key of numba's; None if nothing is, or it is of another state."""
+        found = self._load(self._folder, key)
+        if found is None and _can_run_shipped(key):
+            signature, (triple, *_), bytecode = key
+            found = self._load(SHIPPED, (signature, (triple, *PORTABLE), bytecode))
+        if found is None:
+            begin()
+        return found
+
+    def _load(self, folder: Path, key: Any) -> Any:
         text = key_text(key)
         try:
-            with self._path(text).open("rb") as file:
+            with self._path(folder, text).open("rb") as file:
                 if pickle.load(file) == (self._state, text):
                     return pickle.load(file)
         except (OSError, EOFError, pickle.UnpicklingError):  # not there, or not whole
             pass
-        begin()
         return None
 
     def save(self, key: Any, data: Any) -> None:
         """Keep something under a key; without room for it nothing is kept."""
         text = key_text(key)
-        path = self._path(text)
+        path = self._path(self._folder, text)
         unfinished = path.with_name(f"{path.name}.{uuid.uuid4().hex[:16]}")
         with WRITING, suppress(OSError):
             try:
@@ -74,6 +86,12 @@ class CodeFiles:
         """Remove all versions."""
         for path in self._folder.glob(f"{self._name}.*.nbc"):
             path.unlink(missing_ok=True)
+
+
+def _can_run_shipped(key: Any) -> bool:
+    """Tell whether this processor has all that the shipped code may use, and nobody asks for other code."""
+    _, (_, _, features), _ = key
+    return set(PORTABLE[1].split(",")) <= set(features.split(",")) and not numba.config.BOUNDSCHECK
 
 
 def key_text(key: tuple[Any, tuple[str, ...], tuple[str, ...]]) -> str:

@@ -30,13 +30,13 @@ with open(sys.argv[1], "r+b") as shared:
         rounds[own] = number + 1
         while rounds[1 - own] < number + 1:
             time.sleep(0)
-        files.save(((name,), ("machine",), ("bytecode",)), name)
+        files.save(((name,), ("machine", "processor", "+feature"), ("bytecode",)), name)
 """
 
 
 def of(name: str) -> tuple[Any, ...]:
     """A key like numba's."""
-    return (name,), ("machine",), ("bytecode",)
+    return (name,), ("machine", "processor", "+feature"), ("bytecode",)
 
 
 @needs_jit
@@ -56,7 +56,7 @@ def test_processes_that_add_versions_at_once_keep_all(
     code = f"""
 from octex.jit import low_bits
 load = low_bits._cache._cache_file.load
-print([name for name in {[*names[0], *names[1]]} if load(((name,), ("machine",), ("bytecode",))) != name])
+print([key for key in {[of(name) for name in names[0] + names[1]]} if load(key) != key[0][0]])
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
@@ -99,6 +99,32 @@ def test_what_is_not_whole_or_cannot_be_written_is_as_if_it_were_not_there(tmp_p
     assert files.load(of("this")) is None
     assert list(tmp_path.iterdir()) == [path]
     jit_cache.CodeFiles(str(tmp_path / "nowhere"), np.sum).save(of("this"), [1])
+
+
+def test_code_that_is_shipped_serves_processors_with_all_that_it_may_use(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name, features = jit_cache.PORTABLE
+
+    def on(triple: str, *features: str) -> tuple[Any, ...]:
+        return ("this",), (triple, "processor", ",".join(features)), ("bytecode",)
+
+    jit_cache.CodeFiles(str(tmp_path), np.sum).save(
+        (("this",), ("x86_64-linux", *jit_cache.PORTABLE), ("bytecode",)), [1, 2]
+    )
+    monkeypatch.setattr(jit_cache, "SHIPPED", tmp_path)
+    monkeypatch.setattr("numba.config.BOUNDSCHECK", None)
+    load = jit_cache.CodeFiles(str(tmp_path / "own"), np.sum).load
+    enough = ["+64bit", *features.split(","), "-avx512f"]
+    assert load(on("x86_64-linux", *enough)) == [1, 2]
+    assert load(on("x86_64-windows", *enough)) is None
+    for feature in features.split(","):
+        fewer = [f"-{each[1:]}" if each == feature else each for each in enough]
+        assert load(on("x86_64-linux", *fewer)) is None
+    assert load(on("x86_64-linux")) is None
+    monkeypatch.setattr("numba.config.BOUNDSCHECK", 1)
+    assert load(on("x86_64-linux", *enough)) is None
+    assert name == "x86-64-v3"
 
 
 def test_types_of_one_name_are_told_apart_by_their_modules() -> None:

@@ -349,7 +349,7 @@ def _announce_compilation(reporter: Reporter) -> Any:
             if not self.said:
                 self.said = True
                 reporter.note(
-                    "compiling: a minute or two, this once (octree-convert --warm-up does it ahead)"
+                    "compiling: half a minute or more, this once (octree-convert --warm-up does it ahead)"
                 )
 
         def on_end(self, _event: Any) -> None:
