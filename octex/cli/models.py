@@ -101,13 +101,14 @@ def _elsewhere(options: argparse.Namespace) -> dict[str, object]:
     return {}
 
 
-def is_cloud(path: Path) -> bool:
-    """Say whether a file holds points, and no surface."""
-    if path.suffix.lower() not in (".ply", ".xyz", ".npz"):
-        return False  # known without an import
-    from octex.source.cloud import is_cloud
+def kind_of(path: Path) -> str:
+    """Return what a file holds: "texture", "cloud" for points without a surface, or "model"."""
+    ending = path.suffix.lower()
+    if ending in (".ply", ".xyz", ".npz"):  # else it is known without an import
+        from octex.source.cloud import is_cloud
 
-    return is_cloud(path)
+        return "cloud" if is_cloud(path) else "model"
+    return "texture" if ending == TEXTURE_ENDING else "model"
 
 
 def input_files(options: argparse.Namespace) -> list[Path]:
