@@ -105,8 +105,7 @@ def _draw(
             appearance = look(hits)
             colors, coverage = appearance.unlit(), appearance.coverage
         else:
-            corners = surface.vertices[surface.triangles[hits.triangles]]
-            points = np.einsum("nk,nkc->nc", hits.barycentric, corners)
+            points = surface.points_at(hits.triangles, hits.barycentric)
             normals = np.einsum("nk,nkc->nc", hits.barycentric, smooth[hits.triangles])
             lit = light(camera, points, faces[hits.triangles], normals)
             colors = np.repeat(0.5 * lit[:, None], 3, axis=1)
