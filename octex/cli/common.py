@@ -296,7 +296,7 @@ def check_outputs(
     for a file that stands there already unless ``force`` is given, and for one that is also an input or twice
     an output.
     """
-    taken = {_identity(path): "an input" for path in inputs}
+    taken = {identity(path): "an input" for path in inputs}
     for path, endings, word in outputs:
         if path.is_dir():
             raise OutputError(f"{path}: is a folder; give {word} a file's name")
@@ -310,7 +310,7 @@ def check_outputs(
             raise InputError(f"{path}: {word} has {ending}; octex writes {' and '.join(known)} here")
         if not path.parent.is_dir():
             raise OutputError(f"{path}: there is no folder {path.parent}; make it first")
-        other = taken.setdefault(_identity(path), word)
+        other = taken.setdefault(identity(path), word)
         if other != word:
             raise OutputError(f"{path}: {word} is also {other}; give it another name")
         if path.exists() and not force:
@@ -319,7 +319,7 @@ def check_outputs(
             raise OutputError(f"{path}: the folder {path.parent} cannot be written")
 
 
-def _identity(path: Path) -> tuple[int, int] | Path:
+def identity(path: Path) -> tuple[int, int] | Path:
     """Return what two names of one file share."""
     with suppress(OSError):
         status = path.stat()

@@ -155,8 +155,14 @@ def _read(
 
 def posed_inputs(options: argparse.Namespace) -> list[Path]:
     """Return the files of a model that cameras see, and of the cameras."""
-    given = [options.MODEL, options.rest, None if options.camera is None else options.camera[0]]
+    cameras = None if options.camera is None else options.camera[0]
+    given = [options.MODEL, options.rest, cameras]
     return [path for path in given if path is not None]
+
+
+def new_texture(options: argparse.Namespace) -> str:
+    """Say that there is no texture yet."""
+    return "there is no texture yet" if options.TEXTURE is None else f"{options.TEXTURE} does not exist yet"
 
 
 def read_posed(options: argparse.Namespace) -> Surface:
@@ -179,7 +185,8 @@ def open_sound(path: Path) -> OctreeTexture:
 
 def texture_of(options: argparse.Namespace) -> OctreeTexture | None:
     """Open the texture of a model, if it is there."""
-    return open_sound(options.TEXTURE) if options.TEXTURE.exists() else None
+    is_there = options.TEXTURE is not None and options.TEXTURE.exists()
+    return open_sound(options.TEXTURE) if is_there else None
 
 
 def only(texture: OctreeTexture, channel: str) -> OctreeTexture:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import time
 from collections.abc import Sequence
@@ -16,6 +15,7 @@ from octex.cli.common import (
     bytes_text,
     check_outputs,
     fail,
+    identity,
     limited,
     run,
     say,
@@ -24,6 +24,7 @@ from octex.cli.layers import channel_of, empty_like, entries_of, merged, project
 from octex.cli.models import (
     DEFAULT_CHANNEL,
     TEXTURE_ENDING,
+    new_texture,
     only,
     open_sound,
     posed_inputs,
@@ -32,7 +33,7 @@ from octex.cli.models import (
 )
 from octex.cli.paint_options import PAINT, work_of
 from octex.cli.parser import Parser
-from octex.cli.shots import shots_of
+from octex.cli.shots import images_of, shots_of
 from octex.cli.view import view
 from octex.errors import ExitCode
 from octex.parallel import workers
@@ -66,7 +67,7 @@ def _paint(options: argparse.Namespace, program: str) -> int:
         shots, skipped = ([], []) if options.layer else shots_of(options, progress)
         texture = texture_of(options)
         if texture is None:
-            progress.note(f"{options.TEXTURE} does not exist yet: painting begins a new texture")
+            progress.note(f"{new_texture(options)}: painting begins a new texture")
         with progress.stage("read"):
             surface = read_posed(options)
         with workers(None) as executor:
@@ -106,10 +107,11 @@ def _check_files(options: argparse.Namespace) -> None:
         outputs.append((options.layer_out, (TEXTURE_ENDING,), "--layer-out"))
     if options.preview is not None:
         outputs.append((options.preview, (".png",), "--preview"))
-    others = [*options.IMAGE, *(options.mask or []), *(options.layer or [])]
+    others = [*images_of(options), *(options.mask or []), *(options.layer or [])]
     # --out may take the place of TEXTURE, which is not written to: the old file is there until all is done.
-    if os.path.realpath(options.out) != os.path.realpath(options.TEXTURE):
-        others.append(options.TEXTURE)
+    is_replaced = options.TEXTURE is not None and identity(options.TEXTURE) == identity(options.out)
+    for each in (options.since, None if is_replaced else options.TEXTURE):
+        others += [] if each is None else [each]
     check_outputs(outputs, posed_inputs(options) + others, force=options.force)
 
 

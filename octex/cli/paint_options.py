@@ -20,14 +20,20 @@ from octex.cli.arguments import (
 from octex.cli.models import DEFAULT_CHANNEL, TEXTURE_ENDING
 from octex.cli.parser import Command, option, words_given
 from octex.cli.view import DEFAULT_SIZE
-from octex.errors import ArgumentError, InputError
+from octex.errors import ArgumentError
 
 _OPTIONS = (
     option("MODEL", "the model, posed as the cameras see it", nargs="?", type=Path),
-    option("TEXTURE", "its texture, .octex; if it is not there, a new one is begun", nargs="?", type=Path),
+    option(
+        "TEXTURE",
+        "its texture, .octex; if it is left out, or not there, a new one is begun",
+        nargs="?",
+        type=Path,
+    ),
     option(
         "IMAGE",
-        "pictures; the frame of each is found by its file name (default: those that FILE names)",
+        "pictures, whose frames are found by their file names, or IMAGE=FRAME (default: those that FILE "
+        "names)",
         nargs="*",
         type=Path,
     ),
@@ -45,6 +51,14 @@ _OPTIONS = (
         action="append",
         type=Path,
     ),
+    option(
+        "--since",
+        "the picture before it was drawn on: only pixels that differ are painted (default: the view that "
+        "--camera-out keeps)",
+        metavar="PNG",
+        type=Path,
+    ),
+    option("--whole", "paint all of a view, not only what was drawn on it", action="store_true"),
     option("--blend", f"how paint is put: {', '.join(BLENDS)} (default over)", metavar="MODE", type=blend),
     option("--opacity", "0 to 1: multiplies the pictures' alpha (default 1)", metavar="X", type=opacity),
     option("--channel", f"what is painted (default {DEFAULT_CHANNEL})", metavar="NAME"),
@@ -111,15 +125,23 @@ _SHARED = {"MODEL", "TEXTURE", "--rest", "--force", "--quiet", "--json"}
 _MERGE = _SHARED | {"--out", "--blend", "--opacity", "--preview", "--threads"}
 _WORDS = {
     "painting": _MERGE
-    | {"IMAGE", "--camera", "--mask", "--channel", "--max-depth", "--max-angle", "--edge-feather"}
-    | {"--balance", "--back-faces", "--no-fit", "--background", "--layer-out"},
+    | {"IMAGE", "--camera", "--mask", "--since", "--whole", "--channel", "--max-depth"}
+    | {
+        "--max-angle",
+        "--edge-feather",
+        "--balance",
+        "--back-faces",
+        "--no-fit",
+        "--background",
+        "--layer-out",
+    },
     "--layer": _MERGE,
     "--view": _SHARED | {"--camera-out", "--camera", "--size", "--channel"},
 }
 _NEEDED = {
-    "painting": ("MODEL", "TEXTURE", "--camera", "--out"),
-    "--layer": ("MODEL", "TEXTURE", "--out"),
-    "--view": ("MODEL", "TEXTURE"),
+    "painting": ("MODEL", "--camera", "--out"),
+    "--layer": ("MODEL", "--out"),
+    "--view": ("MODEL",),
 }
 
 PAINT = Command(
@@ -144,6 +166,9 @@ PAINT = Command(
 
 def work_of(options: argparse.Namespace, program: str) -> str:
     """Return what is to be done, a key of _WORDS, or refuse options that make no sense together."""
+    if options.TEXTURE is not None and options.TEXTURE.suffix.lower() != TEXTURE_ENDING:
+        options.IMAGE.insert(0, options.TEXTURE)  # a new texture needs no name
+        options.TEXTURE = None
     given = words_given(options)
     work = next((word for word in ("--view", "--layer") if word in given), "painting")
     for word in given:
@@ -152,7 +177,7 @@ def work_of(options: argparse.Namespace, program: str) -> str:
     for word in _NEEDED[work]:
         if word not in given:
             raise ArgumentError(f"{word} is missing; see {program} --help")
-    is_there = options.TEXTURE.exists()
+    is_there = options.TEXTURE is not None and options.TEXTURE.exists()
     if work == "--view" and options.camera is None and options.camera_out is None:
         raise ArgumentError(
             "--view without --camera needs --camera-out: without its camera a picture cannot be painted back"
@@ -160,9 +185,8 @@ def work_of(options: argparse.Namespace, program: str) -> str:
     if options.background is not None and is_there:
         raise ArgumentError(f"{options.TEXTURE}: exists already; --background is for a new texture")
     if options.blend == "erase" and not is_there:
-        raise ArgumentError(f"{options.TEXTURE}: does not exist; there is nothing to erase")
-    if not is_there and options.TEXTURE.suffix.lower() != TEXTURE_ENDING:
-        raise InputError(f"{options.TEXTURE}: does not exist; a new texture is named NAME{TEXTURE_ENDING}")
+        what = "there is no TEXTURE" if options.TEXTURE is None else f"{options.TEXTURE}: does not exist"
+        raise ArgumentError(f"{what}; there is nothing to erase")
     if options.mask is not None and len(options.mask) not in (1, len(options.IMAGE)):
         raise ArgumentError(
             f"--mask gives {len(options.mask)} for {len(options.IMAGE)} IMAGEs; give one for all, or one for "
