@@ -13,7 +13,9 @@ import pytest
 
 import octex
 from octex.cli.common import bytes_text
-from octex.cli.convert import main, parser
+from octex.cli.convert import COMMAND, main
+from octex.cli.convert_options import CONVERT
+from octex.cli.parser import Parser
 from octex.errors import ExitCode
 from tests.command import colored_box, refusal, result
 from tests.fixtures import png, random_image, textured_square
@@ -296,7 +298,7 @@ def test_a_preview_is_drawn_of_models_and_of_textures(
 def test_the_help_names_the_librarys_default_depth() -> None:
     from octex.conversion.convert import DEFAULT_DEPTH
 
-    assert f"(default {DEFAULT_DEPTH})" in " ".join(parser().format_help().split())
+    assert f"(default {DEFAULT_DEPTH})" in " ".join(Parser(COMMAND, CONVERT).help_text().split())
 
 
 # --- bad input: one line, nothing written

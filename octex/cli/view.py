@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import time
 from pathlib import Path
@@ -10,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.cli.common import Reporter, bytes_text, check_outputs, say
-from octex.cli.models import DEFAULT_CHANNEL, only, posed_inputs, read_posed, texture_of
+from octex.cli.models import DEFAULT_CHANNEL, new_texture, only, posed_inputs, read_posed, texture_of
 from octex.cli.shots import frame_of
 from octex.errors import ArgumentError, ExitCode
+from octex.files import replacing
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,13 +34,14 @@ def view(command: str, options: argparse.Namespace) -> int:
     outputs: list[tuple[Path, tuple[str, ...], str]] = [(options.view, (".png",), "--view")]
     if options.camera_out is not None:
         outputs.append((options.camera_out, (".json",), "--camera-out"))
-    check_outputs(outputs, [*posed_inputs(options), options.TEXTURE], force=options.force)
+    textures = [] if options.TEXTURE is None else [options.TEXTURE]
+    check_outputs(outputs, [*posed_inputs(options), *textures], force=options.force)
     with Reporter(command, options.quiet) as progress:
         texture = texture_of(options)
         if texture is not None:
             texture = only(texture, options.channel or DEFAULT_CHANNEL)
         else:
-            progress.note(f"{options.TEXTURE} does not exist yet: the model is drawn grey, in some light")
+            progress.note(f"{new_texture(options)}: the model is drawn grey, in some light")
         with progress.stage("read"):
             surface = read_posed(options)
         camera = _view_camera(options, surface)
@@ -51,9 +54,11 @@ def view(command: str, options: argparse.Namespace) -> int:
         with progress.stage("draw"):
             codes = _draw(texture, surface, camera, options.channel or DEFAULT_CHANNEL)
         with progress.stage("write"):
+            png = _png(codes)
             if options.camera_out is not None:
-                octex.write_cameras(options.camera_out, {options.view.name: camera})
-            _write_png(options.view, codes)
+                octex.write_cameras(options.camera_out, {options.view.name: camera}, {options.view.name: png})
+            with replacing(options.view) as file:
+                file.write(png)
     if not options.quiet or options.json:
         _say_what_was_drawn(options, camera, time.perf_counter() - began)
     return ExitCode.DONE
@@ -105,8 +110,7 @@ def _draw(
             appearance = look(hits)
             colors, coverage = appearance.unlit(), appearance.coverage
         else:
-            corners = surface.vertices[surface.triangles[hits.triangles]]
-            points = np.einsum("nk,nkc->nc", hits.barycentric, corners)
+            points = surface.points_at(hits.triangles, hits.barycentric)
             normals = np.einsum("nk,nkc->nc", hits.barycentric, smooth[hits.triangles])
             lit = light(camera, points, faces[hits.triangles], normals)
             colors = np.repeat(0.5 * lit[:, None], 3, axis=1)
@@ -116,14 +120,12 @@ def _draw(
     return codes.reshape(camera.height, camera.width, 4)
 
 
-def _write_png(path: Path, codes: npt.NDArray[np.uint8]) -> None:
+def _png(codes: npt.NDArray[np.uint8]) -> bytes:
     from PIL import Image
 
-    from octex.files import replacing
-
-    picture = Image.fromarray(codes)
-    with replacing(path) as file:
-        picture.save(file, "PNG")
+    file = io.BytesIO()
+    Image.fromarray(codes).save(file, "PNG")
+    return file.getvalue()
 
 
 def _say_what_was_drawn(options: argparse.Namespace, camera: Camera, seconds: float) -> None:
