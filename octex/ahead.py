@@ -7,6 +7,7 @@ is passed over: the command compiles what it misses.
 
 from __future__ import annotations
 
+import gc
 import os
 import subprocess
 import sys
@@ -80,6 +81,9 @@ def main() -> None:
     """Be a helper: compile its share of some sections, the last first, while standard input lasts."""
     number, count = map(int, sys.argv[1:3])
     threading.Thread(target=_watch, daemon=True).start()
+    from octex.jit import MANY_OBJECTS
+
+    gc.set_threshold(MANY_OBJECTS)
     for line in lines(*sys.argv[3:])[::-1][number::count]:
         with suppress(Exception):
             kernel, arguments = read(line)

@@ -25,10 +25,13 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 #: What is used of numba beyond what it documents, of its functions and of their caches on disk.
 _USED = "_compile_for_args", "_insert", "add_overload", "get_call_template", "overloads", "typeof_pyval"
-_USED_OF_CACHE = "_cache._cache_file.load", "_cache._cache_file.save", "_cache.cache_path"
+_USED_OF_CACHE = (
+    *("_cache._cache_file.load", "_cache._cache_file.save", "_cache._cache_file._source_stamp"),
+    "_cache.cache_path",
+)
 #: New objects after which Python looks for garbage while kernels are compiled, which make hundreds of
 #: thousands: by its own 700, that takes a tenth of the time.
-_MANY_OBJECTS = 100_000
+MANY_OBJECTS = 100_000
 
 #: True when kernels run as plain Python.
 DISABLED: bool = bool(numba.config.DISABLE_JIT)
@@ -101,7 +104,8 @@ def _compiled(function: Function, **options: Any) -> Function:
     compiled.get_call_template = partial(_call_template, compiled.get_call_template)
     compiled._compile_for_args = partial(_compile_for_args, compiled, compiled._compile_for_args, set())
     if used != _USED:
-        compiled._cache._cache_file = CodeFiles(compiled._cache.cache_path, function)
+        kept = compiled._cache
+        kept._cache_file = CodeFiles(kept.cache_path, function, kept._cache_file._source_stamp)
     return compiled  # type: ignore[no-any-return]
 
 
@@ -144,7 +148,7 @@ def _little_garbage_sought() -> Iterator[None]:
     with _LOCK:
         if _compiling == 0:
             _usual = gc.get_threshold()
-            gc.set_threshold(max(_usual[0], _MANY_OBJECTS) if _usual[0] else 0, *_usual[1:])
+            gc.set_threshold(max(_usual[0], MANY_OBJECTS) if _usual[0] else 0, *_usual[1:])
         _compiling += 1
     try:
         yield

@@ -13,7 +13,6 @@ import pickle
 import re
 import sys
 import uuid
-from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from importlib import import_module
@@ -39,13 +38,17 @@ PORTABLE = (
 
 
 class CodeFiles:
-    """The versions of one kernel on disk, in place of numba's ``IndexDataCacheFile``."""
+    """The versions of one kernel on disk, in place of numba's ``IndexDataCacheFile``.
 
-    def __init__(self, folder: str, function: Callable[..., Any]) -> None:
-        python = f"py{sys.version_info[0]}{sys.version_info[1]}{getattr(sys, 'abiflags', '')}"
+    ``stamp`` tells the state of the kernel's own file, as numba sees it.
+    """
+
+    def __init__(self, folder: str, function: Any, stamp: object = None) -> None:
+        code, python = function.__code__, f"py{sys.version_info[0]}{sys.version_info[1]}"
+        name = re.sub("[<>]", "", f"{function.__module__}.{function.__qualname__}")
         self._folder = Path(folder)
-        self._name = f"{function.__module__}.{function.__qualname__}.{python}"
-        self._state = f"numba {numba.__version__}, source {digest_behind(function.__module__)}"
+        self._name = f"{name}-{code.co_firstlineno}.{python}{getattr(sys, 'abiflags', '')}"
+        self._state = f"numba {numba.__version__}, {stamp!r}, {digest_behind(function.__module__)}"
 
     def _path(self, folder: Path, key: str) -> Path:
         return folder / f"{self._name}.{hashlib.sha256(key.encode()).hexdigest()[:16]}.nbc"
@@ -66,8 +69,8 @@ class CodeFiles:
             with self._path(folder, text).open("rb") as file:
                 if pickle.load(file) == (self._state, text):
                     return pickle.load(file)
-        except (OSError, EOFError, pickle.UnpicklingError):  # not there, or not whole
-            pass
+        except (OSError, EOFError, pickle.UnpicklingError, AttributeError, ImportError):
+            pass  # not there, not whole, or of types that are no longer there
         return None
 
     def save(self, key: Any, data: Any) -> None:

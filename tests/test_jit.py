@@ -8,7 +8,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from numba import types
 from numba.core import caching, dispatcher, event
@@ -77,6 +76,8 @@ def test_what_is_kept_serves_this_numba_this_source_and_this_key_only(
         assert files().load(of("this")) is None
         files().save(of("this"), [3])  # takes the other's place
     assert files().load(of("this")) is None
+    function = test_processes_that_add_versions_at_once_keep_all
+    assert jit_cache.CodeFiles(str(tmp_path), function, "of another file").load(of("this")) is None
     monkeypatch.setattr(jit_cache, "digest_behind", lambda _module: "changed")
     files().save(of("this"), [4])
     assert files().load(of("this")) == [4]
@@ -86,7 +87,7 @@ def test_what_is_kept_serves_this_numba_this_source_and_this_key_only(
 
 
 def test_what_is_not_whole_or_cannot_be_written_is_as_if_it_were_not_there(tmp_path: Path) -> None:
-    files = jit_cache.CodeFiles(str(tmp_path), np.sum)
+    files = jit_cache.CodeFiles(str(tmp_path), jit_cache.key_text)
     files.save(of("this"), [1, 2])
     (path,) = tmp_path.iterdir()
     whole = path.read_bytes()
@@ -98,7 +99,26 @@ def test_what_is_not_whole_or_cannot_be_written_is_as_if_it_were_not_there(tmp_p
     files.save(of("this"), [1])
     assert files.load(of("this")) is None
     assert list(tmp_path.iterdir()) == [path]
-    jit_cache.CodeFiles(str(tmp_path / "nowhere"), np.sum).save(of("this"), [1])
+    jit_cache.CodeFiles(str(tmp_path / "nowhere"), jit_cache.key_text).save(of("this"), [1])
+
+
+def test_functions_of_one_name_have_files_of_their_own(tmp_path: Path) -> None:
+    def made(number: int) -> jit_cache.CodeFiles:
+        if number:
+
+            def number_of() -> int:
+                return 1
+
+        else:
+
+            def number_of() -> int:
+                return 2
+
+        return jit_cache.CodeFiles(str(tmp_path), number_of)
+
+    made(0).save(of("this"), "two")
+    made(1).save(of("this"), "one")
+    assert [made(number).load(of("this")) for number in range(2)] == ["two", "one"]
 
 
 def test_code_that_is_shipped_serves_processors_with_all_that_it_may_use(
@@ -109,12 +129,12 @@ def test_code_that_is_shipped_serves_processors_with_all_that_it_may_use(
     def on(triple: str, *features: str) -> tuple[Any, ...]:
         return ("this",), (triple, "processor", ",".join(features)), ("bytecode",)
 
-    jit_cache.CodeFiles(str(tmp_path), np.sum).save(
+    jit_cache.CodeFiles(str(tmp_path), jit_cache.key_text).save(
         (("this",), ("x86_64-linux", *jit_cache.PORTABLE), ("bytecode",)), [1, 2]
     )
     monkeypatch.setattr(jit_cache, "SHIPPED", tmp_path)
     monkeypatch.setattr("numba.config.BOUNDSCHECK", None)
-    load = jit_cache.CodeFiles(str(tmp_path / "own"), np.sum).load
+    load = jit_cache.CodeFiles(str(tmp_path / "own"), jit_cache.key_text).load
     enough = ["+64bit", *features.split(","), "-avx512f"]
     assert load(on("x86_64-linux", *enough)) == [1, 2]
     assert load(on("x86_64-windows", *enough)) is None
@@ -181,5 +201,5 @@ def test_garbage_is_sought_as_before_after_compiling() -> None:
 
     with event.install_listener("numba:compile", Listener()):
         assert double(1.5) == 3.0
-    assert set(seen) == {jit._MANY_OBJECTS}
+    assert set(seen) == {jit.MANY_OBJECTS}
     assert gc.get_threshold() == before

@@ -78,7 +78,7 @@ def compiled_wheel(plain: Path, python: str, folder: Path) -> Path:
     shipped.mkdir()
     # What is compiled into these is of no use without them.
     for kernel in run(programs / "python", "-P", "-c", _KERNELS).split():
-        for path in (folder / "portable").glob(f"*/{kernel}.py*"):
+        for path in (folder / "portable").glob(f"*/{kernel}-*.py*"):
             shutil.copy(path, shipped)
     description = next(unpacked.glob("*.dist-info")) / "WHEEL"
     description.write_text(description.read_text().replace("Root-Is-Purelib: true", "Root-Is-Purelib: false"))
