@@ -171,7 +171,7 @@ def _blended(
     """Blend paint into the cells that it is on, once each (step 5), and average anew."""
     tree, is_fresh = raised.texture.tree, raised.is_fresh
     cells, values, coverage, sources = _on_leaves(tree, paint)
-    above = nodes_above(tree, [each.codes for each in paint], texture.tree, layer.tree)
+    above = nodes_above(tree, [each.codes for each in paint], raised.old < 0, texture.tree, layer.tree)
     may_split = _may_split(tree, layer.tree, cells, sources, above)
     base = raised.texture
     if may_split.size:
@@ -251,20 +251,21 @@ def _settled(
     """Keep those of the newly split cells that need it; average rows for the cells that are then split."""
     excess = _split_in_vain(after, new_split)
     found, channels = _writable(without_split(after, excess))
+    rows = rows_of(found.tree, above.nodes.cells)
     gone = rows_of(after.tree, excess).rows
-    for name, own in left_rows.items():  # areas of rows are rounded: they weigh otherwise than even parts
-        if gone.size:
-            average_rows(found, channels[name], np.delete(own, gone, axis=0), above.nodes)
+    left = {name: np.delete(own, gone, axis=0) for name, own in left_rows.items()}
     # Rows of other channels change where, or above where, cells are split or faced otherwise than before.
     was = np.where(above.before.cells >= 0, texture.tree.arrays.flags[above.before.cells], np.uint8(0))
     is_new = (found.tree.arrays.flags[above.nodes.cells] ^ was) & np.uint8(FACING_FLAGS | SPLIT) != 0
-    rows = rows_of(found.tree, above.nodes.cells)
-    if not rows.rows.size or not is_new.any():
+    if is_new.any() or excess.size < new_split.size:
+        for name in found.channels.keys() - left.keys():
+            left[name] = np.zeros(channels[name].split_values.shape)
+            own = residuals_before(texture, raised.texture, name, above, raised.is_fresh, rows)
+            left[name][rows.rows] = own.rows
+    elif not gone.size:
         return found
-    for name in found.channels.keys() - left_rows.keys():
-        left = np.zeros((found.tree.split.areas.size, found.channels[name].format.components))
-        left[rows.rows] = residuals_before(texture, raised.texture, name, above, raised.is_fresh, rows).rows
-        average_rows(found, channels[name], left, above.nodes)
+    for name in sorted(left, key=lambda name: name != ALPHA.name):  # the others weigh by alpha's rows
+        average_rows(found, channels[name], left[name], above.nodes)
     return found
 
 
