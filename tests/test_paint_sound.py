@@ -310,3 +310,29 @@ def test_rows_above_leaves_divided_beside_paint_are_means_of_what_faces_that_way
     blue = (0.2, 0.7, 1.0)
     found = octex.fill(texture, surface, beyond(2, 0.41, 0.132), blue, opacity=0.2, max_depth=6)
     assert_averages(texture, found)
+
+
+# --- nothing but paint where all is painted
+
+
+@pytest.mark.parametrize("depth", [3, 5, 6])
+@pytest.mark.parametrize("kind", ["triangle", "sphere"])
+def test_paint_over_all_leaves_nothing_of_finer_paint_below(kind: str, depth: int) -> None:
+    surface = waved(kind, 11, ["base_color"], 98)
+    texture = octex.convert(surface, 4)
+    place = octex.Sphere(tuple(surface.rest[surface.triangles[0]].mean(axis=0)), 0.5)
+    red = octex.fill(texture, surface, place, (1, 0, 0), max_depth=5)
+    green = octex.fill(red, surface, octex.Sphere((0, 0, 0), 9.0), (0, 1, 0), max_depth=depth)
+    points = surface.scatter(2000).rest
+    np.testing.assert_allclose(green.sample(points), np.tile([0.0, 1, 0], (2000, 1)), atol=1e-6)
+
+
+@pytest.mark.parametrize("depth", [4, 5])
+@pytest.mark.parametrize("kind", ["overlapping", "triangle"])
+def test_finer_paint_over_all_changes_the_field_by_its_part_everywhere(kind: str, depth: int) -> None:
+    surface = waved(kind, 17, ["base_color", "roughness"], 16)
+    texture = octex.convert(surface, 3, dtype="float32")
+    whole = octex.Sphere((0, 0, 0), 9.0)
+    found = octex.fill(texture, surface, whole, (0, 0, 0), opacity=0.5, max_depth=depth)
+    points = surface.scatter(2000).rest
+    np.testing.assert_allclose(found.sample(points), 0.5 * texture.sample(points), atol=1e-5)

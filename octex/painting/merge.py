@@ -21,7 +21,7 @@ from octex.painting.averages import (
     residuals_of_paint,
 )
 from octex.painting.cells import Paint, paint_of, painted_channel, refine_paint
-from octex.painting.kept import on_kept
+from octex.painting.kept import on_kept, with_old_skirts
 from octex.painting.pictures import BLENDS, Blend
 from octex.painting.raising import Raised, raise_texture
 from octex.parallel import Progress, as_progress, workers
@@ -52,7 +52,10 @@ def merge(
 
     Each cell is blended once, in linear light, with the layer's coverage times ``opacity``; see BLENDS.
     Where the layer is finer the texture is raised to it, and keeps the coefficients that it had, so that the
-    field beside the paint does not move; those that only painted surface depends on are blended too.
+    field beside the paint does not move; those that only painted surface depends on are blended too. Less
+    than three of the coarser cells from unpainted surface some of what was there is seen through finer paint:
+    of white below black, where cells are halved, up to 0.18 in the second fine cell from the rim, 0.02 in the
+    fourth, 0.001 from the fifth on; where they are quartered, up to 0.4, 0.2 and 0.005.
     ``surface`` is the one that both were made on.
 
     Raises ArgumentError for a layer of another root cell, of several channels, or of one that the texture
@@ -90,6 +93,7 @@ def merge(
         return given
     with own_making():
         paint = refine_paint(raised.paint, layer, raised.texture.tree, opacity)
+        paint = with_old_skirts(raised.texture.tree, paint)
         return _blended(texture, raised, paint, layer, target, blend, opacity)
 
 
