@@ -56,18 +56,32 @@ def in_blocks(given: Given, answers: list[Array], look_up: LookUp, executor: Exe
     Only a block is copied, and only if it is not as kernels take it. Raises ArgumentError naming the first
     row that is not finite, or a width that is below zero; the answers are then written in part.
     """
+    for begin, found in each_block(given, answers, look_up, executor):
+        for answer, rows in zip(answers, found, strict=True):
+            here = answer[begin : begin + BLOCK]
+            if not np.may_share_memory(here, rows):  # the executor works in other processes
+                here[:] = rows
+
+
+def each_block(
+    given: Given, answers: list[Array], look_up: LookUp, executor: Executor | None
+) -> Iterator[tuple[int, list[Array]]]:
+    """Look up points like ``in_blocks``; yield where each block begins, and its rows of the answers.
+
+    These are followed by what ``look_up`` adds to the list of answers that it is given.
+    """
     as_executor(executor)
     if 0 < len(given["points"]) <= BLOCK:  # nothing to hand over
-        _check(_look_up_block(look_up, (given, answers))[0], 0, given)
+        fault, found = _look_up_block(look_up, (given, list(answers)))
+        _check(fault, 0, given)
+        yield 0, found
         return
     blocks = _Blocks(given, answers)
     work = partial(_look_up_block, look_up)
     done = map(work, blocks) if executor is None else ordered_map(executor, work, blocks)
     for number, (fault, found) in enumerate(done):
         _check(fault, number * BLOCK, given)
-        for answer, rows in zip(blocks[number][1], found, strict=True):
-            if not np.may_share_memory(answer, rows):  # the executor works in other processes
-                answer[:] = rows
+        yield number * BLOCK, found
 
 
 def _check(fault: _Fault | None, begin: int, given: Given) -> None:

@@ -8,7 +8,7 @@ from concurrent.futures import Executor
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, TypedDict, Unpack, overload
+from typing import Any, Literal, Unpack, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from octex.checks import as_choice, as_entries, as_flag, as_path, as_point_rows
 from octex.errors import ArgumentError, TextureFileError
 from octex.texture.folder import FORMAT, FORMAT_VERSION, read_index, write_folder
-from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens
+from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens, Looks
 from octex.texture.lookup import Answers, Given, LookUp, check_apart, in_blocks
 from octex.texture.texture import OctreeTexture, as_metadata, open_texture
 
@@ -25,21 +25,6 @@ Floats = npt.NDArray[np.float32]
 
 #: So many parts are named where a set is shown.
 _SHOWN = 5
-
-
-class Looks(TypedDict, total=False):
-    """How points are looked at: see `OctreeTexture.sample`."""
-
-    width: npt.ArrayLike | None
-    normals: npt.ArrayLike | None
-    dPdx: npt.ArrayLike | None
-    dPdy: npt.ArrayLike | None
-    anisotropy: float
-    blur: float
-    sharpness: float
-    bleed_threshold: float
-    normalize: bool
-    executor: Executor | None
 
 
 class TextureSet(Mapping[str, OctreeTexture]):
