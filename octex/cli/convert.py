@@ -76,7 +76,7 @@ def _convert(options: argparse.Namespace) -> int:
 
     with Reporter(COMMAND, options.quiet) as progress:
         if kind == "texture":
-            with workers(None) as executor:
+            with workers() as executor:
                 texture = processed(options, executor)
         else:
             with progress.stage("read"):

@@ -235,7 +235,7 @@ def _paint(options: argparse.Namespace) -> int:
             progress.note(f"{options.TEXTURE} does not exist yet: painting begins a new texture")
         with progress.stage("read"):
             surface = read_posed(options)
-        with workers(None) as executor:
+        with workers() as executor:
             if options.layer:
                 layers = [open_sound(path) for path in options.layer]
             else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from typing import Any, NamedTuple, TypedDict
+from typing import Any, NamedTuple, Protocol, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -37,7 +37,30 @@ class Looks(TypedDict, total=False):
     sharpness: float
     bleed_threshold: float
     normalize: bool
+    threads: int | None
     executor: Executor | None
+
+
+class SurfacePoints(Protocol):
+    """Points of a surface, as ``Surface.scatter`` returns them; or a record of hits of one's own."""
+
+    @property
+    def rest(self) -> npt.ArrayLike:
+        """Rest positions (n, 3). Beside them are normals there: ``rest_normals``, else ``normals``."""
+
+
+def placed(
+    points: npt.ArrayLike | SurfacePoints, normals: npt.ArrayLike | None = None
+) -> tuple[npt.NDArray[Any], npt.ArrayLike | None]:
+    """Return rest positions (n, 3), and normals: those that are given, else those that points come with.
+
+    Raises ArgumentError for what are no positions.
+    """
+    if not hasattr(points, "rest"):
+        return as_point_rows(points), normals
+    if normals is None:
+        normals = getattr(points, "rest_normals", getattr(points, "normals", None))
+    return as_point_rows(points.rest, "points' rest"), normals
 
 
 class Lens(NamedTuple):

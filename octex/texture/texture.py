@@ -21,7 +21,6 @@ from octex.checks import (
     as_entries,
     as_flag,
     as_path,
-    as_point_rows,
     as_reals,
     as_row_numbers,
     as_whole,
@@ -34,7 +33,7 @@ from octex.field.lookups import Query, Stored, look_up
 from octex.texture.blend import NO_GRADIENTS, facing_spreads, make_unit, stored
 from octex.texture.channel import Channel
 from octex.texture.file import ENDING, File, Parts, described, taken, written
-from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens, Looks
+from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens, Looks, SurfacePoints, placed
 from octex.texture.lookup import Answers, Given, LookUp, check_apart, each_block, in_blocks
 from octex.texture.spans import Spans, add_reads
 from octex.tree.octree import Octree
@@ -108,7 +107,7 @@ class OctreeTexture:
     @overload
     def sample(
         self,
-        points: npt.ArrayLike,
+        points: npt.ArrayLike | SurfacePoints,
         channel: str = "base_color",
         filter: str = "quadratic",
         *,
@@ -119,7 +118,7 @@ class OctreeTexture:
     @overload
     def sample(
         self,
-        points: npt.ArrayLike,
+        points: npt.ArrayLike | SurfacePoints,
         channel: list[str] | tuple[str, ...],
         filter: str = "quadratic",
         *,
@@ -130,7 +129,7 @@ class OctreeTexture:
     @overload
     def sample(
         self,
-        points: npt.ArrayLike,
+        points: npt.ArrayLike | SurfacePoints,
         channel: str = "base_color",
         filter: str = "quadratic",
         *,
@@ -141,7 +140,7 @@ class OctreeTexture:
     @overload
     def sample(
         self,
-        points: npt.ArrayLike,
+        points: npt.ArrayLike | SurfacePoints,
         channel: list[str] | tuple[str, ...],
         filter: str = "quadratic",
         *,
@@ -151,7 +150,7 @@ class OctreeTexture:
     ) -> tuple[dict[str, Floats], dict[str, Floats]]: ...
     def sample(
         self,
-        points: npt.ArrayLike,
+        points: npt.ArrayLike | SurfacePoints,
         channel: str | list[str] | tuple[str, ...] = "base_color",
         filter: str = "quadratic",
         *,
@@ -166,9 +165,13 @@ class OctreeTexture:
         normalize: bool = True,
         gradient: bool = False,
         out: Any = None,
+        threads: int | None = None,
         executor: Executor | None = None,
     ) -> Any:
-        """Look up the field at rest positions (n, 3), float32 or float64.
+        """Look up the field at rest positions (n, 3), float32 or float64, or at points of a surface.
+
+        These are what ``Surface.scatter`` returns, or a record of hits: anything with ``rest`` (n, 3), and
+        normals at rest, ``rest_normals`` or ``normals`` (n, 3), which count as given if none are.
 
         Returns float32 (n, components): linear light for colours, −1 … 1 for directions, 0 … 1 for other
         integers. A list of channel names gives a dict. Every point has a value: off the surface, where none
@@ -206,8 +209,10 @@ class OctreeTexture:
                   (n, components, 3), per unit of the model's length. ``nearest`` has none.
         out       where to write and what to return: a C-ordered float32 array of the answer's shape, a dict
                   of them for a list of channels, with ``gradient`` a pair of either; else new arrays
-        executor  spreads blocks of points over its threads; by default the calling thread does all. To other
-                  processes the texture travels with each block
+
+        Who works in parallel: ``threads``, so many, by default all processors for large batches and the
+        calling thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor.
+        The result is the same. To other processes the texture travels with each block of points.
 
         Blending is done in linear light. Where the texture has a channel ``alpha``, all others weigh by it.
 
@@ -216,7 +221,8 @@ class OctreeTexture:
         widths and derivatives, for unknown channels and filters, listing those there are, for gradients of
         ``nearest``, and for an ``out`` that does not fit.
         """
-        given = {"points": as_point_rows(points)}
+        places, normals = placed(points, normals)
+        given = {"points": places}
         lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
         gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
         lens.check(given, gradient=gradient, width=width, normals=normals, dPdx=dPdx, dPdy=dPdy)
@@ -224,7 +230,7 @@ class OctreeTexture:
         answers = Answers(components, channel, len(given["points"]), gradient, out)
         check_apart(given.values(), answers.arrays)
         self._read_for(len(given["points"]))
-        in_blocks(given, answers.arrays, self._look_up(answers.channels, lens, normalize), executor)
+        in_blocks(given, answers.arrays, self._look_up(answers.channels, lens, normalize), threads, executor)
         return answers.returned
 
     def _look_up(self, names: Sequence[str], lens: Lens, normalize: bool) -> LookUp:
@@ -283,7 +289,7 @@ class OctreeTexture:
 
     def taps(
         self,
-        points: npt.ArrayLike,
+        points: npt.ArrayLike | SurfacePoints,
         channel: str = "base_color",
         filter: str = "quadratic",
         *,
@@ -295,6 +301,7 @@ class OctreeTexture:
         blur: float = 0.0,
         sharpness: float = 0.0,
         bleed_threshold: float = BLEED_THRESHOLD,
+        threads: int | None = None,
         executor: Executor | None = None,
     ) -> TapList:
         """List what ``sample`` blends at rest positions (n, 3): which rows of ``rows(channel)``, how much.
@@ -310,16 +317,23 @@ class OctreeTexture:
             colors = blend @ values  # (n, 3); values that suit given colors solve blend @ values = colors
 
         ``torch.nn.functional.embedding_bag`` does the same with rows, values, ``starts[:-1]`` and weights.
-        Channels differ where alpha weighs them, and in footprints without normals where their
-        fronts and backs differ; else their taps are alike. All other arguments, and what is raised, are as
-        for ``sample``; ``nearest`` has one tap a point but in footprints.
+        Channels differ where alpha weighs them, and in footprints without normals where their fronts and
+        backs differ; else their taps are alike.
+
+        Who works in parallel: ``threads``, so many, by default all processors for large batches and the
+        calling thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor.
+        The result is the same.
+
+        All other arguments, and what is raised, are as for ``sample``; ``nearest`` has one tap a point but in
+        footprints.
         """
-        given = {"points": as_point_rows(points)}
+        places, normals = placed(points, normals)
+        given = {"points": places}
         lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
         lens.check(given, gradient=False, width=width, normals=normals, dPdx=dPdx, dPdy=dPdy)
         as_choice(channel, self.channels, "channel")
         self._read_for(len(given["points"]))
-        blocks = each_block(given, [], partial(self._listed, channel, lens), executor)
+        blocks = each_block(given, [], partial(self._listed, channel, lens), threads, executor)
         return joined([TapList(*found) for _, found in blocks])
 
     def _listed(self, name: str, lens: Lens, given: Given, answers: list[Array]) -> int:
@@ -353,7 +367,7 @@ class OctreeTexture:
 
     def blocks(
         self,
-        points: npt.ArrayLike,
+        points: npt.ArrayLike | SurfacePoints,
         channel: str | list[str] | tuple[str, ...] = "base_color",
         filter: str = "quadratic",
         *,
@@ -381,7 +395,8 @@ class OctreeTexture:
         mapping = self._file.mapping if self._file else None
         if mapping is None:
             raise ArgumentError("the texture has no file: save it and open that")
-        given = {"points": as_point_rows(points)}
+        places, normals = placed(points, normals)
+        given = {"points": places}
         lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
         lens.check(given, gradient=False, width=width, normals=normals, dPdx=dPdx, dPdy=dPdy)
         names = [channel] if isinstance(channel, str) else list(channel)
@@ -391,7 +406,7 @@ class OctreeTexture:
         alpha = [] if self._alpha() is None else [self.channels["alpha"]]
         for name in names:
             look_up = partial(self._rows_read, name, lens)
-            for _, (levels, *rows) in each_block(given, [], look_up, None):
+            for _, (levels, *rows) in each_block(given, [], look_up, 1, None):
                 by_level = dict(zip(levels.tolist(), rows, strict=True))
                 add_reads(
                     *(spans, self.tree, [self.channels[name], *alpha], by_level),
@@ -408,15 +423,25 @@ class OctreeTexture:
         answers += [np.array(list(rows), np.int64), *rows.values()]
         return fault
 
-    def contains(self, points: npt.ArrayLike, *, executor: Executor | None = None) -> npt.NDArray[np.bool_]:
+    def contains(
+        self,
+        points: npt.ArrayLike | SurfacePoints,
+        *,
+        threads: int | None = None,
+        executor: Executor | None = None,
+    ) -> npt.NDArray[np.bool_]:
         """Say of each rest position (n, 3) whether a leaf holds it.
+
+        Who works in parallel: ``threads``, so many, by default all processors for large batches and the
+        calling thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor.
+        The result is the same.
 
         Raises ArgumentError for positions that are not finite (n, 3).
         """
-        points = as_point_rows(points)
+        points, _ = placed(points)
         inside = np.empty(len(points), np.bool_)
         self._read_for(len(points))
-        in_blocks({"points": points}, [inside], self._holds, executor)
+        in_blocks({"points": points}, [inside], self._holds, threads, executor)
         return inside
 
     def _holds(self, given: Given, answers: list[Array]) -> int:
