@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from octex.field.field import Field
-from octex.field.footprints import Footprints, spread
-from octex.field.lookups import Lookup, Query, Stored
+from octex.field.footprints import Footprints, Int32s, Looks, spread
+from octex.field.lookups import Query, Stored, _levels, _Lookup, _owners, _pass_on
 from octex.field.sinks import list_taps
 from octex.field.splines import FILTERS
 from octex.field.taps import BLOCK, Float32s, Int64s, Points, Taps, Uint32s
@@ -49,7 +49,9 @@ def rows_read(
     return _Listing(field, placement, query, [channel], None, [], []).rows_by_level(points)
 
 
-class _Listing(Lookup):
+class _Listing(_Lookup):
+    """Lookups of one channel."""
+
     def leaves_listed(self, points: Points) -> tuple[TapList, int]:
         """List the blends of leaves."""
         counts, rows, weights = [np.zeros(1, np.int64)], [np.empty(0, np.uint32)], [np.empty(0, np.float32)]
@@ -79,11 +81,10 @@ class _Listing(Lookup):
         for run, by_level in spread(points, footprints, self._placement.size, depth, code):
             n_points = run.stop - run.start
             keys, parts = [np.empty(0, np.int64)], [np.empty(0)]
-            for _, taps, owners, shares in self._looks(run, by_level):
+            for _, taps, owner_of, shares in self._looks(run, by_level):
                 self._weigh(taps, always=True)
                 look, at = _each(taps)
-                owner = owners[look].astype(np.int64) if owners.size else look
-                keys.append(owner << 32 | taps.rows[at])
+                keys.append(owner_of[look].astype(np.int64) << 32 | taps.rows[at])
                 parts.append(taps.weights[at].astype(np.float64) * shares[look])
             key, which = np.unique(np.concatenate(keys), return_inverse=True)
             part = np.bincount(which, np.concatenate(parts), key.size)
@@ -127,6 +128,18 @@ class _Listing(Lookup):
                 for level, taps, _, _ in self._looks(run, by_level):
                     found.setdefault(level, []).append(np.unique(taps.rows[_each(taps)[1]]))
         return {level: np.unique(np.concatenate(rows)) for level, rows in found.items()}, -1
+
+    def _looks(self, run: slice, by_level: dict[int, Looks]) -> Iterator[tuple[int, Taps, Int32s, Float32s]]:
+        """Yield the level, the taps, the owners and the shares of the looks of a run, in blocks."""
+        normals = None if self._query.normals is None else self._query.normals[run]
+        for level, looks in _levels(by_level, self._field.tree.max_depth):
+            left, owners = np.zeros(len(looks.points), np.float32), _owners(looks)
+            for begin in range(0, len(looks.points), BLOCK):
+                some = slice(begin, begin + BLOCK)
+                facing = None if normals is None else normals[owners[some]]
+                taps, _ = self._taps(self._field.level(level), looks.points[some], facing, left[some])
+                yield level, taps, owners[some], looks.shares[some]
+            _pass_on(by_level, level, looks, left)
 
     def _weigh(self, taps: Taps, *, always: bool) -> None:
         """Let taps weigh as the channel's do."""

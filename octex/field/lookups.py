@@ -72,7 +72,7 @@ def look_up(
     """
     if not channels:
         return -1
-    task = Lookup(field, placement, query, channels, alpha, answers, gradients)
+    task = _Lookup(field, placement, query, channels, alpha, answers, gradients)
     if query.footprints is not None:
         return task.footprints(points, query.footprints)
     (space, *more), is_bare = [channel.space for channel in channels], query.normals is None and not gradients
@@ -80,7 +80,7 @@ def look_up(
     return task.plain(points) if is_plain and field.tiles is not None else task.leaves(points)
 
 
-class Lookup:
+class _Lookup:
     """One lookup: what is the same for all its blocks of points."""
 
     def __init__(
@@ -166,20 +166,6 @@ class Lookup:
         n_points = run.stop - run.start
         gradient = bool(self._gradients)
         sums = [Sums.of(n_points, channel.codes.components, gradient) for channel in self._channels]
-        for _, taps, owners, shares in self._looks(run, by_level):
-            for number, channel in self._weighed(taps, always=True):
-                used, codes = _as_read(taps, channel)
-                add_up(used, codes, owners, shares, sums[number])
-        bare = np.zeros(n_points, np.bool_)
-        for number, channel in enumerate(self._channels):
-            gradients = self._gradients[number][run] if gradient else _NO_GRADIENTS
-            divide(sums[number], 1.0 / self._placement.size, self._answers[number][run], gradients)
-            if self._alpha is not None and not channel.is_alpha:
-                bare |= sums[number].totals == 0.0
-        return np.flatnonzero(bare)
-
-    def _looks(self, run: slice, by_level: dict[int, Looks]) -> Iterator[tuple[int, Taps, Int32s, Float32s]]:
-        """Yield the level, the taps, the owners and the shares of the looks of a run, in blocks."""
         for level, looks in _levels(by_level, self._field.tree.max_depth):
             here = self._field.level(level)
             left = np.zeros(len(looks.points), np.float32)
@@ -193,8 +179,17 @@ class Lookup:
                     normals = self._query.normals[run]
                     normals = normals[rows] if looks.owners is None else normals[owners]
                 taps, _ = self._taps(here, looks.points[rows], normals, left[rows])
-                yield level, taps, owners, looks.shares[rows]
+                for number, channel in self._weighed(taps, always=True):
+                    used, codes = _as_read(taps, channel)
+                    add_up(used, codes, owners, looks.shares[rows], sums[number])
             _pass_on(by_level, level, looks, left)
+        bare = np.zeros(n_points, np.bool_)
+        for number, channel in enumerate(self._channels):
+            gradients = self._gradients[number][run] if gradient else _NO_GRADIENTS
+            divide(sums[number], 1.0 / self._placement.size, self._answers[number][run], gradients)
+            if self._alpha is not None and not channel.is_alpha:
+                bare |= sums[number].totals == 0.0
+        return np.flatnonzero(bare)
 
     def _look_without_alpha(self, points: Points, run: slice, which: Int64s) -> None:
         """Look some points of a run up again, as if there were no alpha."""
