@@ -46,11 +46,19 @@ def inlined(function: Function) -> Function:
     of arrays (coherent lookups: 24 million a second instead of 4). Only kernels can call them: without what
     Python calls, octex compiles in six sevenths of the time.
     """
-    compiled: Any = _compiled(function, forceinline=True, _nrt=False, no_cpython_wrapper=True)
+    return _for_kernels(_compiled(function, forceinline=True, _nrt=False, no_cpython_wrapper=True))
+
+
+def step(function: Function) -> Function:
+    """Compile ``function`` for kernels to call, as ``inlined`` does, but once for all of them."""
+    return _for_kernels(_compiled(function, _nrt=False, no_cpython_wrapper=True))
+
+
+def _for_kernels(compiled: Any) -> Any:
     if not DISABLED:
         compiled.add_overload = partial(_add_overload, compiled)
-        compiled._compile_for_args = partial(_refuse, function.__name__)
-    return compiled  # type: ignore[no-any-return]
+        compiled._compile_for_args = partial(_refuse, compiled.__name__)
+    return compiled
 
 
 def _add_overload(compiled: Any, result: Any) -> None:
