@@ -46,15 +46,18 @@ def inlined(function: Function) -> Function:
     of arrays (coherent lookups: 24 million a second instead of 4). Only kernels can call them: without what
     Python calls, octex compiles in six sevenths of the time.
     """
-    return _for_kernels(_compiled(function, forceinline=True, _nrt=False, no_cpython_wrapper=True))
+    compiled: Any = _compiled(function, forceinline=True, _nrt=False, no_cpython_wrapper=True)
+    return _for_kernels(compiled)  # type: ignore[no-any-return]
 
 
 def step(function: Function) -> Function:
     """Compile ``function`` for kernels to call, as ``inlined`` does, but once for all of them."""
-    return _for_kernels(_compiled(function, _nrt=False, no_cpython_wrapper=True))
+    compiled: Any = _compiled(function, _nrt=False, no_cpython_wrapper=True)
+    return _for_kernels(compiled)  # type: ignore[no-any-return]
 
 
 def _for_kernels(compiled: Any) -> Any:
+    """Put a function out of Python's reach."""
     if not DISABLED:
         compiled.add_overload = partial(_add_overload, compiled)
         compiled._compile_for_args = partial(_refuse, compiled.__name__)

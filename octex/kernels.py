@@ -13,9 +13,10 @@ A renderer looks a texture up at every hit, inside its own compiled loop:
 
 ``nearest``, ``linear`` and ``quadratic`` look at the leaves, as `OctreeTexture.sample` does with these
 filters; ``footprint`` at what a width averages over, toward a normal. All take a rest position, three numbers
-that can be indexed, finite, and return four, linear light for colours: those beyond a channel's components
-are zero. Directions come back as means, not as unit vectors. Nothing is allocated by a lookup and nothing
-raised; they hold no lock. They are called in kernels only.
+that can be indexed, and return four, linear light for colours: those beyond a channel's components are
+zero. Directions come back as means, not as unit vectors. A lookup allocates nothing, raises nothing and needs
+no lock; a position that is no number is taken for the root cell's corner. These four are called in kernels
+only; ``numba`` itself keeps one's own compiled code, if asked to, whatever octex becomes meanwhile.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from octex.field.neighborhood import MOST_TAPS, Walk, collect, new_walk, normali
 from octex.field.neighborhood import _fill as fill_window
 from octex.field.neighborhood import _finest as finest
 from octex.field.neighborhood import _rounded as rounded
-from octex.field.splines import LINEAR, QUADRATIC, quadratic_weights
+from octex.field.splines import LINEAR, QUADRATIC
 from octex.field.stages import _AWAY as AWAY
 from octex.field.stages import _DIRECTIONS as DIRECTIONS
 from octex.field.stages import AREA_WEIGHTS
@@ -43,6 +44,7 @@ from octex.field.tiles import Tiles, code_in_tile, tile_row
 from octex.field.windows import NODES, follow
 from octex.jit import decoded, inlined, kernel, popcount, step
 from octex.texture.blend import NO_TABLE, facing_spreads, stored
+from octex.texture.channel import Channel
 from octex.texture.lens import BLEED_THRESHOLD
 from octex.texture.texture import OctreeTexture, as_texture
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, POSITIVE_FACINGS, SPLIT, TreeArrays
@@ -99,7 +101,7 @@ class Scratch(NamedTuple):
     slopes: Float32s  # (0, 3)
     tiles: Int64s  # (8,)   the rows of 2×2×2 tiles
     codes: npt.NDArray[np.int32]  # (3, 3)   along each axis, the codes of cells in tiles
-    along: npt.NDArray[np.float64]  # (3, 3)   and their weights
+    along: Float32s  # (3, 3)   and their weights
     parts: Float32s  # (9,)   what cells weigh by the ways that they face; see `stages`
     sums: npt.NDArray[np.float64]  # (10,)   four components, under alpha, and their weight; then without it
 
@@ -127,33 +129,48 @@ def arrays_of(
     alpha = texture.channels.get("alpha")
     if alpha is known or (alpha is not None and alpha.format.components != 1):
         alpha = None
-    none = np.empty(0, np.uint8)
+    tiles = _joined_tiles([field.level(level).tiles for level in range(tree.max_depth + 1)])
+    x, y, z = texture.placement.origin
     return LookupArrays(
-        *texture.placement,
+        (x, y, z),
+        texture.placement.size,
         tree.arrays._replace(areas=areas),
         tree.kept.cells,
         field.facings.rows,
-        *_joined_tiles([field.level(level).tiles for level in range(tree.max_depth + 1)]),
+        *tiles,
         _values(known),
         known.format.components,
-        Values(*map(locked, (none, none, none, np.empty(0, np.float64)))) if alpha is None else _values(alpha),
+        _no_values() if alpha is None else _values(alpha),
         spreads,
         threshold,
     )
 
 
-def _values(channel: Any) -> Values:
+def _values(channel: Channel) -> Values:
     codes, space, _ = stored(channel)
-    arrays, table = codes[:3], codes.table
+    cells, kept, split, table = codes
     if space is not None:
-        arrays, table = tuple(decode(array, space) for array in arrays), NO_TABLE
-    flat = (np.ascontiguousarray(array).reshape(-1) for array in arrays)
-    return Values(*map(locked, flat), locked(table))
+        cells, kept, split, table = *(decode(array, space) for array in codes[:3]), NO_TABLE
+    return Values(
+        locked(cells.reshape(-1)), locked(kept.reshape(-1)), locked(split.reshape(-1)), locked(table)
+    )
+
+
+def _no_values() -> Values:
+    none = locked(np.empty(0, np.uint8))
+    return Values(none, none, none, locked(np.empty(0, np.float64)))
+
+
+class _JoinedTiles(NamedTuple):
+    levels: Int64s
+    tops: npt.NDArray[np.int32]
+    masks: npt.NDArray[np.uint64]
+    firsts: npt.NDArray[np.uint32]
 
 
 def _joined_tiles(
     levels: list[Tiles | None],
-) -> tuple[Int64s, npt.NDArray[np.int32], npt.NDArray[np.uint64], npt.NDArray[np.uint32]]:
+) -> _JoinedTiles:
     """Join the tiles of levels; those without have a top level of −1."""
     found = np.full((MAX_DEPTH + 1, 5), -1, np.int64)
     tops, masks, firsts = [np.empty(0, np.int32)], [np.empty(0, np.uint64)], [np.empty(0, np.uint32)]
@@ -163,7 +180,7 @@ def _joined_tiles(
             tops, masks, firsts = [*tops, tiles.top], [*masks, tiles.masks], [*firsts, tiles.firsts]
             found[level] = tiles.top_level, top, top + tiles.top.size, row, row + tiles.masks.size
             top, row = top + tiles.top.size, row + tiles.masks.size
-    return found, np.concatenate(tops), np.concatenate(masks), np.concatenate(firsts)
+    return _JoinedTiles(found, np.concatenate(tops), np.concatenate(masks), np.concatenate(firsts))
 
 
 @kernel
@@ -177,7 +194,7 @@ def new_scratch(arrays: LookupArrays) -> Scratch:
         np.empty((0, 3), np.float32),
         np.empty(8, np.int64),
         np.empty((3, 3), np.int32),
-        np.empty((3, 3), np.float64),
+        np.empty((3, 3), np.float32),
         np.ones(9, np.float32),
         np.empty(10, np.float64),
     )
@@ -190,7 +207,14 @@ def _placed(arrays: LookupArrays, point: Vector) -> tuple[float, float, float]:
     x = (np.float64(point[0]) - arrays.origin[0]) * inverse
     y = (np.float64(point[1]) - arrays.origin[1]) * inverse
     z = (np.float64(point[2]) - arrays.origin[2]) * inverse
-    return min(max(0.0, x), 1.0), min(max(0.0, y), 1.0), min(max(0.0, z), 1.0)
+    return _clamped(x, 1.0), _clamped(y, 1.0), _clamped(z, 1.0)
+
+
+@inlined
+def _clamped(x: float, most: float) -> float:
+    """Clamp a number to 0 … ``most``; what is none becomes 0, so that no index is made of it."""
+    positive = x if x > 0.0 else 0.0
+    return positive if positive < most else most
 
 
 @inlined
@@ -199,7 +223,11 @@ def _tiles_of(arrays: LookupArrays, level: int) -> Tiles:
     known = arrays.tile_levels
     rows = slice(known[level, 3], known[level, 4])
     return Tiles(
-        level, known[level, 0], arrays.tops[known[level, 1] : known[level, 2]], arrays.masks[rows], arrays.firsts[rows]
+        level,
+        known[level, 0],
+        arrays.tops[known[level, 1] : known[level, 2]],
+        arrays.masks[rows],
+        arrays.firsts[rows],
     )
 
 
@@ -207,14 +235,17 @@ def _tiles_of(arrays: LookupArrays, level: int) -> Tiles:
 def _lay(scratch: Scratch, axis: int, x: float, cells: float, filter_code: int) -> int:
     """Weigh the cells around a coordinate along an axis; return the lowest, −1 … cells."""
     along, codes = scratch.along, scratch.codes
+    one, half = np.float32(1.0), np.float32(0.5)
     if filter_code == QUADRATIC:
         cell = min(np.floor(x * cells), cells - 1.0)
-        a, b, c = quadratic_weights(x * cells - cell)
+        t = np.float32(x * cells - cell)
+        a, c = half * (one - t) * (one - t), half * t * t
+        b = one - a - c
         low = np.int32(cell) - np.int32(1)
     else:
         cell = np.floor(x * cells - 0.5)
-        b = x * cells - 0.5 - cell
-        a, c = 1.0 - b, 0.0
+        b = np.float32(x * cells - 0.5 - cell)
+        a, c = one - b, np.float32(0.0)
         low = np.int32(cell)
     along[axis, 0], along[axis, 1], along[axis, 2] = a, b, c
     zero, seven = np.int32(0), np.int32(7)
@@ -227,7 +258,7 @@ def _lay(scratch: Scratch, axis: int, x: float, cells: float, filter_code: int) 
 @inlined
 def _tiled(
     arrays: LookupArrays, level: int, x: float, y: float, z: float, filter_code: int, scratch: Scratch
-) -> tuple[int, float]:
+) -> tuple[int, np.float32]:
     """Write the taps at a level that has tiles; return their number, and the weight of all."""
     tiles = _tiles_of(arrays, level)
     cells = float(1 << level)
@@ -244,7 +275,7 @@ def _tiled(
                 row = tile_row(tiles, (i >> 3) + dx, (j >> 3) + dy, (k >> 3) + dz)
                 rows[dx + 2 * dy + 4 * dz] = 8 * row
     n = 0
-    total = 0.0
+    total = np.float32(0.0)
     last = np.int64(arrays.tree.flags.size - 1)
     along, codes = scratch.along, scratch.codes
     for dz in range(side):
@@ -257,13 +288,14 @@ def _tiled(
                 octant = np.uint64(rows[tile + (dx >= next_i)] + (code >> 8))
                 bit = np.uint64(code & 63)
                 mask = tiles.masks[octant]
-                if (mask >> bit) & np.uint64(1) != np.uint64(0):
-                    below = mask & ((np.uint64(1) << bit) - np.uint64(1))
-                    weight = along[0, dx] * of_yz
-                    scratch.rows[n] = min(np.int64(tiles.firsts[octant]) + popcount(below), last)
-                    scratch.weights[n] = weight
-                    total += weight
-                    n += 1
+                is_stored = int((mask >> bit) & np.uint64(1))
+                below = mask & ((np.uint64(1) << bit) - np.uint64(1))
+                weight = along[0, dx] * of_yz
+                at = np.uint64(n)  # without a branch, which could not be foretold
+                scratch.rows[at] = min(np.int64(tiles.firsts[octant]) + popcount(below), last)
+                scratch.weights[at] = weight
+                total += weight * np.float32(is_stored)
+                n += is_stored
     return n, total
 
 
@@ -281,7 +313,7 @@ def _walked(
     weights: Float32s,
     slopes: Float32s,
 ) -> tuple[int, float]:
-    """Write the taps in the tree truncated at a level; return their number, and the cover: 0 off the surface."""
+    """Write the taps in a truncated tree; return their number and the cover, 0 off the surface."""
     tree = TreeArrays(tree.groups, tree.level_cells[: level + 2], tree.level_nodes, tree.flags, tree.areas)
     walk.previous[3] = min(walk.previous[3], level)
     x, y, z = rounded(x), rounded(y), rounded(z)
@@ -325,7 +357,7 @@ def _find(
 
 
 @inlined
-def _scale(scratch: Scratch, n: int, factor: float) -> None:
+def _scale(scratch: Scratch, n: int, factor: float | np.floating[Any]) -> None:
     for tap in range(n):
         scratch.weights[tap] *= np.float32(factor)
 
@@ -355,7 +387,8 @@ def _leave_mixed(arrays: LookupArrays, level: int, n: int, scratch: Scratch) -> 
         flags = arrays.tree.flags[cell]
         if flags & np.uint8(SPLIT) == 0 or flags & flags >> np.uint8(1) & np.uint8(POSITIVE_FACINGS) == 0:
             continue
-        if arrays.spreads[min(np.int64(arrays.facings[cell]), arrays.spreads.size - 1)] >= arrays.threshold:
+        row = min(int(arrays.facings[cell]), arrays.spreads.size - 1)
+        if arrays.spreads[row] >= arrays.threshold:
             gone += weight
             scratch.weights[tap] = np.float32(0.0)
     return gone / total if total > 0.0 else 0.0
@@ -428,7 +461,7 @@ def _add_facing(
         row = np.int64(scratch.rows[tap])
         cell = row
         if row >= n_cells and arrays.kept.size > 0:
-            cell = np.int64(arrays.kept[min(row - n_cells, arrays.kept.size - 1)])
+            cell = np.int64(arrays.kept[min(int(row - n_cells), arrays.kept.size - 1)])
         flags = arrays.tree.flags[cell]
         bits = int(DIRECTIONS[64 * signs + int(flags & np.uint8(FACING_FLAGS))])
         weight = share * np.float64(scratch.weights[tap] * scratch.parts[bits])
@@ -456,9 +489,7 @@ def _clear(scratch: Scratch) -> None:
 
 
 @inlined
-def _look(
-    arrays: LookupArrays, x: float, y: float, z: float, filter_code: int, scratch: Scratch
-) -> Color:
+def _look(arrays: LookupArrays, x: float, y: float, z: float, filter_code: int, scratch: Scratch) -> Color:
     """Look at the leaves."""
     _clear(scratch)
     n, _ = _find(arrays, arrays.tree.level_cells.size - 2, x, y, z, filter_code, scratch)
@@ -467,7 +498,7 @@ def _look(
     return _mean(scratch)
 
 
-@step
+@inlined
 def nearest(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
     """Return what is stored of the leaf that holds a rest position, else of the nearest cell around it."""
     x, y, z = _placed(arrays, point)
@@ -482,27 +513,27 @@ def nearest(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
         mask = tiles.masks[octant]
         if (mask >> bit) & np.uint64(1) != np.uint64(0):
             below = mask & ((np.uint64(1) << bit) - np.uint64(1))
-            cell = np.int64(tiles.firsts[octant]) + popcount(below)
-            return _value(arrays.values, arrays.components, min(int(cell), arrays.tree.flags.size - 1))
+            number = int(tiles.firsts[octant]) + popcount(below)
+            return _value(arrays.values, arrays.components, min(number, arrays.tree.flags.size - 1))
     cell, _ = nearest_cell(arrays.tree, x, y, z, scratch.search)
-    return _value(arrays.values, arrays.components, int(cell))
+    return _value(arrays.values, arrays.components, cell)
 
 
-@step
+@inlined
 def linear(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
     """Return the field between leaves by the paper's own rule, which jumps where the depth changes."""
     x, y, z = _placed(arrays, point)
     return _look(arrays, x, y, z, LINEAR, scratch)
 
 
-@step
+@inlined
 def quadratic(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
     """Return the field between leaves: a quadratic spline, continuous in its slopes."""
     x, y, z = _placed(arrays, point)
     return _look(arrays, x, y, z, QUADRATIC, scratch)
 
 
-@step
+@inlined
 def footprint(arrays: LookupArrays, point: Vector, width: float, normal: Vector, scratch: Scratch) -> Color:
     """Return the mean over a square of some width around a rest position, of what faces a normal.
 
@@ -554,7 +585,7 @@ def footprint(arrays: LookupArrays, point: Vector, width: float, normal: Vector,
 @inlined
 def _level_of(width: float, size: float, depth: int) -> tuple[int, float]:
     """Return the coarser of the two levels that a width is looked up at, and the share of the other."""
-    cells = size / min(max(np.float64(width), size * 0.25**MAX_DEPTH), size * 4.0**MAX_DEPTH)
+    cells = size / max(_clamped(np.float64(width), size * 4.0**MAX_DEPTH), size * 0.25**MAX_DEPTH)
     level = np.float64(np.float32(np.log2(np.float32(cells))) + np.float32(ROUND_FINER[QUADRATIC]))
     whole = np.floor(level)
     part = (level - whole - WHOLE) / (1.0 - 2.0 * WHOLE)
