@@ -79,7 +79,7 @@ def _convert(options: argparse.Namespace, program: str) -> int:
 
     with Reporter(program, options.quiet) as progress:
         if kind == "texture":
-            with workers(None) as executor:
+            with workers() as executor:
                 texture = processed(options, executor)
         else:
             with progress.stage("read"):

@@ -71,7 +71,7 @@ def _paint(options: argparse.Namespace, program: str) -> int:
             progress.note(f"{new_texture(options)}: painting begins a new texture")
         with progress.stage("read"):
             surface = read_posed(options)
-        with workers(None) as executor:
+        with workers() as executor:
             if options.layer:
                 layers = [open_sound(path) for path in options.layer]
             else:

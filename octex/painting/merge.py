@@ -45,6 +45,7 @@ def merge(
     *,
     opacity: float = 1.0,
     blend: Blend = "over",
+    threads: int | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> OctreeTexture:
@@ -58,6 +59,10 @@ def merge(
     fourth, 0.001 from the fifth on; where they are quartered, up to 0.4, 0.2 and 0.005. So near the rim what
     is seen through half opaque paint is up to 0.04 off its half, from the fifth fine cell on.
     ``surface`` is the one that both were made on.
+
+    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
+    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
+    is the same.
 
     Raises ArgumentError for a layer of another root cell, of several channels, or of one that the texture
     does not have.
@@ -88,7 +93,7 @@ def merge(
             f"the layer paints {form.components} components, but {target!r} of the texture has "
             f"{stored.components}"
         )
-    with workers(executor) as pool:
+    with workers(threads, executor) as pool:
         raised = raise_texture(texture, layer, paint, surface, pool, report, adds=blend != "erase")
     if not any(each.codes.size for each in raised.paint):
         return given
