@@ -32,7 +32,7 @@ The rooms, each of which knows only those before it
     formats     files that are not our own
     cli         the commands, and the pages of octex help
 
-Common ground: channels, checks, compare, container, errors, files, jit, parallel.
+Common ground: ahead, channels, checks, compare, container, errors, files, jit, jit_cache, parallel.
 """
 
 from __future__ import annotations

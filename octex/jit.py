@@ -5,12 +5,12 @@ With ``NUMBA_DISABLE_JIT=1`` every kernel runs as plain Python; the intrinsics t
 
 from __future__ import annotations
 
-import hashlib
-import re
+import gc
+import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from functools import cache, partial
-from pathlib import Path
+from contextlib import contextmanager
+from functools import partial
+from operator import attrgetter
 from threading import Lock
 from typing import Any, TypeVar
 
@@ -23,8 +23,15 @@ from numba.extending import intrinsic
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-#: Imports of octex, of whole modules or of names in them.
-_IMPORT = re.compile(r"^(?:from|import) (octex[\w.]*)(?: import (\([^)]*\)|.*))?", re.MULTILINE)
+#: What is used of numba beyond what it documents, of its functions and of their caches on disk.
+_USED = "_compile_for_args", "_insert", "add_overload", "get_call_template", "overloads", "typeof_pyval"
+_USED_OF_CACHE = (
+    *("_cache._cache_file.load", "_cache._cache_file.save", "_cache._cache_file._source_stamp"),
+    "_cache.cache_path",
+)
+#: New objects after which Python looks for garbage while kernels are compiled, which make hundreds of
+#: thousands: by its own 700, that takes a tenth of the time.
+MANY_OBJECTS = 100_000
 
 #: True when kernels run as plain Python.
 DISABLED: bool = bool(numba.config.DISABLE_JIT)
@@ -84,20 +91,41 @@ def fused_kernel(function: Function) -> Function:
 
 
 def _compiled(function: Function, **options: Any) -> Function:
-    compiler = partial(numba.njit, nogil=True, error_model="numpy", **options)
+    from octex.jit_cache import CodeFiles  # not above: nothing is compiled from it
+
+    # Without the entry for C, which nobody calls, each version is a module less to compile.
+    compiler = partial(numba.njit, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)
+    used: tuple[str, ...] = (*_USED, *_USED_OF_CACHE)
     try:
-        compiled = compiler(cache=True)(function)
+        compiled: Any = compiler(cache=True)(function)
     except RuntimeError:  # no folder that numba could write its cache to: compile in every process
-        compiled = compiler(cache=False)(function)
-    if not DISABLED:
-        compiled.get_call_template = partial(_call_template, compiled.get_call_template)
-        compiled._compile_for_args = partial(_compile_for_args, compiled, compiled._compile_for_args, set())
-    # What a kernel calls is compiled into it, but numba looks for changes in the kernel's own file only.
-    with suppress(AttributeError):
-        cache_file = compiled._cache._cache_file
-        cache_file._source_stamp = (cache_file._source_stamp, _digest_behind(compiled.py_func.__module__))
-        cache_file._load_index = partial(_load_index, cache_file._load_index)
+        compiled, used = compiler(cache=False)(function), _USED
+    if DISABLED:
+        return compiled  # type: ignore[no-any-return]
+    missing = [name for name in used if not _has(compiled, name)]
+    if missing:
+        # Code that is kept on disk by numba's rules alone may be stale.
+        warnings.warn(
+            f"numba {numba.__version__} has no {' and no '.join(missing)} in its functions, which octex "
+            f"uses: {function.__name__} is compiled in every process; install a numba that octex knows",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+        return compiler(cache=False)(function)  # type: ignore[no-any-return]
+    compiled.get_call_template = partial(_call_template, compiled.get_call_template)
+    compiled._compile_for_args = partial(_compile_for_args, compiled, compiled._compile_for_args, set())
+    if used != _USED:
+        kept = compiled._cache
+        kept._cache_file = CodeFiles(kept.cache_path, function, kept._cache_file._source_stamp)
     return compiled  # type: ignore[no-any-return]
+
+
+def _has(compiled: Any, name: str) -> bool:
+    try:
+        attrgetter(name)(compiled)
+    except AttributeError:
+        return False
+    return True
 
 
 def _compile_for_args(
@@ -108,10 +136,11 @@ def _compile_for_args(
     Their types differ, and each kernel would be compiled once more. Kernels write to what they are given to
     write to, and to nothing else.
     """
-    if not any(map(_has_locked, arguments)):
-        return compile_for_args(*arguments)
-    given = tuple(map(compiled.typeof_pyval, arguments))
-    code = compiled.compile(tuple(map(_unlocked, given)))
+    with _little_garbage_sought():
+        if not any(map(_has_locked, arguments)):
+            return compile_for_args(*arguments)
+        given = tuple(map(compiled.typeof_pyval, arguments))
+        code = compiled.compile(tuple(map(_unlocked, given)))
     with _LOCK:
         if given not in known:
             known.add(given)
@@ -120,6 +149,25 @@ def _compile_for_args(
 
 
 _LOCK = Lock()
+_compiling = 0  # calls that wait for code
+_usual: tuple[int, ...] = ()  # Python's thresholds while none does
+
+
+@contextmanager
+def _little_garbage_sought() -> Iterator[None]:
+    global _compiling, _usual
+    with _LOCK:
+        if _compiling == 0:
+            _usual = gc.get_threshold()
+            gc.set_threshold(max(_usual[0], MANY_OBJECTS) if _usual[0] else 0, *_usual[1:])
+        _compiling += 1
+    try:
+        yield
+    finally:
+        with _LOCK:
+            _compiling -= 1
+            if _compiling == 0:
+                gc.set_threshold(*_usual)
 
 
 def _has_locked(argument: Any) -> bool:
@@ -146,55 +194,6 @@ def _call_template(resolve: Callable[..., Any], arguments: Any, keywords: Any) -
     """
     keywords = {name: types.unliteral(each) for name, each in dict(keywords).items()}
     return resolve(tuple(types.unliteral(each) for each in arguments), keywords)
-
-
-def _load_index(load: Callable[[], dict[Any, Any]]) -> dict[Any, Any]:
-    """List what is cached: nothing, if it was written by an octex whose types are no longer there."""
-    try:
-        return load()
-    except (AttributeError, ImportError):
-        return {}
-
-
-@cache
-def _digest_behind(module: str) -> str:
-    """Tell this state of a module, and of all that it imports of octex, from any other."""
-    digests = (_digest_of(name) for name in sorted(_modules_behind(module)))
-    return hashlib.sha256("".join(digests).encode()).hexdigest()
-
-
-def _modules_behind(module: str) -> set[str]:
-    """Return a module and those of octex that it imports, and so on."""
-    found, waiting = {module}, [module]
-    while waiting:
-        new = _imports_of(waiting.pop()) - found
-        found |= new
-        waiting += new
-    return found
-
-
-@cache
-def _imports_of(module: str) -> frozenset[str]:
-    """Return the modules of octex that one imports at its top: what functions import, no kernel sees."""
-    names = set()
-    for package, listed in _IMPORT.findall(_source_of(module)):
-        names |= {package, *(f"{package}.{name}" for name in re.findall(r"\w+", listed))}
-    return frozenset(name for name in names if _source_of(name))
-
-
-@cache
-def _digest_of(module: str) -> str:
-    return hashlib.sha256(f"{module}\n{_source_of(module)}".encode()).hexdigest()
-
-
-@cache
-def _source_of(module: str) -> str:
-    """Return a module's text; nothing for what is not a module of octex."""
-    path = Path(__file__).parents[1].joinpath(*module.split("."))
-    for file in (path.with_suffix(".py"), path / "__init__.py"):
-        if file.is_file():
-            return file.read_text(encoding="utf-8")
-    return ""
 
 
 if DISABLED:

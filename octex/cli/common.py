@@ -276,7 +276,7 @@ def _announce_compilation(reporter: Reporter) -> Any:
         def on_start(self, _event: Any) -> None:
             if not self.said:
                 self.said = True
-                reporter.note("compiling: a minute or two, this once (octex warm-up does it ahead)")
+                reporter.note("compiling: half a minute or more, this once (octex warm-up does it ahead)")
 
         def on_end(self, _event: Any) -> None:
             pass

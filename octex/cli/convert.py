@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import octex
+from octex.ahead import ahead
 from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
 from octex.cli.convert_options import COMMANDS, CONVERT, check_input, work_of
 from octex.cli.diff import diff
@@ -77,7 +78,9 @@ def _convert(options: argparse.Namespace, program: str) -> int:
 
         as_depth(options.depth, "--depth")
 
-    with Reporter(program, options.quiet) as progress:
+    stages = ("convert", "preview") if options.preview is not None else ("convert",)
+    is_shared = options.threads is None and kind == "model"
+    with Reporter(program, options.quiet) as progress, ahead(*stages if is_shared else ()):
         if kind == "texture":
             with workers() as executor:
                 texture = processed(options, executor)
@@ -169,7 +172,7 @@ def _warm_up(quiet: bool, program: str) -> int:
     from octex.cli.warm_up import warm_up
 
     began = time.perf_counter()
-    with Reporter(program, quiet, announce=False) as progress:
+    with Reporter(program, quiet, announce=False) as progress, ahead("warm-up"):
         warm_up(progress)
     if not quiet:
         say(f"compiled and cached in {time.perf_counter() - began:.1f} s")

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from octex.ahead import ahead
 from octex.cli.common import (
     Reporter,
     bytes_text,
@@ -58,7 +59,9 @@ def _main(options: argparse.Namespace, program: str) -> int:
             from octex.checks import as_depth
 
             as_depth(options.max_depth, "--max-depth")
-        return view(program, options) if work == "--view" else _paint(options, program)
+        stages = {"painting": ("paint",), "--view": ("view",)}
+        with ahead(*stages.get(work, ()) if options.threads is None else ()):
+            return view(program, options) if work == "--view" else _paint(options, program)
 
 
 def _paint(options: argparse.Namespace, program: str) -> int:

@@ -237,12 +237,25 @@ def _points(
         if not (firsts[cell] <= sample < firsts[cell + 1]):
             cell += 1  # mostly the next
             if cell >= codes.size or not (firsts[cell] <= sample < firsts[cell + 1]):
-                cell = np.searchsorted(firsts, sample, side="right") - 1
+                cell = _last_not_above(firsts, sample)
         i, j, k = decode(codes[cell])
         points[n, 0] = origin[0] + (i + (places[sample, 0] + 0.5) * step) * edge
         points[n, 1] = origin[1] + (j + (places[sample, 1] + 0.5) * step) * edge
         points[n, 2] = origin[2] + (k + (places[sample, 2] + 0.5) * step) * edge
     return points
+
+
+@inlined
+def _last_not_above(firsts: npt.NDArray[np.int64], sample: np.int64) -> np.int64:
+    """Return the place of the last of ascending numbers that is not above another."""
+    low, high = 0, firsts.size  # numpy's search compiles for half a second
+    while low < high:
+        middle = (low + high) // 2
+        if firsts[middle] <= sample:
+            low = middle + 1
+        else:
+            high = middle
+    return np.int64(low - 1)
 
 
 @kernel
@@ -258,7 +271,9 @@ def _largest(
     n_entries = 0
     for cell in range(flags.size):
         n_entries += popcount(np.uint64(flags[cell]))
-    largest = np.full((n_entries, 2), -1, np.int64)
+    largest = np.empty((n_entries, 2), np.int64)
+    for entry in range(n_entries):
+        largest[entry, 0] = largest[entry, 1] = -1
     totals = np.zeros(n_entries, np.float64)
     for piece in range(entries.size):
         entry = entries[piece]
