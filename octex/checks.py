@@ -45,6 +45,22 @@ def as_point_rows(points: npt.ArrayLike, name: str = "points") -> npt.NDArray[An
     return array
 
 
+def as_row_numbers(numbers: npt.ArrayLike, count: int) -> npt.NDArray[np.int64]:
+    """Return numbers of rows (n,), each below ``count``, or raise ArgumentError."""
+    try:
+        array = np.asarray(numbers)
+    except ValueError:  # rows of unequal lengths
+        array = np.empty((), np.void)
+    if array.shape == (0,):
+        return np.empty(0, np.int64)
+    if array.ndim != 1 or array.dtype.kind not in "iu":
+        raise ArgumentError(f"rows must be whole numbers (n,), not {array.dtype} {array.shape}")
+    if not 0 <= array.min() <= array.max() < count:
+        worst = array.min() if array.min() < 0 else array.max()
+        raise ArgumentError(f"there is no row {worst}; there are 0 to {count - 1}")
+    return array.astype(np.int64, copy=False)
+
+
 def as_reals(
     given: npt.ArrayLike, name: str, *shapes: tuple[int, ...], most: float = np.inf
 ) -> npt.NDArray[np.float64]:

@@ -206,6 +206,11 @@ def _mapped(file: BinaryIO) -> mmap.mmap:
     return mapping
 
 
+def header_length(mapping: mmap.mmap) -> int:
+    """Return how many bytes of a mapped file come before the arrays."""
+    return 8 + int.from_bytes(mapping[:8], "little")
+
+
 def read_ahead(mapping: mmap.mmap) -> None:
     """Prepare for most of a mapped file to be read, where the system takes such advice."""
     if sys.platform != "win32":

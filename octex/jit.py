@@ -54,10 +54,21 @@ def inlined(function: Function) -> Function:
     Python calls, octex compiles in six sevenths of the time.
     """
     compiled: Any = _compiled(function, forceinline=True, _nrt=False, no_cpython_wrapper=True)
+    return _for_kernels(compiled)  # type: ignore[no-any-return]
+
+
+def step(function: Function) -> Function:
+    """Compile ``function`` for kernels to call, as ``inlined`` does, but once for all of them."""
+    compiled: Any = _compiled(function, _nrt=False, no_cpython_wrapper=True)
+    return _for_kernels(compiled)  # type: ignore[no-any-return]
+
+
+def _for_kernels(compiled: Any) -> Any:
+    """Put a function out of Python's reach."""
     if not DISABLED:
         compiled.add_overload = partial(_add_overload, compiled)
-        compiled._compile_for_args = partial(_refuse, function.__name__)
-    return compiled  # type: ignore[no-any-return]
+        compiled._compile_for_args = partial(_refuse, compiled.__name__)
+    return compiled
 
 
 def _add_overload(compiled: Any, result: Any) -> None:

@@ -1,19 +1,28 @@
-"""Work in parallel on any executor, and say how far it is."""
+"""Work in parallel: the one rule for who works, and how far it is.
+
+Functions that work in parallel take ``threads`` and ``executor``, and hand both to `workers`: so many
+threads, by default all processors for large batches and the calling thread alone for small ones; or the
+workers of any executor. What a worker calls works alone in its thread.
+"""
 
 from __future__ import annotations
 
 import math
 import os
+import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import cached_property
 from typing import Any, Protocol, TypeVar
 
 from octex.errors import ArgumentError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+_MOST_THREADS = 1 << 16
 
 
 class Progress(Protocol):
@@ -41,6 +50,13 @@ def as_executor(executor: Executor | None) -> Executor | None:
     return executor
 
 
+def as_threads(threads: int | None) -> int | None:
+    """Return a number of threads or None, or raise ArgumentError."""
+    from octex.checks import as_whole  # imports numpy, which commands do without at first
+
+    return None if threads is None else as_whole(threads, "threads", 1, _MOST_THREADS)
+
+
 def memory_size() -> float:
     """Return the bytes of memory that this machine has, infinity if it does not say."""
     try:
@@ -51,6 +67,7 @@ def memory_size() -> float:
 
 _most: int | None = None  # as ``at_most`` says
 _pools = 0  # that there are
+_here = threading.local()  # ``is_worker`` in threads of pools
 
 
 @contextmanager
@@ -76,13 +93,13 @@ def cpu_count() -> int:
 
 
 @contextmanager
-def threads(count: int) -> Iterator[Executor]:
+def pool_of(count: int) -> Iterator[Executor]:
     """Yield a pool of ``count`` threads that ends with the block; an error drops what has not begun."""
     global _pools
     if _most is not None and _pools:  # which has all threads that may be
         yield _Here()
         return
-    with ThreadPoolExecutor(count, thread_name_prefix="octex") as pool:
+    with ThreadPoolExecutor(count, thread_name_prefix="octex", initializer=_note_worker) as pool:
         _pools += 1
         try:
             yield pool
@@ -91,6 +108,21 @@ def threads(count: int) -> Iterator[Executor]:
             raise
         finally:
             _pools -= 1
+
+
+def _note_worker() -> None:
+    _here.is_worker = True
+
+
+class built_once(cached_property[Result]):  # noqa: N801  (as what it derives from)
+    """Like ``cached_property``, but what several threads ask for at the same time is made by one of them."""
+
+    def __get__(self, instance: Any, owner: type[Any] | None = None) -> Any:
+        with _BUILDING:
+            return super().__get__(instance, owner)
+
+
+_BUILDING = threading.RLock()  # only until an object has the value
 
 
 class _Here(Executor):
@@ -106,14 +138,29 @@ class _Here(Executor):
 
 
 @contextmanager
-def workers(executor: Executor | None) -> Iterator[Executor]:
-    """Yield ``executor``, or for None a thread pool over all processors that ends with the block."""
-    executor = as_executor(executor)
+def workers(
+    threads: int | None = None, executor: Executor | None = None, tasks: int | None = None
+) -> Iterator[Executor]:
+    """Yield who does so many ``tasks``, None being many: ``executor``, or threads that end with the block.
+
+    These are so many ``threads``, for None a thread for each processor, and the calling thread alone for one
+    task, and in a thread that works for octex already. Raises ArgumentError for both or for neither of that
+    kind.
+    """
+    executor, threads = as_executor(executor), as_threads(threads)
+    if executor is not None and threads is not None:
+        raise ArgumentError("give threads or an executor, not both")
     if executor is not None:
         yield executor
-    else:
-        with threads(cpu_count()) as pool:
-            yield pool
+        return
+    count = cpu_count() if threads is None else threads if _most is None else min(threads, _most)
+    if tasks is not None:
+        count = min(count, tasks)
+    if count <= 1 or (threads is None and getattr(_here, "is_worker", False)):
+        yield _Here()
+        return
+    with pool_of(count) as pool:
+        yield pool
 
 
 def ordered_map(
@@ -130,6 +177,7 @@ def ordered_map(
     At most ``window`` items are in flight, so that results do not pile up. The first error ends the map and
     cancels what has not begun.
     """
+    window = 1 if isinstance(executor, _Here) else window
     pending: deque[Future[Result]] = deque()
     total = len(items)
     done = 0

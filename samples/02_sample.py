@@ -24,13 +24,13 @@ def main() -> None:
     samples = surface.scatter(100_000, seed=0)  # uniform by area
     cell = texture.placement.size / 2**DEPTH
 
-    colors = texture.sample(samples.rest)  # (n, 3) float32, linear light
+    colors = texture.sample(samples)  # where they rest, toward their normals: (n, 3) float32, linear light
     truth = surface.evaluate(samples, width=cell)
     error = linear_to_srgb(colors) - linear_to_srgb(truth)
-    print(f"every point lies in a leaf: {texture.contains(samples.rest).all()}")
+    print(f"every point lies in a leaf: {texture.contains(samples).all()}")
     print(f"PSNR {-10 * np.log10((error**2).mean()):.1f} dB at depth {DEPTH}, cells of {cell:.2g}")
     for level in range(DEPTH - 3, DEPTH):
-        error = linear_to_srgb(texture.level(level).sample(samples.rest)) - linear_to_srgb(truth)
+        error = linear_to_srgb(texture.level(level).sample(samples)) - linear_to_srgb(truth)
         print(f"PSNR {-10 * np.log10((error**2).mean()):.1f} dB from the averages of level {level}")
 
 

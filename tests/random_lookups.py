@@ -90,7 +90,7 @@ def check(seed: int) -> None:
         points = points.astype(np.float32)
         at_random[:] &= texture.tree.max_depth < 8  # else rounding moves them by cells
     for filter in FILTERS:
-        views = _random_views(random, len(points), texture.placement.size)
+        views = random_views(random, len(points), texture.placement.size)
         about = f"seed {seed}: {texture!r}, {filter}, {views}"
         _check_answers(texture, points, filter, views, about)
         _check_references(texture, points, at_random, filter, views, about)
@@ -99,7 +99,7 @@ def check(seed: int) -> None:
             _check_gradients(texture, points, at_random, filter, about)
 
 
-def _random_views(random: Random, n: int, size: float) -> dict[str, Any]:
+def random_views(random: Random, n: int, size: float) -> dict[str, Any]:
     """How points are looked at: plain, with widths or derivatives, with normals."""
     views: dict[str, Any] = {}
     kind = int(random.integers(4))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import math
 import os
 import pickle
@@ -10,7 +11,8 @@ import pkgutil
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -383,7 +385,7 @@ def test_leaving_the_map_early_cancels_the_rest() -> None:
 def test_an_error_in_the_block_drops_the_work_that_has_not_begun() -> None:
     release = threading.Event()
     futures: list[Future[bool]] = []
-    with pytest.raises(KeyboardInterrupt), parallel.threads(1) as executor:
+    with pytest.raises(KeyboardInterrupt), parallel.pool_of(1) as executor:
         futures += [executor.submit(release.wait, 10) for _ in range(5)]
         futures[-1].add_done_callback(lambda _: release.set())  # the first ends once the last is cancelled
         raise KeyboardInterrupt
@@ -394,13 +396,107 @@ def test_workers_are_the_callers_executor_or_threads_over_all_processors(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     executor = Eager()
-    with parallel.workers(executor) as given_back:
+    with parallel.workers(None, executor) as given_back:
         assert given_back is executor
     monkeypatch.setattr(parallel, "cpu_count", lambda: 3)
-    with parallel.workers(None) as own:
-        assert own._max_workers == 3  # type: ignore[attr-defined]
-    with pytest.raises(RuntimeError):
-        own.submit(print)
+    for threads, tasks, expected in ((None, None, 3), (None, 2, 2), (5, None, 5), (5, 4, 4)):
+        with parallel.workers(threads, None, tasks) as own:
+            assert own._max_workers == expected  # type: ignore[attr-defined]
+        with pytest.raises(RuntimeError):
+            own.submit(print)
+
+
+def test_little_work_and_work_inside_work_stays_in_the_calling_thread() -> None:
+    def who() -> object:
+        with parallel.workers() as inner:
+            return inner.submit(threading.current_thread).result(), threading.current_thread()
+
+    for threads, tasks in ((1, None), (None, 1), (7, 1), (None, 0)):
+        with parallel.workers(threads, None, tasks) as here:
+            assert here.submit(threading.current_thread).result() is threading.current_thread()
+    with parallel.workers(2) as pool:
+        inner, outer = pool.submit(who).result()
+        assert inner is outer is not threading.current_thread()
+
+
+def test_threads_beside_an_executor_and_impossible_numbers_of_them_are_refused() -> None:
+    with pytest.raises(ArgumentError, match="give threads or an executor, not both"):
+        parallel.workers(2, Eager()).__enter__()
+    for wrong in (0, -1, 1.5, "2", True):
+        with pytest.raises(ArgumentError, match="threads must be a whole number from 1"):
+            parallel.workers(wrong).__enter__()  # type: ignore[arg-type]
+
+
+def test_more_threads_than_octex_may_start_are_not_started() -> None:
+    with parallel.at_most(2), parallel.workers(5) as pool:
+        assert pool._max_workers == 2  # type: ignore[attr-defined]
+
+
+def test_what_is_built_once_is_built_by_one_of_the_threads_that_want_it() -> None:
+    class Slow:
+        built = 0
+
+        @parallel.built_once
+        def value(self) -> object:
+            self.built += 1
+            time.sleep(0.01)
+            return object()
+
+    slow = Slow()
+    with ThreadPoolExecutor(4) as pool:
+        values = list(pool.map(lambda _: slow.value, range(8)))
+    assert slow.built == 1
+    assert all(value is values[0] for value in values)
+
+
+WORDS = (
+    "Who works in parallel: ``threads``, so many, by default all processors for large batches and the "
+    "calling thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. "
+    "The result is the same."
+)
+
+
+def parallel_functions() -> dict[str, Callable[..., Any]]:
+    """The public functions and methods that work in parallel."""
+    homes = [octex, octex.OctreeTexture, octex.TextureSet, octex.Surface]
+    known = {
+        f"{home.__name__}.{name}": getattr(home, name)
+        for home in homes
+        for name in dir(home)
+        if name[:2] != "__"
+    }
+    functions = {name: each for name, each in known.items() if inspect.isfunction(each)}
+    return {
+        name: each
+        for name, each in functions.items()
+        if {"threads", "executor"} & set(inspect.signature(each).parameters)
+    }
+
+
+def test_all_that_works_in_parallel_says_so_in_the_same_words() -> None:
+    functions = parallel_functions()
+    assert {name.split(".")[-1] for name in functions} == {
+        *[
+            "blur",
+            "combine",
+            "contains",
+            "convert",
+            "convert_set",
+            "fill",
+            "merge",
+            "mix",
+            "paint",
+            "project",
+        ],
+        *["resize", "sample", "taps"],
+    }
+    for name, function in functions.items():
+        parameters = inspect.signature(function).parameters
+        for each in ("threads", "executor"):
+            assert parameters[each].default is None, name
+            assert parameters[each].kind is inspect.Parameter.KEYWORD_ONLY, name
+        words = " ".join((function.__doc__ or "").split())
+        assert WORDS in words, name
 
 
 def test_processors_are_counted_where_affinity_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:

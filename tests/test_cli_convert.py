@@ -261,7 +261,7 @@ def test_the_preview_shows_what_was_converted(
     shown: list[list[str]] = []
     monkeypatch.setattr(
         "octex.preview.write_preview",
-        lambda _path, surface, _texture: shown.append([form.name for form in surface.channels]),
+        lambda _path, surface, _texture, **_: shown.append([form.name for form in surface.channels]),
     )
     arguments = ["--channels", "roughness,alpha", "--source", "alpha=0.5", "--rest", square]
     result(capsys, square, tmp_path / "a.octex", "--depth", 2, *arguments, "--preview", tmp_path / "a.png")
@@ -280,7 +280,7 @@ def test_a_preview_is_drawn_of_models_and_of_textures(
 ) -> None:
     drawn: list[tuple[str, bool]] = []
 
-    def write_preview(path: Path, surface: Any, texture: Any) -> None:
+    def write_preview(path: Path, surface: Any, texture: Any, **_: Any) -> None:
         drawn.append((path.name, surface is not None))
         assert texture.tree.max_depth == 3
 

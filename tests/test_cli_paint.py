@@ -546,7 +546,7 @@ def test_a_preview_is_drawn_of_what_was_painted(
 ) -> None:
     drawn: list[tuple[list[str] | None, list[str]]] = []
 
-    def write_preview(_path: Path, surface: Any, texture: Any) -> None:
+    def write_preview(_path: Path, surface: Any, texture: Any, **_: Any) -> None:
         names = None if surface is None else [form.name for form in surface.channels]
         drawn.append((names, list(texture.channels)))
 
@@ -637,6 +637,59 @@ def test_a_view_needs_a_camera_that_can_be_found_again(
     message = complaint(capsys, *view, "--camera-out", tmp_path / "camera.txt")
     assert message.endswith("--camera-out has the ending '.txt'; octex writes .json here")
     assert list(tmp_path.iterdir()) == []
+
+
+# --- from where
+
+
+@needs_jit
+def test_a_view_is_from_the_side_and_as_near_as_wanted(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "camera.json"
+    look = [scene.model, scene.texture, "--view", tmp_path / "view.png", "--camera-out", file, "--force"]
+    result(capsys, *look, "--size", "32,24", "--direction=-1,0.5,0", "--up", "0,0,1", "--zoom", 2)
+    made = octex.read_cameras(file)[0].camera()
+    whole = octex.Camera.fitted(scene.surface.vertices, (-1, 0.5, 0), size=(32, 24), up=(0, 0, 1))
+    np.testing.assert_array_equal(made.world_to_camera, whole.world_to_camera)
+    points = scene.surface.vertices
+    middle = np.array([16.0, 12.0])
+    expected = middle + 2 * (whole.project(points)[0] - middle)
+    np.testing.assert_allclose(made.project(points)[0], expected, atol=1e-9)
+    result(capsys, *look, "--camera", scene.cameras, "--frame", "blue.png")
+    np.testing.assert_array_equal(octex.read_cameras(file)[0].camera().K, scene.camera.K)
+    flat = np.array(Image.open(tmp_path / "view.png"))
+    result(capsys, *look, "--camera", scene.cameras, "--frame", "blue.png", "--shaded")
+    shaded = np.array(Image.open(tmp_path / "view.png"))
+    assert (shaded[..., 3] == flat[..., 3]).all()
+    assert (shaded <= flat).all()
+    assert shaded.mean() < flat.mean()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            "--view v.png --camera c.json --direction 0,0,1",
+            "--direction and --camera both say where the camera is; give one of them",
+        ),
+        (
+            "--view v.png --camera-out c.json --frame x --up 0,0,1",
+            "--up and --frame both say where the camera is; give one of them",
+        ),
+        ("--view v.png --camera-out c.json --direction 0,0,0", "--direction must not be 0,0,0"),
+        ("--camera c --out o.octex --zoom 2", "--zoom has no meaning without a picture to draw"),
+        (
+            "--camera c --out o.octex --shaded",
+            "--shaded has no meaning with painting",
+        ),
+    ],
+)
+def test_where_a_picture_is_drawn_from_is_said_once(
+    options: str, message: str, tmp_path: Path, scene: Scene, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = options.replace("c.json", str(tmp_path / "c.json")).replace("v.png", str(tmp_path / "v.png"))
+    assert complaint(capsys, scene.model, scene.texture, *words.split()).startswith(message)
 
 
 # --- only what was drawn

@@ -25,6 +25,7 @@ ROWS = [
     {"field"},
     {"container"},
     {"texture"},
+    {"kernels"},
     {"editing"},
     {"source"},
     {"conversion"},

@@ -6,13 +6,16 @@ import copy
 import tracemalloc
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
+import octex
+from octex import parallel
 from octex.errors import ArgumentError
-from octex.texture import FILTERS, OctreeTexture, lookup
+from octex.texture import FILTERS, OctreeTexture, TextureSet, lookup
 from tests.conftest import needs_jit
 from tests.small_textures import eight_colors, shell
 
@@ -283,9 +286,73 @@ def test_memory_does_not_grow_with_the_points(filter: str) -> None:
     texture.sample(points[:1], filter=filter, out=out[:1])
     tracemalloc.start()
     try:
-        texture.sample(points, filter=filter, out=out)
+        texture.sample(points, filter=filter, out=out, threads=1)
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
     assert (out == out[0]).all()
     assert peak < 4_000_000  # an int32 each would be 8
+
+
+# --- points of a surface
+
+
+class Hits(NamedTuple):
+    rest: Any
+    normals: Any
+    rest_normals: Any
+
+
+def test_points_of_a_surface_are_looked_up_where_they_rest_toward_their_normals_there() -> None:
+    texture, random = shell(3), np.random.default_rng(5)
+    points, normals, posed = random.random((20, 3)), random.normal(size=(20, 3)), random.normal(size=(20, 3))
+    expected = texture.sample(points, normals=normals)
+    assert not np.array_equal(texture.sample(points), expected)
+    records = Hits(points, posed, normals), SimpleNamespace(rest=points, normals=normals)
+    for hits in records:
+        assert np.array_equal(texture.sample(hits), expected)
+        assert np.array_equal(TextureSet({"a": texture}).sample(hits, "a"), expected)
+        assert np.array_equal(texture.contains(hits), texture.contains(points))
+        assert np.array_equal(texture.taps(hits).rows, texture.taps(points, normals=normals).rows)
+        given = texture.sample(hits, normals=posed)
+        assert np.array_equal(given, texture.sample(points, normals=posed))
+    assert np.array_equal(texture.sample(SimpleNamespace(rest=points)), texture.sample(points))
+    with pytest.raises(ArgumentError, match=r"points' rest must have shape \(n, 3\)"):
+        texture.sample(SimpleNamespace(rest=points[:, :2]))
+
+
+def test_a_scatter_over_a_sheet_shows_the_side_that_it_is_on() -> None:
+    sheet = [[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+    both = octex.Surface.from_arrays(
+        sheet, [[0, 1, 2], [0, 2, 3], [0, 2, 1], [0, 3, 2]],
+        face_colors=np.array([[1.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 1, 0]]),
+    )  # fmt: skip
+    texture, points = octex.convert(both, 4, fit=False), both.scatter(50)
+    np.testing.assert_allclose(texture.sample(points), both.evaluate(points), atol=1e-3)
+    assert np.abs(texture.sample(points.rest) - both.evaluate(points)).max(axis=1).min() > 0.4
+
+
+@pytest.mark.usefixtures("small_blocks")
+def test_many_points_are_looked_up_on_as_many_threads_as_are_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pools = []
+
+    def pool_of(count: int) -> Any:
+        pools.append(count)
+        return whole_pool(count)
+
+    whole_pool = parallel.pool_of
+    monkeypatch.setattr(parallel, "pool_of", pool_of)
+    monkeypatch.setattr(parallel, "cpu_count", lambda: 3)
+    texture, points = shell(3), np.random.default_rng(0).random((61, 3))
+    alone = texture.sample(points, threads=1)
+    assert not pools
+    for threads, expected in ((None, 3), (5, 5)):
+        assert np.array_equal(texture.sample(points, threads=threads), alone)
+        texture.contains(points, threads=threads)
+        texture.taps(points, threads=threads)
+        assert pools == [expected] * 3
+        pools.clear()
+    texture.sample(points[:4])
+    assert not pools

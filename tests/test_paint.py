@@ -21,7 +21,7 @@ from octex.painting.merge import blended
 from octex.painting.pictures import BLENDS
 from octex.painting.samples import with_centres
 from octex.painting.source import COVERAGE, PaintSource
-from octex.parallel import threads
+from octex.parallel import pool_of
 from octex.texture import OctreeTexture
 from octex.tree.layout import KEPT, SPLIT
 from octex.tree.placement import Placement
@@ -506,7 +506,7 @@ def test_pictures_that_do_not_overlap_keep_their_gains() -> None:
 
     form = octex.convert(surface, 2).channels["base_color"].format
     shots = []
-    with threads(1) as pool:
+    with pool_of(1) as pool:
         for x in (0.0, 5.0):
             pose = np.eye(4)
             pose[:3, 3] = x, 0, 3

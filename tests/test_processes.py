@@ -112,6 +112,7 @@ def test_what_a_file_has_besides_travels_too(tmp_path: Path) -> None:
 FUNCTIONS: dict[str, Callable[[Executor | None], object]] = {
     "sample": lambda pool: adaptive(1).sample(POINTS, executor=pool),
     "sample with footprints": lambda pool: adaptive(1).sample(POINTS, width=0.3, executor=pool),
+    "taps": lambda pool: np.concatenate(adaptive(1).taps(POINTS, width=0.3, executor=pool)),
     "contains": lambda pool: adaptive(1).contains(POINTS, executor=pool),
     "sample a set": lambda pool: TextureSet({"a": adaptive(1), "b": adaptive(2)}).sample(
         POINTS, np.arange(len(POINTS)) % 2, executor=pool

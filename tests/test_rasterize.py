@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from octex import jit
 from octex.errors import ArgumentError
-from octex.parallel import threads
+from octex.parallel import pool_of
 from octex.view.camera import Camera
 from octex.view.rasterize import rasterize
 from tests import naive_view
@@ -245,7 +245,7 @@ def test_a_closed_surface_of_many_small_triangles_shows_only_its_front():
     distance = toward.reshape(200, 200) - np.sqrt(np.maximum(1.0 - miss**2, 0.0))
     depth = distance * (directions @ camera.world_to_camera[2, :3]).reshape(200, 200)
     assert np.abs(buffers.depth - depth)[miss < 0.95].max() < 1e-3
-    with threads(3) as pool:
+    with pool_of(3) as pool:
         spread = rasterize(sphere, _grid(n, n), camera, pool)
     for of_bands, whole in zip(spread, buffers, strict=True):
         assert np.array_equal(of_bands, whole)

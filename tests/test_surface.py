@@ -335,7 +335,7 @@ def test_surfaces_may_be_tiny_and_huge(size: float) -> None:
 
 
 def test_a_sample_is_a_point_a_rest_position_a_normal_and_a_place() -> None:
-    assert Samples._fields == ("points", "rest", "normals", "triangles", "barycentric")
+    assert Samples._fields == ("points", "rest", "normals", "triangles", "barycentric", "rest_normals")
 
 
 def test_a_surface_introduces_itself() -> None:
@@ -347,3 +347,16 @@ def test_a_negative_number_of_points_is_refused() -> None:
     surface = Surface.from_arrays(np.eye(3), np.array([[0, 1, 2]], np.int32))
     with pytest.raises(ArgumentError, match="must be a whole number from 0 to 4294967296, not -1"):
         surface.scatter(-1)
+
+
+def test_points_of_a_posed_surface_come_with_the_normals_of_its_rest_triangles() -> None:
+    standing = np.array(SQUARE) @ [[1.0, 0, 0], [0, 0, 1], [0, 1, 0]]
+    flat = square().scatter(20)
+    np.testing.assert_array_equal(flat.rest_normals, flat.normals)
+    posed = square().with_rest(standing).scatter(20)
+    np.testing.assert_array_equal(posed.normals, flat.normals)
+    a, b, c = standing[square().triangles[0]]
+    expected = np.cross(b - a, c - a) / np.linalg.norm(np.cross(b - a, c - a))
+    np.testing.assert_allclose(posed.rest_normals, np.tile(expected, (20, 1)), atol=1e-12)
+    without_area = square().with_rest(np.zeros((4, 3))).scatter(5)
+    assert not without_area.rest_normals.any()

@@ -11,7 +11,7 @@ import pytest
 from octex.channels import BASE_COLOR
 from octex.painting.pictures import Projection
 from octex.painting.projected import Projected, shading_of, stretches_of, take_shot, terms_of
-from octex.parallel import threads
+from octex.parallel import pool_of
 from octex.source.corners import Corners
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
@@ -26,7 +26,7 @@ Array = npt.NDArray[Any]
 def seen(surface: Surface, camera: Camera, triangles: Array, barycentric: Array, **terms: Any) -> Array:
     """Coverage of points under a white picture."""
     white = Projection(one_color(camera, (1, 1, 1)), camera)
-    with threads(1) as pool:
+    with pool_of(1) as pool:
         feather = terms.get("feather", 0.0)
         shot = take_shot(white, BASE_COLOR, surface.vertices, surface.triangles, feather, 1.0, pool)
     source = Projected(

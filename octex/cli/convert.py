@@ -16,6 +16,7 @@ from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, 
 from octex.cli.convert_options import COMMANDS, CONVERT, check_input, work_of
 from octex.cli.diff import diff
 from octex.cli.inspect import info, validate
+from octex.cli.looking import viewpoint
 from octex.cli.models import TEXTURE_ENDING, input_files, kind_of, read_model
 from octex.cli.overlaps import overlaps, separated_as_json, separated_text
 from octex.cli.parser import Parser
@@ -81,7 +82,7 @@ def _convert(options: argparse.Namespace, program: str) -> int:
     is_shared = options.threads is None and kind == "model"
     with Reporter(program, options.quiet) as progress, ahead(*stages if is_shared else ()):
         if kind == "texture":
-            with workers(None) as executor:
+            with workers() as executor:
                 texture = processed(options, executor)
         else:
             with progress.stage("read"):
@@ -110,7 +111,7 @@ def _convert(options: argparse.Namespace, program: str) -> int:
             from octex.preview import write_preview
 
             with progress.stage("draw"):
-                write_preview(options.preview, surface, texture)
+                write_preview(options.preview, surface, texture, view=viewpoint(options, options.INPUT))
         if options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
             with progress.stage("write"):
                 texture.save(options.OUTPUT)

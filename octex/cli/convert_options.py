@@ -29,6 +29,7 @@ from octex.cli.arguments import (
     source,
     whole_number,
 )
+from octex.cli.looking import LOOKING, LOOKING_WORDS, check_looking
 from octex.cli.models import DEFAULT_FILTER, TEXTURE_ENDING, check_elsewhere, sources_of
 from octex.cli.overlaps import SEPARATE_CELLS
 from octex.cli.parser import Command, Option, option, words_given
@@ -199,6 +200,7 @@ _OPTIONS = (
         type=levels,
     ),
     option("--preview", "draw the model beside the model from its octree", metavar="PNG", type=Path),
+    *LOOKING,
     option("--force", "overwrite what exists", action="store_true"),
     option("--threads", "threads to work on (default: all processors)", metavar="N", type=count),
     option("--quiet", "print nothing but errors (and what --json asks for)", action="store_true"),
@@ -250,7 +252,7 @@ _OF_TEXTURES = {"--crop", "--combine", "--mix", "--blur", "--levels"}
 #: In the order in which they are done.
 _EDITS = ("--crop", "--depth", "--combine", "--mix", "--blur", "--levels", "--channels", "--dtype")
 _OF_ANYTHING = {"INPUT", "OUTPUT", "--depth", "--channels", "--dtype"}
-_OF_ANYTHING |= {"--preview", "--force", "--threads", "--quiet", "--json"}
+_OF_ANYTHING |= LOOKING_WORDS | {"--preview", "--force", "--threads", "--quiet", "--json"}
 _CONVERSION = "a conversion"
 _WORDS = {
     _CONVERSION: {"--cell", "--max-error", "--detail", "--no-fit", "--separate", "--parts"}
@@ -370,13 +372,14 @@ def work_of(options: argparse.Namespace, program: str) -> str:
     if options.source is not None or not _PROJECTION.isdisjoint(given):
         sources_of(options)  # refuses what contradicts itself
     check_elsewhere(options)
+    check_looking(options)
     if work == _CONVERSION:
         for word in ("INPUT", "OUTPUT"):
             if word not in given:
                 raise ArgumentError(f"{word} is missing; see {program} --help")
         if options.depth is not None and options.cell is not None:
             raise ArgumentError("--depth and --cell both say how fine the cells are; give one of them")
-        for word in ("--separate", "--preview"):
+        for word in ("--separate", "--preview", *sorted(LOOKING_WORDS)):
             if options.parts and word in given:
                 raise ArgumentError(f"{word} has no meaning with --parts; see {program} --help")
     return work

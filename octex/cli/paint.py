@@ -22,6 +22,7 @@ from octex.cli.common import (
     say,
 )
 from octex.cli.layers import channel_of, empty_like, entries_of, merged, projected, with_entries
+from octex.cli.looking import viewpoint
 from octex.cli.models import (
     DEFAULT_CHANNEL,
     TEXTURE_ENDING,
@@ -73,7 +74,7 @@ def _paint(options: argparse.Namespace, program: str) -> int:
             progress.note(f"{new_texture(options)}: painting begins a new texture")
         with progress.stage("read"):
             surface = read_posed(options)
-        with workers(None) as executor:
+        with workers() as executor:
             if options.layer:
                 layers = [open_sound(path) for path in options.layer]
             else:
@@ -85,7 +86,7 @@ def _paint(options: argparse.Namespace, program: str) -> int:
             made = with_entries(made, surface, entries)
             if options.preview is not None:  # first: without room for it, nothing is left unannounced
                 with progress.stage("draw"):
-                    _write_preview(options.preview, surface, made, channel_of(layers[0]))
+                    _write_preview(options, surface, made, channel_of(layers[0]))
             with progress.stage("write"):
                 if options.layer_out is not None:
                     with_entries(layers[0], surface, entries).save(options.layer_out)
@@ -118,16 +119,18 @@ def _check_files(options: argparse.Namespace) -> None:
     check_outputs(outputs, posed_inputs(options) + others, force=options.force)
 
 
-def _write_preview(path: Path, surface: Surface, texture: OctreeTexture, channel: str) -> None:
+def _write_preview(
+    options: argparse.Namespace, surface: Surface, texture: OctreeTexture, channel: str
+) -> None:
     """Draw what was painted: beside the model's own, if it has such a channel."""
     from octex.preview import write_preview
 
-    if channel == DEFAULT_CHANNEL:
-        write_preview(path, surface, texture)
-    elif channel in [form.name for form in surface.channels]:
-        write_preview(path, surface.with_channels([channel]), texture)
-    else:
-        write_preview(path, None, only(texture, channel))
+    model: Surface | None = surface
+    if channel != DEFAULT_CHANNEL:
+        has_it = channel in [form.name for form in surface.channels]
+        model = surface.with_channels([channel]) if has_it else None
+        texture = texture if has_it else only(texture, channel)
+    write_preview(options.preview, model, texture, view=viewpoint(options, options.MODEL))
 
 
 def _say_what_was_painted(

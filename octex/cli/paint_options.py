@@ -17,6 +17,7 @@ from octex.cli.arguments import (
     pixels,
     whole_number,
 )
+from octex.cli.looking import LOOKING, LOOKING_WORDS, check_looking
 from octex.cli.models import DEFAULT_CHANNEL, TEXTURE_ENDING
 from octex.cli.parser import Command, option, words_given
 from octex.cli.view import DEFAULT_SIZE
@@ -114,6 +115,8 @@ _OPTIONS = (
         metavar="W,H",
         type=picture_size,
     ),
+    *LOOKING,
+    option("--shaded", "draw that picture in studio light, to be looked at", action="store_true"),
     option("--force", "overwrite what exists", action="store_true"),
     option("--threads", "threads to work on (default: all processors)", metavar="N", type=count),
     option("--quiet", "print nothing but errors (and what --json asks for)", action="store_true"),
@@ -122,7 +125,7 @@ _OPTIONS = (
 
 # Which options go with which work.
 _SHARED = {"MODEL", "TEXTURE", "--rest", "--force", "--quiet", "--json"}
-_MERGE = _SHARED | {"--out", "--blend", "--opacity", "--preview", "--threads"}
+_MERGE = _SHARED | LOOKING_WORDS | {"--out", "--blend", "--opacity", "--preview", "--threads"}
 _WORDS = {
     "painting": _MERGE
     | {"IMAGE", "--camera", "--mask", "--since", "--whole", "--channel", "--max-depth"}
@@ -136,7 +139,7 @@ _WORDS = {
         "--layer-out",
     },
     "--layer": _MERGE,
-    "--view": _SHARED | {"--camera-out", "--camera", "--size", "--channel"},
+    "--view": _SHARED | LOOKING_WORDS | {"--shaded", "--camera-out", "--camera", "--size", "--channel"},
 }
 _NEEDED = {
     "painting": ("MODEL", "--camera", "--out"),
@@ -177,6 +180,7 @@ def work_of(options: argparse.Namespace, program: str) -> str:
     for word in _NEEDED[work]:
         if word not in given:
             raise ArgumentError(f"{word} is missing; see {program} --help")
+    check_looking(options)
     is_there = options.TEXTURE is not None and options.TEXTURE.exists()
     if work == "--view" and options.camera is None and options.camera_out is None:
         raise ArgumentError(

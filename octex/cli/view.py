@@ -52,7 +52,8 @@ def view(command: str, options: argparse.Namespace) -> int:
             )
             camera = camera.undistorted
         with progress.stage("draw"):
-            codes = _draw(texture, surface, camera, options.channel or DEFAULT_CHANNEL)
+            shaded = options.shaded or texture is None
+            codes = _draw(texture, surface, camera, options.channel or DEFAULT_CHANNEL, shaded)
         with progress.stage("write"):
             png = _png(codes)
             if options.camera_out is not None:
@@ -68,9 +69,17 @@ def _view_camera(options: argparse.Namespace, surface: Surface) -> Camera:
     """Return the camera that is given, or one from the front that sees the whole model."""
     from octex.view.camera_files import read_cameras
 
-    if options.camera is None:
-        return octex.Camera.fitted(surface.vertices, _DIRECTION, size=options.size or DEFAULT_SIZE)
-    file, name = options.camera
+    if options.camera is None and options.frame is None:
+        direction, up = options.direction or _DIRECTION, options.up or (0.0, 1.0, 0.0)
+        size = options.size or DEFAULT_SIZE
+        return octex.Camera.fitted(surface.vertices, direction, size=size, up=up).zoomed(options.zoom or 1.0)
+    file, name = options.camera or (options.MODEL, None)
+    for word in ("direction", "up"):
+        if getattr(options, word) is not None:
+            raise ArgumentError(f"--{word} and --camera both say where the camera is; give one of them")
+    if name is not None and options.frame is not None:
+        raise ArgumentError(f"--camera names the frame {name!r}; leave --frame out")
+    name = options.frame if name is None else name
     frames = read_cameras(file)
     frame = frames[0]
     if name is not None or len(frames) > 1:
@@ -80,41 +89,42 @@ def _view_camera(options: argparse.Namespace, surface: Surface) -> Camera:
         raise ArgumentError(
             f"--size is not that of frame {frame.name!r} of {file}, {width},{height}; leave --size out"
         )
-    return frame.camera(options.size)
+    size = options.size or (None if frame.size is not None else DEFAULT_SIZE)
+    camera = frame.camera(size)
+    return camera.zoomed(options.zoom) if options.zoom is not None else camera
 
 
 def _draw(
-    texture: OctreeTexture | None, surface: Surface, camera: Camera, channel: str
+    texture: OctreeTexture | None, surface: Surface, camera: Camera, channel: str, shaded: bool
 ) -> npt.NDArray[np.uint8]:
-    """Draw a channel at the pixels' centres: codes (height, width, 4).
+    """Draw a channel, or grey, at the pixels' centres, ``shaded`` or not: codes (height, width, 4).
 
     Alpha is the texture's, 0 beside the model; colours are not multiplied by it.
     """
     import numpy as np
 
     from octex.channels import encode
-    from octex.preview.looks import texture_look
+    from octex.preview.looks import Appearance, texture_look
     from octex.preview.pictures import rest_normals, seen_hits
     from octex.view.shading import corner_normals, face_normals, light
 
+    look = None
     if texture is not None:
         surface = surface.placed_in(texture)
         look = texture_look(texture, channel)
-    else:
+    if shaded:
         faces, _ = face_normals(surface.vertices, surface.triangles)
         smooth = corner_normals(surface.vertices, surface.triangles)
     codes = np.zeros((camera.height * camera.width, 4), np.uint8)
     for seen, hits in seen_hits(surface, camera, rest_normals(surface)):
-        coverage = None
-        if texture is not None:
-            appearance = look(hits)
-            colors, coverage = appearance.unlit(), appearance.coverage
-        else:
+        appearance = Appearance(np.full((len(seen), 3), 0.5)) if look is None else look(hits)
+        if shaded and appearance.reflected is not None:
             points = surface.points_at(hits.triangles, hits.barycentric)
             normals = np.einsum("nk,nkc->nc", hits.barycentric, smooth[hits.triangles])
             lit = light(camera, points, faces[hits.triangles], normals)
-            colors = np.repeat(0.5 * lit[:, None], 3, axis=1)
-        codes[seen, :3] = encode(colors, "uint8", "srgb")
+            appearance = appearance._replace(reflected=appearance.reflected * lit[:, None])
+        codes[seen, :3] = encode(appearance.unlit(), "uint8", "srgb")
+        coverage = appearance.coverage
         codes[seen, 3] = 255 if coverage is None else encode(coverage, "uint8", "data")
     codes[codes[:, 3] == 0] = 0
     return codes.reshape(camera.height, camera.width, 4)

@@ -59,6 +59,7 @@ def convert(
     max_error: float | None = None,
     detail: DetailFunction | str | None = None,
     separate: float | bool | None = None,
+    threads: int | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> OctreeTexture:
@@ -67,9 +68,12 @@ def convert(
     ``model`` is a file or a Surface; or several, which share the texture (Benson & Davis 2002, 5; see
     ``Surface.joined``); or a PointCloud, or a file of one: see ``convert_points``. The finest cells are
     2⁻ᵈᵉᵖᵗʰ of the root cell (10 by default), or have the edge ``cell`` in model units. ``rest`` gives rest
-    positions, as for ``load_surface``. Work is spread over ``executor``, by default a thread for each
-    processor; the result does not depend on it. ``progress`` is called with the stage's name, the units done
-    and the units in all.
+    positions, as for ``load_surface``. ``progress`` is called with the stage's name, the units done and the
+    units in all.
+
+    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
+    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
+    is the same.
 
     ``channels`` names those to convert, by default all that the model has; ``sources`` gives some from
     elsewhere, as for ``Surface.with_sources``; ``filter`` is how images are averaged over cells, as for
@@ -121,7 +125,7 @@ def convert(
     if isinstance(model, PointCloud):
         of_surfaces = {
             "rest": rest, "sources": sources, "filter": filter, "max_error": max_error, "detail": detail,
-            "separate": cells, "executor": executor, "fit": None if fit else fit,
+            "separate": cells, "threads": threads, "executor": executor, "fit": None if fit else fit,
         }  # fmt: skip
         for name, given in of_surfaces.items():
             if given is not None:
@@ -139,7 +143,7 @@ def convert(
     stored = stored_as(surface.channels, dtype, surface.name)
     placement, depth = placed(surface, depth, cell)
     wanted = None if detail is None else wanted_levels(detail, whole, depth)
-    with workers(executor) as pool:
+    with workers(threads, executor) as pool:
         has_samples = fit or most is not None
         filled = fill(surface, stored, placement, depth, pool, report, has_samples=has_samples, wanted=wanted)
         report("build", 0, 1)
@@ -151,7 +155,7 @@ def convert(
             if not surface.source.alpha_is_coverage:
                 known = surface.coverage
                 coverage = fill(known, known.channels, placement, depth, pool, report, has_samples=False)
-            tree, values, samples, deepest, empty = without_gaps(tree, values, filled, coverage)
+            tree, values, samples, deepest, empty = without_gaps(tree, values, filled, placement, coverage)
             if not tree.n_leaves:
                 raise ModelError(
                     f"{surface.name}: its source is too far from all of it, or faces another way; allow more "

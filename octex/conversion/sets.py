@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +39,7 @@ def convert_set(
     fit: bool = True,
     max_error: float | None = None,
     detail: DetailFunction | str | None = None,
+    threads: int | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> TextureSet:
@@ -51,6 +53,10 @@ def convert_set(
     is for one model alone, and ``sources`` are laid on that before it is taken apart. A part of one model
     that has no area gets a single cell with the mean of its source at the middles of its triangles.
     ``progress`` counts the parts.
+
+    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
+    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
+    is the same.
 
     Raises ArgumentError, ModelError and ImageError as ``convert`` does.
     """
@@ -80,19 +86,18 @@ def convert_set(
         if len(made) == len(models):
             raise ModelError(f"{surface.name}: none of its parts has an area; there is nothing to convert")
     report("convert", len(made), len(models))
-    with workers(executor) as pool:
+    with workers(threads, executor) as pool:
         points = [name for name, model in models.items() if _is_points(model)]
         # What is for surfaces does nothing to points beside them.
         is_mixed = len(points) < len(models)
         for name in [name for name in models if name not in made]:
-            of_surfaces: tuple[str | None, bool, Executor | None] = (filter, fit, pool)
+            own: dict[str, Any] = {"filter": filter, "fit": fit, "executor": pool}
             if name in points:
-                of_surfaces = (None, True, None) if is_mixed else (filter, fit, executor)
-            own_filter, own_fit, own_pool = of_surfaces
+                own = {} if is_mixed else own | {"threads": threads, "executor": executor}
             made[name] = convert(
                 models[name], depth,
-                cell=cell, channels=names, sources=sources, dtype=dtype, filter=own_filter, fit=own_fit,
-                max_error=max_error, detail=detail, executor=own_pool,
+                cell=cell, channels=names, sources=sources, dtype=dtype, max_error=max_error, detail=detail,
+                **own,
             )  # fmt: skip
             report("convert", len(made), len(models))
     return TextureSet({name: made[name] for name in models}, metadata)

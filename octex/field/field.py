@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cached_property
 from itertools import islice
 from typing import NamedTuple
 
@@ -35,6 +34,7 @@ from octex.field.taps import (
     place_points,
 )
 from octex.field.tiles import Tiles, build_tiles, can_be_tiled
+from octex.parallel import built_once
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.search import nearest_cells
@@ -81,7 +81,7 @@ class Field:
             return self
         levels = self.root._levels
         if level not in levels:
-            levels[level] = Field(self.tree.truncated(level), self.root)
+            levels.setdefault(level, Field(self.tree.truncated(level), self.root))  # threads agree on one
         return levels[level]
 
     def areas_of_averages(self, level: int) -> npt.NDArray[np.uint8]:
@@ -97,14 +97,14 @@ class Field:
             self._areas[level] = found
         return self._areas[level]
 
-    @cached_property
+    @built_once
     def facings(self) -> Facings:
-        """The tree's facings, indexed on first use."""
+        """Return the tree's facings, indexed on first use."""
         return facings_of(self.tree)
 
-    @cached_property
+    @built_once
     def tiles(self) -> Tiles | None:
-        """The tree's tiles, built on first use; None for trees that cannot have them."""
+        """Return the tree's tiles, built on first use; None for trees that cannot have them."""
         return build_tiles(self.tree) if can_be_tiled(self.tree) else None
 
     def taps(

@@ -44,6 +44,7 @@ def paint(
     balance: bool = False,
     back_faces: bool = False,
     fit: bool = True,
+    threads: int | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> OctreeTexture:
@@ -67,8 +68,11 @@ def paint(
     balance      multiply each picture, by component, so that overlapping ones agree
     back_faces   paint also what faces away
     fit          store what makes the field meet the pictures, as ``convert`` does, instead of plain means
-    executor     spreads the work, by default over a thread for each processor; it does not change the result
     progress     is called with a stage's name, the units done and the units in all
+
+    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
+    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
+    is the same.
 
     Where nothing is painted the texture itself is returned. Raises ArgumentError for a channel that the
     texture does not have, for a surface that reaches out of its root cell, for numbers out of range and
@@ -82,7 +86,7 @@ def paint(
         as_texture(texture)
         surface = surface.placed_in(texture)
     made = texture
-    with workers(executor) as pool:
+    with workers(threads, executor) as pool:
         for blend, group in groupby(given, key=lambda projection: projection.blend):
             pictures = list(group)
             opacity = max(picture.opacity for picture in pictures)
@@ -110,6 +114,7 @@ def project(
     balance: bool = False,
     back_faces: bool = False,
     fit: bool = True,
+    threads: int | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> OctreeTexture:
@@ -118,6 +123,10 @@ def project(
     A layer is a texture of the painted channel and of ``alpha``, what of each cell paint covers. Opacities
     count relative to the largest of them; that itself, and blend modes, are the merge's. ``like`` is the
     texture that it will be merged into, or None for a new one. All else as for ``paint``.
+
+    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
+    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
+    is the same.
     """
     given = check_projections(projections)
     report = as_progress(progress)
@@ -131,7 +140,7 @@ def project(
     deepest = _DEEPEST if max_depth is None else as_depth(max_depth, "max_depth")
     terms = terms_of(max_angle, edge_feather, back_faces)
     largest = max(projection.opacity for projection in given) or 1.0
-    with workers(executor) as pool:
+    with workers(threads, executor) as pool:
         mesh = surface.vertices, surface.triangles
         shots = []
         for number, projection in enumerate(given):

@@ -107,6 +107,7 @@ def fill(
     opacity: float = 1.0,
     blend: Blend = "over",
     max_depth: int | None = None,
+    threads: int | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> OctreeTexture:
@@ -118,6 +119,10 @@ def fill(
                called with many at a time, from several threads
     color      a number for each component of the channel; linear light for colours
     max_depth  how fine the region's border becomes: by default as fine as the texture, 10 for a new one
+
+    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
+    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
+    is the same.
 
     All else, and what is returned, as for ``paint``: averages, facings and finer detail are kept likewise.
     Raises ArgumentError for another kind of region, for a function that returns another shape, values that
@@ -137,7 +142,7 @@ def fill(
     source = Filled(form, value, surface.rest, surface.triangles, *_coverage(region, surface))
     surface = surface if texture is None else surface.placed_in(texture)
     check_inside(surface, placement)
-    with workers(executor) as pool:
+    with workers(threads, executor) as pool:
         layer = rasterize_paint(surface, source, placement, depth, fit=False, executor=pool, progress=report)
         base = texture or empty_texture([form], placement, surface.bounds, surface)
         return merge(base, layer, surface, opacity=opacity, blend=blend, executor=pool, progress=report)

@@ -29,6 +29,7 @@ def blur(
     width: float,
     channel: str | Sequence[str] | None = None,
     *,
+    threads: int | None = None,
     executor: Executor | None = None,
 ) -> OctreeTexture:
     """Return a texture that is blurred over its surface; ``width`` is in the model's units.
@@ -42,7 +43,11 @@ def blur(
     them, and keep of their residuals the part that the leaves do.
 
     ``channel`` names one channel or several, None all; alpha, if it is not blurred too, stays as it is, and
-    the others weigh by it. ``executor`` spreads lookups over its threads.
+    the others weigh by it.
+
+    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
+    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
+    is the same.
 
     Raises ArgumentError for unknown channels, and a width that is negative or not finite.
     """
@@ -61,7 +66,7 @@ def blur(
     is_plain = is_leaf.copy()
     is_plain[cells] = False
     plain, kept = np.flatnonzero(is_plain), tree.kept.cells.astype(np.int64)
-    look = _Look(texture, names, width, executor)
+    look = _Look(texture, names, width, threads, executor)
     faces = tree.arrays.flags & np.uint8(FACING_FLAGS)
     for part, numbers, chosen, facings in (
         (0, plain, plain, faces[plain]),
@@ -85,9 +90,15 @@ class _Look:
     """Lookups at the centres of cells."""
 
     def __init__(
-        self, texture: OctreeTexture, names: list[str], width: float, executor: Executor | None
+        self,
+        texture: OctreeTexture,
+        names: list[str],
+        width: float,
+        threads: int | None,
+        executor: Executor | None,
     ) -> None:
-        self._texture, self._names, self._width, self._executor = texture, names, width, executor
+        self._texture, self._names, self._width = texture, names, width
+        self._threads, self._executor = threads, executor
         self._codes = np.concatenate([codes for codes, _ in texture.tree.walk()])
         first = texture.tree.arrays.level_cells
         edges = texture.placement.size * np.ldexp(1.0, -np.arange(first.size - 1))
@@ -127,7 +138,13 @@ class _Look:
         found: dict[str, tuple[Float32s, Float32s]],
     ) -> None:
         values = self._texture.sample(
-            centres, self._names, width=width, normals=normals, normalize=False, executor=self._executor
+            centres,
+            self._names,
+            width=width,
+            normals=normals,
+            normalize=False,
+            threads=self._threads,
+            executor=self._executor,
         )
         for name, own in values.items():
             found[name][part][chosen] = own

@@ -19,7 +19,12 @@ from octex.tree.octree import Octree
 
 
 def combine(
-    first: OctreeTexture, second: OctreeTexture, *, over: bool = False, executor: Executor | None = None
+    first: OctreeTexture,
+    second: OctreeTexture,
+    *,
+    over: bool = False,
+    threads: int | None = None,
+    executor: Executor | None = None,
 ) -> OctreeTexture:
     """Return two textures of the same root cell in one: ``second`` on ``first``.
 
@@ -27,6 +32,10 @@ def combine(
     where both have them, those of ``second``; with ``over`` they are laid over those of ``first`` by their
     alpha, in linear light (Porter & Duff 1984). See ``mix`` for cells of different depth, and for what
     becomes of averages, facings and channels.
+
+    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
+    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
+    is the same.
 
     Raises ArgumentError for textures of different root cells or separated otherwise, or without a channel in
     common.
@@ -36,11 +45,16 @@ def combine(
     over = as_flag(over, "over")
     amount = None if over and ALPHA.name in second.channels else 1.0
     metadata = noted(first.metadata, "combine", over=over, second=dict(second.metadata))
-    return _united(first, second, amount, metadata, executor)
+    return _united(first, second, amount, metadata, threads, executor)
 
 
 def mix(
-    first: OctreeTexture, second: OctreeTexture, amount: Amount = 0.5, *, executor: Executor | None = None
+    first: OctreeTexture,
+    second: OctreeTexture,
+    amount: Amount = 0.5,
+    *,
+    threads: int | None = None,
+    executor: Executor | None = None,
 ) -> OctreeTexture:
     """Return first · (1 − amount) + second · amount for two textures of the same root cell.
 
@@ -57,6 +71,10 @@ def mix(
     Averages are the means of what is below them, and the residuals of both by their parts. Cells face as
     those of both do; rows are mixed facing by facing. Areas are those of the texture that prevails. The
     channels are those that both have, as ``first`` stores them; a texture without alpha is opaque.
+
+    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
+    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
+    is the same.
 
     Raises ArgumentError for textures of different root cells or separated otherwise, or without a channel in
     common, for channels that differ in their components or meaning, and for an amount that cannot be used.
@@ -75,7 +93,7 @@ def mix(
     else:
         how = amount = as_number(amount, "amount", 0.0, 1.0)
     metadata = noted(first.metadata, "mix", amount=how, second=dict(second.metadata))
-    return _united(first, second, amount, metadata, executor)
+    return _united(first, second, amount, metadata, threads, executor)
 
 
 def _united(
@@ -83,6 +101,7 @@ def _united(
     second: OctreeTexture,
     amount: Amount | None,
     metadata: dict[str, str],
+    threads: int | None,
     executor: Executor | None,
 ) -> OctreeTexture:
     """Mix two textures by an amount, or lay the second over the first."""
@@ -93,7 +112,7 @@ def _united(
     if not (first.tree.n_leaves and second.tree.n_leaves):
         only = first if first.tree.n_leaves else second
         return OctreeTexture(only.tree, only.channels, only.placement, only.bounds, metadata)
-    with workers(executor) as pool:
+    with workers(threads, executor) as pool:
         tree, channels = Mixing(first, second, amount, pool).mixed()
     return OctreeTexture(tree, channels, first.placement, bounds, metadata)
 

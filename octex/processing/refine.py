@@ -13,7 +13,7 @@ import numpy.typing as npt
 from octex.channels import decode
 from octex.editing.averages import limits_of, with_residuals
 from octex.painting.cells import refined_values
-from octex.parallel import ordered_map, workers
+from octex.parallel import ordered_map
 from octex.texture import Channel, OctreeTexture
 from octex.texture.split import rows_facing
 from octex.tree.edit import locate
@@ -34,13 +34,12 @@ class Refined(NamedTuple):
     levels: Int64s  # (n,)   the levels of these
 
 
-def refined(texture: OctreeTexture, codes: Int64s, level: int, executor: Executor | None) -> Refined:
+def refined(texture: OctreeTexture, codes: Int64s, level: int, executor: Executor) -> Refined:
     """Refine a texture to cells (n,) of a level below its leaves, given by ascending Morton codes."""
     blocks = [codes[begin : begin + _BLOCK] for begin in range(0, codes.size, _BLOCK)] or [codes]
-    with workers(executor) as pool:
-        found = list(
-            ordered_map(pool, partial(_refined, texture.tree, dict(texture.channels), level), blocks)
-        )
+    found = list(
+        ordered_map(executor, partial(_refined, texture.tree, dict(texture.channels), level), blocks)
+    )
     where = locate(texture.tree, codes, level)
     values = {name: np.concatenate([each[name] for each in found]) for name in texture.channels}
     return Refined(values, where.cells, where.levels)

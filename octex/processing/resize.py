@@ -21,6 +21,7 @@ from octex.editing.averages import (
 from octex.editing.facings import average_rows, row_residuals, rows_of
 from octex.errors import ArgumentError
 from octex.painting.raising import sources_of
+from octex.parallel import workers
 from octex.processing.edit import noted
 from octex.processing.refine import refined, rows_below
 from octex.texture import Channel, OctreeTexture, as_texture
@@ -32,7 +33,9 @@ from octex.tree.morton import decode_cells
 Int64s = npt.NDArray[np.int64]
 
 
-def resize(texture: OctreeTexture, depth: int, *, executor: Executor | None = None) -> OctreeTexture:
+def resize(
+    texture: OctreeTexture, depth: int, *, threads: int | None = None, executor: Executor | None = None
+) -> OctreeTexture:
     """Return a texture of another depth.
 
     Below ``depth`` it is ``texture.level(depth)``: leaves there become the averages stored above them. Every
@@ -43,18 +46,23 @@ def resize(texture: OctreeTexture, depth: int, *, executor: Executor | None = No
     evenly. To be painted on, a texture needs no larger depth ahead: ``octex.paint`` raises it where paint is
     finer.
 
+    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
+    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
+    is the same.
+
     Raises ArgumentError for a depth that is not 0 … 21, and for one with more cells than can be numbered.
     """
     as_texture(texture)
     depth = as_depth(depth)
     metadata = noted(texture.metadata, "resize", depth=depth)
     if any(leaves for leaves, _ in texture.tree.cells_by_depth()[:depth]):
-        texture = _divided(texture, depth, executor)
+        with workers(threads, executor) as pool:
+            texture = _divided(texture, depth, pool)
     texture = texture.level(depth)
     return OctreeTexture(texture.tree, texture.channels, texture.placement, texture.bounds, metadata)
 
 
-def _divided(texture: OctreeTexture, depth: int, executor: Executor | None) -> OctreeTexture:
+def _divided(texture: OctreeTexture, depth: int, executor: Executor) -> OctreeTexture:
     """Divide all leaves above a level down to it."""
     tree = texture.tree
     counts = [leaves for leaves, _ in tree.cells_by_depth()[:depth]]

@@ -37,7 +37,7 @@ class Side:
     """One of the textures."""
 
     def __init__(
-        self, texture: OctreeTexture, origins: Origins, cells: Cells | None, executor: Executor | None
+        self, texture: OctreeTexture, origins: Origins, cells: Cells | None, executor: Executor
     ) -> None:
         self.texture, self.origins = texture, origins
         self._below = np.empty(0, np.int64)
@@ -45,7 +45,7 @@ class Side:
         if cells is not None:
             self._refine(cells, executor)
 
-    def _refine(self, cells: Cells, executor: Executor | None) -> None:
+    def _refine(self, cells: Cells, executor: Executor) -> None:
         """Find values below leaves."""
         self._below = np.flatnonzero(self.origins.cells < NOTHING)
         ends = np.searchsorted(self._below, cells.levels)

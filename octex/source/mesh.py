@@ -30,6 +30,7 @@ class Samples(NamedTuple):
     normals: npt.NDArray[np.float64]  # (n, 3)   unit normals of the posed triangles
     triangles: npt.NDArray[np.int32]  # (n,)
     barycentric: npt.NDArray[np.float64]  # (n, 3)
+    rest_normals: npt.NDArray[np.float64]  # (n, 3)   of the triangles at rest; zeros without area
 
 
 class Mesh:
@@ -155,7 +156,7 @@ class Mesh:
 
     def areas(self) -> npt.NDArray[np.float64]:
         """Return the posed area of each triangle (m,), in square model units."""
-        areas: npt.NDArray[np.float64] = np.linalg.norm(self._crosses(), axis=1) / 2
+        areas: npt.NDArray[np.float64] = np.linalg.norm(_crosses(self.vertices, self.triangles), axis=1) / 2
         return areas
 
     def scatter(self, n: int, seed: int = 0) -> Samples:
@@ -165,7 +166,7 @@ class Mesh:
         """
         n = as_whole(n, "n, the number of points,", 0, 2**32)
         seed = as_whole(seed, "seed", 0, 2**128)
-        crosses = self._crosses()
+        crosses = _crosses(self.vertices, self.triangles)
         norms = np.linalg.norm(crosses, axis=1)
         cumulative = np.cumsum(norms)
         if not cumulative[-1] > 0:
@@ -176,17 +177,25 @@ class Mesh:
         chosen = np.searchsorted(cumulative, random[:, 0] * cumulative[-1], side="right")
         root = np.sqrt(random[:, 1])
         barycentric = np.stack([1 - root, root * (1 - random[:, 2]), root * random[:, 2]], axis=1)
+        normals = rest_normals = crosses[chosen] / norms[chosen, None]
+        if self.rest is not self.vertices:
+            rest_normals = _crosses(self.rest, self.triangles[chosen])
+            lengths = np.linalg.norm(rest_normals, axis=1, keepdims=True)
+            rest_normals /= np.where(lengths > 0, lengths, 1)
         return Samples(
             points=self.points_at(chosen, barycentric),
             rest=self.rest_at(chosen, barycentric),
-            normals=crosses[chosen] / norms[chosen, None],
+            normals=normals,
             triangles=chosen.astype(np.int32),
             barycentric=barycentric,
+            rest_normals=rest_normals,
         )
 
-    def _crosses(self) -> npt.NDArray[np.float64]:
-        corners = self.vertices[self.triangles]
-        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+def _crosses(positions: Floats, triangles: Int32s) -> Floats:
+    """Return normals of triangles (m, 3), each twice its area long."""
+    corners = positions[triangles]
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def as_positions(positions: npt.ArrayLike, what: str) -> Floats:

@@ -42,7 +42,7 @@ def facing_spreads(channel: Channel, tree: Octree) -> Floats:
     spreads = np.zeros(tree.split.areas.size, np.float32)
     first = int(np.searchsorted(tree.split.cells, tree.arrays.level_cells[tree.max_depth]))
     row = int(np.bitwise_count(tree.split.facings[:first]).sum())
-    codes, space, _ = stored(channel)
+    codes, space, _ = stored(channel.of(tree))
     split_values = np.asarray(codes.split_values) if space is None else decode(codes.split_values, space)
     spreads_of(codes.table, split_values, tree.split.facings[first:], row, spreads)
     return spreads

@@ -35,6 +35,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from octex import container
 from octex.channels import ChannelFormat
 from octex.errors import TextureFileError
 from octex.texture.channel import Channel
@@ -95,6 +96,42 @@ def written(parts: Parts, file: File | None) -> tuple[dict[str, Array], dict[str
         tensors |= file.tensors
         metadata |= file.metadata
     return tensors, metadata
+
+
+def described(parts: Parts, file: File | None) -> dict[str, Any]:
+    """Describe a texture: what `OctreeTexture.info` returns."""
+    tree = parts.tree
+    tensors, metadata = written(parts, file)
+    sizes = {
+        "header": len(container.header(tensors, metadata)),
+        "structure": sum(array.nbytes for array in tree.arrays[:3]),
+        "flags": tree.arrays.flags.nbytes,
+        "areas": tree.arrays.areas.nbytes,
+        "split": sum(array.nbytes for array in tree.split),
+        "kept": tree.kept.cells.nbytes,
+        **{f"channel {name}": channel.nbytes for name, channel in parts.channels.items()},
+        "other": sum(array.nbytes for array in file.tensors.values()) if file else 0,
+    }
+    return {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "placement": {"origin": list(parts.placement.origin), "size": parts.placement.size},
+        "bounds": parts.bounds.tolist(),
+        "depth": tree.max_depth,
+        "finest_cell": parts.placement.size / (1 << tree.max_depth),
+        "cells": tree.n_cells,
+        "leaves": tree.n_leaves,
+        "nodes": tree.n_nodes,
+        "split_cells": tree.split.cells.size,
+        "kept_nodes": tree.kept.cells.size,
+        "levels": [
+            {"level": level, "leaves": leaves, "nodes": nodes}
+            for level, (leaves, nodes) in enumerate(tree.cells_by_depth())
+        ],
+        "bytes": {**sizes, "total": sum(sizes.values())},
+        "channels": [channel.format._asdict() for channel in parts.channels.values()],
+        "provenance": dict(parts.metadata),
+    }
 
 
 def taken(tensors: dict[str, Array], metadata: dict[str, str]) -> Parts:

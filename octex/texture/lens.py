@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from concurrent.futures import Executor
+from typing import Any, NamedTuple, Protocol, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,44 @@ ANISOTROPY = 16.0
 
 #: Most that a footprint may be longer than wide.
 MOST_ANISOTROPY = 256.0
+
+
+class Looks(TypedDict, total=False):
+    """How points are looked at: see `OctreeTexture.sample`."""
+
+    width: npt.ArrayLike | None
+    normals: npt.ArrayLike | None
+    dPdx: npt.ArrayLike | None
+    dPdy: npt.ArrayLike | None
+    anisotropy: float
+    blur: float
+    sharpness: float
+    bleed_threshold: float
+    normalize: bool
+    threads: int | None
+    executor: Executor | None
+
+
+class SurfacePoints(Protocol):
+    """Points of a surface, as ``Surface.scatter`` returns them; or a record of hits of one's own."""
+
+    @property
+    def rest(self) -> npt.ArrayLike:
+        """Rest positions (n, 3). Beside them are normals there: ``rest_normals``, else ``normals``."""
+
+
+def placed(
+    points: npt.ArrayLike | SurfacePoints, normals: npt.ArrayLike | None = None
+) -> tuple[npt.NDArray[Any], npt.ArrayLike | None]:
+    """Return rest positions (n, 3), and normals: those that are given, else those that points come with.
+
+    Raises ArgumentError for what are no positions.
+    """
+    if not hasattr(points, "rest"):
+        return as_point_rows(points), normals
+    if normals is None:
+        normals = getattr(points, "rest_normals", getattr(points, "normals", None))
+    return as_point_rows(points.rest, "points' rest"), normals
 
 
 class Lens(NamedTuple):
@@ -60,19 +99,18 @@ class Lens(NamedTuple):
             raise ArgumentError("dPdx and dPdy are given together or not at all")
         if "width" in given and "dPdx" in given:
             raise ArgumentError("a footprint has a width, or dPdx and dPdy, not both")
-        if self.sharpness > 0 and not self._has_footprints(given):
+        if self.sharpness > 0 and not self.has_footprints(given):
             raise ArgumentError("sharpness is for footprints: give a width, or dPdx and dPdy, or blur")
         if self.anisotropy != ANISOTROPY and "dPdx" not in given:
             raise ArgumentError("anisotropy is for footprints longer than wide: give dPdx and dPdy")
-        if self.bleed_threshold != BLEED_THRESHOLD and (
-            "normals" in given or not self._has_footprints(given)
-        ):
+        if self.bleed_threshold != BLEED_THRESHOLD and ("normals" in given or not self.has_footprints(given)):
             raise ArgumentError(
                 "bleed_threshold is for footprints without normals: leave it out, or give a width, or dPdx "
                 "and dPdy, or blur, and no normals"
             )
 
-    def _has_footprints(self, given: Given) -> bool:
+    def has_footprints(self, given: Given) -> bool:
+        """Say whether points are looked up with footprints."""
         return "width" in given or "dPdx" in given or self.blur > 0
 
     def query(self, given: Given) -> Query:
@@ -81,7 +119,7 @@ class Lens(NamedTuple):
         if "dPdx" in given:
             derivatives = given["dPdx"], given["dPdy"]
             footprints = long_footprints(*derivatives, self.blur, self.anisotropy, self.sharpness)
-        elif self._has_footprints(given):
+        elif self.has_footprints(given):
             widths = given["width"].astype(np.float64) if "width" in given else np.zeros(len(given["points"]))
             footprints = round_footprints(widths + self.blur, self.sharpness)
         normals = given.get("normals")

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from octex.checks import as_choice
 from octex.errors import ArgumentError
-from octex.parallel import as_executor, ordered_map
+from octex.parallel import ordered_map, workers
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float32]
@@ -50,24 +50,38 @@ class _Blocks(Sequence[tuple[Given, list[Array]]]):
         return (self[number] for number in range(len(self)))
 
 
-def in_blocks(given: Given, answers: list[Array], look_up: LookUp, executor: Executor | None) -> None:
+def in_blocks(
+    given: Given, answers: list[Array], look_up: LookUp, threads: int | None, executor: Executor | None
+) -> None:
     """Look up points by what is given of them, of any real type, and write to ``answers``, arrays of n rows.
 
     Only a block is copied, and only if it is not as kernels take it. Raises ArgumentError naming the first
     row that is not finite, or a width that is below zero; the answers are then written in part.
     """
-    as_executor(executor)
-    if 0 < len(given["points"]) <= BLOCK:  # nothing to hand over
-        _check(_look_up_block(look_up, (given, answers))[0], 0, given)
+    for begin, found in each_block(given, answers, look_up, threads, executor):
+        for answer, rows in zip(answers, found, strict=True):
+            here = answer[begin : begin + BLOCK]
+            if not np.may_share_memory(here, rows):  # the executor works in other processes
+                here[:] = rows
+
+
+def each_block(
+    given: Given, answers: list[Array], look_up: LookUp, threads: int | None, executor: Executor | None
+) -> Iterator[tuple[int, list[Array]]]:
+    """Look up points like ``in_blocks``; yield where each block begins, and its rows of the answers.
+
+    These are followed by what ``look_up`` adds to the list of answers that it is given.
+    """
+    if threads is None and executor is None and 0 < len(given["points"]) <= BLOCK:  # nothing to hand over
+        fault, found = _look_up_block(look_up, (given, list(answers)))
+        _check(fault, 0, given)
+        yield 0, found
         return
     blocks = _Blocks(given, answers)
-    work = partial(_look_up_block, look_up)
-    done = map(work, blocks) if executor is None else ordered_map(executor, work, blocks)
-    for number, (fault, found) in enumerate(done):
-        _check(fault, number * BLOCK, given)
-        for answer, rows in zip(blocks[number][1], found, strict=True):
-            if not np.may_share_memory(answer, rows):  # the executor works in other processes
-                answer[:] = rows
+    with workers(threads, executor, len(blocks)) as pool:
+        for number, (fault, found) in enumerate(ordered_map(pool, partial(_look_up_block, look_up), blocks)):
+            _check(fault, number * BLOCK, given)
+            yield number * BLOCK, found
 
 
 def _check(fault: _Fault | None, begin: int, given: Given) -> None:

@@ -8,15 +8,15 @@ from concurrent.futures import Executor
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, TypedDict, Unpack, overload
+from typing import Any, Literal, Unpack, overload
 
 import numpy as np
 import numpy.typing as npt
 
-from octex.checks import as_choice, as_entries, as_flag, as_path, as_point_rows
+from octex.checks import as_choice, as_entries, as_flag, as_path
 from octex.errors import ArgumentError, TextureFileError
 from octex.texture.folder import FORMAT, FORMAT_VERSION, read_index, write_folder
-from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens
+from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens, Looks, SurfacePoints, placed
 from octex.texture.lookup import Answers, Given, LookUp, check_apart, in_blocks
 from octex.texture.texture import OctreeTexture, as_metadata, open_texture
 
@@ -25,21 +25,6 @@ Floats = npt.NDArray[np.float32]
 
 #: So many parts are named where a set is shown.
 _SHOWN = 5
-
-
-class Looks(TypedDict, total=False):
-    """How points are looked at: see `OctreeTexture.sample`."""
-
-    width: npt.ArrayLike | None
-    normals: npt.ArrayLike | None
-    dPdx: npt.ArrayLike | None
-    dPdy: npt.ArrayLike | None
-    anisotropy: float
-    blur: float
-    sharpness: float
-    bleed_threshold: float
-    normalize: bool
-    executor: Executor | None
 
 
 class TextureSet(Mapping[str, OctreeTexture]):
@@ -111,7 +96,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
     @overload
     def sample(
         self,
-        points: npt.ArrayLike,
+        points: npt.ArrayLike | SurfacePoints,
         parts: npt.ArrayLike,
         channel: str = "base_color",
         filter: str = "quadratic",
@@ -123,7 +108,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
     @overload
     def sample(
         self,
-        points: npt.ArrayLike,
+        points: npt.ArrayLike | SurfacePoints,
         parts: npt.ArrayLike,
         channel: list[str] | tuple[str, ...],
         filter: str = "quadratic",
@@ -135,7 +120,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
     @overload
     def sample(
         self,
-        points: npt.ArrayLike,
+        points: npt.ArrayLike | SurfacePoints,
         parts: npt.ArrayLike,
         channel: str = "base_color",
         filter: str = "quadratic",
@@ -147,7 +132,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
     @overload
     def sample(
         self,
-        points: npt.ArrayLike,
+        points: npt.ArrayLike | SurfacePoints,
         parts: npt.ArrayLike,
         channel: list[str] | tuple[str, ...],
         filter: str = "quadratic",
@@ -158,7 +143,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
     ) -> tuple[dict[str, Floats], dict[str, Floats]]: ...
     def sample(
         self,
-        points: npt.ArrayLike,
+        points: npt.ArrayLike | SurfacePoints,
         parts: npt.ArrayLike,
         channel: str | list[str] | tuple[str, ...] = "base_color",
         filter: str = "quadratic",
@@ -174,17 +159,23 @@ class TextureSet(Mapping[str, OctreeTexture]):
         sharpness: float = 0.0,
         bleed_threshold: float = BLEED_THRESHOLD,
         normalize: bool = True,
+        threads: int | None = None,
         executor: Executor | None = None,
     ) -> Any:
-        """Look up rest positions (n, 3), each in the texture of its part.
+        """Look up rest positions (n, 3), or points of a surface, each in the texture of its part.
 
         ``parts`` are numbers or names, (n,) of them, or one for all. All else is as for
         ``OctreeTexture.sample``, and so is what is returned.
 
+        Who works in parallel: ``threads``, so many, by default all processors for large batches and the
+        calling thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor.
+        The result is the same.
+
         Raises ArgumentError as that does, for parts that are not there, naming those that are, and for a
         channel that a part in use lacks, or has with other components than the rest.
         """
-        given = {"points": as_point_rows(points)}
+        places, normals = placed(points, normals)
+        given = {"points": places}
         lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
         gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
         lens.check(given, gradient=gradient, width=width, normals=normals, dPdx=dPdx, dPdy=dPdy)
@@ -195,22 +186,33 @@ class TextureSet(Mapping[str, OctreeTexture]):
         look_ups = {
             part: texture._look_up(answers.channels, lens, normalize) for part, texture in used.items()
         }
-        in_blocks(given, answers.arrays, partial(_by_part, look_ups), executor)
+        in_blocks(given, answers.arrays, partial(_by_part, look_ups), threads, executor)
         return answers.returned
 
     def contains(
-        self, points: npt.ArrayLike, parts: npt.ArrayLike, *, executor: Executor | None = None
+        self,
+        points: npt.ArrayLike | SurfacePoints,
+        parts: npt.ArrayLike,
+        *,
+        threads: int | None = None,
+        executor: Executor | None = None,
     ) -> npt.NDArray[np.bool_]:
         """Say of each rest position (n, 3) whether a leaf of its part's texture holds it.
 
-        ``parts`` are as for ``sample``. Raises ArgumentError for positions that are not finite (n, 3), and
+        ``parts`` are as for ``sample``.
+
+        Who works in parallel: ``threads``, so many, by default all processors for large batches and the
+        calling thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor.
+        The result is the same.
+
+        Raises ArgumentError for positions that are not finite (n, 3), and
         for parts that are not there.
         """
-        given = {"points": as_point_rows(points)}
+        given = {"points": placed(points)[0]}
         used = self._with_parts(given, parts)
         inside = np.empty(len(given["points"]), np.bool_)
         look_ups = {part: texture._holds for part, texture in used.items()}
-        in_blocks(given, [inside], partial(_by_part, look_ups), executor)
+        in_blocks(given, [inside], partial(_by_part, look_ups), threads, executor)
         return inside
 
     def _with_parts(self, given: dict[str, Array], parts: npt.ArrayLike) -> dict[int, OctreeTexture]:

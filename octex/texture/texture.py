@@ -8,21 +8,34 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from types import MappingProxyType
-from typing import Any, Literal, overload
+from typing import Any, Literal, Unpack, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from octex import container
-from octex.checks import as_depth, as_entries, as_flag, as_path, as_point_rows, as_reals, locked
+from octex.channels import decode
+from octex.checks import (
+    as_choice,
+    as_depth,
+    as_entries,
+    as_flag,
+    as_path,
+    as_reals,
+    as_row_numbers,
+    as_whole,
+    locked,
+)
 from octex.errors import ArgumentError, InputError, TextureFileError
 from octex.field.field import Field
-from octex.field.lookups import Stored, look_up
+from octex.field.listing import TapList, joined, list_blends, rows_read
+from octex.field.lookups import Query, Stored, look_up
 from octex.texture.blend import NO_GRADIENTS, facing_spreads, make_unit, stored
 from octex.texture.channel import Channel
-from octex.texture.file import ENDING, FORMAT, FORMAT_VERSION, File, Parts, taken, written
-from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens
-from octex.texture.lookup import Answers, Given, LookUp, check_apart, in_blocks
+from octex.texture.file import ENDING, File, Parts, described, taken, written
+from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens, Looks, SurfacePoints, placed
+from octex.texture.lookup import Answers, Given, LookUp, check_apart, each_block, in_blocks
+from octex.texture.spans import Spans, add_reads
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.search import in_leaves
@@ -94,86 +107,50 @@ class OctreeTexture:
     @overload
     def sample(
         self,
-        points: npt.ArrayLike,
+        points: npt.ArrayLike | SurfacePoints,
         channel: str = "base_color",
         filter: str = "quadratic",
         *,
-        width: npt.ArrayLike | None = None,
-        normals: npt.ArrayLike | None = None,
-        dPdx: npt.ArrayLike | None = None,
-        dPdy: npt.ArrayLike | None = None,
-        anisotropy: float = ANISOTROPY,
-        blur: float = 0.0,
-        sharpness: float = 0.0,
-        bleed_threshold: float = BLEED_THRESHOLD,
-        normalize: bool = True,
         gradient: Literal[False] = False,
         out: Floats | None = None,
-        executor: Executor | None = None,
+        **options: Unpack[Looks],
     ) -> Floats: ...
     @overload
     def sample(
         self,
-        points: npt.ArrayLike,
+        points: npt.ArrayLike | SurfacePoints,
         channel: list[str] | tuple[str, ...],
         filter: str = "quadratic",
         *,
-        width: npt.ArrayLike | None = None,
-        normals: npt.ArrayLike | None = None,
-        dPdx: npt.ArrayLike | None = None,
-        dPdy: npt.ArrayLike | None = None,
-        anisotropy: float = ANISOTROPY,
-        blur: float = 0.0,
-        sharpness: float = 0.0,
-        bleed_threshold: float = BLEED_THRESHOLD,
-        normalize: bool = True,
         gradient: Literal[False] = False,
         out: Mapping[str, Floats] | None = None,
-        executor: Executor | None = None,
+        **options: Unpack[Looks],
     ) -> dict[str, Floats]: ...
     @overload
     def sample(
         self,
-        points: npt.ArrayLike,
+        points: npt.ArrayLike | SurfacePoints,
         channel: str = "base_color",
         filter: str = "quadratic",
         *,
-        width: npt.ArrayLike | None = None,
-        normals: npt.ArrayLike | None = None,
-        dPdx: npt.ArrayLike | None = None,
-        dPdy: npt.ArrayLike | None = None,
-        anisotropy: float = ANISOTROPY,
-        blur: float = 0.0,
-        sharpness: float = 0.0,
-        bleed_threshold: float = BLEED_THRESHOLD,
-        normalize: bool = True,
         gradient: Literal[True],
         out: tuple[Floats, Floats] | None = None,
-        executor: Executor | None = None,
+        **options: Unpack[Looks],
     ) -> tuple[Floats, Floats]: ...
     @overload
     def sample(
         self,
-        points: npt.ArrayLike,
+        points: npt.ArrayLike | SurfacePoints,
         channel: list[str] | tuple[str, ...],
         filter: str = "quadratic",
         *,
-        width: npt.ArrayLike | None = None,
-        normals: npt.ArrayLike | None = None,
-        dPdx: npt.ArrayLike | None = None,
-        dPdy: npt.ArrayLike | None = None,
-        anisotropy: float = ANISOTROPY,
-        blur: float = 0.0,
-        sharpness: float = 0.0,
-        bleed_threshold: float = BLEED_THRESHOLD,
-        normalize: bool = True,
         gradient: Literal[True],
         out: tuple[Mapping[str, Floats], Mapping[str, Floats]] | None = None,
-        executor: Executor | None = None,
+        **options: Unpack[Looks],
     ) -> tuple[dict[str, Floats], dict[str, Floats]]: ...
     def sample(
         self,
-        points: npt.ArrayLike,
+        points: npt.ArrayLike | SurfacePoints,
         channel: str | list[str] | tuple[str, ...] = "base_color",
         filter: str = "quadratic",
         *,
@@ -188,9 +165,13 @@ class OctreeTexture:
         normalize: bool = True,
         gradient: bool = False,
         out: Any = None,
+        threads: int | None = None,
         executor: Executor | None = None,
     ) -> Any:
-        """Look up the field at rest positions (n, 3), float32 or float64.
+        """Look up the field at rest positions (n, 3), float32 or float64, or at points of a surface.
+
+        These are what ``Surface.scatter`` returns, or a record of hits: anything with ``rest`` (n, 3), and
+        normals at rest, ``rest_normals`` or ``normals`` (n, 3), which count as given if none are.
 
         Returns float32 (n, components): linear light for colours, −1 … 1 for directions, 0 … 1 for other
         integers. A list of channel names gives a dict. Every point has a value: off the surface, where none
@@ -228,8 +209,10 @@ class OctreeTexture:
                   (n, components, 3), per unit of the model's length. ``nearest`` has none.
         out       where to write and what to return: a C-ordered float32 array of the answer's shape, a dict
                   of them for a list of channels, with ``gradient`` a pair of either; else new arrays
-        executor  spreads blocks of points over its threads; by default the calling thread does all. To other
-                  processes the texture travels with each block
+
+        Who works in parallel: ``threads``, so many, by default all processors for large batches and the
+        calling thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor.
+        The result is the same. To other processes the texture travels with each block of points.
 
         Blending is done in linear light. Where the texture has a channel ``alpha``, all others weigh by it.
 
@@ -238,7 +221,8 @@ class OctreeTexture:
         widths and derivatives, for unknown channels and filters, listing those there are, for gradients of
         ``nearest``, and for an ``out`` that does not fit.
         """
-        given = {"points": as_point_rows(points)}
+        places, normals = placed(points, normals)
+        given = {"points": places}
         lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
         gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
         lens.check(given, gradient=gradient, width=width, normals=normals, dPdx=dPdx, dPdy=dPdy)
@@ -246,7 +230,7 @@ class OctreeTexture:
         answers = Answers(components, channel, len(given["points"]), gradient, out)
         check_apart(given.values(), answers.arrays)
         self._read_for(len(given["points"]))
-        in_blocks(given, answers.arrays, self._look_up(answers.channels, lens, normalize), executor)
+        in_blocks(given, answers.arrays, self._look_up(answers.channels, lens, normalize), threads, executor)
         return answers.returned
 
     def _look_up(self, names: Sequence[str], lens: Lens, normalize: bool) -> LookUp:
@@ -259,21 +243,15 @@ class OctreeTexture:
         """Look up a block: its values in ``answers``, then, if they are wanted, as many gradients."""
         channels = [self.channels[name] for name in names]
         values, gradients = answers[: len(channels)], answers[len(channels) :]
-        read = [self._as_read(channel.format.name) for channel in channels]
-        alpha = self._as_read("alpha") if "alpha" in self.channels else None
-        if alpha and not alpha.is_alpha:
-            alpha = None
-        query = lens.query(given)
+        read = [self._as_read(name) for name in names]
         groups = [slice(0, len(channels))]
-        is_ruled = query.footprints is not None and query.normals is None and self.tree.split.cells.size > 0
-        if is_ruled:  # each channel has its own spreads
+        if self._is_ruled(lens, given):  # each channel has its own spreads
             groups = [slice(n, n + 1) for n in range(len(channels))]
         fault = -1
         for group in groups:
-            if is_ruled:
-                query = query._replace(spreads=partial(self._spreads, channels[group.start]))
+            query = self._query(lens, given, names[group.start] if names else "")
             fault = look_up(
-                *(self._field, self.placement, given["points"], query, read[group], alpha),
+                *(self._field, self.placement, given["points"], query, read[group], self._alpha()),
                 *(values[group], gradients[group]),
             )
         if fault < 0 and normalize:
@@ -281,6 +259,22 @@ class OctreeTexture:
                 if channel.format.space == "direction":
                     make_unit(values[number], gradients[number] if gradients else NO_GRADIENTS)
         return fault
+
+    def _is_ruled(self, lens: Lens, given: Given) -> bool:
+        """Say whether cells are left to finer levels by what is stored of a channel (paper 3.5.2)."""
+        return lens.has_footprints(given) and "normals" not in given and self.tree.split.cells.size > 0
+
+    def _query(self, lens: Lens, given: Given, name: str) -> Query:
+        """Return what is asked of a block of points of a channel."""
+        query = lens.query(given)
+        if self._is_ruled(lens, given):
+            query = query._replace(spreads=partial(self._spreads, self.channels[name]))
+        return query
+
+    def _alpha(self) -> Stored | None:
+        """Return the channel that others weigh by, if there is one."""
+        alpha = self._as_read("alpha") if "alpha" in self.channels else None
+        return alpha if alpha and alpha.is_alpha else None
 
     def _as_read(self, name: str) -> Stored:
         if name not in self._known_stored:
@@ -293,15 +287,161 @@ class OctreeTexture:
             self._known_spreads[key] = facing_spreads(channel, self._field.level(level).tree)
         return self._known_spreads[key]
 
-    def contains(self, points: npt.ArrayLike, *, executor: Executor | None = None) -> npt.NDArray[np.bool_]:
+    def taps(
+        self,
+        points: npt.ArrayLike | SurfacePoints,
+        channel: str = "base_color",
+        filter: str = "quadratic",
+        *,
+        width: npt.ArrayLike | None = None,
+        normals: npt.ArrayLike | None = None,
+        dPdx: npt.ArrayLike | None = None,
+        dPdy: npt.ArrayLike | None = None,
+        anisotropy: float = ANISOTROPY,
+        blur: float = 0.0,
+        sharpness: float = 0.0,
+        bleed_threshold: float = BLEED_THRESHOLD,
+        threads: int | None = None,
+        executor: Executor | None = None,
+    ) -> TapList:
+        """List what ``sample`` blends at rest positions (n, 3): which rows of ``rows(channel)``, how much.
+
+        Returns, in compressed sparse rows, ``starts`` (n + 1,) int64, ``rows`` (taps,) int64, none twice for
+        a point, and ``weights`` (taps,) float32, 1 in sum for each point. Their blend is what ``sample``
+        returns with ``normalize=False``; values are linear in it, which is what fits and optimizers need.
+        With scipy:
+
+            taps = texture.taps(points)
+            values = texture.rows("base_color")
+            blend = scipy.sparse.csr_array((taps.weights, taps.rows, taps.starts), (n, len(values)))
+            colors = blend @ values  # (n, 3); values that suit given colors solve blend @ values = colors
+
+        ``torch.nn.functional.embedding_bag`` does the same with rows, values, ``starts[:-1]`` and weights.
+        Channels differ where alpha weighs them, and in footprints without normals where their fronts and
+        backs differ; else their taps are alike.
+
+        Who works in parallel: ``threads``, so many, by default all processors for large batches and the
+        calling thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor.
+        The result is the same.
+
+        All other arguments, and what is raised, are as for ``sample``; ``nearest`` has one tap a point but in
+        footprints.
+        """
+        places, normals = placed(points, normals)
+        given = {"points": places}
+        lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
+        lens.check(given, gradient=False, width=width, normals=normals, dPdx=dPdx, dPdy=dPdy)
+        as_choice(channel, self.channels, "channel")
+        self._read_for(len(given["points"]))
+        blocks = each_block(given, [], partial(self._listed, channel, lens), threads, executor)
+        return joined([TapList(*found) for _, found in blocks])
+
+    def _listed(self, name: str, lens: Lens, given: Given, answers: list[Array]) -> int:
+        """Add the taps of a block to ``answers``: what `lookup.each_block` takes."""
+        query = self._query(lens, given, name)
+        task = self._field, self.placement, given["points"], query, self._as_read(name), self._alpha()
+        taps, fault = list_blends(*task)
+        answers += taps
+        return fault
+
+    def rows(self, channel: str = "base_color", numbers: npt.ArrayLike | None = None) -> Floats:
+        """Return a channel's stored values (rows, components), float32, as ``sample`` returns values.
+
+        First those of cells, in the order of their numbers (``tree.arrays`` says how cells are numbered),
+        nodes with their averages; then those of the kept nodes; then those of the split cells' facings.
+        ``numbers`` (n,): these rows alone. Raises ArgumentError for an unknown channel and for rows that are
+        not there.
+        """
+        known = self.channels[as_choice(channel, self.channels, "channel")]
+        parts = [known.values, known.kept_values, known.split_values]
+        count = sum(map(len, parts))
+        if numbers is not None:
+            wanted = as_row_numbers(numbers, count)
+            begin, taken = 0, np.empty((wanted.size, known.format.components), known.values.dtype)
+            for part in parts:
+                here = (wanted >= begin) & (wanted < begin + len(part))
+                taken[here] = part[wanted[here] - begin]
+                begin += len(part)
+            parts = [taken]
+        return decode(np.concatenate(parts), known.format.space)
+
+    def blocks(
+        self,
+        points: npt.ArrayLike | SurfacePoints,
+        channel: str | list[str] | tuple[str, ...] = "base_color",
+        filter: str = "quadratic",
+        *,
+        width: npt.ArrayLike | None = None,
+        normals: npt.ArrayLike | None = None,
+        dPdx: npt.ArrayLike | None = None,
+        dPdy: npt.ArrayLike | None = None,
+        anisotropy: float = ANISOTROPY,
+        blur: float = 0.0,
+        sharpness: float = 0.0,
+        bleed_threshold: float = BLEED_THRESHOLD,
+        block_size: int = 1 << 16,
+    ) -> npt.NDArray[np.int64]:
+        """List the bytes of its file that ``sample`` needs for these points, before it reads them.
+
+        Returns where runs of blocks begin and end (n, 2), int64, ascending, apart from each other; a block is
+        ``block_size`` bytes, counted from the file's first, and the last may be shorter. A file with these
+        bytes alone, zeros elsewhere, opens and answers likewise. Only what says which cells there are is read
+        to find out, down to the level that is asked for, which is a fifth of a file or less, and of the
+        values, for footprints without normals, those of split cells. Arguments are as for ``sample``.
+
+        Raises ArgumentError as that does, and for a texture that has no file.
+        """
+        block_size = as_whole(block_size, "block_size", 1, 1 << 40)
+        mapping = self._file.mapping if self._file else None
+        if mapping is None:
+            raise ArgumentError("the texture has no file: save it and open that")
+        places, normals = placed(points, normals)
+        given = {"points": places}
+        lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
+        lens.check(given, gradient=False, width=width, normals=normals, dPdx=dPdx, dPdy=dPdy)
+        names = [channel] if isinstance(channel, str) else list(channel)
+        for name in names:
+            as_choice(name, self.channels, "channel")
+        spans = Spans(mapping, block_size)
+        alpha = [] if self._alpha() is None else [self.channels["alpha"]]
+        for name in names:
+            look_up = partial(self._rows_read, name, lens)
+            for _, (levels, *rows) in each_block(given, [], look_up, 1, None):
+                by_level = dict(zip(levels.tolist(), rows, strict=True))
+                add_reads(
+                    *(spans, self.tree, [self.channels[name], *alpha], by_level),
+                    by_facing="normals" in given,
+                    is_ruled=self._is_ruled(lens, given),
+                )
+        return spans.ranges()
+
+    def _rows_read(self, name: str, lens: Lens, given: Given, answers: list[Array]) -> int:
+        """Add the levels that a block looks at, and the rows of each, to ``answers``."""
+        query = self._query(lens, given, name)
+        task = self._field, self.placement, given["points"], query, self._as_read(name)
+        rows, fault = rows_read(*task)
+        answers += [np.array(list(rows), np.int64), *rows.values()]
+        return fault
+
+    def contains(
+        self,
+        points: npt.ArrayLike | SurfacePoints,
+        *,
+        threads: int | None = None,
+        executor: Executor | None = None,
+    ) -> npt.NDArray[np.bool_]:
         """Say of each rest position (n, 3) whether a leaf holds it.
+
+        Who works in parallel: ``threads``, so many, by default all processors for large batches and the
+        calling thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor.
+        The result is the same.
 
         Raises ArgumentError for positions that are not finite (n, 3).
         """
-        points = as_point_rows(points)
+        points, _ = placed(points)
         inside = np.empty(len(points), np.bool_)
         self._read_for(len(points))
-        in_blocks({"points": points}, [inside], self._holds, executor)
+        in_blocks({"points": points}, [inside], self._holds, threads, executor)
         return inside
 
     def _holds(self, given: Given, answers: list[Array]) -> int:
@@ -359,38 +499,7 @@ class OctreeTexture:
 
         Reads no cell. ``bytes`` says where the bytes of its file go.
         """
-        tree = self.tree
-        tensors, metadata = written(self._parts(), self._file)
-        parts = {
-            "header": len(container.header(tensors, metadata)),
-            "structure": sum(array.nbytes for array in tree.arrays[:3]),
-            "flags": tree.arrays.flags.nbytes,
-            "areas": tree.arrays.areas.nbytes,
-            "split": sum(array.nbytes for array in tree.split),
-            "kept": tree.kept.cells.nbytes,
-            **{f"channel {name}": channel.nbytes for name, channel in self.channels.items()},
-            "other": sum(array.nbytes for array in self._file.tensors.values()) if self._file else 0,
-        }
-        return {
-            "format": FORMAT,
-            "format_version": FORMAT_VERSION,
-            "placement": {"origin": list(self.placement.origin), "size": self.placement.size},
-            "bounds": self.bounds.tolist(),
-            "depth": tree.max_depth,
-            "finest_cell": self.placement.size / (1 << tree.max_depth),
-            "cells": tree.n_cells,
-            "leaves": tree.n_leaves,
-            "nodes": tree.n_nodes,
-            "split_cells": tree.split.cells.size,
-            "kept_nodes": tree.kept.cells.size,
-            "levels": [
-                {"level": level, "leaves": leaves, "nodes": nodes}
-                for level, (leaves, nodes) in enumerate(tree.cells_by_depth())
-            ],
-            "bytes": {**parts, "total": sum(parts.values())},
-            "channels": [channel.format._asdict() for channel in self.channels.values()],
-            "provenance": dict(self.metadata),
-        }
+        return described(self._parts(), self._file)
 
     def _read_ahead(self) -> None:
         if self._file and self._file.mapping:

@@ -22,7 +22,7 @@ from octex.channels import decode_table, encode
 from octex.checks import as_choice
 from octex.errors import ArgumentError
 from octex.jit import kernel
-from octex.parallel import cpu_count, threads
+from octex.parallel import cpu_count, pool_of
 
 #: 16-bit codes, or floats as they are.
 Texels = npt.NDArray[np.uint16 | np.float32]
@@ -128,7 +128,7 @@ def store(pictures: Sequence[Picture], what: int) -> Stored:
         else:
             _fill(pictures[number], what, images.codes[rows].view(np.uint16).reshape(-1, 4))
 
-    with threads(cpu_count()) as pool:
+    with pool_of(cpu_count()) as pool:
         list(pool.map(fill, range(len(pictures))))
     return Stored(images, layout_of)
 

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.errors import ImageError, ModelError
-from octex.parallel import cpu_count, threads
+from octex.parallel import cpu_count, pool_of
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Texels
 from octex.source.materials import AlphaMode, Input, Material, Texture
@@ -122,7 +122,7 @@ def read_materials(
     Raises ModelError or ImageError.
     """
     described = {number: _described(document, number) for number in dict.fromkeys(numbers)}
-    with threads(cpu_count()) as pool:
+    with pool_of(cpu_count()) as pool:
         images = _Images(document, pool)
         references = {
             number: {name: images.begin(each) for name, each in uses.items() if _is_wanted(name, options)}

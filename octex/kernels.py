@@ -1,0 +1,594 @@
+"""Lookups from one's own kernels: a point at a time, in functions that numba compiles into them.
+
+A renderer looks a texture up at every hit, inside its own compiled loop:
+
+    arrays = octex.kernels.arrays_of(texture)  # one channel, base_color
+
+    @numba.njit(nogil=True)
+    def shade(arrays, hits, normals, widths, image):
+        scratch = octex.kernels.new_scratch(arrays)  # one a thread
+        for n in range(len(hits)):
+            r, g, b, _ = octex.kernels.footprint(arrays, hits[n], widths[n], normals[n], scratch)
+            image[n] = r, g, b
+
+``nearest``, ``linear`` and ``quadratic`` look at the leaves, as `OctreeTexture.sample` does with these
+filters; ``footprint`` at what a width averages over, toward a normal. All take a rest position, three numbers
+that can be indexed, and return four, linear light for colours: those beyond a channel's components are
+zero. Directions come back as means, not as unit vectors. A lookup allocates nothing, raises nothing and needs
+no lock; a position that is no number is taken for the root cell's corner. These four are called in kernels
+only; ``numba`` itself keeps one's own compiled code, if asked to, whatever octex becomes meanwhile.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import decode
+from octex.checks import as_choice, as_number, locked
+from octex.field.footprints import ROUND_FINER, WHOLE
+from octex.field.neighborhood import MOST_TAPS, Walk, collect, new_walk, normalize
+from octex.field.neighborhood import _fill as fill_window
+from octex.field.neighborhood import _finest as finest
+from octex.field.neighborhood import _rounded as rounded
+from octex.field.splines import LINEAR, QUADRATIC
+from octex.field.stages import _AWAY as AWAY
+from octex.field.stages import _DIRECTIONS as DIRECTIONS
+from octex.field.stages import AREA_WEIGHTS
+from octex.field.stages import _ramp as ramp
+from octex.field.stages import _shares as shares_of
+from octex.field.taps import LEAST, OFF
+from octex.field.tiles import Tiles, code_in_tile, tile_row
+from octex.field.windows import NODES, follow
+from octex.jit import decoded, inlined, kernel, popcount, step
+from octex.texture.blend import NO_TABLE, facing_spreads, stored
+from octex.texture.channel import Channel
+from octex.texture.lens import BLEED_THRESHOLD
+from octex.texture.texture import OctreeTexture, as_texture
+from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, POSITIVE_FACINGS, SPLIT, TreeArrays
+from octex.tree.search import Scratch as Search
+from octex.tree.search import fixed, nearest_cell
+from octex.tree.search import new_scratch as new_search
+
+Array = npt.NDArray[Any]
+Float32s = npt.NDArray[np.float32]
+Int64s = npt.NDArray[np.int64]
+#: What can be indexed by 0, 1 and 2: an array, or a tuple.
+Vector = Any
+Color = tuple[float, float, float, float]
+
+#: What is no more than this of a weight is rounding.
+_ROUNDED = 1e-6
+
+
+class Values(NamedTuple):
+    """A channel's values by row, flattened: cells, kept nodes, split cells' facings."""
+
+    cells: Array
+    kept: Array
+    split: Array
+    table: Array  # what codes stand for; empty for float32
+
+
+class LookupArrays(NamedTuple):
+    """One channel of a texture, as ``arrays_of`` makes it; its fields are not for others."""
+
+    origin: tuple[float, float, float]
+    size: float
+    tree: TreeArrays  # areas are those of nodes alone
+    kept: npt.NDArray[np.uint32]
+    facings: npt.NDArray[np.uint32]  # (cells,)   a split cell's first facing; (0,) without any
+    tile_levels: Int64s  # (22, 5)   of each level with tiles their top level, begin and end in tops and rows
+    tops: npt.NDArray[np.int32]
+    masks: npt.NDArray[np.uint64]
+    firsts: npt.NDArray[np.uint32]
+    values: Values
+    components: int
+    alpha: Values  # empty without it
+    spreads: Float32s  # (facings,)   how far opposite facings of a cell differ, at its first
+    threshold: float
+
+
+class Scratch(NamedTuple):
+    """Where lookups work, and what they remember from one point to the next. One serves one thread."""
+
+    walk: Walk
+    search: Search
+    rows: npt.NDArray[np.uint32]  # (MOST_TAPS,)   the taps of one look
+    weights: Float32s  # (MOST_TAPS,)
+    slopes: Float32s  # (0, 3)
+    tiles: Int64s  # (8,)   the rows of 2×2×2 tiles
+    codes: npt.NDArray[np.int32]  # (3, 3)   along each axis, the codes of cells in tiles
+    along: Float32s  # (3, 3)   and their weights
+    parts: Float32s  # (9,)   what cells weigh by the ways that they face; see `stages`
+    sums: npt.NDArray[np.float64]  # (10,)   four components, under alpha, and their weight; then without it
+
+
+def arrays_of(
+    texture: OctreeTexture, channel: str = "base_color", *, bleed_threshold: float = BLEED_THRESHOLD
+) -> LookupArrays:
+    """Prepare a channel for lookups in kernels.
+
+    Arrays are the texture's own, but for what helps to find cells, 3 bytes a cell and 4 more where cells are
+    split, and for float32 that is not linear light, which is decoded. ``bleed_threshold`` is as for
+    `OctreeTexture.sample`. Raises ArgumentError for an unknown channel.
+    """
+    texture = as_texture(texture)
+    known = texture.channels[as_choice(channel, texture.channels, "channel")]
+    threshold = as_number(bleed_threshold, "bleed_threshold", 0.0, np.inf)
+    tree, field = texture.tree, texture._field
+    areas = tree.arrays.areas.copy()
+    areas[tree.leaf_cells()] = 0
+    spreads = np.zeros(tree.split.areas.size, np.float32)
+    for level in range(tree.max_depth):
+        above = field.level(level).tree
+        if above.split.areas.size:
+            spreads[: above.split.areas.size] += facing_spreads(known, above)
+    alpha = texture.channels.get("alpha")
+    if alpha is known or (alpha is not None and alpha.format.components != 1):
+        alpha = None
+    tiles = _joined_tiles([field.level(level).tiles for level in range(tree.max_depth + 1)])
+    x, y, z = texture.placement.origin
+    return LookupArrays(
+        (x, y, z),
+        texture.placement.size,
+        tree.arrays._replace(areas=areas),
+        tree.kept.cells,
+        field.facings.rows,
+        *tiles,
+        _values(known),
+        known.format.components,
+        _no_values() if alpha is None else _values(alpha),
+        spreads,
+        threshold,
+    )
+
+
+def _values(channel: Channel) -> Values:
+    codes, space, _ = stored(channel)
+    cells, kept, split, table = codes
+    if space is not None:
+        cells, kept, split, table = *(decode(array, space) for array in codes[:3]), NO_TABLE
+    return Values(
+        locked(cells.reshape(-1)), locked(kept.reshape(-1)), locked(split.reshape(-1)), locked(table)
+    )
+
+
+def _no_values() -> Values:
+    none = locked(np.empty(0, np.uint8))
+    return Values(none, none, none, locked(np.empty(0, np.float64)))
+
+
+class _JoinedTiles(NamedTuple):
+    levels: Int64s
+    tops: npt.NDArray[np.int32]
+    masks: npt.NDArray[np.uint64]
+    firsts: npt.NDArray[np.uint32]
+
+
+def _joined_tiles(
+    levels: list[Tiles | None],
+) -> _JoinedTiles:
+    """Join the tiles of levels; those without have a top level of −1."""
+    found = np.full((MAX_DEPTH + 1, 5), -1, np.int64)
+    tops, masks, firsts = [np.empty(0, np.int32)], [np.empty(0, np.uint64)], [np.empty(0, np.uint32)]
+    top = row = 0
+    for level, tiles in enumerate(levels):
+        if tiles is not None:
+            tops, masks, firsts = [*tops, tiles.top], [*masks, tiles.masks], [*firsts, tiles.firsts]
+            found[level] = tiles.top_level, top, top + tiles.top.size, row, row + tiles.masks.size
+            top, row = top + tiles.top.size, row + tiles.masks.size
+    return _JoinedTiles(found, np.concatenate(tops), np.concatenate(masks), np.concatenate(firsts))
+
+
+@kernel
+def new_scratch(arrays: LookupArrays) -> Scratch:
+    """Return room for lookups in one texture: make one for each thread, outside the loop."""
+    return Scratch(
+        new_walk(),
+        new_search(arrays.tree),
+        np.empty(MOST_TAPS, np.uint32),
+        np.empty(MOST_TAPS, np.float32),
+        np.empty((0, 3), np.float32),
+        np.empty(8, np.int64),
+        np.empty((3, 3), np.int32),
+        np.empty((3, 3), np.float32),
+        np.ones(9, np.float32),
+        np.empty(10, np.float64),
+    )
+
+
+@inlined
+def _placed(arrays: LookupArrays, point: Vector) -> tuple[float, float, float]:
+    """Return where a rest position lies in texture space, clamped to 0 … 1."""
+    inverse = 1.0 / arrays.size
+    x = (np.float64(point[0]) - arrays.origin[0]) * inverse
+    y = (np.float64(point[1]) - arrays.origin[1]) * inverse
+    z = (np.float64(point[2]) - arrays.origin[2]) * inverse
+    return _clamped(x, 1.0), _clamped(y, 1.0), _clamped(z, 1.0)
+
+
+@inlined
+def _clamped(x: float, most: float) -> float:
+    """Clamp a number to 0 … ``most``; what is none becomes 0, so that no index is made of it."""
+    positive = x if x > 0.0 else 0.0
+    return positive if positive < most else most
+
+
+@inlined
+def _tiles_of(arrays: LookupArrays, level: int) -> Tiles:
+    """Return the tiles of a level that has some."""
+    known = arrays.tile_levels
+    rows = slice(known[level, 3], known[level, 4])
+    return Tiles(
+        level,
+        known[level, 0],
+        arrays.tops[known[level, 1] : known[level, 2]],
+        arrays.masks[rows],
+        arrays.firsts[rows],
+    )
+
+
+@inlined
+def _lay(scratch: Scratch, axis: int, x: float, cells: float, filter_code: int) -> int:
+    """Weigh the cells around a coordinate along an axis; return the lowest, −1 … cells."""
+    along, codes = scratch.along, scratch.codes
+    one, half = np.float32(1.0), np.float32(0.5)
+    if filter_code == QUADRATIC:
+        cell = min(np.floor(x * cells), cells - 1.0)
+        t = np.float32(x * cells - cell)
+        a, c = half * (one - t) * (one - t), half * t * t
+        b = one - a - c
+        low = np.int32(cell) - np.int32(1)
+    else:
+        cell = np.floor(x * cells - 0.5)
+        b = np.float32(x * cells - 0.5 - cell)
+        a, c = one - b, np.float32(0.0)
+        low = np.int32(cell)
+    along[axis, 0], along[axis, 1], along[axis, 2] = a, b, c
+    zero, seven = np.int32(0), np.int32(7)
+    for n in range(3):
+        code = code_in_tile((low + np.int32(n)) & seven, zero, zero)
+        codes[axis, n] = code << np.int32(axis)
+    return int(low)
+
+
+@inlined
+def _tiled(
+    arrays: LookupArrays, level: int, x: float, y: float, z: float, filter_code: int, scratch: Scratch
+) -> tuple[int, np.float32]:
+    """Write the taps at a level that has tiles; return their number, and the weight of all."""
+    tiles = _tiles_of(arrays, level)
+    cells = float(1 << level)
+    i = _lay(scratch, 0, x, cells, filter_code)
+    j = _lay(scratch, 1, y, cells, filter_code)
+    k = _lay(scratch, 2, z, cells, filter_code)
+    side = 3 if filter_code == QUADRATIC else 2
+    # From which cell on, along each axis, they lie in the next tile.
+    next_i, next_j, next_k = 8 - (i & 7), 8 - (j & 7), 8 - (k & 7)
+    rows = scratch.tiles
+    for dz in range(2 if next_k < side else 1):
+        for dy in range(2 if next_j < side else 1):
+            for dx in range(2 if next_i < side else 1):
+                row = tile_row(tiles, (i >> 3) + dx, (j >> 3) + dy, (k >> 3) + dz)
+                rows[dx + 2 * dy + 4 * dz] = 8 * row
+    n = 0
+    total = np.float32(0.0)
+    last = np.int64(arrays.tree.flags.size - 1)
+    along, codes = scratch.along, scratch.codes
+    for dz in range(side):
+        for dy in range(side):
+            of_yz = along[1, dy] * along[2, dz]
+            code_yz = codes[1, dy] | codes[2, dz]
+            tile = 2 * (dy >= next_j) + 4 * (dz >= next_k)
+            for dx in range(side):
+                code = np.int64(codes[0, dx] | code_yz)
+                octant = np.uint64(rows[tile + (dx >= next_i)] + (code >> 8))
+                bit = np.uint64(code & 63)
+                mask = tiles.masks[octant]
+                is_stored = int((mask >> bit) & np.uint64(1))
+                below = mask & ((np.uint64(1) << bit) - np.uint64(1))
+                weight = along[0, dx] * of_yz
+                at = np.uint64(n)  # without a branch, which could not be foretold
+                scratch.rows[at] = min(np.int64(tiles.firsts[octant]) + popcount(below), last)
+                scratch.weights[at] = weight
+                total += weight * np.float32(is_stored)
+                n += is_stored
+    return n, total
+
+
+@step
+def _walked(
+    tree: TreeArrays,
+    kept: npt.NDArray[np.uint32],
+    level: int,
+    x: float,
+    y: float,
+    z: float,
+    filter_code: int,
+    walk: Walk,
+    rows: npt.NDArray[np.uint32],
+    weights: Float32s,
+    slopes: Float32s,
+) -> tuple[int, float]:
+    """Write the taps in a truncated tree; return their number and the cover, 0 off the surface."""
+    tree = TreeArrays(tree.groups, tree.level_cells[: level + 2], tree.level_nodes, tree.flags, tree.areas)
+    walk.previous[3] = min(walk.previous[3], level)
+    x, y, z = rounded(x), rounded(y), rounded(z)
+    i, j, k = finest(x), finest(y), finest(z)
+    here = follow(tree, kept, walk, i, j, k, filter_code, 2)
+    is_cut = here == level and walk.levels[here, NODES] != 0  # its nodes count as leaves
+    is_off = False
+    while True:
+        fill_window(walk, filter_code, 2, 1, x, y, z, i, j, k, here)
+        n, total = collect(tree, kept, walk, here, is_cut, filter_code, 2, 1, rows, 0)
+        if total > 0.0 or (here == 0 and is_cut):
+            break
+        if is_cut or walk.levels[here, NODES] == 0:
+            here -= 1
+        is_cut = is_off = True
+    normalize(walk, n, total, weights, slopes, 0)
+    return n, 0.0 if is_off else total
+
+
+@inlined
+def _find(
+    arrays: LookupArrays, level: int, x: float, y: float, z: float, filter_code: int, scratch: Scratch
+) -> tuple[int, bool]:
+    """Write the taps of a look at a level; return their number, and whether it is off the surface."""
+    here = level
+    while here >= 0 and arrays.tile_levels[here, 0] >= 0:
+        n, total = _tiled(arrays, here, x, y, z, filter_code, scratch)
+        if total >= LEAST:
+            if here < level:
+                _scale(scratch, n, OFF / total)
+            return n, here < level
+        if n > 0:
+            break  # at the rim of the spline's support
+        here -= 1
+    n, cover = _walked(
+        arrays.tree, arrays.kept, level, x, y, z, filter_code,
+        scratch.walk, scratch.rows, scratch.weights, scratch.slopes,
+    )  # fmt: skip
+    _scale(scratch, n, max(cover, np.float64(OFF)))
+    return n, cover == 0.0
+
+
+@inlined
+def _scale(scratch: Scratch, n: int, factor: float | np.floating[Any]) -> None:
+    for tap in range(n):
+        scratch.weights[tap] *= np.float32(factor)
+
+
+@inlined
+def _weigh_by_area(arrays: LookupArrays, n: int, is_off: bool, scratch: Scratch) -> None:
+    total = 0.0
+    for tap in range(n):
+        row = np.int64(scratch.rows[tap])
+        if row < arrays.tree.areas.size:
+            scratch.weights[tap] *= AREA_WEIGHTS[arrays.tree.areas[row]]
+        total += np.float64(scratch.weights[tap])
+    if is_off and total > 0.0:
+        _scale(scratch, n, OFF / total)
+
+
+@inlined
+def _leave_mixed(arrays: LookupArrays, level: int, n: int, scratch: Scratch) -> float:
+    """Let cells that mix opposite facings weigh nothing; return the part of the weight that is taken away."""
+    first, total, gone = arrays.tree.level_cells[level], 0.0, 0.0
+    for tap in range(n):
+        weight = np.float64(scratch.weights[tap])
+        total += weight
+        cell = np.int64(scratch.rows[tap])
+        if cell < first or cell >= arrays.facings.size:
+            continue
+        flags = arrays.tree.flags[cell]
+        if flags & np.uint8(SPLIT) == 0 or flags & flags >> np.uint8(1) & np.uint8(POSITIVE_FACINGS) == 0:
+            continue
+        row = min(int(arrays.facings[cell]), arrays.spreads.size - 1)
+        if arrays.spreads[row] >= arrays.threshold:
+            gone += weight
+            scratch.weights[tap] = np.float32(0.0)
+    return gone / total if total > 0.0 else 0.0
+
+
+@inlined
+def _value(values: Values, components: int, row: int) -> Color:
+    """Decode a row: four components, those that are not there as zeros."""
+    at = row * components
+    array = values.cells
+    if at >= array.size:
+        at -= array.size
+        array = values.kept
+        if at >= array.size:
+            at -= array.size
+            array = values.split
+            at = min(at, array.size - components)
+    a = np.float64(decoded(values.table, array[np.uint64(at)]))
+    b = c = d = 0.0
+    if components > 1:
+        b = np.float64(decoded(values.table, array[np.uint64(at + 1)]))
+    if components > 2:
+        c = np.float64(decoded(values.table, array[np.uint64(at + 2)]))
+    if components > 3:
+        d = np.float64(decoded(values.table, array[np.uint64(at + 3)]))
+    return a, b, c, d
+
+
+@inlined
+def _add(arrays: LookupArrays, row: int, weight: float, scratch: Scratch) -> None:
+    """Add a row to the sums."""
+    sums = scratch.sums
+    a, b, c, d = _value(arrays.values, arrays.components, row)
+    if arrays.alpha.cells.size > 0:
+        under = weight * _value(arrays.alpha, 1, row)[0]
+        sums[0], sums[1], sums[2] = sums[0] + under * a, sums[1] + under * b, sums[2] + under * c
+        sums[3], sums[4] = sums[3] + under * d, sums[4] + under
+    sums[5], sums[6], sums[7] = sums[5] + weight * a, sums[6] + weight * b, sums[7] + weight * c
+    sums[8], sums[9] = sums[8] + weight * d, sums[9] + weight
+
+
+@inlined
+def _mean(scratch: Scratch) -> Color:
+    """Return what the sums are the sums of: under alpha, if there is any."""
+    sums = scratch.sums
+    if sums[4] > 0.0:
+        inverse = 1.0 / sums[4]
+        return sums[0] * inverse, sums[1] * inverse, sums[2] * inverse, sums[3] * inverse
+    inverse = 1.0 / sums[9] if sums[9] != 0.0 else 0.0
+    return sums[5] * inverse, sums[6] * inverse, sums[7] * inverse, sums[8] * inverse
+
+
+@inlined
+def _add_facing(
+    arrays: LookupArrays,
+    n: int,
+    share: float,
+    normal: tuple[np.float32, np.float32, np.float32],
+    signs: int,
+    scratch: Scratch,
+) -> None:
+    """Add taps, those of split cells as the facings that face a normal; see `stages.face`.
+
+    ``normal`` has the sizes of its cosines with the axes, ``signs`` their signs as bits.
+    """
+    none = np.float32(0.0)
+    n_cells = np.int64(arrays.tree.flags.size)
+    first_facing = n_cells + arrays.kept.size
+    for tap in range(n):
+        row = np.int64(scratch.rows[tap])
+        cell = row
+        if row >= n_cells and arrays.kept.size > 0:
+            cell = np.int64(arrays.kept[min(int(row - n_cells), arrays.kept.size - 1)])
+        flags = arrays.tree.flags[cell]
+        bits = int(DIRECTIONS[64 * signs + int(flags & np.uint8(FACING_FLAGS))])
+        weight = share * np.float64(scratch.weights[tap] * scratch.parts[bits])
+        if arrays.facings.size > 0 and flags & np.uint8(SPLIT) != 0 and bits > 0 and bits < 8:
+            a = normal[0] if bits & 1 else none
+            b = normal[1] if bits & 2 else none
+            c = normal[2] if bits & 4 else none
+            if ramp(max(a, max(b, c))) > none:
+                shares = shares_of(a, b, c)
+                first = first_facing + np.int64(arrays.facings[cell])
+                for axis in range(3):
+                    if shares[axis] > none:
+                        bit = np.uint64(2 * axis + (signs >> axis & 1))
+                        below = (np.uint64(1) << bit) - np.uint64(1)
+                        own = first + popcount(np.uint64(flags) & below)
+                        _add(arrays, int(own), weight * np.float64(shares[axis]), scratch)
+                continue
+        _add(arrays, int(row), weight, scratch)
+
+
+@inlined
+def _clear(scratch: Scratch) -> None:
+    for n in range(10):
+        scratch.sums[n] = 0.0
+
+
+@inlined
+def _look(arrays: LookupArrays, x: float, y: float, z: float, filter_code: int, scratch: Scratch) -> Color:
+    """Look at the leaves."""
+    _clear(scratch)
+    n, _ = _find(arrays, arrays.tree.level_cells.size - 2, x, y, z, filter_code, scratch)
+    for tap in range(n):
+        _add(arrays, int(scratch.rows[tap]), np.float64(scratch.weights[tap]), scratch)
+    return _mean(scratch)
+
+
+@inlined
+def nearest(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
+    """Return what is stored of the leaf that holds a rest position, else of the nearest cell around it."""
+    x, y, z = _placed(arrays, point)
+    depth = arrays.tree.level_cells.size - 2
+    if arrays.tile_levels[depth, 0] >= 0:
+        tiles = _tiles_of(arrays, depth)
+        shift = MAX_DEPTH - depth
+        i, j, k = fixed(x) >> shift, fixed(y) >> shift, fixed(z) >> shift
+        row = tile_row(tiles, i >> 3, j >> 3, k >> 3)
+        code = code_in_tile(np.int32(i & 7), np.int32(j & 7), np.int32(k & 7))
+        octant, bit = np.uint64(8 * row + np.int64(code >> 8)), np.uint64(code & 63)
+        mask = tiles.masks[octant]
+        if (mask >> bit) & np.uint64(1) != np.uint64(0):
+            below = mask & ((np.uint64(1) << bit) - np.uint64(1))
+            number = int(tiles.firsts[octant]) + popcount(below)
+            return _value(arrays.values, arrays.components, min(number, arrays.tree.flags.size - 1))
+    cell, _ = nearest_cell(arrays.tree, x, y, z, scratch.search)
+    return _value(arrays.values, arrays.components, cell)
+
+
+@inlined
+def linear(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
+    """Return the field between leaves by the paper's own rule, which jumps where the depth changes."""
+    x, y, z = _placed(arrays, point)
+    return _look(arrays, x, y, z, LINEAR, scratch)
+
+
+@inlined
+def quadratic(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
+    """Return the field between leaves: a quadratic spline, continuous in its slopes."""
+    x, y, z = _placed(arrays, point)
+    return _look(arrays, x, y, z, QUADRATIC, scratch)
+
+
+@inlined
+def footprint(arrays: LookupArrays, point: Vector, width: float, normal: Vector, scratch: Scratch) -> Color:
+    """Return the mean over a square of some width around a rest position, of what faces a normal.
+
+    ``width`` is in the model's units, 0 for the leaves alone; ``normal`` of any length, in rest space. With
+    zeros for it nothing is known of where one looks from: then it is as without ``normals``.
+    """
+    _clear(scratch)
+    x, y, z = _placed(arrays, point)
+    p, q, r = np.float64(normal[0]), np.float64(normal[1]), np.float64(normal[2])
+    signs = int(p < 0) | int(q < 0) << 1 | int(r < 0) << 2
+    p, q, r = abs(p), abs(q), abs(r)
+    largest = max(p, max(q, r))
+    is_facing = largest > 0.0
+    cosines = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    if is_facing:
+        p, q, r = p / largest, q / largest, r / largest
+        length = np.sqrt(p * p + q * q + r * r)
+        cosines = np.float32(p / length), np.float32(q / length), np.float32(r / length)
+        a, b, c = ramp(cosines[0]), ramp(cosines[1]), ramp(cosines[2])
+        for bits in range(8):
+            part = a if bits & 1 else np.float32(0.0)
+            part = max(part, b) if bits & 2 else part
+            part = max(part, c) if bits & 4 else part
+            scratch.parts[bits] = part + AWAY
+        scratch.parts[8] = np.float32(1.0) + AWAY
+    depth = arrays.tree.level_cells.size - 2
+    level, upper = _level_of(width, arrays.size, depth)
+    share, passed = 1.0 - upper, 0.0
+    while level <= depth and (share > 0.0 or upper > 0.0):
+        left = 0.0
+        if share > 0.0:
+            n, is_off = _find(arrays, level, x, y, z, QUADRATIC, scratch)
+            if level < depth:
+                _weigh_by_area(arrays, n, is_off, scratch)
+            if is_facing:
+                _add_facing(arrays, n, share, cosines, signs, scratch)
+            else:
+                if level < depth and arrays.spreads.size > 0:
+                    left = _leave_mixed(arrays, level, n, scratch)
+                for tap in range(n):
+                    weight = share * np.float64(scratch.weights[tap])
+                    _add(arrays, int(scratch.rows[tap]), weight, scratch)
+        passed = share * left if left > _ROUNDED else 0.0
+        share, upper = upper + passed, 0.0
+        level += 1
+    return _mean(scratch)
+
+
+@inlined
+def _level_of(width: float, size: float, depth: int) -> tuple[int, float]:
+    """Return the coarser of the two levels that a width is looked up at, and the share of the other."""
+    cells = size / max(_clamped(np.float64(width), size * 4.0**MAX_DEPTH), size * 0.25**MAX_DEPTH)
+    level = np.float64(np.float32(np.log2(np.float32(cells))) + np.float32(ROUND_FINER[QUADRATIC]))
+    whole = np.floor(level)
+    part = (level - whole - WHOLE) / (1.0 - 2.0 * WHOLE)
+    level = min(max(whole + min(max(part, 0.0), 1.0), 0.0), float(depth))
+    lower = min(int(level), depth)
+    return lower, level - lower
