@@ -12,6 +12,7 @@ A lookup goes through this room from left to right, a block of points at a time;
     several        └── windows · refinement · neighborhood the walk: any tree, kept coefficients
     levels
 
+`listing` is for others: the rows that lookups blend and their weights, or the rows that they read.
 `splines` has the weights. `refined` lists what cells below leaves refine from, for edits; `coefficients` is a
 way through the same field for conversions, whose samples lie close together one after another.
 """
