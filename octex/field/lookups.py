@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ColorSpace, decode
+from octex.field.bricks import Asked, Values, look_up_bricks, new_bricks, order_of
 from octex.field.field import Field, Finder
 from octex.field.footprints import Footprints, Looks, spread
 from octex.field.plain import look_up_plain
@@ -17,10 +18,14 @@ from octex.field.spline import QUADRATIC_TABLES, QUARTIC_TABLES
 from octex.field.splines import FILTERS
 from octex.field.stages import leave_mixed, weigh_by_area
 from octex.field.taps import BLOCK, Float32s, Int64s, Points, Taps, place_points
+from octex.field.windows import new_walk
 from octex.tree.placement import Placement
 
 Int32s = npt.NDArray[np.int32]
+Integers = npt.NDArray[np.int32 | np.int64]
 
+#: Points for which it is worth while to sort them.
+_LEAST_SORTED = 32
 #: What is no more than this of a weight is rounding.
 _ROUNDED = np.float32(1e-6)
 _NO_OWNERS = np.empty(0, np.int32)
@@ -75,8 +80,14 @@ def look_up(
     task = _Lookup(field, placement, query, channels, alpha, answers, gradients)
     if query.footprints is not None:
         return task.footprints(points, query.footprints)
-    (space, *more), is_bare = [channel.space for channel in channels], query.normals is None and not gradients
-    is_plain = is_bare and not more and space is None and (alpha is None or channels[0].is_alpha)
+    spaces, is_bare = [each.space for each in channels], query.normals is None and not gradients
+    if is_bare and field.tiles is None and query.filter == "quadratic" and len(points) >= _LEAST_SORTED:
+        faults = []
+        for channel, results in zip(channels, answers, strict=True):
+            alone = _Lookup(field, placement, query, [channel], alpha, [results], ())
+            faults.append(alone.sorted(points))
+        return max(faults)
+    is_plain = is_bare and spaces == [None] and (alpha is None or channels[0].is_alpha)
     return task.plain(points) if is_plain and field.tiles is not None else task.leaves(points)
 
 
@@ -118,13 +129,33 @@ class _Lookup:
             *(code, tiles, tables, points, *self._placement),
             *(channel.codes, self._rows, results, missed),
         )
-        if fault >= 0 or not n_missed:
+        return self._rest(points, missed[:n_missed]) if fault < 0 else fault
+
+    def sorted(self, points: Points) -> int:
+        """Look up one channel's leaves in the order of space."""
+        (channel,), (results,), alpha, tree = self._channels, self._answers, self._alpha, self._field.tree
+        if channel.is_alpha:
+            alpha = None
+        if channel.space is not None or (alpha is not None and alpha.space is not None):
+            return self.leaves(points)
+        places = np.empty((len(points), 3))
+        fault = place_points(points, *self._placement, places)
+        if fault >= 0:
             return fault
-        which = missed[:n_missed]
-        found = np.empty((n_missed, results.shape[1]), np.float32)
-        self._answers = [found]
-        self.leaves(points[which])
-        results[which] = found
+        missed = np.empty(len(points), np.int32)
+        values = Values.of(channel.codes, None if alpha is None else alpha.codes)
+        asked = Asked(places, order_of(places), results, missed)
+        n_missed = look_up_bricks(tree.arrays, tree.kept.cells, values, asked, new_bricks(), new_walk())
+        return self._rest(points, missed[:n_missed])
+
+    def _rest(self, points: Points, which: Integers) -> int:
+        """Look up what is left of one channel's leaves."""
+        if which.size:
+            (results,) = self._answers
+            found = np.empty((which.size, results.shape[1]), np.float32)
+            self._answers = [found]
+            self.leaves(points[which])
+            results[which] = found
         return -1
 
     def leaves(self, points: Points) -> int:

@@ -22,7 +22,7 @@ from octex.texture.blend import NO_GRADIENTS, facing_spreads, make_unit, stored
 from octex.texture.channel import Channel
 from octex.texture.file import ENDING, FORMAT, FORMAT_VERSION, File, Parts, taken, written
 from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens
-from octex.texture.lookup import Answers, Given, LookUp, check_apart, in_blocks
+from octex.texture.lookup import Answers, Given, LookUp, check_apart, in_blocks, in_space
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.search import in_leaves
@@ -246,7 +246,11 @@ class OctreeTexture:
         answers = Answers(components, channel, len(given["points"]), gradient, out)
         check_apart(given.values(), answers.arrays)
         self._read_for(len(given["points"]))
-        in_blocks(given, answers.arrays, self._look_up(answers.channels, lens, normalize), executor)
+        task = given, answers.arrays, self._look_up(answers.channels, lens, normalize), executor
+        if self._field.tiles is None:
+            in_space(*task, self.placement)
+        else:
+            in_blocks(*task)
         return answers.returned
 
     def _look_up(self, names: Sequence[str], lens: Lens, normalize: bool) -> LookUp:
