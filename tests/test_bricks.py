@@ -8,9 +8,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from octex.channels import BASE_COLOR
 from octex.field import lookups
-from octex.texture import OctreeTexture
+from octex.texture import Channel, OctreeTexture
 from octex.texture import lookup as blocks
+from octex.tree.layout import KEPT, KeptTable
 from octex.tree.octree import Octree
 from tests.conftest import needs_jit
 from tests.random_lookups import random_points, random_texture
@@ -73,6 +75,46 @@ def adaptive(depth: int) -> OctreeTexture:
 def on_shell(count: int) -> Array:
     directions = np.random.default_rng(5).normal(size=(count, 3))
     return np.asarray(0.5 + 0.45 * directions / np.linalg.norm(directions, axis=1)[:, None], np.float32)
+
+
+def painted(depth: int) -> OctreeTexture:
+    """A shell of which a part is a level finer below nodes of which most keep coefficients."""
+    random = np.random.default_rng(depth)
+    full = shell(depth, keep=0.0)
+    codes = full.tree.level_codes(depth)
+    is_painted = codes >> 3 * depth - 6 == codes[codes.size // 3] >> 3 * depth - 6
+    children = (codes[is_painted][:, None] << 3 | np.arange(8)).ravel()
+    children = children[random.random(children.size) < 0.6]
+    leaves = np.concatenate([codes[~is_painted] << 3, children])
+    order = np.argsort(leaves)
+    depths = np.concatenate([np.full((~is_painted).sum(), depth), np.full(children.size, depth + 1)])[order]
+    tree = Octree.from_leaves(leaves[order] >> 3 * (depth + 1 - depths), depths)
+    nodes = np.flatnonzero(tree.is_node(depth)) + int(tree.arrays.level_cells[depth])
+    kept = nodes[random.random(nodes.size) < 0.7].astype(np.uint32)
+    flags = tree.arrays.flags.copy()
+    flags[kept] |= KEPT
+    tree = tree.with_cell_data(flags, tree.arrays.areas, kept=KeptTable(kept))
+    values, kept_values = (random.integers(0, 256, (n, 3), np.uint8) for n in (tree.n_cells, kept.size))
+    channel = Channel(BASE_COLOR, values, values[:0], kept_values)
+    return OctreeTexture(tree, {"base_color": channel}, full.placement, full.bounds)
+
+
+@needs_jit
+@pytest.mark.parametrize("filter", ["linear", "quadratic"])
+def test_beside_finer_paint_tiles_answer_as_the_walk_does(filter: str) -> None:
+    texture, walked = painted(5), painted(5)
+    assert texture._field.painted is not None
+    setattr(walked._field, "painted", None)  # noqa: B010
+    points = np.concatenate([reach * on_shell(2000) for reach in np.float32([1.0, 1.02, 0.8])])
+    for view in ({}, {"gradient": True}, {"normals": points - np.float32(0.5)}):
+        answers = (each.sample(points, filter=filter, **view) for each in (texture, walked))
+        found, expected = (np.hstack(_flat(answer)) for answer in answers)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=5e-6 * np.abs(expected).max())
+
+
+def _flat(answer: Any) -> list[Array]:
+    parts = answer if isinstance(answer, tuple) else (answer,)
+    return [part.reshape(len(part), -1) for part in parts]
 
 
 @needs_jit

@@ -53,6 +53,7 @@ from octex.jit import (
 )
 from octex.tree.layout import KEPT, MAX_DEPTH, TreeArrays
 from octex.tree.morton import encode
+from octex.tree.octree import Octree
 from octex.tree.search import UNITS, Origin
 
 Int32s = npt.NDArray[np.int32]
@@ -120,6 +121,23 @@ def new_bricks() -> Bricks:
         np.zeros(levels, np.bool_),
         np.zeros(513, np.int64),
     )
+
+
+class Tree(NamedTuple):
+    """A tree, and which row of the kept table each node has that keeps something."""
+
+    arrays: TreeArrays
+    kept_cells: Uint32s  # (kept nodes,)
+    kept_rows: Uint32s  # (cells,), or (0,) if none keeps anything
+
+    @classmethod
+    def of(cls, tree: Octree) -> Tree:
+        """Index the kept nodes: only where they are is the index written to, the rest takes no memory."""
+        cells = tree.kept.cells
+        rows = np.zeros(tree.n_cells if cells.size else 0, np.uint32)
+        there = np.flatnonzero(cells < tree.n_cells)
+        rows[cells[there]] = there
+        return cls(tree.arrays, cells, rows)
 
 
 class Order(NamedTuple):
@@ -227,12 +245,18 @@ def _sort(order: Order, begin: int, end: int, shift: int, counts: Int64s) -> Non
             codes[at], numbers[at] = code, number
         return
     counts[:] = 0
+    previous, is_sorted = np.int64(0), True
     for m in range(begin, end):
-        counts[np.uint64((codes[m] >> shift & 511) + 1)] += 1
+        digit = codes[m] >> shift & 511
+        is_sorted &= bool(digit >= previous)
+        previous = digit
+        counts[np.uint64(digit + 1)] += 1
+    if is_sorted:
+        return
     total = np.int64(begin)
-    for digit in range(513):
-        total += counts[digit]
-        counts[digit] = total
+    for each in range(513):
+        total += counts[each]
+        counts[each] = total
     for m in range(begin, end):
         code = codes[m]
         bucket = np.uint64(code >> shift & 511)
@@ -315,18 +339,9 @@ def _write_value(values: Values, bricks: Bricks, at: int, row: int, planes: int,
 
 
 @inlined
-def _kept_row(kept_cells: Uint32s, cell: int, hint: int) -> int:
-    """Find the row of a cell's kept coefficient, first at a hint; the first one not before it."""
-    if 0 <= hint < kept_cells.size and np.int64(kept_cells[hint]) == cell:
-        return hint
-    low, high = 0, kept_cells.size
-    while low < high:
-        middle = low + high >> 1
-        if np.int64(kept_cells[middle]) < cell:
-            low = middle + 1
-        else:
-            high = middle
-    return low
+def _kept_row(tree: Tree, cell: int) -> int:
+    """Return the row of what a node keeps: after all cells, those of the kept table."""
+    return tree.arrays.flags.size + min(int(tree.kept_rows[np.uint64(cell)]), tree.kept_cells.size - 1)
 
 
 @inlined
@@ -346,19 +361,17 @@ def _child_place(x: int, y: int, z: int, octant: int, side: int) -> int:
 
 
 @inlined
-def _list_children(
-    arrays: TreeArrays, kept_cells: Uint32s, values: Rows, bricks: Bricks, step: int, side: int
-) -> bool:
+def _list_children(tree: Tree, values: Rows, bricks: Bricks, step: int, side: int) -> bool:
     """List the coefficients below the nodes of a block, and which children of these are nodes.
 
     Returns False if there is any such after the last step.
     """
-    groups, over, inner, stop = arrays.groups, bricks.over, bricks.inner, step == 3
+    arrays, over, inner, stop = tree.arrays, bricks.over, bricks.inner, step == 3
+    groups = arrays.groups
     n_nodes, above = bricks.n_inner[step - 1], np.uint64(216 * (step - 1))
     to_over, to_inner = np.uint64(1000 * step), np.uint64(216 * step)
     below, n_cells = 2 * side - 2, arrays.flags.size
     one, byte = np.uint64(1), np.uint64(0xFF)
-    hint = -1
     for _ in range(n_nodes):
         listed = inner[above]
         above += one
@@ -394,12 +407,12 @@ def _list_children(
             lower = (left & (~left + one)) - one
             left &= left - one
             number, is_kept = first_node + popcount(nodes & lower), 0
-            if kept_cells.size > 0:
+            if tree.kept_cells.size > 0:
                 row = min(first_cell + popcount(stored & lower), n_cells - 1)
                 at = _child_place(x, y, z, octant, below)
                 if arrays.flags[np.uint64(row)] & np.uint8(KEPT) != 0:
-                    hint, is_kept = _kept_row(kept_cells, row, hint + 1), 1
-                    over[to_over] = keeps | at << 1 | n_cells + min(hint, kept_cells.size - 1) + 1 << 16
+                    is_kept = 1
+                    over[to_over] = keeps | at << 1 | _kept_row(tree, row) + 1 << 16
                     to_over += one
                 elif keeps:  # else zeros are there
                     over[to_over] = at << 1
@@ -519,8 +532,7 @@ def _answer(
 
 @inlined
 def _walk(
-    arrays: TreeArrays,
-    kept_cells: Uint32s,
+    tree: Tree,
     values: Values,
     walk: Walk,
     asked: Asked,
@@ -530,6 +542,7 @@ def _walk(
     """Answer a point by the walk, see `neighborhood`; return how many are missed then."""
     x, y, z = asked.places[n, 0] + 1.0 - 1.0, asked.places[n, 1] + 1.0 - 1.0, asked.places[n, 2] + 1.0 - 1.0
     i, j, k = _cell(x, UNITS), _cell(y, UNITS), _cell(z, UNITS)
+    arrays, kept_cells = tree.arrays, tree.kept_cells
     level = follow(arrays, kept_cells, walk, i, j, k, QUADRATIC, 2)
     windows, levels = walk.windows, walk.levels
     shift, cells = MAX_DEPTH - level, float(1 << level)
@@ -559,7 +572,7 @@ def _walk(
                 share *= windows[REFINED + level, at]
             row = max(cell_at(arrays, walk, level, 0, place), 0)
             if kept & bit_at(place) != 0:
-                row = arrays.flags.size + min(_kept_row(kept_cells, row, -1), kept_cells.size - 1)
+                row = _kept_row(tree, row)
             if share != 0.0:
                 a, b, c, d, covered = _value(values, row)
                 sum_a, sum_b, sum_c = sum_a + share * a, sum_b + share * b, sum_c + share * c
@@ -610,8 +623,7 @@ def _blend(
 
 @fused_kernel
 def look_up_bricks(
-    arrays: TreeArrays,
-    kept_cells: Uint32s,
+    tree: Tree,
     values: Values,
     asked: Asked,
     bricks: Bricks,
@@ -624,9 +636,9 @@ def look_up_bricks(
     ends, split, order = bricks.ends, bricks.split, asked.order
     codes, numbers = order.codes, order.numbers
     planes = 1
-    if values.codes.values.shape[1] > 3 or (values.alpha.values.shape[0] > 0 and kept_cells.size > 0):
+    if values.codes.values.shape[1] > 3 or (values.alpha.values.shape[0] > 0 and tree.kept_cells.size > 0):
         planes = 2
-    _enter(arrays, kept_cells, values, bricks, planes)
+    _enter(tree, values, bricks, planes)
     level, begin, n_missed = 0, 0, 0
     ends[0], split[0] = codes.size, False
     path = np.zeros((MAX_DEPTH + 2, 4), np.int64)  # the cell of each level, and its octant
@@ -640,7 +652,7 @@ def look_up_bricks(
             if not is_done:
                 corner = 64 * level + (octant & 1) + 4 * (octant >> 1 & 1) + 16 * (octant >> 2)
                 _list_around(bricks, corner)
-                last = _look_below(arrays, kept_cells, values.codes.values, bricks)
+                last = _look_below(tree, values.codes.values, bricks)
                 has, source, stride = bricks.has[level], corner, 4
                 first = 64 * (level + 1)
                 for step in range(1, max(last, 1) + 1):
@@ -661,7 +673,7 @@ def look_up_bricks(
                 is_done = level >= MAX_DEPTH
             if is_done:
                 for m in range(begin, end):
-                    n_missed = _walk(arrays, kept_cells, values, walk, asked, int(numbers[m]), n_missed)
+                    n_missed = _walk(tree, values, walk, asked, int(numbers[m]), n_missed)
                 begin = end
                 continue
             _note_nodes(bricks, level + 1)
@@ -705,21 +717,21 @@ def _note_nodes(bricks: Bricks, level: int) -> None:
 
 
 @inlined
-def _look_below(arrays: TreeArrays, kept_cells: Uint32s, values: Rows, bricks: Bricks) -> int:
+def _look_below(tree: Tree, values: Rows, bricks: Bricks) -> int:
     """List what is in the blocks of a brick; return the first without nodes, or −1 if none is."""
     for step in range(1, 4):
         if bricks.n_inner[step - 1] == 0:
             return step - 1
         side = (0, 3, 4, 6)[step]
-        if not _list_children(arrays, kept_cells, values, bricks, step, side):
+        if not _list_children(tree, values, bricks, step, side):
             return -1
     return 3
 
 
 @inlined
-def _enter(arrays: TreeArrays, kept_cells: Uint32s, values: Values, bricks: Bricks, planes: int) -> None:
+def _enter(tree: Tree, values: Values, bricks: Bricks, planes: int) -> None:
     """Write the root's block: it is the second cell along each axis, the others have nothing."""
-    middle = 1 + 4 * (1 + 4)
+    middle, arrays = 1 + 4 * (1 + 4), tree.arrays
     for at in range(64):
         bricks.nodes[at] = -1
         _write_value(values, bricks, at, -1, planes, np.float32(1.0))
@@ -728,9 +740,9 @@ def _enter(arrays: TreeArrays, kept_cells: Uint32s, values: Values, bricks: Bric
         row = 0
     else:
         bricks.nodes[middle] = 0
-        bricks.keeps[middle] = kept_cells.size > 0 and arrays.flags[0] & KEPT != 0
+        bricks.keeps[middle] = tree.kept_cells.size > 0 and arrays.flags[0] & KEPT != 0
         if bricks.keeps[middle]:
-            row = arrays.flags.size + min(_kept_row(kept_cells, 0, 0), kept_cells.size - 1)
+            row = _kept_row(tree, 0)
     bricks.has[0] = row >= 0
     if row >= 0:
         _write_value(values, bricks, middle, row, planes, np.float32(1.0))

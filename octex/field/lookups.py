@@ -82,11 +82,10 @@ def look_up(
         return task.footprints(points, query.footprints)
     spaces, is_bare = [each.space for each in channels], query.normals is None and not gradients
     if is_bare and field.tiles is None and query.filter == "quadratic" and len(points) >= _LEAST_SORTED:
-        faults = []
-        for channel, results in zip(channels, answers, strict=True):
-            alone = _Lookup(field, placement, query, [channel], alpha, [results], ())
-            faults.append(alone.sorted(points))
-        return max(faults)
+        alone = (
+            ([channel], alpha, [results], ()) for channel, results in zip(channels, answers, strict=True)
+        )
+        return max(_Lookup(field, placement, query, *each).mixed(points) for each in alone)
     is_plain = is_bare and spaces == [None] and (alpha is None or channels[0].is_alpha)
     return task.plain(points) if is_plain and field.tiles is not None else task.leaves(points)
 
@@ -121,40 +120,48 @@ class _Lookup:
 
     def plain(self, points: Points) -> int:
         """Look up one channel's leaves, as far as tiles have them."""
-        (channel,), (results,), tiles = self._channels, self._answers, self._field.tiles
-        assert tiles is not None
+        (channel,), (results,), field = self._channels, self._answers, self._field
         missed = np.empty(len(points), np.int64)
         code, tables = FILTERS.index(self._query.filter), (QUADRATIC_TABLES, QUARTIC_TABLES)
+        tiles = field.tiles_for(code)
+        assert tiles is not None
         n_missed, fault = look_up_plain(
             *(code, tiles, tables, points, *self._placement),
             *(channel.codes, self._rows, results, missed),
         )
-        return self._rest(points, missed[:n_missed]) if fault < 0 else fault
+        is_even = field.tiles is not None or n_missed < _LEAST_SORTED
+        look_up_rest = self.leaves if is_even else self.sorted
+        return self._rest(points, missed[:n_missed], look_up_rest) if fault < 0 else fault
+
+    def mixed(self, points: Points) -> int:
+        """Look up one channel's leaves, of several depths."""
+        (channel,), alpha = self._channels, self._alpha
+        if channel.space is not None:
+            return self.leaves(points)
+        if self._field.painted is not None and (alpha is None or channel.is_alpha):
+            return self.plain(points)
+        return self.leaves(points) if alpha is not None and alpha.space is not None else self.sorted(points)
 
     def sorted(self, points: Points) -> int:
         """Look up one channel's leaves in the order of space."""
-        (channel,), (results,), alpha, tree = self._channels, self._answers, self._alpha, self._field.tree
-        if channel.is_alpha:
-            alpha = None
-        if channel.space is not None or (alpha is not None and alpha.space is not None):
-            return self.leaves(points)
-        places = np.empty((len(points), 3))
+        (channel,), (results,) = self._channels, self._answers
+        alpha = None if channel.is_alpha or self._alpha is None else self._alpha.codes
+        places, missed = np.empty((len(points), 3)), np.empty(len(points), np.int32)
         fault = place_points(points, *self._placement, places)
         if fault >= 0:
             return fault
-        missed = np.empty(len(points), np.int32)
-        values = Values.of(channel.codes, None if alpha is None else alpha.codes)
         asked = Asked(places, order_of(places), results, missed)
-        n_missed = look_up_bricks(tree.arrays, tree.kept.cells, values, asked, new_bricks(), new_walk())
-        return self._rest(points, missed[:n_missed])
+        values = Values.of(channel.codes, alpha)
+        n_missed = look_up_bricks(self._field.mixed, values, asked, new_bricks(), new_walk())
+        return self._rest(points, missed[:n_missed], self.leaves)
 
-    def _rest(self, points: Points, which: Integers) -> int:
+    def _rest(self, points: Points, which: Integers, look_up_rest: Callable[[Points], int]) -> int:
         """Look up what is left of one channel's leaves."""
         if which.size:
             (results,) = self._answers
             found = np.empty((which.size, results.shape[1]), np.float32)
             self._answers = [found]
-            self.leaves(points[which])
+            look_up_rest(points[which])
             results[which] = found
         return -1
 

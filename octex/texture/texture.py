@@ -18,6 +18,7 @@ from octex.checks import as_depth, as_entries, as_flag, as_path, as_point_rows, 
 from octex.errors import ArgumentError, InputError, TextureFileError
 from octex.field.field import Field
 from octex.field.lookups import Stored, look_up
+from octex.field.splines import FILTERS
 from octex.texture.blend import NO_GRADIENTS, facing_spreads, make_unit, stored
 from octex.texture.channel import Channel
 from octex.texture.file import ENDING, FORMAT, FORMAT_VERSION, File, Parts, taken, written
@@ -233,6 +234,9 @@ class OctreeTexture:
 
         Blending is done in linear light. Where the texture has a channel ``alpha``, all others weigh by it.
 
+        Where leaves have several depths, points that lie close together are answered together: what else is
+        asked for may change an answer by rounding, up to 10⁻⁶ of the largest value around; threads do not.
+
         Memory does not grow with the points but for the answers. Raises ArgumentError for positions that are
         not finite (n, 3), naming the first row (``out`` is then written in part), likewise for normals,
         widths and derivatives, for unknown channels and filters, listing those there are, for gradients of
@@ -247,7 +251,8 @@ class OctreeTexture:
         check_apart(given.values(), answers.arrays)
         self._read_for(len(given["points"]))
         task = given, answers.arrays, self._look_up(answers.channels, lens, normalize), executor
-        if self._field.tiles is None:
+        if given.keys() <= {"points", "normals"} and self._field.tiles is None:
+            self._field.tiles_for(FILTERS.index(filter))  # built before threads share them
             in_space(*task, self.placement)
         else:
             in_blocks(*task)
