@@ -22,6 +22,7 @@ The rooms, each of which knows only those before it
     nearest     nearest points of triangles and of clouds, how near meshes come
     field       what lies between the cells: which of them a lookup blends, and what weighs them
     texture     OctreeTexture: tree, channels and placement; lookups; the .octex file
+    kernels     lookups of one point, for one's own compiled loops
     editing     what every change of a texture shares: areas, averages, facings, residuals
     source      surfaces and what they are coloured by: models, images, mappings, functions, clouds
     conversion  cells met exactly, sums over clipped pieces, the fit, adaptive depth

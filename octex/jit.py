@@ -230,6 +230,34 @@ if DISABLED:
             row = rows[numbers[i]]
             row += weights[i] * row[3] * np.array(step, np.float32)
 
+    def refine_rows(
+        rows: Any, at: int, apart: int, step: int, to: int, to_apart: int, to_step: int, count: int
+    ) -> None:
+        """Write ¾ a + ¼ b and, ``to_apart`` behind it, ¼ a + ¾ b for ``count`` pairs, from ``to`` on.
+
+        The first a begins at ``at``, each b ``apart`` behind its a; steps lead to the next pair. All count
+        the numbers in ``rows``, float32 and C-ordered.
+        """
+        near, far = np.float32(0.75), np.float32(0.25)
+        for n in range(count):
+            a, b = (rows[first + n * step : first + n * step + 4].copy() for first in (at, at + apart))
+            first = to + n * to_step
+            rows[first : first + 4] = near * a + far * b
+            rows[first + to_apart : first + to_apart + 4] = far * a + near * b
+
+    def weighted_cube(rows: Any, at: int, step: int, along_x: Any, along_y: Any, along_z: Any) -> Any:
+        """Return Σ x[i] · y[j] · z[k] · (the four of ``rows`` at 4 · (at + i + step · (j + step · k))).
+
+        Weights are three float32 along each axis; ``rows`` is float32 and C-ordered.
+        """
+        total = np.zeros(4, np.float32)
+        for k in range(3):
+            for j in range(3):
+                both, first = along_y[j] * along_z[k], 4 * (at + step * (j + step * k))
+                for i in range(3):
+                    total += both * along_x[i] * rows[first + 4 * i : first + 4 * i + 4]
+        return tuple(total)
+
     def squares_to_boxes(
         bounds: Any, node: int, x: Any, y: Any, z: Any, limit: Any, squares: Any
     ) -> np.uint64:
@@ -321,6 +349,87 @@ else:
         """Put a number into all four lanes."""
         zeros = ir.Constant(ir.VectorType(ir.IntType(32), 4), [0] * 4)
         return builder.shuffle_vector(builder.insert_element(_NOTHING, value, _lane(0)), _NOTHING, zeros)
+
+    def _load_four(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
+        place = _pointer(context, builder, array_type, array, index)
+        four = builder.load(builder.bitcast(place, _FOUR.as_pointer()))
+        four.align = 4
+        return four
+
+    _FUSED = ("contract",)
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def refine_rows(
+        _context: Any,
+        rows: Any,
+        _at: Any,
+        _apart: Any,
+        _step: Any,
+        _to: Any,
+        _to_apart: Any,
+        _to_step: Any,
+        _count: Any,
+    ) -> Any:
+        """Write ¾ a + ¼ b and, ``to_apart`` behind it, ¼ a + ¾ b for ``count`` pairs, from ``to`` on.
+
+        A fifth of the time of scalars.
+        """
+
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            rows, at, apart, step, to, to_apart, to_step, count = arguments
+            array = signature.args[0], rows
+            near, far = (ir.Constant(_FOUR, [part] * 4) for part in (0.75, 0.25))
+            first, one = ir.Constant(count.type, 0), ir.Constant(count.type, 1)
+            with cgutils.for_range_slice(builder, first, count, one) as (n, _):
+                source = builder.add(at, builder.mul(n, step))
+                target = builder.add(to, builder.mul(n, to_step))
+                a = _load_four(context, builder, *array, source)
+                b = _load_four(context, builder, *array, builder.add(source, apart))
+                for p, q, place in ((near, far, target), (far, near, builder.add(target, to_apart))):
+                    products = builder.fmul(p, a, flags=_FUSED), builder.fmul(q, b, flags=_FUSED)
+                    pointer = _pointer(context, builder, *array, place)
+                    mean = builder.fadd(*products, flags=_FUSED)
+                    builder.store(mean, builder.bitcast(pointer, _FOUR.as_pointer())).align = 4
+            return context.get_dummy_value()
+
+        return types.void(rows, *[types.int64] * 7), codegen
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def weighted_cube(
+        _context: Any, rows: Any, _at: Any, _step: Any, _along_x: Any, _along_y: Any, _along_z: Any
+    ) -> Any:
+        """Return Σ x[i] · y[j] · z[k] · (the four of ``rows`` at 4 · (at + i + step · (j + step · k)))."""
+
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            rows, at, step = arguments[:3]
+            of_x, of_y, of_z = ([builder.extract_value(each, k) for k in range(3)] for each in arguments[3:])
+            of_x = [_fill(builder, weight) for weight in of_x]
+
+            def summed(weights: Any, fours: Any) -> Any:
+                total = None
+                for weight, four in zip(weights, fours, strict=True):
+                    product = builder.fmul(weight, four, flags=_FUSED)
+                    total = product if total is None else builder.fadd(total, product, flags=_FUSED)
+                return total
+
+            def run(j: int, k: int) -> Any:
+                number = at.type
+                line = builder.add(builder.mul(ir.Constant(number, k), step), ir.Constant(number, j))
+                first = builder.add(at, builder.mul(line, step))
+                places = [
+                    builder.shl(builder.add(first, ir.Constant(number, i)), ir.Constant(number, 2))
+                    for i in range(3)
+                ]
+                fours = [_load_four(context, builder, signature.args[0], rows, place) for place in places]
+                return summed(of_x, fours)
+
+            both = [_fill(builder, builder.fmul(y, z)) for z in of_z for y in of_y]
+            result = summed(both, [run(j, k) for k in range(3) for j in range(3)])
+            lanes = [builder.extract_element(result, _lane(k)) for k in range(4)]
+            return context.make_tuple(builder, signature.return_type, lanes)
+
+        three, four = types.UniTuple(types.float32, 3), types.UniTuple(types.float32, 4)
+        return four(rows, types.int64, types.int64, three, three, three), codegen
 
     _EIGHT = ir.VectorType(ir.FloatType(), 8)
 

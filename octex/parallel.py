@@ -143,9 +143,9 @@ def workers(
 ) -> Iterator[Executor]:
     """Yield who does so many ``tasks``, None being many: ``executor``, or threads that end with the block.
 
-    These are so many ``threads``, for None a thread for each processor, and the calling thread alone for one
-    task, and in a thread that works for octex already. Raises ArgumentError for both or for neither of that
-    kind.
+    These are so many ``threads``, for None a thread for each processor; the calling thread alone for one
+    task, and for None in a thread that works for octex already. Raises ArgumentError for threads and an
+    executor, and for what is neither.
     """
     executor, threads = as_executor(executor), as_threads(threads)
     if executor is not None and threads is not None:

@@ -336,3 +336,28 @@ def test_finer_paint_over_all_changes_the_field_by_its_part_everywhere(kind: str
     found = octex.fill(texture, surface, whole, (0, 0, 0), opacity=0.5, max_depth=depth)
     points = surface.scatter(2000).rest
     np.testing.assert_allclose(found.sample(points), 0.5 * texture.sample(points), atol=1e-5)
+
+
+@pytest.mark.parametrize("max_depth", [None, 5, 3])
+def test_a_transparent_picture_paints_what_its_opaque_part_alone_paints(max_depth: int | None) -> None:
+    surface = ball()
+    texture = octex.convert(surface, 5)
+    camera = octex.Camera.fitted(surface.vertices, (0.2, 0.1, 1), size=(96, 96))
+    picture = np.zeros((96, 96, 4), np.uint8)
+    rows, columns = np.mgrid[:96, :96]
+    picture[np.hypot(rows - 40, columns - 52) < 6] = [200, 30, 10, 255]
+    left, top, side = 28, 16, 48  # all that a cell of depth 3 sees of the disc
+    K = camera.K.copy()
+    K[:2, 2] -= left, top
+    size = side, side
+    part = octex.Camera.pinhole(size, pose=camera.world_to_camera, convention="opencv", K=K)
+    cropped = np.ascontiguousarray(picture[top : top + side, left : left + side])
+    whole, alone = (
+        octex.paint(texture, surface, octex.Projection(image, seen), max_depth=max_depth)
+        for image, seen in ((picture, camera), (cropped, part))
+    )
+    assert np.array_equal(whole.tree.arrays.flags, alone.tree.arrays.flags)
+    leaves = whole.tree.leaf_cells()
+    values = [each.channels["base_color"].values[leaves].astype(int) for each in (whole, alone)]
+    assert np.abs(values[0] - values[1]).max() <= 1  # the centre of the crop is rounded otherwise
+    assert whole.tree.n_leaves >= texture.tree.n_leaves

@@ -4,11 +4,13 @@ channel     a named array of values, one a cell
 lookup      points looked up in blocks, on any threads, answers written where the caller wants them
 blend       from rows to values: decoded, blended under the weights of taps
 file        what is on disk, drawn; opened and saved through container
+spans       which bytes of a file lookups read
 texture     tree + channels + placement
 set         textures of parts by name, looked up by part
 folder      what a set is on disk
 """
 
+from octex.field.listing import TapList as TapList
 from octex.field.splines import FILTERS as FILTERS
 from octex.texture.channel import Channel as Channel
 from octex.texture.set import TextureSet as TextureSet

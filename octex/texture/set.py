@@ -205,8 +205,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
         calling thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor.
         The result is the same.
 
-        Raises ArgumentError for positions that are not finite (n, 3), and
-        for parts that are not there.
+        Raises ArgumentError for positions that are not finite (n, 3), and for parts that are not there.
         """
         given = {"points": placed(points)[0]}
         used = self._with_parts(given, parts)

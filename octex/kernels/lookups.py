@@ -1,35 +1,13 @@
-"""Lookups from one's own kernels: a point at a time, in functions that numba compiles into them.
-
-A renderer looks a texture up at every hit, inside its own compiled loop:
-
-    arrays = octex.kernels.arrays_of(texture)  # one channel, base_color
-
-    @numba.njit(nogil=True)
-    def shade(arrays, hits, normals, widths, image):
-        scratch = octex.kernels.new_scratch(arrays)  # one a thread
-        for n in range(len(hits)):
-            r, g, b, _ = octex.kernels.footprint(arrays, hits[n], widths[n], normals[n], scratch)
-            image[n] = r, g, b
-
-``nearest``, ``linear`` and ``quadratic`` look at the leaves, as `OctreeTexture.sample` does with these
-filters; ``footprint`` at what a width averages over, toward a normal. All take a rest position, three numbers
-that can be indexed, and return four, linear light for colours: those beyond a channel's components are
-zero. Directions come back as means, not as unit vectors. A lookup allocates nothing, raises nothing and needs
-no lock; a position that is no number is taken for the root cell's corner. These four are called in kernels
-only; ``numba`` itself keeps one's own compiled code, if asked to, whatever octex becomes meanwhile.
-"""
+"""Lookups of one point at a time: its taps at a level, weighed, and their blend."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from octex.channels import decode
-from octex.checks import as_choice, as_number, locked
 from octex.field.footprints import ROUND_FINER, WHOLE
-from octex.field.neighborhood import MOST_TAPS, Walk, collect, new_walk, normalize
+from octex.field.neighborhood import Walk, collect, normalize
 from octex.field.neighborhood import _fill as fill_window
 from octex.field.neighborhood import _finest as finest
 from octex.field.neighborhood import _rounded as rounded
@@ -42,162 +20,17 @@ from octex.field.stages import _shares as shares_of
 from octex.field.taps import LEAST, OFF
 from octex.field.tiles import Tiles, code_in_tile, tile_row
 from octex.field.windows import NODES, follow
-from octex.jit import decoded, inlined, kernel, popcount, step
-from octex.texture.blend import NO_TABLE, facing_spreads, stored
-from octex.texture.channel import Channel
-from octex.texture.lens import BLEED_THRESHOLD
-from octex.texture.texture import OctreeTexture, as_texture
+from octex.jit import decoded, inlined, popcount, step
+from octex.kernels.layout import Float32s, LookupArrays, Scratch, Uint32s, Values
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, POSITIVE_FACINGS, SPLIT, TreeArrays
-from octex.tree.search import Scratch as Search
 from octex.tree.search import fixed, nearest_cell
-from octex.tree.search import new_scratch as new_search
 
-Array = npt.NDArray[Any]
-Float32s = npt.NDArray[np.float32]
-Int64s = npt.NDArray[np.int64]
 #: What can be indexed by 0, 1 and 2: an array, or a tuple.
 Vector = Any
 Color = tuple[float, float, float, float]
 
 #: What is no more than this of a weight is rounding.
 _ROUNDED = 1e-6
-
-
-class Values(NamedTuple):
-    """A channel's values by row, flattened: cells, kept nodes, split cells' facings."""
-
-    cells: Array
-    kept: Array
-    split: Array
-    table: Array  # what codes stand for; empty for float32
-
-
-class LookupArrays(NamedTuple):
-    """One channel of a texture, as ``arrays_of`` makes it; its fields are not for others."""
-
-    origin: tuple[float, float, float]
-    size: float
-    tree: TreeArrays  # areas are those of nodes alone
-    kept: npt.NDArray[np.uint32]
-    facings: npt.NDArray[np.uint32]  # (cells,)   a split cell's first facing; (0,) without any
-    tile_levels: Int64s  # (22, 5)   of each level with tiles their top level, begin and end in tops and rows
-    tops: npt.NDArray[np.int32]
-    masks: npt.NDArray[np.uint64]
-    firsts: npt.NDArray[np.uint32]
-    values: Values
-    components: int
-    alpha: Values  # empty without it
-    spreads: Float32s  # (facings,)   how far opposite facings of a cell differ, at its first
-    threshold: float
-
-
-class Scratch(NamedTuple):
-    """Where lookups work, and what they remember from one point to the next. One serves one thread."""
-
-    walk: Walk
-    search: Search
-    rows: npt.NDArray[np.uint32]  # (MOST_TAPS,)   the taps of one look
-    weights: Float32s  # (MOST_TAPS,)
-    slopes: Float32s  # (0, 3)
-    tiles: Int64s  # (8,)   the rows of 2×2×2 tiles
-    codes: npt.NDArray[np.int32]  # (3, 3)   along each axis, the codes of cells in tiles
-    along: Float32s  # (3, 3)   and their weights
-    parts: Float32s  # (9,)   what cells weigh by the ways that they face; see `stages`
-    sums: npt.NDArray[np.float64]  # (10,)   four components, under alpha, and their weight; then without it
-
-
-def arrays_of(
-    texture: OctreeTexture, channel: str = "base_color", *, bleed_threshold: float = BLEED_THRESHOLD
-) -> LookupArrays:
-    """Prepare a channel for lookups in kernels.
-
-    Arrays are the texture's own, but for what helps to find cells, 3 bytes a cell and 4 more where cells are
-    split, and for float32 that is not linear light, which is decoded. ``bleed_threshold`` is as for
-    `OctreeTexture.sample`. Raises ArgumentError for an unknown channel.
-    """
-    texture = as_texture(texture)
-    known = texture.channels[as_choice(channel, texture.channels, "channel")]
-    threshold = as_number(bleed_threshold, "bleed_threshold", 0.0, np.inf)
-    tree, field = texture.tree, texture._field
-    areas = tree.arrays.areas.copy()
-    areas[tree.leaf_cells()] = 0
-    spreads = np.zeros(tree.split.areas.size, np.float32)
-    for level in range(tree.max_depth):
-        above = field.level(level).tree
-        if above.split.areas.size:
-            spreads[: above.split.areas.size] += facing_spreads(known, above)
-    alpha = texture.channels.get("alpha")
-    if alpha is known or (alpha is not None and alpha.format.components != 1):
-        alpha = None
-    tiles = _joined_tiles([field.level(level).tiles for level in range(tree.max_depth + 1)])
-    x, y, z = texture.placement.origin
-    return LookupArrays(
-        (x, y, z),
-        texture.placement.size,
-        tree.arrays._replace(areas=areas),
-        tree.kept.cells,
-        field.facings.rows,
-        *tiles,
-        _values(known),
-        known.format.components,
-        _no_values() if alpha is None else _values(alpha),
-        spreads,
-        threshold,
-    )
-
-
-def _values(channel: Channel) -> Values:
-    codes, space, _ = stored(channel)
-    cells, kept, split, table = codes
-    if space is not None:
-        cells, kept, split, table = *(decode(array, space) for array in codes[:3]), NO_TABLE
-    return Values(
-        locked(cells.reshape(-1)), locked(kept.reshape(-1)), locked(split.reshape(-1)), locked(table)
-    )
-
-
-def _no_values() -> Values:
-    none = locked(np.empty(0, np.uint8))
-    return Values(none, none, none, locked(np.empty(0, np.float64)))
-
-
-class _JoinedTiles(NamedTuple):
-    levels: Int64s
-    tops: npt.NDArray[np.int32]
-    masks: npt.NDArray[np.uint64]
-    firsts: npt.NDArray[np.uint32]
-
-
-def _joined_tiles(
-    levels: list[Tiles | None],
-) -> _JoinedTiles:
-    """Join the tiles of levels; those without have a top level of −1."""
-    found = np.full((MAX_DEPTH + 1, 5), -1, np.int64)
-    tops, masks, firsts = [np.empty(0, np.int32)], [np.empty(0, np.uint64)], [np.empty(0, np.uint32)]
-    top = row = 0
-    for level, tiles in enumerate(levels):
-        if tiles is not None:
-            tops, masks, firsts = [*tops, tiles.top], [*masks, tiles.masks], [*firsts, tiles.firsts]
-            found[level] = tiles.top_level, top, top + tiles.top.size, row, row + tiles.masks.size
-            top, row = top + tiles.top.size, row + tiles.masks.size
-    return _JoinedTiles(found, np.concatenate(tops), np.concatenate(masks), np.concatenate(firsts))
-
-
-@kernel
-def new_scratch(arrays: LookupArrays) -> Scratch:
-    """Return room for lookups in one texture: make one for each thread, outside the loop."""
-    return Scratch(
-        new_walk(),
-        new_search(arrays.tree),
-        np.empty(MOST_TAPS, np.uint32),
-        np.empty(MOST_TAPS, np.float32),
-        np.empty((0, 3), np.float32),
-        np.empty(8, np.int64),
-        np.empty((3, 3), np.int32),
-        np.empty((3, 3), np.float32),
-        np.ones(9, np.float32),
-        np.empty(10, np.float64),
-    )
 
 
 @inlined
@@ -228,6 +61,7 @@ def _tiles_of(arrays: LookupArrays, level: int) -> Tiles:
         arrays.tops[known[level, 1] : known[level, 2]],
         arrays.masks[rows],
         arrays.firsts[rows],
+        arrays.masks[:0],  # none is painted more finely
     )
 
 
@@ -302,14 +136,14 @@ def _tiled(
 @step
 def _walked(
     tree: TreeArrays,
-    kept: npt.NDArray[np.uint32],
+    kept: Uint32s,
     level: int,
     x: float,
     y: float,
     z: float,
     filter_code: int,
     walk: Walk,
-    rows: npt.NDArray[np.uint32],
+    rows: Uint32s,
     weights: Float32s,
     slopes: Float32s,
 ) -> tuple[int, float]:
@@ -418,16 +252,18 @@ def _value(values: Values, components: int, row: int) -> Color:
 
 
 @inlined
-def _add(arrays: LookupArrays, row: int, weight: float, scratch: Scratch) -> None:
-    """Add a row to the sums."""
+def _add(arrays: LookupArrays, begin: int, end: int, share: float, scratch: Scratch) -> None:
+    """Add the blend of some taps to the sums."""
     sums = scratch.sums
-    a, b, c, d = _value(arrays.values, arrays.components, row)
-    if arrays.alpha.cells.size > 0:
-        under = weight * _value(arrays.alpha, 1, row)[0]
-        sums[0], sums[1], sums[2] = sums[0] + under * a, sums[1] + under * b, sums[2] + under * c
-        sums[3], sums[4] = sums[3] + under * d, sums[4] + under
-    sums[5], sums[6], sums[7] = sums[5] + weight * a, sums[6] + weight * b, sums[7] + weight * c
-    sums[8], sums[9] = sums[8] + weight * d, sums[9] + weight
+    for tap in range(begin, end):
+        weight, row = share * np.float64(scratch.weights[tap]), int(scratch.rows[tap])
+        a, b, c, d = _value(arrays.values, arrays.components, row)
+        sums[5], sums[6], sums[7] = sums[5] + weight * a, sums[6] + weight * b, sums[7] + weight * c
+        sums[8], sums[9] = sums[8] + weight * d, sums[9] + weight
+        if arrays.alpha.cells.size > 0:
+            weight *= _value(arrays.alpha, 1, row)[0]
+            sums[0], sums[1], sums[2] = sums[0] + weight * a, sums[1] + weight * b, sums[2] + weight * c
+            sums[3], sums[4] = sums[3] + weight * d, sums[4] + weight
 
 
 @inlined
@@ -442,44 +278,46 @@ def _mean(scratch: Scratch) -> Color:
 
 
 @inlined
-def _add_facing(
+def _face(
     arrays: LookupArrays,
     n: int,
-    share: float,
     normal: tuple[np.float32, np.float32, np.float32],
     signs: int,
     scratch: Scratch,
-) -> None:
-    """Add taps, those of split cells as the facings that face a normal; see `stages.face`.
+) -> int:
+    """Write taps anew after the n that there are, as they face a normal; return their end. See `stages.face`.
 
     ``normal`` has the sizes of its cosines with the axes, ``signs`` their signs as bits.
     """
     none = np.float32(0.0)
+    rows, weights = scratch.rows, scratch.weights
     n_cells = np.int64(arrays.tree.flags.size)
     first_facing = n_cells + arrays.kept.size
+    end = n
     for tap in range(n):
-        row = np.int64(scratch.rows[tap])
+        row = np.int64(rows[tap])
         cell = row
         if row >= n_cells and arrays.kept.size > 0:
             cell = np.int64(arrays.kept[min(int(row - n_cells), arrays.kept.size - 1)])
         flags = arrays.tree.flags[cell]
         bits = int(DIRECTIONS[64 * signs + int(flags & np.uint8(FACING_FLAGS))])
-        weight = share * np.float64(scratch.weights[tap] * scratch.parts[bits])
-        if arrays.facings.size > 0 and flags & np.uint8(SPLIT) != 0 and bits > 0 and bits < 8:
-            a = normal[0] if bits & 1 else none
-            b = normal[1] if bits & 2 else none
-            c = normal[2] if bits & 4 else none
-            if ramp(max(a, max(b, c))) > none:
-                shares = shares_of(a, b, c)
-                first = first_facing + np.int64(arrays.facings[cell])
-                for axis in range(3):
-                    if shares[axis] > none:
-                        bit = np.uint64(2 * axis + (signs >> axis & 1))
-                        below = (np.uint64(1) << bit) - np.uint64(1)
-                        own = first + popcount(np.uint64(flags) & below)
-                        _add(arrays, int(own), weight * np.float64(shares[axis]), scratch)
-                continue
-        _add(arrays, int(row), weight, scratch)
+        rows[end], weights[end] = row, weights[tap] * scratch.parts[bits]
+        is_split = arrays.facings.size > 0 and flags & np.uint8(SPLIT) != 0 and bits > 0 and bits < 8
+        a = normal[0] if bits & 1 else none
+        b = normal[1] if bits & 2 else none
+        c = normal[2] if bits & 4 else none
+        if not is_split or ramp(max(a, max(b, c))) == none:
+            end += 1
+            continue
+        shares, weight = shares_of(a, b, c), weights[end]
+        first = first_facing + np.int64(arrays.facings[cell])
+        for axis in range(3):
+            if shares[axis] > none:
+                below = (np.uint64(1) << np.uint64(2 * axis + (signs >> axis & 1))) - np.uint64(1)
+                rows[end] = first + popcount(np.uint64(flags) & below)
+                weights[end] = weight * shares[axis]
+                end += 1
+    return end
 
 
 @inlined
@@ -493,8 +331,7 @@ def _look(arrays: LookupArrays, x: float, y: float, z: float, filter_code: int, 
     """Look at the leaves."""
     _clear(scratch)
     n, _ = _find(arrays, arrays.tree.level_cells.size - 2, x, y, z, filter_code, scratch)
-    for tap in range(n):
-        _add(arrays, int(scratch.rows[tap]), np.float64(scratch.weights[tap]), scratch)
+    _add(arrays, 0, n, 1.0, scratch)
     return _mean(scratch)
 
 
@@ -568,14 +405,12 @@ def footprint(arrays: LookupArrays, point: Vector, width: float, normal: Vector,
             n, is_off = _find(arrays, level, x, y, z, QUADRATIC, scratch)
             if level < depth:
                 _weigh_by_area(arrays, n, is_off, scratch)
+            begin, end = 0, n
             if is_facing:
-                _add_facing(arrays, n, share, cosines, signs, scratch)
-            else:
-                if level < depth and arrays.spreads.size > 0:
-                    left = _leave_mixed(arrays, level, n, scratch)
-                for tap in range(n):
-                    weight = share * np.float64(scratch.weights[tap])
-                    _add(arrays, int(scratch.rows[tap]), weight, scratch)
+                begin, end = n, _face(arrays, n, cosines, signs, scratch)
+            elif level < depth and arrays.spreads.size > 0:
+                left = _leave_mixed(arrays, level, n, scratch)
+            _add(arrays, begin, end, share, scratch)
         passed = share * left if left > _ROUNDED else 0.0
         share, upper = upper + passed, 0.0
         level += 1

@@ -1,0 +1,94 @@
+"""A texture's channel, made ready for lookups in kernels."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from octex.channels import decode
+from octex.checks import as_choice, as_number, locked
+from octex.field.tiles import Tiles
+from octex.kernels.layout import Int32s, Int64s, LookupArrays, Uint32s, Uint64s, Values
+from octex.texture.blend import NO_TABLE, facing_spreads, stored
+from octex.texture.channel import Channel
+from octex.texture.lens import BLEED_THRESHOLD
+from octex.texture.texture import OctreeTexture, as_texture
+from octex.tree.layout import MAX_DEPTH
+
+
+def arrays_of(
+    texture: OctreeTexture, channel: str = "base_color", *, bleed_threshold: float = BLEED_THRESHOLD
+) -> LookupArrays:
+    """Prepare a channel for lookups in kernels.
+
+    Arrays are the texture's own, but for what helps to find cells, 3 bytes a cell and 4 more where cells are
+    split, and for float32 that is not linear light, which is decoded. ``bleed_threshold`` is as for
+    `OctreeTexture.sample`. Raises ArgumentError for an unknown channel.
+    """
+    texture = as_texture(texture)
+    known = texture.channels[as_choice(channel, texture.channels, "channel")]
+    threshold = as_number(bleed_threshold, "bleed_threshold", 0.0, np.inf)
+    tree, field = texture.tree, texture._field
+    areas = tree.arrays.areas.copy()
+    areas[tree.leaf_cells()] = 0
+    spreads = np.zeros(tree.split.areas.size, np.float32)
+    for level in range(tree.max_depth):
+        above = field.level(level).tree
+        if above.split.areas.size:
+            spreads[: above.split.areas.size] += facing_spreads(known, above)
+    alpha = texture.channels.get("alpha")
+    if alpha is known or (alpha is not None and alpha.format.components != 1):
+        alpha = None
+    tiles = _joined_tiles([field.level(level).tiles for level in range(tree.max_depth + 1)])
+    x, y, z = texture.placement.origin
+    return LookupArrays(
+        (x, y, z),
+        texture.placement.size,
+        tree.arrays._replace(areas=areas),
+        tree.kept.cells,
+        field.facings.rows,
+        *tiles,
+        _values(known),
+        known.format.components,
+        _no_values() if alpha is None else _values(alpha),
+        spreads,
+        threshold,
+    )
+
+
+def _values(channel: Channel) -> Values:
+    codes, space, _ = stored(channel)
+    cells, kept, split, table = codes
+    if space is not None:
+        cells, kept, split, table = *(decode(array, space) for array in codes[:3]), NO_TABLE
+    return Values(
+        locked(cells.reshape(-1)), locked(kept.reshape(-1)), locked(split.reshape(-1)), locked(table)
+    )
+
+
+def _no_values() -> Values:
+    none = locked(np.empty(0, np.uint8))
+    return Values(none, none, none, locked(np.empty(0, np.float64)))
+
+
+class _JoinedTiles(NamedTuple):
+    levels: Int64s
+    tops: Int32s
+    masks: Uint64s
+    firsts: Uint32s
+
+
+def _joined_tiles(
+    levels: list[Tiles | None],
+) -> _JoinedTiles:
+    """Join the tiles of levels; those without have a top level of −1."""
+    found = np.full((MAX_DEPTH + 1, 5), -1, np.int64)
+    tops, masks, firsts = [np.empty(0, np.int32)], [np.empty(0, np.uint64)], [np.empty(0, np.uint32)]
+    top = row = 0
+    for level, tiles in enumerate(levels):
+        if tiles is not None:
+            tops, masks, firsts = [*tops, tiles.top], [*masks, tiles.masks], [*firsts, tiles.firsts]
+            found[level] = tiles.top_level, top, top + tiles.top.size, row, row + tiles.masks.size
+            top, row = top + tiles.top.size, row + tiles.masks.size
+    return _JoinedTiles(found, np.concatenate(tops), np.concatenate(masks), np.concatenate(firsts))

@@ -1,0 +1,82 @@
+"""What lookups in kernels take: arrays of a texture, and room to work in."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.field.neighborhood import MOST_TAPS, Walk, new_walk
+from octex.field.stages import MOST_ROWS
+from octex.jit import kernel
+from octex.tree.layout import TreeArrays
+from octex.tree.search import Scratch as Search
+from octex.tree.search import new_scratch as new_search
+
+Array = npt.NDArray[Any]
+Float32s = npt.NDArray[np.float32]
+Int32s = npt.NDArray[np.int32]
+Int64s = npt.NDArray[np.int64]
+Uint32s = npt.NDArray[np.uint32]
+Uint64s = npt.NDArray[np.uint64]
+
+
+class Values(NamedTuple):
+    """A channel's values by row, flattened: cells, kept nodes, split cells' facings."""
+
+    cells: Array
+    kept: Array
+    split: Array
+    table: Array  # what codes stand for; empty for float32
+
+
+class LookupArrays(NamedTuple):
+    """One channel of a texture, as ``arrays_of`` makes it; its fields are not for others."""
+
+    origin: tuple[float, float, float]
+    size: float
+    tree: TreeArrays  # areas are those of nodes alone
+    kept: Uint32s
+    facings: Uint32s  # (cells,)   a split cell's first facing; (0,) without any
+    tile_levels: Int64s  # (22, 5)   of each level with tiles their top level, begin and end in tops and rows
+    tops: Int32s
+    masks: Uint64s
+    firsts: Uint32s
+    values: Values
+    components: int
+    alpha: Values  # empty without it
+    spreads: Float32s  # (facings,)   how far opposite facings of a cell differ, at its first
+    threshold: float
+
+
+class Scratch(NamedTuple):
+    """Where lookups work, and what they remember from one point to the next. One serves one thread."""
+
+    walk: Walk
+    search: Search
+    rows: Uint32s  # (4 · MOST_TAPS,)   the taps of one look, and these as they face a normal
+    weights: Float32s  # (4 · MOST_TAPS,)
+    slopes: Float32s  # (0, 3)
+    tiles: Int64s  # (8,)   the rows of 2×2×2 tiles
+    codes: Int32s  # (3, 3)   along each axis, the codes of cells in tiles
+    along: Float32s  # (3, 3)   and their weights
+    parts: Float32s  # (9,)   what cells weigh by the ways that they face; see `stages`
+    sums: npt.NDArray[np.float64]  # (10,)   four components, under alpha, and their weight; then without it
+
+
+@kernel
+def new_scratch(arrays: LookupArrays) -> Scratch:
+    """Return room for lookups in one texture: make one for each thread, outside the loop."""
+    return Scratch(
+        new_walk(),
+        new_search(arrays.tree),
+        np.empty((1 + MOST_ROWS) * MOST_TAPS, np.uint32),
+        np.empty((1 + MOST_ROWS) * MOST_TAPS, np.float32),
+        np.empty((0, 3), np.float32),
+        np.empty(8, np.int64),
+        np.empty((3, 3), np.int32),
+        np.empty((3, 3), np.float32),
+        np.ones(9, np.float32),
+        np.empty(10, np.float64),
+    )
