@@ -1,4 +1,40 @@
-"""octex: octree textures for Python. Colour a model without UVs (Benson & Davis, SIGGRAPH 2002)."""
+"""octex: octree textures for Python. Colour a model without UVs (Benson & Davis, SIGGRAPH 2002).
+
+The words
+    texture     an octree with values: of each channel, one for each of its cells
+    root cell   the cube that holds the model; a cell of level k has 2⁻ᵏ of its edge
+    cell        a cube that the surface meets: a leaf, or a node, which is divided in eight
+    node        a cell above the leaves; its value is the average of those below it
+    depth       the level of the finest cells
+    channel     what is stored: base_color, alpha, roughness …; components are its numbers, codes its integers
+    rest        where a point of the surface lies before it is posed: the texture coordinate
+    field       the function of position that lookups evaluate: a spline over the cells around a point
+    footprint   what a lookup averages over: a width, or the derivatives of a position along a picture's axes
+    facing      one of six directions that the surface shows; a split cell has a value for each side
+    kept        of a node above finer paint: it keeps the value that the field beside the paint is made of
+    residual    what a node's value has beyond the average of the cells below it
+    layer       paint as a texture of its own: a channel, and how much of each cell it covers
+    source      what a point's value comes from: images, functions, numbers, other models, points
+    fit         choosing the leaves' values so that the field meets the source
+
+The rooms, each of which knows only those before it
+    tree        Morton codes, placement; building, validating, searching and walking octrees
+    nearest     nearest points of triangles and of clouds, how near meshes come
+    field       what lies between the cells: which of them a lookup blends, and what weighs them
+    texture     OctreeTexture: tree, channels and placement; lookups; the .octex file
+    kernels     lookups of one point, for one's own compiled loops
+    editing     what every change of a texture shares: areas, averages, facings, residuals
+    source      surfaces and what they are coloured by: models, images, mappings, functions, clouds
+    conversion  cells met exactly, sums over clipped pieces, the fit, adaptive depth
+    view        cameras and their files, what a camera sees, studio light
+    painting    pictures projected into a paint octree, regions, layers; raising and merging
+    processing  textures from textures
+    preview     model and texture side by side; pictures of differences
+    formats     files that are not our own
+    cli         the commands, and the pages of octex help
+
+Common ground: ahead, channels, checks, compare, container, errors, files, jit, jit_cache, parallel.
+"""
 
 from __future__ import annotations
 

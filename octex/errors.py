@@ -35,7 +35,7 @@ class ExitCode(IntEnum):
         return code
 
     DONE = 0, "done"
-    INVALID = 1, "--validate found the file broken"
+    INVALID = 1, "validation found the file broken"
     REFUSED = 2, "bad usage, bad input, or output that cannot be written"
     NOTHING_PAINTED = 3, "nothing was painted"
     CRASHED = 70, "a defect of octex itself"

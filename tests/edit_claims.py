@@ -24,6 +24,8 @@ Array = npt.NDArray[Any]
 AREA_PART = 0.046
 #: Boxes times boxes that are compared at most.
 MOST_PAIRS = 10_000_000
+#: Codes of areas of which many together are less than a millionth of a cell's face.
+HARDLY = 40
 #: What is transparent weighs so much at least.
 FAINT = 2.0**-40
 
@@ -51,6 +53,11 @@ def cells_of(texture: OctreeTexture) -> Cells:
     if not texture.tree.n_leaves:
         is_leaf[:] = False
     return Cells(np.concatenate(keys), low, low + width[:, None], width, is_leaf)
+
+
+def kept_edge(texture: OctreeTexture) -> float:
+    """The edge of the largest node that keeps a coefficient; 0 if none does."""
+    return float(cells_of(texture).edges[texture.tree.kept.cells].max(initial=0.0))
 
 
 def digest(texture: OctreeTexture) -> int:
@@ -288,10 +295,12 @@ def assert_far_cells_stay(before: OctreeTexture, after: OctreeTexture, region: A
     both = [(texture, cells_of(texture)) for texture in (before, after)]
     far = [np.zeros(cells.keys.size, np.bool_) for _, cells in both]
     pairs = len(getattr(region, "edges", ())) * max(own.size for own in far)
-    for own, (_, cells) in zip(far, both, strict=True):
+    for own, (texture, cells) in zip(far, both, strict=True):
         # Of very many cells some.
         some = cells.keys * 2654435761 % 1000003 % (1 + pairs // MOST_PAIRS) == 0
-        own[some] = region.gaps(cells.low[some], cells.high[some]) > reach
+        # What has no surface to speak of is there for paint, and refined to half a cell beyond itself.
+        skirt = np.where(texture.tree.arrays.areas[some, None] < HARDLY, cells.edges[some, None] / 2, 0.0)
+        own[some] = region.gaps(cells.low[some] - skirt, cells.high[some] + skirt) > reach
     far[1] &= ~_below_leaves(both[1][1], both[0][1])  # near paint a leaf is divided as a whole
     stored = [_stored(texture, cells) for texture, cells in both]
     for what, (keys, rows) in stored[0].items():

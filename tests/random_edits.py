@@ -513,10 +513,13 @@ def assert_filled(
     points = run.surface.placed_in(before).scatter(300, len(run.steps)).rest
     points = points[before.contains(points)]
     if isinstance(where, claims.Ball):
-        depths = (where.radius - np.linalg.norm(points - where.center, axis=1)) / where.edge
+        edge, depths = where.edge, where.radius - np.linalg.norm(points - where.center, axis=1)
     else:
-        depths = np.minimum(points - where.low[0], where.high[0] - points).min(axis=1) / where.edges[0]
-    points = points[depths > 4.0]
+        edge, depths = where.edges[0], np.minimum(points - where.low[0], where.high[0] - points).min(axis=1)
+    # A node that keeps a coefficient keeps the old one where unpainted surface is in or beside it. Cells in
+    # or beside such nodes are refined from these, and cells of paint are beside those.
+    kept = claims.kept_edge(after)
+    points = points[depths > max(4.0 * edge, 3.0 * kept + 2.0 * edge if kept else 0.0)]
     if not len(points):
         return
     form = after.channels[texture_name].format

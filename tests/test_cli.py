@@ -12,8 +12,10 @@ import pytest
 
 import octex
 from octex.cli.arguments import DTYPES, FILTERS
-from octex.cli.convert import main, parser
+from octex.cli.convert import COMMAND, main
+from octex.cli.convert_options import CONVERT
 from octex.cli.models import DEFAULT_FILTER
+from octex.cli.parser import Parser
 from octex.errors import ExitCode
 from tests.command import colored_box, python, refusal, result
 from tests.fixtures import OBJ_SQUARE, obj, png, random_image, textured_square
@@ -119,14 +121,22 @@ def test_bad_usage_is_refused_by_name(
     assert refusal(capsys, *arguments.split()) == message
 
 
-def test_help_shows_the_table_of_exit_codes_and_every_option(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--help"]) == 0
+def test_all_help_shows_the_table_of_exit_codes_and_every_option(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help-all"]) == 0
     text = capsys.readouterr().out
     for code in ExitCode:
         assert f"{code:3}  {code.meaning}" in text
-    for action in parser()._actions:
-        name = action.option_strings[-1] if action.option_strings else action.dest
-        assert text.count(name) >= 2, f"{name} is not in the usage and the list"
+    for each in CONVERT.options:
+        assert f"  {each.word}" in text
+
+
+def test_help_is_a_screen_with_the_usual_options_and_examples(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert text.count("\n") <= 45
+    assert text.count(f"\n  {COMMAND} ") == 2
+    listed = {line.split()[0] for line in text.splitlines() if line.startswith("  --")}
+    assert listed == {*CONVERT.usual, "--help-all"}
 
 
 def test_the_help_lists_the_types_and_filters_of_the_library() -> None:
@@ -148,7 +158,7 @@ def test_the_help_lists_the_types_and_filters_of_the_library() -> None:
     ],
 )
 def test_a_source_is_a_file_or_numbers(text: str, meaning: object) -> None:
-    assert parser().parse_args(["--source", text]).source == [meaning]
+    assert Parser(COMMAND, CONVERT).parse_args(["--source", text]).source == [meaning]
 
 
 @pytest.mark.parametrize(
@@ -159,7 +169,7 @@ def test_a_source_is_a_file_or_numbers(text: str, meaning: object) -> None:
     ],
 )
 def test_a_type_is_for_all_or_for_some(text: str, meaning: object) -> None:
-    assert parser().parse_args(["--dtype", text]).dtype == meaning
+    assert Parser(COMMAND, CONVERT).parse_args(["--dtype", text]).dtype == meaning
 
 
 def test_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
@@ -255,7 +265,7 @@ def made(model: Path) -> Path:
     ],
 )
 def test_options_may_stand_anywhere(arguments: str) -> None:
-    given = vars(parser().parsed(arguments.split()))
+    given = vars(Parser(COMMAND, CONVERT).parsed(arguments.split()))
     stated = {name: value for name, value in given.items() if value not in (None, False)}
     paths = {"INPUT": Path("a.glb"), "OUTPUT": Path("b.octex")}
     assert stated == {**paths, "depth": 5, "separate": 3.0}
@@ -263,7 +273,7 @@ def test_options_may_stand_anywhere(arguments: str) -> None:
 
 def test_options_of_two_values_and_those_given_twice_may_stand_anywhere() -> None:
     words = "--source alpha=1 --diff a b --source roughness=0 --json"
-    options = parser().parsed(words.split())
+    options = Parser(COMMAND, CONVERT).parsed(words.split())
     assert options.diff == [Path("a"), Path("b")]
     assert [name for name, _ in options.source] == ["alpha", "roughness"]
     assert (options.json, options.INPUT) == (True, None)
@@ -271,7 +281,7 @@ def test_options_of_two_values_and_those_given_twice_may_stand_anywhere() -> Non
 
 def test_values_may_begin_with_a_minus_and_files_after_two() -> None:
     words = "--crop -1,0,0,1,1,1 a.octex --project-axis -y -- -b.octex"
-    options = parser().parsed(words.split())
+    options = Parser(COMMAND, CONVERT).parsed(words.split())
     assert options.crop == (-1, 0, 0, 1, 1, 1)
     assert options.project_axis == "-y"
     assert [str(path) for path in (options.INPUT, options.OUTPUT)] == ["a.octex", "-b.octex"]
@@ -307,7 +317,7 @@ def test_a_warning_is_a_line_on_stderr(tmp_path: Path, capsys: pytest.CaptureFix
 
 # --- as a process
 
-CONVERT = "import sys; from octex.cli.convert import main; sys.exit(main())"
+PROCESS = "import sys; from octex.cli.convert import main; sys.exit(main())"
 posix = pytest.mark.skipif(sys.platform == "win32", reason="signals, limits and devices of POSIX")
 
 
@@ -419,7 +429,7 @@ def test_a_broken_pipe_is_harmless_and_a_full_device_is_not(made: Path) -> None:
     reading, writing = os.pipe()
     os.close(reading)
     with os.fdopen(writing, "wb") as broken:
-        arguments = [sys.executable, "-c", CONVERT, "--info", str(made)]
+        arguments = [sys.executable, "-c", PROCESS, "--info", str(made)]
         done = subprocess.run(arguments, stdout=broken, stderr=subprocess.PIPE, text=True, timeout=600)
     assert (done.returncode, done.stderr) == (ExitCode.DONE, "")
     if Path("/dev/full").exists():

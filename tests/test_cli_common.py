@@ -180,7 +180,7 @@ def test_compilation_is_announced_once(capsys: pytest.CaptureFixture[str]) -> No
     expected = (
         []
         if jit.DISABLED
-        else ["octree-x: compiling: a minute or two, this once (octree-convert --warm-up does it ahead)"]
+        else ["octree-x: compiling: half a minute or more, this once (octex warm-up does it ahead)"]
     )
     assert capsys.readouterr().err.splitlines() == expected
 

@@ -13,7 +13,9 @@ import pytest
 
 import octex
 from octex.cli.common import bytes_text
-from octex.cli.convert import main, parser
+from octex.cli.convert import COMMAND, main
+from octex.cli.convert_options import CONVERT
+from octex.cli.parser import Parser
 from octex.errors import ExitCode
 from tests.command import colored_box, refusal, result
 from tests.fixtures import png, random_image, textured_square
@@ -259,7 +261,7 @@ def test_the_preview_shows_what_was_converted(
     shown: list[list[str]] = []
     monkeypatch.setattr(
         "octex.preview.write_preview",
-        lambda _path, surface, _texture: shown.append([form.name for form in surface.channels]),
+        lambda _path, surface, _texture, **_: shown.append([form.name for form in surface.channels]),
     )
     arguments = ["--channels", "roughness,alpha", "--source", "alpha=0.5", "--rest", square]
     result(capsys, square, tmp_path / "a.octex", "--depth", 2, *arguments, "--preview", tmp_path / "a.png")
@@ -278,7 +280,7 @@ def test_a_preview_is_drawn_of_models_and_of_textures(
 ) -> None:
     drawn: list[tuple[str, bool]] = []
 
-    def write_preview(path: Path, surface: Any, texture: Any) -> None:
+    def write_preview(path: Path, surface: Any, texture: Any, **_: Any) -> None:
         drawn.append((path.name, surface is not None))
         assert texture.tree.max_depth == 3
 
@@ -296,7 +298,7 @@ def test_a_preview_is_drawn_of_models_and_of_textures(
 def test_the_help_names_the_librarys_default_depth() -> None:
     from octex.conversion.convert import DEFAULT_DEPTH
 
-    assert f"(default {DEFAULT_DEPTH})" in " ".join(parser().format_help().split())
+    assert f"(default {DEFAULT_DEPTH})" in " ".join(Parser(COMMAND, CONVERT).help_text().split())
 
 
 # --- bad input: one line, nothing written

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -19,7 +20,9 @@ from PIL import Image
 import octex
 from octex.cli.arguments import BLENDS, camera
 from octex.cli.models import DEFAULT_CHANNEL
-from octex.cli.paint import COMMAND, main, parser
+from octex.cli.paint import COMMAND, main
+from octex.cli.paint_options import PAINT
+from octex.cli.parser import Parser
 from octex.errors import ExitCode
 from tests.command import colored_box, python
 from tests.conftest import needs_jit
@@ -133,13 +136,13 @@ def test_a_picture_that_was_drawn_is_edited_and_painted_back(
     assert picture.shape == (SIZE, SIZE, 4)
     assert set(np.unique(picture[:, :, 3])) == {0, 255}
     back = [scene.model, scene.texture, view, "--camera", file]
-    result(capsys, *back, "--out", out)
+    result(capsys, *back, "--out", out, "--whole")
     before, points = octex.open(scene.texture), scene.places(0.0)[0]
     np.testing.assert_allclose(octex.open(out).sample(points), before.sample(points), atol=0.15)
     assert np.abs(octex.open(out).sample(points) - before.sample(points)).mean() < 0.01
     picture[SQUARE[1] : SQUARE[3] + 1, SQUARE[0] : SQUARE[2] + 1, :3] = [255, 0, 0]
     Image.fromarray(picture).save(view)
-    result(capsys, *back, "--out", out, "--force")
+    result(capsys, *back, "--out", out, "--force", "--whole")
     points, inside = scene.places(1.5)
     red = octex.open(out).sample(points)
     np.testing.assert_allclose(red[inside], [[1.0, 0.0, 0.0]] * inside.sum(), atol=0.02)
@@ -543,7 +546,7 @@ def test_a_preview_is_drawn_of_what_was_painted(
 ) -> None:
     drawn: list[tuple[list[str] | None, list[str]]] = []
 
-    def write_preview(_path: Path, surface: Any, texture: Any) -> None:
+    def write_preview(_path: Path, surface: Any, texture: Any, **_: Any) -> None:
         names = None if surface is None else [form.name for form in surface.channels]
         drawn.append((names, list(texture.channels)))
 
@@ -636,6 +639,153 @@ def test_a_view_needs_a_camera_that_can_be_found_again(
     assert list(tmp_path.iterdir()) == []
 
 
+# --- from where
+
+
+@needs_jit
+def test_a_view_is_from_the_side_and_as_near_as_wanted(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "camera.json"
+    look = [scene.model, scene.texture, "--view", tmp_path / "view.png", "--camera-out", file, "--force"]
+    result(capsys, *look, "--size", "32,24", "--direction=-1,0.5,0", "--up", "0,0,1", "--zoom", 2)
+    made = octex.read_cameras(file)[0].camera()
+    whole = octex.Camera.fitted(scene.surface.vertices, (-1, 0.5, 0), size=(32, 24), up=(0, 0, 1))
+    np.testing.assert_array_equal(made.world_to_camera, whole.world_to_camera)
+    points = scene.surface.vertices
+    middle = np.array([16.0, 12.0])
+    expected = middle + 2 * (whole.project(points)[0] - middle)
+    np.testing.assert_allclose(made.project(points)[0], expected, atol=1e-9)
+    result(capsys, *look, "--camera", scene.cameras, "--frame", "blue.png")
+    np.testing.assert_array_equal(octex.read_cameras(file)[0].camera().K, scene.camera.K)
+    flat = np.array(Image.open(tmp_path / "view.png"))
+    result(capsys, *look, "--camera", scene.cameras, "--frame", "blue.png", "--shaded")
+    shaded = np.array(Image.open(tmp_path / "view.png"))
+    assert (shaded[..., 3] == flat[..., 3]).all()
+    assert (shaded <= flat).all()
+    assert shaded.mean() < flat.mean()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            "--view v.png --camera c.json --direction 0,0,1",
+            "--direction and --camera both say where the camera is; give one of them",
+        ),
+        (
+            "--view v.png --camera-out c.json --frame x --up 0,0,1",
+            "--up and --frame both say where the camera is; give one of them",
+        ),
+        ("--view v.png --camera-out c.json --direction 0,0,0", "--direction must not be 0,0,0"),
+        ("--camera c --out o.octex --zoom 2", "--zoom has no meaning without a picture to draw"),
+        (
+            "--camera c --out o.octex --shaded",
+            "--shaded has no meaning with painting",
+        ),
+    ],
+)
+def test_where_a_picture_is_drawn_from_is_said_once(
+    options: str, message: str, tmp_path: Path, scene: Scene, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = options.replace("c.json", str(tmp_path / "c.json")).replace("v.png", str(tmp_path / "v.png"))
+    assert complaint(capsys, scene.model, scene.texture, *words.split()).startswith(message)
+
+
+# --- only what was drawn
+
+
+@needs_jit
+def test_of_a_view_only_what_was_drawn_on_it_is_painted(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    view, file = tmp_path / "view.png", tmp_path / "camera.json"
+    look = [scene.model, scene.texture, "--view", view, "--camera-out", file, "--size", "64,64", "--quiet"]
+    result(capsys, *look)
+    shot = [scene.model, scene.texture, view, "--camera", file, "--quiet", "--out"]
+    assert main([str(each) for each in (*shot, tmp_path / "none.octex")]) == ExitCode.NOTHING_PAINTED
+    capsys.readouterr()
+    before = tmp_path / "before.png"
+    before.write_bytes(view.read_bytes())
+    picture = np.array(Image.open(view))
+    picture[28:36, 28:36, :3] = [255, 0, 0]
+    Image.fromarray(picture).save(view)
+    texture = octex.open(scene.texture)
+    outs = {name: tmp_path / f"{name}.octex" for name in ("drawn", "by_hand", "whole")}
+    result(capsys, *shot, outs["drawn"])
+    file.write_text(re.sub(r', "view": "[^"]*"', "", file.read_text()))  # as an older octex wrote it
+    result(capsys, *shot, outs["by_hand"], "--since", before)
+    result(capsys, *shot, outs["whole"])
+    assert outs["by_hand"].read_bytes() == outs["drawn"].read_bytes()
+    drawn, whole = octex.open(outs["drawn"]), octex.open(outs["whole"])
+    assert texture.tree.n_leaves < drawn.tree.n_leaves < whole.tree.n_leaves / 4
+    points = scene.surface.scatter(2000, seed=1)
+    camera = octex.read_cameras(file)[0].camera()
+    pixels, _ = camera.project(points.points)
+    distance = np.abs(pixels - 32).max(axis=1)
+    far = distance > 9
+    np.testing.assert_allclose(drawn.sample(points.rest[far]), texture.sample(points.rest[far]), atol=1e-3)
+    seen = np.einsum("nk,nk->n", camera.position - points.points, points.normals) > 1.0
+    red = drawn.sample(points.rest[(distance < 2) & seen])
+    assert len(red)
+    np.testing.assert_allclose(red, np.broadcast_to([1.0, 0.0, 0.0], red.shape), atol=0.02)
+
+
+@needs_jit
+def test_all_of_a_view_is_painted_on_request_and_on_a_new_texture(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    view, file = tmp_path / "view.png", tmp_path / "camera.json"
+    result(capsys, scene.model, scene.texture, "--view", view, "--camera-out", file, "--size", "48,48")
+    out = tmp_path / "whole.octex"
+    result(capsys, scene.model, scene.texture, view, "--camera", file, "--out", out, "--whole")
+    assert octex.open(out).tree.n_leaves > octex.open(scene.texture).tree.n_leaves
+    new = tmp_path / "new.octex"
+    said = result(capsys, scene.model, view, "--camera", file, "--out", new)
+    assert said.startswith(f"{new}: 1 picture painted, ")
+
+
+def test_a_view_in_a_camera_file_that_is_no_picture_is_refused(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "camera.json"
+    octex.write_cameras(file, {"blue.png": scene.camera}, {"blue.png": b"no picture"})
+    shot = [scene.model, scene.texture, scene.blue, "--camera", file, "--out", tmp_path / "out.octex"]
+    assert complaint(capsys, *shot).startswith(f"the view in {file}")
+    text = file.read_text()
+    file.write_text(re.sub('"view": "', '"view": "é', text))
+    assert "view is no picture in base64" in complaint(capsys, *shot)
+    with pytest.raises(octex.errors.ArgumentError, match="view 'other' must be the bytes of a PNG file"):
+        octex.write_cameras(file, {"blue.png": scene.camera}, {"other": b""})
+
+
+@needs_jit
+def test_a_picture_may_name_its_frame(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, other = tmp_path / "out.octex", tmp_path / "other.octex"
+    picture = tmp_path / "my=picture.png"
+    picture.write_bytes(scene.square.read_bytes())
+    shot = [scene.model, scene.texture, "--camera", scene.cameras, "--quiet", "--out"]
+    result(capsys, *shot, out, f"{picture}=square.png")
+    result(capsys, *shot, other, scene.square)
+    assert np.array_equal(octex.open(out).tree.arrays.flags, octex.open(other).tree.arrays.flags)
+    refused = complaint(capsys, *shot, tmp_path / "no.octex", f"{picture}=x.png")
+    assert refused.startswith(f"{scene.cameras}: there is no frame 'x.png'; there are: ")
+
+
+@needs_jit
+def test_paint_that_more_than_doubles_a_texture_is_announced(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = [scene.model, scene.texture, scene.blue, "--camera", scene.cameras]
+    assert main([str(each) for each in (*arguments, "--out", tmp_path / "a.octex", "--max-depth", 7)]) == 0
+    leaves = octex.open(scene.texture).tree.n_leaves
+    assert f"leaves, the texture {leaves:,}; --max-depth 4 paints with" in capsys.readouterr().err
+    assert main([str(each) for each in (*arguments, "--out", tmp_path / "b.octex", "--max-depth", 4)]) == 0
+    assert "--max-depth" not in capsys.readouterr().err
+
+
 # --- usage
 
 
@@ -643,7 +793,7 @@ def test_a_view_needs_a_camera_that_can_be_found_again(
     ("arguments", "message"),
     [
         ("", "MODEL is missing; see octree-paint --help"),
-        ("m.glb", "TEXTURE is missing; see octree-paint --help"),
+        ("m.glb", "--camera is missing; see octree-paint --help"),
         ("m.glb t.octex", "--camera is missing; see octree-paint --help"),
         ("m.glb t.octex a.png --camera c", "--out is missing; see octree-paint --help"),
         ("m.glb t.octex --layer l.octex", "--out is missing; see octree-paint --help"),
@@ -667,7 +817,10 @@ def test_a_view_needs_a_camera_that_can_be_found_again(
         ],
         ("m.glb t.octex --camera c --out o.octex --size 3,3", "--size has no meaning with painting"),
         ("m.glb t.octex --camera-out c.json", "--camera-out has no meaning with painting"),
-        ("m.glb t.png --camera c --out o.octex", "t.png: does not exist; a new texture is named NAME.octex"),
+        (
+            "m.glb --camera c --out o.octex --blend erase",
+            "there is no TEXTURE; there is nothing to erase",
+        ),
         (
             "m.glb t.octex --camera c --out o.octex --blend erase",
             "t.octex: does not exist; there is nothing to erase",
@@ -731,20 +884,19 @@ def test_the_name_of_a_camera_comes_after_the_file(tmp_path: Path) -> None:
 
 
 def test_the_help_lists_every_option_and_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--help"]) == 0
+    assert main(["--help-all"]) == 0
     text = capsys.readouterr().out
     for code in ExitCode:
         assert f"{code:3}  {code.meaning}" in text
-    for action in parser()._actions:
-        name = action.option_strings[-1] if action.option_strings else action.dest
-        assert text.count(name) >= 2, f"{name} is not in the usage and the list"
+    for each in (*PAINT.files, *PAINT.options):
+        assert f"  {each.word}" in text
 
 
 def test_the_help_names_the_librarys_defaults() -> None:
     from octex.painting import paint, pictures
 
     assert pictures.BLENDS == BLENDS
-    text = " ".join(parser().format_help().split())
+    text = " ".join(Parser(COMMAND, PAINT).help_text().split())
     defaults = {name: each.default for name, each in inspect.signature(paint.project).parameters.items()}
     assert defaults["channel"] == DEFAULT_CHANNEL
     assert f"nothing is painted (default {defaults['max_angle']:g})" in text
@@ -808,7 +960,9 @@ def test_a_model_is_drawn_edited_and_painted_from_a_checkout(tmp_path: Path) -> 
     ],
 )
 def test_options_may_stand_anywhere(arguments: str) -> None:
-    stated = {name: value for name, value in vars(parser().parsed(arguments.split())).items() if value}
+    stated = {
+        name: value for name, value in vars(Parser(COMMAND, PAINT).parsed(arguments.split())).items() if value
+    }
     assert stated == {
         "MODEL": Path("m.glb"),
         "TEXTURE": Path("t.octex"),

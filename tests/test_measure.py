@@ -17,7 +17,7 @@ from octex.channels import (
     linear_to_srgb,
     srgb_to_linear,
 )
-from octex.conversion.measure import exceeding
+from octex.conversion.measure import exceeding, exceeding_between
 
 
 def far(form: ChannelFormat, found: float, source: float, most: float) -> bool:
@@ -63,3 +63,38 @@ def test_what_is_covered_in_part_counts_by_as_much():
     assert list(exceeding(found, source, (BASE_COLOR, ALPHA), apart - 0.1)) == [True, False]
     found[:, 3] /= 2
     assert list(exceeding(found, source, (BASE_COLOR, ALPHA), 100)) == [True, False]
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_what_is_quadratic_between_the_points_of_a_patch_exceeds_its_bound_nowhere(seed: int):
+    random = np.random.default_rng(seed)
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) + random.normal(size=(4, 2)) / 8
+    middle = corners.mean(axis=0)
+    after = np.roll(corners, -1, axis=0)
+    points = np.stack([corners, (corners + middle) / 2, (corners + after) / 2], axis=1).reshape(-1, 2)
+    points = np.concatenate([middle[None], points])
+    factors = random.normal(size=(6, 2)) * (random.random((6, 1)) < 0.5)
+
+    def values(points: np.ndarray) -> np.ndarray:
+        x, y = points.T
+        return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1) @ factors
+
+    weights = random.dirichlet([1, 1, 1], 500)
+    inside = [weights @ [middle, *ends] for ends in zip(corners, after, strict=True)]
+    largest = np.abs(values(np.concatenate(inside))).max()
+    firsts = np.array([0, len(points)])
+    differences = values(points).astype(np.float32)
+    assert exceeding_between(differences, firsts, 0.999 * largest - 1e-5)[0]
+    flat = (factors[3:] == 0).all()
+    at_points = np.abs(differences).max()
+    assert not exceeding_between(differences, firsts, (1 if flat else 8) * at_points + 1e-5)[0]
+
+
+def test_what_rises_between_the_points_of_a_patch_is_found():
+    # A triangle of a patch of one: all its points are near, and yet a parabola through them is not.
+    differences = np.array([0, 0, 1, 0, 0, 0, 0, 0, 0, 0], np.float32)[:, None]
+    firsts = np.array([0, 10])
+    assert exceeding_between(differences, firsts, 1.9)[0]
+    assert not exceeding_between(differences, firsts, 2.1)[0]
+    differences[5] = np.nan
+    assert exceeding_between(differences, firsts, 1e9)[0]

@@ -22,7 +22,7 @@ from octex.tree.octree import Octree
 from tests.conftest import needs_jit
 from tests.naive_edits import assert_averages
 from tests.painted import above, ball, one_color, plain, square, together
-from tests.random_edits import beyond, waved
+from tests.random_edits import beyond, cloud, waved
 from tests.small_surfaces import sheet
 
 Array = npt.NDArray[Any]
@@ -280,3 +280,84 @@ def test_half_a_coat_of_fine_paint_is_half_a_coat_on_kept_coefficients_too() -> 
     expected = 0.5 * texture.sample(points) + [0, 0, 0.5]
     np.testing.assert_allclose(found.sample(points), expected, atol=2e-5)
     assert found.tree.kept.cells.size
+
+
+# --- rows of split nodes
+
+
+@pytest.mark.parametrize("blend", ["multiply", "screen"])
+def test_rows_above_leaves_that_paint_splits_are_means_of_them_in_all_channels(blend: Blend) -> None:
+    surface = waved("overlapping", 18, ["base_color", "alpha"], 92)
+    texture = octex.convert(surface, 3, fit=False, dtype="float32")
+    green = (0.0, 0.2, 0.0)
+    found = octex.fill(texture, surface, beyond(1, 0.477, 0.09), green, blend=blend, max_depth=2)
+    assert_averages(texture, found)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 5])
+def test_rows_of_colours_weigh_by_the_alpha_that_newly_split_leaves_have(seed: int) -> None:
+    surface = waved("overlapping", seed, ["base_color", "alpha"], 11 * seed)
+    texture = octex.convert(surface, 2)
+    place = octex.Sphere(tuple(surface.rest[0]), 0.4)
+    yellow = (0.7, 0.7, 0.0)
+    found = octex.fill(texture, surface, place, yellow, opacity=0.5, blend="screen", max_depth=3)
+    assert_averages(texture, found)
+
+
+def test_rows_above_leaves_divided_beside_paint_are_means_of_what_faces_that_way_then() -> None:
+    surface = waved("sheet", 4, ["base_color"], 26)
+    texture = octex.convert(cloud(surface, 1), 5, dtype="float32")
+    blue = (0.2, 0.7, 1.0)
+    found = octex.fill(texture, surface, beyond(2, 0.41, 0.132), blue, opacity=0.2, max_depth=6)
+    assert_averages(texture, found)
+
+
+# --- nothing but paint where all is painted
+
+
+@pytest.mark.parametrize("depth", [3, 5, 6])
+@pytest.mark.parametrize("kind", ["triangle", "sphere"])
+def test_paint_over_all_leaves_nothing_of_finer_paint_below(kind: str, depth: int) -> None:
+    surface = waved(kind, 11, ["base_color"], 98)
+    texture = octex.convert(surface, 4)
+    place = octex.Sphere(tuple(surface.rest[surface.triangles[0]].mean(axis=0)), 0.5)
+    red = octex.fill(texture, surface, place, (1, 0, 0), max_depth=5)
+    green = octex.fill(red, surface, octex.Sphere((0, 0, 0), 9.0), (0, 1, 0), max_depth=depth)
+    points = surface.scatter(2000).rest
+    np.testing.assert_allclose(green.sample(points), np.tile([0.0, 1, 0], (2000, 1)), atol=1e-6)
+
+
+@pytest.mark.parametrize("depth", [4, 5])
+@pytest.mark.parametrize("kind", ["overlapping", "triangle"])
+def test_finer_paint_over_all_changes_the_field_by_its_part_everywhere(kind: str, depth: int) -> None:
+    surface = waved(kind, 17, ["base_color", "roughness"], 16)
+    texture = octex.convert(surface, 3, dtype="float32")
+    whole = octex.Sphere((0, 0, 0), 9.0)
+    found = octex.fill(texture, surface, whole, (0, 0, 0), opacity=0.5, max_depth=depth)
+    points = surface.scatter(2000).rest
+    np.testing.assert_allclose(found.sample(points), 0.5 * texture.sample(points), atol=1e-5)
+
+
+@pytest.mark.parametrize("max_depth", [None, 5, 3])
+def test_a_transparent_picture_paints_what_its_opaque_part_alone_paints(max_depth: int | None) -> None:
+    surface = ball()
+    texture = octex.convert(surface, 5)
+    camera = octex.Camera.fitted(surface.vertices, (0.2, 0.1, 1), size=(96, 96))
+    picture = np.zeros((96, 96, 4), np.uint8)
+    rows, columns = np.mgrid[:96, :96]
+    picture[np.hypot(rows - 40, columns - 52) < 6] = [200, 30, 10, 255]
+    left, top, side = 28, 16, 48  # all that a cell of depth 3 sees of the disc
+    K = camera.K.copy()
+    K[:2, 2] -= left, top
+    size = side, side
+    part = octex.Camera.pinhole(size, pose=camera.world_to_camera, convention="opencv", K=K)
+    cropped = np.ascontiguousarray(picture[top : top + side, left : left + side])
+    whole, alone = (
+        octex.paint(texture, surface, octex.Projection(image, seen), max_depth=max_depth)
+        for image, seen in ((picture, camera), (cropped, part))
+    )
+    assert np.array_equal(whole.tree.arrays.flags, alone.tree.arrays.flags)
+    leaves = whole.tree.leaf_cells()
+    values = [each.channels["base_color"].values[leaves].astype(int) for each in (whole, alone)]
+    assert np.abs(values[0] - values[1]).max() <= 1  # the centre of the crop is rounded otherwise
+    assert whole.tree.n_leaves >= texture.tree.n_leaves

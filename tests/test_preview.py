@@ -10,6 +10,7 @@ import octex
 from octex.channels import BASE_COLOR, CHANNELS, decode, linear_to_srgb, srgb_to_linear
 from octex.errors import ArgumentError, OutputError
 from octex.preview import (
+    Viewpoint,
     draw_preview,
     panels,
     pictures,
@@ -434,3 +435,19 @@ def test_the_channel_most_like_a_colour_is_chosen():
     for first in range(4):
         formats = [CHANNELS[name] for name in reversed(order[first:])]
         assert Shown.of(formats).channel.name == order[first]
+
+
+def test_a_preview_is_drawn_from_where_it_is_asked_for(quarters):
+    surface = quarters[0]
+
+    def drawn(**view):
+        picture = draw_preview(surface, None, (90, 60), 1, view=Viewpoint(**view)).astype(int)
+        seen = np.ptp(picture, axis=2) > 60  # what has colours
+        return picture, seen
+
+    usual, large = drawn(direction=(0, 0, 1)), drawn(direction=(0, 0, 1), zoom=0.5)
+    assert 3 < usual[1].sum() / large[1].sum() < 5
+    turned = drawn(direction=(0, 0, 1), up=(0, -1, 0))[0]
+    for row, column in ((10, 37), (10, 53), (26, 37), (26, 53)):  # about the middle, (18, 45)
+        assert np.abs(turned[36 - row, 90 - column] - usual[0][row, column]).max() < 30
+    assert np.abs(turned[10, 37] - usual[0][10, 37]).max() > 100

@@ -9,6 +9,6 @@ from tests.random_adaptive import check
 
 
 @needs_jit
-@pytest.mark.parametrize("seed", [3, 5, 11, 20, 24, 25, 28, 43, 45, 53, 54, 55])
+@pytest.mark.parametrize("seed", [3, 5, 11, 20, 24, 25, 28, 43, 45, 53, 54, 55, 90156, 90261])
 def test_adaptive_textures_are_as_near_as_they_promise(seed: int) -> None:
     check(seed)

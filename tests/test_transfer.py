@@ -191,6 +191,16 @@ def in_half(points: Array) -> Array:
 
 
 @needs_jit
+def test_gaps_do_not_darken_averages_of_what_is_transparent_beside_them() -> None:
+    red, both = two_squares()
+    clear = octex.Transfer(red.with_sources({"alpha": 0.0}), distance=0.1)
+    texture, empty = leaves_and_gaps(both, 4, clear.sources)
+    assert empty > 0
+    assert (texture.channels["alpha"].values == 0).all()
+    np.testing.assert_array_equal(texture.channels["base_color"].values, [[255, 0, 0]] * texture.tree.n_cells)
+
+
+@needs_jit
 @pytest.mark.parametrize("alpha", [1.0, 0.5, in_half])
 @pytest.mark.parametrize("kind", ["transfer", "radius", "distance"])
 def test_alpha_from_elsewhere_does_not_fill_gaps(kind: str, alpha: Any) -> None:

@@ -24,7 +24,7 @@ from bench_adaptive import adaptive
 from bench_conversion import boombox, large, torus
 from bench_filtered import far, footprints, pages, stretched
 from bench_images import filters, materials
-from bench_lookups import kinds, lookup, questions, resident, today
+from bench_lookups import kinds, lookup, mixed, questions, resident, today
 from bench_painting import painting, ring
 from bench_processing import processing
 from bench_sources import cloud, transfer
@@ -44,6 +44,7 @@ BENCHMARKS = {
         psnr,
         lookup,
         questions,
+        mixed,
         kinds,
         resident,
         today,

@@ -25,6 +25,7 @@ from bench_tools import (
 
 import octex
 from octex.channels import ONE, ChannelFormat
+from octex.preview.pictures import rest_normals, seen_hits
 from octex.texture import Channel
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -246,6 +247,61 @@ def questions(setup: Setup, report: Report) -> None:
     calls = 100 if setup.quick else 3000
     taken = timed(lambda: [texture.sample(one) for _ in range(calls)])[0]
     report.at_most("questions: a call with one point", 1e6 * taken.cpu / calls, 25, "µs")
+
+
+#: Models whose lookups in adaptive and painted textures are compared with those in even ones.
+MIXED = ("BoomBox", "Avocado", "Suzanne")
+#: The least rates then, of that of as many points in an even tree: adaptive, painted.
+MIXED_RATES = {"along a view": (0.6, 0.7), "500 k at random": (0.7, 0.7), "3 k at random": (0.2, None)}
+
+
+def mixed(setup: Setup, report: Report) -> None:
+    """Lookups in adaptive textures, and where a tenth was painted more finely, beside even ones."""
+    depth, many, side = (5, 3000, 64) if setup.quick else (10, 500_000, 1024)
+    if not setup.models:
+        report.note("mixed: left out without --models")
+        return
+    for name in MIXED:
+        path = next(
+            (each for each in sorted(setup.models.rglob("*.gl*")) if each.name.startswith(name)), None
+        )
+        if path is None:
+            report.note(f"mixed: left out {name}, which is not there")
+            continue
+        surface = octex.load_surface(path).with_channels(["base_color"])
+        even = octex.convert(surface, depth, fit=False)
+        samples = surface.scatter(many)
+        points = np.ascontiguousarray(samples.rest, np.float32)
+        apart = np.linalg.norm(points - points[0], axis=1)
+        ball = octex.Sphere(tuple(points[0].tolist()), float(np.quantile(apart, 0.1)))
+        textures = {
+            "even": even,
+            "adaptive": octex.convert(surface, depth, max_error=2),
+            "painted": octex.fill(even, surface, ball, (1, 0, 0), max_depth=depth + 1),
+        }
+        camera = octex.Camera.fitted(surface.vertices, (0.5, 0.4, 1.0), size=(side, side))
+        hits = [hit.rest for _, hit in seen_hits(surface, camera, rest_normals(surface))]
+        report.title(f"mixed: {name} at depth {depth}, {even.tree.n_leaves:,} leaves, quadratic")
+        orders = np.concatenate(hits).astype(np.float32), points, points[:3000]
+        for (what, least), each in zip(MIXED_RATES.items(), orders, strict=True):
+            calls = max(100_000 // len(each), 1)
+            ask = {
+                kind: lambda texture=texture, each=each, calls=calls: timed(  # type: ignore[misc]
+                    lambda: [texture.sample(each) for _ in range(calls)]
+                )[0]
+                for kind, texture in textures.items()
+            }
+            for question in ask.values():
+                question()
+            with pinned({setup.core}):
+                spent = in_turns(ask, setup.repeats)
+            report.line(f"even, {what}", f"{millions(calls * len(each) / spent['even'].cpu)} lookups/s")
+            for kind, share in zip(("adaptive", "painted"), least, strict=True):
+                ratio = spent["even"].cpu / spent[kind].cpu
+                if share is None:
+                    report.line(f"{kind}, {what}", f"{ratio:.2f} of that")
+                else:
+                    report.at_least(f"mixed: {name}, {kind}, {what}", ratio, share, "of that")
 
 
 def resident(setup: Setup, report: Report) -> None:

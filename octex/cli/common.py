@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import shutil
 import signal
@@ -11,14 +10,13 @@ import threading
 import time
 import traceback
 import warnings
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, NoReturn, Self, TextIO
 
-from octex.errors import ArgumentError, ExitCode, InputError, ModelWarning, OctexError, OutputError
+from octex.errors import ExitCode, InputError, ModelWarning, OctexError, OutputError
 from octex.files import undo_all
 from octex.parallel import at_most
 
@@ -30,67 +28,6 @@ _NO_THREADS = {
 }
 #: Set to anything, it shows the traceback of an unexpected error.
 TRACEBACK_VARIABLE = "OCTEX_TRACEBACK"
-
-
-class Parser(argparse.ArgumentParser):
-    """An argument parser that refuses in one line, knows no abbreviations, and lists the exit codes.
-
-    Options may stand before, between and behind the files.
-    """
-
-    def __init__(self, **arguments: Any) -> None:
-        self._options: dict[str, argparse.Action] = {}
-        codes = "\n".join(f"  {code:3}  {code.meaning}" for code in ExitCode)
-        super().__init__(
-            allow_abbrev=False,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-            epilog=f"exit codes:\n{codes}",
-            **arguments,
-        )
-
-    def add_argument(self, *names: Any, **settings: Any) -> argparse.Action:
-        """Add an argument, as argparse does."""
-        action = super().add_argument(*names, **settings)
-        self._options.update(dict.fromkeys(action.option_strings, action))
-        return action
-
-    def error(self, message: str) -> NoReturn:
-        """Raise ArgumentError."""
-        raise ArgumentError(f"{message}; see {self.prog} --help")
-
-    def parsed(self, arguments: Sequence[str] | None) -> argparse.Namespace:
-        """Parse arguments in any order, those of the process for None; what follows -- is no option.
-
-        A value that an option may go without is one if it is a number. Raises ArgumentError.
-        """
-        words = deque(sys.argv[1:] if arguments is None else arguments)
-        options: list[str] = []
-        files: list[str] = []
-        while words:
-            word = words.popleft()
-            if word == "--":
-                files += words
-                break
-            action = self._options.get(word)
-            if action is None:
-                (options if word.startswith("-") and word != "-" else files).append(word)
-                continue
-            options.append(word)
-            if action.nargs is None and words and words[0] not in self._options:
-                options[-1] += f"={words.popleft()}"  # which may begin with a minus
-            elif action.nargs == "?" and words and _is_number(words[0]):
-                options[-1] += f"={words.popleft()}"
-            elif isinstance(action.nargs, int):
-                options += [words.popleft() for _ in range(min(action.nargs, len(words)))]
-        return self.parse_args([*options, "--", *files] if files else options)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 @contextmanager
@@ -205,15 +142,6 @@ def fail(command: str, message: str, code: ExitCode) -> ExitCode:
         with suppress(OSError):
             print(f"{command}: {' '.join(message.split())}", file=sys.stderr)
     return code
-
-
-def words_given(options: argparse.Namespace) -> list[str]:
-    """Return the words on the command line that were used, as the user knows them."""
-    return [
-        word if word.isupper() else "--" + word.replace("_", "-")
-        for word, value in vars(options).items()
-        if value is not None and value is not False and value != []
-    ]
 
 
 class Reporter:
@@ -348,9 +276,7 @@ def _announce_compilation(reporter: Reporter) -> Any:
         def on_start(self, _event: Any) -> None:
             if not self.said:
                 self.said = True
-                reporter.note(
-                    "compiling: a minute or two, this once (octree-convert --warm-up does it ahead)"
-                )
+                reporter.note("compiling: half a minute or more, this once (octex warm-up does it ahead)")
 
         def on_end(self, _event: Any) -> None:
             pass
@@ -370,7 +296,7 @@ def check_outputs(
     for a file that stands there already unless ``force`` is given, and for one that is also an input or twice
     an output.
     """
-    taken = {_identity(path): "an input" for path in inputs}
+    taken = {identity(path): "an input" for path in inputs}
     for path, endings, word in outputs:
         if path.is_dir():
             raise OutputError(f"{path}: is a folder; give {word} a file's name")
@@ -384,7 +310,7 @@ def check_outputs(
             raise InputError(f"{path}: {word} has {ending}; octex writes {' and '.join(known)} here")
         if not path.parent.is_dir():
             raise OutputError(f"{path}: there is no folder {path.parent}; make it first")
-        other = taken.setdefault(_identity(path), word)
+        other = taken.setdefault(identity(path), word)
         if other != word:
             raise OutputError(f"{path}: {word} is also {other}; give it another name")
         if path.exists() and not force:
@@ -393,7 +319,7 @@ def check_outputs(
             raise OutputError(f"{path}: the folder {path.parent} cannot be written")
 
 
-def _identity(path: Path) -> tuple[int, int] | Path:
+def identity(path: Path) -> tuple[int, int] | Path:
     """Return what two names of one file share."""
     with suppress(OSError):
         status = path.stat()

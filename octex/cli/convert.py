@@ -11,15 +11,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import octex
+from octex.ahead import ahead
 from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
-from octex.cli.convert_options import COMMAND, check_input, parser, work_of
+from octex.cli.convert_options import COMMANDS, CONVERT, check_input, work_of
 from octex.cli.diff import diff
 from octex.cli.inspect import info, validate
-from octex.cli.models import TEXTURE_ENDING, input_files, is_cloud, read_model
+from octex.cli.looking import viewpoint
+from octex.cli.models import TEXTURE_ENDING, input_files, kind_of, read_model
 from octex.cli.overlaps import overlaps, separated_as_json, separated_text
+from octex.cli.parser import Parser
 from octex.cli.process import others_of, processed
 from octex.cli.sets import convert_parts
-from octex.errors import ExitCode
+from octex.errors import ExitCode, InputError
 from octex.parallel import workers
 
 if TYPE_CHECKING:
@@ -28,34 +31,37 @@ if TYPE_CHECKING:
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
+COMMAND = "octree-convert"
 OUTPUT_ENDINGS = (TEXTURE_ENDING, ".ply")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run octree-convert and return its exit code (octex.errors.ExitCode)."""
-    return run(COMMAND, lambda: _main(parser().parsed(arguments)))
+def main(arguments: Sequence[str] | None = None, program: str = COMMAND, command: str = "convert") -> int:
+    """Run octree-convert, or one of COMMANDS, and return its exit code (octex.errors.ExitCode)."""
+    return run(program, lambda: _main(arguments, program, command))
 
 
-def _main(options: argparse.Namespace) -> int:
+def _main(arguments: Sequence[str] | None, program: str, command: str) -> int:
+    options = Parser(program, CONVERT).parse_args([])
+    vars(options).update(vars(Parser(program, COMMANDS[command]).parsed(arguments)))
+    if command == "edit" and options.INPUT.suffix.lower() != TEXTURE_ENDING:
+        raise InputError(f"{options.INPUT}: is no {TEXTURE_ENDING} file; octex convert makes one of a model")
+    options.warm_up |= command == "warm-up"
+    work = work_of(options, program)
     with limited(options.threads):
-        return _done(work_of(options), options)
+        if work == "--info":
+            return info(options.info, options.json)
+        if work == "--validate":
+            return validate(options.validate, options.json, options.quiet)
+        if work == "--diff":
+            return diff(program, options)
+        if work == "--overlaps":
+            return overlaps(program, options)
+        if work == "--warm-up":
+            return _warm_up(options.quiet, program)
+        return convert_parts(program, options) if options.parts else _convert(options, program)
 
 
-def _done(work: str, options: argparse.Namespace) -> int:
-    if work == "--info":
-        return info(options.info, options.json)
-    if work == "--validate":
-        return validate(options.validate, options.json, options.quiet)
-    if work == "--diff":
-        return diff(COMMAND, options)
-    if work == "--overlaps":
-        return overlaps(COMMAND, options)
-    if work == "--warm-up":
-        return _warm_up(options.quiet)
-    return convert_parts(COMMAND, options) if options.parts else _convert(options)
-
-
-def _convert(options: argparse.Namespace) -> int:
+def _convert(options: argparse.Namespace, program: str) -> int:
     began = time.perf_counter()
     found: Overlaps | None = None
     outputs: list[tuple[Path, tuple[str, ...], str]] = [(options.OUTPUT, OUTPUT_ENDINGS, "OUTPUT")]
@@ -65,16 +71,16 @@ def _convert(options: argparse.Namespace) -> int:
     model: PointCloud | Surface
     surface: Surface | None = None
     check_outputs(outputs, inputs, force=options.force)
-    kind = "texture" if options.INPUT.suffix.lower() == TEXTURE_ENDING else "model"
-    if kind == "model" and is_cloud(options.INPUT):
-        kind = "cloud"
-    check_input(options, kind)
+    kind = kind_of(options.INPUT)
+    check_input(options, kind, program)
     if options.depth is not None:
         from octex.checks import as_depth
 
         as_depth(options.depth, "--depth")
 
-    with Reporter(COMMAND, options.quiet) as progress:
+    stages = ("convert", "preview") if options.preview is not None else ("convert",)
+    is_shared = options.threads is None and kind == "model"
+    with Reporter(program, options.quiet) as progress, ahead(*stages if is_shared else ()):
         if kind == "texture":
             with workers() as executor:
                 texture = processed(options, executor)
@@ -105,7 +111,7 @@ def _convert(options: argparse.Namespace) -> int:
             from octex.preview import write_preview
 
             with progress.stage("draw"):
-                write_preview(options.preview, surface, texture)
+                write_preview(options.preview, surface, texture, view=viewpoint(options, options.INPUT))
         if options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
             with progress.stage("write"):
                 texture.save(options.OUTPUT)
@@ -162,11 +168,11 @@ def _say_what_was_made(
             say("\n".join(separated_text(texture, found)))
 
 
-def _warm_up(quiet: bool) -> int:
+def _warm_up(quiet: bool, program: str) -> int:
     from octex.cli.warm_up import warm_up
 
     began = time.perf_counter()
-    with Reporter(COMMAND, quiet, announce=False) as progress:
+    with Reporter(program, quiet, announce=False) as progress, ahead("warm-up"):
         warm_up(progress)
     if not quiet:
         say(f"compiled and cached in {time.perf_counter() - began:.1f} s")

@@ -1,11 +1,11 @@
-"""The options of octree-convert, and which go together."""
+"""The options of octree-convert and of the commands beside it, and which go together."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
-import octex
 from octex.cli.arguments import (
     AXES,
     DTYPES,
@@ -29,24 +29,233 @@ from octex.cli.arguments import (
     source,
     whole_number,
 )
-from octex.cli.common import Parser, words_given
+from octex.cli.looking import LOOKING, LOOKING_WORDS, check_looking
 from octex.cli.models import DEFAULT_FILTER, TEXTURE_ENDING, check_elsewhere, sources_of
 from octex.cli.overlaps import SEPARATE_CELLS
+from octex.cli.parser import Command, Option, option, words_given
 from octex.errors import ArgumentError
 
-COMMAND = "octree-convert"
+_OPTIONS = (
+    option(
+        "INPUT",
+        "the model, a cloud of points, an .octex file made before, or FILE.py:NAME, "
+        "a function of positions (n, 3), below 0 inside",
+        nargs="?",
+        type=Path,
+    ),
+    option(
+        "OUTPUT",
+        "NAME.octex, or NAME.ply: a coloured point a leaf, with normal; with --parts a folder",
+        nargs="?",
+        type=Path,
+    ),
+    option(
+        "--depth",
+        "levels below the root: cells of 1/2^N of its edge (default 10)",
+        metavar="N",
+        type=whole_number,
+    ),
+    option(
+        "--cell", "edge of the finest cells in the model's units, not --depth", metavar="SIZE", type=length
+    ),
+    option(
+        "--max-error",
+        "merge leaves where lookups then stay this near to what they were, in 8-bit codes, like 2",
+        metavar="CODES",
+        type=error_codes,
+    ),
+    option(
+        "--detail",
+        "go less deep where the pose stretches less than elsewhere, or where a channel is below 1 (1/2: "
+        "a level less); --source detail=mask.png paints one",
+        metavar="stretch|CHANNEL",
+    ),
+    option("--no-fit", "store plain averages; lookups are then softer", action="store_true"),
+    option("--rest", "the undeformed model, of the same topology as INPUT", metavar="MESH", type=Path),
+    option(
+        "--also",
+        "another model that shares the texture; any number of times",
+        metavar="MODEL",
+        type=Path,
+        action="append",
+    ),
+    option("--bounds", "where a surface that is a function lies: x0,y0,z0,x1,y1,z1", metavar="BOX", type=box),
+    option("--edge", "how long the triangles' edges are on such a surface", metavar="LENGTH", type=length),
+    option(
+        "--channels",
+        "what to convert or compare, like base_color,normal (default: all that there is)",
+        metavar="NAMES",
+        type=channel_names,
+    ),
+    option(
+        "--source",
+        "take a channel from an image, read at the model's texture coordinates, from a function of "
+        "positions (n, 3), base_color=wood.py:rings, or make it constant: roughness=0.5, "
+        "base_color=0.2,0.4,0.6 (linear light); any number of times",
+        metavar="CHANNEL=FILE",
+        type=source,
+        action="append",
+    ),
+    option(
+        "--project",
+        "read the images that --source gives by position, not at texture coordinates: "
+        f"{', '.join(PROJECTIONS)}",
+        metavar="KIND",
+        type=projection,
+    ),
+    option(
+        "--project-axis",
+        f"where a plane is seen from, or the other kinds' up: {', '.join(AXES)} (default z)",
+        metavar="AXIS",
+        type=axis,
+    ),
+    option(
+        "--project-center",
+        "where the picture's middle is, or what it goes around (default: the middle of the bounds)",
+        metavar="X,Y,Z",
+        type=position,
+    ),
+    option(
+        "--project-size",
+        "what one copy of the picture spans, in the model's units, or along x, y and z: 1,1,0.5 "
+        "(default: the bounds; for a box their largest extent)",
+        metavar="SIZE",
+        type=sizes,
+    ),
+    option(
+        "--transfer",
+        "take all channels that another model has where its surface is nearest",
+        metavar="MODEL",
+        type=Path,
+    ),
+    option(
+        "--cloud",
+        "take colours from points (.ply, .xyz, .npz): the nearest, or the mean of those in --radius",
+        metavar="POINTS",
+        type=Path,
+    ),
+    option("--radius", "how far points of --cloud count, in the model's units", metavar="R", type=length),
+    option(
+        "--max-distance",
+        "leave cells empty that are farther than this from what they would take values from",
+        metavar="D",
+        type=length,
+    ),
+    option(
+        "--max-angle",
+        "by how much normals may differ from where values are taken (default 180, 90 for points)",
+        metavar="DEGREES",
+        type=angle,
+    ),
+    option(
+        "--filter",
+        f"how images are read: {', '.join(FILTERS)} (default {DEFAULT_FILTER})",
+        metavar="NAME",
+        type=image_filter,
+    ),
+    option(
+        "--dtype",
+        f"what is stored: {', '.join(DTYPES)}; for some channels normal=uint16,emissive=float16 "
+        "(default uint8, float16 for light above 1)",
+        metavar="TYPE",
+        type=dtypes,
+    ),
+    option(
+        "--separate",
+        "move parts apart at rest that intersect or come nearer than so many of the finest cells "
+        f"(default {SEPARATE_CELLS:g}), so that their colours do not run together",
+        metavar="CELLS",
+        nargs="?",
+        const=SEPARATE_CELLS,
+        type=cells_apart,
+    ),
+    option(
+        "--parts",
+        "give each part a texture of its own, so that nothing bleeds: OUTPUT is a folder then",
+        action="store_true",
+    ),
+    option(
+        "--crop",
+        "of a texture: only the cells that meet a box, x0,y0,z0,x1,y1,z1 in rest positions",
+        metavar="BOX",
+        type=box,
+    ),
+    option(
+        "--combine",
+        "of a texture: lay another .octex file of the same root cell over it",
+        metavar="FILE",
+        type=Path,
+    ),
+    option(
+        "--mix",
+        "of a texture: mix it with another .octex file, of which there is AMOUNT, 0 to 1",
+        metavar="FILE=AMOUNT",
+        type=file_and_amount,
+    ),
+    option("--blur", "of a texture: blur it, in the model's units", metavar="WIDTH", type=length),
+    option(
+        "--levels",
+        "of a texture: base colour from BLACK to WHITE, encoded 0 to 1, becomes 0 to 1",
+        metavar="BLACK,WHITE[,GAMMA]",
+        type=levels,
+    ),
+    option("--preview", "draw the model beside the model from its octree", metavar="PNG", type=Path),
+    *LOOKING,
+    option("--force", "overwrite what exists", action="store_true"),
+    option("--threads", "threads to work on (default: all processors)", metavar="N", type=count),
+    option("--quiet", "print nothing but errors (and what --json asks for)", action="store_true"),
+    option("--json", "print the result as one JSON object", action="store_true"),
+    option(
+        "--diff",
+        "say how two textures, or a texture and a model, differ over the surface; --preview draws it. "
+        "The exit code is 0 whether they differ or not",
+        metavar=("A", "B"),
+        nargs=2,
+        type=Path,
+    ),
+    option(
+        "--points",
+        "points on the model to compare at (default 1,000,000); two textures are compared at all leaves",
+        metavar="N",
+        type=count,
+    ),
+    option(
+        "--overlaps",
+        "say which parts of a model intersect, or come nearer to each other than --margin. The exit "
+        "code is 0 whether some do or not",
+        metavar="MODEL",
+        type=Path,
+    ),
+    option(
+        "--margin",
+        "how near parts may come to each other, in the model's units (default: not at all)",
+        metavar="SIZE",
+        type=length,
+    ),
+    option("--info", "say what an .octex file or a folder of --parts holds", metavar="FILE", type=Path),
+    option(
+        "--validate",
+        "check that an .octex file, or each in a folder of --parts, is a sound octree, or say what is broken",
+        metavar="FILE",
+        type=Path,
+    ),
+    option("--warm-up", "compile everything now; later runs start at once", action="store_true"),
+)
 
-# Which options go with which work; INPUT and OUTPUT are options here too.
+# Which options go with what is done.
 _PROJECTION = {"--project", "--project-axis", "--project-center", "--project-size"}
 _ELSEWHERE = {"--transfer", "--cloud", "--radius", "--max-distance", "--max-angle"}
 _MATERIALS = {"--channels", "--source", "--filter", "--rest", "--also", "--bounds", "--edge"}
 _MATERIALS |= _PROJECTION | _ELSEWHERE
 #: What makes another texture of a texture alone.
 _OF_TEXTURES = {"--crop", "--combine", "--mix", "--blur", "--levels"}
+#: In the order in which they are done.
+_EDITS = ("--crop", "--depth", "--combine", "--mix", "--blur", "--levels", "--channels", "--dtype")
 _OF_ANYTHING = {"INPUT", "OUTPUT", "--depth", "--channels", "--dtype"}
-_OF_ANYTHING |= {"--preview", "--force", "--threads", "--quiet", "--json"}
-_OPTIONS = {
-    "a conversion": {"--cell", "--max-error", "--detail", "--no-fit", "--separate", "--parts"}
+_OF_ANYTHING |= LOOKING_WORDS | {"--preview", "--force", "--threads", "--quiet", "--json"}
+_CONVERSION = "a conversion"
+_WORDS = {
+    _CONVERSION: {"--cell", "--max-error", "--detail", "--no-fit", "--separate", "--parts"}
     | _OF_ANYTHING
     | _OF_TEXTURES
     | _MATERIALS,
@@ -56,276 +265,127 @@ _OPTIONS = {
     "--validate": {"--json", "--quiet"},
     "--warm-up": {"--quiet"},
 }
+_BY_WORD = {each.word: each for each in _OPTIONS}
 
 
-def parser() -> Parser:
-    """Return the parser of octree-convert's arguments."""
-    parser = Parser(
-        prog=COMMAND,
-        description="Convert a textured model (glTF, GLB, OBJ, PLY, OFF, STL), or coloured points (PLY, XYZ, "
-        "NPZ), to an octree texture.",
-        usage=f"{COMMAND} INPUT OUTPUT [--depth N | --cell SIZE] [--max-error CODES]\n"
-        f"{'':29}[--detail stretch|CHANNEL] [--no-fit] [--rest MESH] [--channels NAMES]\n"
-        f"{'':29}[--source CHANNEL=FILE ...] [--filter NAME] [--dtype TYPE]\n"
-        f"{'':29}[--also MODEL ...] [--bounds BOX --edge LENGTH]\n"
-        f"{'':29}[--project planar|box|cylindrical|spherical] [--project-axis AXIS]\n"
-        f"{'':29}[--project-center X,Y,Z] [--project-size SIZE]\n"
-        f"{'':29}[--transfer MODEL | --cloud POINTS [--radius R]] [--max-distance D]\n"
-        f"{'':29}[--max-angle DEGREES]\n"
-        f"{'':29}[--separate [CELLS] | --parts] [--preview PNG] [--force] [--threads N] [--quiet]\n"
-        f"{'':29}[--json]\n"
-        f"       {COMMAND} TEXTURE OUTPUT [--crop BOX] [--depth N] [--combine FILE] [--mix FILE=AMOUNT]\n"
-        f"{'':29}[--blur WIDTH] [--levels BLACK,WHITE[,GAMMA]] [--channels NAMES]\n"
-        f"{'':29}[--dtype TYPE] [--preview PNG] [--force] [--threads N] [--quiet] [--json]\n"
-        f"       {COMMAND} --diff A B [--channels NAMES] [--points N] [--rest MESH] [--filter NAME]\n"
-        f"{'':29}[--source CHANNEL=FILE ...] [--project KIND ...] [--preview PNG] [--force]\n"
-        f"{'':29}[--quiet] [--json]\n"
-        f"       {COMMAND} --overlaps MODEL [--margin SIZE] [--rest MESH] [--quiet] [--json]\n"
-        f"       {COMMAND} --info FILE [--json]\n"
-        f"       {COMMAND} --validate FILE [--quiet] [--json]\n"
-        f"       {COMMAND} --warm-up [--quiet]\n"
-        f"       {COMMAND} --version | --help",
+def _those(words: Iterable[str], **helps: str) -> list[Option]:
+    """Return options, some with a help of their own."""
+    settings = {word: _BY_WORD[word].settings for word in words if word.startswith("-")}
+    return [
+        option(word, **{**given, "help": helps.get(word[2:], given["help"])})
+        for word, given in settings.items()
+    ]
+
+
+def _alone(word: str, summary: str, file: str, *examples: str, usual: Collection[str] = ()) -> Command:
+    """Return the command that does what octree-convert does where it is given a word."""
+    settings = {**_BY_WORD[word].settings, "help": file}
+    if isinstance(settings["metavar"], tuple):
+        settings["metavar"] = " ".join(settings["metavar"])
+    return Command(
+        summary,
+        [option(word.lstrip("-"), **settings)],
+        _those(
+            [each for each in _BY_WORD if each in _WORDS[word]],
+            rest="the undeformed model, of the same topology",
+            preview="draw the difference",
+        ),
+        examples,
+        usual,
     )
-    add = parser.add_argument
-    add(
-        "INPUT",
-        nargs="?",
-        type=Path,
-        help="the model, a cloud of points, an .octex file made before, or FILE.py:NAME, "
-        "a function of positions (n, 3), below 0 inside",
-    )
-    add(
-        "OUTPUT",
-        nargs="?",
-        type=Path,
-        help="NAME.octex, or NAME.ply: a coloured point a leaf, with normal; with --parts a folder",
-    )
-    add(
-        "--depth",
-        metavar="N",
-        type=whole_number,
-        help="levels below the root: cells of 1/2^N of its edge (default 10)",
-    )
-    add(
-        "--cell",
-        metavar="SIZE",
-        type=length,
-        help="edge of the finest cells in the model's units, not --depth",
-    )
-    add(
-        "--max-error",
-        metavar="CODES",
-        type=error_codes,
-        help="merge leaves where lookups then stay this near to what they were, in 8-bit codes, like 2",
-    )
-    add(
-        "--detail",
-        metavar="stretch|CHANNEL",
-        help="go less deep where the pose stretches less than elsewhere, or where a channel is below 1 (1/2: "
-        "a level less); --source detail=mask.png paints one",
-    )
-    add("--no-fit", action="store_true", help="store plain averages; lookups are then softer")
-    add("--rest", metavar="MESH", type=Path, help="the undeformed model, of the same topology as INPUT")
-    add(
-        "--also",
-        metavar="MODEL",
-        type=Path,
-        action="append",
-        help="another model that shares the texture; any number of times",
-    )
-    add(
-        "--bounds",
-        metavar="BOX",
-        type=box,
-        help="where a surface that is a function lies: x0,y0,z0,x1,y1,z1",
-    )
-    add("--edge", metavar="LENGTH", type=length, help="how long the triangles' edges are on such a surface")
-    add(
-        "--channels",
-        metavar="NAMES",
-        type=channel_names,
-        help="what to convert or compare, like base_color,normal (default: all that there is)",
-    )
-    add(
-        "--source",
-        metavar="CHANNEL=FILE",
-        type=source,
-        action="append",
-        help="take a channel from an image, read at the model's texture coordinates, from a function of "
-        "positions (n, 3), base_color=wood.py:rings, or make it constant: roughness=0.5, "
-        "base_color=0.2,0.4,0.6 (linear light); any number of times",
-    )
-    add(
-        "--project",
-        metavar="KIND",
-        type=projection,
-        help="read the images that --source gives by position, not at texture coordinates: "
-        f"{', '.join(PROJECTIONS)}",
-    )
-    add(
-        "--project-axis",
-        metavar="AXIS",
-        type=axis,
-        help=f"where a plane is seen from, or the other kinds' up: {', '.join(AXES)} (default z)",
-    )
-    add(
-        "--project-center",
-        metavar="X,Y,Z",
-        type=position,
-        help="where the picture's middle is, or what it goes around (default: the middle of the bounds)",
-    )
-    add(
-        "--project-size",
-        metavar="SIZE",
-        type=sizes,
-        help="what one copy of the picture spans, in the model's units, or along x, y and z: 1,1,0.5 "
-        "(default: the bounds; for a box their largest extent)",
-    )
-    add(
-        "--transfer",
-        metavar="MODEL",
-        type=Path,
-        help="take all channels that another model has where its surface is nearest",
-    )
-    add(
-        "--cloud",
-        metavar="POINTS",
-        type=Path,
-        help="take colours from points (.ply, .xyz, .npz): the nearest, or the mean of those in --radius",
-    )
-    add("--radius", metavar="R", type=length, help="how far points of --cloud count, in the model's units")
-    add(
-        "--max-distance",
-        metavar="D",
-        type=length,
-        help="leave cells empty that are farther than this from what they would take values from",
-    )
-    add(
-        "--max-angle",
-        metavar="DEGREES",
-        type=angle,
-        help="by how much normals may differ from where values are taken (default 180, 90 for points)",
-    )
-    add(
-        "--filter",
-        metavar="NAME",
-        type=image_filter,
-        help=f"how images are read: {', '.join(FILTERS)} (default {DEFAULT_FILTER})",
-    )
-    add(
-        "--dtype",
-        metavar="TYPE",
-        type=dtypes,
-        help=f"what is stored: {', '.join(DTYPES)}; for some channels normal=uint16,emissive=float16 "
-        "(default uint8, float16 for light above 1)",
-    )
-    add(
-        "--separate",
-        metavar="CELLS",
-        nargs="?",
-        const=SEPARATE_CELLS,
-        type=cells_apart,
-        help="move parts apart at rest that intersect or come nearer than so many of the finest cells "
-        f"(default {SEPARATE_CELLS:g}), so that their colours do not run together",
-    )
-    add(
-        "--parts",
-        action="store_true",
-        help="give each part a texture of its own, so that nothing bleeds: OUTPUT is a folder then",
-    )
-    add(
-        "--crop",
-        metavar="BOX",
-        type=box,
-        help="of a texture: only the cells that meet a box, x0,y0,z0,x1,y1,z1 in rest positions",
-    )
-    add(
-        "--combine",
-        metavar="FILE",
-        type=Path,
-        help="of a texture: lay another .octex file of the same root cell over it",
-    )
-    add(
-        "--mix",
-        metavar="FILE=AMOUNT",
-        type=file_and_amount,
-        help="of a texture: mix it with another .octex file, of which there is AMOUNT, 0 to 1",
-    )
-    add("--blur", metavar="WIDTH", type=length, help="of a texture: blur it, in the model's units")
-    add(
-        "--levels",
-        metavar="BLACK,WHITE[,GAMMA]",
-        type=levels,
-        help="of a texture: base colour from BLACK to WHITE, encoded 0 to 1, becomes 0 to 1",
-    )
-    add("--preview", metavar="PNG", type=Path, help="draw the model beside the model from its octree")
-    add("--force", action="store_true", help="overwrite what exists")
-    add("--threads", metavar="N", type=count, help="threads to work on (default: all processors)")
-    add("--quiet", action="store_true", help="print nothing but errors (and what --json asks for)")
-    add("--json", action="store_true", help="print the result as one JSON object")
-    add(
+
+
+CONVERT = Command(
+    "Convert a textured model, or coloured points, to an octree texture.",
+    [_BY_WORD["INPUT"], _BY_WORD["OUTPUT"]],
+    [each for each in _OPTIONS if each.word.startswith("-")],
+    [
+        "droid.glb droid.octex --depth 10 --preview droid.png",
+        "statue.stl statue.octex --source base_color=wood.png --project box",
+    ],
+    usual=(
+        *("--depth", "--cell", "--max-error", "--channels", "--source", "--transfer", "--cloud"),
+        *("--separate", "--parts", "--preview", "--force", "--threads"),
+    ),
+    usages=[["INPUT", "OUTPUT"], *([word] for word in _WORDS if word != _CONVERSION)],
+)
+#: The commands of octex beside octree-paint; the first is octree-convert.
+COMMANDS = {
+    "convert": CONVERT,
+    "edit": Command(
+        "Make a texture from a texture; what is asked for is done in the order listed here.",
+        [
+            option("INPUT", "an .octex file", metavar="TEXTURE", type=Path),
+            option("OUTPUT", "NAME.octex, or NAME.ply: a coloured point a leaf, with normal", type=Path),
+        ],
+        _those(
+            [*_EDITS, *(word for word in _BY_WORD if word in _OF_ANYTHING.difference(_EDITS))],
+            depth="the averages of a coarser level",
+            channels="those to keep, like base_color,normal",
+            dtype=f"what is stored: {', '.join(DTYPES)}; for some channels normal=uint16",
+            preview="draw the texture",
+        ),
+        ["droid.octex coarse.octex --depth 7", "droid.octex worn.octex --levels 0.1,0.75,1.3 --blur 0.02"],
+    ),
+    "info": _alone(
+        "--info",
+        "Say what a texture holds, and where its bytes go.",
+        "an .octex file, or a folder of them as --parts makes it",
+        "droid.octex",
+        "droid.octex --json",
+    ),
+    "diff": _alone(
         "--diff",
-        metavar=("A", "B"),
-        nargs=2,
-        type=Path,
-        help="say how two textures, or a texture and a model, differ over the surface; --preview draws it. "
-        "The exit code is 0 whether they differ or not",
-    )
-    add(
-        "--points",
-        metavar="N",
-        type=count,
-        help="points on the model to compare at (default 1,000,000); two textures are compared at all leaves",
-    )
-    add(
-        "--overlaps",
-        metavar="MODEL",
-        type=Path,
-        help="say which parts of a model intersect, or come nearer to each other than --margin. The exit "
-        "code is 0 whether some do or not",
-    )
-    add(
-        "--margin",
-        metavar="SIZE",
-        type=length,
-        help="how near parts may come to each other, in the model's units (default: not at all)",
-    )
-    add("--info", metavar="FILE", type=Path, help="say what an .octex file or a folder of --parts holds")
-    add(
+        "Say how two textures, or a texture and a model, differ over the surface.",
+        "two .octex files, or one and a model; the exit code is 0 whether they differ or not",
+        "droid.octex droid.glb --preview difference.png",
+        "before.octex after.octex --channels base_color --json",
+        usual=("--channels", "--points", "--rest", "--preview", "--force", "--quiet", "--json"),
+    ),
+    "validate": _alone(
         "--validate",
-        metavar="FILE",
-        type=Path,
-        help="check that an .octex file, or each in a folder of --parts, is a sound octree, or say what is "
-        "broken",
-    )
-    add("--warm-up", action="store_true", help="compile everything now; later runs start at once")
-    add("--version", action="version", version=f"{COMMAND} {octex.__version__}")
-    return parser
+        "Check that a texture is sound, or say what is broken.",
+        "an .octex file, or a folder of them as --parts makes it",
+        "droid.octex",
+        "robot/ --quiet",
+    ),
+    "overlaps": _alone(
+        "--overlaps",
+        "Say which parts of a model intersect or nearly touch: their colours would run together.",
+        "the model; the exit code is 0 whether some do or not",
+        "robot.glb",
+        "robot.glb --margin 0.01",
+    ),
+    "warm-up": Command(
+        "Compile all that octex compiles; later runs start at once.", [], _those(_WORDS["--warm-up"]), [""]
+    ),
+}
 
 
-def work_of(options: argparse.Namespace) -> str:
-    """Return what is to be done, a key of _OPTIONS, or refuse options that make no sense together."""
+def work_of(options: argparse.Namespace, program: str) -> str:
+    """Return what is to be done, a key of _WORDS, or refuse options that make no sense together."""
     given = words_given(options)
-    work = next((word for word in given if word in _OPTIONS), "a conversion")
+    work = next((word for word in given if word in _WORDS), _CONVERSION)
     for word in given:
-        if word != work and word not in _OPTIONS[work]:
-            raise ArgumentError(f"{word} has no meaning with {work}; see {COMMAND} --help")
+        if word != work and word not in _WORDS[work]:
+            raise ArgumentError(f"{word} has no meaning with {work}; see {program} --help")
     if options.source is not None or not _PROJECTION.isdisjoint(given):
         sources_of(options)  # refuses what contradicts itself
     check_elsewhere(options)
-    if work == "a conversion":
+    check_looking(options)
+    if work == _CONVERSION:
         for word in ("INPUT", "OUTPUT"):
             if word not in given:
-                raise ArgumentError(f"{word} is missing; see {COMMAND} --help")
+                raise ArgumentError(f"{word} is missing; see {program} --help")
         if options.depth is not None and options.cell is not None:
             raise ArgumentError("--depth and --cell both say how fine the cells are; give one of them")
-        for word in ("--separate", "--preview"):
+        for word in ("--separate", "--preview", *sorted(LOOKING_WORDS)):
             if options.parts and word in given:
-                raise ArgumentError(f"{word} has no meaning with --parts; see {COMMAND} --help")
+                raise ArgumentError(f"{word} has no meaning with --parts; see {program} --help")
     return work
 
 
-def check_input(options: argparse.Namespace, kind: str) -> None:
+def check_input(options: argparse.Namespace, kind: str, program: str) -> None:
     """Refuse options that make no sense for what INPUT is: "texture", "cloud" or "model"."""
     given = words_given(options)
     for word in given:
@@ -341,5 +401,5 @@ def check_input(options: argparse.Namespace, kind: str) -> None:
     if kind == "texture" and is_same and options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
         raise ArgumentError(
             f"{options.INPUT}: is an octree texture already; --depth makes it coarser, --channels smaller; "
-            f"see {COMMAND} --help"
+            f"see {program} --help"
         )

@@ -46,6 +46,11 @@ def projected(
     given = [_projection(options, shot) for shot in shots]
     background = None if options.background is None else _background_value(options)
     layer = octex.project(surface, given, like=texture, **settings)
+    if texture is not None and layer.tree.n_leaves > texture.tree.n_leaves:
+        progress.note(
+            f"the paint has {layer.tree.n_leaves:,} leaves, the texture {texture.tree.n_leaves:,}; "
+            f"--max-depth {texture.tree.max_depth} paints with cells as small as the texture's"
+        )
     if background is None or not layer.tree.n_leaves:
         return texture, [layer]
     depth = layer.tree.max_depth if options.max_depth is None else options.max_depth
@@ -65,7 +70,12 @@ def projected(
 
 
 def _projection(options: argparse.Namespace, shot: Shot) -> Projection:
-    return octex.Projection(shot.path, shot.camera, shot.mask, blend=options.blend or "over")
+    since: Any = shot.since
+    if isinstance(since, bytes):
+        from octex.source.images.decode import decode_image
+
+        since = decode_image(since, f"the view in {options.camera[0]}")
+    return octex.Projection(shot.path, shot.camera, shot.mask, blend=options.blend or "over", since=since)
 
 
 def _background_value(options: argparse.Namespace) -> tuple[float, ...]:

@@ -101,13 +101,14 @@ def _elsewhere(options: argparse.Namespace) -> dict[str, object]:
     return {}
 
 
-def is_cloud(path: Path) -> bool:
-    """Say whether a file holds points, and no surface."""
-    if path.suffix.lower() not in (".ply", ".xyz", ".npz"):
-        return False  # known without an import
-    from octex.source.cloud import is_cloud
+def kind_of(path: Path) -> str:
+    """Return what a file holds: "texture", "cloud" for points without a surface, or "model"."""
+    ending = path.suffix.lower()
+    if ending in (".ply", ".xyz", ".npz"):  # else it is known without an import
+        from octex.source.cloud import is_cloud
 
-    return is_cloud(path)
+        return "cloud" if is_cloud(path) else "model"
+    return "texture" if ending == TEXTURE_ENDING else "model"
 
 
 def input_files(options: argparse.Namespace) -> list[Path]:
@@ -154,8 +155,14 @@ def _read(
 
 def posed_inputs(options: argparse.Namespace) -> list[Path]:
     """Return the files of a model that cameras see, and of the cameras."""
-    given = [options.MODEL, options.rest, None if options.camera is None else options.camera[0]]
+    cameras = None if options.camera is None else options.camera[0]
+    given = [options.MODEL, options.rest, cameras]
     return [path for path in given if path is not None]
+
+
+def new_texture(options: argparse.Namespace) -> str:
+    """Say that there is no texture yet."""
+    return "there is no texture yet" if options.TEXTURE is None else f"{options.TEXTURE} does not exist yet"
 
 
 def read_posed(options: argparse.Namespace) -> Surface:
@@ -178,7 +185,8 @@ def open_sound(path: Path) -> OctreeTexture:
 
 def texture_of(options: argparse.Namespace) -> OctreeTexture | None:
     """Open the texture of a model, if it is there."""
-    return open_sound(options.TEXTURE) if options.TEXTURE.exists() else None
+    is_there = options.TEXTURE is not None and options.TEXTURE.exists()
+    return open_sound(options.TEXTURE) if is_there else None
 
 
 def only(texture: OctreeTexture, channel: str) -> OctreeTexture:

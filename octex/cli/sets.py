@@ -13,7 +13,7 @@ from typing import Any
 import octex
 from octex.cli.common import Reporter, bytes_text, say
 from octex.cli.convert_options import check_input
-from octex.cli.models import TEXTURE_ENDING, is_cloud, read_model
+from octex.cli.models import TEXTURE_ENDING, kind_of, read_model
 from octex.errors import ArgumentError, ExitCode, OutputError
 
 INDEX = "set.json"  # as octex.texture.folder.INDEX
@@ -23,8 +23,7 @@ def convert_parts(command: str, options: argparse.Namespace) -> int:
     """Convert the parts of a model into a folder of textures of their own."""
     began = time.perf_counter()
     _check_folder(options.OUTPUT, force=options.force)
-    is_texture = options.INPUT.suffix.lower() == TEXTURE_ENDING
-    check_input(options, "texture" if is_texture else "cloud" if is_cloud(options.INPUT) else "model")
+    check_input(options, kind_of(options.INPUT), command)
     if options.depth is not None:
         from octex.checks import as_depth
 

@@ -23,6 +23,7 @@ class Shot(NamedTuple):
     path: Path
     camera: Camera
     mask: Path | None
+    since: Path | bytes | None  # the picture as it was: what has not changed is not painted
 
 
 def shots_of(options: argparse.Namespace, progress: Reporter) -> tuple[list[Shot], list[str]]:
@@ -42,10 +43,19 @@ def shots_of(options: argparse.Namespace, progress: Reporter) -> tuple[list[Shot
         except ImageError as error:
             raise ImageError(f"{error} (for frame {frame.name!r} of {frame.file})") from None
         try:
-            shots.append(Shot(path, frame.camera(size), mask))
+            since = _since(options, frame)
+            shots.append(Shot(path, frame.camera(size), mask, since))
         except CameraError as error:
             raise CameraError(f"{path}: {error}") from None
     return shots, missing
+
+
+def _since(options: argparse.Namespace, frame: Frame) -> Path | bytes | None:
+    """Return the picture as it was; None where all of it is painted, as on a new texture."""
+    if options.since is not None:
+        return Path(options.since)
+    is_new = options.TEXTURE is None or not options.TEXTURE.exists()
+    return None if options.whole or is_new else frame.view
 
 
 def _pairs(options: argparse.Namespace) -> tuple[list[tuple[Path, Frame]], list[str]]:
@@ -53,8 +63,8 @@ def _pairs(options: argparse.Namespace) -> tuple[list[tuple[Path, Frame]], list[
     from octex.view.camera_files import read_cameras
 
     file, name = options.camera
-    images: list[Path] = options.IMAGE
-    if name is not None and len(images) > 1:
+    images = [_image_and_frame(path) for path in options.IMAGE]
+    if name is not None and (len(images) > 1 or any(own is not None for _, own in images)):
         raise ArgumentError(
             f"--camera names one frame, {name!r}, for {len(images)} IMAGEs; leave the name out, and frames "
             "are found by the IMAGEs' file names"
@@ -62,10 +72,10 @@ def _pairs(options: argparse.Namespace) -> tuple[list[tuple[Path, Frame]], list[
     frames = read_cameras(file)
     if name is not None:
         frames = [frame_of(frames, name, file)]
-    if len(images) == 1 and len(frames) == 1:
-        return [(images[0], frames[0])], []
+    if len(images) == 1 and len(frames) == 1 and images[0][1] is None:
+        return [(images[0][0], frames[0])], []
     if images:
-        return [(image, frame_of(frames, image.as_posix(), file)) for image in images], []
+        return [(image, frame_of(frames, own or image.as_posix(), file)) for image, own in images], []
     own = [(frame.image, frame) for frame in frames if frame.image is not None]
     if not own:
         raise CameraError(f"{file}: does not say where the pictures of its cameras are; give IMAGEs")
@@ -76,6 +86,17 @@ def _pairs(options: argparse.Namespace) -> tuple[list[tuple[Path, Frame]], list[
             "IMAGEs"
         )
     return [(image, frame) for image, frame in own if image.is_file()], missing
+
+
+def images_of(options: argparse.Namespace) -> list[Path]:
+    """Return the pictures that are named."""
+    return [_image_and_frame(path)[0] for path in options.IMAGE]
+
+
+def _image_and_frame(path: Path) -> tuple[Path, str | None]:
+    """Read IMAGE=FRAME, or the name of a picture alone, which may have such a sign in it."""
+    image, sign, frame = str(path).rpartition("=")
+    return (Path(image), frame) if sign and image and frame and not path.exists() else (path, None)
 
 
 def frame_of(frames: Sequence[Frame], name: str, file: Path) -> Frame:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import time
 from pathlib import Path
@@ -10,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.cli.common import Reporter, bytes_text, check_outputs, say
-from octex.cli.models import DEFAULT_CHANNEL, only, posed_inputs, read_posed, texture_of
+from octex.cli.models import DEFAULT_CHANNEL, new_texture, only, posed_inputs, read_posed, texture_of
 from octex.cli.shots import frame_of
 from octex.errors import ArgumentError, ExitCode
+from octex.files import replacing
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,13 +34,14 @@ def view(command: str, options: argparse.Namespace) -> int:
     outputs: list[tuple[Path, tuple[str, ...], str]] = [(options.view, (".png",), "--view")]
     if options.camera_out is not None:
         outputs.append((options.camera_out, (".json",), "--camera-out"))
-    check_outputs(outputs, [*posed_inputs(options), options.TEXTURE], force=options.force)
+    textures = [] if options.TEXTURE is None else [options.TEXTURE]
+    check_outputs(outputs, [*posed_inputs(options), *textures], force=options.force)
     with Reporter(command, options.quiet) as progress:
         texture = texture_of(options)
         if texture is not None:
             texture = only(texture, options.channel or DEFAULT_CHANNEL)
         else:
-            progress.note(f"{options.TEXTURE} does not exist yet: the model is drawn grey, in some light")
+            progress.note(f"{new_texture(options)}: the model is drawn grey, in some light")
         with progress.stage("read"):
             surface = read_posed(options)
         camera = _view_camera(options, surface)
@@ -49,11 +52,14 @@ def view(command: str, options: argparse.Namespace) -> int:
             )
             camera = camera.undistorted
         with progress.stage("draw"):
-            codes = _draw(texture, surface, camera, options.channel or DEFAULT_CHANNEL)
+            shaded = options.shaded or texture is None
+            codes = _draw(texture, surface, camera, options.channel or DEFAULT_CHANNEL, shaded)
         with progress.stage("write"):
+            png = _png(codes)
             if options.camera_out is not None:
-                octex.write_cameras(options.camera_out, {options.view.name: camera})
-            _write_png(options.view, codes)
+                octex.write_cameras(options.camera_out, {options.view.name: camera}, {options.view.name: png})
+            with replacing(options.view) as file:
+                file.write(png)
     if not options.quiet or options.json:
         _say_what_was_drawn(options, camera, time.perf_counter() - began)
     return ExitCode.DONE
@@ -63,9 +69,17 @@ def _view_camera(options: argparse.Namespace, surface: Surface) -> Camera:
     """Return the camera that is given, or one from the front that sees the whole model."""
     from octex.view.camera_files import read_cameras
 
-    if options.camera is None:
-        return octex.Camera.fitted(surface.vertices, _DIRECTION, size=options.size or DEFAULT_SIZE)
-    file, name = options.camera
+    if options.camera is None and options.frame is None:
+        direction, up = options.direction or _DIRECTION, options.up or (0.0, 1.0, 0.0)
+        size = options.size or DEFAULT_SIZE
+        return octex.Camera.fitted(surface.vertices, direction, size=size, up=up).zoomed(options.zoom or 1.0)
+    file, name = options.camera or (options.MODEL, None)
+    for word in ("direction", "up"):
+        if getattr(options, word) is not None:
+            raise ArgumentError(f"--{word} and --camera both say where the camera is; give one of them")
+    if name is not None and options.frame is not None:
+        raise ArgumentError(f"--camera names the frame {name!r}; leave --frame out")
+    name = options.frame if name is None else name
     frames = read_cameras(file)
     frame = frames[0]
     if name is not None or len(frames) > 1:
@@ -75,55 +89,53 @@ def _view_camera(options: argparse.Namespace, surface: Surface) -> Camera:
         raise ArgumentError(
             f"--size is not that of frame {frame.name!r} of {file}, {width},{height}; leave --size out"
         )
-    return frame.camera(options.size)
+    size = options.size or (None if frame.size is not None else DEFAULT_SIZE)
+    camera = frame.camera(size)
+    return camera.zoomed(options.zoom) if options.zoom is not None else camera
 
 
 def _draw(
-    texture: OctreeTexture | None, surface: Surface, camera: Camera, channel: str
+    texture: OctreeTexture | None, surface: Surface, camera: Camera, channel: str, shaded: bool
 ) -> npt.NDArray[np.uint8]:
-    """Draw a channel at the pixels' centres: codes (height, width, 4).
+    """Draw a channel, or grey, at the pixels' centres, ``shaded`` or not: codes (height, width, 4).
 
     Alpha is the texture's, 0 beside the model; colours are not multiplied by it.
     """
     import numpy as np
 
     from octex.channels import encode
-    from octex.preview.looks import texture_look
+    from octex.preview.looks import Appearance, texture_look
     from octex.preview.pictures import rest_normals, seen_hits
     from octex.view.shading import corner_normals, face_normals, light
 
+    look = None
     if texture is not None:
         surface = surface.placed_in(texture)
         look = texture_look(texture, channel)
-    else:
+    if shaded:
         faces, _ = face_normals(surface.vertices, surface.triangles)
         smooth = corner_normals(surface.vertices, surface.triangles)
     codes = np.zeros((camera.height * camera.width, 4), np.uint8)
     for seen, hits in seen_hits(surface, camera, rest_normals(surface)):
-        coverage = None
-        if texture is not None:
-            appearance = look(hits)
-            colors, coverage = appearance.unlit(), appearance.coverage
-        else:
-            corners = surface.vertices[surface.triangles[hits.triangles]]
-            points = np.einsum("nk,nkc->nc", hits.barycentric, corners)
+        appearance = Appearance(np.full((len(seen), 3), 0.5)) if look is None else look(hits)
+        if shaded and appearance.reflected is not None:
+            points = surface.points_at(hits.triangles, hits.barycentric)
             normals = np.einsum("nk,nkc->nc", hits.barycentric, smooth[hits.triangles])
             lit = light(camera, points, faces[hits.triangles], normals)
-            colors = np.repeat(0.5 * lit[:, None], 3, axis=1)
-        codes[seen, :3] = encode(colors, "uint8", "srgb")
+            appearance = appearance._replace(reflected=appearance.reflected * lit[:, None])
+        codes[seen, :3] = encode(appearance.unlit(), "uint8", "srgb")
+        coverage = appearance.coverage
         codes[seen, 3] = 255 if coverage is None else encode(coverage, "uint8", "data")
     codes[codes[:, 3] == 0] = 0
     return codes.reshape(camera.height, camera.width, 4)
 
 
-def _write_png(path: Path, codes: npt.NDArray[np.uint8]) -> None:
+def _png(codes: npt.NDArray[np.uint8]) -> bytes:
     from PIL import Image
 
-    from octex.files import replacing
-
-    picture = Image.fromarray(codes)
-    with replacing(path) as file:
-        picture.save(file, "PNG")
+    file = io.BytesIO()
+    Image.fromarray(codes).save(file, "PNG")
+    return file.getvalue()
 
 
 def _say_what_was_drawn(options: argparse.Namespace, camera: Camera, seconds: float) -> None:

@@ -155,7 +155,7 @@ def convert(
             if not surface.source.alpha_is_coverage:
                 known = surface.coverage
                 coverage = fill(known, known.channels, placement, depth, pool, report, has_samples=False)
-            tree, values, samples, deepest, empty = without_gaps(tree, values, filled, coverage)
+            tree, values, samples, deepest, empty = without_gaps(tree, values, filled, placement, coverage)
             if not tree.n_leaves:
                 raise ModelError(
                     f"{surface.name}: its source is too far from all of it, or faces another way; allow more "

@@ -14,6 +14,7 @@ from octex.conversion.pieces import Pieces
 from octex.errors import ArgumentError, ModelError
 from octex.jit import kernel
 from octex.source.base import Source, by_channel
+from octex.source.corners import at_corners
 from octex.source.surface import Surface
 
 #: Says how deep to go at rest positions (n, 3): levels (n,), fractions allowed.
@@ -95,7 +96,7 @@ def _by_function(
     barycentric: npt.NDArray[np.float64],
     _widths: npt.NDArray[np.float32],
 ) -> npt.NDArray[np.float64]:
-    points = np.einsum("nc,ncx->nx", barycentric, rest[faces[triangles]])
+    points = at_corners(rest, faces[triangles], barycentric)
     try:
         levels = np.asarray(function(points), np.float64)
     except (TypeError, ValueError) as error:

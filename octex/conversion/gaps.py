@@ -11,9 +11,18 @@ import numpy.typing as npt
 from octex.channels import ALPHA, ONE, decode
 from octex.conversion.fill import Filled
 from octex.conversion.samples import Samples
+from octex.editing.averages import all_nodes, average
+from octex.editing.facings import average_rows
+from octex.texture import OctreeTexture
 from octex.texture.channel import Channel
-from octex.tree.edit import cull
-from octex.tree.octree import Octree
+from octex.tree.edit import among, cull
+from octex.tree.octree import Octree, distinct
+from octex.tree.placement import Placement
+
+Int64s = npt.NDArray[np.int64]
+
+#: The alpha of what hardly weighs more than gaps: what they add to others is lost in float32's rounding.
+_TRANSPARENT = 2.0**-20
 
 
 class Covered(NamedTuple):
@@ -27,7 +36,11 @@ class Covered(NamedTuple):
 
 
 def without_gaps(
-    tree: Octree, channels: Mapping[str, Channel], filled: Filled, coverage: Filled | None = None
+    tree: Octree,
+    channels: Mapping[str, Channel],
+    filled: Filled,
+    placement: Placement,
+    coverage: Filled | None = None,
 ) -> Covered:
     """Leave out the leaves that are gaps alone, and the nodes without any others; see ``Source.has_gaps``.
 
@@ -52,11 +65,32 @@ def without_gaps(
             )
             for name, channel in channels.items()
         }
+        _average_transparent(tree, channels, placement, filled.codes[~is_left[-filled.codes.size :]])
         samples = None if samples is None else samples.of(cells)
         wanted = None if wanted is None else wanted[cells]
     if samples is not None:
         samples = _with_bare_as_means(samples, channels)
     return Covered(tree, dict(channels), samples, wanted, empty)
+
+
+def _average_transparent(
+    tree: Octree, channels: Mapping[str, Channel], placement: Placement, gaps: Int64s
+) -> None:
+    """Make the colours of nodes anew, in place, that are transparent and had gaps, finest cells, below them.
+
+    A gap weighs as much as what is transparent: means of both are not those of what is left.
+    """
+    alpha = channels[ALPHA.name].values
+    texture = OctreeTexture(tree, channels, placement, np.zeros((2, 3)))
+    above = [distinct(gaps >> 3 * (tree.max_depth - level)) for level in range(tree.max_depth + 1)]
+    had = np.concatenate([among(codes, own) for (codes, _), own in zip(tree.walk(), above, strict=True)])
+    nodes = all_nodes(tree)
+    nodes = nodes.of(had[nodes.cells] & (decode(alpha[nodes.cells, 0], "data") < _TRANSPARENT))
+    for name, channel in channels.items():
+        if name != ALPHA.name and nodes.cells.size:
+            components = channel.format.components
+            average(tree, channel, alpha, np.zeros((nodes.cells.size, components)), nodes)
+            average_rows(texture, channel, np.zeros((len(channel.split_values), components)), nodes)
 
 
 def without_opaque(channels: Mapping[str, Channel]) -> dict[str, Channel]:

@@ -32,21 +32,36 @@ def exceeding(
 ) -> npt.NDArray[np.bool_]:
     """Say of each point whether a component of any channel differs by more than ``most`` codes.
 
+    Both are as ``apart`` takes them.
+    """
+    near: npt.NDArray[np.bool_] = np.abs(apart(found, source, channels)) <= most
+    far: npt.NDArray[np.bool_] = ~np.all(near, axis=1)  # what is not a number is far from anything
+    return far
+
+
+def apart(
+    found: npt.NDArray[np.float32], source: npt.NDArray[np.floating], channels: Sequence[ChannelFormat]
+) -> npt.NDArray[np.float32]:
+    """Return how many codes each component of points lies above the source (n, components).
+
     Both have the values (n, components) of ``channels`` side by side. Light is linear. Directions count both
-    as they are and as unit vectors, as lookups give them.
+    as they are and as unit vectors, as lookups give them: these come last.
     """
     source = np.ascontiguousarray(source, np.float32)
     ends = np.cumsum([0, *(form.components for form in channels)]).tolist()
     firsts = dict(zip((form.name for form in channels), ends, strict=False))
-    exceeds = np.zeros(len(source), np.bool_)
+    directions = [form for form in channels if form.space == "direction"]
+    differences = np.empty((len(source), ends[-1] + sum(form.components for form in directions)), np.float32)
+    last = ends[-1]
     for form in channels:
         alpha = firsts.get("alpha", -1) if form.name != "alpha" else -1
-        columns = firsts[form.name], firsts[form.name] + form.components
-        _mark(found, source, *columns, alpha, _KINDS[form.space], most, _CURVE, exceeds)
+        first, end = firsts[form.name], firsts[form.name] + form.components
+        _subtract(found, source, first, end, alpha, _KINDS[form.space], _CURVE, first, differences)
         if form.space == "direction":
-            units, wanted = _with_units(found, *columns), _with_units(source, *columns)
-            _mark(units, wanted, *columns, alpha, _DIRECTION, most, _CURVE, exceeds)
-    return exceeds
+            units, wanted = _with_units(found, first, end), _with_units(source, first, end)
+            _subtract(units, wanted, first, end, alpha, _DIRECTION, _CURVE, last, differences)
+            last += form.components
+    return differences
 
 
 def _with_units(values: npt.NDArray[np.float32], first: int, end: int) -> npt.NDArray[np.float32]:
@@ -73,23 +88,47 @@ def _code(value: float, kind: int, curve: npt.NDArray[np.float64]) -> float:
 
 
 @kernel
-def _mark(
+def _subtract(
     found: npt.NDArray[np.float32],
     source: npt.NDArray[np.float32],
     first: int,
     end: int,
     alpha: int,
     kind: int,
-    most: float,
     curve: npt.NDArray[np.float64],
-    exceeds: npt.NDArray[np.bool_],
+    column: int,
+    differences: npt.NDArray[np.float32],
 ) -> None:
     for n in range(found.shape[0]):
         coverage = 1.0 if alpha < 0 else np.float64(source[n, alpha])
         for component in range(first, end):
-            apart = _code(np.float64(found[n, component]), kind, curve) - _code(
-                np.float64(source[n, component]), kind, curve
+            differences[n, column + component - first] = coverage * (
+                _code(np.float64(found[n, component]), kind, curve)
+                - _code(np.float64(source[n, component]), kind, curve)
             )
-            if not abs(apart) * coverage <= most:  # what is not a number is far from anything
-                exceeds[n] = True
-                break
+
+
+@kernel
+def exceeding_between(
+    differences: npt.NDArray[np.float32], firsts: npt.NDArray[np.int64], most: float
+) -> npt.NDArray[np.bool_]:
+    """Say of each patch of points whether what is between them may differ by more than ``most``.
+
+    ``differences`` (n, columns) are those at the points of ``Samples.patches``, which begin at ``firsts``.
+    Between them they are taken for the quadratic polynomial on each triangle that has them at its six points;
+    it lies between its Bézier coefficients.
+    """
+    far = np.zeros(firsts.size - 1, np.bool_)
+    for patch in range(far.size):
+        first, end = firsts[patch], firsts[patch + 1]
+        for column in range(differences.shape[1]):
+            middle = differences[first, column]
+            near = abs(middle) <= most
+            for corner in range(first + 1, end, 3):
+                here = differences[corner, column]
+                after = differences[corner + 3 if corner + 3 < end else first + 1, column]
+                near &= abs(here) <= most
+                near &= abs(2.0 * differences[corner + 1, column] - 0.5 * (here + middle)) <= most
+                near &= abs(2.0 * differences[corner + 2, column] - 0.5 * (here + after)) <= most
+            far[patch] |= not near  # what is not a number is far from anything
+    return far

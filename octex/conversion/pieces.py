@@ -104,10 +104,14 @@ def _bin(
     triangles: npt.NDArray[np.int32],
     blocks: Blocks,
     depth: int,
-    bounds: npt.NDArray[np.int64],
+    most: int,
+    most_in_block: int,
     spread: npt.NDArray[np.int64],
 ) -> Blocks:
-    """Cut blocks into the blocks one step deeper; ``depth`` is the level of the new ones."""
+    """Cut blocks into the blocks one step deeper; ``depth`` is the level of the new ones.
+
+    ``most`` is the sum, ``most_in_block`` the largest of what `most_pieces` tells.
+    """
     shift = GRID_BITS - depth
     corners = np.empty((3, 3), np.int64)
     normal = np.empty(3, np.int64)
@@ -115,13 +119,11 @@ def _bin(
     columns = np.empty((BLOCK_EDGE * BLOCK_EDGE, 5), np.int64)
     origin = np.empty(3, np.int64)
     counts = np.zeros(BLOCK_CELLS, np.int64)
-    most = bounds.sum()
     codes = np.empty(min(most, blocks.codes.size * BLOCK_CELLS), np.int64)
     starts = np.empty(codes.size + 1, np.int64)
     n_blocks = 0
     members = np.empty(most, np.int32)
     n_members = 0
-    most_in_block = bounds.max() if bounds.size > 0 else 0
     pair_cells = np.empty(most_in_block, np.int32)
     pair_triangles = np.empty(most_in_block, np.int32)
     for block in range(blocks.codes.size):
@@ -173,7 +175,7 @@ def bin_triangles(grid: npt.NDArray[np.int32], triangles: npt.NDArray[np.int32],
     blocks = Blocks(np.zeros(1, np.int64), np.array([0, len(members)], np.int64), members)
     for level in block_levels(depth)[1:]:
         bounds = most_pieces(grid, triangles, blocks, level)
-        blocks = _bin(grid, triangles, blocks, level, bounds, SPREAD)
+        blocks = _bin(grid, triangles, blocks, level, int(bounds.sum()), int(bounds.max(initial=0)), SPREAD)
     return blocks
 
 

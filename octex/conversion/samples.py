@@ -25,8 +25,8 @@ from octex.tree.search import Origin
 #: Places in a cell are stored in steps of this part of its edge, shares of its area in steps of that, unit
 #: normals in steps of that.
 PLACE_STEPS, SHARE_STEPS, NORMAL_STEPS = 65536, 255, 127
-#: Points of a cell's rim, near the corners of the surface in it.
-RIM_POINTS = 4
+#: Most corners of the polygon in which a plane cuts a cell: six, and two of them twice.
+MOST_CORNERS = 8
 #: The least width over which the source is read, in cells. Half a cell costs 0.1 dB to points, and wins
 #: 1 dB against the source filtered to the cell.
 LEAST_WIDTH = 0.5
@@ -66,33 +66,23 @@ class Samples(NamedTuple):
             values=self.values[rows],
         )
 
-    def rims(self, chosen: npt.NDArray[np.int64], cells: npt.NDArray[np.int64]) -> Samples:
-        """Return samples at the rims of the cells (n,) of ``chosen`` ones (n,), RIM_POINTS for each.
+    def patches(self, chosen: npt.NDArray[np.int64], cells: npt.NDArray[np.int64]) -> Samples:
+        """Return points all over the cells (n,) of ``chosen`` samples (n,), and no values. Each n is a cell.
 
-        They lie in the plane of the surface at the chosen sample, and have no values. Each n is a cell.
+        They lie in the plane of the surface at the sample: the sample itself; then for each corner c of the
+        polygon in which the plane cuts the cell, in order around, c, the middle between c and the sample, and
+        that between c and the next corner. Triangles from the sample to the sides have a point at each corner
+        and in the middle of each side.
         """
-        places = (self.places[chosen] + 0.5) / PLACE_STEPS
-        normals = self.normals[chosen].astype(np.float64)
-        steep = np.abs(normals).argmax(axis=1)[:, None]
-        found = np.empty((chosen.size, RIM_POINTS, 3))
-        for corner in range(RIM_POINTS):
-            ends = np.empty((chosen.size, 3))
-            along = [(steep + 1) % 3, (steep + 2) % 3]
-            for axis, end in zip(along, (corner & 1, corner >> 1), strict=True):
-                np.put_along_axis(ends, axis, end, axis=1)
-            np.put_along_axis(ends, steep, np.take_along_axis(places, steep, 1), axis=1)
-            steps = ends - places
-            rise = -(normals * steps).sum(axis=1, keepdims=True) / np.take_along_axis(normals, steep, 1)
-            height = np.take_along_axis(places, steep, 1)
-            room = np.where(rise > 0, 1 - height, height)
-            part = np.minimum(1, room / np.maximum(np.abs(rise), 1e-9))
-            np.put_along_axis(steps, steep, rise, axis=1)
-            found[:, corner] = places + part * steps
+        firsts = np.zeros(chosen.size + 1, np.int64)
+        found = np.empty((chosen.size * (1 + 3 * MOST_CORNERS), 3), np.uint16)
+        normals = self.normals[chosen]
+        _patch(self.places[chosen], normals, firsts, found)
         return self._replace(
             codes=self.codes[cells],
-            firsts=np.arange(chosen.size + 1) * RIM_POINTS,
-            places=np.clip(found.reshape(-1, 3) * PLACE_STEPS, 0, PLACE_STEPS - 1).astype(np.uint16),
-            normals=np.repeat(self.normals[chosen], RIM_POINTS, axis=0),
+            firsts=firsts,
+            places=found[: firsts[-1]],
+            normals=np.repeat(normals, np.diff(firsts), axis=0),
             shares=self.shares[:0],
             values=self.values[:0],
         )
@@ -171,6 +161,66 @@ def sample_points(
 
 
 @kernel
+def _patch(
+    places: npt.NDArray[np.uint16],
+    normals: npt.NDArray[np.int8],
+    firsts: npt.NDArray[np.int64],
+    found: npt.NDArray[np.uint16],
+) -> None:
+    """Write the points of each sample's patch, and where they begin."""
+    corners = np.empty((MOST_CORNERS, 3), np.float64)
+    middle = np.empty(3, np.float64)
+    for n in range(places.shape[0]):
+        for axis in range(3):
+            middle[axis] = (places[n, axis] + 0.5) / PLACE_STEPS
+        count = cut(middle, normals[n, 0], normals[n, 1], normals[n, 2], corners)
+        at = firsts[n]
+        firsts[n + 1] = at + 1 + 3 * count
+        for axis in range(3):
+            found[at, axis] = places[n, axis]
+            for corner in range(count):
+                here, after = corners[corner, axis], corners[(corner + 1) % count, axis]
+                point = at + 1 + 3 * corner
+                found[point, axis] = _step(here, 0)
+                found[point + 1, axis] = _step((here + middle[axis]) / 2, 0)
+                found[point + 2, axis] = _step((here + after) / 2, 0)
+
+
+@inlined
+def cut(
+    middle: npt.NDArray[np.float64], x: float, y: float, z: float, corners: npt.NDArray[np.float64]
+) -> int:
+    """Write the polygon in which a plane cuts a cell, in order around, and return how many corners it has.
+
+    The plane goes through ``middle`` (3,), which lies in the cell, and has the normal x, y, z.
+    """
+    normal = (float(x), float(y), float(z))
+    up = 0 if abs(x) >= max(abs(y), abs(z)) else (1 if abs(y) >= abs(z) else 2)
+    along, across = (up + 1) % 3, (up + 2) % 3
+    steep = normal[up] if normal[up] != 0.0 else 1.0
+    slope, other = normal[along] / steep, normal[across] / steep
+    count = 0
+    for side in range(4):
+        a, b = float((side + 1) // 2 % 2), float(side // 2)
+        c, d = 1.0 - b, a
+        begin = middle[up] - slope * (a - middle[along]) - other * (b - middle[across])
+        end = middle[up] - slope * (c - middle[along]) - other * (d - middle[across])
+        low, high = 0.0, 1.0  # of the side, what lies in the cell
+        if begin != end:
+            bottom, top = -begin / (end - begin), (1.0 - begin) / (end - begin)
+            low, high = max(low, min(bottom, top)), min(high, max(bottom, top))
+        elif not 0.0 <= begin <= 1.0:
+            continue
+        for part in (low, high):
+            if low <= high and (part == low or part < 1.0):
+                corners[count, along] = a + part * (c - a)
+                corners[count, across] = b + part * (d - b)
+                corners[count, up] = min(max(begin + part * (end - begin), 0.0), 1.0)
+                count += 1
+    return count
+
+
+@kernel
 def _points(
     codes: npt.NDArray[np.int64],
     firsts: npt.NDArray[np.int64],
@@ -187,12 +237,25 @@ def _points(
         if not (firsts[cell] <= sample < firsts[cell + 1]):
             cell += 1  # mostly the next
             if cell >= codes.size or not (firsts[cell] <= sample < firsts[cell + 1]):
-                cell = np.searchsorted(firsts, sample, side="right") - 1
+                cell = _last_not_above(firsts, sample)
         i, j, k = decode(codes[cell])
         points[n, 0] = origin[0] + (i + (places[sample, 0] + 0.5) * step) * edge
         points[n, 1] = origin[1] + (j + (places[sample, 1] + 0.5) * step) * edge
         points[n, 2] = origin[2] + (k + (places[sample, 2] + 0.5) * step) * edge
     return points
+
+
+@inlined
+def _last_not_above(firsts: npt.NDArray[np.int64], sample: np.int64) -> np.int64:
+    """Return the place of the last of ascending numbers that is not above another."""
+    low, high = 0, firsts.size  # numpy's search compiles for half a second
+    while low < high:
+        middle = (low + high) // 2
+        if firsts[middle] <= sample:
+            low = middle + 1
+        else:
+            high = middle
+    return np.int64(low - 1)
 
 
 @kernel
@@ -208,7 +271,9 @@ def _largest(
     n_entries = 0
     for cell in range(flags.size):
         n_entries += popcount(np.uint64(flags[cell]))
-    largest = np.full((n_entries, 2), -1, np.int64)
+    largest = np.empty((n_entries, 2), np.int64)
+    for entry in range(n_entries):
+        largest[entry, 0] = largest[entry, 1] = -1
     totals = np.zeros(n_entries, np.float64)
     for piece in range(entries.size):
         entry = entries[piece]

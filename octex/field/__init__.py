@@ -9,9 +9,10 @@ A lookup goes through this room from left to right, a block of points at a time;
 
     footprints     field: chooses by tree; off the surface it goes to coarser levels
     looks at       ├── tiles · blocks · linear · spline    where all leaves have one depth
-    several        └── windows · refinement · neighborhood the walk: any tree, kept coefficients
-    levels
+    several        ├── windows · refinement · neighborhood the walk: any tree, kept coefficients
+    levels         └── bricks   source and sink in one, for many points at once where the walk would answer
 
+Trees of one depth that were painted more finely have tiles too: marked where the walk, or bricks, answer.
 `listing` is for others: the rows that lookups blend and their weights, or the rows that they read.
 `splines` has the weights. `refined` lists what cells below leaves refine from, for edits; `coefficients` is a
 way through the same field for conversions, whose samples lie close together one after another.

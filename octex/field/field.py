@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from octex.field.bricks import Tree
 from octex.field.linear import linear_taps, nearest_rows
 from octex.field.neighborhood import MOST_TAPS, Walk, new_walk, walked_taps
 from octex.field.sinks import list_taps
@@ -33,7 +34,7 @@ from octex.field.taps import (
     Taps,
     place_points,
 )
-from octex.field.tiles import Tiles, build_tiles, can_be_tiled
+from octex.field.tiles import Tiles, build_tiles, can_be_tiled, marked, painted_depth
 from octex.parallel import built_once
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -106,6 +107,25 @@ class Field:
     def tiles(self) -> Tiles | None:
         """Return the tree's tiles, built on first use; None for trees that cannot have them."""
         return build_tiles(self.tree) if can_be_tiled(self.tree) else None
+
+    @built_once
+    def painted(self) -> Tiles | None:
+        """Return the tiles of a tree of one depth painted more finely, marked where; None for others."""
+        depth = painted_depth(self.tree)
+        if depth < 0 or self.tiles is not None:
+            return None
+        tiles = self.level(depth).tiles
+        return None if tiles is None else marked(tiles, self.tree)
+
+    @built_once
+    def mixed(self) -> Tree:
+        """Return the tree as bricks are decoded from it, indexed on first use."""
+        return Tree.of(self.tree)
+
+    def tiles_for(self, filter_code: int) -> Tiles | None:
+        """Return the tiles that serve a filter: all of the points, or the most of them."""
+        tiles: Tiles | None = self.tiles
+        return self.painted if tiles is None and filter_code in (LINEAR, QUADRATIC) else tiles
 
     def taps(
         self, points: Points, placement: Placement, filter: str = "quadratic", *, gradient: bool = False
@@ -202,7 +222,7 @@ class Finder:
         """
         self._rows = rows
         n = len(places)
-        tiles = self.field.tiles
+        tiles = self.field.tiles_for(self.filter)
         most = MOST_TILED[self.filter] * n + 8 if tiles is not None else _WALKED * n + MOST_TAPS
         if self._taps is None or self._taps.starts.size < n:
             self._taps = Taps.of(n, most, self._gradient)
@@ -217,7 +237,7 @@ class Finder:
             return self._walked(places, taps, 0, self._all[:n])
         empty, rim = self._empty, self._rim
         end, n_empty, n_rim = self._tiled(tiles, self.field, places, self._all[:n], False, taps, 0, rim)
-        level = self.field.tree.max_depth
+        level = tiles.depth
         while n_empty:  # off the surface: the averages of the deepest level that has any there
             level -= 1
             above = self.field.level(level)

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from octex.field.blocks import GROUP, Near, find_tiles, new_near, tile_key
 from octex.field.taps import LEAST, Float32s, Float64s, Int64s, Memory, Taps, Uint32s, finish
-from octex.field.tiles import Tiles, code_in_tile
+from octex.field.tiles import Tiles, code_in_tile, is_marked
 from octex.jit import fused_kernel, inlined, popcount, prefetch
 from octex.tree.layout import GRID_BITS
 
@@ -168,6 +168,8 @@ def linear_taps(
                 total += weight * np.float32(is_stored)
                 stored |= int(is_stored) << tap
                 end += is_stored
+            if end > start and is_marked(tiles, int(taps.rows[start])):
+                total = np.float32(0.0)  # the walk answers
             if gradient:
                 _slope(steps, n, tiles.depth, stored, taps.slopes, start)
             point = which[begin + n]

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ColorSpace, decode
+from octex.field.bricks import Asked, Values, look_up_bricks, new_bricks, order_of
 from octex.field.field import Field, Finder
 from octex.field.footprints import Footprints, Looks, spread
 from octex.field.plain import look_up_plain
@@ -17,10 +18,14 @@ from octex.field.spline import QUADRATIC_TABLES, QUARTIC_TABLES
 from octex.field.splines import FILTERS
 from octex.field.stages import leave_mixed, weigh_by_area
 from octex.field.taps import BLOCK, Float32s, Int64s, Points, Taps, place_points
+from octex.field.windows import new_walk
 from octex.tree.placement import Placement
 
 Int32s = npt.NDArray[np.int32]
+Integers = npt.NDArray[np.int32 | np.int64]
 
+#: Points for which it is worth while to sort them.
+_LEAST_SORTED = 32
 #: What is no more than this of a weight is rounding.
 _ROUNDED = np.float32(1e-6)
 _NO_OWNERS = np.empty(0, np.int32)
@@ -75,8 +80,13 @@ def look_up(
     task = _Lookup(field, placement, query, channels, alpha, answers, gradients)
     if query.footprints is not None:
         return task.footprints(points, query.footprints)
-    (space, *more), is_bare = [channel.space for channel in channels], query.normals is None and not gradients
-    is_plain = is_bare and not more and space is None and (alpha is None or channels[0].is_alpha)
+    spaces, is_bare = [each.space for each in channels], query.normals is None and not gradients
+    if is_bare and field.tiles is None and query.filter == "quadratic" and len(points) >= _LEAST_SORTED:
+        alone = (
+            ([channel], alpha, [results], ()) for channel, results in zip(channels, answers, strict=True)
+        )
+        return max(_Lookup(field, placement, query, *each).mixed(points) for each in alone)
+    is_plain = is_bare and spaces == [None] and (alpha is None or channels[0].is_alpha)
     return task.plain(points) if is_plain and field.tiles is not None else task.leaves(points)
 
 
@@ -110,21 +120,49 @@ class _Lookup:
 
     def plain(self, points: Points) -> int:
         """Look up one channel's leaves, as far as tiles have them."""
-        (channel,), (results,), tiles = self._channels, self._answers, self._field.tiles
-        assert tiles is not None
+        (channel,), (results,), field = self._channels, self._answers, self._field
         missed = np.empty(len(points), np.int64)
         code, tables = FILTERS.index(self._query.filter), (QUADRATIC_TABLES, QUARTIC_TABLES)
+        tiles = field.tiles_for(code)
+        assert tiles is not None
         n_missed, fault = look_up_plain(
             *(code, tiles, tables, points, *self._placement),
             *(channel.codes, self._rows, results, missed),
         )
-        if fault >= 0 or not n_missed:
+        is_even = field.tiles is not None or n_missed < _LEAST_SORTED
+        look_up_rest = self.leaves if is_even else self.sorted
+        return self._rest(points, missed[:n_missed], look_up_rest) if fault < 0 else fault
+
+    def mixed(self, points: Points) -> int:
+        """Look up one channel's leaves, of several depths."""
+        (channel,), alpha = self._channels, self._alpha
+        if channel.space is not None:
+            return self.leaves(points)
+        if self._field.painted is not None and (alpha is None or channel.is_alpha):
+            return self.plain(points)
+        return self.leaves(points) if alpha is not None and alpha.space is not None else self.sorted(points)
+
+    def sorted(self, points: Points) -> int:
+        """Look up one channel's leaves in the order of space."""
+        (channel,), (results,) = self._channels, self._answers
+        alpha = None if channel.is_alpha or self._alpha is None else self._alpha.codes
+        places, missed = np.empty((len(points), 3)), np.empty(len(points), np.int32)
+        fault = place_points(points, *self._placement, places)
+        if fault >= 0:
             return fault
-        which = missed[:n_missed]
-        found = np.empty((n_missed, results.shape[1]), np.float32)
-        self._answers = [found]
-        self.leaves(points[which])
-        results[which] = found
+        asked = Asked(places, order_of(places), results, missed)
+        values = Values.of(channel.codes, alpha)
+        n_missed = look_up_bricks(self._field.mixed, values, asked, new_bricks(), new_walk())
+        return self._rest(points, missed[:n_missed], self.leaves)
+
+    def _rest(self, points: Points, which: Integers, look_up_rest: Callable[[Points], int]) -> int:
+        """Look up what is left of one channel's leaves."""
+        if which.size:
+            (results,) = self._answers
+            found = np.empty((which.size, results.shape[1]), np.float32)
+            self._answers = [found]
+            look_up_rest(points[which])
+            results[which] = found
         return -1
 
     def leaves(self, points: Points) -> int:

@@ -19,7 +19,7 @@ from octex.field.splines import (
     quartic_weights,
 )
 from octex.field.taps import LEAST, OFF, Bytes, Float32s, Float64s, Int64s, Memory, Taps, finish
-from octex.field.tiles import Tiles, code_in_tile
+from octex.field.tiles import Tiles, code_in_tile, is_marked
 from octex.jit import fused_kernel, inlined, kernel, popcount, prefetch, trailing_zeros
 from octex.tree.morton import encode
 from octex.tree.search import UNITS
@@ -293,6 +293,8 @@ def quadratic_taps(
             _find_window(tiles, group, n, 1, rows)
             start = end
             end, total = _take_word(group, n, 0, tables, 1, last, taps, end, np.float32(0.0))
+            if end > start and is_marked(tiles, int(taps.rows[start])):
+                total = np.float32(0.0)  # the walk answers
             point = which[begin + n]
             if total >= LEAST:
                 finish(taps, point, start, end, total, is_off)

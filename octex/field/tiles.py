@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.jit import inlined, kernel, popcount
-from octex.tree.morton import decode_cells
+from octex.tree.morton import decode, decode_cells
 from octex.tree.octree import Octree
 
 #: Deepest level of the dense grid, which then takes 128 kB.
@@ -32,6 +32,9 @@ Integer: TypeAlias = int | np.integer[Any]
 Groups = npt.NDArray[np.uint64]
 Masks = npt.NDArray[np.uint64]
 Firsts = npt.NDArray[np.uint32]
+Codes = npt.NDArray[np.int64]
+
+_NO_MARKS = np.empty(0, np.uint64)
 
 
 class Tiles(NamedTuple):
@@ -42,6 +45,8 @@ class Tiles(NamedTuple):
     top: npt.NDArray[np.int32]  # (8 ** top_level,)   the row of the tile below each place, x fastest
     masks: Masks  # (8 · rows,)
     firsts: Firsts  # (8 · rows,)
+    #: (words,) or (0,)   a bit for each cell: whether nodes may be near, below which the tree goes on
+    marks: Masks
 
 
 def can_be_tiled(tree: Octree) -> bool:
@@ -76,7 +81,43 @@ def build_tiles(tree: Octree) -> Tiles:
         top.reshape(-1),
         _joined(masks, np.uint64),
         _joined(firsts, np.uint32),
+        _NO_MARKS,
     )
+
+
+def painted_depth(tree: Octree) -> int:
+    """Return the first level with leaves of a tree of one depth that was painted more finely, −1 for others.
+
+    Most cells of that level are leaves, and no node above keeps a coefficient.
+    """
+    for level, (leaves, nodes) in enumerate(tree.cells_by_depth()):
+        if leaves:
+            kept = tree.kept.cells
+            is_bare = not kept.size or kept[0] >= tree.arrays.level_cells[level]
+            return level if level >= 3 and nodes < leaves and is_bare else -1
+    return -1
+
+
+def marked(tiles: Tiles, tree: Octree) -> Tiles:
+    """Mark the cells of a tree's tiles within two of a node, and some beyond."""
+    codes = tree.level_codes(tiles.depth)[tree.is_node(tiles.depth)] >> 6  # of octants
+    marks = np.zeros(int(tree.arrays.level_cells[tiles.depth + 1]) + 63 >> 6, np.uint64)
+    _mark(tiles, codes[np.flatnonzero(np.diff(codes, prepend=-1))], marks)
+    return tiles._replace(marks=marks)
+
+
+@kernel
+def _mark(tiles: Tiles, codes: Codes, marks: Masks) -> None:
+    """Mark the cells of octants, given by their Morton codes, and of all around them."""
+    for n in range(codes.size):
+        i, j, k = decode(codes[n])
+        for around in range(27):
+            a, b, c = i + around % 3 - 1, j + around // 3 % 3 - 1, k + around // 9 - 1
+            row = tile_row(tiles, a >> 1, b >> 1, c >> 1)
+            octant = 8 * row + (a & 1 | (b & 1) << 1 | (c & 1) << 2)
+            first = int(np.int64(tiles.firsts[octant]))
+            for cell in range(first, min(first + popcount(tiles.masks[octant]), 64 * marks.size)):
+                marks[cell >> 6] |= np.uint64(1) << np.uint64(cell & 63)
 
 
 def _one_tile(tree: Octree) -> Tiles:
@@ -86,7 +127,7 @@ def _one_tile(tree: Octree) -> Tiles:
     masks[0] = np.bitwise_or.reduce(np.uint64(1) << tree.level_codes(depth).astype(np.uint64))
     firsts[0] = tree.arrays.level_cells[depth]
     top = np.zeros(1, np.int32)
-    return Tiles(depth, 0, top, _joined([masks], np.uint64), _joined([firsts], np.uint32))
+    return Tiles(depth, 0, top, _joined([masks], np.uint64), _joined([firsts], np.uint32), _NO_MARKS)
 
 
 def _joined(parts: list[npt.NDArray[Any]], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
@@ -153,6 +194,15 @@ def code_in_tile(i: Integer, j: Integer, k: Integer) -> Any:
     Coordinates are taken from a tile's corner on, 0 … 15: from 8 on the octants are those of the next tiles.
     """
     return _spread(i) | _spread(j) << np.int32(1) | _spread(k) << np.int32(2)
+
+
+@inlined
+def is_marked(tiles: Tiles, cell: int) -> bool:
+    """Say whether nodes may be near a cell."""
+    word = cell >> 6
+    if word >= tiles.marks.size:
+        return False
+    return bool((tiles.marks[np.uint64(word)] >> np.uint64(cell & 63)) & np.uint64(1) != np.uint64(0))
 
 
 @inlined

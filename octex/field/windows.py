@@ -198,6 +198,7 @@ def _go_down(arrays: TreeArrays, walk: Walk, i: int, j: int, k: int, level: int,
     upper = i >> shift & 1 | (j >> shift & 1) << 1 | (k >> shift & 1) << 2
     for word in range(words):
         real[level, word] = nodes[level, word] = cells[level, word] = 0
+    all_real = all_nodes = all_cells = np.uint64(0)  # of the only word that blocks of 2³ parents have
     for word in range(words):
         above_nodes = nodes[level - 1, word]
         bits = above_nodes & PARENTS[parents - 2, above, word]
@@ -216,9 +217,18 @@ def _go_down(arrays: TreeArrays, walk: Walk, i: int, j: int, k: int, level: int,
             walk.first_nodes[level, slot] = int(np.int64(first_node)) + popcount(group_nodes & below)
             walk.first_cells[level, slot] = int(np.int64(first_cell)) + popcount(group_cells & below)
             at = np.uint64(8 * (slot & 7))
-            real[level, slot >> 3] |= BYTE << at
-            nodes[level, slot >> 3] |= (group_nodes >> np.uint64(in_group) & BYTE) << at
-            cells[level, slot >> 3] |= (group_cells >> np.uint64(in_group) & BYTE) << at
+            child_nodes = (group_nodes >> np.uint64(in_group) & BYTE) << at
+            child_cells = (group_cells >> np.uint64(in_group) & BYTE) << at
+            if parents == 2:
+                all_real |= BYTE << at
+                all_nodes |= child_nodes
+                all_cells |= child_cells
+            else:
+                real[level, slot >> 3] |= BYTE << at
+                nodes[level, slot >> 3] |= child_nodes
+                cells[level, slot >> 3] |= child_cells
+    if parents == 2:
+        real[level, 0], nodes[level, 0], cells[level, 0] = all_real, all_nodes, all_cells
     has_nodes = has_leaves = np.uint64(0)
     for word in range(words):
         has_nodes |= nodes[level, word] & INSIDE[parents - 2, begin, word]

@@ -61,6 +61,7 @@ def _tiles_of(arrays: LookupArrays, level: int) -> Tiles:
         arrays.tops[known[level, 1] : known[level, 2]],
         arrays.masks[rows],
         arrays.firsts[rows],
+        arrays.masks[:0],  # none is painted more finely
     )
 
 

@@ -18,7 +18,8 @@ from octex.editing.facings import Rows, average_rows, row_residuals
 from octex.texture import OctreeTexture
 from octex.texture.channel import Channel
 from octex.texture.split import find_rows
-from octex.tree.edit import locate
+from octex.tree.edit import among, locate
+from octex.tree.layout import SPLIT
 from octex.tree.octree import Octree, distinct
 
 Bools = npt.NDArray[np.bool_]
@@ -39,13 +40,18 @@ class Above(NamedTuple):
         return Above(*(each.of(chosen) for each in self))
 
 
-def nodes_above(tree: Octree, codes: Sequence[Int64s], before: Octree, layer: Octree) -> Above:
-    """Find the nodes above leaves, given by their Morton codes level by level."""
+def nodes_above(tree: Octree, codes: Sequence[Int64s], is_new: Bools, before: Octree, layer: Octree) -> Above:
+    """Find the nodes above leaves, given by their Morton codes level by level.
+
+    So are split nodes, old ones, above new cells (cells,): these may face other ways than what they divide.
+    """
     none = np.empty(0, np.int64)
     found = [Above(*[Nodes(none, none)] * 3)]
-    above = none
+    painted = none
+    turned = _split_above(tree, is_new, before)
     for level in range(len(codes) - 2, -1, -1):
-        above = distinct(np.concatenate([above, codes[level + 1]]) >> 3)
+        painted = distinct(np.concatenate([painted, codes[level + 1]]) >> 3)
+        above = distinct(np.concatenate([painted, turned[level]])) if level < len(turned) else painted
         where = [locate(each, above, level) for each in (tree, before, layer)]
         numbers = [np.where(each.levels == level, each.nodes, -1) for each in where]
         cells = where[0].cells, np.where(numbers[1] >= 0, where[1].cells, -1), where[2].cells
@@ -53,6 +59,22 @@ def nodes_above(tree: Octree, codes: Sequence[Int64s], before: Octree, layer: Oc
     columns = zip(*((column for each in level for column in each) for level in reversed(found)), strict=True)
     joined = [np.concatenate(column) for column in columns]
     return Above(*(Nodes(*joined[n : n + 2]) for n in (0, 2, 4)))
+
+
+def _split_above(tree: Octree, is_new: Bools, before: Octree) -> list[Int64s]:
+    """Return the codes of split nodes above new cells that were nodes before, by level."""
+    if not (is_new.any() and before.split.cells.size):
+        return []
+    found: list[Int64s] = []
+    above = np.empty(0, np.int64)
+    for level, (codes, is_node) in reversed(list(enumerate(tree.walk()))):
+        here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
+        is_split = is_node & (tree.arrays.flags[here] & SPLIT != 0)
+        where = locate(before, codes, level)
+        is_split &= (where.levels == level) & ~where.is_leaf
+        found.insert(0, codes[is_split & among(codes, above)])
+        above = distinct(np.concatenate([above, codes[is_new[here]]]) >> 3)
+    return found
 
 
 class Left(NamedTuple):

@@ -94,11 +94,11 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
     """
     name = painted_channel(layer)
     found = list(paint)
+    while len(found) <= tree.max_depth:
+        found.append(_no_paint(layer.channels[name].format.components))
     if all(locate(tree, each.codes, level).is_leaf.all() for level, each in enumerate(paint)):
         return found
     walk = list(tree.walk())
-    while len(found) < len(walk):
-        found.append(_no_paint(layer.channels[name].format.components))
     for level in range(len(walk) - 1):
         codes, is_node = walk[level]
         below = among(found[level].codes, codes[is_node])
@@ -145,6 +145,34 @@ def is_within(codes: Int64s, cells: Sequence[Int64s], level: int) -> npt.NDArray
     return found
 
 
+def are_beside(codes: Int64s, leaves: Sequence[Int64s], level: int) -> npt.NDArray[np.bool_]:
+    """Say which cells (n,) of a level have some of leaves, given by level, in or beside them."""
+    near = distinct(np.concatenate([codes, boundary(codes, level)]))
+    below = np.empty(0, np.int64)
+    for deeper in range(len(leaves) - 1, level - 1, -1):
+        own = leaves[deeper] >> 3 * (deeper - level)
+        below = np.concatenate([below, own[among(own, near)]])
+    taken = near[is_within(near, [*leaves[:level], distinct(below)], level)]
+    return among(codes, taken) | among(codes, boundary(taken, level))
+
+
+def among_at(codes: Int64s, level: int, others: Int64s, at: int) -> npt.NDArray[np.bool_]:
+    """Say which cells of a level lie in, or hold, others of level ``at``."""
+    if level < at:
+        return among(codes, distinct(others >> 3 * (at - level)))
+    return among(codes >> 3 * (level - at), others)
+
+
+def with_all_above(codes: Sequence[Int64s]) -> list[Int64s]:
+    """Return cells, given level by level, with all cells above them; ascending."""
+    found = []
+    above = np.empty(0, np.int64)
+    for own in reversed(codes):
+        found.append(distinct(np.concatenate([own, above])))
+        above = found[-1] >> 3
+    return found[::-1]
+
+
 def facings_within(codes: Int64s, paint: Sequence[Paint], level: int) -> npt.NDArray[np.uint8]:
     """Return which facings have paint in cells (n,) of a level, which may lie in larger painted ones."""
     found = np.zeros(codes.size, np.uint8)
@@ -178,40 +206,76 @@ def skirt_of(outer: Int64s, painted: Sequence[Int64s], ring: Int64s, met: Int64s
 
 
 def skirt_on_nothing(
-    absent: Int64s, tops: Int64s, painted: Sequence[Int64s], ring: Int64s, met: Int64s, level: int, top: int
+    absent: Int64s,
+    painted: Sequence[Int64s],
+    ring: Int64s,
+    met: Int64s,
+    unraised: Sequence[Int64s],
+    level: int,
+    top: int,
 ) -> Int64s:
     """Return those of cells below nothing whose whole surroundings, a cell of level ``top``, are free.
 
     A spline reaches half a cell beyond leaves, so that what was a leaf is refined to cells beside it too. A
-    single stored cell there makes all others below the same cell of level ``top`` count for nothing.
+    single stored cell there makes all others below the same cell of level ``top`` count for nothing, also
+    to what is beside it of ``unraised`` leaves, given by level.
     """
     shift = 3 * (level - top)
+    tops = distinct(absent >> shift)
     near = distinct(np.concatenate([tops, boundary(tops, top)]))
     outer = met[among(met >> shift, near)]
     outer = outer[~among(outer, ring) & ~is_within(outer, painted, level)]
     taken = distinct(np.concatenate([outer, boundary(outer, level)]) >> shift)
-    return absent[~among(absent >> shift, taken)]
+    free = tops[~among(tops, taken) & ~are_beside(tops, unraised, top)]
+    return absent[among(absent >> shift, free)]
 
 
-def with_skirt(paint: Paint, skirt: Int64s, level: int) -> Paint:
-    """Add a skirt: its paint is the mean of the paint beside it."""
+def paint_at(paint: Sequence[Paint], codes: Int64s, level: int) -> Paint:
+    """Return the paint in cells of a level, ascending: of larger ones and the mean of smaller ones too."""
+    components = paint[0].values.shape[1]
+    sums = np.zeros((codes.size, components + 2))
+    cells, facings = np.zeros(codes.size, np.int64), np.zeros(codes.size, np.uint8)
+    for at, each in enumerate(paint):
+        if at <= level:
+            own = codes >> 3 * (level - at)
+            rows = np.flatnonzero(among(own, each.codes))
+            there = np.searchsorted(each.codes, own[rows])
+        else:
+            inside = each.codes >> 3 * (at - level)
+            there = np.flatnonzero(among(inside, codes))
+            rows = np.searchsorted(codes, inside[there])
+        coverage = each.coverage[there, None]
+        parts = np.hstack([each.values[there] * coverage, coverage, np.ones_like(coverage)])
+        np.add.at(sums, rows, parts * 4.0 ** min(level - at, 0))
+        cells[rows] = each.cells[there]
+        np.bitwise_or.at(facings, rows, each.facings[there])
+    has = sums[:, -1] > 0
+    sums = sums[has]
+    values = (sums[:, :-2] / np.maximum(sums[:, -2:-1], 1e-30)).astype(np.float32)
+    coverage = (sums[:, -2] / sums[:, -1]).astype(np.float32)
+    return Paint(codes[has], values, coverage, cells[has], facings[has])
+
+
+def with_skirt(paint: Paint, skirt: Int64s, level: int, beside: Paint | None = None) -> Paint:
+    """Add a skirt: its paint is the mean of the paint beside it, of this paint unless another is given."""
     if not skirt.size:
         return paint
+    beside = paint if beside is None else beside
     values = np.zeros((skirt.size, paint.values.shape[1]))
     coverage, count = np.zeros(skirt.size), np.zeros(skirt.size)
     cells = np.zeros(skirt.size, np.int64)
     facings = np.zeros(skirt.size, np.uint8)
     for step in _AROUND:
-        beside = decode_cells(skirt) + step
-        inside = ((beside >= 0) & (beside < 1 << level)).all(axis=1)
-        codes = encode_cells(np.where(inside[:, None], beside, 0))
-        at = np.minimum(np.searchsorted(paint.codes, codes), paint.codes.size - 1)
-        hit = inside & (paint.codes[at] == codes)
-        values[hit] += (paint.values * paint.coverage[:, None])[at[hit]]
-        coverage[hit] += paint.coverage[at[hit]]
+        around = decode_cells(skirt) + step
+        inside = ((around >= 0) & (around < 1 << level)).all(axis=1)
+        codes = encode_cells(np.where(inside[:, None], around, 0))
+        at = np.minimum(np.searchsorted(beside.codes, codes), beside.codes.size - 1)
+        hit = inside & (beside.codes[at] == codes)
+        values[hit] += (beside.values * beside.coverage[:, None])[at[hit]]
+        coverage[hit] += beside.coverage[at[hit]]
         count[hit] += 1
-        cells[hit] = paint.cells[at[hit]]
-        facings[hit] |= paint.facings[at[hit]]
+        cells[hit] = beside.cells[at[hit]]
+        facings[hit] |= beside.facings[at[hit]]
     values /= np.maximum(coverage, 1e-30)[:, None]
     coverage /= np.maximum(count, 1)
     extra = Paint(skirt, values.astype(np.float32), coverage.astype(np.float32), cells, facings)

@@ -1,4 +1,4 @@
-"""Paint on kept coefficients: those that nothing but paint is refined from (paper 4.2)."""
+"""Paint on what only paint is refined from, or beside: kept coefficients (paper 4.2), and skirts."""
 
 from __future__ import annotations
 
@@ -8,11 +8,22 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.painting.cells import SKIRT, Paint, boundary, is_within
-from octex.tree.edit import among
+from octex.painting.cells import (
+    SKIRT,
+    Paint,
+    among_at,
+    are_beside,
+    boundary,
+    is_within,
+    paint_at,
+    with_all_above,
+    with_skirt,
+)
+from octex.tree.edit import among, locate
 from octex.tree.layout import FACING_FLAGS
 from octex.tree.octree import Octree, distinct
 
+Bools = npt.NDArray[np.bool_]
 Int64s = npt.NDArray[np.int64]
 Float32s = npt.NDArray[np.float32]
 
@@ -31,39 +42,80 @@ def on_kept(tree: Octree, paint: Sequence[Paint]) -> OnKept:
     It is the mean of the paint in them. The field reads their coefficients in cells off the surface, and from
     the cells beside them at most: nothing that is not painted depends on them.
     """
-    components = paint[0].values.shape[1]
-    rows, values = [np.empty(0, np.int64)], [np.empty((0, components + 1))]
-    codes_above: list[Int64s] = []  # painted cells, or cells above them, by level
-    above = np.empty(0, np.int64)
-    for each in reversed(paint):
-        above = distinct(np.concatenate([above >> 3, each.codes]))
-        codes_above.insert(0, above)
-    if tree.kept.cells.size:
-        bare = _bare(tree, paint)
-    for level, painted in enumerate(codes_above if tree.kept.cells.size else ()):
+    found: list[OnKept] = []
+    above = with_all_above([each.codes for each in paint])
+    bare = bare_leaves(tree, paint) if tree.kept.cells.size else []
+    for level, painted in enumerate(above):
         own = slice(*np.searchsorted(tree.kept.cells, tree.arrays.level_cells[level : level + 2]).tolist())
         if own.start == own.stop:
             continue
         first = int(tree.arrays.level_cells[level])
         codes = tree.level_codes(level)[tree.kept.cells[own].astype(np.int64) - first]
         chosen = among(codes, painted)
-        chosen[chosen] = ~_beside(codes[chosen], bare, level)
-        codes = codes[chosen]
-        sums = np.zeros((codes.size, components + 2))
-        for below in range(level, len(paint)):
-            inside = paint[below].codes >> 3 * (below - level)
-            there = among(inside, codes)
-            coverage = paint[below].coverage[there, None]
-            parts = np.hstack([paint[below].values[there] * coverage, coverage, np.ones_like(coverage)])
-            np.add.at(sums, np.searchsorted(codes, inside[there]), parts * 4.0 ** (level - below))
-        rows.append(np.flatnonzero(chosen) + own.start)
-        means = sums[:, :-2] / np.maximum(sums[:, -2:-1], 1e-30)
-        values.append(np.hstack([means, sums[:, -2:-1] / np.maximum(sums[:, -1:], 1e-30)]))
-    found = np.concatenate(values).astype(np.float32)
-    return OnKept(np.concatenate(rows), found[:, :-1], found[:, -1])
+        chosen[chosen] = ~are_beside(codes[chosen], bare, level)
+        inside = paint_at(paint, codes[chosen], level)
+        found.append(OnKept(np.flatnonzero(chosen) + own.start, inside.values, inside.coverage))
+    if not found:
+        return OnKept(np.empty(0, np.int64), paint[0].values[:0], paint[0].coverage[:0])
+    return OnKept(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
-def _bare(tree: Octree, paint: Sequence[Paint]) -> list[Int64s]:
+def with_old_skirts(tree: Octree, paint: Sequence[Paint]) -> list[Paint]:
+    """Add the skirts of earlier paint that are beside paint, which lies on leaves of a tree.
+
+    Beside them is no surface but what is painted, or beside paint itself.
+    """
+    found = list(paint)
+    if not tree.kept.cells.size:
+        return found
+    areas = tree.arrays.areas
+    cells = [locate(tree, each.codes, level).cells for level, each in enumerate(paint)]
+    painted = [each.codes[areas[own] != SKIRT] for each, own in zip(paint, cells, strict=True)]
+    bare: list[Int64s] = []
+    for level, (codes, is_node) in enumerate(tree.walk()):
+        here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
+        skirt = codes[~is_node & (areas[here] == SKIRT)]
+        skirt = skirt[_are_near(skirt, painted, level) & ~among(skirt, paint[level].codes)]
+        skirt = skirt[_touch(skirt, painted, level, half=True)]
+        if skirt.size:
+            bare = bare or bare_leaves(tree, paint)
+            around = boundary(skirt, level)
+            far = [own[among_at(own, at, around, level)] for at, own in enumerate(bare)]
+            far = [own[~_touch(own, painted, at)] for at, own in enumerate(far)]
+            skirt = skirt[~are_beside(skirt, far, level)]
+            found[level] = with_skirt(found[level], skirt, level, paint_at(paint, around, level))
+    return found
+
+
+def _are_near(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
+    """Say at a glance which cells (n,) of a level may reach leaves, given by level: by cells four as wide."""
+    if not codes.size:
+        return np.zeros(0, np.bool_)
+    top = max(level - 2, 0)
+    inside = [own >> 3 * (at - top) for at, own in enumerate(leaves) if at >= top]
+    coarse = [*leaves[:top], distinct(np.concatenate(inside))]
+    near = [distinct(np.concatenate([own, boundary(own, at)])) for at, own in enumerate(coarse)]
+    return is_within(codes >> 3 * (level - top), near, top)
+
+
+def _touch(codes: Int64s, leaves: Sequence[Int64s], level: int, *, half: bool = False) -> Bools:
+    """Say which cells (n,) of a level are beside some of leaves, given by level.
+
+    With ``half`` also those that are refined to beside some: to half a cell beyond themselves.
+    """
+    around = boundary(codes, level)
+    found = among(codes, boundary(around[is_within(around, leaves[: level + 1], level)], level))
+    for at in range(level + 1, len(leaves)):
+        own = leaves[at][among_at(leaves[at], at, around, level)]
+        near = distinct(np.concatenate([own, boundary(own, at)]))
+        if half:
+            near = distinct(near >> 3 * (at - level - 1))
+            near = np.concatenate([near, boundary(near, level + 1)]) >> 3
+        found |= among(codes, distinct(near if half else near >> 3 * (at - level)))
+    return found
+
+
+def bare_leaves(tree: Octree, paint: Sequence[Paint]) -> list[Int64s]:
     """Return leaves that the surface is in and not all of it painted, by level."""
     found = []
     for level, (codes, is_node) in enumerate(tree.walk()):
@@ -76,14 +128,3 @@ def _bare(tree: Octree, paint: Sequence[Paint]) -> list[Int64s]:
             is_bare[there] &= facings[there] & ~own != 0
         found.append(codes[is_bare])
     return found
-
-
-def _beside(codes: Int64s, leaves: Sequence[Int64s], level: int) -> npt.NDArray[np.bool_]:
-    """Say which cells (n,) of a level have some of leaves, given by level, in or beside them."""
-    near = distinct(np.concatenate([codes, boundary(codes, level)]))
-    below = np.empty(0, np.int64)
-    for deeper in range(len(leaves) - 1, level - 1, -1):
-        own = leaves[deeper] >> 3 * (deeper - level)
-        below = np.concatenate([below, own[among(own, near)]])
-    taken = near[is_within(near, [*leaves[:level], distinct(below)], level)]
-    return among(codes, taken) | among(codes, boundary(taken, level))

@@ -21,7 +21,7 @@ from octex.painting.averages import (
     residuals_of_paint,
 )
 from octex.painting.cells import Paint, paint_of, painted_channel, refine_paint
-from octex.painting.kept import on_kept
+from octex.painting.kept import on_kept, with_old_skirts
 from octex.painting.pictures import BLENDS, Blend
 from octex.painting.raising import Raised, raise_texture
 from octex.parallel import Progress, as_progress, workers
@@ -53,7 +53,11 @@ def merge(
 
     Each cell is blended once, in linear light, with the layer's coverage times ``opacity``; see BLENDS.
     Where the layer is finer the texture is raised to it, and keeps the coefficients that it had, so that the
-    field beside the paint does not move; those that only painted surface depends on are blended too.
+    field beside the paint does not move; those that only painted surface depends on are blended too. Less
+    than three of the coarser cells from unpainted surface some of what was there is seen through finer paint:
+    of white below black, where cells are halved, up to 0.18 in the second fine cell from the rim, 0.02 in the
+    fourth, 0.001 from the fifth on; where they are quartered, up to 0.4, 0.2 and 0.005. So near the rim what
+    is seen through half opaque paint is up to 0.04 off its half, from the fifth fine cell on.
     ``surface`` is the one that both were made on.
 
     Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
@@ -95,6 +99,7 @@ def merge(
         return given
     with own_making():
         paint = refine_paint(raised.paint, layer, raised.texture.tree, opacity)
+        paint = with_old_skirts(raised.texture.tree, paint)
         return _blended(texture, raised, paint, layer, target, blend, opacity)
 
 
@@ -176,7 +181,7 @@ def _blended(
     """Blend paint into the cells that it is on, once each (step 5), and average anew."""
     tree, is_fresh = raised.texture.tree, raised.is_fresh
     cells, values, coverage, sources = _on_leaves(tree, paint)
-    above = nodes_above(tree, [each.codes for each in paint], texture.tree, layer.tree)
+    above = nodes_above(tree, [each.codes for each in paint], raised.old < 0, texture.tree, layer.tree)
     may_split = _may_split(tree, layer.tree, cells, sources, above)
     base = raised.texture
     if may_split.size:
@@ -256,20 +261,21 @@ def _settled(
     """Keep those of the newly split cells that need it; average rows for the cells that are then split."""
     excess = _split_in_vain(after, new_split)
     found, channels = _writable(without_split(after, excess))
+    rows = rows_of(found.tree, above.nodes.cells)
     gone = rows_of(after.tree, excess).rows
-    for name, own in left_rows.items():  # areas of rows are rounded: they weigh otherwise than even parts
-        if gone.size:
-            average_rows(found, channels[name], np.delete(own, gone, axis=0), above.nodes)
+    left = {name: np.delete(own, gone, axis=0) for name, own in left_rows.items()}
     # Rows of other channels change where, or above where, cells are split or faced otherwise than before.
     was = np.where(above.before.cells >= 0, texture.tree.arrays.flags[above.before.cells], np.uint8(0))
     is_new = (found.tree.arrays.flags[above.nodes.cells] ^ was) & np.uint8(FACING_FLAGS | SPLIT) != 0
-    rows = rows_of(found.tree, above.nodes.cells)
-    if not rows.rows.size or not is_new.any():
+    if is_new.any() or excess.size < new_split.size:
+        for name in found.channels.keys() - left.keys():
+            left[name] = np.zeros(channels[name].split_values.shape)
+            own = residuals_before(texture, raised.texture, name, above, raised.is_fresh, rows)
+            left[name][rows.rows] = own.rows
+    elif not gone.size:
         return found
-    for name in found.channels.keys() - left_rows.keys():
-        left = np.zeros((found.tree.split.areas.size, found.channels[name].format.components))
-        left[rows.rows] = residuals_before(texture, raised.texture, name, above, raised.is_fresh, rows).rows
-        average_rows(found, channels[name], left, above.nodes)
+    for name in sorted(left, key=lambda name: name != ALPHA.name):  # the others weigh by alpha's rows
+        average_rows(found, channels[name], left[name], above.nodes)
     return found
 
 

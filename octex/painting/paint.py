@@ -30,6 +30,8 @@ from octex.tree.placement import Placement
 
 #: Pictures get no deeper than this on their own: cells of a 16,000th of the model.
 _DEEPEST = 14
+#: Cells of half a pixel are painted by pixels so far from them at most.
+_REACH = 4
 
 
 def paint(
@@ -153,7 +155,10 @@ def project(
         source = Projected(shots, form, terms, *mesh, stretches, shading=shading_of(surface))
         extent = float(np.ptp(surface.bounds, axis=0).max())
         size = like.placement.size if like is not None else extent
-        depth = min(wanted_depth(source, size), deepest)
+        finest = wanted_depth(source.near_paint(_REACH), size)
+        depth = min(finest, deepest)
+        # Larger cells look farther around: by as many pixels as they are wide, and those of the level read.
+        source = source.near_paint(_REACH << max(finest - depth, 0))
         placement = Placement.around(surface.bounds, depth) if like is None else like.placement
         if like is not None:
             check_inside(surface, placement)

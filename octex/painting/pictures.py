@@ -45,6 +45,8 @@ class Projection:
     mask       another image of that size, white where paint goes, black where none does; grey is in between
     opacity    0 … 1, multiplies the alpha
     blend      how paint meets what is there: one of BLENDS
+    since      the picture as it was before it was drawn on, of the same size: only pixels that differ from it
+               are painted
     """
 
     image: Image
@@ -52,6 +54,7 @@ class Projection:
     mask: Image | None = None
     opacity: float = 1.0
     blend: Blend = "over"
+    since: Image | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.camera, Camera):
@@ -85,7 +88,11 @@ def levels_of(projection: Projection, form: ChannelFormat, scale: float = 1.0) -
     texels = _texels(projection.image, "the image")
     _check_size(texels, width, height, projection.name)
     pixels = _decoded(texels, form)
-    factor = np.float32(scale)
+    factor: np.float32 | Floats = np.float32(scale)
+    if projection.since is not None:
+        before = _texels(projection.since, "the picture as it was")
+        _check_size(before, width, height, _name_of(projection.since, "the picture as it was"))
+        factor = factor * (pixels != _decoded(before, form)).any(axis=2)
     if projection.mask is not None:
         mask = _texels(projection.mask, "the mask")
         _check_size(mask, width, height, _name_of(projection.mask, "the mask"))

@@ -109,6 +109,23 @@ def in_fixed_order(shots: Sequence[Shot]) -> list[Shot]:
     return sorted(shots, key=digest) if len(shots) > 1 else list(shots)
 
 
+def _near_paint(shot: Shot, reach: int) -> Shot:
+    """Return a shot that sees nothing where its picture is transparent; as it is if a lens bends that."""
+    width, height = shot.levels.sizes[0, 1:]
+    has_paint = shot.levels.pixels[: width * height, 3].reshape(height, width) > 0
+    if shot.lens[9:13].any() or has_paint.all():
+        return shot
+    for axis in (0, 1):  # a square around each pixel: sums along rows, then along columns
+        ends = np.arange(has_paint.shape[axis])
+        sums = np.cumsum(has_paint, axis=axis, dtype=np.int32)
+        last = np.take(sums, np.minimum(ends + reach, ends[-1]), axis=axis)
+        before = np.take(sums, np.maximum(ends - reach - 1, 0), axis=axis)
+        before[(slice(None),) * axis + (ends <= reach,)] = 0
+        has_paint = last > before
+    triangle = np.where(has_paint, shot.seen.triangle, np.int32(-1))
+    return shot._replace(seen=shot.seen._replace(triangle=triangle))
+
+
 def terms_of(max_angle: float, feather: float, back_faces: bool) -> Terms:
     """Return terms for angles in degrees between the surface's normal and what looks at it."""
     vanishing, fading = np.radians(max_angle), np.radians(max(max_angle - FADE, 0.0))
@@ -152,6 +169,13 @@ class Projected(PaintSource):
     def with_gains(self, gains: npt.NDArray[np.float32]) -> Projected:
         """Return the same paint with other gains."""
         return Projected(self._shots, self._channels[0], self._terms, *self._mesh, gains, self._shading)
+
+    def near_paint(self, reach: int) -> Projected:
+        """Return the same paint; pixels without any as far around as ``reach`` see nothing."""
+        shots = [_near_paint(shot, reach) for shot in self._shots]
+        if all(new is shot for new, shot in zip(shots, self._shots, strict=True)):
+            return self
+        return Projected(shots, self._channels[0], self._terms, *self._mesh, self._gains, self._shading)
 
     @cached_property
     def _normals(self) -> npt.NDArray[np.float32]:

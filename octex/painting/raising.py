@@ -17,6 +17,7 @@ from octex.errors import ModelError, own_making
 from octex.painting.cells import (
     SKIRT,
     Paint,
+    are_beside,
     beside_larger,
     boundary,
     facings_within,
@@ -25,9 +26,11 @@ from octex.painting.cells import (
     skirt_of,
     skirt_on_nothing,
     some,
+    with_all_above,
     with_skirt,
 )
 from octex.painting.flat import Flat
+from octex.painting.kept import bare_leaves
 from octex.painting.near import touching
 from octex.parallel import Progress
 from octex.source.surface import Surface
@@ -108,9 +111,13 @@ def _raised(
     tree = texture.tree
     none = np.empty(0, np.int64)
     shallowest = next((level for level, (leaves, _) in enumerate(tree.cells_by_depth()) if leaves), None)
+    coarsest = 0 if shallowest is None else shallowest  # of what the field is refined from
+    if tree.kept.cells.size:
+        first_kept = np.searchsorted(tree.arrays.level_cells, tree.kept.cells[0], side="right") - 1
+        coarsest = min(coarsest, int(first_kept))
     added: list[Int64s] = []
     below: list[Int64s] = []
-    virtual: list[Int64s] = []  # beside paint: refined from what is above, or skirts of earlier paint
+    virtual: list[Int64s] = []  # beside paint: refined from what is above
     rings: list[Int64s] = []  # beside paint: stored
     absent: list[Int64s] = []  # beside paint below leaves: where nothing is
     tops: list[tuple[int, Int64s]] = []
@@ -127,9 +134,9 @@ def _raised(
             around = boundary(each.codes, level)
             where = locate(tree, around, level)
             flags = tree.arrays.flags[where.cells]
-            is_refined = (where.levels < level) & (where.is_leaf | (flags & KEPT != 0))
-            is_skirt = (where.levels == level) & where.is_leaf & (tree.arrays.areas[where.cells] == SKIRT)
-            virtual[-1] = around[is_refined | is_skirt]
+            is_skirt = where.is_leaf & (tree.arrays.areas[where.cells] == SKIRT)  # see kept.with_old_skirts
+            is_refined = (where.levels < level) & (where.is_leaf | (flags & KEPT != 0)) & ~is_skirt
+            virtual[-1] = around[is_refined]
             rings[-1] = around[(where.levels == level) & ~is_skirt]
             is_absent = (where.levels < level - 1) & ~where.is_leaf & (flags & KEPT == 0)
             absent[-1] = around[is_absent & among(around, boundary(below[-1], level))]
@@ -140,8 +147,11 @@ def _raised(
     depth = max((level for level, each in enumerate(paint) if each.codes.size), default=0)
     met = _met_cells(surface, texture, tops, depth, executor, progress)
     # New cells of paint, and what is above them, count as met: whatever the surface says, no skirt holds any.
-    new = _with_all_above([np.concatenate([below[level], added[level]]) for level in range(depth + 1)])
+    new = with_all_above([np.concatenate([below[level], added[level]]) for level in range(depth + 1)])
     painted = [each.codes for each in paint]
+    above = with_all_above(painted)
+    has_absent = any(codes.size for codes in absent)
+    unraised, bare = _bare(tree, paint, above, tops, met) if has_absent else ([], [])
     wanted: list[Int64s] = []
     skirts: list[Int64s] = []  # none lies in another
     with_skirts: list[Paint] = []
@@ -153,12 +163,12 @@ def _raised(
         if (outer.size or absent[level].size) and level <= tree.max_depth:
             surface_cells = distinct(np.concatenate([surface_cells, _facing_cells(tree, level)]))
         skirt = skirt_of(outer, painted, ring, surface_cells, level)
-        where = locate(tree, absent[level], level)
         extra = [none]
-        for top in (np.flatnonzero(np.bincount(where.levels)) + 1).tolist():
-            here = absent[level][where.levels == top - 1]
-            tops_here = distinct(here >> 3 * (level - top))
-            extra.append(skirt_on_nothing(here, tops_here, painted, ring, surface_cells, level, top))
+        here = absent[level][_is_beside_old(absent[level], level, above, bare, coarsest)]
+        roots = np.maximum(locate(tree, here, level).levels + 1, coarsest)
+        for top in distinct(roots).tolist():
+            own = here[roots == top]
+            extra.append(skirt_on_nothing(own, painted, ring, surface_cells, unraised[:level], level, top))
         skirt = np.sort(np.concatenate([skirt, *extra]))
         skirt = skirt[~is_within(skirt, skirts, level) & ~among(skirt, new[level])]
         where = locate(tree, skirt, level)
@@ -172,20 +182,56 @@ def _raised(
         with_skirts.append(with_skirt(each, skirt[is_free], level))
         added[level] = np.sort(np.concatenate([added[level], skirt[is_free & is_new & ~where.is_leaf]]))
         wanted.append(distinct(np.concatenate([below[level], raised_ring, skirt[is_new & where.is_leaf]])))
-    kinds = met.codes, new, _with_all_above(skirts)
+    kinds = met.codes, new, with_all_above(skirts)
     stored = [distinct(np.concatenate(each)) for each in zip(*kinds, strict=True)]
     with own_making():
         return raised(tree, wanted, stored, added), with_skirts, met
 
 
-def _with_all_above(codes: Sequence[Int64s]) -> list[Int64s]:
-    """Return cells, given level by level, with all cells above them; ascending."""
-    found = []
-    above = np.empty(0, np.int64)
-    for own in reversed(codes):
-        found.append(distinct(np.concatenate([own, above])))
-        above = found[-1] >> 3
-    return found[::-1]
+def _bare(
+    tree: Octree,
+    paint: Sequence[Paint],
+    above: Sequence[Int64s],
+    tops: Sequence[tuple[int, Int64s]],
+    met: Met,
+) -> tuple[list[Int64s], list[Int64s]]:
+    """Return where the surface is not painted, by level: leaves that are not raised, and all there will be.
+
+    ``above`` are painted cells and all above them, ``tops`` the leaves that are raised.
+    """
+    painted = [each.codes for each in paint]
+    split = [
+        distinct(np.concatenate([np.empty(0, np.int64), *(own for at, own in tops if at == level)]))
+        for level in range(max(tree.max_depth + 1, len(met.codes)))
+    ]
+    unraised = [own[~among(own, split[level])] for level, own in enumerate(bare_leaves(tree, paint))]
+    bare = [*unraised, *[np.empty(0, np.int64)] * (len(met.codes) - len(unraised))]
+    for level, codes in enumerate(met.codes):
+        inside = codes[is_within(codes >> 3, split[:level], level - 1)] if level else codes[:0]
+        is_bare = ~among(inside, above[level]) & ~is_within(inside, painted, level)
+        there = np.flatnonzero(among(inside, painted[level]))
+        at = np.searchsorted(codes, inside[there]) + int(met.tree.arrays.level_cells[level])
+        facings = met.tree.arrays.flags[at] & np.uint8(FACING_FLAGS)
+        own = paint[level].facings[np.searchsorted(painted[level], inside[there])]
+        is_bare[there] = facings & ~own != 0
+        bare[level] = distinct(np.concatenate([bare[level], inside[is_bare]]))
+    return unraised, bare
+
+
+def _is_beside_old(
+    codes: Int64s, level: int, above: Sequence[Int64s], bare: Sequence[Int64s], coarsest: int
+) -> npt.NDArray[np.bool_]:
+    """Say which cells (n,) of a level are in or beside nodes that paint is in and whose coefficient stays.
+
+    See ``kept.on_kept``: unpainted surface is in or beside them. They are of the coarsest level there is.
+    """
+    if not codes.size:
+        return np.zeros(0, np.bool_)
+    cells = codes >> 3 * (level - coarsest)
+    near = distinct(np.concatenate([cells, boundary(distinct(cells), coarsest)]))
+    near = near[among(near, above[coarsest])]
+    old = near[are_beside(near, bare, coarsest)]
+    return among(cells, old) | among(cells, boundary(old, coarsest))
 
 
 def _facing_cells(tree: Octree, level: int) -> Int64s:

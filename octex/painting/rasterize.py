@@ -79,7 +79,7 @@ def rasterize_paint(
         has_samples=fit, wanted=partial(_wanted, here, placement.size, depth),
     )  # fmt: skip
     tree, values = assemble(here.channels, filled)
-    covered = without_gaps(tree, values, filled)
+    covered = without_gaps(tree, values, filled, placement)
     if not covered.tree.n_leaves:
         return nothing
     fitting = splitting = None

@@ -18,6 +18,7 @@ from octex.painting.pictures import BLENDS, Blend
 from octex.painting.rasterize import empty_texture, rasterize_paint
 from octex.painting.source import PaintSource
 from octex.parallel import Progress, as_progress, workers
+from octex.source.corners import at_corners
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture
 from octex.tree.placement import Placement
@@ -187,7 +188,7 @@ class Filled(PaintSource):
         found = np.zeros((len(triangles), len(self._value) + 1), np.float32)
         found[:, :-1] = self._value
         own = np.flatnonzero(self._chosen[triangles])
-        points = np.einsum("nc,ncx->nx", barycentric[own], rest[faces[triangles[own]]])
+        points = at_corners(rest, faces[triangles[own]], barycentric[own])
         found[own, -1] = _checked(self._covers, points)
         return found
 

@@ -7,6 +7,7 @@ import numpy as np
 from octex.conversion.fill import on_grid
 from octex.conversion.samples import PLACE_STEPS, SHARE_STEPS, Samples, face_normals
 from octex.painting.source import PaintSource
+from octex.source.corners import at_corners
 from octex.source.surface import Surface
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import encode_cells
@@ -27,7 +28,7 @@ def with_centres(samples: Samples, source: PaintSource, surface: Surface, placem
     for triangles, barycentric in source.centres():
         fine = source.widths(triangles, barycentric) >= edge
         triangles, barycentric = triangles[fine], barycentric[fine]
-        steps = np.einsum("nc,ncx->nx", barycentric, grid[surface.triangles[triangles]].astype(np.float64))
+        steps = at_corners(grid, surface.triangles[triangles], barycentric)
         steps /= 1 << (GRID_BITS - samples.depth)
         cells = np.floor(steps).astype(np.int64)
         codes = encode_cells(np.clip(cells, 0, (1 << samples.depth) - 1))

@@ -2,6 +2,7 @@
 
 from octex.preview.differences import draw_difference as draw_difference
 from octex.preview.differences import write_difference as write_difference
+from octex.preview.directions import Viewpoint as Viewpoint
 from octex.preview.looks import source_look as source_look
 from octex.preview.looks import texture_look as texture_look
 from octex.preview.panels import draw_preview as draw_preview

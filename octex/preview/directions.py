@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from octex.view.camera import Camera
+from octex.view.camera_files import Frame
 
 Floats = npt.NDArray[np.floating]
 
@@ -18,6 +19,27 @@ _THREE_QUARTER = np.array([0.56, 0.42, 1.0]) / np.linalg.norm([0.56, 0.42, 1.0])
 _FLAT, _SLANT = 0.85, 0.45
 #: Another side is shown than the usual one if it has so many times its detail.
 _CLEARLY = 1.1
+
+
+class Viewpoint(NamedTuple):
+    """From where a picture is taken, as far as it is not the usual side."""
+
+    direction: npt.ArrayLike | None = None  # from the model toward the camera; None: the side that shows most
+    up: npt.ArrayLike = (0.0, 1.0, 0.0)
+    zoom: float = 1.0  # 1: the whole model
+    frame: Frame | None = None  # a camera of a file, instead of a direction
+
+    def camera(self, points: Floats, usual: Callable[[], Floats], size: tuple[int, int]) -> Camera:
+        """Make the camera for a picture of points (n, 3); ``usual`` finds the side that shows most."""
+        if self.frame is not None:
+            camera = self.frame.camera(size).undistorted
+        else:
+            direction = usual() if self.direction is None else self.direction
+            camera = Camera.fitted(points, direction, size=size, up=self.up)
+        return camera if self.zoom == 1.0 else camera.zoomed(self.zoom)
+
+
+USUAL = Viewpoint()
 
 
 def view_directions(normals: Floats, areas: Floats) -> npt.NDArray[np.float64]:

@@ -14,11 +14,11 @@ from PIL import Image, ImageDraw, ImageFont
 from octex.channels import encode, linear_to_srgb
 from octex.errors import ArgumentError
 from octex.files import replacing
-from octex.preview.directions import best_direction, view_directions
+from octex.preview.directions import USUAL, Viewpoint, best_direction, view_directions
 from octex.preview.looks import Floats, Look, Shown, source_look, texture_look
 from octex.preview.pictures import Leaves, film_surface, render_leaves, rest_normals, seen_hits, visible_level
 from octex.view.camera import Camera
-from octex.view.shading import face_normals
+from octex.view.shading import background, face_normals
 
 if TYPE_CHECKING:
     from octex.source.surface import Surface
@@ -31,13 +31,14 @@ def write_preview(
     texture: OctreeTexture | None = None,
     size: tuple[int, int] = (1600, 880),
     supersample: int = 3,
+    view: Viewpoint = USUAL,
 ) -> None:
     """Write what ``draw_preview`` draws as a PNG file.
 
     What stood at ``path`` before is replaced when all is drawn, or not at all. Raises OutputError if the file
     cannot be written, and ArgumentError as ``draw_preview`` does.
     """
-    picture = Image.fromarray(draw_preview(surface, texture, size, supersample))
+    picture = Image.fromarray(draw_preview(surface, texture, size, supersample, view=view))
     with replacing(path) as file:
         picture.save(file, "PNG")
 
@@ -48,6 +49,7 @@ def draw_preview(
     size: tuple[int, int] = (1600, 880),
     supersample: int = 3,
     note: str = "",
+    view: Viewpoint = USUAL,
 ) -> npt.NDArray[np.uint8]:
     """Draw a picture, sRGB codes (height, width, 3), that shows at once whether a texture is right.
 
@@ -58,17 +60,21 @@ def draw_preview(
     size           (width, height) in pixels
     supersample    samples along each side of a pixel
     note           what else the caption should say of the octree
+    view           from where to look
 
     Raises ArgumentError for neither a surface nor a texture, or if there is no leaf or no channel to show.
     """
     if surface is not None:
         if texture is not None:
             surface = surface.placed_in(texture)
-        panels = _model_panels(surface, texture, size, supersample, note)
+        panels = _model_panels(surface, texture, size, supersample, note, view)
     elif texture is not None:
-        panels = _leaf_panels(texture, size, supersample, note)
+        panels = _leaf_panels(texture, size, supersample, note, view)
     else:
         raise ArgumentError("a preview needs a surface, or a texture, or both")
+    room = caption_height(size[1])
+    for panel in panels:  # zoomed in, a model reaches below
+        panel.picture[-room:] = background(*panel.picture.shape[:2])[-room:]
     return np.hstack([np.asarray(captioned(panel)) for panel in panels])
 
 
@@ -81,7 +87,12 @@ class Panel(NamedTuple):
 
 
 def _model_panels(
-    surface: Surface, texture: OctreeTexture | None, size: tuple[int, int], supersample: int, note: str
+    surface: Surface,
+    texture: OctreeTexture | None,
+    size: tuple[int, int],
+    supersample: int,
+    note: str,
+    view: Viewpoint,
 ) -> list[Panel]:
     stored = None if texture is None else texture.channels
     channel = Shown.of(
@@ -92,14 +103,18 @@ def _model_panels(
     if texture is not None:
         looks.append(texture_look(texture, channel))
         captions.append(texture_caption(texture, channel, note))
-    camera = surface_camera(surface, looks[0], (size[0] // len(looks), size[1]), caption_height(size[1]))
+    camera = surface_camera(
+        surface, looks[0], (size[0] // len(looks), size[1]), caption_height(size[1]), view
+    )
     films = film_surface(surface, camera, looks, supersample)
     return [Panel(film.picture(), *caption) for film, caption in zip(films, captions, strict=True)]
 
 
-def _leaf_panels(texture: OctreeTexture, size: tuple[int, int], supersample: int, note: str) -> list[Panel]:
+def _leaf_panels(
+    texture: OctreeTexture, size: tuple[int, int], supersample: int, note: str, view: Viewpoint
+) -> list[Panel]:
     channel = Shown.of(stored.format for stored in texture.channels.values()).channel.name
-    camera = leaf_camera([texture], channel, (size[0] // 2, size[1]), caption_height(size[1]))
+    camera = leaf_camera([texture], channel, (size[0] // 2, size[1]), caption_height(size[1]), view)
     level = visible_level(texture, camera, pixels=10.0)
     fine = render_leaves(texture, camera, supersample=supersample)
     coarse = render_leaves(texture, camera, level=level, cubes=True, supersample=supersample)
@@ -107,8 +122,10 @@ def _leaf_panels(texture: OctreeTexture, size: tuple[int, int], supersample: int
     return [Panel(fine, *texture_caption(texture, channel, note)), Panel(coarse, f"level {level}", cells)]
 
 
-def surface_camera(surface: Surface, look: Look, size: tuple[int, int], room: int) -> Camera:
-    """Make a camera that sees a model from the side that shows most, above ``room`` for a caption."""
+def surface_camera(
+    surface: Surface, look: Look, size: tuple[int, int], room: int, view: Viewpoint = USUAL
+) -> Camera:
+    """Make a camera that sees a model, from the side that shows most, above ``room`` for a caption."""
     normals = rest_normals(surface)
 
     def unlit(camera: Camera) -> Floats:
@@ -118,11 +135,21 @@ def surface_camera(surface: Surface, look: Look, size: tuple[int, int], room: in
         return picture.reshape(camera.height, camera.width, 3)
 
     points = surface.vertices[np.unique(surface.triangles)]
-    directions = view_directions(*face_normals(surface.vertices, surface.triangles))
-    return _above_caption(points, best_direction(directions, points, unlit), size, room)
+
+    def usual() -> Floats:
+        directions = view_directions(*face_normals(surface.vertices, surface.triangles))
+        return best_direction(directions, points, unlit)
+
+    return replace(view.camera(points, usual, (size[0], size[1] - room)), height=size[1])
 
 
-def leaf_camera(textures: Sequence[OctreeTexture], channel: str, size: tuple[int, int], room: int) -> Camera:
+def leaf_camera(
+    textures: Sequence[OctreeTexture],
+    channel: str,
+    size: tuple[int, int],
+    room: int,
+    view: Viewpoint = USUAL,
+) -> Camera:
     """Make a camera that sees textures from the side on which the first shows most, as ``surface_camera``."""
     # Coarse cells are enough to find out where the model is and from where to look at it.
     coarse = [texture.level(min(7, texture.tree.max_depth)) for texture in textures]
@@ -138,13 +165,11 @@ def leaf_camera(textures: Sequence[OctreeTexture], channel: str, size: tuple[int
     points = np.concatenate(
         [leaves.corners + far for leaves in every for far in (0.0, leaves.edges[:, None])]
     )
-    directions = view_directions(first.normals, first.edges**2)
-    return _above_caption(points, best_direction(directions, points, unlit), size, room)
 
+    def usual() -> Floats:
+        return best_direction(view_directions(first.normals, first.edges**2), points, unlit)
 
-def _above_caption(points: Floats, direction: Floats, size: tuple[int, int], room: int) -> Camera:
-    camera = Camera.fitted(points, direction, size=(size[0], size[1] - room))
-    return replace(camera, height=size[1])
+    return replace(view.camera(points, usual, (size[0], size[1] - room)), height=size[1])
 
 
 def source_caption(surface: Surface, channel: str) -> tuple[str, str]:

@@ -19,12 +19,12 @@ from octex.errors import ArgumentError, InputError, ModelError
 from octex.files import open_file, read_bytes
 from octex.nearest.points import Points
 from octex.source.colors import linear_colors, screen_colors
+from octex.source.mesh import Mesh
 from octex.source.models.text import parse_numbers
 from octex.source.spatial import Floats, Placeable, SpatialSource, least_cosine
 
 if TYPE_CHECKING:
     from octex.source.base import Source
-    from octex.source.surface import Surface
 
 Float32s = npt.NDArray[np.float32]
 
@@ -166,8 +166,8 @@ class PointCloud(Placeable):
         """How near 19 of 20 points have another, in the model's units."""
         return self._ready.spacing()
 
-    def on(self, surface: Surface, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:  # noqa: ARG002
-        """Return the source of a channel, the same for both on the same surface.
+    def on(self, mesh: Mesh, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:  # noqa: ARG002
+        """Return the source of a channel, the same for both on the same mesh.
 
         Raises ArgumentError for others than ``base_color`` and ``alpha``, and for a radius that holds tens of
         thousands of points.
@@ -175,9 +175,9 @@ class PointCloud(Placeable):
         if form.name not in ("base_color", "alpha"):
             raise ArgumentError(f"{self.name}: points have colours and alpha, and no {form.name}")
         latest = self._latest
-        if latest is None or not latest.is_on(surface):
+        if latest is None or not latest.is_on(mesh):
             self._check_radius()
-            latest = self._latest = _FromPoints(self, self._ready, surface.rest, surface.triangles)
+            latest = self._latest = _FromPoints(self, self._ready, mesh.rest, mesh.triangles)
         return latest, {f"source_{form.name}": f"points of {self.name}"}
 
     def _check_radius(self) -> None:

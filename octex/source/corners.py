@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,20 @@ class Corners(NamedTuple):
     def of(self, triangles: npt.NDArray[np.int32]) -> Corners:
         """Return the same of some triangles (k,) alone."""
         return Corners(self.values, self.rows[triangles])
+
+    def at(
+        self, triangles: npt.NDArray[np.int32], barycentric: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
+        """Return the values (n, components) at points of triangles (n,)."""
+        return at_corners(self.values, self.rows[triangles], barycentric)
+
+
+def at_corners(
+    values: npt.NDArray[Any], rows: npt.NDArray[np.integer[Any]], barycentric: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Return values (n, components) between those in the rows (n, 3) of three corners."""
+    between: npt.NDArray[np.float64] = np.einsum("nc,ncx->nx", barycentric, values[rows])
+    return between
 
 
 class Frames(NamedTuple):

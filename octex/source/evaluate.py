@@ -136,7 +136,9 @@ def evaluate(
         most_stacks = max(most_stacks, end - first)
         if end > first:
             most_images = max(most_images, tables.stacks[end, 5] - tables.stacks[first, 5])
-    lanes = np.ones(1 + 4 * most_images, np.float32)
+    lanes = np.empty(1 + 4 * most_images, np.float32)
+    for lane in range(lanes.size):
+        lanes[lane] = np.float32(1.0)
     # What a triangle's points share is loaded once for a run of them: a quarter off each read.
     shared = np.empty((most_stacks, 11), np.float64)
     last = -1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,23 +15,21 @@ from octex.source.base import Source
 from octex.source.function import FunctionSource, name_of
 from octex.source.images.decode import read_image
 from octex.source.materials import Input, Material, MaterialSource, Texture
+from octex.source.mesh import Mesh
 from octex.source.spatial import Placeable
 from octex.source.tangents import corner_frames
 
-if TYPE_CHECKING:
-    from octex.source.surface import Surface
 
-
-def given_source(surface: Surface, channel: str, given: object, filter: str) -> tuple[Source, dict[str, str]]:
+def given_source(mesh: Mesh, channel: str, given: object, filter: str) -> tuple[Source, dict[str, str]]:
     """Return a source of one channel, and what provenance says of it.
 
     Raises as ``Surface.with_sources`` does.
     """
     form = CHANNELS[as_choice(channel, CHANNELS, "channel")]
     if isinstance(given, Placeable):
-        return given.on(surface, form, filter)
+        return given.on(mesh, form, filter)
     if callable(given):
-        return FunctionSource(form, given, surface.rest, surface.triangles), {
+        return FunctionSource(form, given, mesh.rest, mesh.triangles), {
             f"source_{channel}": json.dumps({"function": name_of(given)})
         }
     components = tuple(range(form.components))
@@ -40,9 +38,9 @@ def given_source(surface: Surface, channel: str, given: object, filter: str) -> 
     if isinstance(given, (Real, tuple, list)):
         factor = _value(form, given)
         provenance[f"source_{channel}"] = json.dumps(factor)
-    elif surface.uv is None:
+    elif mesh.uv is None:
         raise ModelError(
-            f"{surface.name} has no texture coordinates for an image of {channel}; "
+            f"{mesh.name} has no texture coordinates for an image of {channel}; "
             "give a MappedImage (--project box), or a value"
         )
     else:
@@ -51,20 +49,20 @@ def given_source(surface: Surface, channel: str, given: object, filter: str) -> 
         provenance[f"source_{channel}"] = json.dumps(origin)
     frames = None
     if form.space == "direction":
-        normals = None if surface.frames is None else surface.frames.normals
-        frames = corner_frames(surface.rest, surface.triangles, normals, None, surface.uv)
+        normals = None if mesh.frames is None else mesh.frames.normals
+        frames = corner_frames(mesh.rest, mesh.triangles, normals, None, mesh.uv)
     source = MaterialSource(
         [
             Material(
                 {channel: Input(factor, texture, components)}, "blend" if channel == "alpha" else "opaque"
             )
         ],
-        np.zeros(len(surface.triangles), np.int32),
-        surface.rest,
-        surface.triangles,
-        coordinates=[] if surface.uv is None else [surface.uv],
+        np.zeros(len(mesh.triangles), np.int32),
+        mesh.rest,
+        mesh.triangles,
+        coordinates=[] if mesh.uv is None else [mesh.uv],
         frames=frames,
-        name=surface.name,
+        name=mesh.name,
         filter=filter,
         channels=[channel],
     )

@@ -6,7 +6,6 @@ import copy
 import json
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -22,11 +21,9 @@ from octex.source.images.filters import FILTERS, LEVELS_OF
 from octex.source.images.pyramid import WRAPS, Picture, as_wraps, store
 from octex.source.mapping import BOX, KINDS, SPHERICAL, Mapping, mapped_edges, read_mapped
 from octex.source.materials import light_format, unit_directions
+from octex.source.mesh import Mesh
 from octex.source.spatial import Floats, Int32s, Placeable, SpatialSource
 from octex.source.tangents import carried
-
-if TYPE_CHECKING:
-    from octex.source.surface import Surface
 
 _X, _Y, _Z = np.eye(3)
 #: What is to the right and up for one who looks at the origin from along each axis.
@@ -95,13 +92,13 @@ class MappedImage(Placeable):
         self._wraps = as_wraps(wrap)
         self._is_flat = as_choice(mag_filter, ("linear", "nearest"), "mag_filter") == "nearest"
 
-    def on(self, surface: Surface, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:
+    def on(self, mesh: Mesh, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:
         """Return the image laid on a surface by its rest positions, and what provenance says of it.
 
         Raises ImageError for an image that cannot be used.
         """
         texels, origin = read_image(self._image)
-        least, most = surface.bounds
+        least, most = mesh.bounds
         center = (least + most) / 2 if self._center is None else self._center
         size = self._size
         if size is None:
@@ -124,9 +121,9 @@ class MappedImage(Placeable):
             Picture(texels, form.space in ("srgb", "linear")),
             self._is_flat,
             filter,
-            surface.rest,
-            surface.triangles,
-            surface.frames if form.space == "direction" else None,
+            mesh.rest,
+            mesh.triangles,
+            mesh.frames if form.space == "direction" else None,
         )
         said = {
             **origin,
@@ -169,8 +166,7 @@ class MappedSource(SpatialSource):
         points, normals = self.placed(triangles, barycentric)
         shading = normals
         if self._frames is not None:
-            corners = self._frames.normals
-            shading = np.einsum("nc,ncx->nx", barycentric, corners.values[corners.rows[triangles]])
+            shading = self._frames.normals.at(triangles, barycentric)
             shading /= np.maximum(np.linalg.norm(shading, axis=1, keepdims=True), 1e-30)
         return self._read(points, normals, shading, widths)
 

@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ChannelFormat
-from octex.errors import ArgumentError
 from octex.source.base import Source
-from octex.source.corners import Frames
-
-if TYPE_CHECKING:
-    from octex.source.surface import Surface
 
 Floats = npt.NDArray[np.float64]
 Int32s = npt.NDArray[np.int32]
@@ -74,37 +68,3 @@ class Picked(Source):
 
     def _of(self, source: Source) -> Picked:
         return Picked(source, self._triangles, self._vertices, self._rest)
-
-
-def part_of(surface: Surface, triangles: npt.ArrayLike, source: Source | None = None) -> Surface:
-    """Return some triangles of a surface: ``Surface.part``."""
-    if source is not None and not isinstance(source, Source):
-        raise ArgumentError(f"source must be a Source, not {source!r}")
-    try:
-        chosen = np.asarray(triangles)
-    except ValueError:  # rows of unequal lengths
-        chosen = np.empty(1, np.void)
-    if chosen.size and (chosen.ndim != 1 or chosen.dtype.kind not in "iu"):
-        raise ArgumentError(
-            f"triangles must be whole numbers of shape (k,), not {chosen.dtype} {chosen.shape}"
-        )
-    if chosen.size and not 0 <= chosen.min() <= chosen.max() < len(surface.triangles):
-        raise ArgumentError(
-            f"{surface.name} has triangles 0 to {len(surface.triangles) - 1}, not all of these"
-        )
-    chosen = chosen.astype(np.int32)
-    faces = surface.triangles[chosen]
-    used = np.zeros(len(surface.vertices), np.bool_)
-    used[faces] = True
-    names = np.cumsum(used, dtype=np.int32) - np.int32(1)
-    frames = surface.frames
-    return type(surface)(
-        surface.vertices[used],
-        names[faces],
-        source or Picked(surface.source, chosen, np.flatnonzero(used).astype(np.int32), surface.rest),
-        rest=None if surface.rest is surface.vertices else surface.rest[used],
-        uv=surface.uv and surface.uv.of(chosen),
-        frames=frames and Frames(frames.normals.of(chosen), frames.tangents.of(chosen)),
-        name=surface.name,
-        provenance=surface.provenance,
-    )

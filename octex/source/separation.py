@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from octex.checks import as_positive
 from octex.errors import ArgumentError
-from octex.source.parts import Overlaps, boxes_of, overlapping_parts
-
-if TYPE_CHECKING:
-    from octex.source.surface import Surface
+from octex.source.mesh import Mesh
+from octex.source.parts import Overlaps, boxes_of
 
 Floats = npt.NDArray[np.float64]
 Int32s = npt.NDArray[np.int32]
@@ -26,63 +24,51 @@ SEPARATION = "separation"
 _SINGLY = 300
 
 
-def separated(surface: Surface, margin: float, found: Overlaps | None = None) -> Surface:
-    """Return a surface with its parts moved apart at rest: ``Surface.separated``."""
+def separation_of(mesh: Mesh, margin: float, found: Overlaps | None = None) -> str | None:
+    """Return how parts nearer than ``margin`` are moved apart, as an entry of provenance; None if none are.
+
+    Raises ArgumentError as ``Surface.separated`` does.
+    """
     margin = as_positive(margin, "margin")
-    if SEPARATION in surface.provenance:
-        raise ArgumentError(f"{surface.name} is separated already; separate the surface that it was made of")
     if found is None:
-        found = overlapping_parts(surface.rest, surface.triangles, margin)
+        found = mesh.overlapping_parts(margin)
     elif not isinstance(found, Overlaps):
         raise ArgumentError(f"found must be what overlapping_parts returns, not {found!r}")
-    elif found.margin < margin or len(found.parts) != len(surface.triangles):
+    elif found.margin < margin or len(found.parts) != len(mesh.triangles):
         raise ArgumentError(f"the overlaps given are of a margin of {found.margin:g}, or of another surface")
     near = [(pair.a, pair.b) for pair in found.pairs if pair.gap < margin or pair.gap == 0.0]
     if not near:
-        return surface
-    offsets = _offsets(*boxes_of(surface.rest, surface.triangles, found.parts), near, margin)
+        return None
+    offsets = _offsets(*boxes_of(mesh.rest, mesh.triangles, found.parts), near, margin)
     moved = {int(part): offsets[part].tolist() for part in np.flatnonzero(offsets.any(axis=1))}
-    text = json.dumps({"parts": found.n_parts, "digest": _digest(found.parts), "moved": moved})
-    return _moved(surface, found.parts, offsets, text)
+    return json.dumps({"parts": found.n_parts, "digest": _digest(found.parts), "moved": moved})
 
 
-def placed_as(surface: Surface, metadata: Mapping[str, str]) -> Surface:
-    """Return a surface with its parts moved as a texture's metadata say: ``Surface.placed_in``."""
-    text = metadata.get(SEPARATION)
-    if surface.provenance.get(SEPARATION) == text:
-        return surface
-    if text is None or SEPARATION in surface.provenance:
-        raise ArgumentError(
-            f"{surface.name} is separated, and the texture is not, or otherwise; use the surface as it was"
-        )
-    parts = surface.parts
-    wanted = _read(text)
+def separated_rest(mesh: Mesh, separation: str) -> Floats:
+    """Return the rest positions (n, 3) of a mesh whose parts are moved as an entry of provenance says.
+
+    Raises ArgumentError for one of other parts.
+    """
+    parts = mesh.parts
+    wanted = _read(separation)
     if wanted is None:
-        raise ArgumentError(f"what the texture says of its separated parts cannot be read: {text[:80]!r}")
+        raise ArgumentError(
+            f"what the texture says of its separated parts cannot be read: {separation[:80]!r}"
+        )
     count, digest, moved = wanted
     if digest != _digest(parts):
         raise ArgumentError(
             f"the texture's {count} parts were moved apart, and they are not the {int(parts.max()) + 1} of "
-            f"{surface.name}: the texture belongs to another model, or to other rest positions"
+            f"{mesh.name}: the texture belongs to another model, or to other rest positions"
         )
     offsets = np.zeros((count, 3))
     offsets[list(moved)] = list(moved.values())
-    return _moved(surface, parts, offsets, text)
-
-
-def _moved(surface: Surface, parts: Int32s, offsets: Floats, text: str) -> Surface:
-    """Return a surface with each part's rest positions moved; where its source reads does not move."""
-    rest = surface.rest.copy()
+    rest = mesh.rest.copy()
     owners = np.full(len(rest), -1, np.int64)
-    owners[surface.triangles] = parts[:, None]
+    owners[mesh.triangles] = parts[:, None]
     used = owners >= 0
     rest[used] += offsets[owners[used]]
-    made = type(surface)(
-        surface.vertices, surface.triangles, surface.source,
-        rest=rest, uv=surface.uv, frames=surface.frames, name=surface.name, provenance=surface.provenance,
-    )  # fmt: skip
-    made.provenance[SEPARATION] = text
-    return made
+    return rest
 
 
 def _digest(parts: Int32s) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -13,9 +12,7 @@ import numpy.typing as npt
 from octex.channels import ChannelFormat
 from octex.jit import kernel
 from octex.source.base import Source
-
-if TYPE_CHECKING:
-    from octex.source.surface import Surface
+from octex.source.mesh import Mesh
 
 Floats = npt.NDArray[np.float64]
 Int32s = npt.NDArray[np.int32]
@@ -28,7 +25,7 @@ class Placeable(ABC):
     """Something that gives a channel's values once it is laid on a surface: see ``Surface.with_sources``."""
 
     @abstractmethod
-    def on(self, surface: Surface, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:
+    def on(self, mesh: Mesh, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:
         """Return a source of one channel for a surface, and what provenance says of it.
 
         ``filter``, one of filters.FILTERS, is how images are averaged over footprints. Raises ModelError,
@@ -57,9 +54,9 @@ class SpatialSource(Source):
         """The channels, in the order of the values' columns."""
         return self._channels
 
-    def is_on(self, surface: Surface) -> bool:
-        """Say whether it was laid on this surface."""
-        return self._rest is surface.rest and self._triangles is surface.triangles
+    def is_on(self, mesh: Mesh) -> bool:
+        """Say whether it was laid on this mesh."""
+        return self._rest is mesh.rest and self._triangles is mesh.triangles
 
     @abstractmethod
     def at(self, points: Floats, normals: Floats, widths: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from functools import cached_property
 from types import NoneType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -21,10 +20,8 @@ from octex.checks import (
     as_number,
     as_reals,
     as_text,
-    as_whole,
-    locked,
 )
-from octex.errors import ArgumentError, ModelError
+from octex.errors import ArgumentError
 from octex.source.base import Combined, Source, by_channel
 from octex.source.colors import linear_colors
 from octex.source.corners import Corners, Frames
@@ -35,41 +32,20 @@ from octex.source.images.pyramid import as_wraps
 from octex.source.implicit import ImplicitFunction, level_set
 from octex.source.joined import FaceNormals, Joined, Part
 from octex.source.materials import ALPHA_MODES, AlphaMode, Input, Material, MaterialSource, Texture
-from octex.source.parts import Overlaps, overlapping_parts, parts_of, weld
-from octex.source.picked import part_of
-from octex.source.separation import SEPARATION, placed_as, separated
-from octex.source.tangents import carried
+from octex.source.mesh import FARTHEST, Mesh, Samples, as_positions, as_triangles
+from octex.source.parts import Overlaps
+from octex.source.picked import Picked
+from octex.source.separation import SEPARATION, separated_rest, separation_of
 
 if TYPE_CHECKING:
     from octex.texture import OctreeTexture
 
-# Farther positions would overflow widths in single precision.
-_FARTHEST = 1e30
 
+class Surface(Mesh):
+    """A mesh with a source of values.
 
-class Samples(NamedTuple):
-    """Points of a surface."""
-
-    points: npt.NDArray[np.float64]  # (n, 3)   posed positions
-    rest: npt.NDArray[np.float64]  # (n, 3)   rest positions, the texture coordinates
-    normals: npt.NDArray[np.float64]  # (n, 3)   unit normals of the posed triangles
-    triangles: npt.NDArray[np.int32]  # (n,)
-    barycentric: npt.NDArray[np.float64]  # (n, 3)
-    rest_normals: npt.NDArray[
-        np.float64
-    ]  # (n, 3)   unit normals of the triangles at rest; zeros without area
-
-
-class Surface:
-    """Triangles with a source of values.
-
-    ``vertices`` (n, 3) posed positions, ``triangles`` (m, 3) rows of vertices, counter-clockwise seen from
-    outside, ``rest`` (n, 3) rest positions (the vertices themselves if None), all in the model's units.
-    ``uv`` are texture coordinates at corners, v running down, and ``frames`` the shading normals and tangents
-    there, at rest, for images of one's own. Arrays are copied, and those of the surface are read-only.
-
-    Raises ModelError for positions that are not finite, triangles that use vertices that are not there, no
-    triangles, or rest positions of another shape.
+    ``source`` gives them at points of triangles; ``uv`` and ``frames`` are for images of one's own.
+    ``provenance`` is what textures made of the surface remember of it. Raises ModelError as ``Mesh`` does.
     """
 
     def __init__(
@@ -84,28 +60,21 @@ class Surface:
         name: str = "surface",
         provenance: Mapping[str, str] | None = None,
     ) -> None:
-        self.vertices = _positions(vertices, f"{name}: vertices")
-        self.triangles = _triangles(triangles, len(self.vertices), name)
-        self.rest = self.vertices if rest is None else _positions(rest, f"{name}: rest positions")
-        if len(self.rest) != len(self.vertices):
-            raise ModelError(
-                f"{name}: {len(self.rest)} rest positions for {len(self.vertices)} vertices; give one each"
-            )
+        super().__init__(vertices, triangles, rest=rest, uv=uv, frames=frames, name=name)
         if not isinstance(source, Source):
             raise ArgumentError(f"{name}: source must be a Source, not {source!r}")
-        if not isinstance(uv, (Corners, NoneType)) or not isinstance(frames, (Frames, NoneType)):
-            raise ArgumentError(f"{name}: uv must be Corners, and frames must be Frames, or None")
         self.source = source
-        self.uv = None if uv is None else _locked_corners(uv)
-        self.frames = None if frames is None else _locked_frames(frames)
-        self.name = name
         self.provenance = {} if provenance is None else as_entries(provenance, "provenance")
         self._single: dict[str, Source] = {}
-        used = np.zeros(len(self.rest), bool)
-        used[self.triangles] = True
-        self.bounds: npt.NDArray[np.float64] = locked(
-            np.array([self.rest[used].min(axis=0), self.rest[used].max(axis=0)])
-        )
+
+    @classmethod
+    def on(cls, mesh: Mesh, source: Source, provenance: Mapping[str, str] | None = None) -> Surface:
+        """Return a mesh with a source of values for it."""
+        return cls(
+            mesh.vertices, mesh.triangles, source,
+            rest=None if mesh.rest is mesh.vertices else mesh.rest, uv=mesh.uv, frames=mesh.frames,
+            name=mesh.name, provenance=provenance,
+        )  # fmt: skip
 
     @classmethod
     def from_arrays(
@@ -142,10 +111,10 @@ class Surface:
         Raises ModelError as the class does, ArgumentError for another shape or name, ImageError for an image
         that cannot be used.
         """
-        positions = _positions(vertices, f"{name}: vertices")
-        placed = positions if rest is None else _positions(rest, f"{name}: rest positions")
+        positions = as_positions(vertices, f"{name}: vertices")
+        placed = positions if rest is None else as_positions(rest, f"{name}: rest positions")
         as_text(name, "name")
-        faces = _triangles(triangles, len(positions), name)
+        faces = as_triangles(triangles, len(positions), name)
         if colors is not None and face_colors is not None:
             raise ArgumentError("give colors per vertex or face_colors per triangle, not both")
         corners = None
@@ -265,8 +234,8 @@ class Surface:
 
         Raises ModelError for another number of them, or if they are not finite.
         """
-        positions = _positions(rest, f"{self.name}: rest positions")
-        surface = self._with(self.source.with_rest(positions), positions)
+        mesh = super().with_rest(rest)
+        surface = self._with(self.source.with_rest(mesh.rest), mesh)
         surface.provenance.pop(SEPARATION, None)
         return surface
 
@@ -344,20 +313,8 @@ class Surface:
         surface = self.with_sources(given, filter) if given else self
         return surface if names is None else surface.with_channels(names)
 
-    def _with(self, source: Source, rest: npt.NDArray[np.float64] | None = None) -> Surface:
-        frames = self.frames
-        if frames is not None and rest is not None:
-            frames = carried(frames, self.triangles, self.rest, rest)
-        return Surface(
-            self.vertices,
-            self.triangles,
-            source,
-            rest=self.rest if rest is None else rest,
-            uv=self.uv,
-            frames=frames,
-            name=self.name,
-            provenance=self.provenance,
-        )
+    def _with(self, source: Source, mesh: Mesh | None = None) -> Surface:
+        return Surface.on(mesh or self, source, self.provenance)
 
     def part(self, triangles: npt.ArrayLike, source: Source | None = None) -> Surface:
         """Return some triangles (k,) of the surface, in that order, with the vertices that they use.
@@ -365,28 +322,10 @@ class Surface:
         ``source`` is one of these triangles; by default they keep the whole's. Raises ArgumentError for
         numbers of triangles that are not there, ModelError for none.
         """
-        return part_of(self, triangles, source)
-
-    @cached_property
-    def parts(self) -> npt.NDArray[np.int32]:
-        """The part of each triangle (m,), numbered by their first triangles, as ``overlapping_parts`` does.
-
-        Parts are what hangs together at rest, vertices at the same position being one.
-        """
-        return parts_of(self.triangles, weld(self.rest))
-
-    def overlapping_parts(self, margin: float = 0.0) -> Overlaps:
-        """Find the parts that intersect at rest, or come nearer than ``margin`` (in the model's units).
-
-        In an octree texture such parts share cells, and their colours run together (Benson & Davis 2002,
-        4.3.1 and 6.2). Parts are what hangs together, vertices at the same position being one. For each pair
-        there is the smallest distance of their surfaces and, for two solids, the volume that both fill, by an
-        exact boolean (solids are turned outside out first). Parts that are no solids are named in
-        ``unchecked``: what lies inside them is not known. A part that intersects itself is not found.
-
-        Raises ArgumentError for a negative margin.
-        """
-        return overlapping_parts(self.rest, self.triangles, margin)
+        if not isinstance(source, (Source, NoneType)):
+            raise ArgumentError(f"source must be a Source, not {source!r}")
+        mesh, chosen, vertices = self.picked(triangles)
+        return self._with(source or Picked(self.source, chosen, vertices, self.rest), mesh)
 
     def separated(self, margin: float, found: Overlaps | None = None) -> Surface:
         """Return the same surface with parts moved apart that are nearer than ``margin`` at rest.
@@ -399,7 +338,9 @@ class Surface:
 
         Raises ArgumentError for a margin not above zero, and a surface that is separated already.
         """
-        return separated(self, margin, found)
+        if SEPARATION in self.provenance:
+            raise ArgumentError(f"{self.name} is separated already; separate the surface that it was made of")
+        return self._separated(separation_of(self, margin, found))
 
     def placed_in(self, texture: OctreeTexture) -> Surface:
         """Return the same surface with its rest positions where a texture has them.
@@ -410,7 +351,15 @@ class Surface:
         metadata = getattr(texture, "metadata", None)  # whatever a texture is, its provenance says it
         if not isinstance(metadata, Mapping):
             raise ArgumentError(f"texture must be an octex.OctreeTexture, not {texture!r}")
-        return placed_as(self, metadata)
+        separation = metadata.get(SEPARATION)
+        own = self.provenance.get(SEPARATION)
+        if own == separation:
+            return self
+        if separation is None or own is not None:
+            raise ArgumentError(
+                f"{self.name} is separated, and the texture is not, or otherwise; use the surface as it was"
+            )
+        return self._separated(separation)
 
     def rest_positions(self, texture: OctreeTexture) -> npt.NDArray[np.float64]:
         """Return where a texture has the vertices (n, 3): what lookups on the surface take.
@@ -419,43 +368,13 @@ class Surface:
         """
         return self.placed_in(texture).rest
 
-    def areas(self) -> npt.NDArray[np.float64]:
-        """Return the posed area of each triangle (m,), in square model units."""
-        areas: npt.NDArray[np.float64] = np.linalg.norm(_crosses(self.vertices, self.triangles), axis=1) / 2
-        return areas
-
-    def scatter(self, n: int, seed: int = 0) -> Samples:
-        """Draw ``n`` points, uniform by posed area; the same for the same seed.
-
-        Raises ModelError if the surface has no area, ArgumentError for a negative ``n``.
-        """
-        n = as_whole(n, "n, the number of points,", 0, 2**32)
-        seed = as_whole(seed, "seed", 0, 2**128)
-        crosses = _crosses(self.vertices, self.triangles)
-        norms = np.linalg.norm(crosses, axis=1)
-        cumulative = np.cumsum(norms)
-        if not cumulative[-1] > 0:
-            raise ModelError(
-                f"{self.name}: all triangles are degenerate, there is no area to scatter points on"
-            )
-        random = np.random.default_rng(seed).random((n, 3))
-        chosen = np.searchsorted(cumulative, random[:, 0] * cumulative[-1], side="right")
-        root = np.sqrt(random[:, 1])
-        barycentric = np.stack([1 - root, root * (1 - random[:, 2]), root * random[:, 2]], axis=1)
-        corners = self.triangles[chosen]
-        normals = rest_normals = crosses[chosen] / norms[chosen, None]
-        if self.rest is not self.vertices:
-            rest_normals = _crosses(self.rest, corners)
-            lengths = np.linalg.norm(rest_normals, axis=1, keepdims=True)
-            rest_normals /= np.where(lengths > 0, lengths, 1)
-        return Samples(
-            points=np.einsum("nc,ncx->nx", barycentric, self.vertices[corners]),
-            rest=np.einsum("nc,ncx->nx", barycentric, self.rest[corners]),
-            normals=normals,
-            triangles=chosen.astype(np.int32),
-            barycentric=barycentric,
-            rest_normals=rest_normals,
-        )
+    def _separated(self, separation: str | None) -> Surface:
+        """Return the surface with its parts moved as provenance says; its source reads where it did."""
+        if separation is None:
+            return self
+        made = self._with(self.source, self.moved(separated_rest(self, separation)))
+        made.provenance[SEPARATION] = separation
+        return made
 
     def evaluate(
         self, samples: Samples, channel: str = "base_color", width: float | None = None
@@ -472,10 +391,10 @@ class Surface:
         triangles = np.asarray(samples.triangles)
         if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(self.triangles):
             raise ArgumentError(f"samples name triangles that {self.name} does not have")
-        if not (np.abs(samples.barycentric) <= _FARTHEST).all():
-            raise ArgumentError(f"samples have barycentric coordinates that are not below {_FARTHEST:g}")
+        if not (np.abs(samples.barycentric) <= FARTHEST).all():
+            raise ArgumentError(f"samples have barycentric coordinates that are not below {FARTHEST:g}")
         side = 0.0 if width is None else as_number(width, "width", 0.0, np.finfo(np.float64).max)
-        widths = np.full(len(triangles), min(side, _FARTHEST), np.float32)
+        widths = np.full(len(triangles), min(side, FARTHEST), np.float32)
         source = self._only(channel)
         found = source.evaluate(
             np.ascontiguousarray(triangles, np.int32),
@@ -509,12 +428,6 @@ class Surface:
         )
 
 
-def _crosses(positions: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
-    """Return normals of triangles (m, 3), each twice its area long."""
-    corners = positions[triangles]
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-
-
 def _corner_coordinates(uv: npt.ArrayLike, triangles: npt.NDArray[np.int32], vertices: int) -> Corners:
     """Bind coordinates with v up, per vertex or per corner."""
     array = as_reals(uv, "uv", (vertices, 2), (len(triangles), 3, 2))
@@ -531,64 +444,6 @@ def flip_v(uv: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
         flipped[:, 0] = uv[:, 0]
         flipped[:, 1] = 1.0 - uv[:, 1].astype(np.float64)
     return flipped
-
-
-def _positions(positions: npt.ArrayLike, what: str) -> npt.NDArray[np.float64]:
-    try:
-        array = np.asarray(positions)
-    except ValueError:  # rows of unequal lengths
-        array = np.empty(0, np.void)
-    if array.dtype.kind not in "fiu":
-        raise ModelError(f"{what} must be numbers of shape (n, 3)")
-    array = _owned(array, np.float64)
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise ModelError(f"{what} must have shape (n, 3), not {array.shape}")
-    usable = (np.abs(array) <= _FARTHEST).all(axis=1)
-    if not usable.all():
-        first = int(np.argmin(usable))
-        x, y, z = array[first].tolist()
-        raise ModelError(
-            f"{what} are not all finite (and below {_FARTHEST:g}): number {first} is {x:g}, {y:g}, {z:g}; "
-            "repair the model"
-        )
-    return array
-
-
-def _triangles(given: npt.ArrayLike, vertices: int, name: str) -> npt.NDArray[np.int32]:
-    try:
-        triangles = np.asarray(given)
-    except ValueError:  # rows of unequal lengths
-        triangles = np.empty(0, np.void)
-    if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
-        raise ModelError(f"{name}: triangles must be whole numbers of shape (m, 3), not {triangles.shape}")
-    if len(triangles) == 0:
-        raise ModelError(f"{name} has no triangles; octex needs a surface, not points or lines")
-    low, high = int(triangles.min()), int(triangles.max())
-    if low < 0 or high >= vertices:
-        worst = low if low < 0 else high
-        raise ModelError(f"{name}: a triangle uses vertex {worst}, but there are {vertices}; export it again")
-    return _owned(triangles, np.int32)
-
-
-def _owned(given: npt.ArrayLike, dtype: type) -> npt.NDArray[Any]:
-    """Return a read-only array of one's own: a copy, unless it is one already."""
-    if isinstance(given, np.ndarray) and given.base is None and not given.flags.writeable:
-        return np.asarray(given, dtype, order="C")
-    array: npt.NDArray[Any] = np.array(given, dtype, order="C")
-    array.flags.writeable = False
-    return array
-
-
-def _locked_frames(frames: Frames) -> Frames:
-    normals, tangents = map(_locked_corners, frames)
-    is_locked = normals is frames.normals and tangents is frames.tangents
-    return frames if is_locked else Frames(normals, tangents)
-
-
-def _locked_corners(corners: Corners) -> Corners:
-    if not any(array.flags.writeable for array in corners):
-        return corners
-    return Corners(locked(corners.values), locked(corners.rows))
 
 
 def as_surface(surface: Surface, name: str = "surface") -> Surface:

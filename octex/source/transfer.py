@@ -6,7 +6,6 @@ import copy
 import os
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -15,11 +14,11 @@ from octex.channels import ALPHA, ChannelFormat
 from octex.checks import as_choice, as_number, is_path
 from octex.errors import ModelError
 from octex.nearest.triangles import Triangles
+from octex.source.base import Source
+from octex.source.load import load_surface
+from octex.source.mesh import Mesh
 from octex.source.spatial import Floats, Int32s, Placeable, SpatialSource, least_cosine
-
-if TYPE_CHECKING:
-    from octex.source.base import Source
-    from octex.source.surface import Surface
+from octex.source.surface import Surface, as_surface
 
 
 class Transfer(Placeable):
@@ -43,9 +42,6 @@ class Transfer(Placeable):
         distance: float | None = None,
         max_angle: float = 180.0,
     ) -> None:
-        from octex.source.load import load_surface
-        from octex.source.surface import as_surface
-
         self._surface = as_surface(load_surface(model) if is_path(model) else model, "model")  # type: ignore[arg-type]
         self.distance = None if distance is None else as_number(distance, "distance", 0.0, np.inf)
         self.max_angle = as_number(max_angle, "max_angle", 0.0, 180.0)
@@ -60,42 +56,42 @@ class Transfer(Placeable):
         return {form.name: self for form in self._surface.channels}
 
     @cached_property
-    def _mesh(self) -> Triangles:
+    def _nearest(self) -> Triangles:
         try:
             return Triangles.of(self._surface.rest, self._surface.triangles)
         except ModelError as error:
             raise ModelError(f"{self._surface.name}: {error}") from None
 
-    def on(self, surface: Surface, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:  # noqa: ARG002
+    def on(self, mesh: Mesh, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:  # noqa: ARG002
         """Return the source of a channel, the same for all channels on the same surface.
 
         Raises ArgumentError for a channel that the other model lacks, ModelError if it has no area.
         """
         as_choice(form.name, self.sources, f"channel of {self._surface.name}:")
         latest = self._latest
-        if latest is None or not latest.is_on(surface):
+        if latest is None or not latest.is_on(mesh):
             latest = self._latest = _Transferred(
-                self._surface, self._mesh, self.distance, self.max_angle, surface
+                self._surface, self._nearest, self.distance, self.max_angle, mesh
             )
         return latest, {f"source_{form.name}": f"nearest surface of {self._surface.name}"}
 
 
 class _Transferred(SpatialSource):
-    """Values of ``other``, whose triangles are made ready in ``mesh``, on a surface."""
+    """Values of ``other``, whose triangles are made ready in ``nearest``, on a surface."""
 
     def __init__(
         self,
         other: Surface,
-        mesh: Triangles,
+        nearest: Triangles,
         distance: float | None,
         max_angle: float,
-        surface: Surface,
+        mesh: Mesh,
     ) -> None:
         self._other: Source | None = other.source  # None: only what there is of it is asked for
-        self._mesh = mesh
+        self._nearest = nearest
         self._distance = np.inf if distance is None else distance
         self._least_cosine = least_cosine(max_angle) if max_angle < 180.0 else -np.inf
-        super().__init__((), surface.rest, surface.triangles)
+        super().__init__((), mesh.rest, mesh.triangles)
 
     @property
     def channels(self) -> tuple[ChannelFormat, ...]:
@@ -124,7 +120,7 @@ class _Transferred(SpatialSource):
 
     def at(self, points: Floats, normals: Floats, widths: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return the other's values (n, components) at the points nearest to these."""
-        found = self._mesh.nearest(
+        found = self._nearest.nearest(
             points,
             normals if np.isfinite(self._least_cosine) else None,
             distance=self._distance,

@@ -12,7 +12,9 @@ import numpy.typing as npt
 
 from octex.checks import as_choice
 from octex.errors import ArgumentError
+from octex.field.bricks import order_in_space, put_rows
 from octex.parallel import ordered_map, workers
+from octex.tree.placement import Placement
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float32]
@@ -25,6 +27,9 @@ LookUp = Callable[[Given, list[Array]], int]
 #: Points looked up at once: what is kept of them stays in the processor's cache, and a thread that takes them
 #: is busy for a millisecond or more, beside which handing them over (50 µs) is little.
 BLOCK = 1 << 16
+#: Points sorted at once, where that is worth it: 64 bytes for each are needed meanwhile.
+_SORTED = 1 << 20
+_NO_NUMBERS = np.empty(0, np.int32)
 
 
 class _Fault(NamedTuple):
@@ -82,6 +87,40 @@ def each_block(
         for number, (fault, found) in enumerate(ordered_map(pool, partial(_look_up_block, look_up), blocks)):
             _check(fault, number * BLOCK, given)
             yield number * BLOCK, found
+
+
+def in_space(
+    given: Given,
+    answers: list[Array],
+    look_up: LookUp,
+    threads: int | None,
+    executor: Executor | None,
+    placement: Placement,
+) -> None:
+    """Look points up as ``in_blocks`` does, where they do not come in an order like that of space in this.
+
+    That is for lookups in which points that lie close together share most of the work.
+    """
+    try:
+        for begin in range(0, len(given["points"]), _SORTED):
+            rows = slice(begin, begin + _SORTED)
+            here = {name: array[rows] for name, array in given.items()}
+            there = [answer[rows] for answer in answers]
+            numbers = _NO_NUMBERS
+            if len(here["points"]) > BLOCK:
+                here["points"] = _as_kernels_take_it(here["points"])
+                numbers = order_in_space(here["points"], *placement)
+            if not numbers.size:
+                in_blocks(here, there, look_up, threads, executor)
+                continue
+            here = {name: np.take(array, numbers, axis=0) for name, array in here.items()}
+            found = [np.empty(answer.shape, answer.dtype) for answer in there]
+            in_blocks(here, found, look_up, threads, executor)
+            for answer, each in zip(there, found, strict=True):
+                put_rows(each.reshape(len(each), -1), numbers, answer.reshape(len(answer), -1))
+    except ArgumentError:
+        in_blocks(given, answers, look_up, threads, executor)  # which names the first row
+        raise
 
 
 def _check(fault: _Fault | None, begin: int, given: Given) -> None:

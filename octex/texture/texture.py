@@ -30,11 +30,12 @@ from octex.errors import ArgumentError, InputError, TextureFileError
 from octex.field.field import Field
 from octex.field.listing import TapList, joined, list_blends, rows_read
 from octex.field.lookups import Query, Stored, look_up
+from octex.field.splines import FILTERS
 from octex.texture.blend import NO_GRADIENTS, facing_spreads, make_unit, stored
 from octex.texture.channel import Channel
 from octex.texture.file import ENDING, File, Parts, described, taken, written
 from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens, Looks, SurfacePoints, placed
-from octex.texture.lookup import Answers, Given, LookUp, check_apart, each_block, in_blocks
+from octex.texture.lookup import Answers, Given, LookUp, check_apart, each_block, in_blocks, in_space
 from octex.texture.spans import Spans, add_reads
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -216,6 +217,9 @@ class OctreeTexture:
 
         Blending is done in linear light. Where the texture has a channel ``alpha``, all others weigh by it.
 
+        Where leaves have several depths, points that lie close together are answered together: what else is
+        asked for may change an answer by rounding, up to 10⁻⁶ of the largest value around; threads do not.
+
         Memory does not grow with the points but for the answers. Raises ArgumentError for positions that are
         not finite (n, 3), naming the first row (``out`` is then written in part), likewise for normals,
         widths and derivatives, for unknown channels and filters, listing those there are, for gradients of
@@ -230,7 +234,12 @@ class OctreeTexture:
         answers = Answers(components, channel, len(given["points"]), gradient, out)
         check_apart(given.values(), answers.arrays)
         self._read_for(len(given["points"]))
-        in_blocks(given, answers.arrays, self._look_up(answers.channels, lens, normalize), threads, executor)
+        task = given, answers.arrays, self._look_up(answers.channels, lens, normalize), threads, executor
+        if given.keys() <= {"points", "normals"} and self._field.tiles is None:
+            self._field.tiles_for(FILTERS.index(filter))  # built before threads share them
+            in_space(*task, self.placement)
+        else:
+            in_blocks(*task)
         return answers.returned
 
     def _look_up(self, names: Sequence[str], lens: Lens, normalize: bool) -> LookUp:

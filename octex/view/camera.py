@@ -193,6 +193,18 @@ class Camera:
         view[:3, 3] = -eye
         return cls(width, height, _intrinsics(focal, focal, (width / 2, height / 2)), view, "pinhole")
 
+    def zoomed(self, times: float) -> Camera:
+        """Return the camera with everything drawn so many times as large about the picture's middle.
+
+        Raises ArgumentError for a number that is not above zero.
+        """
+        times = as_positive(times, "times")
+        middle = self.width / 2, self.height / 2
+        K = self.K.copy()
+        K[:2, :2] *= times
+        K[:2, 2] = [centre + times * (at - centre) for at, centre in zip(K[:2, 2], middle, strict=True)]
+        return replace(self, K=K)
+
     @property
     def position(self) -> Floats:
         """Where the camera is, in the world (3,)."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import os
 import reprlib
+from base64 import b64decode, b64encode
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
@@ -93,8 +94,12 @@ def find_frame(frames: Sequence[Frame], name: str) -> Frame:
     raise CameraError(f"there is no frame {name!r}; there are: {listing(frame.name for frame in frames)}")
 
 
-def write_cameras(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
+def write_cameras(
+    path: str | os.PathLike[str], cameras: Mapping[str, Camera], views: Mapping[str, bytes] | None = None
+) -> None:
     """Write cameras, by name, to a JSON file that ``read_cameras`` reads back to the same bits.
+
+    ``views`` are PNG files of what they saw, by the same names: ``Frame.view``.
 
     What stood at ``path`` is replaced when all is written, or not at all: raises OutputError if it cannot be.
     """
@@ -102,13 +107,19 @@ def write_cameras(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -
     for name, camera in as_entries(cameras, "cameras").items():
         if not isinstance(camera, Camera):
             raise ArgumentError(f"camera {name!r} must be an octex.Camera, not {camera!r}")
-    entries = [json.dumps(_entry(name, camera), allow_nan=False) for name, camera in cameras.items()]
+    seen = {} if views is None else as_entries(views, "views")
+    for name, view in seen.items():
+        if name not in cameras or not isinstance(view, bytes):
+            raise ArgumentError(f"view {name!r} must be the bytes of a PNG file, for one of the cameras")
+    entries = [
+        json.dumps(_entry(name, camera, seen.get(name)), allow_nan=False) for name, camera in cameras.items()
+    ]
     head = f'{{"{_OURS}": {_VERSION}, "cameras": ['
     with replacing(path) as file:
         file.write((head + ",".join("\n" + entry for entry in entries) + "\n]}\n").encode("ascii"))
 
 
-def _entry(name: str, camera: Camera) -> Json:
+def _entry(name: str, camera: Camera, view: bytes | None) -> Json:
     return {
         "name": name,
         "width": camera.width,
@@ -118,6 +129,7 @@ def _entry(name: str, camera: Camera) -> Json:
         "pose": camera.world_to_camera.tolist(),
         "convention": "opencv",
         "distortion": list(camera.distortion),
+        **({} if view is None else {"view": b64encode(view).decode("ascii")}),
     }
 
 
@@ -186,7 +198,15 @@ def _our_frame(path: Path, name: str, record: Json) -> Frame:
     with within("pose"):
         view = view_of_pose(pose, convention)
     projection: Literal["pinhole", "orthographic"] = "orthographic" if orthographic else "pinhole"
-    return Frame(name, None, size, path, fixed_lens(K), view, projection, camera.distortion)
+    seen = _decoded(text_field(record, "view")) if "view" in record else None
+    return Frame(name, None, size, path, fixed_lens(K), view, projection, camera.distortion, seen)
+
+
+def _decoded(text: str) -> bytes:
+    try:
+        return b64decode(text, validate=True)
+    except ValueError as error:
+        raise BrokenError(f"view is no picture in base64 ({error}); draw the view again") from None
 
 
 # transforms.json

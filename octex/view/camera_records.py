@@ -47,6 +47,7 @@ class Frame(NamedTuple):
     world_to_camera: Floats  # (4, 4), as Camera's
     projection: Literal["pinhole", "orthographic"] = "pinhole"
     distortion: Distortion = NO_DISTORTION
+    view: bytes | None = None  # a PNG file of what it saw, if a file of octex's own holds it
 
     def camera(self, size: tuple[int, int] | None = None) -> Camera:
         """Make the camera for a picture of ``size`` (width, height); default: the size that the file says.

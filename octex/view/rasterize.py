@@ -238,10 +238,12 @@ def _draw(
         side = _orientation(screen, snapped, a, b, c)
         if side == 0.0:
             continue
-        edges[0] = _edge(screen, snapped, b, c)
-        edges[1] = _edge(screen, snapped, c, a)
-        edges[2] = _edge(screen, snapped, a, b)
-        edges[:, 2:5] *= side
+        for e in range(3):
+            p, q = (b, c) if e == 0 else (c, a) if e == 1 else (a, b)
+            x0, y0, across, down, constant, scale = _edge(screen, snapped, p, q)
+            # One by one: as an array expression this compiles for four seconds.
+            edges[e, 0], edges[e, 1], edges[e, 5] = x0, y0, scale
+            edges[e, 2], edges[e, 3], edges[e, 4] = across * side, down * side, constant * side
         a_depth, b_depth, c_depth = screen[a, 3], screen[b, 3], screen[c, 3]
         for row in range(first_row, end_row):
             first, end = first_column, end_column

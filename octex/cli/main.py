@@ -1,0 +1,77 @@
+"""octex: one command for all, whose first word says what is done."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from difflib import get_close_matches
+
+import octex
+from octex.cli import convert, paint
+from octex.cli.common import run, say
+from octex.cli.convert_options import COMMANDS
+from octex.cli.paint_options import PAINT
+from octex.cli.topics import TOPICS, topic
+from octex.errors import ArgumentError, ExitCode
+
+PROGRAM = "octex"
+_SUMMARIES = {
+    **{name: command.summary for name, command in COMMANDS.items()},
+    "paint": PAINT.summary,
+    "help": "Print a page on a topic.",
+}
+_ORDER = ("convert", "paint", "edit", "info", "diff", "validate", "overlaps", "warm-up", "help")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run what the first word asks for, and return its exit code (octex.errors.ExitCode)."""
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    first, rest = (words[0], words[1:]) if words else ("", [])
+    if first in COMMANDS:
+        return convert.main(rest, f"{PROGRAM} {first}", first)
+    if first == "paint":
+        return paint.main(rest, f"{PROGRAM} paint")
+    return run(PROGRAM, lambda: _answer(first, rest))
+
+
+def _answer(first: str, rest: Sequence[str]) -> int:
+    if first in ("-h", "--help", "--help-all") or (first == "help" and not rest):
+        say(_overview())
+    elif first == "--version":
+        say(f"{PROGRAM} {octex.__version__}")
+    elif first == "help":
+        for name in rest:
+            if name in _SUMMARIES and name != "help" and name not in TOPICS:
+                return main([name, "--help-all"])
+            say(topic(name))
+    else:
+        raise ArgumentError(_unknown(first))
+    return ExitCode.DONE
+
+
+def _unknown(word: str) -> str:
+    known = f"the commands are {', '.join(_ORDER)}; see {PROGRAM} --help"
+    if not word:
+        return f"a command is missing: {known}"
+    if word.startswith("-"):
+        return f"{word} stands before the command: {known}"
+    near = get_close_matches(word, _ORDER, 1)
+    return f"{word!r} is no command{f', {near[0]!r} is' if near else ''}: {known}"
+
+
+def _overview() -> str:
+    lines = [
+        f"usage: {PROGRAM} COMMAND … [options]",
+        "",
+        "Octree textures: colour a model without UVs.",
+        "",
+        *(f"  {name:9} {_SUMMARIES[name]}" for name in _ORDER),
+        "",
+        f"{PROGRAM} COMMAND --help shows a command's usual options and examples, --help-all every option;",
+        f"{PROGRAM} help TOPIC tells of {', '.join(TOPICS[:-1])} and {TOPICS[-1]}.",
+    ]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,199 @@
+"""The options of octree-paint, and which go together."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from octex.cli.arguments import (
+    BLENDS,
+    angle,
+    blend,
+    camera,
+    color,
+    count,
+    opacity,
+    picture_size,
+    pixels,
+    whole_number,
+)
+from octex.cli.looking import LOOKING, LOOKING_WORDS, check_looking
+from octex.cli.models import DEFAULT_CHANNEL, TEXTURE_ENDING
+from octex.cli.parser import Command, option, words_given
+from octex.cli.view import DEFAULT_SIZE
+from octex.errors import ArgumentError
+
+_OPTIONS = (
+    option("MODEL", "the model, posed as the cameras see it", nargs="?", type=Path),
+    option(
+        "TEXTURE",
+        "its texture, .octex; if it is left out, or not there, a new one is begun",
+        nargs="?",
+        type=Path,
+    ),
+    option(
+        "IMAGE",
+        "pictures, whose frames are found by their file names, or IMAGE=FRAME (default: those that FILE "
+        "names)",
+        nargs="*",
+        type=Path,
+    ),
+    option(
+        "--camera",
+        "where the cameras are: transforms.json, a COLMAP folder, glTF, or what --camera-out wrote",
+        metavar="FILE[#NAME]",
+        type=camera,
+    ),
+    option("--out", "the painted texture, .octex; with --force also TEXTURE", metavar="NEW", type=Path),
+    option(
+        "--mask",
+        "white where paint goes: one for all, or one for each IMAGE in order; any number of times",
+        metavar="PNG",
+        action="append",
+        type=Path,
+    ),
+    option(
+        "--since",
+        "the picture before it was drawn on: only pixels that differ are painted (default: the view that "
+        "--camera-out keeps)",
+        metavar="PNG",
+        type=Path,
+    ),
+    option("--whole", "paint all of a view, not only what was drawn on it", action="store_true"),
+    option("--blend", f"how paint is put: {', '.join(BLENDS)} (default over)", metavar="MODE", type=blend),
+    option("--opacity", "0 to 1: multiplies the pictures' alpha (default 1)", metavar="X", type=opacity),
+    option("--channel", f"what is painted (default {DEFAULT_CHANNEL})", metavar="NAME"),
+    option(
+        "--max-depth",
+        "the deepest level that paint goes to (default: cells of half a pixel, at most level 14)",
+        metavar="N",
+        type=whole_number,
+    ),
+    option(
+        "--max-angle",
+        "between the surface's normal and the way to the camera, from which on nothing is painted "
+        "(default 75)",
+        metavar="DEGREES",
+        type=angle,
+    ),
+    option(
+        "--edge-feather",
+        "fade paint towards the picture's rim and edges in depth (default 0)",
+        metavar="PIXELS",
+        type=pixels,
+    ),
+    option("--balance", "multiply pictures so that overlapping ones agree", action="store_true"),
+    option("--back-faces", "paint also what faces away", action="store_true"),
+    option("--no-fit", "store plain averages; lookups are then softer", action="store_true"),
+    option(
+        "--background",
+        "begin a new texture in this colour all over: R,G,B from 0 to 255, or '#rrggbb'",
+        metavar="COLOUR",
+        type=color,
+    ),
+    option("--rest", "the undeformed model, of the same topology as MODEL", metavar="MESH", type=Path),
+    option("--preview", "draw the model beside the model from its octree", metavar="PNG", type=Path),
+    option("--layer-out", "keep the paint itself, .octex, for --layer", metavar="LAYER", type=Path),
+    option(
+        "--layer",
+        "merge paint kept before; any number of times, in this order",
+        metavar="LAYER",
+        action="append",
+        type=Path,
+    ),
+    option(
+        "--view",
+        "draw what the camera sees, unlit and as transparent as the texture, to be painted on and sent "
+        "back; --blend replace then leaves transparency as it is, over adds to what is translucent",
+        metavar="PNG",
+        type=Path,
+    ),
+    option("--camera-out", "the camera of that picture, .json, for --camera", metavar="CAMERA", type=Path),
+    option(
+        "--size",
+        f"pixels of that picture (default: the camera's, or {DEFAULT_SIZE[0]},{DEFAULT_SIZE[1]})",
+        metavar="W,H",
+        type=picture_size,
+    ),
+    *LOOKING,
+    option("--shaded", "draw that picture in studio light, to be looked at", action="store_true"),
+    option("--force", "overwrite what exists", action="store_true"),
+    option("--threads", "threads to work on (default: all processors)", metavar="N", type=count),
+    option("--quiet", "print nothing but errors (and what --json asks for)", action="store_true"),
+    option("--json", "print the result as one JSON object", action="store_true"),
+)
+
+# Which options go with which work.
+_SHARED = {"MODEL", "TEXTURE", "--rest", "--force", "--quiet", "--json"}
+_MERGE = _SHARED | LOOKING_WORDS | {"--out", "--blend", "--opacity", "--preview", "--threads"}
+_WORDS = {
+    "painting": _MERGE
+    | {"IMAGE", "--camera", "--mask", "--since", "--whole", "--channel", "--max-depth"}
+    | {
+        "--max-angle",
+        "--edge-feather",
+        "--balance",
+        "--back-faces",
+        "--no-fit",
+        "--background",
+        "--layer-out",
+    },
+    "--layer": _MERGE,
+    "--view": _SHARED | LOOKING_WORDS | {"--shaded", "--camera-out", "--camera", "--size", "--channel"},
+}
+_NEEDED = {
+    "painting": ("MODEL", "--camera", "--out"),
+    "--layer": ("MODEL", "--out"),
+    "--view": ("MODEL",),
+}
+
+PAINT = Command(
+    "Paint pictures through their cameras onto a model's octree texture.",
+    [each for each in _OPTIONS if not each.word.startswith("-")],
+    [each for each in _OPTIONS if each.word.startswith("-")],
+    [
+        "droid.glb droid.octex --view view.png --camera-out camera.json",
+        "droid.glb droid.octex view.png --camera camera.json --out painted.octex",
+    ],
+    usual=(
+        *("--camera", "--out", "--mask", "--blend", "--opacity", "--max-depth", "--balance", "--preview"),
+        *("--layer-out", "--layer", "--view", "--camera-out", "--size", "--force", "--quiet", "--json"),
+    ),
+    usages=[
+        ["MODEL", "TEXTURE", "IMAGE", "--camera", "--out"],
+        ["MODEL", "TEXTURE", "--layer", "--out"],
+        ["MODEL", "TEXTURE", "--view"],
+    ],
+)
+
+
+def work_of(options: argparse.Namespace, program: str) -> str:
+    """Return what is to be done, a key of _WORDS, or refuse options that make no sense together."""
+    if options.TEXTURE is not None and options.TEXTURE.suffix.lower() != TEXTURE_ENDING:
+        options.IMAGE.insert(0, options.TEXTURE)  # a new texture needs no name
+        options.TEXTURE = None
+    given = words_given(options)
+    work = next((word for word in ("--view", "--layer") if word in given), "painting")
+    for word in given:
+        if word != work and word not in _WORDS[work]:
+            raise ArgumentError(f"{word} has no meaning with {work}; see {program} --help")
+    for word in _NEEDED[work]:
+        if word not in given:
+            raise ArgumentError(f"{word} is missing; see {program} --help")
+    check_looking(options)
+    is_there = options.TEXTURE is not None and options.TEXTURE.exists()
+    if work == "--view" and options.camera is None and options.camera_out is None:
+        raise ArgumentError(
+            "--view without --camera needs --camera-out: without its camera a picture cannot be painted back"
+        )
+    if options.background is not None and is_there:
+        raise ArgumentError(f"{options.TEXTURE}: exists already; --background is for a new texture")
+    if options.blend == "erase" and not is_there:
+        what = "there is no TEXTURE" if options.TEXTURE is None else f"{options.TEXTURE}: does not exist"
+        raise ArgumentError(f"{what}; there is nothing to erase")
+    if options.mask is not None and len(options.mask) not in (1, len(options.IMAGE)):
+        raise ArgumentError(
+            f"--mask gives {len(options.mask)} for {len(options.IMAGE)} IMAGEs; give one for all, or one for "
+            "each IMAGE"
+        )
+    return work

@@ -1,0 +1,258 @@
+"""A mesh: triangles at posed and rest positions, with what is bound to their corners, and points on them."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from types import NoneType
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.checks import as_whole, locked
+from octex.errors import ArgumentError, ModelError
+from octex.source.corners import Corners, Frames, at_corners
+from octex.source.parts import Overlaps, overlapping_parts, parts_of, weld
+from octex.source.tangents import carried
+
+Floats = npt.NDArray[np.float64]
+Int32s = npt.NDArray[np.int32]
+
+#: Farther positions would overflow widths in single precision.
+FARTHEST = 1e30
+
+
+class Samples(NamedTuple):
+    """Points of a surface."""
+
+    points: npt.NDArray[np.float64]  # (n, 3)   posed positions
+    rest: npt.NDArray[np.float64]  # (n, 3)   rest positions, the texture coordinates
+    normals: npt.NDArray[np.float64]  # (n, 3)   unit normals of the posed triangles
+    triangles: npt.NDArray[np.int32]  # (n,)
+    barycentric: npt.NDArray[np.float64]  # (n, 3)
+    rest_normals: npt.NDArray[np.float64]  # (n, 3)   of the triangles at rest; zeros without area
+
+
+class Mesh:
+    """Triangles at posed and at rest positions.
+
+    vertices   (n, 3) posed positions, in the model's units
+    triangles  (m, 3) rows of vertices, counter-clockwise seen from outside
+    rest       (n, 3) rest positions: the vertices themselves if None
+    uv         texture coordinates at corners, v running down; or None
+    frames     shading normals and tangents at corners, at rest; or None
+    bounds     (2, 3) the lowest and the highest rest position that triangles use
+
+    Arrays are copied, and those of the mesh are read-only. Raises ModelError for positions that are not
+    finite, triangles that use vertices that are not there, no triangles, or rest positions of another shape.
+    """
+
+    def __init__(
+        self,
+        vertices: npt.ArrayLike,
+        triangles: npt.ArrayLike,
+        *,
+        rest: npt.ArrayLike | None = None,
+        uv: Corners | None = None,
+        frames: Frames | None = None,
+        name: str = "surface",
+    ) -> None:
+        self.vertices = as_positions(vertices, f"{name}: vertices")
+        self.triangles = as_triangles(triangles, len(self.vertices), name)
+        self.rest = self.vertices if rest is None else as_positions(rest, f"{name}: rest positions")
+        if len(self.rest) != len(self.vertices):
+            raise ModelError(
+                f"{name}: {len(self.rest)} rest positions for {len(self.vertices)} vertices; give one each"
+            )
+        if not isinstance(uv, (Corners, NoneType)) or not isinstance(frames, (Frames, NoneType)):
+            raise ArgumentError(f"{name}: uv must be Corners, and frames must be Frames, or None")
+        self.uv = None if uv is None else _locked_corners(uv)
+        self.frames = None if frames is None else _locked_frames(frames)
+        self.name = name
+        used = self._used(self.triangles)
+        self.bounds: Floats = locked(np.array([self.rest[used].min(axis=0), self.rest[used].max(axis=0)]))
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.name!r} of {len(self.triangles):,} triangles>"
+
+    def with_rest(self, rest: npt.ArrayLike) -> Mesh:
+        """Return the same mesh at other rest positions (n, 3), its frames carried along.
+
+        Raises ModelError for another number of them, or if they are not finite.
+        """
+        positions = as_positions(rest, f"{self.name}: rest positions")
+        made = self.moved(positions)
+        if self.frames is not None:
+            made.frames = _locked_frames(carried(self.frames, self.triangles, self.rest, positions))
+        return made
+
+    def moved(self, rest: Floats) -> Mesh:
+        """Return the same mesh with its parts elsewhere at rest, turned as they are: frames stay."""
+        return Mesh(self.vertices, self.triangles, rest=rest, uv=self.uv, frames=self.frames, name=self.name)
+
+    def picked(self, triangles: npt.ArrayLike) -> tuple[Mesh, Int32s, Int32s]:
+        """Return some triangles (k,) as a mesh with the vertices that they use, and the numbers of both here.
+
+        Raises ArgumentError for numbers of triangles that are not there, ModelError for none.
+        """
+        try:
+            chosen = np.asarray(triangles)
+        except ValueError:  # rows of unequal lengths
+            chosen = np.empty(1, np.void)
+        if chosen.size and (chosen.ndim != 1 or chosen.dtype.kind not in "iu"):
+            raise ArgumentError(
+                f"triangles must be whole numbers of shape (k,), not {chosen.dtype} {chosen.shape}"
+            )
+        if chosen.size and not 0 <= chosen.min() <= chosen.max() < len(self.triangles):
+            raise ArgumentError(f"{self.name} has triangles 0 to {len(self.triangles) - 1}, not all of these")
+        chosen = chosen.astype(np.int32)
+        faces = self.triangles[chosen]
+        used = self._used(faces)
+        names = np.cumsum(used, dtype=np.int32) - np.int32(1)
+        frames = self.frames
+        mesh = Mesh(
+            self.vertices[used],
+            names[faces],
+            rest=None if self.rest is self.vertices else self.rest[used],
+            uv=self.uv and self.uv.of(chosen),
+            frames=frames and Frames(frames.normals.of(chosen), frames.tangents.of(chosen)),
+            name=self.name,
+        )
+        return mesh, chosen, np.flatnonzero(used).astype(np.int32)
+
+    def _used(self, triangles: Int32s) -> npt.NDArray[np.bool_]:
+        used = np.zeros(len(self.vertices), np.bool_)
+        used[triangles] = True
+        return used
+
+    @cached_property
+    def parts(self) -> npt.NDArray[np.int32]:
+        """The part of each triangle (m,), numbered by their first triangles, as ``overlapping_parts`` does.
+
+        Parts are what hangs together at rest, vertices at the same position being one.
+        """
+        return parts_of(self.triangles, weld(self.rest))
+
+    def overlapping_parts(self, margin: float = 0.0) -> Overlaps:
+        """Find the parts that intersect at rest, or come nearer than ``margin`` (in the model's units).
+
+        In an octree texture such parts share cells, and their colours run together (Benson & Davis 2002,
+        4.3.1 and 6.2). Parts are what hangs together, vertices at the same position being one. For each pair
+        there is the smallest distance of their surfaces and, for two solids, the volume that both fill, by an
+        exact boolean (solids are turned outside out first). Parts that are no solids are named in
+        ``unchecked``: what lies inside them is not known. A part that intersects itself is not found.
+
+        Raises ArgumentError for a negative margin.
+        """
+        return overlapping_parts(self.rest, self.triangles, margin)
+
+    def points_at(self, triangles: npt.NDArray[np.integer[Any]], barycentric: Floats) -> Floats:
+        """Return posed positions (n, 3) of points of triangles (n,), by barycentric coordinates (n, 3)."""
+        return at_corners(self.vertices, self.triangles[triangles], barycentric)
+
+    def rest_at(self, triangles: npt.NDArray[np.integer[Any]], barycentric: Floats) -> Floats:
+        """Return rest positions (n, 3) of points of triangles (n,), by barycentric coordinates (n, 3)."""
+        return at_corners(self.rest, self.triangles[triangles], barycentric)
+
+    def areas(self) -> npt.NDArray[np.float64]:
+        """Return the posed area of each triangle (m,), in square model units."""
+        areas: npt.NDArray[np.float64] = np.linalg.norm(_crosses(self.vertices, self.triangles), axis=1) / 2
+        return areas
+
+    def scatter(self, n: int, seed: int = 0) -> Samples:
+        """Draw ``n`` points, uniform by posed area; the same for the same seed.
+
+        Raises ModelError if the surface has no area, ArgumentError for a negative ``n``.
+        """
+        n = as_whole(n, "n, the number of points,", 0, 2**32)
+        seed = as_whole(seed, "seed", 0, 2**128)
+        crosses = _crosses(self.vertices, self.triangles)
+        norms = np.linalg.norm(crosses, axis=1)
+        cumulative = np.cumsum(norms)
+        if not cumulative[-1] > 0:
+            raise ModelError(
+                f"{self.name}: all triangles are degenerate, there is no area to scatter points on"
+            )
+        random = np.random.default_rng(seed).random((n, 3))
+        chosen = np.searchsorted(cumulative, random[:, 0] * cumulative[-1], side="right")
+        root = np.sqrt(random[:, 1])
+        barycentric = np.stack([1 - root, root * (1 - random[:, 2]), root * random[:, 2]], axis=1)
+        normals = rest_normals = crosses[chosen] / norms[chosen, None]
+        if self.rest is not self.vertices:
+            rest_normals = _crosses(self.rest, self.triangles[chosen])
+            lengths = np.linalg.norm(rest_normals, axis=1, keepdims=True)
+            rest_normals /= np.where(lengths > 0, lengths, 1)
+        return Samples(
+            points=self.points_at(chosen, barycentric),
+            rest=self.rest_at(chosen, barycentric),
+            normals=normals,
+            triangles=chosen.astype(np.int32),
+            barycentric=barycentric,
+            rest_normals=rest_normals,
+        )
+
+
+def _crosses(positions: Floats, triangles: Int32s) -> Floats:
+    """Return normals of triangles (m, 3), each twice its area long."""
+    corners = positions[triangles]
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def as_positions(positions: npt.ArrayLike, what: str) -> Floats:
+    """Return positions (n, 3) as an array of one's own, or raise ModelError that says ``what`` is wrong."""
+    try:
+        array = np.asarray(positions)
+    except ValueError:  # rows of unequal lengths
+        array = np.empty(0, np.void)
+    if array.dtype.kind not in "fiu":
+        raise ModelError(f"{what} must be numbers of shape (n, 3)")
+    array = _owned(array, np.float64)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ModelError(f"{what} must have shape (n, 3), not {array.shape}")
+    usable = (np.abs(array) <= FARTHEST).all(axis=1)
+    if not usable.all():
+        first = int(np.argmin(usable))
+        x, y, z = array[first].tolist()
+        raise ModelError(
+            f"{what} are not all finite (and below {FARTHEST:g}): number {first} is {x:g}, {y:g}, {z:g}; "
+            "repair the model"
+        )
+    return array
+
+
+def as_triangles(given: npt.ArrayLike, vertices: int, name: str) -> Int32s:
+    """Return triangles (m, 3) of so many vertices, or raise ModelError."""
+    try:
+        triangles = np.asarray(given)
+    except ValueError:  # rows of unequal lengths
+        triangles = np.empty(0, np.void)
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
+        raise ModelError(f"{name}: triangles must be whole numbers of shape (m, 3), not {triangles.shape}")
+    if len(triangles) == 0:
+        raise ModelError(f"{name} has no triangles; octex needs a surface, not points or lines")
+    low, high = int(triangles.min()), int(triangles.max())
+    if low < 0 or high >= vertices:
+        worst = low if low < 0 else high
+        raise ModelError(f"{name}: a triangle uses vertex {worst}, but there are {vertices}; export it again")
+    return _owned(triangles, np.int32)
+
+
+def _owned(given: npt.ArrayLike, dtype: type) -> npt.NDArray[Any]:
+    """Return a read-only array of one's own: a copy, unless it is one already."""
+    if isinstance(given, np.ndarray) and given.base is None and not given.flags.writeable:
+        return np.asarray(given, dtype, order="C")
+    array: npt.NDArray[Any] = np.array(given, dtype, order="C")
+    array.flags.writeable = False
+    return array
+
+
+def _locked_frames(frames: Frames) -> Frames:
+    normals, tangents = map(_locked_corners, frames)
+    is_locked = normals is frames.normals and tangents is frames.tangents
+    return frames if is_locked else Frames(normals, tangents)
+
+
+def _locked_corners(corners: Corners) -> Corners:
+    if not any(array.flags.writeable for array in corners):
+        return corners
+    return Corners(locked(corners.values), locked(corners.rows))

@@ -1,0 +1,130 @@
+"""octex, the one command: its first word, its helps and pages, and that it does what octree-convert does."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+import octex
+from octex.cli.convert_options import COMMANDS
+from octex.cli.main import main
+from octex.cli.topics import TOPICS, topic
+from octex.errors import ExitCode
+from tests.command import colored_box, python
+from tests.conftest import needs_jit
+
+NAMES = [*COMMANDS, "paint"]
+
+
+def said(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    assert main([str(each) for each in arguments]) == ExitCode.DONE
+    return capsys.readouterr().out
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    assert main([str(each) for each in arguments]) == ExitCode.REFUSED
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    return captured.err.rstrip("\n")
+
+
+@needs_jit
+def test_each_command_does_what_octree_convert_does(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from octex.cli.convert import main as convert
+
+    model, texture, coarse = colored_box(tmp_path), tmp_path / "box.octex", tmp_path / "coarse.octex"
+    assert said(capsys, "convert", "--depth", 4, model, texture, "--quiet") == ""
+    said(capsys, "edit", texture, "--depth", 3, coarse)
+    assert octex.open(coarse).tree.max_depth == 3
+    assert json.loads(said(capsys, "validate", coarse, "--json"))["valid"]
+    for command, files, options in (
+        ("info", [texture], []),
+        ("info", [texture], ["--json"]),
+        ("validate", [texture], []),
+        ("diff", [texture, model], ["--points", 1000]),
+        ("overlaps", [model], ["--margin", 0.1]),
+    ):
+        wanted = [f"--{command}", *map(str, files), *map(str, options)]
+        assert convert(wanted) == ExitCode.DONE
+        expected = capsys.readouterr().out
+        assert said(capsys, command, *options, *files) == expected
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_commands_help_is_a_screen_with_examples(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    text = said(capsys, name, "--help")
+    assert text.startswith(f"usage: octex {name}")
+    assert f"examples:\n  octex {name}" in text
+    assert text.count("\n") <= 60
+    everything = said(capsys, name, "--help-all")
+    assert all(f"{code:3}  {code.meaning}" in everything for code in ExitCode)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_examples_of_helps_are_understood(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    text = said(capsys, name, "--help")
+    for example in re.findall(rf"^  octex {name} (.+)$", text.split("\n\n")[2], re.MULTILINE):
+        assert main([name, *example.split()]) == ExitCode.REFUSED
+        message = capsys.readouterr().err.splitlines()[-1]
+        assert not re.search("unrecognized|argument|no meaning|missing", message), message
+
+
+def test_the_overview_names_every_command_and_page(capsys: pytest.CaptureFixture[str]) -> None:
+    text = said(capsys, "--help")
+    assert text == said(capsys, "help")
+    for name in NAMES:
+        assert f"\n  {name} " in text
+    assert all(name in text for name in TOPICS)
+    assert max(map(len, text.splitlines())) <= 130
+
+
+@pytest.mark.parametrize("name", TOPICS)
+def test_each_page_is_there(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    text = topic(name)
+    assert text.startswith("# ")
+    assert said(capsys, "help", name) == text + "\n"
+    for command, word in re.findall(r"(octex [a-z]+|octree-[a-z]+) [^\n]*?(--[a-z-]+)", text):
+        family = "paint" if command.endswith("paint") else "convert"
+        assert f"  {word}" in said(capsys, family, "--help-all"), (command, word)
+
+
+def test_help_of_a_command_is_all_its_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert said(capsys, "help", "diff") == said(capsys, "diff", "--help-all")
+
+
+def test_what_is_no_command_is_refused_with_those_that_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+    known = "the commands are convert, paint, edit, info, diff, validate, overlaps, warm-up, help"
+    end = f"{known}; see octex --help"
+    assert refused(capsys) == f"octex: error: a command is missing: {end}"
+    assert refused(capsys, "convrt", "a") == f"octex: error: 'convrt' is no command, 'convert' is: {end}"
+    assert refused(capsys, "a.glb") == f"octex: error: 'a.glb' is no command: {end}"
+    assert refused(capsys, "--quiet", "info") == f"octex: error: --quiet stands before the command: {end}"
+    assert refused(capsys, "help", "x").startswith(
+        "octex: error: there is no page on 'x'; there are models, "
+    )
+    message = "octex edit: error: a.glb: is no .octex file; octex convert makes one of a model"
+    assert refused(capsys, "edit", "a.glb", "b.octex") == message
+    assert refused(capsys, "info") == (
+        "octex info: error: the following arguments are required: FILE; see octex info --help"
+    )
+
+
+def test_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
+    assert said(capsys, "--version") == f"octex {octex.__version__}\n"
+
+
+def test_help_and_pages_import_nothing_heavy() -> None:
+    code = """
+import sys
+from octex.cli.main import main
+words = ("--help", "convert --help", "paint --help", "help painting", "x")
+codes = [main(each.split()) for each in words]
+print(*sorted({"numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm"} & set(sys.modules)), file=sys.stderr)
+"""
+    assert python(code).stderr.splitlines()[-1] == ""

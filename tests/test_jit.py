@@ -1,0 +1,205 @@
+"""What octex changes of numba: which code it keeps on disk, for whom, and what of numba it must find."""
+
+from __future__ import annotations
+
+import gc
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from numba import types
+from numba.core import caching, dispatcher, event
+
+from octex import jit, jit_cache
+from octex.field.spline import Group, Tables
+from tests.conftest import needs_jit
+
+#: Files one version after the other beside the same work of another process, each in step with it.
+_WRITER = """
+import mmap, sys, time
+from octex.jit import low_bits
+
+own, names = int(sys.argv[2]), sys.argv[3:]
+files = low_bits._cache._cache_file
+with open(sys.argv[1], "r+b") as shared:
+    rounds = mmap.mmap(shared.fileno(), 2)
+    for number, name in enumerate(names):
+        rounds[own] = number + 1
+        while rounds[1 - own] < number + 1:
+            time.sleep(0)
+        files.save(((name,), ("machine", "processor", "+feature"), ("bytecode",)), name)
+"""
+
+
+def of(name: str) -> tuple[Any, ...]:
+    """A key like numba's."""
+    return (name,), ("machine", "processor", "+feature"), ("bytecode",)
+
+
+@needs_jit
+def test_processes_that_add_versions_at_once_keep_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    shared = tmp_path / "rounds"
+    shared.write_bytes(bytes(2))
+    names = [[f"{process}.{number}" for number in range(100)] for process in range(2)]
+    writers = [
+        subprocess.Popen([sys.executable, "-c", _WRITER, shared, str(process), *names[process]])
+        for process in range(2)
+    ]
+    assert [writer.wait() for writer in writers] == [0, 0]
+    folder = next((tmp_path / "cache").iterdir())
+    code = f"""
+from octex.jit import low_bits
+load = low_bits._cache._cache_file.load
+print([key for key in {[of(name) for name in names[0] + names[1]]} if load(key) != key[0][0]])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+    assert len(list(folder.iterdir())) == 200
+
+
+def test_what_is_kept_serves_this_numba_this_source_and_this_key_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def files() -> jit_cache.CodeFiles:
+        return jit_cache.CodeFiles(str(tmp_path), test_processes_that_add_versions_at_once_keep_all)
+
+    files().save(of("this"), [1, 2])
+    assert files().load(of("this")) == [1, 2]
+    assert files().load(of("other")) is None
+    with monkeypatch.context() as changed:
+        changed.setattr("numba.__version__", "0.1")
+        assert files().load(of("this")) is None
+        files().save(of("this"), [3])  # takes the other's place
+    assert files().load(of("this")) is None
+    function = test_processes_that_add_versions_at_once_keep_all
+    assert jit_cache.CodeFiles(str(tmp_path), function, "of another file").load(of("this")) is None
+    monkeypatch.setattr(jit_cache, "digest_behind", lambda _module: "changed")
+    files().save(of("this"), [4])
+    assert files().load(of("this")) == [4]
+    assert len(list(tmp_path.iterdir())) == 1
+    files().flush()
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_is_not_whole_or_cannot_be_written_is_as_if_it_were_not_there(tmp_path: Path) -> None:
+    files = jit_cache.CodeFiles(str(tmp_path), jit_cache.key_text)
+    files.save(of("this"), [1, 2])
+    (path,) = tmp_path.iterdir()
+    whole = path.read_bytes()
+    for size in (0, 10, len(whole) - 1):
+        path.write_bytes(whole[:size])
+        assert files.load(of("this")) is None
+    path.unlink()
+    path.mkdir()  # nothing can be put there
+    files.save(of("this"), [1])
+    assert files.load(of("this")) is None
+    assert list(tmp_path.iterdir()) == [path]
+    jit_cache.CodeFiles(str(tmp_path / "nowhere"), jit_cache.key_text).save(of("this"), [1])
+
+
+def test_functions_of_one_name_have_files_of_their_own(tmp_path: Path) -> None:
+    def made(number: int) -> jit_cache.CodeFiles:
+        if number:
+
+            def number_of() -> int:
+                return 1
+
+        else:
+
+            def number_of() -> int:
+                return 2
+
+        return jit_cache.CodeFiles(str(tmp_path), number_of)
+
+    made(0).save(of("this"), "two")
+    made(1).save(of("this"), "one")
+    assert [made(number).load(of("this")) for number in range(2)] == ["two", "one"]
+
+
+def test_code_that_is_shipped_serves_processors_with_all_that_it_may_use(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name, features = jit_cache.PORTABLE
+
+    def on(triple: str, *features: str) -> tuple[Any, ...]:
+        return ("this",), (triple, "processor", ",".join(features)), ("bytecode",)
+
+    jit_cache.CodeFiles(str(tmp_path), jit_cache.key_text).save(
+        (("this",), ("x86_64-linux", *jit_cache.PORTABLE), ("bytecode",)), [1, 2]
+    )
+    monkeypatch.setattr(jit_cache, "SHIPPED", tmp_path)
+    monkeypatch.setattr("numba.config.BOUNDSCHECK", None)
+    load = jit_cache.CodeFiles(str(tmp_path / "own"), jit_cache.key_text).load
+    enough = ["+64bit", *features.split(","), "-avx512f"]
+    assert load(on("x86_64-linux", *enough)) == [1, 2]
+    assert load(on("x86_64-windows", *enough)) is None
+    for feature in features.split(","):
+        fewer = [f"-{each[1:]}" if each == feature else each for each in enough]
+        assert load(on("x86_64-linux", *fewer)) is None
+    assert load(on("x86_64-linux")) is None
+    monkeypatch.setattr("numba.config.BOUNDSCHECK", 1)
+    assert load(on("x86_64-linux", *enough)) is None
+    assert name == "x86-64-v3"
+
+
+def test_types_of_one_name_are_told_apart_by_their_modules() -> None:
+    other = type("Tables", (tuple,), {"_fields": Tables._fields, "__module__": "elsewhere"})
+    arrays = [types.Array(types.uint64, 1, "C"), types.Array(types.uint16, 1, "C")]
+    own, others = (jit_cache.type_text(types.NamedTuple(arrays, kind)) for kind in (Tables, other))
+    assert own == "octex.field.spline:Tables(array(uint64, 1d, C), array(uint16, 1d, C))"
+    assert others == own.replace("octex.field.spline", "elsewhere")
+    assert Group.__name__ not in own
+
+
+@needs_jit
+@pytest.mark.parametrize(
+    ("owner", "name"),
+    [
+        (dispatcher.Dispatcher, "_compile_for_args"),
+        (dispatcher.Dispatcher, "get_call_template"),
+        (dispatcher.Dispatcher, "typeof_pyval"),
+        (caching.IndexDataCacheFile, "load"),
+        (caching.IndexDataCacheFile, "save"),
+        (caching.Cache, "cache_path"),
+    ],
+)
+def test_a_numba_without_what_octex_uses_is_named_and_nothing_is_kept(
+    owner: type, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = next(kind for kind in owner.__mro__ if name in vars(kind))
+    monkeypatch.delattr(home, name)
+    if home is caching.Cache:
+        monkeypatch.setattr(home, "__abstractmethods__", frozenset())
+        monkeypatch.setattr(caching.FunctionCache, "__abstractmethods__", frozenset())
+        monkeypatch.delattr(caching._Cache, name)
+    with pytest.warns(
+        RuntimeWarning, match=rf"numba \S+ has no (.* and no )?(\w+\.)*{name}\b.*: low_bits is"
+    ):
+        compiled: Any = jit.kernel(jit.low_bits.py_func)  # type: ignore[attr-defined]
+    assert isinstance(compiled._cache, caching.NullCache)
+
+
+@needs_jit
+def test_garbage_is_sought_as_before_after_compiling() -> None:
+    before = gc.get_threshold()
+    seen = []
+
+    @jit.kernel
+    def double(number: float) -> float:
+        return number + number
+
+    class Listener(event.Listener):  # type: ignore[misc]
+        def on_start(self, _event: Any) -> None:
+            seen.append(gc.get_threshold()[0])
+
+        on_end = on_start
+
+    with event.install_listener("numba:compile", Listener()):
+        assert double(1.5) == 3.0
+    assert set(seen) == {jit.MANY_OBJECTS}
+    assert gc.get_threshold() == before

@@ -1,0 +1,63 @@
+"""Write octex/signatures.txt: what Python calls kernels with, in the order of need.
+
+usage: python tools/signatures.py
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+MODEL = ROOT / "samples" / "droid.glb"
+_HEAD = "# What kernels are called with, by `tools/signatures.py`. See `octex/ahead.py`.\n"
+_RECORDER = """
+import importlib, json, sys
+from octex import jit, jit_cache
+
+calls = []
+
+def recorded(compiled, *others):
+    kinds = tuple(map(jit._unlocked, map(compiled.typeof_pyval, others[2:])))
+    function = compiled.py_func
+    text = ", ".join(map(jit_cache.type_text, kinds))
+    calls.append(f"{function.__module__}:{function.__qualname__} {text}")
+    return compile_for_args(compiled, *others)
+
+compile_for_args, jit._compile_for_args = jit._compile_for_args, recorded
+module, *arguments = sys.argv[1:]
+code = importlib.import_module(module).main(arguments)
+print(json.dumps(calls))
+sys.exit(code)
+"""
+
+
+def record(command: str, *arguments: str | Path) -> list[str]:
+    """Run a command of octex and return what it calls kernels with, each once."""
+    call = [sys.executable, "-c", _RECORDER, f"octex.cli.{command}", *map(str, arguments), "--quiet"]
+    done = subprocess.run(call, stdout=subprocess.PIPE, text=True, check=True)
+    return list(dict.fromkeys(json.loads(done.stdout.splitlines()[-1])))
+
+
+def main() -> int:
+    with tempfile.TemporaryDirectory() as name:
+        texture, preview, view, camera, painted = (
+            Path(name) / file for file in ("t.octex", "preview.png", "view.png", "camera.json", "p.octex")
+        )
+        sections = {}
+        sections["convert"] = record("convert", MODEL, texture)
+        sections["preview"] = record("convert", MODEL, texture, "--preview", preview, "--force")
+        sections["view"] = record("paint", MODEL, texture, "--view", view, "--camera-out", camera)
+        sections["paint"] = record("paint", MODEL, texture, view, "--camera", camera, "--out", painted)
+        sections["warm-up"] = record("convert", "--warm-up")
+    sections["preview"] = [line for line in sections["preview"] if line not in sections["convert"]]
+    blocks = ["\n".join([f"[{name}]", *lines, ""]) for name, lines in sections.items()]
+    (ROOT / "octex" / "signatures.txt").write_text(_HEAD + "\n".join(blocks), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
