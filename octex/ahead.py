@@ -37,12 +37,22 @@ def ahead(*sections: str) -> Iterator[None]:
     """While the block lasts, have sections of the list compiled elsewhere too, once a kernel is missing."""
     global _wanted
     _wanted = sections
+    if sections and _is_new():
+        begin()
     try:
         yield
     finally:
         _wanted = ()
         while _helpers:
             _end(_helpers.pop())
+
+
+def _is_new() -> bool:
+    """Tell whether nothing has been compiled, as far as can be told before numba is imported: a second."""
+    room = LIST.parent
+    if {"NUMBA_CACHE_DIR", "NUMBA_DISABLE_JIT"} & os.environ.keys() or not os.access(room, os.W_OK):
+        return False
+    return not (room / "compiled").exists() and not any(room.glob("**/__pycache__/*.nbc"))
 
 
 def begin() -> None:

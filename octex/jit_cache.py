@@ -132,8 +132,10 @@ def _read_type(text: str) -> Any:
         return types.Array(_read_type(dtype), int(dimensions.removesuffix("d")), layout)
     if ":" in name:
         module, _, name = name.partition(":")
-        of = getattr(import_module(module), name)
-        return types.BaseTuple.from_types(read_types(inner), None if of is tuple else of)
+        of, within = getattr(import_module(module), name), read_types(inner)
+        if len(getattr(of, "_fields", within)) != len(within):
+            raise ValueError(f"{of} has not {len(within)} fields")
+        return types.BaseTuple.from_types(within, None if of is tuple else of)
     return types.boolean if name == "bool" else getattr(types, name)
 
 

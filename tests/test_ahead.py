@@ -30,6 +30,7 @@ def helpers(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     start = subprocess.Popen
     monkeypatch.setattr(ahead, "_CALL", ("-c", "import sys; sys.stdin.read(); print('over', sys.argv[1:])"))
     monkeypatch.setattr(ahead, "cpu_count", lambda: 4)
+    monkeypatch.setattr(ahead, "_is_new", lambda: False)
     monkeypatch.setattr("octex.ahead.subprocess.Popen", popen)
     return begun
 
@@ -52,6 +53,31 @@ def test_helpers_begin_once_where_they_are_asked_for_and_end_with_the_work(
     ahead.begin()
     assert len(helpers) == 3
     assert capfd.readouterr() == ("", "")
+
+
+def test_where_nothing_is_compiled_yet_helpers_begin_at_once(
+    helpers: list[Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.undo()
+    for name in ("NUMBA_CACHE_DIR", "NUMBA_DISABLE_JIT"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(ahead, "LIST", tmp_path / "list.txt")
+    monkeypatch.setattr(ahead, "begin", lambda: helpers.append("begun"))
+    with ahead.ahead("convert"), ahead.ahead():
+        assert helpers == ["begun"]
+    kept = tmp_path / "room" / "__pycache__" / "kernel.nbc"
+    kept.parent.mkdir(parents=True)
+    kept.touch()
+    with ahead.ahead("convert"):
+        assert helpers == ["begun"]
+    kept.unlink()
+    for change in (
+        lambda: monkeypatch.setenv("NUMBA_DISABLE_JIT", "1"),
+        lambda: (monkeypatch.delenv("NUMBA_DISABLE_JIT"), (tmp_path / "compiled").mkdir()),
+    ):
+        change()
+        with ahead.ahead("convert"):
+            assert helpers == ["begun"]
 
 
 @pytest.mark.parametrize("reason", ["one processor", "nothing to start", "python inside a program"])
@@ -157,7 +183,7 @@ def test_what_is_listed_are_kernels_and_types_of_their_arguments(section: str) -
     for line in listed:
         try:
             kernel, arguments = ahead.read(line)
-        except (AttributeError, ImportError):
+        except (AttributeError, ImportError, ValueError):
             continue
         assert ", ".join(map(jit_cache.type_text, arguments)) == line.split(" ", 1)[1]
         fitting += len(inspect.signature(kernel.py_func).parameters) == len(arguments)

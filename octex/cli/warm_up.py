@@ -91,6 +91,7 @@ def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
     samples = surface.scatter(100)
     for channel in surface.channels:
         surface.evaluate(samples, channel.name, width=0.1)
+        surface.with_filter("bilinear").evaluate(samples, channel.name, width=0.1)
     octex.convert(surface, 6).save(folder / "needle.octex")
     texture = octex.open(folder / "needle.octex")
     texture.validate()

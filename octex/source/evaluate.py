@@ -121,13 +121,13 @@ def evaluate(
     columns: Columns,
     images: Images,
     footprints: npt.NDArray[np.float64],
-    filter: int,
+    filter: int | None,
     triangles: npt.NDArray[np.int32],
     barycentric: npt.NDArray[np.float64],
     widths: npt.NDArray[np.float32],
     values: npt.NDArray[np.float32],
 ) -> None:
-    """Fill in the values (n, columns) at points of triangles; ``filter`` is an index into FILTERS."""
+    """Fill in the values (n, columns) at points of triangles; ``filter`` is as `filters.told`."""
     places = np.empty(TAP_ROOM, np.int64)
     weights = np.empty(TAP_ROOM, np.float64)
     most_stacks = most_images = 0

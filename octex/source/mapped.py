@@ -17,7 +17,7 @@ from octex.errors import ArgumentError
 from octex.source.base import Source
 from octex.source.corners import Frames
 from octex.source.images.decode import read_image
-from octex.source.images.filters import FILTERS, LEVELS_OF
+from octex.source.images.filters import FILTERS, LEVELS_OF, told
 from octex.source.images.pyramid import WRAPS, Picture, as_wraps, store
 from octex.source.mapping import BOX, KINDS, SPHERICAL, Mapping, mapped_edges, read_mapped
 from octex.source.materials import light_format, unit_directions
@@ -183,7 +183,7 @@ class MappedSource(SpatialSource):
         read_mapped(
             self._mapping,
             self._images,
-            self._filter,
+            told(self._filter),
             self._flat,
             is_direction,
             points,

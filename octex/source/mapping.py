@@ -129,7 +129,7 @@ def _covariance(u_slope: _Vector, v_slope: _Vector, normal: _Vector, square: flo
 def read_mapped(
     mapping: Mapping,
     images: Images,
-    filter: int,
+    filter: int | None,
     flat: bool,
     is_direction: bool,
     points: Floats,

@@ -18,7 +18,7 @@ from octex.jit import kernel
 from octex.source.base import Source, in_order
 from octex.source.corners import Corners, Frames
 from octex.source.evaluate import Columns, Tables, evaluate, measure, texel_edges
-from octex.source.images.filters import FILTERS, LEVELS_OF
+from octex.source.images.filters import FILTERS, LEVELS_OF, told
 from octex.source.images.pyramid import REPEAT, Images, Picture, Texels, store
 from octex.source.tangents import carried
 
@@ -137,7 +137,7 @@ class MaterialSource(Source):
             prepared.columns,
             prepared.images,
             footprints,
-            self._filter,
+            told(self._filter),
             triangles,
             barycentric,
             widths,

@@ -42,11 +42,16 @@ MOST_VARIANCE = 1e24
 _LONGEST = 16.0
 
 
+def told(filter: int) -> int | None:
+    """Return how kernels are told a filter: the default by None, for which the others are not compiled."""
+    return None if filter == EWA else filter
+
+
 @inlined
 def find_taps(
     images: Images,
     layout: int,
-    filter: int,
+    filter: int | None,
     wrap_u: int,
     wrap_v: int,
     flat: bool,
@@ -62,14 +67,14 @@ def find_taps(
 ) -> tuple[int, int, float]:
     """List the taps of a footprint at (u, v); return how many, how to cut alpha, and what to scale sums by.
 
-    ``filter`` is an index into FILTERS, ``flat`` images have flat texels. (xx, xy, yy) is the footprint's
-    covariance in texels², ``least`` and ``most`` its variance along the short and the long axis. ``places``
-    and ``weights`` have TAP_ROOM elements. The second result is NEVER, EACH or SUM.
+    ``filter`` is as `told`, ``flat`` images have flat texels. (xx, xy, yy) is the footprint's covariance in
+    texels², ``least`` and ``most`` its variance along the short and the long axis. ``places`` and ``weights``
+    have TAP_ROOM elements. The second result is NEVER, EACH or SUM.
     """
     row = images.layouts[layout, 0]
     u = unwrapped(u, wrap_u, xx, images.levels[row, 1])
     v = unwrapped(v, wrap_v, yy, images.levels[row, 2])
-    if filter == EWA:
+    if filter is None:
         if 12.0 * max(xx, yy) <= 1.0:
             if flat:
                 return flat_texels(images, row, wrap_u, wrap_v, u, v, xx, yy, places, weights), SUM, 1.0
