@@ -40,6 +40,7 @@ from tests.strategies import with_random_data
 ROUNDING = 1 / 8  # of samples, and what is allowed for that, in codes
 UNIT = Placement((0.0, 0.0, 0.0), 1.0)
 Floats = npt.NDArray[np.floating]
+Bools = npt.NDArray[np.bool_]
 
 
 def plane(depth: int) -> Octree:
@@ -286,7 +287,7 @@ def test_what_a_fit_breaks_is_split_again():
     channels = painted(tree, ramp(tree))
     plain = merge(tree, channels, 2)
 
-    def fit(pruned: Octree, values: Mapping[str, Channel]) -> dict[str, Channel]:
+    def fit(pruned: Octree, values: Mapping[str, Channel], _chosen: Bools | None) -> dict[str, Channel]:
         spoilt = values["base_color"].values.copy()
         broken = pruned.leaf_cells()[::5]
         spoilt[broken] = 255 - spoilt[broken] if pruned.n_leaves < tree.n_leaves else spoilt[broken]
@@ -300,7 +301,7 @@ def test_what_a_fit_breaks_is_split_again():
 def test_leaves_hold_what_was_fitted_and_nodes_the_means():
     tree = plane(5)
 
-    def fit(pruned: Octree, values: Mapping[str, Channel]) -> dict[str, Channel]:
+    def fit(pruned: Octree, values: Mapping[str, Channel], _chosen: Bools | None) -> dict[str, Channel]:
         fitted = values["base_color"].values.copy()
         fitted[pruned.leaf_cells()] += 1
         return {"base_color": values["base_color"]._replace(values=fitted)}

@@ -64,8 +64,8 @@ def adapted(
     cells,) are the depths wanted there, in Morton order. Without samples none can merge.
 
     With ``max_error``, in 8-bit codes of what is encoded (see `measure`), leaves merge upward from there.
-    Then the quadratic field differs from that of the tree without ``max_error`` by at most that and 1/16 (what
-    both are rounded by) at every sample, looked up without normals and with the samples' own; and by at most
+    Then the quadratic field differs from that of the tree without ``max_error`` by at most that and 1/16
+    (what both are rounded by) at every sample, looked up without normals and with the samples' own; and by at most
     one code more where the plane of the surface at a sample goes through its finest cell, with the difference
     taken for a quadratic polynomial on each of the triangles that ``samples.lay_out`` makes of that. Leaves
     that do not merge have the values that they have without it.
@@ -77,7 +77,7 @@ def adapted(
         pruned = prune(finest, limits)
     whole = tree if pruned is None else pruned.tree
     means = channels if pruned is None else pruned.carried(channels)
-    values = fit(whole, means) if fit else means
+    values = fit(whole, means, None) if fit else means
     if split:
         whole, values = split(whole, means, values)
     if max_error is None or samples is None:
@@ -141,13 +141,12 @@ class _Merger:
     def _fit(self, fit: Fit, depths: Depths) -> None:
         """Give merged leaves fitted values."""
         pruned = prune(self._finest, depths)
-        means = {
-            name: channel._replace(split_values=self._known[name].split_values)
-            for name, channel in self._means.items()
-        }
-        values = fit(pruned.tree, pruned.carried(means))
-        cells = pruned.leaf_cells(depths)
-        merged = cells[(depths < self._limits)[pruned.starts]]
+        cells, is_merged = pruned.leaf_cells(depths), (depths < self._limits)[pruned.starts]
+        merged = cells[is_merged]
+        if not merged.size:
+            return
+        # Merged leaves are known by their means as yet.
+        values = fit(pruned.tree, pruned.carried(self._known), is_merged)
         for name, channel in values.items():
             self._known[name].values[pruned.cells[merged]] = channel.values[merged]
         some = {name: channel._replace(values=channel.values[merged]) for name, channel in values.items()}
