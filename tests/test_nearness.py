@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from octex.channels import ALPHA, BASE_COLOR, NORMAL, linear_to_srgb
 from octex.conversion.measure import Columns
-from octex.conversion.nearness import Decoded, Ranges, far_cells, narrow_leaves
+from octex.conversion.nearness import Decoded, Ranges, far_cells, narrow_blocks
 from octex.conversion.prune import Finest, Pruned, limits_of, prune
 from octex.conversion.samples import MOST_POINTS, NORMAL_STEPS, PLACE_STEPS, Samples, lay_out
 from octex.jit import DISABLED, kernel, spline_rows
@@ -198,17 +198,20 @@ def test_nodes_by_themselves_show_what_they_hold(seed: int):
 
 @few
 @given(st.integers(0, 2**32 - 1))
-def test_around_narrow_leaves_no_two_fields_are_far_apart(seed: int):
+def test_in_narrow_blocks_fields_are_not_far_apart(seed: int):
     made = scene(seed, 0.01)
-    field = made.decoded.pruned(made.pruned)
-    ranges = Ranges.of(made.finest, made.decoded, made.decoded)
-    starts = made.pruned.starts
-    leaves = made.finest.codes[starts], made.depths[starts]
-    expected = np.maximum.reduceat(scores(made, between=True), starts)
+    limits = np.where(np.arange(made.depths.size) < seed % 50, made.depths, DEPTH).astype(np.uint8)
+    whole = prune(made.finest, limits_of(made.finest, limits))
+    made = made._replace(
+        full=OctreeTexture(whole.tree, whole.carried(made.full.channels), UNIT, [[0, 0, 0], [1, 1, 1]])
+    )
+    ranges = Ranges.of(made.decoded.pruned(made.pruned)), Ranges.below(made.finest, made.decoded, whole)
+    expected = scores(made, between=True)
     columns = Columns.of(made.samples.channels)
-    for most in (1.0, 2.0, 5.0, 50.0):
-        narrow = narrow_leaves(field, made.pruned.cells, ranges, columns, DEPTH, most, leaves)
-        assert (expected[narrow] <= most + 0.01).all()
+    for level, most in itertools.product(range(1, DEPTH), (1.0, 2.0, 5.0, 50.0)):
+        codes = made.finest.codes[made.finest.firsts[level]]
+        narrow = narrow_blocks(*ranges, columns, DEPTH, most, level, codes)
+        assert (expected[made.finest.spread(level, narrow)] <= most + 0.01).all()
     assert narrow.any() or "normal" in made.full.channels
 
 

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from octex.conversion.nearness import Decoded, Ranges, far_cells, narrow_leaves
+from octex.conversion.nearness import Decoded, Ranges, far_cells, narrow_blocks
 from octex.conversion.prune import Bools, Channels, Depths, Finest, Pruned, grafted, limits_of, prune
 from octex.conversion.samples import Samples
 from octex.conversion.sides import Fit, Split
@@ -26,6 +26,8 @@ from octex.tree.octree import Octree
 
 #: Finest cells that are tested at once.
 _BLOCK = 1 << 14
+#: From so many levels above the finest cells on, what is near is looked for by what it is made of.
+_LEVELS = 2
 #: What the fields are rounded by at most, in codes.
 _ROUNDING = 1 / 16
 #: If no more than this part of all leaves fail, only those around them are tested again.
@@ -65,10 +67,10 @@ def adapted(
 
     With ``max_error``, in 8-bit codes of what is encoded (see `measure`), leaves merge upward from there.
     Then the quadratic field differs from that of the tree without ``max_error`` by at most that and 1/16
-    (what both are rounded by) at every sample, looked up without normals and with the samples' own; and by at most
-    one code more where the plane of the surface at a sample goes through its finest cell, with the difference
-    taken for a quadratic polynomial on each of the triangles that ``samples.lay_out`` makes of that. Leaves
-    that do not merge have the values that they have without it.
+    (what both are rounded by) at every sample, looked up without normals and with the samples' own; and by at
+    most one code more where the plane of the surface at a sample goes through its finest cell, with the
+    difference taken for a quadratic polynomial on each of the triangles that ``samples.lay_out`` makes of
+    that. Leaves that do not merge have the values that they have without it.
     """
     finest, limits, pruned = None, None, None
     if wanted is not None and wanted.min(initial=tree.max_depth) < tree.max_depth:
@@ -116,8 +118,9 @@ class _Merger:
         self._progress = progress
         self._averages = Decoded.of(means, samples.channels)
         self._decoded = Decoded.of(known, samples.channels)
-        self._full = self._decoded.pruned(prune(finest, limits))
-        self._ranges = Ranges.of(finest, self._averages, self._decoded)
+        whole = prune(finest, limits)
+        self._full = self._decoded.pruned(whole)
+        self._ranges = Ranges.below(finest, self._decoded, whole)
 
     def merged(self, fit: Fit | None) -> tuple[Octree, dict[str, Channel]]:
         """Return the tree of fewest leaves that was found, and its channels."""
@@ -151,7 +154,6 @@ class _Merger:
             self._known[name].values[pruned.cells[merged]] = channel.values[merged]
         some = {name: channel._replace(values=channel.values[merged]) for name, channel in values.items()}
         self._decoded.values[pruned.cells[merged]] = Decoded.of(some, self._samples.channels).values
-        self._ranges = Ranges.of(self._finest, self._averages, self._decoded)
 
     def _merge(self, level: int, depths: Depths) -> None:
         """Make leaves of the nodes of a level all of whose children are, where that seems to be near enough.
@@ -166,36 +168,21 @@ class _Merger:
             return
         tree = finest.tree.truncated(level)
         averages = self._averages.truncated(tree)
-        levels = np.full(np.count_nonzero(may), level, np.uint8)
-        near = np.zeros(may.size, np.bool_)
-        near[may] = self._narrow(averages, np.arange(tree.n_cells), firsts[may], levels)
+        near = self._narrow(level, averages, may)
         near |= self._near(level, averages, may & ~near)
         near |= self._near(level, averages, may & ~near, by_itself=True)
         depths[finest.spread(level, near)] = level
 
-    def _narrow(
-        self,
-        field: Coefficients,
-        numbers: npt.NDArray[np.int64],
-        starts: npt.NDArray[np.int64],
-        levels: Depths,
-    ) -> Bools:
-        """Say around which leaves of a field, of which these are the first finest cells, all is near."""
-        work = partial(
-            narrow_leaves,
-            field,
-            numbers,
-            self._ranges,
-            self._averages.columns,
-            self._samples.depth,
-            self._most,
-        )
-        cuts = range(0, starts.size, _BLOCK)
-        blocks = [
-            (self._finest.codes[starts[cut : cut + _BLOCK]], levels[cut : cut + _BLOCK]) for cut in cuts
-        ]
+    def _narrow(self, level: int, field: Coefficients, chosen: Bools) -> Bools:
+        """Say in which of some cells of a level all that a field and the full tree's are made of is near."""
+        narrow = np.zeros(chosen.size, np.bool_)
+        codes = self._finest.codes[self._finest.firsts[level][chosen]]
+        own, columns = Ranges.of(field), self._averages.columns
+        work = partial(narrow_blocks, own, self._ranges, columns, self._samples.depth, self._most, level)
+        blocks = [codes[begin : begin + _BLOCK] for begin in range(0, codes.size, _BLOCK)]
         done = map(work, blocks) if self._executor is None else ordered_map(self._executor, work, blocks)
-        return np.concatenate([np.zeros(0, np.bool_), *done])
+        narrow[chosen] = np.concatenate([np.zeros(0, np.bool_), *done])
+        return narrow
 
     def _near(self, level: int, averages: Coefficients, may: Bools, *, by_itself: bool = False) -> Bools:
         """Say in which of some nodes of a level its averages are near enough to the full tree's field.
@@ -228,11 +215,11 @@ class _Merger:
         while rounds is None or attempt < rounds:
             pruned = prune(self._finest, depths)
             field = self._decoded.pruned(pruned)
-            tested = pruned.starts[(suspects & (depths < self._limits))[pruned.starts]]
-            narrow = np.zeros(depths.size, np.bool_)
-            narrow[tested] = self._narrow(field, pruned.cells, tested, depths[tested])
-            narrow = np.repeat(narrow[pruned.starts], pruned.sizes)
-            failing = self._fails(field, suspects & ~narrow, between=rounds is None)
+            chosen = suspects.copy()
+            for level in range(max(self._finest.tree.max_depth - _LEVELS, 0), self._finest.tree.max_depth):
+                blocks = np.logical_or.reduceat(chosen, self._finest.firsts[level])
+                chosen &= ~self._finest.spread(level, self._narrow(level, field, blocks))
+            failing = self._fails(field, chosen, between=rounds is None)
             splits = self._splits(failing, pruned, depths)
             if not splits.any():
                 return

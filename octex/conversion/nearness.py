@@ -29,9 +29,9 @@ from octex.field.coefficients import (
 from octex.field.splines import QUADRATIC
 from octex.field.stages import View, facings_of, view_of
 from octex.field.windows import BEGIN, INSIDE, Walk, cell_at, follow, new_walk
-from octex.jit import inlined, kernel, trailing_zeros
+from octex.jit import inlined, kernel, popcount, trailing_zeros
 from octex.texture.channel import Channel
-from octex.tree.layout import MAX_DEPTH, TreeArrays
+from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT, TreeArrays
 from octex.tree.morton import decode as decode_cell
 from octex.tree.octree import Octree
 
@@ -89,18 +89,31 @@ class Decoded(NamedTuple):
 
 
 class Ranges(NamedTuple):
-    """The least and the largest of all that the cells of a full tree hold, and those below them."""
+    """The least and the largest of what cells of a tree hold, their facings too."""
 
-    low: Float32s  # (cells, columns)
-    high: Float32s  # (cells, columns)
+    arrays: TreeArrays
+    numbers: Int64s  # (cells of the tree,)   their rows
+    low: Float32s  # (rows, columns)
+    high: Float32s  # (rows, columns)
 
     @classmethod
-    def of(cls, finest: Finest, means: Decoded, decoded: Decoded) -> Ranges:
-        """Find the ranges of what cells hold as means and as leaves, and of their facings."""
-        low, high = (take(means.values, decoded.values) for take in (np.minimum, np.maximum))
+    def of(cls, field: Coefficients) -> Ranges:
+        """Find the ranges of what each cell of a field holds by itself."""
+        n_cells = field.arrays.flags.size
+        rows = field.rows.reshape(-1, (field.components + 4) // 4 * 4)
+        low, high = rows[:n_cells], rows[:n_cells]
+        if field.splits.size:
+            cells = np.flatnonzero(field.arrays.flags & SPLIT)
+            low, high = low.copy(), high.copy()
+            _widen_split(field, cells, low, high)
+        return cls(field.arrays, np.arange(n_cells), low, high)
+
+    @classmethod
+    def below(cls, finest: Finest, decoded: Decoded, pruned: Pruned) -> Ranges:
+        """Find the ranges of what each cell of a pruned tree and all below it hold in the full tree."""
+        low, high = decoded.values.copy(), decoded.values.copy()
         split = finest.tree.split
-        counts = np.bitwise_count(split.facings)
-        rows = np.repeat(split.cells, counts)
+        rows = np.repeat(split.cells, np.bitwise_count(split.facings))
         np.minimum.at(low, rows, decoded.split_values)
         np.maximum.at(high, rows, decoded.split_values)
         level_cells = finest.tree.arrays.level_cells
@@ -109,7 +122,22 @@ class Ranges(NamedTuple):
             if level + 1 < finest.tree.max_depth:
                 ends = np.searchsorted(finest.firsts[level + 1], ends)
             _widen(low, high, int(level_cells[level]), int(level_cells[level + 1]), ends)
-        return cls(low, high)
+        return cls(pruned.tree.arrays, pruned.cells, low, high)
+
+
+@kernel
+def _widen_split(field: Coefficients, cells: Int64s, low: Float32s, high: Float32s) -> None:
+    """Let split cells hold what their facings hold."""
+    vectors = (field.components + 4) // 4
+    for cell in cells:
+        first = field.first_row + np.int64(field.splits[cell])
+        for row in range(
+            first, first + popcount(np.uint64(field.arrays.flags[cell] & np.uint8(FACING_FLAGS)))
+        ):
+            for column in range(low.shape[1]):
+                value = field.rows[row * vectors + (column >> 2), column & 3]
+                low[cell, column] = min(low[cell, column], value)
+                high[cell, column] = max(high[cell, column], value)
 
 
 @kernel
@@ -122,81 +150,73 @@ def _widen(low: Float32s, high: Float32s, first: int, first_child: int, ends: In
                 high[first + n, column] = max(high[first + n, column], high[child, column])
 
 
-def narrow_leaves(
-    field: Coefficients,
-    numbers: Int64s,
-    ranges: Ranges,
+def narrow_blocks(
+    found: Ranges,
+    full: Ranges,
     columns: Columns,
     depth: int,
     most: float,
-    leaves: tuple[Int64s, npt.NDArray[np.uint8]],
+    level: int,
+    codes: Int64s,
 ) -> Bools:
-    """Say around which leaves (n,) of a field all that it can be made of is ``most`` codes apart or less.
+    """Say in which cells of a level all that two fields can be made of is ``most`` codes apart or less.
 
-    ``leaves`` are the codes of finest cells in them, of a ``depth``, and the leaves' levels; ``numbers``
-    (cells,) are those of the field's cells in the full tree. In such leaves the full tree's field is near.
+    The cells are those that hold finest cells of ``codes`` (n,), of a ``depth``. ``found`` is of the cells of
+    one field, ``full`` of the other's with all below them. Where the first has finer leaves it is not known.
     """
-    codes, levels = leaves
     narrow = np.zeros(codes.size, np.bool_)
-    _find_narrow(field.arrays, numbers, ranges, columns, codes, levels, depth, float(most), narrow)
+    _find_narrow(found, full, columns, depth, float(most), level, codes, narrow)
     return narrow
 
 
 @kernel
 def _find_narrow(
-    arrays: TreeArrays,
-    numbers: Int64s,
-    ranges: Ranges,
+    found: Ranges,
+    full: Ranges,
     columns: Columns,
-    codes: Int64s,
-    levels: npt.NDArray[np.uint8],
     depth: int,
     most: float,
+    level: int,
+    codes: Int64s,
     narrow: Bools,
 ) -> None:
-    components = columns.kinds.size
-    walk = new_walk()
-    values = np.zeros((2, components), np.float32)
+    walks = (new_walk(), new_walk())
+    bounds = np.zeros((2, columns.kinds.size), np.float32)
+    shift = MAX_DEPTH - depth
     for n in range(codes.size):
-        narrow[n] = _is_narrow(
-            arrays, numbers, ranges, columns, int(codes[n]), int(levels[n]), depth, most, walk, values
-        )
+        i, j, k = decode_cell(codes[n])
+        i, j, k = i << shift, j << shift, k << shift
+        own = follow(found.arrays, _NO_KEPT, walks[0], i, j, k, QUADRATIC, 2)
+        if own > level:
+            continue
+        bounds[0], bounds[1] = np.inf, -np.inf
+        _widen_bounds(found, walks[0], own, bounds)
+        if not all_near(bounds, columns, most):
+            continue
+        deepest = follow(full.arrays, _NO_KEPT, walks[1], i, j, k, QUADRATIC, 2)
+        _widen_bounds(full, walks[1], min(deepest, level), bounds)
+        narrow[n] = all_near(bounds, columns, most)
 
 
 @inlined
-def _is_narrow(
-    arrays: TreeArrays,
-    numbers: Int64s,
-    ranges: Ranges,
-    columns: Columns,
-    code: int,
-    level: int,
-    depth: int,
-    most: float,
-    walk: Walk,
-    values: Float32s,
-) -> bool:
-    i, j, k = decode_cell(code)
-    shift = MAX_DEPTH - depth
-    follow(arrays, _NO_KEPT, walk, i << shift, j << shift, k << shift, QUADRATIC, 2)
-    values[0, :], values[1, :] = np.inf, -np.inf
+def _widen_bounds(ranges: Ranges, walk: Walk, level: int, bounds: Float32s) -> None:
+    """Let bounds hold all in a level's window, and the leaves in those that it is refined from."""
     with_nodes = True
     while True:
         cells = walk.cells[level, 0] & INSIDE[0, walk.levels[level, BEGIN], 0]
-        if not with_nodes:  # what finer windows are refined from
+        if not with_nodes:
             cells &= ~walk.nodes[level, 0]
         while cells != 0:
             child = trailing_zeros(cells)
             cells &= cells - np.uint64(1)
-            cell = numbers[cell_at(arrays, walk, level, 0, child)]
-            for component in range(columns.kinds.size):
-                values[0, component] = min(values[0, component], ranges.low[cell, component])
-                values[1, component] = max(values[1, component], ranges.high[cell, component])
+            row = ranges.numbers[cell_at(ranges.arrays, walk, level, 0, child)]
+            for component in range(bounds.shape[1]):
+                bounds[0, component] = min(bounds[0, component], ranges.low[row, component])
+                bounds[1, component] = max(bounds[1, component], ranges.high[row, component])
         if not is_refined(walk, level):
             break
         level -= 1
         with_nodes = False
-    return all_near(values, columns, most)
 
 
 def _side_by_side(columns: Sequence[Float32s]) -> Float32s:
