@@ -329,13 +329,16 @@ def _is_far(
         count = lay_out(samples.places, samples.normals, sample, between, scratch.points)
         for look in range(2 if between else 1):  # without a normal, then with it
             if look == 1:
+                is_new = False
                 for axis in range(3):
+                    is_new |= normal[0, axis] != samples.normals[sample, axis]
                     normal[0, axis] = samples.normals[sample, axis]
                 view = view_of(normal, 0)
+                if is_new:
+                    windows.known[2:] = False
                 kinds = windows.kinds[0, level] | windows.kinds[1, full]
                 if kinds & HIDDEN[_full_facings(view)] == np.uint64(0):
                     continue  # the normal changes nothing
-                windows.known[2:] = False
             if node < 0:
                 find_coefficients(fields[0], walks[0], windows, 2 * look, level, look == 1, view)
             else:

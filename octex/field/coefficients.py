@@ -66,11 +66,15 @@ def new_windows(fields: int, vectors: int, has_ranges: bool) -> Windows:
 
 @inlined
 def enter(field: Coefficients, walk: Walk, windows: Windows, which: int, i: int, j: int, k: int) -> int:
-    """Return the level whose window is read around a cell of MAX_DEPTH; forget the windows that it left."""
+    """Return the level whose window is read around a cell of MAX_DEPTH; forget the windows that it left.
+
+    Those of each second field from ``which`` on belong to the walk.
+    """
     walk.previous[5] = MAX_DEPTH  # becomes the last level whose window is that of the point before
     level = follow(field.arrays, _NO_KEPT, walk, i, j, k, QUADRATIC, 2)
     for changed in range(walk.previous[5] + 1, level + 1):
-        windows.known[which, changed] = False
+        for each in range(which, windows.known.shape[0], 2):
+            windows.known[each, changed] = False
     return level
 
 
