@@ -16,7 +16,6 @@ import octex
 from octex.channels import (
     ALPHA,
     BASE_COLOR,
-    NORMAL,
     ROUGHNESS,
     ChannelFormat,
     decode,
@@ -24,15 +23,12 @@ from octex.channels import (
     linear_to_srgb,
 )
 from octex.conversion.adapt import adapted, as_max_error
-from octex.conversion.facings import kinds_around, sees_all
-from octex.conversion.lookups import Coefficients, source_at, values_of
 from octex.conversion.prune import Finest, limits_of, prune
-from octex.conversion.samples import Samples, sample_points
+from octex.conversion.samples import Samples
 from octex.conversion.sides import Fit
 from octex.errors import ArgumentError
 from octex.parallel import silent
 from octex.texture import Channel, OctreeTexture
-from octex.tree.layout import SPLIT, SplitTable
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -44,6 +40,7 @@ from tests.strategies import with_random_data
 ROUNDING = 1 / 8  # of samples, and what is allowed for that, in codes
 UNIT = Placement((0.0, 0.0, 0.0), 1.0)
 Floats = npt.NDArray[np.floating]
+Bools = npt.NDArray[np.bool_]
 
 
 def plane(depth: int) -> Octree:
@@ -178,117 +175,6 @@ def test_a_node_becomes_a_leaf_where_nothing_in_it_wants_to_go_deeper(seed: int)
         assert limit == next(level for level in range(4) if inside[level].max() <= level)
 
 
-@given(st.integers(0, 2**32 - 1), st.booleans())
-def test_values_at_samples_are_those_of_the_field(seed: int, has_alpha: bool):
-    random = np.random.default_rng(seed)
-    codes = np.unique(random.integers(0, 8**4, 300))
-    full = Octree.from_leaves(codes, 4)
-    channels = painted(full, noise(full, seed)) | painted(full, noise(full, seed + 1), NORMAL)
-    if has_alpha:
-        channels |= painted(full, noise(full, seed + 2)[:, :1], ALPHA)
-    samples = sampled(full, channels)
-    places = random.integers(0, 1 << 16, (full.n_leaves, 3)).astype(np.uint16)
-    samples = samples._replace(places=places)
-    finest = Finest.of(full)
-    pruned = prune(finest, limits_of(finest, random.integers(2, 5, codes.size).astype(np.uint8)))
-    values = pruned.carried(channels)
-    texture = OctreeTexture(pruned.tree, values, UNIT, [[0, 0, 0], [1, 1, 1]])
-    chosen = np.flatnonzero(random.random(codes.size) < 0.7)
-    found = Coefficients.of(pruned.tree, values, samples).values_at(samples, chosen)
-    expected = texture.sample(sample_points(samples, chosen, UNIT), list(channels), normalize=False)
-    np.testing.assert_allclose(found, np.hstack(list(expected.values())), atol=2e-5)
-    np.testing.assert_array_equal(source_at(samples, chosen), samples.values[chosen])
-
-
-@given(st.integers(0, 2**32 - 1))
-def test_cells_by_themselves_show_their_own_values(seed: int):
-    tree = plane(3)
-    channels = painted(tree, noise(tree, seed)) | painted(tree, noise(tree, seed)[:, :1], ALPHA)
-    samples, finest = sampled(tree, channels), Finest.of(tree)
-    averages = Coefficients.of(tree.truncated(2), channels, samples)
-    chosen = np.arange(0, tree.n_leaves, 3)
-    found = values_of(averages, samples, chosen, finest.firsts[2])
-    owners = np.searchsorted(tree.level_codes(2), tree.level_codes(3)[chosen] >> 3)
-    rows = tree.arrays.level_cells[2] + owners
-    expected = [decode(each.values[rows], each.format.space) for each in channels.values()]
-    np.testing.assert_allclose(found, np.hstack(expected), atol=1e-6)
-
-
-@given(st.integers(0, 2**32 - 1))
-def test_where_all_is_taken_in_full_lookups_find_the_same_with_normals_and_without(seed: int):
-    random = np.random.default_rng(seed)
-    full = Octree.from_leaves(np.unique(random.integers(0, 8**4, 80)), 4)
-    finest = Finest.of(full)
-    depths = limits_of(finest, random.integers(2, 5, full.n_leaves).astype(np.uint8))
-    pruned = prune(finest, depths)
-    flags = random.choice([[1], [4], [1, 5], [1, 1, 1, 3, 4, 5, 21]][seed % 4], pruned.tree.n_cells)
-    cells = np.flatnonzero((flags == 3) & (random.random(flags.size) < 0.5))
-    flags[cells] |= SPLIT
-    split = SplitTable(
-        cells.astype(np.uint32), np.full(cells.size, 3, np.uint8), np.zeros(2 * cells.size, np.uint8)
-    )
-    tree = pruned.tree.with_cell_data(flags.astype(np.uint8), pruned.tree.arrays.areas, split)
-    rows = [random.random((n, 3)).astype(np.float32) for n in (flags.size, 2 * cells.size)]
-    form = BASE_COLOR._replace(space="linear", dtype="float32")
-    channel = Channel(form, rows[0], rows[1], rows[1][:0])
-    texture = OctreeTexture(tree, {"base_color": channel}, UNIT, [[0, 0, 0], [1, 1, 1]])
-    points = places(full) + (random.random((full.n_leaves, 3)) - 0.5) / 16
-    normals = np.rint(127 * random.normal(size=points.shape) / 3).clip(-127, 127).astype(np.int8)
-    normals[::2] = [101, 76, 0]
-    kinds = np.repeat(kinds_around(tree)[pruned.leaf_cells(depths)], pruned.sizes)
-    same = sees_all(normals, kinds)
-    assert same.any() or seed % 4 == 3
-    plain, facing = texture.sample(points), texture.sample(points, normals=normals)
-    np.testing.assert_allclose(facing[same], plain[same], atol=1e-5)
-    if seed % 4 in (0, 1):
-        assert same.all()
-
-
-def test_patches_cover_what_the_planes_of_samples_have_in_their_cells():
-    random = np.random.default_rng(5)
-    tree = plane(3)
-    samples = sampled(tree, painted(tree, noise(tree)))
-    n = tree.n_leaves
-    normals = random.normal(size=(n, 3))
-    normals[:9] = (
-        [1, -1, 1],
-        [0, 1, 1],
-        [0, 0, -1],
-        [1, 0, 0],
-        [1, 1, 0.01],
-        [-1, 0, 1],
-        [3, 2, 2],
-        [1, 1, 1],
-        [0, 2, 1],
-    )
-    normals = np.rint(127 * normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.int8)
-    places = random.integers(0, 1 << 16, (n, 3)).astype(np.uint16)
-    places[:6] = (1 << 15) - 1
-    samples = samples._replace(places=places, normals=normals)
-    chosen = np.arange(n)[:40]
-    patches = samples.patches(chosen, chosen)
-    np.testing.assert_array_equal(patches.codes, samples.codes[chosen])
-    for patch, sample in enumerate(chosen):
-        points = (patches.places[patches.firsts[patch] : patches.firsts[patch + 1]] + 0.5) / (1 << 16)
-        middle, corners, spokes, sides = points[0], points[1::3], points[2::3], points[3::3]
-        np.testing.assert_array_equal(middle, (places[sample] + 0.5) / (1 << 16))
-        np.testing.assert_allclose(spokes, (corners + middle) / 2, atol=2e-5)
-        np.testing.assert_allclose(sides, (corners + np.roll(corners, -1, axis=0)) / 2, atol=2e-5)
-        normal = normals[sample] / np.linalg.norm(normals[sample])
-        assert np.abs((corners - middle) @ normal).max() < 1e-4
-        # No line in the plane and in the cell goes beyond the polygon, and no corner beyond the cell.
-        others = np.cross(normal, random.normal(size=(200, 3)))
-        with np.errstate(divide="ignore"):
-            ends = np.where(others > 0, (1 - middle) / others, -middle / others)
-        ends[others == 0] = np.inf
-        rim = middle + others * ends.min(axis=1, keepdims=True)
-        for side in range(len(corners)):
-            edge = corners[(side + 1) % len(corners)] - corners[side]
-            inward = np.cross(normal, edge)
-            inward *= np.sign(inward @ (middle - corners[side]))
-            assert ((rim - corners[side]) @ inward).min() > -1e-4
-
-
 def test_without_wishes_nothing_is_pruned():
     tree = plane(3)
     color = noise(tree)
@@ -401,7 +287,7 @@ def test_what_a_fit_breaks_is_split_again():
     channels = painted(tree, ramp(tree))
     plain = merge(tree, channels, 2)
 
-    def fit(pruned: Octree, values: Mapping[str, Channel]) -> dict[str, Channel]:
+    def fit(pruned: Octree, values: Mapping[str, Channel], _chosen: Bools | None) -> dict[str, Channel]:
         spoilt = values["base_color"].values.copy()
         broken = pruned.leaf_cells()[::5]
         spoilt[broken] = 255 - spoilt[broken] if pruned.n_leaves < tree.n_leaves else spoilt[broken]
@@ -415,7 +301,7 @@ def test_what_a_fit_breaks_is_split_again():
 def test_leaves_hold_what_was_fitted_and_nodes_the_means():
     tree = plane(5)
 
-    def fit(pruned: Octree, values: Mapping[str, Channel]) -> dict[str, Channel]:
+    def fit(pruned: Octree, values: Mapping[str, Channel], _chosen: Bools | None) -> dict[str, Channel]:
         fitted = values["base_color"].values.copy()
         fitted[pruned.leaf_cells()] += 1
         return {"base_color": values["base_color"]._replace(values=fitted)}

@@ -103,7 +103,9 @@ def test_the_fit_is_the_least_squares_between_the_bounds(dtype: str) -> None:
         samples = full.samples
         assert samples is not None
         tree, channels = assemble(surface.channels, full)
-        found = fit.fitted(tree, channels, samples, placement, executor=pool, progress=silent)
+        found = fit.fitted(
+            tree, channels, samples=samples, placement=placement, executor=pool, progress=silent
+        )
     chosen = np.arange(len(samples.shares))
     taps = Field(tree).taps(sample_points(samples, chosen, placement), placement)
     first = tree.n_cells - tree.n_leaves
@@ -305,7 +307,9 @@ def test_trees_of_any_depths_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None
         leaves = Leaves.of(tree, full.samples)
         assert np.array_equal(leaves.ranks[leaves.cells], np.arange(tree.n_leaves))
         assert leaves.firsts[-1] == len(full.samples.shares)
-        found = fit.fitted(tree, channels, full.samples, placement, executor=pool, progress=silent)
+        found = fit.fitted(
+            tree, channels, samples=full.samples, placement=placement, executor=pool, progress=silent
+        )
     textures = [OctreeTexture(tree, each, placement, surface.bounds, {}) for each in (channels, found)]
     assert error(textures[1], surface) < 0.5 * error(textures[0], surface)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import numba
@@ -75,7 +76,7 @@ def check_all_ways(texture: OctreeTexture, points: Doubles, random: np.random.Ge
     widths = texture.placement.size * np.where(random.random(n) < 0.2, 0, 2.0 ** random.uniform(-8, 2, n))
     normals = random.normal(size=(n, 3))
     for name in texture.channels:
-        close = {"atol": 1e-6 * max(float(np.abs(texture.rows(name)).max()), 1), "rtol": 0}
+        close = {"atol": 2e-6 * max(float(np.abs(texture.rows(name)).max()), 1), "rtol": 0}
         for way, filter in enumerate(FILTERS):
             expected = texture.sample(points, name, filter, normalize=False)
             found = found_by(texture, name, points, way)
@@ -123,7 +124,7 @@ def test_lookups_in_kernels_are_those_of_arrays_for_every_type(dtype: str) -> No
         results = np.empty((50, 4))
         average(octex.kernels.arrays_of(texture), points, np.full(50, 0.1), normals, results)
         scale = max(float(np.abs(expected).max()), 1)
-        np.testing.assert_allclose(results[:, :3], expected, rtol=0, atol=1e-6 * scale)
+        np.testing.assert_allclose(results[:, :3], expected, rtol=0, atol=2e-6 * scale)
 
 
 def test_a_position_that_is_no_number_is_taken_for_the_corner() -> None:
@@ -144,7 +145,18 @@ def test_kernels_leave_mixed_cells_to_finer_levels_by_the_threshold_that_is_give
         arrays = octex.kernels.arrays_of(texture, bleed_threshold=threshold)
         look_up(arrays, points, widths, normals, 3, results)
         expected = texture.sample(points, width=0.4, bleed_threshold=threshold)
-        np.testing.assert_allclose(results[:, :3], expected, atol=1e-6)
+        np.testing.assert_allclose(results[:, :3], expected, atol=2e-6)
+
+
+def test_what_kernels_take_can_be_passed_into_parallel_loops_and_is_left_as_it_was() -> None:
+    texture = shell(2)  # which has some of the arrays
+    arrays = octex.kernels.arrays_of(texture)
+    assert all(isinstance(each, (np.ndarray, int, float)) for each in arrays)  # numba takes no others there
+    held = [each for each in arrays if isinstance(each, np.ndarray)]
+    before = [sys.getrefcount(each) for each in held]
+    for _ in range(20):
+        look_up(arrays, np.full((3, 3), 0.5), np.zeros(3), np.ones((3, 3)), 3, np.empty((3, 4)))
+    assert [sys.getrefcount(each) for each in held] == before
 
 
 def test_kernels_take_textures_and_their_channels_only() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -17,13 +18,38 @@ from octex.channels import (
     linear_to_srgb,
     srgb_to_linear,
 )
-from octex.conversion.measure import exceeding, exceeding_between
+from octex.conversion.measure import Columns, all_near, are_near, are_near_between, subtract
+from octex.jit import kernel
+
+Array = npt.NDArray[np.generic]
+
+
+@kernel
+def _near(values: Array, columns: Columns, most: float, differences: Array) -> bool:
+    subtract(values, columns, 0, differences)
+    return are_near(differences, 0, most)
+
+
+@kernel
+def _near_between(differences: Array, count: int, most: float) -> bool:
+    return are_near_between(differences, count, most)
+
+
+@kernel
+def _all_near(bounds: Array, columns: Columns, most: float) -> bool:
+    return all_near(bounds, columns, most)
+
+
+def far_rows(found: Array, source: Array, forms: tuple[ChannelFormat, ...], most: float) -> bool:
+    """Whether rows of several channels are farther apart than ``most`` codes."""
+    values = np.array([found, source], np.float32)[:, :, None]
+    return not _near(values, Columns.of(forms), float(most), np.zeros((2 * values.shape[1], 1)))
 
 
 def far(form: ChannelFormat, found: float, source: float, most: float) -> bool:
     """Whether two values, in each component, are farther apart than ``most`` codes."""
-    rows = np.full((1, form.components), found, np.float32)
-    return bool(exceeding(rows, np.full(rows.shape, source), (form,), most)[0])
+    rows = (np.full(form.components, each, np.float32) for each in (found, source))
+    return far_rows(*rows, (form,), most)
 
 
 @pytest.mark.parametrize("form", [BASE_COLOR, EMISSIVE._replace(space="linear", dtype="float16")])
@@ -56,13 +82,37 @@ def test_what_is_not_a_number_is_far_from_anything():
 
 
 def test_what_is_covered_in_part_counts_by_as_much():
-    found = np.full((2, 4), 0.5, np.float32)
-    source = np.array([[0.5, 0.5, 0.4, 1.0], [0.5, 0.5, 0.4, 0.5]])
+    found = np.full(4, 0.5, np.float32)
+    whole, half = np.array([0.5, 0.5, 0.4, 1.0]), np.array([0.5, 0.5, 0.4, 0.5])
     apart = 255 * abs(linear_to_srgb(0.5) - linear_to_srgb(0.4))
-    assert list(exceeding(found, source, (BASE_COLOR, ALPHA), 200)) == [False, False]
-    assert list(exceeding(found, source, (BASE_COLOR, ALPHA), apart - 0.1)) == [True, False]
-    found[:, 3] /= 2
-    assert list(exceeding(found, source, (BASE_COLOR, ALPHA), 100)) == [True, False]
+    forms = BASE_COLOR, ALPHA
+    assert not far_rows(found, whole, forms, 200)
+    assert far_rows(found, whole, forms, 126)  # of the alpha
+    assert far_rows(found, half, forms, apart / 2 - 0.1)
+    assert not far_rows(found, half, forms, apart / 2 + 0.1)
+
+
+def test_directions_count_as_unit_vectors_too():
+    short, other = np.array([0.1, 0, 0.5], np.float32), np.array([0.2, 0, 0.5], np.float32)
+    apart = 127.5 * abs(0.1 / np.hypot(0.1, 0.5) - 0.2 / np.hypot(0.2, 0.5))
+    assert apart > 127.5 * 0.1
+    assert far_rows(short, other, (NORMAL,), apart - 0.1)
+    assert not far_rows(short, other, (NORMAL,), apart + 0.1)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_what_lies_between_near_bounds_is_near(seed: int):
+    random = np.random.default_rng(seed)
+    forms = (BASE_COLOR, NORMAL, ROUGHNESS)
+    middle, width = random.uniform(-0.5, 1.2, 7), random.random(7) * 10 ** -random.uniform(0.5, 3)
+    bounds = np.array([middle - width, middle + width], np.float32)
+    most = 10 ** random.uniform(-1, 2)
+    if _all_near(bounds, Columns.of(forms), most):
+        for _ in range(20):
+            rows = bounds[0] + random.choice([0, 1, random.random()], (2, 7)) * (bounds[1] - bounds[0])
+            assert not far_rows(*rows, forms, 1.001 * most + 1e-3)
+    assert _all_near(bounds[[0, 0]], Columns.of(forms), 0.0)
+    assert not _all_near(bounds, Columns.of(forms), -1.0)
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -82,19 +132,18 @@ def test_what_is_quadratic_between_the_points_of_a_patch_exceeds_its_bound_nowhe
     weights = random.dirichlet([1, 1, 1], 500)
     inside = [weights @ [middle, *ends] for ends in zip(corners, after, strict=True)]
     largest = np.abs(values(np.concatenate(inside))).max()
-    firsts = np.array([0, len(points)])
-    differences = values(points).astype(np.float32)
-    assert exceeding_between(differences, firsts, 0.999 * largest - 1e-5)[0]
+    differences = values(points).T.copy()
+    count = len(points)
+    assert not _near_between(differences, count, 0.999 * largest - 1e-9)
     flat = (factors[3:] == 0).all()
     at_points = np.abs(differences).max()
-    assert not exceeding_between(differences, firsts, (1 if flat else 8) * at_points + 1e-5)[0]
+    assert _near_between(differences, count, (1 if flat else 3) * at_points + 1e-9)
 
 
 def test_what_rises_between_the_points_of_a_patch_is_found():
     # A triangle of a patch of one: all its points are near, and yet a parabola through them is not.
-    differences = np.array([0, 0, 1, 0, 0, 0, 0, 0, 0, 0], np.float32)[:, None]
-    firsts = np.array([0, 10])
-    assert exceeding_between(differences, firsts, 1.9)[0]
-    assert not exceeding_between(differences, firsts, 2.1)[0]
-    differences[5] = np.nan
-    assert exceeding_between(differences, firsts, 1e9)[0]
+    differences = np.array([[0, 0, 1.0, 0, 0, 0, 0, 0, 0, 0]])
+    assert not _near_between(differences, 10, 1.9)
+    assert _near_between(differences, 10, 2.1)
+    differences[0, 5] = np.nan
+    assert not _near_between(differences, 10, 1e9)

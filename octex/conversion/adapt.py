@@ -13,25 +13,23 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from octex.conversion.facings import kinds_around, sees_all
-from octex.conversion.lookups import Coefficients, FacingField, Reference, source_at, values_of
-from octex.conversion.measure import apart, exceeding, exceeding_between
+from octex.conversion.nearness import Decoded, Ranges, far_cells, narrow_blocks
 from octex.conversion.prune import Bools, Channels, Depths, Finest, Pruned, grafted, limits_of, prune
 from octex.conversion.samples import Samples
 from octex.conversion.sides import Fit, Split
 from octex.errors import ArgumentError
+from octex.field.coefficients import Coefficients
 from octex.parallel import Progress, ordered_map
 from octex.texture.channel import Channel
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
 
-#: Finest cells whose samples are looked up at once.
-_BLOCK = 1 << 15
-#: What the full tree's field, in float16 at samples, is rounded by at most, in codes: so much more may be.
+#: Finest cells that are tested at once.
+_BLOCK = 1 << 14
+#: From so many levels above the finest cells on, what is near is looked for by what it is made of.
+_LEVELS = 2
+#: What the fields are rounded by at most, in codes.
 _ROUNDING = 1 / 16
-#: How many codes more fields may be apart between samples than at them. In random trials (60,000 points each,
-#: edges, dots and light up to 20) none then went beyond it.
-_BETWEEN = 1.0
 #: If no more than this part of all leaves fail, only those around them are tested again.
 _FEW = 0.05
 #: Leaves that fail are split by a level, which mostly is enough; by one more after each so many rounds, since
@@ -68,11 +66,11 @@ def adapted(
     cells,) are the depths wanted there, in Morton order. Without samples none can merge.
 
     With ``max_error``, in 8-bit codes of what is encoded (see `measure`), leaves merge upward from there.
-    Then the quadratic field differs from that of the tree without ``max_error`` by at most that and 1/8 (what
-    it is rounded by, and what is allowed for it) at every sample, looked up without normals and with the
-    samples' own; and by at most one code more where the plane of the surface at a sample goes through its
-    finest cell, with the difference taken for a quadratic polynomial on each of the triangles that
-    ``Samples.patches`` makes of that. Leaves that do not merge have the values that they have without it.
+    Then the quadratic field differs from that of the tree without ``max_error`` by at most that and 1/16
+    (what both are rounded by) at every sample, looked up without normals and with the samples' own; and by at
+    most one code more where the plane of the surface at a sample goes through its finest cell, with the
+    difference taken for a quadratic polynomial on each of the triangles that ``samples.lay_out`` makes of
+    that. Leaves that do not merge have the values that they have without it.
     """
     finest, limits, pruned = None, None, None
     if wanted is not None and wanted.min(initial=tree.max_depth) < tree.max_depth:
@@ -81,7 +79,7 @@ def adapted(
         pruned = prune(finest, limits)
     whole = tree if pruned is None else pruned.tree
     means = channels if pruned is None else pruned.carried(channels)
-    values = fit(whole, means) if fit else means
+    values = fit(whole, means, None) if fit else means
     if split:
         whole, values = split(whole, means, values)
     if max_error is None or samples is None:
@@ -91,9 +89,8 @@ def adapted(
         limits = limits_of(finest, None)
         pruned = prune(finest, limits)
     full, known = grafted(tree, channels, pruned, whole, values)
-    reference = Reference.of(whole, values, samples, executor)
     finest = finest._replace(tree=full)
-    merger = _Merger(finest, channels, known, reference, samples, max_error, limits, executor, progress)
+    merger = _Merger(finest, channels, known, samples, max_error, limits, executor, progress)
     return merger.merged(fit)
 
 
@@ -105,7 +102,6 @@ class _Merger:
         finest: Finest,
         means: Channels,
         known: Channels,
-        reference: Reference,
         samples: Samples,
         max_error: float,
         limits: Depths,
@@ -115,14 +111,16 @@ class _Merger:
         self._finest = finest
         self._means = means
         self._known = dict(known)
-        self._reference = reference
         self._samples = samples
         self._most = max_error + _ROUNDING
         self._limits = limits
         self._executor = executor
         self._progress = progress
+        self._averages = Decoded.of(means, samples.channels)
+        self._decoded = Decoded.of(known, samples.channels)
         whole = prune(finest, limits)
-        self._kinds = kinds_around(whole.tree)[np.repeat(whole.leaf_cells(limits), whole.sizes)]
+        self._full = self._decoded.pruned(whole)
+        self._ranges = Ranges.below(finest, self._decoded, whole)
 
     def merged(self, fit: Fit | None) -> tuple[Octree, dict[str, Channel]]:
         """Return the tree of fewest leaves that was found, and its channels."""
@@ -146,15 +144,16 @@ class _Merger:
     def _fit(self, fit: Fit, depths: Depths) -> None:
         """Give merged leaves fitted values."""
         pruned = prune(self._finest, depths)
-        means = {
-            name: channel._replace(split_values=self._known[name].split_values)
-            for name, channel in self._means.items()
-        }
-        values = fit(pruned.tree, pruned.carried(means))
-        cells = pruned.leaf_cells(depths)
-        merged = cells[(depths < self._limits)[pruned.starts]]
+        cells, is_merged = pruned.leaf_cells(depths), (depths < self._limits)[pruned.starts]
+        merged = cells[is_merged]
+        if not merged.size:
+            return
+        # Merged leaves are known by their means as yet.
+        values = fit(pruned.tree, pruned.carried(self._known), is_merged)
         for name, channel in values.items():
             self._known[name].values[pruned.cells[merged]] = channel.values[merged]
+        some = {name: channel._replace(values=channel.values[merged]) for name, channel in values.items()}
+        self._decoded.values[pruned.cells[merged]] = Decoded.of(some, self._samples.channels).values
 
     def _merge(self, level: int, depths: Depths) -> None:
         """Make leaves of the nodes of a level all of whose children are, where that seems to be near enough.
@@ -167,10 +166,23 @@ class _Merger:
         may = np.maximum.reduceat(depths, firsts) == level + 1
         if not may.any():
             return
-        averages = Coefficients.of(finest.tree.truncated(level), self._means, self._samples)
-        smooth = self._near(level, averages, may)
-        flat = self._near(level, averages, may & ~smooth, by_itself=True)
-        depths[finest.spread(level, smooth | flat)] = level
+        tree = finest.tree.truncated(level)
+        averages = self._averages.truncated(tree)
+        near = self._narrow(level, averages, may)
+        near |= self._near(level, averages, may & ~near)
+        near |= self._near(level, averages, may & ~near, by_itself=True)
+        depths[finest.spread(level, near)] = level
+
+    def _narrow(self, level: int, field: Coefficients, chosen: Bools) -> Bools:
+        """Say in which of some cells of a level all that a field and the full tree's are made of is near."""
+        narrow = np.zeros(chosen.size, np.bool_)
+        codes = self._finest.codes[self._finest.firsts[level][chosen]]
+        own, columns = Ranges.of(field), self._averages.columns
+        work = partial(narrow_blocks, own, self._ranges, columns, self._samples.depth, self._most, level)
+        blocks = [codes[begin : begin + _BLOCK] for begin in range(0, codes.size, _BLOCK)]
+        done = map(work, blocks) if self._executor is None else ordered_map(self._executor, work, blocks)
+        narrow[chosen] = np.concatenate([np.zeros(0, np.bool_), *done])
+        return narrow
 
     def _near(self, level: int, averages: Coefficients, may: Bools, *, by_itself: bool = False) -> Bools:
         """Say in which of some nodes of a level its averages are near enough to the full tree's field.
@@ -182,7 +194,10 @@ class _Merger:
         # Most nodes that fail do so in their first finest cell.
         first = np.zeros(finest.codes.size, np.bool_)
         first[firsts[may]] = True
-        nodes = firsts if by_itself else None
+        nodes = None
+        if by_itself:
+            nodes = averages.arrays.level_cells[-2] + np.arange(firsts.size)
+            nodes = np.repeat(nodes, np.diff(firsts, append=finest.codes.size))
         may = may & ~self._fails(averages, first, nodes)[firsts]
         # What is small, finer levels have seen: one of the finest cells in each child will do.
         children = np.zeros(finest.codes.size, np.bool_)
@@ -199,13 +214,12 @@ class _Merger:
         attempt = 0
         while rounds is None or attempt < rounds:
             pruned = prune(self._finest, depths)
-            values = pruned.carried(self._known)
-            field = Coefficients.of(pruned.tree, values, self._samples)
-            failing = self._fails(field, suspects, between=rounds is None)
-            if rounds is None:
-                facing = FacingField.of(pruned.tree, values, self._samples)
-                mixed = self._mixed(suspects & ~failing, pruned, depths)
-                failing |= self._fails(facing, mixed, between=True)
+            field = self._decoded.pruned(pruned)
+            chosen = suspects.copy()
+            for level in range(max(self._finest.tree.max_depth - _LEVELS, 0), self._finest.tree.max_depth):
+                blocks = np.logical_or.reduceat(chosen, self._finest.firsts[level])
+                chosen &= ~self._finest.spread(level, self._narrow(level, field, blocks))
+            failing = self._fails(field, chosen, between=rounds is None)
             splits = self._splits(failing, pruned, depths)
             if not splits.any():
                 return
@@ -215,17 +229,6 @@ class _Merger:
             steps = 1 + attempt // _PATIENCE
             depths[splits] = np.minimum(depths[splits] + steps, self._limits[splits])
             attempt += 1
-
-    def _mixed(self, chosen: Bools, pruned: Pruned, depths: Depths) -> Bools:
-        """Mark those of the chosen finest cells where lookups with normals find something else."""
-        around = self._kinds | kinds_around(pruned.tree)[np.repeat(pruned.leaf_cells(depths), pruned.sizes)]
-        marked: Bools = chosen & (around != 0)
-        cells = np.flatnonzero(marked)
-        owners = np.repeat(cells, np.diff(self._samples.firsts)[cells])
-        marked[cells] = False
-        normals = self._samples.normals[self._samples.rows(cells)]
-        marked[owners[~sees_all(normals, around[owners])]] = True
-        return marked
 
     def _splits(self, failing: Bools, pruned: Pruned, depths: Depths) -> Bools:
         """Mark the finest cells in the merged leaves that are to be split where the field is too far off.
@@ -259,57 +262,25 @@ class _Merger:
 
     def _fails(
         self,
-        field: Coefficients | FacingField,
+        field: Coefficients,
         chosen: Bools,
         nodes: npt.NDArray[np.int64] | None = None,
         *,
         between: bool = False,
     ) -> Bools:
-        """Say in which of the chosen finest cells a field is too far from the full tree's at a sample.
+        """Say in which of the chosen finest cells a field is too far from the full tree's: see `far_cells`.
 
-        With ``nodes``, the first finest cells in those of the field's last level, it is their own values.
-        With ``between`` it is tested all over the planes of the samples in their cells, too.
+        With ``nodes`` (finest cells,) it is what these cells of its tree hold by themselves.
         """
         fails = np.zeros(chosen.size, np.bool_)
         cells = np.flatnonzero(chosen)
         blocks = [cells[begin : begin + _BLOCK] for begin in range(0, cells.size, _BLOCK)]
-        work = partial(_failing, field, self._reference, self._samples, self._most, nodes, between)
+
+        work = partial(far_cells, field, self._full, self._samples, self._most, between, nodes)
         done = map(work, blocks) if self._executor is None else ordered_map(self._executor, work, blocks)
-        for failing in done:
-            fails[failing] = True
+        for block, failing in zip(blocks, done, strict=True):
+            fails[block] = failing
         return fails
-
-
-def _failing(
-    field: Coefficients | FacingField,
-    reference: Reference,
-    samples: Samples,
-    most: float,
-    nodes: npt.NDArray[np.int64] | None,
-    between: bool,
-    cells: npt.NDArray[np.int64],
-) -> npt.NDArray[np.int64]:
-    """Return the finest cells, of some, where a field is more than ``most`` codes from the full tree's."""
-    forms = samples.channels
-    owners = np.repeat(cells, samples.firsts[cells + 1] - samples.firsts[cells])
-    if nodes is not None:
-        assert isinstance(field, Coefficients)
-        found = values_of(field, samples, cells, nodes)
-        return owners[exceeding(found, source_at(reference.samples, cells), forms, most)]
-    full = reference.field if isinstance(field, Coefficients) else reference.facing
-    found = field.values_at(samples, cells)
-    if isinstance(field, Coefficients):
-        wanted = source_at(reference.samples, cells)
-    else:
-        wanted = full.values_at(samples, cells)
-    far = exceeding(found, wanted, forms, most)
-    if between:
-        near = np.flatnonzero(~far)
-        patches = samples.patches(samples.rows(cells)[near], owners[near])
-        every = np.arange(near.size)
-        differences = apart(field.values_at(patches, every), full.values_at(patches, every), forms)
-        far[near] = exceeding_between(differences, patches.firsts, most + _BETWEEN)
-    return owners[far]
 
 
 _OFFSETS = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), axis=-1).reshape(-1, 3)

@@ -24,8 +24,6 @@ _SPLIT_KIND = np.uint64(1)
 
 #: Difference, in 8-bit codes, from which on a facing's value is stored for itself.
 MOST = 1.0
-#: Cosine from which on lookups take what faces so in full: see `field.stages`; and what it is rounded by.
-_FULL = 0.52
 #: Cells whose surroundings are looked at at once.
 _BLOCK = 1 << 16
 
@@ -92,19 +90,6 @@ def _kinds_below(tree: Octree) -> Kinds:
     return kinds
 
 
-def sees_all(normals: npt.NDArray[np.int8], kinds: Kinds) -> npt.NDArray[np.bool_]:
-    """Say whether lookups with normals (n, 3) take in full what is of some kinds (n,), and nothing is split.
-
-    Lookups without normals then find the same.
-    """
-    lengths = np.maximum(np.linalg.norm(normals.astype(np.float32), axis=1), 1)
-    least = (_FULL * lengths)[:, None]
-    full = np.stack([normals >= least, -normals.astype(np.float32) >= least], axis=2).reshape(-1, 6)
-    hidden = _HIDDEN[np.packbits(full, axis=1, bitorder="little")[:, 0]]
-    seen: npt.NDArray[np.bool_] = (kinds & hidden) == 0
-    return seen
-
-
 def has_opposite(normals: npt.NDArray[np.int8], kinds: Kinds) -> npt.NDArray[np.bool_]:
     """Say whether something of some kinds (n,) is split, or faces away from what has normals (n, 3)."""
     normals = normals.astype(np.int16)
@@ -121,7 +106,8 @@ _OPPOSITE = np.array(
 )
 
 #: By the facings that are taken in full: the kinds of cells that have none of them, and of split ones.
-_HIDDEN = np.array(
+#: Lookups with a normal that find none of these kinds find the same as those without.
+HIDDEN = np.array(
     [sum(1 << kind for kind in range(64) if kind & facings == 0) for facings in range(64)], np.uint64
 )
 

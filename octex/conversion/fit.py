@@ -96,9 +96,10 @@ class Lookups(NamedTuple):
 def fitted(
     tree: Octree,
     channels: Mapping[str, Channel],
+    chosen: npt.NDArray[np.bool_] | None = None,
+    *,
     samples: Samples,
     placement: Placement,
-    *,
     executor: Executor,
     progress: Progress,
     unfitted: Collection[str] = (),
@@ -109,9 +110,14 @@ def fitted(
     ``channels``, which hold what the samples hold, are means. Colours are fitted on sRGB's curve, light above
     1 by ratio, directions as vectors; what alpha does not cover counts for alpha alone. Values stay inside
     their types' ranges. Channels that are ``unfitted`` keep their values after they served the others. The
-    result does not depend on the executor.
+    result does not depend on the executor. With ``chosen`` (leaves,), in Morton order, these leaves alone are
+    fitted, to the samples in them; the others keep their values.
     """
     leaves = Leaves.of(tree, samples)
+    if chosen is not None:
+        finest = np.searchsorted(samples.firsts, leaves.firsts)  # the first finest cell of each leaf
+        samples = samples.of(np.flatnonzero(np.repeat(chosen, np.diff(finest))))
+        leaves = leaves.some(chosen, tree.n_cells)
     given = [channels[form.name] for form in samples.channels]
     values = [channel.values.copy() for channel in given]
     job = _job(tree, given, samples, placement, leaves, is_facing=False)

@@ -1,20 +1,25 @@
 """How far values are apart, in 8-bit codes of what is encoded.
 
 Light is measured on sRGB's curve and above 1 by ratio, whatever it is stored as; fractions in 1/255, each
-component of a direction in 1/127.5. What an alpha covers in part counts by as much.
+component of a direction in 1/127.5. What an alpha covers in part counts by as much. Directions count both as
+they are and as unit vectors, as lookups give them.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ChannelFormat, linear_to_srgb
-from octex.jit import inlined, kernel
-from octex.texture.blend import NO_GRADIENTS, make_unit
+from octex.jit import inlined
+
+Float32s = npt.NDArray[np.float32]
+Float64s = npt.NDArray[np.float64]
+Int64s = npt.NDArray[np.int64]
 
 _LIGHT, _FRACTION, _DIRECTION = 0, 1, 2
 _KINDS = {"srgb": _LIGHT, "linear": _LIGHT, "data": _FRACTION, "direction": _DIRECTION}
@@ -24,57 +29,29 @@ _CURVE = 255.0 * linear_to_srgb((np.arange(_STEPS + 2) / _STEPS) ** 2)
 _SLOPE = 255.0 * 1.055 / 2.4  # of the curve at 1
 
 
-def exceeding(
-    found: npt.NDArray[np.float32],
-    source: npt.NDArray[np.floating],
-    channels: Sequence[ChannelFormat],
-    most: float,
-) -> npt.NDArray[np.bool_]:
-    """Say of each point whether a component of any channel differs by more than ``most`` codes.
+class Columns(NamedTuple):
+    """How the components of channels that stand side by side are measured."""
 
-    Both are as ``apart`` takes them.
-    """
-    near: npt.NDArray[np.bool_] = np.abs(apart(found, source, channels)) <= most
-    far: npt.NDArray[np.bool_] = ~np.all(near, axis=1)  # what is not a number is far from anything
-    return far
+    kinds: Int64s  # (components,)
+    vectors: Int64s  # (components,)   the first component of the direction that it belongs to, or −1
+    alpha: int  # the component that covers all others, or −1
+    curve: Float64s
 
-
-def apart(
-    found: npt.NDArray[np.float32], source: npt.NDArray[np.floating], channels: Sequence[ChannelFormat]
-) -> npt.NDArray[np.float32]:
-    """Return how many codes each component of points lies above the source (n, components).
-
-    Both have the values (n, components) of ``channels`` side by side. Light is linear. Directions count both
-    as they are and as unit vectors, as lookups give them: these come last.
-    """
-    source = np.ascontiguousarray(source, np.float32)
-    ends = np.cumsum([0, *(form.components for form in channels)]).tolist()
-    firsts = dict(zip((form.name for form in channels), ends, strict=False))
-    directions = [form for form in channels if form.space == "direction"]
-    differences = np.empty((len(source), ends[-1] + sum(form.components for form in directions)), np.float32)
-    last = ends[-1]
-    for form in channels:
-        alpha = firsts.get("alpha", -1) if form.name != "alpha" else -1
-        first, end = firsts[form.name], firsts[form.name] + form.components
-        _subtract(found, source, first, end, alpha, _KINDS[form.space], _CURVE, first, differences)
-        if form.space == "direction":
-            units, wanted = _with_units(found, first, end), _with_units(source, first, end)
-            _subtract(units, wanted, first, end, alpha, _DIRECTION, _CURVE, last, differences)
-            last += form.components
-    return differences
-
-
-def _with_units(values: npt.NDArray[np.float32], first: int, end: int) -> npt.NDArray[np.float32]:
-    """Return values whose columns from ``first`` up to ``end`` are unit vectors."""
-    vectors = values[:, first:end].copy()
-    make_unit(vectors, NO_GRADIENTS)
-    values = values.copy()
-    values[:, first:end] = vectors
-    return values
+    @classmethod
+    def of(cls, channels: Sequence[ChannelFormat]) -> Columns:
+        """List the components of channels."""
+        kinds: list[int] = []
+        vectors: list[int] = []
+        alpha = -1
+        for form in channels:
+            alpha = len(kinds) if form.name == "alpha" else alpha
+            vectors += [len(kinds) if form.space == "direction" else -1] * form.components
+            kinds += [_KINDS[form.space]] * form.components
+        return cls(np.array(kinds, np.int64), np.array(vectors, np.int64), alpha, _CURVE)
 
 
 @inlined
-def _code(value: float, kind: int, curve: npt.NDArray[np.float64]) -> float:
+def _code(value: float, kind: int, curve: Float64s) -> float:
     if kind == _FRACTION:
         return 255.0 * value
     if kind == _DIRECTION:
@@ -87,48 +64,88 @@ def _code(value: float, kind: int, curve: npt.NDArray[np.float64]) -> float:
     return low + (place - step) * (high - low)
 
 
-@kernel
-def _subtract(
-    found: npt.NDArray[np.float32],
-    source: npt.NDArray[np.float32],
-    first: int,
-    end: int,
-    alpha: int,
-    kind: int,
-    curve: npt.NDArray[np.float64],
-    column: int,
-    differences: npt.NDArray[np.float32],
-) -> None:
-    for n in range(found.shape[0]):
-        coverage = 1.0 if alpha < 0 else np.float64(source[n, alpha])
-        for component in range(first, end):
-            differences[n, column + component - first] = coverage * (
-                _code(np.float64(found[n, component]), kind, curve)
-                - _code(np.float64(source[n, component]), kind, curve)
-            )
+@inlined
+def _code_between(low: float, high: float, kind: int, curve: Float64s) -> float:
+    """Return by how many codes a value is higher than another."""
+    if low == high:
+        return 0.0
+    return _code(high, kind, curve) - _code(low, kind, curve)
 
 
-@kernel
-def exceeding_between(
-    differences: npt.NDArray[np.float32], firsts: npt.NDArray[np.int64], most: float
-) -> npt.NDArray[np.bool_]:
-    """Say of each patch of points whether what is between them may differ by more than ``most``.
+@inlined
+def subtract(values: Float32s, columns: Columns, point: int, differences: Float64s) -> None:
+    """Write by how many codes a field is above the full tree's at a point, to a column of ``differences``.
 
-    ``differences`` (n, columns) are those at the points of ``Samples.patches``, which begin at ``firsts``.
-    Between them they are taken for the quadratic polynomial on each triangle that has them at its six points;
-    it lies between its Bézier coefficients.
+    ``values`` (2, components, points) are those of both. ``differences`` (2 · components, points) are the
+    components', then those of unit vectors; 0 for what is no direction.
     """
-    far = np.zeros(firsts.size - 1, np.bool_)
-    for patch in range(far.size):
-        first, end = firsts[patch], firsts[patch + 1]
-        for column in range(differences.shape[1]):
-            middle = differences[first, column]
-            near = abs(middle) <= most
-            for corner in range(first + 1, end, 3):
-                here = differences[corner, column]
-                after = differences[corner + 3 if corner + 3 < end else first + 1, column]
-                near &= abs(here) <= most
-                near &= abs(2.0 * differences[corner + 1, column] - 0.5 * (here + middle)) <= most
-                near &= abs(2.0 * differences[corner + 2, column] - 0.5 * (here + after)) <= most
-            far[patch] |= not near  # what is not a number is far from anything
-    return far
+    components = columns.kinds.size
+    for component in range(components):
+        coverage = 1.0
+        if columns.alpha >= 0 and component != columns.alpha:
+            coverage = float(values[1, columns.alpha, point])
+        kind = columns.kinds[component]
+        found, wanted = float(values[0, component, point]), float(values[1, component, point])
+        differences[component, point] = coverage * _code_between(wanted, found, kind, columns.curve)
+        apart = 0.0
+        if columns.vectors[component] >= 0:
+            one, other = 0.0, 0.0
+            for each in range(columns.vectors[component], components):
+                if columns.vectors[each] == columns.vectors[component]:
+                    one += float(values[0, each, point]) ** 2
+                    other += float(values[1, each, point]) ** 2
+            found = found / math.sqrt(one) if one > 0.0 else 0.0
+            wanted = wanted / math.sqrt(other) if other > 0.0 else 0.0
+            apart = coverage * _code_between(wanted, found, kind, columns.curve)
+        differences[components + component, point] = apart
+
+
+@inlined
+def are_near(differences: Float64s, point: int, most: float) -> bool:
+    """Say whether there is no difference of more than ``most`` codes at a point."""
+    near = True
+    for column in range(differences.shape[0]):
+        near &= abs(differences[column, point]) <= most  # what is not a number is far from anything
+    return near
+
+
+@inlined
+def are_near_between(differences: Float64s, count: int, most: float) -> bool:
+    """Say whether differences are ``most`` at most all over a patch of ``count`` points: see `lay_out`.
+
+    Between its points differences are taken for the quadratic polynomial on each triangle that has them at
+    its six points; it lies between its Bézier coefficients.
+    """
+    for column in range(differences.shape[0]):
+        middle = differences[column, 0]
+        near = abs(middle) <= most
+        for corner in range(1, count, 3):
+            here = differences[column, corner]
+            after = differences[column, corner + 3 if corner + 3 < count else 1]
+            near &= abs(here) <= most
+            near &= abs(2.0 * differences[column, corner + 1] - 0.5 * (here + middle)) <= most
+            near &= abs(2.0 * differences[column, corner + 2] - 0.5 * (here + after)) <= most
+        if not near:
+            return False
+    return True
+
+
+@inlined
+def all_near(bounds: Float32s, columns: Columns, most: float) -> bool:
+    """Say whether all that lies between ``bounds`` (2, components) is ``most`` codes apart or less.
+
+    Unit vectors are apart by 2·√3 times as much as vectors of half their length or more.
+    """
+    components = columns.kinds.size
+    for component in range(components):
+        low, high = float(bounds[0, component]), float(bounds[1, component])
+        apart = _code_between(low, high, columns.kinds[component], columns.curve)
+        if columns.vectors[component] >= 0 and apart > 0.0:
+            square = 0.0  # of the shortest
+            for each in range(columns.vectors[component], components):
+                if columns.vectors[each] == columns.vectors[component]:
+                    square += max(bounds[0, each], -bounds[1, each], 0.0) ** 2
+            apart = 2.0 * math.sqrt(3.0) * apart if square >= 0.25 else np.inf
+        if not apart <= most:
+            return False
+    return True

@@ -43,6 +43,14 @@ class Leaves(NamedTuple):
         starts = np.searchsorted(samples.codes, finest[order])
         return cls(in_order, ranks, 0, samples.firsts[np.append(starts, len(samples.codes))], none)
 
+    def some(self, chosen: npt.NDArray[np.bool_], n_cells: int) -> Leaves:
+        """Put some leaves (leaves,) in order. The samples are then those of these leaves alone."""
+        cells = self.numbers(0, len(self.firsts) - 1)[chosen]
+        ranks = np.full(n_cells, -1, np.int64)
+        ranks[cells] = np.arange(cells.size)
+        firsts = np.append(0, np.cumsum(np.diff(self.firsts)[chosen]))
+        return self._replace(cells=cells, ranks=ranks, offset=0, firsts=firsts)
+
     def rows_of(self, tree: Octree, chosen: npt.NDArray[np.bool_]) -> Leaves:
         """Put the rows of some leaves (leaves,), all split, in order: after all cells, by table.
 

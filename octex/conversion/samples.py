@@ -25,8 +25,8 @@ from octex.tree.search import Origin
 #: Places in a cell are stored in steps of this part of its edge, shares of its area in steps of that, unit
 #: normals in steps of that.
 PLACE_STEPS, SHARE_STEPS, NORMAL_STEPS = 65536, 255, 127
-#: Most corners of the polygon in which a plane cuts a cell: six, and two of them twice.
-MOST_CORNERS = 8
+#: Most points of a patch: a sample and three for each corner of a polygon that has six, two of them twice.
+MOST_POINTS = 1 + 3 * 8
 #: The least width over which the source is read, in cells. Half a cell costs 0.1 dB to points, and wins
 #: 1 dB against the source filtered to the cell.
 LEAST_WIDTH = 0.5
@@ -64,27 +64,6 @@ class Samples(NamedTuple):
             normals=self.normals[rows],
             shares=self.shares[rows],
             values=self.values[rows],
-        )
-
-    def patches(self, chosen: npt.NDArray[np.int64], cells: npt.NDArray[np.int64]) -> Samples:
-        """Return points all over the cells (n,) of ``chosen`` samples (n,), and no values. Each n is a cell.
-
-        They lie in the plane of the surface at the sample: the sample itself; then for each corner c of the
-        polygon in which the plane cuts the cell, in order around, c, the middle between c and the sample, and
-        that between c and the next corner. Triangles from the sample to the sides have a point at each corner
-        and in the middle of each side.
-        """
-        firsts = np.zeros(chosen.size + 1, np.int64)
-        found = np.empty((chosen.size * (1 + 3 * MOST_CORNERS), 3), np.uint16)
-        normals = self.normals[chosen]
-        _patch(self.places[chosen], normals, firsts, found)
-        return self._replace(
-            codes=self.codes[cells],
-            firsts=firsts,
-            places=found[: firsts[-1]],
-            normals=np.repeat(normals, np.diff(firsts), axis=0),
-            shares=self.shares[:0],
-            values=self.values[:0],
         )
 
 
@@ -160,39 +139,41 @@ def sample_points(
     return _points(samples.codes, samples.firsts, samples.places, placement.origin, edge, chosen)
 
 
-@kernel
-def _patch(
+@inlined
+def lay_out(
     places: npt.NDArray[np.uint16],
     normals: npt.NDArray[np.int8],
-    firsts: npt.NDArray[np.int64],
-    found: npt.NDArray[np.uint16],
-) -> None:
-    """Write the points of each sample's patch, and where they begin."""
-    corners = np.empty((MOST_CORNERS, 3), np.float64)
-    middle = np.empty(3, np.float64)
-    for n in range(places.shape[0]):
+    sample: int,
+    patch: bool,
+    points: npt.NDArray[np.float32],
+) -> int:
+    """Write where a sample lies in its cell, 0 … 1, and points of the ``patch`` around it; return how many.
+
+    The patch is the polygon in which the plane of the surface cuts the cell. For each corner c, in order
+    around, there are c, the middle between c and the sample, and that between c and the next corner: the
+    triangles from the sample to the sides have a point at each corner and in the middle of each side. Points
+    are columns of ``points`` (3, MOST_POINTS).
+    """
+    for axis in range(3):
+        points[axis, 0] = (places[sample, axis] + 0.5) / PLACE_STEPS
+    if not patch:
+        return 1
+    count = _cut(normals[sample, 0], normals[sample, 1], normals[sample, 2], points)
+    for corner in range(count):
+        at = 1 + 3 * corner
+        after = at + 3 if corner < count - 1 else 1
         for axis in range(3):
-            middle[axis] = (places[n, axis] + 0.5) / PLACE_STEPS
-        count = cut(middle, normals[n, 0], normals[n, 1], normals[n, 2], corners)
-        at = firsts[n]
-        firsts[n + 1] = at + 1 + 3 * count
-        for axis in range(3):
-            found[at, axis] = places[n, axis]
-            for corner in range(count):
-                here, after = corners[corner, axis], corners[(corner + 1) % count, axis]
-                point = at + 1 + 3 * corner
-                found[point, axis] = _step(here, 0)
-                found[point + 1, axis] = _step((here + middle[axis]) / 2, 0)
-                found[point + 2, axis] = _step((here + after) / 2, 0)
+            points[axis, at + 1] = (points[axis, at] + points[axis, 0]) / 2
+            points[axis, at + 2] = (points[axis, at] + points[axis, after]) / 2
+    return 1 + 3 * count
 
 
 @inlined
-def cut(
-    middle: npt.NDArray[np.float64], x: float, y: float, z: float, corners: npt.NDArray[np.float64]
-) -> int:
-    """Write the polygon in which a plane cuts a cell, in order around, and return how many corners it has.
+def _cut(x: float, y: float, z: float, points: npt.NDArray[np.float32]) -> int:
+    """Write the corners of the polygon in which a plane cuts a cell, and return how many it has.
 
-    The plane goes through ``middle`` (3,), which lies in the cell, and has the normal x, y, z.
+    The plane goes through the first of ``points``, which lies in the cell, and has the normal x, y, z. The
+    corners go around, to each third point.
     """
     normal = (float(x), float(y), float(z))
     up = 0 if abs(x) >= max(abs(y), abs(z)) else (1 if abs(y) >= abs(z) else 2)
@@ -203,8 +184,8 @@ def cut(
     for side in range(4):
         a, b = float((side + 1) // 2 % 2), float(side // 2)
         c, d = 1.0 - b, a
-        begin = middle[up] - slope * (a - middle[along]) - other * (b - middle[across])
-        end = middle[up] - slope * (c - middle[along]) - other * (d - middle[across])
+        begin = points[up, 0] - slope * (a - points[along, 0]) - other * (b - points[across, 0])
+        end = points[up, 0] - slope * (c - points[along, 0]) - other * (d - points[across, 0])
         low, high = 0.0, 1.0  # of the side, what lies in the cell
         if begin != end:
             bottom, top = -begin / (end - begin), (1.0 - begin) / (end - begin)
@@ -213,9 +194,9 @@ def cut(
             continue
         for part in (low, high):
             if low <= high and (part == low or part < 1.0):
-                corners[count, along] = a + part * (c - a)
-                corners[count, across] = b + part * (d - b)
-                corners[count, up] = min(max(begin + part * (end - begin), 0.0), 1.0)
+                points[along, 1 + 3 * count] = a + part * (c - a)
+                points[across, 1 + 3 * count] = b + part * (d - b)
+                points[up, 1 + 3 * count] = min(max(begin + part * (end - begin), 0.0), 1.0)
                 count += 1
     return count
 

@@ -27,13 +27,13 @@ from octex.tree.layout import AREA_STEPS, FACING_FLAGS, SPLIT, SplitTable
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 
-Channels: TypeAlias = Mapping[str, Channel]
-#: Fits the leaves of a tree whose values are means.
-Fit: TypeAlias = Callable[[Octree, Channels], Channels]
-#: Splits leaves of a tree, given their means and their fitted values.
-Split: TypeAlias = Callable[[Octree, Channels, Channels], tuple[Octree, Channels]]
 Bools = npt.NDArray[np.bool_]
 Int64s = npt.NDArray[np.int64]
+Channels: TypeAlias = Mapping[str, Channel]
+#: Fits the leaves of a tree whose values are means; or some of them (leaves,), beside others' fitted values.
+Fit: TypeAlias = Callable[[Octree, Channels, Bools | None], Channels]
+#: Splits leaves of a tree, given their means and their fitted values.
+Split: TypeAlias = Callable[[Octree, Channels, Channels], tuple[Octree, Channels]]
 
 #: Leaves that have less of the weight of a lookup are left as they are.
 _LEAST_WEIGHT = 0.03

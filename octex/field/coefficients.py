@@ -1,7 +1,9 @@
 """The quadratic field by coefficients, for points that lie close together one after another.
 
 A window's coefficients (`windows`) are those of its leaves, and below leaves what the window above refines
-to; they are written once for all points in it. A value is their sum under the spline's weights.
+to; they are written once for all points in it. A value is their sum under the spline's weights. Looked up
+with a normal, coefficients are those of the rows that face it, and what faces away weighs next to nothing:
+see `stages`.
 """
 
 from __future__ import annotations
@@ -12,107 +14,72 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.field.splines import QUADRATIC, quadratic_weights
+from octex.field.stages import View, face_cell
 from octex.field.windows import BEGIN, CONTENT, INSIDE, UPPER, Walk, cell_at, follow, place_of
-from octex.jit import inlined, kernel, trailing_zeros, weighted_rows
-from octex.tree.layout import MAX_DEPTH, TreeArrays
+from octex.jit import inlined, kernel, popcount, spline_rows, trailing_zeros
+from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT, TreeArrays
 
-Floats = npt.NDArray[np.float32]
+Float32s = npt.NDArray[np.float32]
+Uint32s = npt.NDArray[np.uint32]
 
 Four: TypeAlias = tuple[np.float32, np.float32, np.float32, np.float32]
 
 _PLACES = 27
+_LEVELS = MAX_DEPTH + 1
+_NO_KEPT = np.empty(0, np.uint32)
 _ZERO = np.float32(0)
+#: For kinds of cells, a bit for each of the 2⁶ sets of facings: split cells have that of the empty set.
+SPLIT_KIND = np.uint64(1)
+
+
+class Coefficients(NamedTuple):
+    """A tree without kept coefficients, and its channels as windows read them."""
+
+    arrays: TreeArrays
+    splits: Uint32s  # (cells,) or (0,)   the first of a split cell's rows in the split table
+    first_row: int  # that table's first, among the rows
+    rows: Float32s  # (rows · vectors, 4)   of a cell or a facing: components, a one, zeros
+    components: int
+    alpha: int  # the component that covers all others, or −1
 
 
 class Windows(NamedTuple):
-    """What is known of the windows around the latest sample."""
+    """What is known of the windows around the latest point, of several fields of as many vectors a row."""
 
-    rows: Floats  # (vectors · levels · places, 4)   coefficients; zeros where there is none
-    numbers: npt.NDArray[np.int32]  # (vectors, levels · places)   their rows, one after another
-    weights: Floats  # (levels · places,)   the spline's, in the window that is read
-    known: npt.NDArray[np.bool_]  # (levels,)   whether the level's coefficients are written
+    rows: Float32s  # (fields · vectors · levels · places, 4)   coefficients; zeros where there is none
+    known: npt.NDArray[np.bool_]  # (fields, levels)   whether the level's coefficients are written
+    kinds: npt.NDArray[np.uint64]  # (fields, levels)   the kinds of cells that they are made of
+    #: (fields · levels · vectors, 2, 4) or (0, 2, 4)   the least and the largest of what these cells hold
+    ranges: Float32s
 
 
 @kernel
-def new_windows(vectors: int) -> Windows:
-    """Return windows of which nothing is known, of one tree with ``vectors`` rows of four a cell."""
-    levels = MAX_DEPTH + 1
-    rows = vectors * levels * _PLACES
+def new_windows(fields: int, vectors: int, has_ranges: bool) -> Windows:
+    """Return windows of which nothing is known."""
     return Windows(
-        np.zeros((rows, 4), np.float32),
-        np.arange(rows).astype(np.int32).reshape(vectors, -1),
-        np.zeros(levels * _PLACES, np.float32),
-        np.zeros(levels, np.bool_),
+        np.zeros((fields * vectors * _LEVELS * _PLACES, 4), np.float32),
+        np.zeros((fields, _LEVELS), np.bool_),
+        np.zeros((fields, _LEVELS), np.uint64),
+        np.zeros((fields * _LEVELS * vectors if has_ranges else 0, 2, 4), np.float32),
     )
 
 
 @inlined
-def add_up(
-    arrays: TreeArrays,
-    kept: npt.NDArray[np.uint32],
-    rows: Floats,
-    vectors: int,
-    x: float,
-    y: float,
-    z: float,
-    walk: Walk,
-    windows: Windows,
-    totals: Floats,
-) -> None:
-    """Write the sums of coefficients under the spline's weights at a point of texture space, 0 … 1.
+def enter(field: Coefficients, walk: Walk, windows: Windows, which: int, i: int, j: int, k: int) -> int:
+    """Return the level whose window is read around a cell of MAX_DEPTH; forget the windows that it left.
 
-    ``rows`` (cells · vectors, 4) hold the coefficients of leaves; ``totals`` (4 · vectors,). There must be no
-    kept coefficients; ``kept`` is empty. Points off the surface have zeros.
+    Those of each second field from ``which`` on belong to the walk.
     """
-    edge = float(1 << MAX_DEPTH)
-    i, j, k = int(x * edge), int(y * edge), int(z * edge)
     walk.previous[5] = MAX_DEPTH  # becomes the last level whose window is that of the point before
-    level = follow(arrays, kept, walk, i, j, k, QUADRATIC, 2)
+    level = follow(field.arrays, _NO_KEPT, walk, i, j, k, QUADRATIC, 2)
     for changed in range(walk.previous[5] + 1, level + 1):
-        windows.known[changed] = False
-    if not windows.known[level]:
-        _find(arrays, rows, vectors, walk, windows, level)
-    shift = MAX_DEPTH - level
-    cells = float(1 << level)
-    first = level * _PLACES
-    _weigh(windows, first, x * cells - (i >> shift), y * cells - (j >> shift), z * cells - (k >> shift))
-    for vector in range(vectors):
-        a, b, c, d = weighted_rows(
-            windows.rows, windows.numbers[vector], windows.weights, first, first + _PLACES
-        )
-        totals[4 * vector], totals[4 * vector + 1] = a, b
-        totals[4 * vector + 2], totals[4 * vector + 3] = c, d
+        for each in range(which, windows.known.shape[0], 2):
+            windows.known[each, changed] = False
+    return level
 
 
 @inlined
-def _weigh(windows: Windows, first: int, x: float, y: float, z: float) -> None:
-    """Write the spline's weights for a point in the cell in the middle, 0 … 1 along each axis."""
-    a, b, c = quadratic_weights(x)
-    d, e, f = quadratic_weights(y)
-    u, v, w = quadratic_weights(z)
-    at = first
-    for of_z in (u, v, w):
-        for of_y in (d, e, f):
-            both = of_z * of_y
-            windows.weights[at] = a * both
-            windows.weights[at + 1] = b * both
-            windows.weights[at + 2] = c * both
-            at += 3
-
-
-@inlined
-def _find(arrays: TreeArrays, rows: Floats, vectors: int, walk: Walk, windows: Windows, level: int) -> None:
-    """Write the coefficients of a level's window, and before it of those that it is refined from."""
-    top = level
-    while not windows.known[top] and _is_refined(walk, top):
-        top -= 1
-    for each in range(top, level + 1):
-        if not windows.known[each]:
-            _gather(arrays, rows, vectors, walk, windows, each)
-
-
-@inlined
-def _is_refined(walk: Walk, level: int) -> bool:
+def is_refined(walk: Walk, level: int) -> bool:
     """Say whether a window has cells below leaves, or below nothing beside these."""
     if level == 0 or walk.levels[level - 1, CONTENT] == 0:
         return False
@@ -120,34 +87,143 @@ def _is_refined(walk: Walk, level: int) -> bool:
 
 
 @inlined
-def _gather(arrays: TreeArrays, rows: Floats, vectors: int, walk: Walk, windows: Windows, level: int) -> None:
-    """Write the coefficients of a level's window."""
+def find_coefficients(
+    field: Coefficients, walk: Walk, windows: Windows, which: int, level: int, is_facing: bool, view: View
+) -> None:
+    """Write the coefficients of a level's window, and before it of those that it is refined from."""
+    top = level
+    while not windows.known[which, top] and is_refined(walk, top):
+        top -= 1
+    for each in range(top, level + 1):
+        if not windows.known[which, each]:
+            _gather(field, walk, windows, which, each, is_facing, view)
+
+
+@inlined
+def add_up(
+    windows: Windows, which: int, vectors: int, level: int, x: float, y: float, z: float, totals: Float32s
+) -> None:
+    """Write the sums of coefficients under the spline's weights at a point in the middle cell, 0 … 1."""
+    of_x, of_y, of_z = _weights(x), _weights(y), _weights(z)
+    for vector in range(vectors):
+        first = ((which * vectors + vector) * _LEVELS + level) * _PLACES
+        _write(totals, vector, spline_rows(windows.rows, first, of_x, of_y, of_z))
+
+
+@inlined
+def _weights(t: float) -> tuple[np.float32, np.float32, np.float32]:
+    a, b, c = quadratic_weights(t)
+    return np.float32(a), np.float32(b), np.float32(c)
+
+
+@inlined
+def _gather(
+    field: Coefficients, walk: Walk, windows: Windows, which: int, level: int, is_facing: bool, view: View
+) -> None:
+    """Write the coefficients of a level's window, and what they are made of."""
+    vectors = (field.components + 4) // 4
     begin = walk.levels[level, BEGIN]
     inside = INSIDE[0, begin, 0]
     leaves = (walk.cells[level, 0] ^ walk.nodes[level, 0]) & inside
-    stride = (MAX_DEPTH + 1) * _PLACES
+    start, stride = (which * vectors * _LEVELS + level) * _PLACES, _LEVELS * _PLACES
     empty = inside
-    if _is_refined(walk, level):
+    kinds = np.uint64(0)
+    is_below = is_refined(walk, level)
+    range_row = (which * _LEVELS + level) * vectors
+    has_ranges = windows.ranges.shape[0] > 0 and not is_facing
+    if has_ranges:
         for vector in range(vectors):
-            _refine(windows.rows, level * _PLACES + vector * stride, walk.levels[level, UPPER])
+            _begin_range(windows.ranges, range_row + vector, range_row + vector - vectors if is_below else -1)
+    if is_below:
+        for vector in range(vectors):
+            _refine(windows.rows, start + vector * stride, walk.levels[level, UPPER])
+        kinds = windows.kinds[which, level - 1]
         empty = inside & walk.real[level, 0] & ~leaves
     while empty != 0:
-        at = level * _PLACES + place_of(2, begin, trailing_zeros(empty))
+        at = start + place_of(2, begin, trailing_zeros(empty))
         empty &= empty - np.uint64(1)
         for vector in range(vectors):
             _write(windows.rows, at + vector * stride, (_ZERO, _ZERO, _ZERO, _ZERO))
     while leaves != 0:
         child = trailing_zeros(leaves)
         leaves &= leaves - np.uint64(1)
-        at = level * _PLACES + place_of(2, begin, child)
-        cell = cell_at(arrays, walk, level, 0, child) * vectors
+        at = start + place_of(2, begin, child)
+        cell = cell_at(field.arrays, walk, level, 0, child)
+        flags = field.arrays.flags[cell]
+        if is_facing:
+            part, x, y, z = face_cell(flags, view)
+            is_split = x + y + z > _ZERO and field.splits.size > 0
+            for vector in range(vectors):
+                found = (_ZERO, _ZERO, _ZERO, _ZERO)
+                if is_split:
+                    for axis in range(3):
+                        share = x if axis == 0 else (y if axis == 1 else z)
+                        if share > _ZERO:
+                            row = _row_of(field, cell, flags, 2 * axis + (view[3] >> axis & 1))
+                            found = _added(found, part * share, _covered(field, row, vectors, vector))
+                else:
+                    found = _added(found, part, _covered(field, cell, vectors, vector))
+                _write(windows.rows, at + vector * stride, found)
+            continue
+        if flags & np.uint8(SPLIT) != 0:
+            kinds |= SPLIT_KIND
+        elif flags & np.uint8(FACING_FLAGS) != 0:
+            kinds |= np.uint64(1) << np.uint64(flags & np.uint8(FACING_FLAGS))
         for vector in range(vectors):
-            _write(windows.rows, at + vector * stride, _read(rows, cell + vector))
-    windows.known[level] = True
+            _write(windows.rows, at + vector * stride, _covered(field, cell, vectors, vector))
+            if has_ranges:
+                _widen(windows.ranges, range_row + vector, _read(field.rows, cell * vectors + vector))
+        if has_ranges and flags & np.uint8(SPLIT) != 0 and field.splits.size > 0:
+            for row in range(_row_of(field, cell, flags, 0), _row_of(field, cell, flags, 6)):
+                for vector in range(vectors):
+                    _widen(windows.ranges, range_row + vector, _read(field.rows, row * vectors + vector))
+    windows.kinds[which, level] = kinds
+    windows.known[which, level] = True
 
 
 @inlined
-def _refine(rows: Floats, first: int, upper: int) -> None:
+def _begin_range(ranges: Float32s, row: int, above: int) -> None:
+    """Write a range that holds what another does, or nothing if that is −1."""
+    for column in range(4):
+        ranges[row, 0, column] = ranges[above, 0, column] if above >= 0 else np.float32(np.inf)
+        ranges[row, 1, column] = ranges[above, 1, column] if above >= 0 else np.float32(-np.inf)
+
+
+@inlined
+def _widen(ranges: Float32s, row: int, values: Four) -> None:
+    """Let a range hold values."""
+    a, b, c, d = values
+    ranges[row, 0, 0], ranges[row, 1, 0] = min(ranges[row, 0, 0], a), max(ranges[row, 1, 0], a)
+    ranges[row, 0, 1], ranges[row, 1, 1] = min(ranges[row, 0, 1], b), max(ranges[row, 1, 1], b)
+    ranges[row, 0, 2], ranges[row, 1, 2] = min(ranges[row, 0, 2], c), max(ranges[row, 1, 2], c)
+    ranges[row, 0, 3], ranges[row, 1, 3] = min(ranges[row, 0, 3], d), max(ranges[row, 1, 3], d)
+
+
+@inlined
+def _row_of(field: Coefficients, cell: int, flags: np.uint8, facing: int) -> int:
+    """Return the row of a split cell's facing."""
+    below = np.uint64(flags) & ((np.uint64(1) << np.uint64(facing)) - np.uint64(1))
+    return int(field.first_row + np.int64(field.splits[cell]) + popcount(below))
+
+
+@inlined
+def _covered(field: Coefficients, row: int, vectors: int, vector: int) -> Four:
+    """Return a part of a row, times its alpha."""
+    a, b, c, d = _read(field.rows, row * vectors + vector)
+    alpha = field.alpha
+    if alpha < 0:
+        return a, b, c, d
+    coverage = field.rows[row * vectors + (alpha >> 2), alpha & 3]
+    own, one = alpha - 4 * vector, field.components - 4 * vector
+    a = a if own == 0 or one == 0 else a * coverage
+    b = b if own == 1 or one == 1 else b * coverage
+    c = c if own == 2 or one == 2 else c * coverage
+    d = d if own == 3 or one == 3 else d * coverage
+    return a, b, c, d
+
+
+@inlined
+def _refine(rows: Float32s, first: int, upper: int) -> None:
     """Refine the window above into that from row ``first`` on; ``upper`` is the half of its parent."""
     step = 1
     for axis in range(3):
@@ -167,13 +243,23 @@ def _refine(rows: Floats, first: int, upper: int) -> None:
 
 
 @inlined
-def _read(rows: Floats, row: int) -> Four:
+def _read(rows: Float32s, row: int) -> Four:
     return rows[row, 0], rows[row, 1], rows[row, 2], rows[row, 3]
 
 
 @inlined
-def _write(rows: Floats, row: int, values: Four) -> None:
+def _write(rows: Float32s, row: int, values: Four) -> None:
     rows[row, 0], rows[row, 1], rows[row, 2], rows[row, 3] = values
+
+
+@inlined
+def _added(total: Four, factor: np.float32, values: Four) -> Four:
+    return (
+        total[0] + factor * values[0],
+        total[1] + factor * values[1],
+        total[2] + factor * values[2],
+        total[3] + factor * values[3],
+    )
 
 
 @inlined

@@ -8,7 +8,7 @@ the next finer level. Where a texture has alpha, other channels weigh by it (`si
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -300,3 +300,35 @@ def take_rows(
                             result.slopes[at, each] = shares[axis] * taps.slopes[tap, each]
                     at += 1
         result.starts[n], result.ends[n], result.covers[n] = start, at, taps.covers[n]
+
+
+#: The sizes of a normal's cosines with the axes, and their signs as bits.
+View: TypeAlias = tuple[np.float32, np.float32, np.float32, int]
+
+
+@inlined
+def view_of(normals: Float32s, n: int) -> View:
+    """Return how ``face_cell`` takes normal ``n`` of some (m, 3)."""
+    return _unit(normals, n)
+
+
+@inlined
+def face_cell(flags: np.uint8, view: View) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+    """Return what ``face`` multiplies the weight of a cell by, and what ``take_rows`` gives its rows.
+
+    These are the shares of the rows of x, y and z that face the normal; all 0 where the cell has none, or is
+    taken as a whole.
+    """
+    x, y, z, signs = view
+    none = np.float32(0.0)
+    bits = _DIRECTIONS[64 * signs + int(flags & np.uint8(FACING_FLAGS))]
+    if bits >= np.uint8(8):
+        return np.float32(1.0) + _AWAY, none, none, none
+    x = x if bits & np.uint8(1) else none
+    y = y if bits & np.uint8(2) else none
+    z = z if bits & np.uint8(4) else none
+    part = _ramp(max(x, max(y, z)))
+    if flags & np.uint8(SPLIT) == 0 or part == none:
+        return part + _AWAY, none, none, none
+    a, b, c = _shares(x, y, z)
+    return part + _AWAY, a, b, c

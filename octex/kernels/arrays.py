@@ -41,17 +41,15 @@ def arrays_of(
     if alpha is known or (alpha is not None and alpha.format.components != 1):
         alpha = None
     tiles = _joined_tiles([field.level(level).tiles for level in range(tree.max_depth + 1)])
-    x, y, z = texture.placement.origin
     return LookupArrays(
-        (x, y, z),
-        texture.placement.size,
-        tree.arrays._replace(areas=areas),
+        np.array([*texture.placement.origin, texture.placement.size]),
+        *tree.arrays._replace(areas=areas),
         tree.kept.cells,
         field.facings.rows,
         *tiles,
-        _values(known),
+        *_values(known),
+        *(_no_values() if alpha is None else _values(alpha)),
         known.format.components,
-        _no_values() if alpha is None else _values(alpha),
         spreads,
         threshold,
     )

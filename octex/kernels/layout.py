@@ -15,7 +15,9 @@ from octex.tree.search import Scratch as Search
 from octex.tree.search import new_scratch as new_search
 
 Array = npt.NDArray[Any]
+Bytes = npt.NDArray[np.uint8]
 Float32s = npt.NDArray[np.float32]
+Float64s = npt.NDArray[np.float64]
 Int32s = npt.NDArray[np.int32]
 Int64s = npt.NDArray[np.int64]
 Uint32s = npt.NDArray[np.uint32]
@@ -32,20 +34,32 @@ class Values(NamedTuple):
 
 
 class LookupArrays(NamedTuple):
-    """One channel of a texture, as ``arrays_of`` makes it; its fields are not for others."""
+    """One channel of a texture, as ``arrays_of`` makes it; its fields are not for others.
 
-    origin: tuple[float, float, float]
-    size: float
-    tree: TreeArrays  # areas are those of nodes alone
-    kept: Uint32s
+    They are arrays and numbers alone, as numba's parallel loops want them.
+    """
+
+    place: Float64s  # (4,)   the root cell's lowest corner, and the length of its edge
+    groups: Uint64s  # what is in the tree, see `TreeArrays`; areas are those of nodes alone
+    level_cells: Int64s
+    level_nodes: Int64s
+    flags: Bytes
+    areas: Bytes
+    kept: Uint32s  # (kept nodes,)
     facings: Uint32s  # (cells,)   a split cell's first facing; (0,) without any
     tile_levels: Int64s  # (22, 5)   of each level with tiles their top level, begin and end in tops and rows
     tops: Int32s
     masks: Uint64s
     firsts: Uint32s
-    values: Values
+    values: Array  # (cells · components,)
+    kept_values: Array
+    split_values: Array
+    table: Array  # what codes stand for; empty for float32
+    alpha: Array  # (cells,), likewise; (0,) without it
+    kept_alpha: Array
+    split_alpha: Array
+    alpha_table: Array
     components: int
-    alpha: Values  # empty without it
     spreads: Float32s  # (facings,)   how far opposite facings of a cell differ, at its first
     threshold: float
 
@@ -68,9 +82,10 @@ class Scratch(NamedTuple):
 @kernel
 def new_scratch(arrays: LookupArrays) -> Scratch:
     """Return room for lookups in one texture: make one for each thread, outside the loop."""
+    tree = TreeArrays(arrays.groups, arrays.level_cells, arrays.level_nodes, arrays.flags, arrays.areas)
     return Scratch(
         new_walk(),
-        new_search(arrays.tree),
+        new_search(tree),
         np.empty((1 + MOST_ROWS) * MOST_TAPS, np.uint32),
         np.empty((1 + MOST_ROWS) * MOST_TAPS, np.float32),
         np.empty((0, 3), np.float32),

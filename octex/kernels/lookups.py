@@ -36,10 +36,10 @@ _ROUNDED = 1e-6
 @inlined
 def _placed(arrays: LookupArrays, point: Vector) -> tuple[float, float, float]:
     """Return where a rest position lies in texture space, clamped to 0 … 1."""
-    inverse = 1.0 / arrays.size
-    x = (np.float64(point[0]) - arrays.origin[0]) * inverse
-    y = (np.float64(point[1]) - arrays.origin[1]) * inverse
-    z = (np.float64(point[2]) - arrays.origin[2]) * inverse
+    inverse = 1.0 / arrays.place[3]
+    x = (np.float64(point[0]) - arrays.place[0]) * inverse
+    y = (np.float64(point[1]) - arrays.place[1]) * inverse
+    z = (np.float64(point[2]) - arrays.place[2]) * inverse
     return _clamped(x, 1.0), _clamped(y, 1.0), _clamped(z, 1.0)
 
 
@@ -110,7 +110,7 @@ def _tiled(
                 rows[dx + 2 * dy + 4 * dz] = 8 * row
     n = 0
     total = np.float32(0.0)
-    last = np.int64(arrays.tree.flags.size - 1)
+    last = np.int64(arrays.flags.size - 1)
     along, codes = scratch.along, scratch.codes
     for dz in range(side):
         for dy in range(side):
@@ -183,7 +183,7 @@ def _find(
             break  # at the rim of the spline's support
         here -= 1
     n, cover = _walked(
-        arrays.tree, arrays.kept, level, x, y, z, filter_code,
+        _tree_of(arrays), arrays.kept, level, x, y, z, filter_code,
         scratch.walk, scratch.rows, scratch.weights, scratch.slopes,
     )  # fmt: skip
     _scale(scratch, n, max(cover, np.float64(OFF)))
@@ -201,8 +201,8 @@ def _weigh_by_area(arrays: LookupArrays, n: int, is_off: bool, scratch: Scratch)
     total = 0.0
     for tap in range(n):
         row = np.int64(scratch.rows[tap])
-        if row < arrays.tree.areas.size:
-            scratch.weights[tap] *= AREA_WEIGHTS[arrays.tree.areas[row]]
+        if row < arrays.areas.size:
+            scratch.weights[tap] *= AREA_WEIGHTS[arrays.areas[row]]
         total += np.float64(scratch.weights[tap])
     if is_off and total > 0.0:
         _scale(scratch, n, OFF / total)
@@ -211,14 +211,14 @@ def _weigh_by_area(arrays: LookupArrays, n: int, is_off: bool, scratch: Scratch)
 @inlined
 def _leave_mixed(arrays: LookupArrays, level: int, n: int, scratch: Scratch) -> float:
     """Let cells that mix opposite facings weigh nothing; return the part of the weight that is taken away."""
-    first, total, gone = arrays.tree.level_cells[level], 0.0, 0.0
+    first, total, gone = arrays.level_cells[level], 0.0, 0.0
     for tap in range(n):
         weight = np.float64(scratch.weights[tap])
         total += weight
         cell = np.int64(scratch.rows[tap])
         if cell < first or cell >= arrays.facings.size:
             continue
-        flags = arrays.tree.flags[cell]
+        flags = arrays.flags[cell]
         if flags & np.uint8(SPLIT) == 0 or flags & flags >> np.uint8(1) & np.uint8(POSITIVE_FACINGS) == 0:
             continue
         row = min(int(arrays.facings[cell]), arrays.spreads.size - 1)
@@ -226,6 +226,16 @@ def _leave_mixed(arrays: LookupArrays, level: int, n: int, scratch: Scratch) -> 
             gone += weight
             scratch.weights[tap] = np.float32(0.0)
     return gone / total if total > 0.0 else 0.0
+
+
+@inlined
+def _tree_of(arrays: LookupArrays) -> TreeArrays:
+    return TreeArrays(arrays.groups, arrays.level_cells, arrays.level_nodes, arrays.flags, arrays.areas)
+
+
+@inlined
+def _values_of(arrays: LookupArrays) -> Values:
+    return Values(arrays.values, arrays.kept_values, arrays.split_values, arrays.table)
 
 
 @inlined
@@ -254,14 +264,15 @@ def _value(values: Values, components: int, row: int) -> Color:
 @inlined
 def _add(arrays: LookupArrays, begin: int, end: int, share: float, scratch: Scratch) -> None:
     """Add the blend of some taps to the sums."""
-    sums = scratch.sums
+    sums, values = scratch.sums, _values_of(arrays)
+    alpha = Values(arrays.alpha, arrays.kept_alpha, arrays.split_alpha, arrays.alpha_table)
     for tap in range(begin, end):
         weight, row = share * np.float64(scratch.weights[tap]), int(scratch.rows[tap])
-        a, b, c, d = _value(arrays.values, arrays.components, row)
+        a, b, c, d = _value(values, arrays.components, row)
         sums[5], sums[6], sums[7] = sums[5] + weight * a, sums[6] + weight * b, sums[7] + weight * c
         sums[8], sums[9] = sums[8] + weight * d, sums[9] + weight
-        if arrays.alpha.cells.size > 0:
-            weight *= _value(arrays.alpha, 1, row)[0]
+        if arrays.alpha.size > 0:
+            weight *= _value(alpha, 1, row)[0]
             sums[0], sums[1], sums[2] = sums[0] + weight * a, sums[1] + weight * b, sums[2] + weight * c
             sums[3], sums[4] = sums[3] + weight * d, sums[4] + weight
 
@@ -291,7 +302,7 @@ def _face(
     """
     none = np.float32(0.0)
     rows, weights = scratch.rows, scratch.weights
-    n_cells = np.int64(arrays.tree.flags.size)
+    n_cells = np.int64(arrays.flags.size)
     first_facing = n_cells + arrays.kept.size
     end = n
     for tap in range(n):
@@ -299,7 +310,7 @@ def _face(
         cell = row
         if row >= n_cells and arrays.kept.size > 0:
             cell = np.int64(arrays.kept[min(int(row - n_cells), arrays.kept.size - 1)])
-        flags = arrays.tree.flags[cell]
+        flags = arrays.flags[cell]
         bits = int(DIRECTIONS[64 * signs + int(flags & np.uint8(FACING_FLAGS))])
         rows[end], weights[end] = row, weights[tap] * scratch.parts[bits]
         is_split = arrays.facings.size > 0 and flags & np.uint8(SPLIT) != 0 and bits > 0 and bits < 8
@@ -330,7 +341,7 @@ def _clear(scratch: Scratch) -> None:
 def _look(arrays: LookupArrays, x: float, y: float, z: float, filter_code: int, scratch: Scratch) -> Color:
     """Look at the leaves."""
     _clear(scratch)
-    n, _ = _find(arrays, arrays.tree.level_cells.size - 2, x, y, z, filter_code, scratch)
+    n, _ = _find(arrays, arrays.level_cells.size - 2, x, y, z, filter_code, scratch)
     _add(arrays, 0, n, 1.0, scratch)
     return _mean(scratch)
 
@@ -339,7 +350,8 @@ def _look(arrays: LookupArrays, x: float, y: float, z: float, filter_code: int, 
 def nearest(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
     """Return what is stored of the leaf that holds a rest position, else of the nearest cell around it."""
     x, y, z = _placed(arrays, point)
-    depth = arrays.tree.level_cells.size - 2
+    values = _values_of(arrays)
+    depth = arrays.level_cells.size - 2
     if arrays.tile_levels[depth, 0] >= 0:
         tiles = _tiles_of(arrays, depth)
         shift = MAX_DEPTH - depth
@@ -351,9 +363,9 @@ def nearest(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
         if (mask >> bit) & np.uint64(1) != np.uint64(0):
             below = mask & ((np.uint64(1) << bit) - np.uint64(1))
             number = int(tiles.firsts[octant]) + popcount(below)
-            return _value(arrays.values, arrays.components, min(number, arrays.tree.flags.size - 1))
-    cell, _ = nearest_cell(arrays.tree, x, y, z, scratch.search)
-    return _value(arrays.values, arrays.components, cell)
+            return _value(values, arrays.components, min(number, arrays.flags.size - 1))
+    cell, _ = nearest_cell(_tree_of(arrays), x, y, z, scratch.search)
+    return _value(values, arrays.components, cell)
 
 
 @inlined
@@ -396,8 +408,8 @@ def footprint(arrays: LookupArrays, point: Vector, width: float, normal: Vector,
             part = max(part, c) if bits & 4 else part
             scratch.parts[bits] = part + AWAY
         scratch.parts[8] = np.float32(1.0) + AWAY
-    depth = arrays.tree.level_cells.size - 2
-    level, upper = _level_of(width, arrays.size, depth)
+    depth = arrays.level_cells.size - 2
+    level, upper = _level_of(width, arrays.place[3], depth)
     share, passed = 1.0 - upper, 0.0
     while level <= depth and (share > 0.0 or upper > 0.0):
         left = 0.0
