@@ -11,6 +11,7 @@ A lookup goes through this room from left to right, a block of points at a time;
     looks at       ├── tiles · blocks · linear · spline    where all leaves have one depth
     several        └── windows · refinement · neighborhood the walk: any tree, kept coefficients
     levels
+                   `tiled` takes one channel by tiles through all of that in one call, step by step
 
 `splines` has the weights. `refined` lists what cells below leaves refine from, for edits; `coefficients` is a
 way through the same field for conversions, whose samples lie close together one after another.
