@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import gc
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from threading import Barrier
+from time import sleep
+from typing import Any, NamedTuple
+from weakref import ref
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +21,7 @@ from octex.field.field import Field, Finder, Listed, NotFiniteError
 from octex.field.sinks import Codes, blend
 from octex.field.splines import FILTERS
 from octex.field.taps import place_points
+from octex.field.tiles import build_tiles
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from tests import naive
@@ -214,3 +222,40 @@ def test_outside_the_root_slopes_are_those_of_the_nearest_point_inside() -> None
         Field(tree).taps(points, UNIT, gradient=True) for points in (outside, outside.clip(0, 1))
     )
     assert all((one == other).all() for one, other in zip(found, inside, strict=True))
+
+
+def off_the_surface(depth: int = 6) -> tuple[Octree, npt.NDArray[np.float64]]:
+    """A tree of one leaf, and points at all distances from it, which coarser levels answer."""
+    return Octree.from_leaves([0], depth), np.linspace(0.0, 1.0, 8)[:, None] * np.ones(3)
+
+
+def test_threads_build_what_they_share_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    tree, points = off_the_surface()
+    built: list[int] = []
+
+    def slowly(build: Callable[..., Any], level_of: Callable[..., int], *given: Any) -> Any:
+        built.append(level_of(*given))
+        sleep(0.005)  # for the others to come
+        return build(*given)
+
+    truncated = partial(slowly, Octree.truncated, lambda _, level: -1 - level)
+    monkeypatch.setattr(Octree, "truncated", lambda tree, level: truncated(tree, level))
+    tiled = partial(slowly, build_tiles, lambda tree: tree.max_depth)
+    monkeypatch.setattr("octex.field.field.build_tiles", tiled)
+    field, start = Field(tree), Barrier(4)
+    with ThreadPoolExecutor(4) as threads:
+        found = list(threads.map(lambda _: (start.wait(), field.taps(points, UNIT)), range(4)))
+    assert len(built) == len(set(built)) > tree.max_depth
+    assert all(np.array_equal(taps.rows, found[0][1].rows) for _, taps in found)
+
+
+def test_the_field_of_a_level_does_not_keep_the_whole_one() -> None:
+    tree, points = off_the_surface()
+    field = Field(tree)
+    level, whole = field.level(3), ref(field)
+    expected = level.taps(points, UNIT)
+    del field
+    gc.collect()
+    assert whole() is None
+    assert np.array_equal(level.taps(points, UNIT).rows, expected.rows)
+    assert level.level(2) is level.level(2)

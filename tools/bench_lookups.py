@@ -197,7 +197,16 @@ QUESTIONS = {
 
 def questions(setup: Setup, report: Report) -> None:
     """Each question that lookups answer, beside the colour of a point in an even tree."""
-    surface = octex.load_surface(HERE.parent / "samples" / "droid.glb")
+    models = {"droid": HERE.parent / "samples" / "droid.glb"}
+    if setup.models:
+        models["BoomBox"] = setup.models / "BoomBoxWithAxes" / "BoomBoxWithAxes.gltf"
+    else:
+        report.note("questions: left out without --models: BoomBox")
+    for name, path in models.items():
+        _questions(name, octex.load_surface(path), setup, report)
+
+
+def _questions(name: str, surface: octex.Surface, setup: Setup, report: Report) -> None:
     depth, count = (5, 2000) if setup.quick else (10, 300_000)
     texture = octex.convert(surface, depth, fit=False)
     color = octex.convert(surface, depth, fit=False, channels="base_color", dtype="float32")
@@ -238,15 +247,15 @@ def questions(setup: Setup, report: Report) -> None:
             setup.repeats,
         )
     report.title(
-        f"questions: the droid at depth {depth}, {texture.tree.n_leaves:,} leaves, quadratic, at random"
+        f"questions: {name} at depth {depth}, {texture.tree.n_leaves:,} leaves, quadratic, at random"
     )
     report.line("base_color", f"{millions(count / spent['base'].cpu)} lookups/s")
     for what, least in QUESTIONS.items():
-        report.at_least(f"questions: {what}", spent["base"].cpu / spent[what].cpu, least, "of that")
+        report.at_least(f"questions: {name}, {what}", spent["base"].cpu / spent[what].cpu, least, "of that")
     one = points[:1]
     calls = 100 if setup.quick else 3000
     taken = timed(lambda: [texture.sample(one) for _ in range(calls)])[0]
-    report.at_most("questions: a call with one point", 1e6 * taken.cpu / calls, 25, "µs")
+    report.at_most(f"questions: {name}, a call with one point", 1e6 * taken.cpu / calls, 25, "µs")
 
 
 #: Models whose lookups in adaptive and painted textures are compared with those in even ones.

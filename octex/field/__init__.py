@@ -11,6 +11,7 @@ A lookup goes through this room from left to right, a block of points at a time;
     looks at       ├── tiles · blocks · linear · spline    where all leaves have one depth
     several        ├── windows · refinement · neighborhood the walk: any tree, kept coefficients
     levels         └── bricks   source and sink in one, for many points at once where the walk would answer
+                   `tiled` takes one channel by tiles through all of that in one call, step by step
 
 Trees of one depth that were painted more finely have tiles too: marked where the walk, or bricks, answer.
 `listing` is for others: the rows that lookups blend and their weights, or the rows that they read.

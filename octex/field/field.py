@@ -4,28 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import islice
+from threading import RLock
 from typing import NamedTuple
+from weakref import ref
 
 import numpy as np
 import numpy.typing as npt
 
 from octex.field.bricks import Tree
-from octex.field.linear import linear_taps, nearest_rows
 from octex.field.neighborhood import MOST_TAPS, Walk, new_walk, walked_taps
 from octex.field.sinks import list_taps
-from octex.field.spline import (
-    QUADRATIC_TABLES,
-    QUARTIC_TABLES,
-    nearest_around,
-    quadratic_taps,
-    quartic_taps,
-)
 from octex.field.splines import FILTERS, LINEAR, NEAREST, QUADRATIC
-from octex.field.stages import MOST_ROWS, Facings, face, facings_of, take_rows
+from octex.field.stages import MOST_ROWS, Facings, face, facings_of
 from octex.field.taps import (
     BLOCK,
     MOST_TILED,
     OFF,
+    Ahead,
     Float32s,
     Float64s,
     Int64s,
@@ -34,6 +29,7 @@ from octex.field.taps import (
     Taps,
     place_points,
 )
+from octex.field.tiled import tiled_taps
 from octex.field.tiles import Tiles, build_tiles, can_be_tiled, marked, painted_depth
 from octex.parallel import built_once
 from octex.tree.octree import Octree
@@ -42,6 +38,7 @@ from octex.tree.search import nearest_cells
 
 #: Taps of a point that a walk is given room for at first.
 _WALKED = 24
+_NONE = np.empty(0, np.uint8)
 _NOTHING: Memory = np.empty((1, 1), np.uint8)
 
 
@@ -72,31 +69,39 @@ class Field:
 
     def __init__(self, tree: Octree, root: Field | None = None) -> None:
         self.tree = tree
-        self.root = root or self  # of a level, the field that it is of
+        self._root = ref(
+            root or self
+        )  # of a level, the field that it is of; it keeps its levels, not they it
+        self._lock = RLock()
         self._levels: dict[int, Field] = {}
         self._areas: dict[int, npt.NDArray[np.uint8]] = {}
+
+    def __reduce__(self) -> tuple[type[Field], tuple[Octree]]:
+        return Field, (self.tree,)
 
     def level(self, level: int) -> Field:
         """Return the field over the averages of a level, whose cells have the same numbers."""
         if level >= self.tree.max_depth:
             return self
-        levels = self.root._levels
-        if level not in levels:
-            levels.setdefault(level, Field(self.tree.truncated(level), self.root))  # threads agree on one
-        return levels[level]
+        root = self._root() or self
+        with root._lock:
+            if level not in root._levels:
+                root._levels[level] = Field(self.tree.truncated(level), root)
+            return root._levels[level]
 
     def areas_of_averages(self, level: int) -> npt.NDArray[np.uint8]:
         """Return the codes of the areas of nodes down to a level (cells,), 0 for leaves: not known."""
         areas = self.tree.arrays.areas
         if not any(leaves for leaves, _ in self.tree.cells_by_depth()[: level + 1]):
             return areas
-        if level not in self._areas:
-            found = np.zeros(areas.size, np.uint8)
-            for above, (_, is_node) in enumerate(islice(self.tree.walk(), level + 1)):
-                nodes = np.flatnonzero(is_node) + int(self.tree.arrays.level_cells[above])
-                found[nodes] = areas[nodes]
-            self._areas[level] = found
-        return self._areas[level]
+        with self._lock:
+            if level not in self._areas:
+                found = np.zeros(areas.size, np.uint8)
+                for above, (_, is_node) in enumerate(islice(self.tree.walk(), level + 1)):
+                    nodes = np.flatnonzero(is_node) + int(self.tree.arrays.level_cells[above])
+                    found[nodes] = areas[nodes]
+                self._areas[level] = found
+            return self._areas[level]
 
     @built_once
     def facings(self) -> Facings:
@@ -126,6 +131,20 @@ class Field:
         """Return the tiles that serve a filter: all of the points, or the most of them."""
         tiles: Tiles | None = self.tiles
         return self.painted if tiles is None and filter_code in (LINEAR, QUADRATIC) else tiles
+
+    def searched(self, filter_code: int) -> Iterator[Tiles]:
+        """Yield the tiles that lookups search, one after the other, for what those before do not have.
+
+        Off the surface that are the averages of the deepest level that has any there; `nearest` looks around
+        the cell that should hold the point first.
+        """
+        tiles = self.tiles_for(filter_code)
+        assert tiles is not None
+        yield tiles
+        for level in range(tiles.depth - (filter_code != NEAREST), -1, -1):
+            above = self.level(level).tiles
+            assert above is not None  # as all leaves have one depth, or had it before they were painted
+            yield above
 
     def taps(
         self, points: Points, placement: Placement, filter: str = "quadratic", *, gradient: bool = False
@@ -188,14 +207,11 @@ class Field:
         ``whole`` is the field that this is a level of: its cells are those that rows are counted after.
         """
         first_kept = whole.tree.n_cells
-        n_split = face(taps, self.facings, first_kept, normals)
-        if not n_split:
-            return taps
-        room = int((taps.ends - taps.starts).sum()) + (MOST_ROWS - 1) * n_split
-        rows = Taps.of(taps.starts.size, room, taps.slopes.shape[0] > 0)
-        first_row = first_kept + whole.tree.kept.cells.size
-        take_rows(taps, self.facings, first_kept, first_row, normals, rows)
-        return rows
+        end = int(taps.ends.max(initial=0))
+        if self.facings.rows.size:
+            taps = taps.with_room(end, (1 + MOST_ROWS) * end)
+        face(taps, self.facings, first_kept, first_kept + whole.tree.kept.cells.size, normals, _NOTHING)
+        return taps
 
 
 class Finder:
@@ -220,7 +236,7 @@ class Finder:
 
         ``rows`` are what will be read of the cells next: they are asked for.
         """
-        self._rows = rows
+        self._ahead = Ahead(rows, _NOTHING[:0], _NONE, _NONE)
         n = len(places)
         tiles = self.field.tiles_for(self.filter)
         most = MOST_TILED[self.filter] * n + 8 if tiles is not None else _WALKED * n + MOST_TAPS
@@ -231,44 +247,24 @@ class Finder:
         taps = self._taps
         if taps.starts.size > n:
             taps = taps._replace(starts=taps.starts[:n], ends=taps.ends[:n], covers=taps.covers[:n])
-        if self.filter == NEAREST:
-            return self._nearest(places, taps)
         if tiles is None:
+            if self.filter == NEAREST:
+                return self._nearest(places, taps)
             return self._walked(places, taps, 0, self._all[:n])
         empty, rim = self._empty, self._rim
-        end, n_empty, n_rim = self._tiled(tiles, self.field, places, self._all[:n], False, taps, 0, rim)
-        level = tiles.depth
-        while n_empty:  # off the surface: the averages of the deepest level that has any there
-            level -= 1
-            above = self.field.level(level)
-            which = empty[:n_empty].copy()
-            taps = taps.with_room(end, end + MOST_TILED[self.filter] * n_empty + 8)
-            assert above.tiles is not None  # as all leaves of the tree have one depth
-            end, n_empty, more = self._tiled(
-                above.tiles, above, places[which], which, True, taps, end, rim[n_rim:]
+        end = n_rim = 0
+        which, last = self._all[:n], self.field.tree.n_cells - 1
+        for number, above in enumerate(self.field.searched(self.filter)):
+            taps = taps.with_room(end, end + MOST_TILED[self.filter] * which.size + 8)
+            end, n_empty, more = tiled_taps(
+                *(self.filter, above, places if number == 0 else places[which], which, number > 0, last),
+                *(taps, end, empty, rim[n_rim:], self._ahead),
             )
             n_rim += more
+            which = empty[:n_empty].copy()
+            if not n_empty:
+                break
         return self._walked(places, taps, end, rim[:n_rim])
-
-    def _tiled(
-        self,
-        tiles: Tiles,
-        field: Field,
-        places: Float64s,
-        which: Int64s,
-        is_off: bool,
-        taps: Taps,
-        end: int,
-        rim: Int64s,
-    ) -> tuple[int, int, int]:
-        last = field.tree.n_cells - 1
-        if self.filter == LINEAR:
-            return linear_taps(tiles, places, which, is_off, last, taps, end, self._empty, rim, self._rows)
-        if self.filter == QUADRATIC:
-            more = QUADRATIC_TABLES, taps, end, self._empty, rim, self._rows
-            return quadratic_taps(tiles, places, which, is_off, last, *more)
-        more = QUARTIC_TABLES, taps, end, self._empty, rim, self._rows
-        return quartic_taps(tiles, places, which, is_off, last, *more)
 
     def _walked(self, places: Float64s, taps: Taps, end: int, which: Int64s) -> Taps:
         """Walk to the taps of some points."""
@@ -288,26 +284,8 @@ class Finder:
 
     def _nearest(self, places: Float64s, taps: Taps) -> Taps:
         tree, n = self.field.tree, len(places)
-        tiles = self.field.tiles
-        if tiles is None:
-            cells, held = np.empty(n, np.int64), np.empty(n, np.bool_)
-            nearest_cells(tree.arrays, places, (0.0, 0.0, 0.0), 1.0, cells, held)
-            taps.rows[:n], taps.weights[:n] = cells, np.where(held, np.float32(1), OFF)
-            taps.starts[:], taps.ends[:], taps.covers[:] = self._all[:n], self._next[:n], held
-            return taps
-        taps.starts[:], taps.ends[:], taps.covers[:] = self._all[:n], self._next[:n], 1
-        taps.weights[:n] = 1
-        n_empty = nearest_rows(tiles, places, tree.n_cells - 1, taps.rows, self._empty, self._rows)
-        end = n
-        level = tree.max_depth
-        while n_empty:
-            here = self.field.level(level)
-            which = self._empty[:n_empty].copy()
-            taps = taps.with_room(end, end + n_empty)
-            assert here.tiles is not None
-            end, n_empty = nearest_around(
-                *(here.tiles, places[which], which, here.tree.n_cells - 1, QUADRATIC_TABLES),
-                *(taps, end, self._empty, self._rows),
-            )
-            level -= 1
+        cells, held = np.empty(n, np.int64), np.empty(n, np.bool_)
+        nearest_cells(tree.arrays, places, (0.0, 0.0, 0.0), 1.0, cells, held)
+        taps.rows[:n], taps.weights[:n] = cells, np.where(held, np.float32(1), OFF)
+        taps.starts[:], taps.ends[:], taps.covers[:] = self._all[:n], self._next[:n], held
         return taps

@@ -10,7 +10,7 @@ levels whose cells are next to h in size and blended, so that nothing jumps whil
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -62,8 +62,12 @@ class Looks(NamedTuple):
     """Looks at one level."""
 
     points: Points  # (m, 3)
-    owners: Int32s | None  # (m,)   whose looks these are; None: each point has one, in their order
+    owners: Int32s  # (m,)   whose looks these are
     shares: Float32s  # (m,)   1 in sum for each owner, over all levels
+
+    def of(self, rows: Int64s) -> Looks:
+        """Return some of them."""
+        return Looks(self.points[rows], self.owners[rows], self.shares[rows])
 
 
 def round_footprints(widths: Float64s, sharpness: float) -> Footprints:
@@ -120,14 +124,17 @@ def _principal_axes(
         widths[n] = max(min(width * scale, _LONGEST) + blur, lengths[n] / anisotropy)
 
 
-def _levels_of(widths: Float64s, size: float, depth: int, finer: float) -> Float32s:
+@kernel
+def _levels_of(widths: Float64s, size: float, depth: int, finer: float, levels: Float32s) -> None:
     """Say at which level, 0 … depth and between, looks of some widths are made."""
-    cells = size / np.clip(widths, size * 0.25**MAX_DEPTH, size * 4.0**MAX_DEPTH)
-    levels = np.log2(cells.astype(np.float32)) + np.float32(finer)
-    whole = np.floor(levels)
-    part = (levels - whole - np.float32(WHOLE)) / np.float32(1 - 2 * WHOLE)
-    levels = np.clip(whole + np.clip(part, 0, 1), 0, depth)
-    return cast("Float32s", levels.astype(np.float32, copy=False))
+    least, most = size * 0.25**MAX_DEPTH, size * 4.0**MAX_DEPTH
+    for n in range(widths.size):
+        width = min(max(widths[n], least), most)
+        level = np.log2(np.float32(size / width)) + np.float32(finer)
+        whole = np.floor(level)
+        part = (level - whole - np.float32(WHOLE)) / np.float32(1.0 - 2.0 * WHOLE)
+        level = whole + min(max(part, np.float32(0.0)), np.float32(1.0))
+        levels[n] = min(max(level, np.float32(0.0)), np.float32(depth))
 
 
 @inlined
@@ -274,7 +281,8 @@ def spread(
     """
     rows = 0 if not shape.lengths.size else 1 if filter_code <= LINEAR else 2
     finer = LONG_FINER[filter_code] + np.log2(rows) if rows else ROUND_FINER[filter_code]
-    levels = _levels_of(shape.widths, size, depth, finer)
+    levels = np.empty(shape.widths.size, np.float32)
+    _levels_of(shape.widths, size, depth, finer, levels)
     shape = shape._replace(
         widths=np.minimum(shape.widths, _ROOTS * size), lengths=np.minimum(shape.lengths, _ROOTS * size)
     )
@@ -306,13 +314,14 @@ def _alike(
     lower, *shares = _shares_of(level, depth, sharpness)
     if shares.count(0.0) == 2:
         room = len(points)  # nothing to put together
+    owners = np.arange(min(room, len(points)), dtype=np.int32)
     for first in range(0, len(points), room):
         run = slice(first, min(first + room, len(points)))
         n = run.stop - first
         yield (
             run,
             {
-                lower - 1 + k: Looks(points[run], None, np.full(n, share, np.float32))
+                lower - 1 + k: Looks(points[run], owners[:n], np.full(n, share, np.float32))
                 for k, share in enumerate(shares)
                 if share != 0.0
             },

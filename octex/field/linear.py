@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.field.blocks import GROUP, Near, find_tiles, new_near, tile_key
-from octex.field.taps import LEAST, Float32s, Float64s, Int64s, Memory, Taps, Uint32s, finish
+from octex.field.taps import Ahead, Float32s, Float64s, Int64s, Taps, Uint32s, ask_for, finish
 from octex.field.tiles import Tiles, code_in_tile, is_marked
-from octex.jit import fused_kernel, inlined, popcount, prefetch
+from octex.jit import fused_kernel, inlined, popcount
 from octex.tree.layout import GRID_BITS
 
 Int32s = npt.NDArray[np.int32]
@@ -45,11 +45,11 @@ def _place_nearest(places: Float64s, begin: int, count: int, depth: int, near: N
 
 @fused_kernel
 def nearest_rows(
-    tiles: Tiles, places: Float64s, last: int, found: Uint32s, empty: Int64s, rows: Memory
+    tiles: Tiles, places: Float64s, last: int, found: Uint32s, empty: Int64s, ahead: Ahead
 ) -> int:
     """Write the cells that hold points (n, 3) of texture space to ``found`` (n,).
 
-    ``last`` is the largest cell number; ``rows`` is what will be read of the cells next, and is asked for.
+    ``last`` is the largest cell number; ``ahead`` is asked for.
     Points that no cell of the tiles holds are listed in ``empty``; returns their number.
     """
     near, codes = new_near(), np.zeros(GROUP, np.int32)
@@ -63,7 +63,7 @@ def nearest_rows(
             code = np.int64(codes[np.uint64(n)])
             octant = near.octants[np.uint64(near.slots[np.uint64(n)])] + (code >> 8)
             cell, is_stored = _look_in(tiles, int(octant), int(code))
-            prefetch(rows, int(cell))
+            ask_for(ahead, int(cell))
             found[np.uint64(begin + n)] = min(cell, last)
             empty[np.uint64(n_empty)] = begin + n
             n_empty += not is_stored
@@ -134,7 +134,7 @@ def linear_taps(
     end: int,
     empty: Int64s,
     rim: Int64s,
-    rows: Memory,
+    ahead: Ahead,
 ) -> tuple[int, int, int]:
     """Find the taps of trilinear interpolation, from index ``end`` on. See `spline.quadratic_taps`."""
     near = new_near()
@@ -163,7 +163,7 @@ def linear_taps(
                     (s if tap & 2 else one - s) * (t if tap & 4 else one - t)
                 )
                 if 0b01101001 >> tap & 1:  # the others mostly lie beside these
-                    prefetch(rows, cell)
+                    ask_for(ahead, cell)
                 taps.rows[np.uint64(end)], taps.weights[np.uint64(end)] = min(cell, last), weight
                 total += weight * np.float32(is_stored)
                 stored |= int(is_stored) << tap
@@ -172,14 +172,6 @@ def linear_taps(
                 total = np.float32(0.0)  # the walk answers
             if gradient:
                 _slope(steps, n, tiles.depth, stored, taps.slopes, start)
-            point = which[begin + n]
-            if total >= LEAST:
-                finish(taps, point, start, end, total, is_off)
-            elif end == start:
-                empty[n_empty] = point
-                n_empty += 1
-            else:
-                rim[n_rim] = point
-                n_rim += 1
-                end = start
+            point = int(which[np.uint64(begin + n)])
+            end, n_empty, n_rim = finish(taps, point, start, end, total, is_off, empty, n_empty, rim, n_rim)
     return end, n_empty, n_rim

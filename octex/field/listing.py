@@ -9,7 +9,7 @@ import numpy as np
 
 from octex.field.field import Field
 from octex.field.footprints import Footprints, Int32s, Looks, spread
-from octex.field.lookups import Query, Stored, _levels, _Lookup, _owners, _pass_on
+from octex.field.lookups import Query, Stored, _levels, _Lookup, _pass_on
 from octex.field.sinks import list_taps
 from octex.field.splines import FILTERS
 from octex.field.taps import BLOCK, Float32s, Int64s, Points, Taps, Uint32s
@@ -133,7 +133,7 @@ class _Listing(_Lookup):
         """Yield the level, the taps, the owners and the shares of the looks of a run, in blocks."""
         normals = None if self._query.normals is None else self._query.normals[run]
         for level, looks in _levels(by_level, self._field.tree.max_depth):
-            left, owners = np.zeros(len(looks.points), np.float32), _owners(looks)
+            left, owners = np.zeros(len(looks.points), np.float32), looks.owners
             for begin in range(0, len(looks.points), BLOCK):
                 some = slice(begin, begin + BLOCK)
                 facing = None if normals is None else normals[owners[some]]
@@ -143,7 +143,7 @@ class _Listing(_Lookup):
 
     def _weigh(self, taps: Taps, *, always: bool) -> None:
         """Let taps weigh as the channel's do."""
-        for _ in self._weighed(taps, always=always):
+        for _ in self._weighed(taps, False, always=always):
             pass
 
 

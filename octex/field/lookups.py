@@ -3,34 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from octex.channels import ColorSpace, decode
 from octex.field.bricks import Asked, Values, look_up_bricks, new_bricks, order_of
 from octex.field.field import Field, Finder
 from octex.field.footprints import Footprints, Looks, spread
-from octex.field.plain import look_up_plain
 from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, cover, divide
-from octex.field.spline import QUADRATIC_TABLES, QUARTIC_TABLES
 from octex.field.splines import FILTERS
-from octex.field.stages import leave_mixed, weigh_by_area
-from octex.field.taps import BLOCK, Float32s, Int64s, Points, Taps, place_points
+from octex.field.stages import Facings, leave_mixed, weigh_by_area
+from octex.field.taps import BLOCK, Float32s, Int64s, Memory, Points, Taps, place_points
+from octex.field.tiled import Search, Weighed, add_tiled, look_up_tiled
 from octex.field.windows import new_walk
 from octex.tree.placement import Placement
-
-Int32s = npt.NDArray[np.int32]
-Integers = npt.NDArray[np.int32 | np.int64]
 
 #: Points for which it is worth while to sort them.
 _LEAST_SORTED = 32
 #: What is no more than this of a weight is rounding.
 _ROUNDED = np.float32(1e-6)
-_NO_OWNERS = np.empty(0, np.int32)
 _NO_GRADIENTS = np.empty((0, 1, 3), np.float32)
 _NO_TABLE = np.empty(0, np.float32)
+_NO_VECTORS = np.empty((0, 3), np.float32)
+_NO_BYTES = np.empty(0, np.uint8)
+_NO_FACINGS = Facings(_NO_BYTES, np.empty(0, np.uint32), np.empty(0, np.uint32))
 
 
 class Query(NamedTuple):
@@ -80,14 +78,13 @@ def look_up(
     task = _Lookup(field, placement, query, channels, alpha, answers, gradients)
     if query.footprints is not None:
         return task.footprints(points, query.footprints)
-    spaces, is_bare = [each.space for each in channels], query.normals is None and not gradients
-    if is_bare and field.tiles is None and query.filter == "quadratic" and len(points) >= _LEAST_SORTED:
-        alone = (
-            ([channel], alpha, [results], ()) for channel, results in zip(channels, answers, strict=True)
-        )
-        return max(_Lookup(field, placement, query, *each).mixed(points) for each in alone)
-    is_plain = is_bare and spaces == [None] and (alpha is None or channels[0].is_alpha)
-    return task.plain(points) if is_plain and field.tiles is not None else task.leaves(points)
+    if len(channels) == 1 or not task.is_sortable(len(points)):
+        return task.at(points)
+    alone = (
+        _Lookup(field, placement, query, [channel], alpha, [answer], ())
+        for channel, answer in zip(channels, answers, strict=True)
+    )
+    return max(each.at(points) for each in alone)
 
 
 class _Lookup:
@@ -112,38 +109,50 @@ class _Lookup:
         self._gradients = gradients
         self._finders: dict[int, Finder] = {}
         self._places = np.empty((0, 3))
-        # Alpha itself comes first: then it weighs all others.
-        self._order = sorted(range(len(channels)), key=lambda number: not channels[number].is_alpha)
-        # The first values that are read, to be asked for ahead.
-        first = alpha.codes.values if alpha else channels[self._order[0]].codes.values
-        self._rows = first.view(np.uint8).reshape(len(first), -1)
+        self._channel: Weighed | None = None
+        if len(channels) == 1:
+            own, weighing = channels[0], None if channels[0].is_alpha else alpha
+            spaces, types = {own.space}, {own.codes.values.dtype}
+            if weighing:
+                spaces.add(weighing.space)
+                types.add(weighing.codes.values.dtype)
+            if spaces == {None} and len(types) == 1:  # else kernels would be compiled for each pair of types
+                self._channel = Weighed(own.codes, (weighing or own).codes, weighing is not None)
 
-    def plain(self, points: Points) -> int:
-        """Look up one channel's leaves, as far as tiles have them."""
-        (channel,), (results,), field = self._channels, self._answers, self._field
-        missed = np.empty(len(points), np.int64)
-        code, tables = FILTERS.index(self._query.filter), (QUADRATIC_TABLES, QUARTIC_TABLES)
-        tiles = field.tiles_for(code)
-        assert tiles is not None
-        n_missed, fault = look_up_plain(
-            *(code, tiles, tables, points, *self._placement),
-            *(channel.codes, self._rows, results, missed),
-        )
-        is_even = field.tiles is not None or n_missed < _LEAST_SORTED
-        look_up_rest = self.leaves if is_even else self.sorted
-        return self._rest(points, missed[:n_missed], look_up_rest) if fault < 0 else fault
+    @cached_property
+    def _order(self) -> list[int]:
+        """The numbers of channels; alpha itself comes first: then it weighs all others."""
+        return sorted(range(len(self._channels)), key=lambda number: not self._channels[number].is_alpha)
 
-    def mixed(self, points: Points) -> int:
-        """Look up one channel's leaves, of several depths."""
-        (channel,), alpha = self._channels, self._alpha
-        if channel.space is not None:
-            return self.leaves(points)
-        if self._field.painted is not None and (alpha is None or channel.is_alpha):
-            return self.plain(points)
-        return self.leaves(points) if alpha is not None and alpha.space is not None else self.sorted(points)
+    @cached_property
+    def _rows(self) -> Memory:
+        """The first values that are read, as bytes, to be asked for ahead."""
+        values = (self._alpha or self._channels[self._order[0]]).codes.values
+        return values.view(np.uint8).reshape(len(values), -1)
+
+    def is_tiled(self, here: Field) -> bool:
+        """Say whether a level's field is looked up by tiles, from source to sink at once."""
+        code = FILTERS.index(self._query.filter)
+        return self._channel is not None and here.tiles_for(code) is not None
+
+    def is_sortable(self, count: int) -> bool:
+        """Say whether so many points are looked up by bricks, a channel after the other."""
+        query, spaces = self._query, {each.space for each in self._channels}
+        is_bare = query.normals is None and not self._gradients and query.filter == "quadratic"
+        has_bricks = self._field.tiles is None and count >= _LEAST_SORTED
+        return is_bare and has_bricks and {*spaces, self._alpha and self._alpha.space} == {None}
+
+    def at(self, points: Points) -> int:
+        """Look up the leaves in the way that suits."""
+        return self.tiled(points) if self.is_tiled(self._field) else self.untiled(points)
+
+    def untiled(self, points: Points) -> int:
+        """Look up the leaves without tiles."""
+        is_sorted = len(self._channels) == 1 and self.is_sortable(len(points))
+        return self.sorted(points) if is_sorted else self.leaves(points)
 
     def sorted(self, points: Points) -> int:
-        """Look up one channel's leaves in the order of space."""
+        """Look up one channel's leaves by bricks, in the order of space."""
         (channel,), (results,) = self._channels, self._answers
         alpha = None if channel.is_alpha or self._alpha is None else self._alpha.codes
         places, missed = np.empty((len(points), 3)), np.empty(len(points), np.int32)
@@ -153,33 +162,95 @@ class _Lookup:
         asked = Asked(places, order_of(places), results, missed)
         values = Values.of(channel.codes, alpha)
         n_missed = look_up_bricks(self._field.mixed, values, asked, new_bricks(), new_walk())
-        return self._rest(points, missed[:n_missed], self.leaves)
-
-    def _rest(self, points: Points, which: Integers, look_up_rest: Callable[[Points], int]) -> int:
-        """Look up what is left of one channel's leaves."""
-        if which.size:
-            (results,) = self._answers
-            found = np.empty((which.size, results.shape[1]), np.float32)
-            self._answers = [found]
-            look_up_rest(points[which])
-            results[which] = found
+        if n_missed:
+            rows = missed[:n_missed].astype(np.int64)
+            self._look_again(points, rows, [0], self._alpha, _Lookup.leaves)
         return -1
 
+    def tiled(self, points: Points) -> int:
+        """Look up the leaves by tiles."""
+        assert self._channel is not None
+        channel, (answer,), normals = self._channel, self._answers, self._query.normals
+        gradients = self._gradients[0] if self._gradients else _NO_GRADIENTS
+
+        def look_up_some(search: Search, which: Int64s | None, lost: Int64s) -> tuple[int, int, int]:
+            some, facing, found, slopes = points, normals, answer, gradients
+            if which is not None:
+                some, facing = points[which], None if normals is None else normals[which]
+                found, slopes = np.empty_like(answer[: which.size]), np.empty_like(gradients[: which.size])
+            facing = _NO_VECTORS if facing is None else facing
+            listed = look_up_tiled(search, some, *self._placement, facing, channel, found, slopes, lost)
+            if which is not None:
+                answer[which] = found
+                if self._gradients:
+                    gradients[which] = slopes
+            return listed
+
+        rim, fault = self._search(self._field, len(points), look_up_some)
+        if rim.size:
+            self._look_again(points, rim, [0], self._alpha, _Lookup.untiled)
+        return fault
+
+    def _search(
+        self,
+        here: Field,
+        count: int,
+        look_up_some: Callable[[Search, Int64s | None, Int64s], tuple[int, int, int]],
+    ) -> tuple[Int64s, int]:
+        """Look points up by a level's tiles, and those that they do not have by coarser ones.
+
+        ``look_up_some`` takes the numbers of points, or None for all, and lists what is lost, like
+        `look_up_tiled`. Returns the points for the walk, and the first that is not finite or −1.
+        """
+        which: Int64s | None = None
+        rims = []
+        for search in self._searches(here):
+            lost = np.empty((2, count if which is None else which.size), np.int64)
+            n_empty, n_rim, fault = look_up_some(search, which, lost)
+            if fault >= 0:
+                return lost[1, :0], fault
+            empty, rim = lost[0, :n_empty], lost[1, :n_rim]
+            if which is not None:
+                empty, rim = which[empty], which[rim]
+            if n_rim:
+                rims.append(rim)
+            if not n_empty:
+                break
+            which = empty
+        return np.concatenate(rims) if rims else rim, -1
+
+    def _searches(self, here: Field) -> Iterator[Search]:
+        """Yield how a level's field is searched by tiles, its own and then coarser ones."""
+        field, tree, faces = self._field, here.tree, self._query.normals is not None
+        areas, spreads = _NO_BYTES, _NO_TABLE
+        if here is not field:
+            areas = field.areas_of_averages(tree.max_depth)[: tree.n_cells]
+        if not faces and self._mixes(here):
+            assert self._query.spreads is not None
+            spreads = self._query.spreads(tree.max_depth)
+        facings = here.facings if faces or spreads.size else _NO_FACINGS
+        first_kept = field.tree.n_cells
+        first_row = first_kept + field.tree.kept.cells.size
+        weighing = areas, facings, faces, first_kept, first_row, spreads, self._query.threshold
+        filter_code = FILTERS.index(self._query.filter)
+        for number, tiles in enumerate(here.searched(filter_code)):
+            yield Search(filter_code, tiles, tree.n_cells - 1, number > 0, *weighing)
+
     def leaves(self, points: Points) -> int:
-        """Look up the leaves."""
+        """Look up the leaves, in any tree."""
         scale = 1.0 / self._placement.size
         # Values of cells are asked for with their tiles; what is walked to is not, nor what faces a normal.
-        is_asked = self._alpha is None and self._query.normals is None and self._field.tiles is not None
+        is_asked = self._query.normals is None and self._field.tiles is not None
         for begin in range(0, len(points), BLOCK):
             rows = slice(begin, begin + BLOCK)
             normals = None if self._query.normals is None else self._query.normals[rows]
             taps, fault = self._taps(self._field, points[rows], normals)
             if fault >= 0:
                 return begin + fault
-            for number, channel in self._weighed(taps, always=False):
+            for number, channel in self._weighed(taps, is_asked, always=False):
                 used, codes = _as_read(taps, channel)
                 results = self._answers[number][rows]
-                blend(used, codes, is_asked and number == self._order[0], results)
+                blend(used, codes, is_asked and self._alpha is None and number == self._order[0], results)
                 if self._gradients:
                     blend_slopes(used, codes, scale, results, self._gradients[number][rows])
         return -1
@@ -193,7 +264,8 @@ class _Lookup:
         for run, by_level in spread(points, footprints, self._placement.size, depth, code):
             bare = self._add_looks(run, by_level)
             if bare.size:
-                self._look_without_alpha(points, run, bare)
+                numbers = [n for n, channel in enumerate(self._channels) if not channel.is_alpha]
+                self._look_again(points, run.start + bare, numbers, None, _look_up_footprints)
         return -1
 
     def _add_looks(self, run: slice, by_level: dict[int, Looks]) -> Int64s:
@@ -204,23 +276,11 @@ class _Lookup:
         n_points = run.stop - run.start
         gradient = bool(self._gradients)
         sums = [Sums.of(n_points, channel.codes.components, gradient) for channel in self._channels]
+        normals = None if self._query.normals is None else self._query.normals[run]
         for level, looks in _levels(by_level, self._field.tree.max_depth):
             here = self._field.level(level)
-            left = np.zeros(len(looks.points), np.float32)
-            for begin in range(0, len(looks.points), BLOCK):
-                rows = slice(begin, begin + BLOCK)
-                owners = _NO_OWNERS if looks.owners is None else looks.owners[rows]
-                if looks.owners is None and begin:
-                    owners = np.arange(begin, begin + len(looks.points[rows]), dtype=np.int32)
-                normals = None
-                if self._query.normals is not None:
-                    normals = self._query.normals[run]
-                    normals = normals[rows] if looks.owners is None else normals[owners]
-                taps, _ = self._taps(here, looks.points[rows], normals, left[rows])
-                for number, channel in self._weighed(taps, always=True):
-                    used, codes = _as_read(taps, channel)
-                    add_up(used, codes, owners, looks.shares[rows], sums[number])
-            _pass_on(by_level, level, looks, left)
+            add = self._add_tiled if self.is_tiled(here) else self._add_walked
+            _pass_on(by_level, level, looks, add(here, looks, normals, sums))
         bare = np.zeros(n_points, np.bool_)
         for number, channel in enumerate(self._channels):
             gradients = self._gradients[number][run] if gradient else _NO_GRADIENTS
@@ -229,17 +289,61 @@ class _Lookup:
                 bare |= sums[number].totals == 0.0
         return np.flatnonzero(bare)
 
-    def _look_without_alpha(self, points: Points, run: slice, which: Int64s) -> None:
-        """Look some points of a run up again, as if there were no alpha."""
-        rows = run.start + which
-        numbers = [n for n, channel in enumerate(self._channels) if not channel.is_alpha]
+    def _add_walked(
+        self, here: Field, looks: Looks, normals: Float32s | None, sums: Sequence[Sums]
+    ) -> Float32s:
+        """Add looks at a level up, in any tree; return the part of each that mixes opposite facings."""
+        left = np.zeros(len(looks.points), np.float32)
+        for begin in range(0, len(looks.points), BLOCK):
+            rows = slice(begin, begin + BLOCK)
+            owners = looks.owners[rows]
+            facing = None if normals is None else normals[owners]
+            taps, _ = self._taps(here, looks.points[rows], facing, left[rows])
+            for number, channel in self._weighed(taps, False, always=True):
+                used, codes = _as_read(taps, channel)
+                add_up(used, codes, False, owners, looks.shares[rows], sums[number])
+        return left
+
+    def _add_tiled(
+        self, here: Field, looks: Looks, normals: Float32s | None, sums: Sequence[Sums]
+    ) -> Float32s:
+        """Add looks at a level up by tiles; return the part of each that mixes opposite facings."""
+        assert self._channel is not None
+        channel, left = self._channel, np.zeros(len(looks.points), np.float32)
+        facing = _NO_VECTORS if normals is None else normals
+
+        def add_some(search: Search, which: Int64s | None, lost: Int64s) -> tuple[int, int, int]:
+            some, part = looks, left
+            if which is not None:
+                some, part = looks.of(which), np.zeros(which.size, np.float32)
+            points, owners, shares = some
+            n_empty, n_rim = add_tiled(
+                search, points, *self._placement, facing, owners, shares, part, channel, sums[0], lost
+            )
+            if which is not None:
+                left[which] = part
+            return n_empty, n_rim, -1
+
+        rim, _ = self._search(here, len(looks.points), add_some)
+        if rim.size:
+            left[rim] = self._add_walked(here, looks.of(rim), normals, sums)
+        return left
+
+    def _look_again(
+        self,
+        points: Points,
+        rows: Int64s,
+        numbers: Sequence[int],
+        alpha: Stored | None,
+        look_up_points: Callable[[_Lookup, Points], int],
+    ) -> None:
+        """Look some channels of some points up anew, in another way."""
         answers = [np.empty((rows.size, self._answers[n].shape[1]), np.float32) for n in numbers]
         gradients = [np.empty((*answer.shape, 3), np.float32) for answer in answers if self._gradients]
         channels = [self._channels[n] for n in numbers]
-        look_up(
-            *(self._field, self._placement, points[rows], self._query.of(rows)),
-            *(channels, None, answers, gradients),
-        )
+        query = self._query.of(rows)
+        again = _Lookup(self._field, self._placement, query, channels, alpha, answers, gradients)
+        look_up_points(again, points[rows])
         for at, number in enumerate(numbers):
             self._answers[number][rows] = answers[at]
             if self._gradients:
@@ -276,16 +380,21 @@ class _Lookup:
         """Say whether a level's averages may mix opposite facings."""
         return here is not self._field and self._query.spreads is not None and here.tree.split.cells.size > 0
 
-    def _weighed(self, taps: Taps, *, always: bool) -> Iterator[tuple[int, Stored]]:
+    def _weighed(self, taps: Taps, is_asked: bool, *, always: bool) -> Iterator[tuple[int, Stored]]:
         """Yield the channels by number, those that are not alpha after their taps weigh by it."""
         alpha, is_covered = self._alpha, False
         for number in self._order:
             channel = self._channels[number]
             if alpha is not None and not channel.is_alpha and not is_covered:
                 used, codes = _as_read(taps, alpha)
-                cover(used, codes, always)
+                cover(used, codes, is_asked, always)
                 is_covered = True
             yield number, channel
+
+
+def _look_up_footprints(task: _Lookup, points: Points) -> int:
+    assert task._query.footprints is not None
+    return task.footprints(points, task._query.footprints)
 
 
 def _as_read(taps: Taps, channel: Stored) -> tuple[Taps, Codes]:
@@ -314,17 +423,8 @@ def _pass_on(by_level: dict[int, Looks], level: int, looks: Looks, left: Float32
     unseen = np.flatnonzero(left > _ROUNDED)
     if not unseen.size:
         return
-    owners = _owners(looks)
-    more = Looks(looks.points[unseen], owners[unseen], looks.shares[unseen] * left[unseen])
+    more = looks.of(unseen)
+    more = more._replace(shares=more.shares * left[unseen])
     if level + 1 in by_level:
-        there = by_level[level + 1]
-        more = Looks(
-            np.concatenate([there.points, more.points]),
-            np.concatenate([_owners(there), more.owners]),
-            np.concatenate([there.shares, more.shares]),
-        )
+        more = Looks(*(np.concatenate(pair) for pair in zip(by_level[level + 1], more, strict=True)))
     by_level[level + 1] = more
-
-
-def _owners(looks: Looks) -> Int32s:
-    return np.arange(len(looks.points), dtype=np.int32) if looks.owners is None else looks.owners

@@ -7,12 +7,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.field.taps import Float32s, Float64s, Int64s, Taps, Uint32s
+from octex.field.taps import Float32s, Float64s, Int64s, Taps, Uint32s, end_of, scale
 from octex.jit import decoded, fused_kernel, inlined, kernel, prefetch
 
 Rows = npt.NDArray[np.uint8 | np.uint16 | np.float32]
 Int32s = npt.NDArray[np.int32]
 Table = npt.NDArray[np.float32 | np.float64]
+Three = tuple[float, float, float]
+Four = tuple[float, float, float, float]
 
 #: Points whose values are asked for before any is read.
 _GROUP = 64
@@ -73,7 +75,7 @@ def _ask(taps: Taps, begin: int, end: int, codes: Codes) -> None:
 
 
 @inlined
-def _four(values: Rows, table: Table, at: int, components: int) -> tuple[float, float, float, float]:
+def _four(values: Rows, table: Table, at: int, components: int) -> Four:
     a = np.float64(decoded(table, values[np.uint64(at)]))
     b = c = d = 0.0
     if components > 1:
@@ -86,7 +88,7 @@ def _four(values: Rows, table: Table, at: int, components: int) -> tuple[float, 
 
 
 @inlined
-def _value(flat: Flat, number: np.uint32, components: int) -> tuple[float, float, float, float]:
+def _value(flat: Flat, number: np.uint32, components: int) -> Four:
     """Return the decoded components of a row."""
     row = int(number)
     if row < flat.first_kept:
@@ -174,27 +176,61 @@ def blend(taps: Taps, codes: Codes, is_asked: bool, results: Float32s) -> None:
             _put(flat_results, n * components, components, a * inverse, b * inverse, c * inverse, d * inverse)
 
 
-@kernel
+@inlined
+def _sum_slopes(
+    taps: Taps, n: int, flat: Flat, components: int, mean: Four
+) -> tuple[Three, Three, Three, Three, Three]:
+    """Return Σ w′·(v − mean) by position of up to four components, and Σ w′."""
+    ax = ay = az = bx = by = bz = cx = cy = cz = dx = dy = dz = ox = oy = oz = 0.0
+    for tap in range(taps.starts[n], taps.ends[n]):
+        at = np.uint64(tap)
+        x, y = np.float64(taps.slopes[at, 0]), np.float64(taps.slopes[at, 1])
+        z = np.float64(taps.slopes[at, 2])
+        p, q, r, s = _value(flat, taps.rows[at], components)
+        ox, oy, oz = ox + x, oy + y, oz + z
+        p -= mean[0]
+        ax, ay, az = ax + x * p, ay + y * p, az + z * p
+        if components > 1:
+            q -= mean[1]
+            bx, by, bz = bx + x * q, by + y * q, bz + z * q
+        if components > 2:
+            r -= mean[2]
+            cx, cy, cz = cx + x * r, cy + y * r, cz + z * r
+        if components > 3:
+            s -= mean[3]
+            dx, dy, dz = dx + x * s, dy + y * s, dz + z * s
+    return (ax, ay, az), (bx, by, bz), (cx, cy, cz), (dx, dy, dz), (ox, oy, oz)
+
+
+@inlined
+def _sum_any_slopes(
+    taps: Taps, n: int, flat: Flat, components: int, mean: Four
+) -> tuple[Three, Three, Three, Three, Three]:
+    if components == 3:
+        return _sum_slopes(taps, n, flat, 3, mean)
+    if components == 1:
+        return _sum_slopes(taps, n, flat, 1, mean)
+    return _sum_slopes(taps, n, flat, components, mean)
+
+
+@fused_kernel
 def blend_slopes(taps: Taps, codes: Codes, scale: float, results: Float32s, gradients: Float32s) -> None:
     """Write the derivatives of the mean, which is known: Σ w′·(v − mean) / Σ w, times ``scale``.
 
     So those of constants are zero, however the weights are rounded.
     """
     flat, components = flat_of(codes), codes.values.shape[1]
+    flat_results = results.reshape(-1)
     for n in range(taps.starts.size):
         total = 0.0
+        for tap in range(taps.starts[n], taps.ends[n]):
+            total += np.float64(taps.weights[np.uint64(tap)])
+        factor = scale / total if total > 0.0 else 0.0
+        mean = _four(flat_results, flat.table, n * components, components)
+        slopes = _sum_any_slopes(taps, n, flat, components, mean)
         for component in range(components):
-            x = y = z = total = 0.0
-            mean = np.float64(results[n, component])
-            for tap in range(taps.starts[n], taps.ends[n]):
-                apart = _value(flat, taps.rows[tap], components)[component] - mean
-                x += np.float64(taps.slopes[tap, 0]) * apart
-                y += np.float64(taps.slopes[tap, 1]) * apart
-                z += np.float64(taps.slopes[tap, 2]) * apart
-                total += np.float64(taps.weights[tap])
-            factor = scale / total if total > 0.0 else 0.0
-            gradients[n, component, 0], gradients[n, component, 1] = x * factor, y * factor
-            gradients[n, component, 2] = z * factor
+            for axis in range(3):
+                gradients[n, component, axis] = slopes[component][axis] * factor
 
 
 class Sums(NamedTuple):
@@ -218,20 +254,21 @@ class Sums(NamedTuple):
 
 
 @fused_kernel
-def add_up(taps: Taps, codes: Codes, owners: Int32s, shares: Float32s, sums: Sums) -> None:
+def add_up(taps: Taps, codes: Codes, is_asked: bool, owners: Int32s, shares: Float32s, sums: Sums) -> None:
     """Add the blends of looks, times their shares, to those of the points that own them.
 
-    ``owners`` (looks,), or (0,): each look is that of the point of its number.
+    ``is_asked`` as in `blend`.
     """
     flat, components = flat_of(codes), codes.values.shape[1]
     gradient = sums.total_slopes.shape[0] > 0
     for begin in range(0, taps.starts.size, _GROUP):
         end = min(begin + _GROUP, taps.starts.size)
-        _ask(taps, begin, end, codes)
+        if not is_asked:
+            _ask(taps, begin, end, codes)
         for n in range(begin, end):
             a, b, c, d, total = _sum_any(taps, n, flat, components)
-            owner = np.int64(owners[n]) if owners.size > 0 else np.int64(n)
-            share = np.float64(shares[n])
+            owner = np.uint64(owners[np.uint64(n)])
+            share = np.float64(shares[np.uint64(n)])
             sums.values[owner, 0] += share * a
             if components > 1:
                 sums.values[owner, 1] += share * b
@@ -241,20 +278,11 @@ def add_up(taps: Taps, codes: Codes, owners: Int32s, shares: Float32s, sums: Sum
                 sums.values[owner, 3] += share * d
             sums.totals[owner] += share * total
             if gradient:
-                _add_slopes(taps, n, flat, components, int(owner), share, sums)
-
-
-@inlined
-def _add_slopes(
-    taps: Taps, n: int, flat: Flat, components: int, owner: int, share: float, sums: Sums
-) -> None:
-    for tap in range(taps.starts[n], taps.ends[n]):
-        value = _value(flat, taps.rows[tap], components)
-        for axis in range(3):
-            slope = share * np.float64(taps.slopes[tap, axis])
-            sums.total_slopes[owner, axis] += slope
-            for component in range(components):
-                sums.slopes[owner, component, axis] += slope * value[component]
+                slopes = _sum_any_slopes(taps, n, flat, components, (0.0, 0.0, 0.0, 0.0))
+                for axis in range(3):
+                    sums.total_slopes[owner, axis] += share * slopes[4][axis]
+                    for component in range(components):
+                        sums.slopes[owner, component, axis] += share * slopes[component][axis]
 
 
 @kernel
@@ -271,23 +299,34 @@ def divide(sums: Sums, scale: float, results: Float32s, gradients: Float32s) -> 
 
 
 @kernel
-def cover(taps: Taps, alpha: Codes, always: bool) -> None:
-    """Multiply the weights by alpha, of one component; unless ``always``, only where any of it is left."""
+def cover(taps: Taps, alpha: Codes, is_asked: bool, always: bool) -> None:
+    """Multiply the weights by alpha, of one component; unless ``always``, only where any of it is left.
+
+    ``is_asked`` says that alpha has been asked for.
+    """
     flat = flat_of(alpha)
-    gradient = taps.slopes.shape[0] > 0
-    for begin in range(0, taps.starts.size, _GROUP):
-        end = min(begin + _GROUP, taps.starts.size)
-        _ask(taps, begin, end, alpha)
-        for n in range(begin, end):
-            total = _sum(taps, n, flat, 1)[0]
-            if not (total > 0.0 or always):
-                continue
+    end = end_of(taps)
+    parts = np.empty(end, np.float32)
+    least = np.float32(1.0)
+    if not is_asked:
+        _ask(taps, 0, taps.starts.size, alpha)
+    for tap in range(end):
+        row = np.int64(taps.rows[np.uint64(tap)])
+        if row < flat.first_kept:
+            part = np.float32(decoded(flat.table, flat.values[np.uint64(row)]))
+        else:
+            part = np.float32(_value(flat, taps.rows[np.uint64(tap)], 1)[0])
+        parts[np.uint64(tap)] = part
+        least = min(least, part)
+    for n in range(taps.starts.size if not always and least <= np.float32(0.0) else 0):
+        total = 0.0
+        for tap in range(taps.starts[n], taps.ends[n]):
+            total += np.float64(taps.weights[tap]) * np.float64(parts[tap])
+        if not total > 0.0:
             for tap in range(taps.starts[n], taps.ends[n]):
-                part = np.float32(_value(flat, taps.rows[tap], 1)[0])
-                taps.weights[tap] *= part
-                if gradient:
-                    for axis in range(3):
-                        taps.slopes[tap, axis] *= part
+                parts[tap] = np.float32(1.0)
+    for tap in range(end):
+        scale(taps, tap, parts[np.uint64(tap)])
 
 
 @kernel

@@ -12,15 +12,10 @@ import numpy.typing as npt
 
 from octex.field.blocks import GROUP, Near, find_tiles, new_near, tile_key
 from octex.field.linear import cell_of
-from octex.field.splines import (
-    quadratic_slopes,
-    quadratic_weights,
-    quartic_slopes,
-    quartic_weights,
-)
-from octex.field.taps import LEAST, OFF, Bytes, Float32s, Float64s, Int64s, Memory, Taps, finish
+from octex.field.splines import quartic_slopes, quartic_weights
+from octex.field.taps import OFF, Ahead, Bytes, Float32s, Float64s, Int64s, Taps, ask_for, finish
 from octex.field.tiles import Tiles, code_in_tile, is_marked
-from octex.jit import fused_kernel, inlined, kernel, popcount, prefetch, trailing_zeros
+from octex.jit import fused_kernel, inlined, kernel, popcount, trailing_zeros
 from octex.tree.morton import encode
 from octex.tree.search import UNITS
 
@@ -54,8 +49,7 @@ def _tables(reach: int) -> Tables:
     return Tables(masks.reshape(-1), places.reshape(-1))
 
 
-#: For `quadratic_taps` and `quartic_taps`.
-QUADRATIC_TABLES, QUARTIC_TABLES = _tables(1), _tables(2)
+_QUADRATIC, _QUARTIC = _tables(1), _tables(2)
 
 
 class Group(NamedTuple):
@@ -147,17 +141,23 @@ def _place_quadratic(places: Float64s, begin: int, count: int, depth: int, group
 
 @inlined
 def _slope_quadratic(places: Float64s, begin: int, count: int, depth: int, group: Group) -> None:
-    cells = float(1 << depth)
+    """Write the slopes that go with the weights."""
+    cells, one, two = np.float32(1 << depth), np.float32(1.0), np.float32(2.0)
     slopes = group.slopes
     for n in range(count):
-        x, y, z, u, v, w = _lowest(places, begin + n, cells)
-        of_y, of_z = quadratic_weights(y - v), quadratic_weights(z - w)
-        by_x, by_y, by_z = quadratic_slopes(x - u), quadratic_slopes(y - v), quadratic_slopes(z - w)
-        for a in range(3):
-            slopes[n + GROUP * a] = cells * by_x[a]
-            for b in range(3):
-                slopes[n + GROUP * (3 + 3 * a + b)] = cells * by_y[a] * of_z[b]
-                slopes[n + GROUP * (12 + 3 * a + b)] = cells * of_y[a] * by_z[b]
+        x, y, z, u, v, w = _lowest(places, begin + n, float(1 << depth))
+        at = np.uint64(n)
+        r, s, t = np.float32(x - u), np.float32(y - v), np.float32(z - w)
+        _put_three(slopes, at, cells, r - one, one - two * r, r)
+        a, b, c = _quadratic(t)
+        _put_three(slopes, at + np.uint64(3 * GROUP), cells * (s - one), a, b, c)
+        _put_three(slopes, at + np.uint64(6 * GROUP), cells * (one - two * s), a, b, c)
+        _put_three(slopes, at + np.uint64(9 * GROUP), cells * s, a, b, c)
+        a, b, c = _quadratic(s)
+        p, q, r = cells * (t - one), cells * (one - two * t), cells * t
+        _put_three(slopes, at + np.uint64(12 * GROUP), a, p, q, r)
+        _put_three(slopes, at + np.uint64(15 * GROUP), b, p, q, r)
+        _put_three(slopes, at + np.uint64(18 * GROUP), c, p, q, r)
 
 
 @inlined
@@ -184,7 +184,7 @@ def _place_quartic(places: Float64s, begin: int, count: int, depth: int, group: 
 
 
 @inlined
-def _add_node(tiles: Tiles, group: Group, slot: int, node: int, i: int, j: int, k: int, rows: Memory) -> None:
+def _add_node(tiles: Tiles, group: Group, slot: int, node: int, i: int, j: int, k: int, ahead: Ahead) -> None:
     """Add the children of a node at (i, j, k), 0 … 5, from the tile on, to the window's masks."""
     code = code_in_tile(2 * i, 2 * j, 2 * k)
     octant = np.uint64(group.near.octants[np.uint64(slot + (code >> 11))] + (code >> 8 & 7))
@@ -192,14 +192,14 @@ def _add_node(tiles: Tiles, group: Group, slot: int, node: int, i: int, j: int, 
     stored = tiles.masks[octant]
     below = stored & ((np.uint64(1) << shift) - np.uint64(1))
     first = np.int64(tiles.firsts[octant]) + popcount(below)
-    prefetch(rows, int(first))
+    ask_for(ahead, int(first))
     word = np.uint64(node >> 3)
     group.firsts[np.uint64(node)] = first - popcount(group.masks[word])
     group.masks[word] |= ((stored >> shift) & np.uint64(0xFF)) << np.uint64(8 * (node & 7))
 
 
 @inlined
-def _find_window(tiles: Tiles, group: Group, n: int, reach: int, rows: Memory) -> None:
+def _find_window(tiles: Tiles, group: Group, n: int, reach: int, ahead: Ahead) -> None:
     """Know the window of point n, and ask for the rows of its cells."""
     window, key = np.int64(group.windows[np.uint64(n)]), group.near.keys[np.uint64(n)]
     if (window == group.latest[0]) & (key == group.latest[1]):
@@ -214,7 +214,7 @@ def _find_window(tiles: Tiles, group: Group, n: int, reach: int, rows: Memory) -
     for c in range(side):
         for b in range(side):
             for a in range(side):
-                _add_node(tiles, group, slot, node, i + a, j + b, k + c, rows)
+                _add_node(tiles, group, slot, node, i + a, j + b, k + c, ahead)
                 node += 1
 
 
@@ -251,9 +251,9 @@ def _take_word(
         taps.rows[np.uint64(end)] = min(cell, last)
         taps.weights[np.uint64(end)] = weight
         if gradient:
-            taps.slopes[end, 0] = slopes[x] * along[yz]
-            taps.slopes[end, 1] = along[x] * slopes[yz]
-            taps.slopes[end, 2] = along[x] * slopes[yz + np.uint64(ys * GROUP)]
+            taps.slopes[np.uint64(end), 0] = slopes[x] * along[yz]
+            taps.slopes[np.uint64(end), 1] = along[x] * slopes[yz]
+            taps.slopes[np.uint64(end), 2] = along[x] * slopes[yz + np.uint64(ys * GROUP)]
         total += weight
         end += 1
     return end, total
@@ -266,17 +266,16 @@ def quadratic_taps(
     which: Int64s,
     is_off: bool,
     last: int,
-    tables: Tables,
     taps: Taps,
     end: int,
     empty: Int64s,
     rim: Int64s,
-    rows: Memory,
+    ahead: Ahead,
 ) -> tuple[int, int, int]:
     """Find the taps of the quadratic spline at points (n, 3) of texture space, from index ``end`` on.
 
     ``which`` (n,) are the points' numbers among the taps; ``is_off`` says that they are off the surface;
-    ``last`` is the largest cell number; ``rows`` is what will be read of the cells next, and is asked for.
+    ``last`` is the largest cell number; ``ahead`` is asked for.
     Points without any cell around them are listed in ``empty``, those whose weights are too small in ``rim``.
     Returns the end of the taps and how many both are.
     """
@@ -290,21 +289,13 @@ def quadratic_taps(
             _slope_quadratic(flat, begin, count, tiles.depth, group)
         find_tiles(tiles, group.near, count)
         for n in range(count):
-            _find_window(tiles, group, n, 1, rows)
+            _find_window(tiles, group, n, 1, ahead)
             start = end
-            end, total = _take_word(group, n, 0, tables, 1, last, taps, end, np.float32(0.0))
+            end, total = _take_word(group, n, 0, _QUADRATIC, 1, last, taps, end, np.float32(0.0))
             if end > start and is_marked(tiles, int(taps.rows[start])):
                 total = np.float32(0.0)  # the walk answers
-            point = which[begin + n]
-            if total >= LEAST:
-                finish(taps, point, start, end, total, is_off)
-            elif end == start:
-                empty[n_empty] = point
-                n_empty += 1
-            else:
-                rim[n_rim] = point
-                n_rim += 1
-                end = start
+            point = int(which[np.uint64(begin + n)])
+            end, n_empty, n_rim = finish(taps, point, start, end, total, is_off, empty, n_empty, rim, n_rim)
     return end, n_empty, n_rim
 
 
@@ -315,12 +306,11 @@ def quartic_taps(
     which: Int64s,
     is_off: bool,
     last: int,
-    tables: Tables,
     taps: Taps,
     end: int,
     empty: Int64s,
     rim: Int64s,
-    rows: Memory,
+    ahead: Ahead,
 ) -> tuple[int, int, int]:
     """Find the taps of the quartic spline. See `quadratic_taps`."""
     group = new_group(taps.slopes.shape[0] > 0)
@@ -331,20 +321,12 @@ def quartic_taps(
         _place_quartic(flat, begin, count, tiles.depth, group)
         find_tiles(tiles, group.near, count)
         for n in range(count):
-            _find_window(tiles, group, n, 2, rows)
+            _find_window(tiles, group, n, 2, ahead)
             start, total = end, np.float32(0.0)
             for word in range(4):
-                end, total = _take_word(group, n, word, tables, 2, last, taps, end, total)
-            point = which[begin + n]
-            if total >= LEAST:
-                finish(taps, point, start, end, total, is_off)
-            elif end == start:
-                empty[n_empty] = point
-                n_empty += 1
-            else:
-                rim[n_rim] = point
-                n_rim += 1
-                end = start
+                end, total = _take_word(group, n, word, _QUARTIC, 2, last, taps, end, total)
+            point = int(which[np.uint64(begin + n)])
+            end, n_empty, n_rim = finish(taps, point, start, end, total, is_off, empty, n_empty, rim, n_rim)
     return end, n_empty, n_rim
 
 
@@ -354,11 +336,10 @@ def nearest_around(
     places: Float64s,
     which: Int64s,
     last: int,
-    tables: Tables,
     taps: Taps,
     end: int,
     empty: Int64s,
-    rows: Memory,
+    ahead: Ahead,
 ) -> tuple[int, int]:
     """Find the nearest stored cell of the 27 around points that no leaf holds; of equally near the first.
 
@@ -378,7 +359,7 @@ def nearest_around(
             _find_place(group, n, a, b, c, 1)
         find_tiles(tiles, group.near, count)
         for n in range(count):
-            _find_window(tiles, group, n, 1, rows)
+            _find_window(tiles, group, n, 1, ahead)
             x, y, z = (
                 places[begin + n, 0] * UNITS,
                 places[begin + n, 1] * UNITS,
@@ -391,14 +372,14 @@ def nearest_around(
             )
             parity = np.int64(group.parities[n])
             mask = group.masks[0]
-            left = mask & tables.masks[parity]
+            left = mask & _QUADRATIC.masks[parity]
             nearest, least, least_code = np.int64(-1), np.inf, np.int64(0)
             while left != np.uint64(0):
                 bit = trailing_zeros(left)
                 left &= left - np.uint64(1)
                 place = 2 * (64 * parity + bit)
-                yz = np.int64(tables.places[place + 1]) // GROUP - 3
-                i = int(low[0] + np.int64(tables.places[place]) // GROUP << shift)
+                yz = np.int64(_QUADRATIC.places[place + 1]) // GROUP - 3
+                i = int(low[0] + np.int64(_QUADRATIC.places[place]) // GROUP << shift)
                 j = int(low[1] + yz // 3 << shift)
                 k = int(low[2] + yz % 3 << shift)
                 dx = max(i - x, x - (i + size), 0.0)

@@ -13,8 +13,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from octex.field.taps import OFF, Bytes, Float32s, Taps, Uint32s
-from octex.jit import decoded, inlined, kernel, popcount, prefetch
+from octex.field.taps import OFF, Bytes, Float32s, Memory, Taps, Uint32s, end_of, scale
+from octex.jit import decoded, inlined, kernel, popcount, prefetch, trailing_zeros
 from octex.tree.layout import AREA_ONE, AREA_STEPS, FACING_FLAGS, POSITIVE_FACINGS, SPLIT
 from octex.tree.octree import Octree
 
@@ -40,7 +40,7 @@ _AWAY = np.float32(1e-6)
 #: Most taps that stand for one: a facing of each axis.
 MOST_ROWS = 3
 
-#: Points whose flags are asked for before any is read.
+#: Points whose split cells are asked for before any is read.
 _GROUP = 64
 
 
@@ -100,29 +100,18 @@ def spreads_of(table: Table, values: Rows, facings: Bytes, first_row: int, sprea
 @kernel
 def weigh_by_area(taps: Taps, areas: Bytes) -> None:
     """Multiply the weights of cells by what their areas weigh; off the surface they still sum to OFF."""
-    gradient = taps.slopes.shape[0] > 0
-    for begin in range(0, taps.starts.size, _GROUP):
-        end = min(begin + _GROUP, taps.starts.size)
-        for n in range(begin, end):
-            for tap in range(taps.starts[n], taps.ends[n], 4):  # the others mostly lie beside these
-                prefetch(areas, int(taps.rows[tap]))
-        for n in range(begin, end):
-            total = np.float32(0.0)
-            for tap in range(taps.starts[n], taps.ends[n]):
-                row = taps.rows[tap]
-                if row < areas.size:
-                    factor = AREA_WEIGHTS[areas[row]]
-                    taps.weights[tap] *= factor
-                    if gradient:
-                        for axis in range(3):
-                            taps.slopes[tap, axis] *= factor
-                total += taps.weights[tap]
-            if taps.covers[n] == np.float32(0.0) and total > np.float32(0.0):
-                for tap in range(taps.starts[n], taps.ends[n]):
-                    taps.weights[tap] *= OFF / total
-                    if gradient:
-                        for axis in range(3):
-                            taps.slopes[tap, axis] *= OFF / total
+    for tap in range(end_of(taps)):
+        row = taps.rows[np.uint64(tap)]
+        if row < areas.size:
+            scale(taps, tap, AREA_WEIGHTS[areas[np.uint64(row)]])
+    for n in range(taps.starts.size):
+        if taps.covers[np.uint64(n)] != np.float32(0.0):
+            continue
+        total = np.float32(0.0)
+        for tap in range(taps.starts[n], taps.ends[n]):
+            total += taps.weights[tap]
+        for tap in range(taps.starts[n], taps.ends[n] if total > np.float32(0.0) else 0):
+            scale(taps, tap, OFF / total)
 
 
 @kernel
@@ -132,26 +121,33 @@ def leave_mixed(taps: Taps, facings: Facings, spreads: Float32s, threshold: floa
     ``spreads`` (rows,) say how far they differ, at each split cell's first row. Writes to ``left`` (points,)
     the part of the weight that is taken away.
     """
-    gradient = taps.slopes.shape[0] > 0
     n_cells = np.uint32(facings.flags.size)
+    split = np.empty(end_of(taps) + 1, np.int64)
     for n in range(taps.starts.size):
+        start, end = taps.starts[np.uint64(n)], taps.ends[np.uint64(n)]
+        left[np.uint64(n)] = np.float32(0.0)
+        n_split = 0
+        for tap in range(start, end):
+            cell = taps.rows[np.uint64(tap)]
+            flags = facings.flags[np.uint64(cell)] if cell < n_cells else np.uint8(0)
+            split[np.uint64(n_split)] = tap
+            n_split += int(flags >= np.uint8(SPLIT))
+        if n_split == 0 or facings.rows.size == 0:
+            continue
         total = gone = np.float32(0.0)
-        for tap in range(taps.starts[n], taps.ends[n]):
-            cell = taps.rows[tap]
-            weight = taps.weights[tap]
-            total += weight
-            flags = facings.flags[cell] if cell < n_cells else np.uint8(0)
-            if flags & np.uint8(SPLIT) == 0:
-                continue
-            if flags & (flags >> np.uint8(1)) & np.uint8(POSITIVE_FACINGS) == 0 or facings.rows.size == 0:
-                continue
-            row = min(int(facings.rows[cell]), spreads.size - 1)
-            if row >= 0 and spreads[row] >= threshold:
-                gone += weight
-                taps.weights[tap] = np.float32(0.0)
-                if gradient:
-                    taps.slopes[tap, 0] = taps.slopes[tap, 1] = taps.slopes[tap, 2] = np.float32(0.0)
-        left[n] = gone / total if total > np.float32(0.0) else np.float32(0.0)
+        for tap in range(start, end):
+            total += taps.weights[np.uint64(tap)]
+        for m in range(n_split):
+            tap = int(split[np.uint64(m)])
+            cell = taps.rows[np.uint64(tap)]
+            flags = facings.flags[np.uint64(cell)]
+            row = min(int(facings.rows[np.uint64(cell)]), spreads.size - 1)
+            is_double = flags & (flags >> np.uint8(1)) & np.uint8(POSITIVE_FACINGS) != 0
+            if is_double and row >= 0 and spreads[np.uint64(row)] >= threshold:
+                gone += taps.weights[np.uint64(tap)]
+                scale(taps, tap, np.float32(0.0))
+        if gone > np.float32(0.0):
+            left[np.uint64(n)] = gone / total
 
 
 def _directions() -> Bytes:
@@ -192,60 +188,125 @@ def _unit(normals: Float32s, n: int) -> tuple[np.float32, np.float32, np.float32
 
 
 @inlined
-def _flags_of(facings: Facings, first_kept: int, row: np.uint32) -> tuple[np.uint8, int]:
-    """Return the flags of a tap's cell, and that; a kept coefficient's cell is the node that keeps it."""
-    cell = np.int64(row)
-    if cell >= facings.flags.size:
-        if facings.kept.size == 0 or cell < first_kept:
-            return np.uint8(0), -1
-        cell = np.int64(facings.kept[min(int(cell) - first_kept, facings.kept.size - 1)])
-    return facings.flags[cell], int(cell)
+def _flags_of(facings: Facings, first_kept: int, row: np.uint32) -> np.uint8:
+    """Return the flags of a tap's cell; a kept coefficient's cell is the node that keeps it."""
+    cell, flags = np.int64(row), np.uint8(0)
+    if cell < facings.flags.size:
+        flags = facings.flags[np.uint64(cell)]
+    elif facings.kept.size > 0 and cell >= first_kept:
+        flags = facings.flags[facings.kept[min(int(cell) - first_kept, facings.kept.size - 1)]]
+    return flags
 
 
 @kernel
-def face(taps: Taps, facings: Facings, first_kept: int, normals: Float32s) -> int:
+def face(
+    taps: Taps, facings: Facings, first_kept: int, first_row: int, normals: Float32s, split: Memory
+) -> None:
     """Let what faces away from the normals (points, 3) weigh next to nothing.
 
-    ``first_kept`` is what the first kept coefficient is counted as. Returns how many taps are of split cells
-    that have rows facing the normal: see ``take_rows``.
+    Points with split cells get their taps anew, after all others, where there must be room for MOST_ROWS
+    times those that there are. ``first_kept`` and ``first_row`` are what the first kept
+    coefficient and the first row of the split table are counted as; rows of that, as bytes, are asked for.
+    """
+    end = end_of(taps)
+    parts = np.zeros(9, np.float32)
+    parts[0], parts[8] = _AWAY, np.float32(1.0) + _AWAY
+    shares, wanted = np.zeros((8, 3), np.float32), np.zeros(8, np.uint8)
+    mixed = np.zeros(_GROUP, np.int64)
+    for begin in range(0, taps.starts.size, _GROUP):
+        n_mixed = 0
+        for n in range(begin, min(begin + _GROUP, taps.starts.size)):
+            x, y, z, signs = _unit(normals, n)
+            x, y, z = _ramp(x) + _AWAY, _ramp(y) + _AWAY, _ramp(z) + _AWAY
+            parts[1], parts[2], parts[3], parts[4] = x, y, max(x, y), z
+            parts[5], parts[6], parts[7] = max(x, z), max(y, z), max(x, max(y, z))
+            seen = np.uint8(0)
+            for tap in range(taps.starts[np.uint64(n)], taps.ends[np.uint64(n)]):
+                flags = _flags_of(facings, first_kept, taps.rows[np.uint64(tap)])
+                seen |= flags
+                bits = _DIRECTIONS[np.uint64(64 * signs) + np.uint64(flags & np.uint8(FACING_FLAGS))]
+                scale(taps, int(tap), parts[np.uint64(bits)])
+            mixed[np.uint64(n_mixed)] = n
+            n_mixed += int(seen >= np.uint8(SPLIT))
+        if facings.rows.size == 0:
+            continue
+        for m in range(n_mixed):
+            for tap in range(taps.starts[mixed[m]], taps.ends[mixed[m]]):
+                prefetch(facings.rows, int(taps.rows[tap]))
+        for m in range(n_mixed):
+            rows = shares, wanted, split
+            end = _take_rows(taps, int(mixed[m]), end, facings, first_kept, first_row, normals, *rows)
+
+
+@inlined
+def _take_rows(
+    taps: Taps,
+    n: int,
+    end: int,
+    facings: Facings,
+    first_kept: int,
+    first_row: int,
+    normals: Float32s,
+    shares: Float32s,
+    wanted: Bytes,
+    split: Memory,
+) -> int:
+    """Write the taps of a point anew, from ``end`` on: those of split cells as the rows that face the normal.
+
+    ``shares`` (8, 3) and ``wanted`` (8,) are room for the shares of rows by the bits of `_DIRECTIONS`, and
+    for which of them there are.
     """
     gradient = taps.slopes.shape[0] > 0
-    parts = np.empty(9, np.float32)
-    parts[8] = np.float32(1.0) + _AWAY
-    has_rows = facings.rows.size > 0
-    n_split = 0
-    for begin in range(0, taps.starts.size, _GROUP):
-        end = min(begin + _GROUP, taps.starts.size)
-        for n in range(begin, end):
-            for tap in range(taps.starts[n], taps.ends[n], 4):  # the others mostly lie beside these
-                prefetch(facings.flags, int(taps.rows[tap]))
-                if has_rows:
-                    prefetch(facings.rows, int(taps.rows[tap]))  # read by `take_rows`
-        for n in range(begin, end):
-            x, y, z, signs = _unit(normals, n)
-            ramps = _ramp(x), _ramp(y), _ramp(z)
-            parts[0] = _AWAY
-            for bits in range(1, 8):
-                part = np.float32(0.0)
-                for axis in range(3):
-                    part = max(part, ramps[axis]) if bits >> axis & 1 else part
-                parts[bits] = part + _AWAY
-            for tap in range(taps.starts[n], taps.ends[n]):
-                flags, _ = _flags_of(facings, first_kept, taps.rows[tap])
-                bits = _DIRECTIONS[64 * signs + int(flags & np.uint8(FACING_FLAGS))]
-                part = parts[bits]
-                taps.weights[tap] *= part
-                if gradient:
-                    for axis in range(3):
-                        taps.slopes[tap, axis] *= part
-                n_split += has_rows & (flags & np.uint8(SPLIT) != 0) & (bits > 0) & (bits < 8)
-    return n_split
+    none, one, bit = np.float32(0.0), np.uint64(1), np.uint8(1)
+    x, y, z, signs = _unit(normals, n)
+    known = np.uint8(1)  # what faces away is left as it is
+    wanted[0] = 0
+    start = end
+    for tap in range(taps.starts[n], taps.ends[n]):
+        row, weight = taps.rows[np.uint64(tap)], taps.weights[np.uint64(tap)]
+        flags = _flags_of(facings, first_kept, row)
+        bits = _DIRECTIONS[64 * signs + int(flags & np.uint8(FACING_FLAGS))]
+        left = np.uint8(0)
+        if flags & np.uint8(SPLIT) != 0 and bits < np.uint8(8):
+            if known >> bits & bit == 0:
+                known |= bit << bits
+                a, b, c = x if bits & 1 else none, y if bits & 2 else none, z if bits & 4 else none
+                shares[bits, 0], shares[bits, 1], shares[bits, 2] = a, b, c = _shares(a, b, c)
+                wanted[bits] = int(a > none) | int(b > none) << 1 | int(c > none) << 2
+            left = wanted[np.uint64(bits)]
+        if left == 0:
+            taps.rows[np.uint64(end)], taps.weights[np.uint64(end)] = row, weight
+            if gradient:
+                for each in range(3):
+                    taps.slopes[end, each] = taps.slopes[tap, each]
+            end += 1
+            continue
+        cell = np.int64(row)
+        if cell >= facings.rows.size:
+            cell = np.int64(facings.kept[min(int(cell) - first_kept, facings.kept.size - 1)])
+        first = np.int64(facings.rows[np.uint64(cell)])
+        while left != 0:
+            axis = trailing_zeros(np.uint64(left))
+            left &= left - bit
+            share = shares[np.uint64(bits), np.uint64(axis)]
+            below = (one << np.uint64(2 * axis + (signs >> axis & 1))) - one
+            own = first + popcount(np.uint64(flags) & below)
+            prefetch(split, int(own))
+            taps.rows[np.uint64(end)], taps.weights[np.uint64(end)] = first_row + own, share * weight
+            if gradient:
+                for each in range(3):
+                    taps.slopes[end, each] = share * taps.slopes[tap, each]
+            end += 1
+    taps.starts[n], taps.ends[n] = start, end
+    return end
 
 
 @inlined
 def _shares(x: np.float32, y: np.float32, z: np.float32) -> tuple[np.float32, np.float32, np.float32]:
     """Share a split cell out among its rows, by the cosines of those that face the normal; 0 for no row."""
     none = np.float32(0.0)
+    if _ramp(max(x, max(y, z))) == none:
+        return none, none, none
     least = max(x, max(y, z)) - _NEAR
     x = max(x - least, none) if x > none else none
     y = max(y - least, none) if y > none else none
@@ -255,51 +316,6 @@ def _shares(x: np.float32, y: np.float32, z: np.float32) -> tuple[np.float32, np
         return x / total, y / total, z / total
     one = np.float32(1.0)  # one alone
     return one if x > none else none, one if y > none else none, one if z > none else none
-
-
-@kernel
-def take_rows(
-    taps: Taps, facings: Facings, first_kept: int, first_row: int, normals: Float32s, result: Taps
-) -> None:
-    """Write taps anew, those of split cells as the rows that face the normals: after ``face``.
-
-    ``first_row`` is what the first row of the split table is counted as. ``result`` must have room for two
-    taps more for each that is of a split cell.
-    """
-    gradient = taps.slopes.shape[0] > 0
-    none, one = np.float32(0.0), np.uint64(1)
-    at = 0
-    for n in range(taps.starts.size):
-        x, y, z, signs = _unit(normals, n)
-        start = at
-        for tap in range(taps.starts[n], taps.ends[n]):
-            flags, cell = _flags_of(facings, first_kept, taps.rows[tap])
-            bits = _DIRECTIONS[64 * signs + int(flags & np.uint8(FACING_FLAGS))]
-            a, b, c = (
-                x if bits & np.uint8(1) else none,
-                y if bits & np.uint8(2) else none,
-                z if bits & np.uint8(4) else none,
-            )
-            is_split = facings.rows.size > 0 and flags & np.uint8(SPLIT) != 0 and bits < np.uint8(8)
-            if not is_split or _ramp(max(a, max(b, c))) == none:
-                result.rows[at], result.weights[at] = taps.rows[tap], taps.weights[tap]
-                if gradient:
-                    for axis in range(3):
-                        result.slopes[at, axis] = taps.slopes[tap, axis]
-                at += 1
-                continue
-            shares = _shares(a, b, c)
-            row = first_row + np.int64(facings.rows[cell])
-            for axis in range(3):
-                if shares[axis] > none:
-                    bit = np.uint64(2 * axis + (signs >> axis & 1))
-                    result.rows[at] = row + popcount(np.uint64(flags) & ((one << bit) - one))
-                    result.weights[at] = shares[axis] * taps.weights[tap]
-                    if gradient:
-                        for each in range(3):
-                            result.slopes[at, each] = shares[axis] * taps.slopes[tap, each]
-                    at += 1
-        result.starts[n], result.ends[n], result.covers[n] = start, at, taps.covers[n]
 
 
 #: The sizes of a normal's cosines with the axes, and their signs as bits.

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.jit import inlined, kernel
+from octex.jit import inlined, kernel, prefetch
 
 Points = npt.NDArray[np.float32 | np.float64]
 Float32s = npt.NDArray[np.float32]
@@ -27,7 +27,7 @@ Float64s = npt.NDArray[np.float64]
 Int64s = npt.NDArray[np.int64]
 Uint32s = npt.NDArray[np.uint32]
 Bytes = npt.NDArray[np.uint8]
-#: Rows of cells as bytes (cells, bytes): what lookups will read, to be asked for ahead.
+#: Rows of cells as bytes (cells, bytes).
 Memory = npt.NDArray[np.uint8]
 
 #: Points whose taps are found before any is blended: enough that calls cost little, few enough that their
@@ -40,6 +40,27 @@ OFF = np.float32(1e-9)
 #: Taps that weigh less in sum lie at the rim of the spline's support, where products of single precision have
 #: lost their digits: the walk answers there.
 LEAST = np.float32(1e-24)
+
+
+class Ahead(NamedTuple):
+    """What will be read of cells next, to be asked for ahead; what is empty will not be read."""
+
+    values: Memory  # (cells, bytes)
+    alpha: Memory  # (cells, bytes) or (0, bytes)
+    flags: Bytes  # (cells,) or (0,)
+    areas: Bytes  # (cells,) or (0,)
+
+
+@inlined
+def ask_for(ahead: Ahead, cell: int) -> None:
+    """Ask for what will be read of a cell, and of those that lie beside it."""
+    prefetch(ahead.values, cell)
+    if ahead.alpha.shape[0] > 0:
+        prefetch(ahead.alpha, cell)
+    if ahead.flags.size > 0:
+        prefetch(ahead.flags, cell)
+    if ahead.areas.size > 0:
+        prefetch(ahead.areas, cell)
 
 
 class Taps(NamedTuple):
@@ -78,17 +99,57 @@ class Taps(NamedTuple):
 
 
 @inlined
-def finish(taps: Taps, point: int, start: int, end: int, total: np.float32, is_off: bool) -> None:
-    """Note where the taps of a point are, and scale them if it is off the surface."""
-    taps.starts[point], taps.ends[point] = start, end
-    taps.covers[point] = np.float32(0.0) if is_off else total
+def end_of(taps: Taps) -> int:
+    """Return the end of all taps."""
+    end = np.int64(0)
+    for n in range(taps.ends.size):
+        end = max(end, taps.ends[np.uint64(n)])
+    return int(end)
+
+
+@inlined
+def scale(taps: Taps, tap: int, factor: np.float32) -> None:
+    """Multiply the weight of a tap, and its slopes."""
+    at = np.uint64(tap)
+    taps.weights[at] *= factor
+    if taps.slopes.shape[0] > 0:
+        taps.slopes[at, 0] *= factor
+        taps.slopes[at, 1] *= factor
+        taps.slopes[at, 2] *= factor
+
+
+@inlined
+def finish(
+    taps: Taps,
+    point: int,
+    start: int,
+    end: int,
+    total: np.float32,
+    is_off: bool,
+    empty: Int64s,
+    n_empty: int,
+    rim: Int64s,
+    n_rim: int,
+) -> tuple[int, int, int]:
+    """Note where the taps of a point are, and scale them if it is off the surface.
+
+    A point that has none, or too small ones, is listed instead. Returns the end of the taps, and how many
+    points are listed.
+    """
+    at = np.uint64(point)
+    if not total >= LEAST:
+        taps.starts[at] = taps.ends[at] = start
+        if end == start:
+            empty[np.uint64(n_empty)] = point
+            return end, n_empty + 1, n_rim
+        rim[np.uint64(n_rim)] = point
+        return start, n_empty, n_rim + 1
+    taps.starts[at], taps.ends[at] = start, end
+    taps.covers[at] = np.float32(0.0) if is_off else total
     if is_off:
-        scale = OFF / total
         for tap in range(start, end):
-            taps.weights[tap] *= scale
-        for tap in range(start, end if taps.slopes.shape[0] > 0 else start):
-            for axis in range(3):
-                taps.slopes[tap, axis] *= scale
+            scale(taps, tap, OFF / total)
+    return end, n_empty, n_rim
 
 
 @kernel

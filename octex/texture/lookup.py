@@ -135,7 +135,9 @@ def _look_up_block(look_up: LookUp, block: tuple[Given, list[Array]]) -> tuple[_
     given, answers = block
     taken = {name: _as_kernels_take_it(array) for name, array in given.items()}
     for name, array in taken.items():
-        sound = np.isfinite(array) if name != "points" else np.True_
+        if name == "points":  # looked at as they are placed
+            continue
+        sound = np.isfinite(array)
         if name == "width":
             sound = sound & (array >= 0)
         if not sound.all():
@@ -145,6 +147,8 @@ def _look_up_block(look_up: LookUp, block: tuple[Given, list[Array]]) -> tuple[_
 
 
 def _as_kernels_take_it(array: Array) -> Array:
+    if array.dtype in (np.float32, np.float64) and array.flags.c_contiguous and array.flags.aligned:
+        return array
     return np.require(array, np.float32 if array.dtype == np.float32 else np.float64, ["C", "A"])
 
 
