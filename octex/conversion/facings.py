@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ONE, ChannelFormat, linear_to_srgb
+from octex.field.coefficients import SPLIT_KIND
 from octex.field.field import Field, Listed
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.morton import decode_cells
@@ -20,7 +21,6 @@ from octex.tree.placement import Placement
 
 #: Of cells: a bit for each of the 2⁶ sets of facings that a cell can have; the empty set's for split cells.
 Kinds: TypeAlias = npt.NDArray[np.uint64]
-_SPLIT_KIND = np.uint64(1)
 
 #: Difference, in 8-bit codes, from which on a facing's value is stored for itself.
 MOST = 1.0
@@ -40,11 +40,11 @@ def in_codes(stored: npt.NDArray[np.generic], channel: ChannelFormat) -> npt.NDA
     return stored.astype(np.float32) * np.float32(scale)
 
 
-def kinds_around(tree: Octree, *, opposite: bool = False) -> Kinds:
-    """Return the kinds of all leaves that lookups in each leaf may read, 0 where they are of one (cells,).
+def kinds_around(tree: Octree) -> Kinds:
+    """Return the kinds of all leaves that lookups in each leaf may read (cells,).
 
-    With ``opposite`` also 0 where none of them face opposite ways or are split. Found from the root down:
-    what is around a cell is around what lies in it.
+    0 where none of them face opposite ways or are split. Found from the root down: what is around a cell is
+    around what lies in it.
     """
     kinds = _kinds_below(tree)
     field = Field(tree)
@@ -58,8 +58,7 @@ def kinds_around(tree: Octree, *, opposite: bool = False) -> Kinds:
             some = chosen[begin : begin + _BLOCK]
             taps = _around(field, level, codes[some])
             around = np.bitwise_or.reduceat(kinds[taps.rows], taps.starts[:-1])
-            meets[some] = _face_opposite(around) if opposite else np.bitwise_count(around) > 1
-            meets[some] |= around & _SPLIT_KIND > 0
+            meets[some] = _face_opposite(around) | (around & SPLIT_KIND > 0)
             found[first + some] = np.where(meets[some] & ~is_node[some], around, 0)
     return found
 
@@ -81,7 +80,7 @@ def _kinds_below(tree: Octree) -> Kinds:
     flags, firsts = tree.arrays.flags, tree.arrays.level_cells
     facings = flags & np.uint8(FACING_FLAGS)
     kinds = np.where(facings > 0, np.uint64(1) << facings.astype(np.uint64), np.uint64(0))
-    kinds[flags & SPLIT > 0] = _SPLIT_KIND
+    kinds[flags & SPLIT > 0] = SPLIT_KIND
     levels = list(tree.walk())
     for level in range(len(levels) - 1, 0, -1):
         starts = np.flatnonzero(np.diff(levels[level][0] >> 3, prepend=-1))

@@ -285,7 +285,7 @@ def _find_far(
     components = columns.kinds.size
     vectors = (components + 4) // 4
     walks = (new_walk(), new_walk())
-    windows = new_windows(4, vectors, between)
+    windows = new_windows(4, vectors, between)  # of both fields; of both looked up with a normal
     scratch = Scratch(
         np.zeros((vectors, 4), np.float32),
         np.zeros((2, components, MOST_POINTS), np.float32),

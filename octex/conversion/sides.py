@@ -111,7 +111,7 @@ def _in_sight(tree: Octree, leaves: Leaves, samples: Samples) -> Bools:
     """Say which leaves, in order, weigh where lookups with normals find something else than others."""
     counts = np.diff(leaves.firsts)
     order = leaves.numbers(0, len(counts))
-    kinds = np.repeat(kinds_around(tree, opposite=True)[order], counts)
+    kinds = np.repeat(kinds_around(tree)[order], counts)
     mixed = np.flatnonzero(kinds)
     mixed = mixed[has_opposite(samples.normals[mixed], kinds[mixed])]
     field = Field(tree)
