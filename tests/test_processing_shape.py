@@ -14,6 +14,7 @@ from octex.texture import Channel, OctreeTexture
 from tests import naive_processing as naive
 from tests.conftest import needs_jit
 from tests.naive import unmorton
+from tests.random_edits import waved
 from tests.small_textures import eight_colors, shell
 from tests.strategies import textures
 from tests.test_processing_combine import assert_same
@@ -44,6 +45,21 @@ def test_a_finer_texture_has_the_same_field_and_the_same_levels(more: int) -> No
     inside = points[texture.contains(points)]
     assert len(inside) > 50
     np.testing.assert_allclose(made.sample(inside), texture.sample(inside), atol=2e-6)
+
+
+@needs_jit
+@pytest.mark.parametrize("more", [1, 2])
+def test_either_side_of_a_thin_sheet_looks_the_same_in_a_finer_texture(more: int) -> None:
+    surface = waved("sheet", 4, ["base_color"], 7)
+    texture = octex.convert(surface, 4, dtype="float32")
+    made = octex.resize(texture, 4 + more)
+    made.validate()
+    found = surface.scatter(1000, 3)
+    inside = texture.contains(found.rest)
+    points, normals = found.rest[inside], found.normals[inside]
+    before, after = (each.sample(points, normals=normals) for each in (texture, made))
+    assert np.abs(before - after).max() < 0.03
+    assert np.abs(before - texture.sample(points)).max() > 0.25
 
 
 @given(textures(3))
