@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 import octex
 from octex.channels import BASE_COLOR, ROUGHNESS, decode, encode
+from octex.editing.facings import rows_of
 from octex.errors import ArgumentError
 from octex.texture import Channel, OctreeTexture
 from tests import naive_processing as naive
@@ -141,6 +142,26 @@ def test_areas_of_cut_nodes_are_those_of_what_is_left() -> None:
     made = octex.crop(eight_colors(tree=tree), (0, 0, 0), (0.3, 1, 1))
     assert made.tree.n_leaves == 4
     np.testing.assert_array_equal(made.tree.arrays.areas, 207)  # four quarters
+
+
+@needs_jit
+def test_nodes_that_lose_nothing_stay_to_the_last_bit() -> None:
+    surface = waved("overlapping", 10, ["base_color", "alpha"], 99)
+    half = octex.Transfer(surface.part(range(len(surface.triangles) // 2)), distance=0.45)
+    texture = octex.convert(surface, 3, dtype="float32", fit=False, separate=1.0, sources=half.sources)
+    made = octex.crop(texture, [-0.726, -0.683, 0.675], [1.3, 1.343, 2.701])
+    then, now = naive.cells_of(texture), naive.cells_of(made)
+    cut = {
+        (place[0] - n, place[1] >> 3 * n) for place in then.keys() - now.keys() for n in range(place[0] + 1)
+    }
+    kept = [place for place, cell in now.items() if place not in cut and not cell.is_leaf]
+    old, new = (np.array([cells[place].number for place in kept]) for cells in (then, now))
+    assert old.size
+    for name, channel in texture.channels.items():
+        np.testing.assert_array_equal(made.channels[name].values[new], channel.values[old])
+        one, other = (rows_of(each.tree, cells).rows for each, cells in ((texture, old), (made, new)))
+        assert one.size
+        np.testing.assert_array_equal(made.channels[name].split_values[other], channel.split_values[one])
 
 
 @pytest.mark.parametrize(

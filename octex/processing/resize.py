@@ -12,8 +12,10 @@ from octex.checks import as_depth, as_reals
 from octex.editing.averages import (
     Nodes,
     add_up_areas,
+    all_nodes,
     alpha_beside,
     average,
+    levels_of,
     node_cells,
     residuals,
 )
@@ -141,13 +143,17 @@ def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> Oct
     bounds = np.array([np.minimum(low, high), np.maximum(low, high)])
     metadata = noted(texture.metadata, "crop", box=corners.tolist())
     areas = edited.tree.arrays.areas.copy()
-    nodes, old_nodes = node_cells(edited.tree), node_cells(tree)
-    old = Nodes(np.searchsorted(old_nodes, edited.old[nodes]), edited.old[nodes])
-    firsts, counts = children_of(edited.tree, np.arange(nodes.size))
+    nodes = all_nodes(edited.tree)
+    old = Nodes(np.searchsorted(node_cells(tree), edited.old[nodes.cells]), edited.old[nodes.cells])
+    firsts, counts = children_of(edited.tree, nodes.numbers)
     is_cut = counts < children_of(tree, old.numbers)[1]
     below_cut = np.zeros(edited.tree.n_cells, np.bool_)
     below_cut[firsts[is_cut]] = True
     add_up_areas(edited.tree, below_cut, areas)
+    parents = np.repeat(nodes.numbers, counts)[nodes.cells[1:] - 1]  # of all nodes but the root
+    for here in reversed(levels_of(edited.tree, nodes)[1:]):
+        is_cut[parents[here.start - 1 : here.stop - 1][is_cut[here]]] = True
+    nodes, old = nodes.of(is_cut), old.of(is_cut)
     cut = edited.tree.with_cell_data(edited.tree.arrays.flags, areas, edited.tree.split, edited.tree.kept)
     channels = {
         name: Channel(
@@ -167,8 +173,8 @@ def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> Oct
     for name in sorted(channels, key=lambda name: name != ALPHA.name):
         before, after = texture.channels[name], channels[name]
         left = residuals(tree, before, alpha_beside(texture.channels, name), nodes=old)
-        average(made.tree, after, alpha_beside(made.channels, name), left)
+        average(made.tree, after, alpha_beside(made.channels, name), left, nodes)
         left = np.zeros((rows.size, before.format.components))
-        left[there] = row_residuals(texture, before)[old_rows]
-        average_rows(made, after, left)
+        left[there] = row_residuals(texture, before, nodes=old)[old_rows]
+        average_rows(made, after, left, nodes)
     return made
