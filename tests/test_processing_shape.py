@@ -145,6 +145,34 @@ def test_areas_of_cut_nodes_are_those_of_what_is_left() -> None:
 
 
 @needs_jit
+def test_rows_of_cut_nodes_have_the_areas_of_what_is_left() -> None:
+    texture = octex.convert(waved("sheet", 4, ["base_color"], 7), 4, dtype="float32")
+    low, high = texture.bounds
+    made = octex.crop(texture, low, [(low[0] + high[0]) / 2, *high[1:]])
+    tree, cells, found = made.tree, naive.cells_of(made), rows_of(made.tree)
+    gone = naive.cells_of(texture).keys() - cells.keys()
+    cut = {(place[0] - n, place[1] >> 3 * n) for place in gone for n in range(place[0] + 1)}
+    rows = {(int(cell), int(bit)): int(row) for cell, bit, row in zip(*found[1:], found[0], strict=True)}
+    tested = 0
+    for place, cell in cells.items():
+        below = [cells[each].number for each in naive.children_of(cells, place) if place in cut]
+        for bit in (1 << n for n in range(6)):
+            if not below or (cell.number, bit) not in rows:
+                continue
+            total = 0.0
+            for each in below:
+                facings = int(tree.arrays.flags[each]) & 0b111111
+                if (each, bit) in rows:
+                    total += naive.AREAS[tree.split.areas[rows[each, bit]]]
+                elif facings & bit:
+                    total += naive.AREAS[tree.arrays.areas[each]] / facings.bit_count()
+            own = naive.AREAS[tree.split.areas[rows[cell.number, bit]]]
+            assert abs(np.log2(own / (total / 4))) < 0.07  # half a step
+            tested += 1
+    assert tested > 5
+
+
+@needs_jit
 def test_nodes_that_lose_nothing_stay_to_the_last_bit() -> None:
     surface = waved("overlapping", 10, ["base_color", "alpha"], 99)
     half = octex.Transfer(surface.part(range(len(surface.triangles) // 2)), distance=0.45)

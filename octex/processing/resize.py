@@ -19,7 +19,7 @@ from octex.editing.averages import (
     node_cells,
     residuals,
 )
-from octex.editing.facings import average_rows, row_residuals, rows_of
+from octex.editing.facings import add_up_rows, average_rows, row_residuals, rows_of
 from octex.errors import ArgumentError
 from octex.painting.raising import split_below
 from octex.parallel import workers
@@ -167,7 +167,11 @@ def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> Oct
     made = refaced(OctreeTexture(cut, channels, texture.placement, bounds, metadata))
     for name, each in made.channels.items():
         channels[name] = channels[name]._replace(split_values=each.split_values.copy())
-    made = OctreeTexture(made.tree, channels, texture.placement, bounds, metadata)
+    areas = made.tree.split.areas.copy()
+    add_up_rows(made.tree, areas, nodes)
+    split = made.tree.split._replace(areas=areas)
+    whole = made.tree.with_cell_data(made.tree.arrays.flags, made.tree.arrays.areas, split, made.tree.kept)
+    made = OctreeTexture(whole, channels, texture.placement, bounds, metadata)
     rows, cells, bits = rows_of(made.tree)
     there, old_rows = find_rows(tree.split, edited.old[cells], bits)
     for name in sorted(channels, key=lambda name: name != ALPHA.name):
