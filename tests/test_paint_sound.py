@@ -22,7 +22,7 @@ from octex.tree.octree import Octree
 from tests.conftest import needs_jit
 from tests.naive_edits import assert_averages
 from tests.painted import above, ball, one_color, plain, square, together
-from tests.random_edits import beyond, cloud, waved
+from tests.random_edits import beyond, cloud, picture, waved
 from tests.small_surfaces import sheet
 
 Array = npt.NDArray[Any]
@@ -231,6 +231,17 @@ def test_rows_carried_below_leaves_stay_in_their_range() -> None:
         assert 0 <= rows.min() <= rows.max() <= most
 
 
+@pytest.mark.parametrize("seed", [0, 1])  # noise, and patches
+def test_pictures_on_floats_stay_in_the_range_of_their_pixels(seed: int) -> None:
+    surface = plain(square())
+    texture = octex.convert(surface, 4, dtype="float32", fit=False)
+    image = picture(seed, 32, 32, translucent=True)
+    found = octex.paint(texture, surface, octex.Projection(image, above(size=32)), max_depth=6)
+    assert found.tree.n_leaves > texture.tree.n_leaves
+    for values in found.channels["base_color"][1:]:
+        assert 0 <= values.min(initial=0) <= values.max(initial=0) <= 1
+
+
 # --- kept coefficients
 
 
@@ -269,6 +280,23 @@ def test_deep_in_fine_paint_there_is_nothing_but_paint_and_beyond_it_nothing_mov
     points = within(surface, texture, center, radius + 2 * edge, 9)
     assert len(points) > 100
     np.testing.assert_allclose(found.sample(points), texture.sample(points), atol=1e-4)
+
+
+def test_beside_finer_paint_what_is_seen_with_normals_moves_no_more_than_is_said() -> None:
+    surface = waved("sheet", 4, ["base_color"], 7)
+    texture = octex.convert(surface, 4, dtype="float32")
+    edge = texture.placement.size / 16
+    points, normals = surface.scatter(4000, 3)[1:3]
+    center, radius = points[0], 2.2 * edge
+    region = octex.Sphere(tuple(center.tolist()), radius)
+    found = octex.fill(texture, surface, region, (1, 0, 0), max_depth=6)
+    before, after = (each.sample(points, normals=normals) for each in (texture, found))
+    moved = np.abs(before - after).max(axis=1)
+    cells = (np.linalg.norm(points - center, axis=1) - radius) / edge - 0.25  # a fine cell around is paint
+    for low, high, most in ((0.5, 1, 0.13), (1, 1.5, 0.07), (1.5, 2, 0.006), (2, 99, 1e-4)):
+        here = (cells > low) & (cells <= high)
+        assert here.any()
+        assert moved[here].max() <= most
 
 
 def test_half_a_coat_of_fine_paint_is_half_a_coat_on_kept_coefficients_too() -> None:

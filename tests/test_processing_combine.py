@@ -17,6 +17,7 @@ from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from tests import naive_processing as naive
 from tests.conftest import needs_jit
+from tests.random_edits import waved
 from tests.small_textures import UNIT, UNIT_BOUNDS, eight_colors, shell
 from tests.solids import cube
 from tests.strategies import leaf_sets, random_values, with_random_data
@@ -225,3 +226,16 @@ def test_a_part_laid_over_its_whole_leaves_what_nodes_show_each_way() -> None:
     np.testing.assert_array_equal(made.tree.split.cells, texture.tree.split.cells)
     rows = made.channels["base_color"].split_values.astype(float)
     np.testing.assert_allclose(rows, texture.channels["base_color"].split_values, atol=2)
+
+
+@needs_jit
+def test_two_parts_put_together_have_the_areas_of_their_whole_in_rows_too() -> None:
+    surface = waved("sheet", 4, ["base_color"], 7)
+    whole = octex.convert(surface, 4, dtype="float32")
+    low, high = whole.bounds
+    cut = low[2] + 0.65 * (high[2] - low[2])  # inside nodes
+    below, beyond = octex.crop(whole, low, (*high[:2], cut)), octex.crop(whole, (*low[:2], cut), high)
+    found = octex.combine(below, beyond).tree.split
+    np.testing.assert_array_equal(found.cells, whole.tree.split.cells)
+    apart = found.areas.astype(int) - whole.tree.split.areas
+    assert np.abs(apart).max() <= 3

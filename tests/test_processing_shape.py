@@ -9,11 +9,13 @@ from hypothesis import strategies as st
 
 import octex
 from octex.channels import BASE_COLOR, ROUGHNESS, decode, encode
+from octex.editing.facings import rows_of
 from octex.errors import ArgumentError
 from octex.texture import Channel, OctreeTexture
 from tests import naive_processing as naive
 from tests.conftest import needs_jit
 from tests.naive import unmorton
+from tests.random_edits import waved
 from tests.small_textures import eight_colors, shell
 from tests.strategies import textures
 from tests.test_processing_combine import assert_same
@@ -44,6 +46,21 @@ def test_a_finer_texture_has_the_same_field_and_the_same_levels(more: int) -> No
     inside = points[texture.contains(points)]
     assert len(inside) > 50
     np.testing.assert_allclose(made.sample(inside), texture.sample(inside), atol=2e-6)
+
+
+@needs_jit
+@pytest.mark.parametrize("more", [1, 2])
+def test_either_side_of_a_thin_sheet_looks_the_same_in_a_finer_texture(more: int) -> None:
+    surface = waved("sheet", 4, ["base_color"], 7)
+    texture = octex.convert(surface, 4, dtype="float32")
+    made = octex.resize(texture, 4 + more)
+    made.validate()
+    found = surface.scatter(1000, 3)
+    inside = texture.contains(found.rest)
+    points, normals = found.rest[inside], found.normals[inside]
+    before, after = (each.sample(points, normals=normals) for each in (texture, made))
+    assert np.abs(before - after).max() < 0.03
+    assert np.abs(before - texture.sample(points)).max() > 0.25
 
 
 @given(textures(3))
@@ -125,6 +142,54 @@ def test_areas_of_cut_nodes_are_those_of_what_is_left() -> None:
     made = octex.crop(eight_colors(tree=tree), (0, 0, 0), (0.3, 1, 1))
     assert made.tree.n_leaves == 4
     np.testing.assert_array_equal(made.tree.arrays.areas, 207)  # four quarters
+
+
+@needs_jit
+def test_rows_of_cut_nodes_have_the_areas_of_what_is_left() -> None:
+    texture = octex.convert(waved("sheet", 4, ["base_color"], 7), 4, dtype="float32")
+    low, high = texture.bounds
+    made = octex.crop(texture, low, [(low[0] + high[0]) / 2, *high[1:]])
+    tree, cells, found = made.tree, naive.cells_of(made), rows_of(made.tree)
+    gone = naive.cells_of(texture).keys() - cells.keys()
+    cut = {(place[0] - n, place[1] >> 3 * n) for place in gone for n in range(place[0] + 1)}
+    rows = {(int(cell), int(bit)): int(row) for cell, bit, row in zip(*found[1:], found[0], strict=True)}
+    tested = 0
+    for place, cell in cells.items():
+        below = [cells[each].number for each in naive.children_of(cells, place) if place in cut]
+        for bit in (1 << n for n in range(6)):
+            if not below or (cell.number, bit) not in rows:
+                continue
+            total = 0.0
+            for each in below:
+                facings = int(tree.arrays.flags[each]) & 0b111111
+                if (each, bit) in rows:
+                    total += naive.AREAS[tree.split.areas[rows[each, bit]]]
+                elif facings & bit:
+                    total += naive.AREAS[tree.arrays.areas[each]] / facings.bit_count()
+            own = naive.AREAS[tree.split.areas[rows[cell.number, bit]]]
+            assert abs(np.log2(own / (total / 4))) < 0.07  # half a step
+            tested += 1
+    assert tested > 5
+
+
+@needs_jit
+def test_nodes_that_lose_nothing_stay_to_the_last_bit() -> None:
+    surface = waved("overlapping", 10, ["base_color", "alpha"], 99)
+    half = octex.Transfer(surface.part(range(len(surface.triangles) // 2)), distance=0.45)
+    texture = octex.convert(surface, 3, dtype="float32", fit=False, separate=1.0, sources=half.sources)
+    made = octex.crop(texture, [-0.726, -0.683, 0.675], [1.3, 1.343, 2.701])
+    then, now = naive.cells_of(texture), naive.cells_of(made)
+    cut = {
+        (place[0] - n, place[1] >> 3 * n) for place in then.keys() - now.keys() for n in range(place[0] + 1)
+    }
+    kept = [place for place, cell in now.items() if place not in cut and not cell.is_leaf]
+    old, new = (np.array([cells[place].number for place in kept]) for cells in (then, now))
+    assert old.size
+    for name, channel in texture.channels.items():
+        np.testing.assert_array_equal(made.channels[name].values[new], channel.values[old])
+        one, other = (rows_of(each.tree, cells).rows for each, cells in ((texture, old), (made, new)))
+        assert one.size
+        np.testing.assert_array_equal(made.channels[name].split_values[other], channel.split_values[one])
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from octex.editing.averages import (
 from octex.texture import Channel, OctreeTexture
 from octex.texture.split import bits_of, find_rows, rows_facing
 from octex.tree.edit import among, children_of
-from octex.tree.layout import FACING_FLAGS
+from octex.tree.layout import AREA_ONE, AREA_STEPS, FACING_FLAGS
 from octex.tree.octree import Octree
 
 Int64s = npt.NDArray[np.int64]
@@ -103,7 +103,37 @@ def _means(
     texture: OctreeTexture, channel: Channel, rows: Rows, owners: Int64s
 ) -> tuple[Float64s, npt.NDArray[np.bool_]]:
     """Return the means (n, components) of what children show as rows do, and for which rows some do."""
-    tree, form = texture.tree, channel.format
+    form = channel.format
+    children, bits, starts, shares = _shares(texture.tree, texture.tree.split.areas, rows, owners)
+    alpha = texture.channels.get(ALPHA.name)
+    if alpha is not None and form.name != ALPHA.name:
+        shares *= np.maximum(rows_facing(texture, alpha, children, bits)[:, 0], LEAST_COVERAGE)
+    values = rows_facing(texture, channel, children, bits) * shares[:, None]
+    totals = np.add.reduceat(shares, starts)
+    sums = np.add.reduceat(values, starts, axis=0)
+    return sums / np.where(totals > 0, totals, 1.0)[:, None], totals > 0
+
+
+def add_up_rows(tree: Octree, areas: Uint8s, nodes: Nodes) -> None:
+    """Make the areas (rows,) of the rows of split nodes, in place, sums of what their children show that way.
+
+    A row that no child shows the same way as stays.
+    """
+    for rows, owners in reversed(list(_by_level(tree, nodes))):
+        _, _, starts, shares = _shares(tree, areas, rows, owners)
+        totals = np.add.reduceat(shares, starts)
+        has = totals > 0
+        codes = np.rint(AREA_STEPS * np.log2(totals[has] / 4)) + AREA_ONE
+        areas[rows.rows[has]] = np.clip(codes, 1, 255).astype(np.uint8)
+
+
+def _shares(
+    tree: Octree, areas: Uint8s, rows: Rows, owners: Int64s
+) -> tuple[Int64s, Uint8s, Int64s, Float64s]:
+    """Return the children (n,) of rows' owners, the rows' facings, where each row's begin, and their areas.
+
+    ``areas`` are those of all rows of the tree. What a child does not face counts for nothing.
+    """
     firsts, counts = children_of(tree, owners)
     starts = np.cumsum(counts) - counts
     children = np.repeat(firsts - starts, counts) + np.arange(counts.sum())
@@ -113,12 +143,6 @@ def _means(
         np.bitwise_count(flags & np.uint8(FACING_FLAGS)), 1
     )
     there, found = find_rows(tree.split, children, bits)
-    shares[there] = AREAS[tree.split.areas[found]]
+    shares[there] = AREAS[areas[found]]
     shares[flags & bits == 0] = 0.0
-    alpha = texture.channels.get(ALPHA.name)
-    if alpha is not None and form.name != ALPHA.name:
-        shares *= np.maximum(rows_facing(texture, alpha, children, bits)[:, 0], LEAST_COVERAGE)
-    values = rows_facing(texture, channel, children, bits) * shares[:, None]
-    totals = np.add.reduceat(shares, starts)
-    sums = np.add.reduceat(values, starts, axis=0)
-    return sums / np.where(totals > 0, totals, 1.0)[:, None], totals > 0
+    return children, bits, starts, shares

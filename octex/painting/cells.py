@@ -13,9 +13,9 @@ from octex.errors import ArgumentError
 from octex.field.refined import refined_taps
 from octex.texture import OctreeTexture
 from octex.texture.channel import Channel
-from octex.texture.split import bits_of
+from octex.texture.split import bits_of, find_rows
 from octex.tree.edit import among, locate
-from octex.tree.layout import FACING_FLAGS
+from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree, distinct
 
@@ -29,6 +29,8 @@ SKIRT = np.uint8(1)
 _BLOCK = 1 << 16
 #: What is transparent still weighs so much in what is refined from it.
 _FAINT = np.float32(1e-6)
+#: What is hidden weighs so much: decides only where nothing else is there.
+_AWAY = np.float32(1e-6)
 
 
 class Paint(NamedTuple):
@@ -323,6 +325,46 @@ def refined_values(
         if opaque is not None and name != ALPHA.name:
             own = own * np.maximum(opaque, _FAINT)
         sums = _sum_runs(np.hstack([values * own, own]), starts)
+        found[name] = np.asarray(sums[:, :-1] / np.maximum(sums[:, -1:], np.float32(1e-30)), np.float32)
+    return found
+
+
+def refined_rows(
+    texture: OctreeTexture, codes: Int64s, level: int, owners: Int64s, bits: npt.NDArray[np.uint8]
+) -> dict[str, Float32s]:
+    """Return what the field refines to in cells of a level below leaves, as facings see it (n,), decoded.
+
+    ``owners`` (n,) are the cells, by their place among ``codes``; ``bits`` (n,) the facings, as flags. What
+    only faces the opposite way is hidden. What faces sideways is not: a normal between the two sees both.
+    """
+    tree = texture.tree
+    firsts, rows, weights = refined_taps(tree, codes, level)
+    counts = np.diff(firsts)[owners]
+    starts = np.cumsum(np.concatenate([[0], counts]))
+    taps = np.repeat(firsts[owners] - starts[:-1], counts) + np.arange(starts[-1])
+    rows, weights, bits = rows[taps], weights[taps], np.repeat(bits, counts)
+    cells = rows.astype(np.int64)
+    is_kept = cells >= tree.n_cells
+    cells[is_kept] = tree.kept.cells[cells[is_kept] - tree.n_cells]
+    facings = tree.arrays.flags[cells] & np.uint8(FACING_FLAGS)
+    opposite = (bits & np.uint8(POSITIVE_FACINGS)) << 1 | bits >> np.uint8(1) & np.uint8(POSITIVE_FACINGS)
+    is_hidden = (facings & bits == 0) & (facings & opposite != 0)
+    weights[is_hidden] *= _AWAY
+    there, own = find_rows(tree.split, cells, bits)
+
+    def shown(channel: Channel) -> Float32s:
+        values = _rows_of(channel, rows)
+        values[there] = decode(channel.split_values[own], channel.format.space)
+        return values
+
+    found = {}
+    alpha = texture.channels.get(ALPHA.name)
+    opaque = None if alpha is None else shown(alpha)
+    for name, channel in texture.channels.items():
+        values, own_weights = shown(channel), weights[:, None]
+        if opaque is not None and name != ALPHA.name:
+            own_weights = own_weights * np.maximum(opaque, _FAINT)
+        sums = _sum_runs(np.hstack([values * own_weights, own_weights]), starts)
         found[name] = np.asarray(sums[:, :-1] / np.maximum(sums[:, -1:], np.float32(1e-30)), np.float32)
     return found
 

@@ -76,6 +76,7 @@ class Levels(NamedTuple):
 
     pixels: Floats  # (pixels of all levels, 4)
     sizes: npt.NDArray[np.int64]  # (levels, 3)   first row, width, height
+    range: Floats  # (2, 3)   the least and the largest of each component where the picture has any alpha
 
 
 def levels_of(projection: Projection, form: ChannelFormat, scale: float = 1.0) -> Levels:
@@ -99,6 +100,8 @@ def levels_of(projection: Projection, form: ChannelFormat, scale: float = 1.0) -
         shown = mask[:, :, :3].mean(axis=2, dtype=np.float32) * _as_fractions(mask[:, :, 3])
         factor = shown / np.float32(_MOST_CODE if mask.dtype == np.uint16 else 1.0) * factor
     pixels[:, :, 3] *= np.clip(factor, 0.0, 1.0)
+    there = pixels[pixels[:, :, 3] > 0, :3]
+    ends = np.stack([there.min(axis=0), there.max(axis=0)]) if there.size else np.zeros((2, 3), np.float32)
     pixels[:, :, :3] *= pixels[:, :, 3:]
     levels = [pixels]
     while min(levels[-1].shape[:2]) > 1:
@@ -107,7 +110,8 @@ def levels_of(projection: Projection, form: ChannelFormat, scale: float = 1.0) -
     counts = [level.shape[0] * level.shape[1] for level in levels]
     firsts = np.cumsum([0, *counts[:-1]])
     sizes = [(first, level.shape[1], level.shape[0]) for first, level in zip(firsts, levels, strict=True)]
-    return Levels(np.concatenate([level.reshape(-1, 4) for level in levels]), np.array(sizes, np.int64))
+    rows = np.concatenate([level.reshape(-1, 4) for level in levels])
+    return Levels(rows, np.array(sizes, np.int64), ends)
 
 
 def _name_of(image: Image, otherwise: str) -> str:
@@ -224,4 +228,10 @@ def _bicubic(
         return none, none, none, none
     if d > _OPAQUE:  # the spline may overshoot; colours have done so with it
         a, b, c, d = a / d, b / d, c / d, np.float32(1.0)
-    return a, b, c, d
+    least, most = levels.range[0], levels.range[1]  # it leaves the range of the colours too
+    return (
+        min(max(a, d * least[0]), d * most[0]),
+        min(max(b, d * least[1]), d * most[1]),
+        min(max(c, d * least[2]), d * most[2]),
+        d,
+    )

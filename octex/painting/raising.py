@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import decode, encode
+from octex.channels import encode
 from octex.conversion.facings import MOST, in_codes
 from octex.conversion.fill import assemble, fill
-from octex.editing.averages import add_up_areas, limits_of, with_residuals
+from octex.editing.averages import add_up_areas
 from octex.errors import ModelError, own_making
 from octex.painting.cells import (
     SKIRT,
@@ -22,6 +22,7 @@ from octex.painting.cells import (
     boundary,
     facings_within,
     is_within,
+    refined_rows,
     refined_values,
     skirt_of,
     skirt_on_nothing,
@@ -36,9 +37,9 @@ from octex.parallel import Progress
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.texture.channel import Channel
-from octex.texture.split import bits_of, refaced, rows_facing, with_split
+from octex.texture.split import bits_of, refaced, with_split
 from octex.tree.edit import Edited, Located, among, locate, raised, unchanged
-from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
+from octex.tree.layout import FACING_FLAGS, KEPT
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree, distinct
 
@@ -349,7 +350,7 @@ def _carried(
     tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
     made = {name: Channel(texture.channels[name].format, *arrays) for name, arrays in channels.items()}
     whole = OctreeTexture(tree, made, texture.placement, texture.bounds, texture.metadata)
-    return refaced(_split_below(whole, texture, edited)), is_fresh
+    return refaced(split_below(whole, texture, edited.old)), is_fresh
 
 
 def _face(
@@ -360,47 +361,36 @@ def _face(
     areas[cells] = tree.arrays.areas[sources]
 
 
-def _split_below(made: OctreeTexture, texture: OctreeTexture, edited: Edited) -> OctreeTexture:
-    """Split new cells below leaves that are split: each facing differs from the cell as it did there."""
-    tree = made.tree
-    new = np.flatnonzero((edited.old < 0) & (tree.arrays.flags & FACING_FLAGS != 0))
-    if not texture.tree.split.cells.size or not new.size:
-        return made
-    sources = sources_of(tree, new, texture.tree)
-    below = texture.tree.arrays.flags[sources] & SPLIT != 0
-    is_leaf = np.zeros(texture.tree.n_cells, np.bool_)
-    is_leaf[texture.tree.leaf_cells()] = True
-    below &= is_leaf[sources]
-    cells, sources = new[below], sources[below]
-    if not cells.size:
-        return made
-    facings = tree.arrays.flags[cells] & np.uint8(FACING_FLAGS)
-    owners = np.repeat(np.arange(cells.size), np.bitwise_count(facings))
-    bits = bits_of(facings)
-    rows = {}
-    differs = np.zeros(len(owners), np.bool_)
-    for name, channel in texture.channels.items():
-        form = channel.format
-        own = decode(made.channels[name].values[cells[owners]], form.space)
-        whole = decode(channel.values[sources[owners]], form.space)
-        facing = rows_facing(texture, channel, sources[owners], bits)
-        rows[name] = encode(
-            with_residuals(limits_of(channel), own.astype(np.float64), facing - whole), form.dtype, form.space
-        )
-        apart = in_codes(rows[name], form) - in_codes(made.channels[name].values[cells[owners]], form)
-        differs |= (np.abs(apart) > MOST).any(axis=1)
-    is_split = np.zeros(cells.size, np.bool_)
-    is_split[owners[differs]] = True
-    rows = {name: own[is_split[owners]] for name, own in rows.items()}
-    return with_split(made, cells[is_split], facings[is_split], rows) if is_split.any() else made
+def split_below(made: OctreeTexture, texture: OctreeTexture, old: Int64s) -> OctreeTexture:
+    """Split new cells below leaves where a facing sees something else in what the field refines to.
 
-
-def sources_of(tree: Octree, nodes: Int64s, other: Octree) -> Int64s:
-    """Return the cells of another tree that hold nodes of a tree, or the deepest that do."""
-    found = np.zeros(nodes.size, np.int64)
+    ``old`` (cells,) are the numbers that cells had in ``texture``; negative ones are new.
+    """
+    tree, forms = made.tree, {name: channel.format for name, channel in made.channels.items()}
+    found = [(np.empty(0, np.int64), np.empty(0, np.uint8))]
+    rows: dict[str, list[npt.NDArray[np.generic]]] = {
+        name: [channel.split_values[:0]] for name, channel in made.channels.items()
+    }
     for level, (codes, _) in enumerate(tree.walk()):
         first = int(tree.arrays.level_cells[level])
-        here = (nodes >= first) & (nodes < first + codes.size)
-        if here.any():
-            found[here] = locate(other, codes[nodes[here] - first], level).cells
-    return found
+        facings = tree.arrays.flags[first : first + codes.size] & np.uint8(FACING_FLAGS)
+        new = np.flatnonzero((old[first : first + codes.size] < 0) & (facings != 0))
+        new = new[locate(texture.tree, codes[new], level).is_leaf]
+        if not new.size:
+            continue
+        facings = facings[new]
+        owners, bits = np.repeat(np.arange(new.size), np.bitwise_count(facings)), bits_of(facings)
+        is_split = np.zeros(new.size, np.bool_)
+        stored = {}
+        for name, values in refined_rows(texture, codes[new], level, owners, bits).items():
+            stored[name] = encode(values, forms[name].dtype, forms[name].space)
+            whole = made.channels[name].values[first + new[owners]]
+            apart = in_codes(stored[name], forms[name]) - in_codes(whole, forms[name])
+            is_split[owners[(np.abs(apart) > MOST).any(axis=1)]] = True
+        found.append((first + new[is_split], facings[is_split]))
+        for name, own in stored.items():
+            rows[name].append(own[is_split[owners]])
+    cells, facings = (np.concatenate(column) for column in zip(*found, strict=True))
+    if not cells.size:
+        return made
+    return with_split(made, cells, facings, {name: np.concatenate(each) for name, each in rows.items()})

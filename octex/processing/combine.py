@@ -69,8 +69,9 @@ def mix(
     are there below it, and nothing where there are none.
 
     Averages are the means of what is below them, and the residuals of both by their parts. Cells face as
-    those of both do; rows are mixed facing by facing. Areas are those of the texture that prevails. The
-    channels are those that both have, as ``first`` stores them; a texture without alpha is opaque.
+    those of both do; rows are mixed facing by facing. Areas are those of the texture that prevails; of nodes
+    to which both add cells, and of their rows, the sums of what is below. The channels are those that both
+    have, as ``first`` stores them; a texture without alpha is opaque.
 
     Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
     thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result

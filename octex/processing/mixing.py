@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from octex.channels import ALPHA, encode
 from octex.editing.averages import AREAS, Nodes, alpha_beside, average, average_plain, node_cells
-from octex.editing.facings import average_rows, rows_of
+from octex.editing.facings import add_up_rows, average_rows, rows_of
 from octex.errors import ArgumentError
 from octex.parallel import ordered_map
 from octex.processing.mapping import centres_of, levels_of
@@ -86,7 +86,7 @@ class Mixing:
     def mixed(self) -> tuple[Octree, dict[str, Channel]]:
         """Return the tree and its channels."""
         values = self._leaves()
-        self._give_areas()
+        is_summed = self._give_areas()
         kept, split = self._kept_nodes(), self._split_cells()
         flags = self._tree.arrays.flags.copy()
         flags[kept] |= np.uint8(KEPT)
@@ -100,6 +100,11 @@ class Mixing:
             KeptTable(kept.astype(np.uint32)),
         )
         tree = self._tree.with_cell_data(flags, self._tree.arrays.areas, *tables)
+        row_areas = tree.split.areas.copy()
+        numbers = np.flatnonzero(is_summed[self._nodes])
+        add_up_rows(tree, row_areas, Nodes(numbers, self._nodes[numbers]))
+        table = tree.split._replace(areas=row_areas)
+        tree = self._tree.with_cell_data(flags, self._tree.arrays.areas, table, tree.kept)
         channels: dict[str, Channel] = {}
         for name in sorted(values, key=lambda name: name != ALPHA.name):
             form = self._texture.channels[name].format
@@ -233,17 +238,17 @@ class Mixing:
             if not np.may_share_memory(here, own):  # the executor works in other processes
                 here[:] = own
 
-    def _give_areas(self) -> None:
+    def _give_areas(self) -> Bools:
         """Give cells the areas of the texture that prevails; nodes of both get those of all children.
 
-        Parts in nodes are averaged by these areas, on the way.
+        Parts in nodes are averaged by these areas, on the way. Returns which cells are such nodes.
         """
         tree, areas = self._tree, self._tree.arrays.areas
         given = [side.texture.tree.arrays.areas[:, None] for side in (self._first, self._second)]
         self._take(given, areas[:, None])
         average_plain(tree, self._share, self._made())
         self._take(given, areas[:, None])
-        add_up(tree.arrays, self._nodes, self._is_made, self._both, AREAS)
+        return add_up(tree.arrays, self._nodes, self._is_made, self._both, AREAS)
 
     def _kept_nodes(self) -> Int64s:
         """Return the nodes that keep a coefficient: those of which the texture that prevails has one."""

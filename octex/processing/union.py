@@ -208,8 +208,11 @@ def find_made(
 
 
 @kernel
-def add_up(arrays: TreeArrays, nodes: Int64s, is_made: Bools, both: Bools, shares: Float64s) -> None:
-    """Sum up the areas of nodes to which both add cells of their own, from the deepest up."""
+def add_up(arrays: TreeArrays, nodes: Int64s, is_made: Bools, both: Bools, shares: Float64s) -> Bools:
+    """Sum up the areas of nodes to which both add cells of their own, from the deepest up.
+
+    Returns which cells these are.
+    """
     groups, areas = arrays.groups, arrays.areas
     is_summed = np.zeros(areas.size, np.bool_)
     end = areas.size
@@ -225,3 +228,4 @@ def add_up(arrays: TreeArrays, nodes: Int64s, is_made: Bools, both: Bools, share
             code = np.rint(AREA_STEPS * np.log2(max(total / 4, 2.0**-60))) + AREA_ONE
             areas[cell] = np.int64(min(max(code, 1.0), 255.0)) if total > 0.0 else 0
         end = begin
+    return is_summed
