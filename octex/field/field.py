@@ -126,6 +126,11 @@ class Field:
         """Return the tiles that serve a filter: all of the points, or the most of them."""
         return self.painted if self.tiles is None and filter_code in (LINEAR, QUADRATIC) else self.tiles
 
+    def prepare(self, filter_code: int) -> None:
+        """Build what lookups of the leaves read, before threads share it."""
+        self.tiles_for(filter_code)
+        self.mixed  # noqa: B018
+
     def taps(
         self, points: Points, placement: Placement, filter: str = "quadratic", *, gradient: bool = False
     ) -> Listed:

@@ -9,9 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ColorSpace, decode
-from octex.field.bricks import Asked, Values, look_up_bricks, new_bricks, order_of
+from octex.field.bricks import Values, new_bricks
+from octex.field.crowded import Asked, look_up_crowded
 from octex.field.field import Field, Finder
 from octex.field.footprints import Footprints, Looks, spread
+from octex.field.order import order_of
 from octex.field.plain import look_up_plain
 from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, cover, divide
 from octex.field.spline import QUADRATIC_TABLES, QUARTIC_TABLES
@@ -152,7 +154,7 @@ class _Lookup:
             return fault
         asked = Asked(places, order_of(places), results, missed)
         values = Values.of(channel.codes, alpha)
-        n_missed = look_up_bricks(self._field.mixed, values, asked, new_bricks(), new_walk())
+        n_missed = look_up_crowded(self._field.mixed, values, asked, new_bricks(), new_walk())
         return self._rest(points, missed[:n_missed], self.leaves)
 
     def _rest(self, points: Points, which: Integers, look_up_rest: Callable[[Points], int]) -> int:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from octex.checks import as_choice
 from octex.errors import ArgumentError
-from octex.field.bricks import order_in_space, put_rows
+from octex.field.order import order_in_space, put_rows
 from octex.parallel import as_executor, ordered_map
 from octex.tree.placement import Placement
 
