@@ -27,7 +27,7 @@ Int32s = npt.NDArray[np.int32]
 Integers = npt.NDArray[np.int32 | np.int64]
 
 #: Points for which it is worth while to sort them.
-_LEAST_SORTED = 32
+_LEAST_SORTED = 64
 #: What is no more than this of a weight is rounding.
 _ROUNDED = np.float32(1e-6)
 _NO_OWNERS = np.empty(0, np.int32)
