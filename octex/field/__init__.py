@@ -10,7 +10,8 @@ A lookup goes through this room from left to right, a block of points at a time;
     footprints     field: chooses by tree; off the surface it goes to coarser levels
     looks at       ├── tiles · blocks · linear · spline    where all leaves have one depth
     several        ├── windows · refinement · neighborhood the walk: any tree, kept coefficients
-    levels         └── bricks   source and sink in one, for many points at once where the walk would answer
+    levels         └── order · bricks · crowded            many points at once where the walk would answer:
+                                                           source and sink in one
                    `tiled` takes one channel by tiles through all of that in one call, step by step
 
 Trees of one depth that were painted more finely have tiles too: marked where the walk, or bricks, answer.

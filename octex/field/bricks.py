@@ -10,9 +10,6 @@ Each block of coefficients is refined from the one before (`splines`), and child
 that. At the first level where no cell decoded is a node, the field of all points in the brick is their sum
 under the spline's weights: refinement does not move the field, so it does not matter that some of them stop
 at a coarser level. If there is a node three levels down, the cell is split in eight.
-
-Points are sorted by Morton code on the way, so that the points of a cell come one after another; where they
-are few, the walk costs less than a brick. What both answer differs by rounding only, some 10⁻⁷.
 """
 
 from __future__ import annotations
@@ -22,105 +19,22 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.field.refinement import change_level, leave_refined, weigh
 from octex.field.sinks import Codes
-from octex.field.splines import QUADRATIC, quadratic_weights
-from octex.field.taps import LEAST, Float32s, Float64s, Int64s, Points, Uint32s
-from octex.field.tiles import Integer
-from octex.field.windows import (
-    BEGIN,
-    CONTENT,
-    INSIDE,
-    KEEPING,
-    REFINED,
-    SHARES,
-    Walk,
-    bit_at,
-    cell_at,
-    follow,
-    place_of,
-)
-from octex.jit import (
-    decoded,
-    fused_kernel,
-    inlined,
-    kernel,
-    popcount,
-    prefetch,
-    refine_rows,
-    trailing_zeros,
-    weighted_cube,
-)
+from octex.field.taps import Float32s, Int64s, Uint32s
+from octex.jit import decoded, inlined, popcount, prefetch, refine_rows, trailing_zeros
 from octex.tree.layout import KEPT, MAX_DEPTH, TreeArrays
-from octex.tree.morton import encode
 from octex.tree.octree import Octree
-from octex.tree.search import UNITS, Origin
 
-Int32s = npt.NDArray[np.int32]
 Bools = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.uint8 | np.uint16 | np.float32]
 Table = npt.NDArray[np.float32 | np.float64]
 
-#: Points in a cell for which a brick is not worth its while.
-_FEW = 8
-#: Fewer points than this are sorted one by one.
-_SORTED_SINGLY = 24
-#: How far ahead points are asked for.
-_AHEAD = 16
-
-#: Level of the cells by which many points are sorted before any is looked up; and how many of them that come
-#: one after the other lie in the same one, on average, if they need not be.
-_COARSE = 4
-_RUN = 8
-
-# Sides of a brick's blocks.
-_FOUR, _SIX, _TEN = 4, 6, 10
-# Where they lie in `Bricks.rows`, in cells; first a 4³ for each level.
-_AT_SIX = 64 * (MAX_DEPTH + 2)
-_AT_TEN = _AT_SIX + 216
-_AT_WIDE = _AT_TEN + 1000  # refined along x
+# Where blocks lie in `Bricks.rows`, in cells: first a 4³ for each level, then those of the brick.
+AT_SIX = 64 * (MAX_DEPTH + 2)
+AT_TEN = AT_SIX + 216
+_AT_WIDE = AT_TEN + 1000  # refined along x
 _AT_FLAT = _AT_WIDE + 360  # refined along x and y
-_CELLS = _AT_FLAT + 600
-
-
-class Bricks(NamedTuple):
-    """Where bricks are decoded: 70 kB for one thread. Blocks count their cells x fastest.
-
-    A coefficient is two fours: four components, and the weight and another.
-    """
-
-    rows: Float32s  # (2 · _CELLS · 4,)
-    nodes: Int64s  # ((MAX_DEPTH + 2) · 64,)   of the 4³ of each level, node numbers, or −1
-    keeps: Bools  # (same,)   whether such a node has a kept coefficient
-    has: Bools  # (MAX_DEPTH + 5,)   whether the block of a level has any coefficients
-    #: (4 · 1000,)   of each block, the values below nodes: whether the node keeps one itself | place << 1 |
-    #: row + 1 << 16; row −1 is zero
-    over: Int64s
-    #: (4 · 216,)   of each block, its nodes: whether they keep one | x << 1 | y << 5 | z << 9 | number << 16
-    inner: Int64s
-    n_over: Int64s  # (4,)
-    n_inner: Int64s  # (4,)
-    ends: Int64s  # (MAX_DEPTH + 2,)   where the points of the cell of each level end
-    split: Bools  # (MAX_DEPTH + 2,)   whether that cell is split
-    counts: Int64s  # (513,)   for sorting
-
-
-def new_bricks() -> Bricks:
-    """Return room for bricks."""
-    levels = MAX_DEPTH + 2
-    return Bricks(
-        np.zeros(2 * _CELLS * 4, np.float32),
-        np.full(levels * 64, -1, np.int64),
-        np.zeros(levels * 64, np.bool_),
-        np.zeros(levels + 3, np.bool_),
-        np.zeros(4 * 1000, np.int64),
-        np.zeros(4 * 216, np.int64),
-        np.zeros(4, np.int64),
-        np.zeros(4, np.int64),
-        np.zeros(levels, np.int64),
-        np.zeros(levels, np.bool_),
-        np.zeros(513, np.int64),
-    )
+CELLS = _AT_FLAT + 600
 
 
 class Tree(NamedTuple):
@@ -140,15 +54,6 @@ class Tree(NamedTuple):
         return cls(tree.arrays, cells, rows)
 
 
-class Order(NamedTuple):
-    """Points on their way to being sorted by Morton code, and as much room for that."""
-
-    codes: Int64s  # (n,)
-    numbers: Int32s  # (n,)   which points these are
-    other_codes: Int64s  # (n,)
-    other_numbers: Int32s  # (n,)
-
-
 class Values(NamedTuple):
     """A channel that is decoded, and alpha, which it weighs by; if there is none, that has no rows."""
 
@@ -161,129 +66,44 @@ class Values(NamedTuple):
         return cls(codes, codes._replace(values=codes.values[:0]) if alpha is None else alpha)
 
 
-class Asked(NamedTuple):
-    """What is asked, and answered."""
+class Bricks(NamedTuple):
+    """Where bricks are decoded: 170 kB for one thread. Blocks count their cells x fastest.
 
-    places: Float64s  # (n, 3)   in texture space
-    order: Order  # of the places
-    results: Float32s  # (n, components)   the mean of the channel
-    missed: Int32s  # (n,)   points that are not answered
-
-
-@kernel
-def order_of(places: Float64s) -> Order:
-    """Return points of texture space (n, 3) unsorted."""
-    n = places.shape[0]
-    order = Order(np.empty(n, np.int64), np.empty(n, np.int32), np.empty(n, np.int64), np.empty(n, np.int32))
-    for m in range(n):
-        i, j, k = _cell(places[m, 0], UNITS), _cell(places[m, 1], UNITS), _cell(places[m, 2], UNITS)
-        order.codes[m], order.numbers[m] = encode(i, j, k), m
-    return order
-
-
-@kernel
-def order_in_space(points: Points, origin: Origin, size: float) -> Int32s:
-    """Return the numbers of rest positions (n, 3) by cells of the level _COARSE, in Morton order.
-
-    Returns none if they come in a like order, or are not all finite.
+    A coefficient is two fours: four components, and the weight and another.
     """
-    n = points.shape[0]
-    cells, shift = 1 << _COARSE, np.float64(1 << _COARSE) / size
-    digits, counts = np.empty(n, np.uint16), np.zeros((1 << 3 * _COARSE) + 1, np.int64)
-    nothing = np.empty(0, np.int32)
-    previous, changes = -1, 0
-    for m in range(n):
-        x, y, z = np.float64(points[m, 0]), np.float64(points[m, 1]), np.float64(points[m, 2])
-        if not (abs(x) < np.inf and abs(y) < np.inf and abs(z) < np.inf):
-            return nothing
-        i = int(min(max((x - origin[0]) * shift, 0.0), cells - 1.0))
-        j = int(min(max((y - origin[1]) * shift, 0.0), cells - 1.0))
-        k = int(min(max((z - origin[2]) * shift, 0.0), cells - 1.0))
-        digit = int(encode(i, j, k))
-        changes += digit != previous
-        previous = digit
-        digits[m] = digit
-        counts[digit + 1] += 1
-    if changes < n // _RUN:
-        return nothing
-    for digit in range(1, counts.size):
-        counts[digit] += counts[digit - 1]
-    numbers = np.empty(n, np.int32)
-    for m in range(n):
-        at = counts[digits[m]]
-        counts[digits[m]] = at + 1
-        numbers[at] = m
-    return numbers
+
+    rows: Float32s  # (2 · CELLS · 4,)
+    nodes: Int64s  # ((MAX_DEPTH + 2) · 64,)   of the 4³ of each level, node numbers, or −1
+    keeps: Bools  # (same,)   whether such a node has a kept coefficient
+    has: Bools  # (MAX_DEPTH + 5,)   whether the block of a level has any coefficients
+    #: (4 · 1000,)   of each block, the values below nodes: whether the node keeps one itself | place << 1 |
+    #: row + 1 << 16; row −1 is zero
+    over: Int64s
+    #: (4 · 216,)   of each block, its nodes: whether they keep one | x << 1 | y << 5 | z << 9 | number << 16
+    inner: Int64s
+    n_over: Int64s  # (4,)
+    n_inner: Int64s  # (4,)
+    ends: Int64s  # (MAX_DEPTH + 2,)   where the points of the cell of each level end
+    split: Bools  # (MAX_DEPTH + 2,)   whether that cell is split
+    counts: Int64s  # (513,)   for sorting
 
 
-@kernel
-def put_rows(rows: Float32s, numbers: Int32s, target: Float32s) -> None:
-    """Write rows (n, m) where they belong among as many others, by number."""
-    for n in range(numbers.size):
-        prefetch(target, int(numbers[min(n + _AHEAD, numbers.size - 1)]))
-        at = np.uint64(numbers[n])
-        for m in range(rows.shape[1]):
-            target[at, m] = rows[n, m]
-
-
-@inlined
-def _cell(x: float, cells: int) -> int:
-    return min(int(x * cells), cells - 1)
-
-
-@inlined
-def _sort(order: Order, begin: int, end: int, shift: int, counts: Int64s) -> None:
-    """Sort points by nine bits of their codes."""
-    codes, numbers = order.codes, order.numbers
-    if end - begin < _SORTED_SINGLY:
-        for m in range(begin + 1, end):
-            code, number = codes[m], numbers[m]
-            key, at = code >> shift, m
-            while at > begin and codes[at - 1] >> shift > key:
-                codes[at], numbers[at] = codes[at - 1], numbers[at - 1]
-                at -= 1
-            codes[at], numbers[at] = code, number
-        return
-    counts[:] = 0
-    previous, is_sorted = np.int64(0), True
-    for m in range(begin, end):
-        digit = codes[m] >> shift & 511
-        is_sorted &= bool(digit >= previous)
-        previous = digit
-        counts[np.uint64(digit + 1)] += 1
-    if is_sorted:
-        return
-    total = np.int64(begin)
-    for each in range(513):
-        total += counts[each]
-        counts[each] = total
-    for m in range(begin, end):
-        code = codes[m]
-        bucket = np.uint64(code >> shift & 511)
-        place = np.uint64(counts[bucket])
-        counts[bucket] += 1
-        order.other_codes[place], order.other_numbers[place] = code, numbers[m]
-    for m in range(begin, end):
-        codes[m], numbers[m] = order.other_codes[m], order.other_numbers[m]
-
-
-@inlined
-def _end_of(codes: Int64s, begin: int, end: int, shift: int) -> int:
-    """Return the end of the points from ``begin`` on that lie in one cell."""
-    key = codes[begin] >> shift
-    low, step = begin, 8
-    while low + step < end and codes[low + step] >> shift == key:
-        low += step
-        step *= 2
-    high = min(low + step, end)  # there, or before, they end
-    low += 1
-    while low < high:
-        middle = low + high >> 1
-        if codes[middle] >> shift == key:
-            low = middle + 1
-        else:
-            high = middle
-    return low
+def new_bricks() -> Bricks:
+    """Return room for bricks."""
+    levels = MAX_DEPTH + 2
+    return Bricks(
+        np.zeros(2 * CELLS * 4, np.float32),
+        np.full(levels * 64, -1, np.int64),
+        np.zeros(levels * 64, np.bool_),
+        np.zeros(levels + 3, np.bool_),
+        np.zeros(4 * 1000, np.int64),
+        np.zeros(4 * 216, np.int64),
+        np.zeros(4, np.int64),
+        np.zeros(4, np.int64),
+        np.zeros(levels, np.int64),
+        np.zeros(levels, np.bool_),
+        np.zeros(513, np.int64),
+    )
 
 
 @inlined
@@ -303,7 +123,7 @@ def _four(stored: Rows, table: Table, row: int) -> tuple[np.float32, np.float32,
 
 
 @inlined
-def _value(values: Values, row: int) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
+def value_of(values: Values, row: int) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
     """Return the components of a row times its alpha, and that."""
     codes, alpha = values.codes, values.alpha
     n_cells = codes.values.shape[0]
@@ -325,21 +145,21 @@ def _write_value(values: Values, bricks: Bricks, at: int, row: int, planes: int,
     rows, one = bricks.rows, np.uint64(1)
     a = b = c = d = covered = np.float32(0.0)
     if row >= 0:
-        a, b, c, d, covered = _value(values, row)
+        a, b, c, d, covered = value_of(values, row)
     else:
         weight = covered
     first = np.uint64(4 * at)
     if planes == 1:
         d = covered
     else:
-        second = first + np.uint64(4 * _CELLS)
+        second = first + np.uint64(4 * CELLS)
         rows[second], rows[second + one] = weight * covered, weight
     rows[first], rows[first + one] = weight * a, weight * b
     rows[first + np.uint64(2)], rows[first + np.uint64(3)] = weight * c, weight * d
 
 
 @inlined
-def _kept_row(tree: Tree, cell: int) -> int:
+def kept_row(tree: Tree, cell: int) -> int:
     """Return the row of what a node keeps: after all cells, those of the kept table."""
     return tree.arrays.flags.size + min(int(tree.kept_rows[np.uint64(cell)]), tree.kept_cells.size - 1)
 
@@ -412,7 +232,7 @@ def _list_children(tree: Tree, values: Rows, bricks: Bricks, step: int, side: in
                 at = _child_place(x, y, z, octant, below)
                 if arrays.flags[np.uint64(row)] & np.uint8(KEPT) != 0:
                     is_kept = 1
-                    over[to_over] = keeps | at << 1 | _kept_row(tree, row) + 1 << 16
+                    over[to_over] = keeps | at << 1 | kept_row(tree, row) + 1 << 16
                     to_over += one
                 elif keeps:  # else zeros are there
                     over[to_over] = at << 1
@@ -423,6 +243,45 @@ def _list_children(tree: Tree, values: Rows, bricks: Bricks, step: int, side: in
     bricks.n_over[step] = np.int64(to_over) - 1000 * step
     bricks.n_inner[step] = np.int64(to_inner) - 216 * step
     return True
+
+
+@inlined
+def look_below(tree: Tree, values: Rows, bricks: Bricks) -> int:
+    """List what is in the blocks of a brick; return the first without nodes, or −1 if none is."""
+    for step in range(1, 4):
+        if bricks.n_inner[step - 1] == 0:
+            return step - 1
+        side = (0, 3, 4, 6)[step]
+        if not _list_children(tree, values, bricks, step, side):
+            return -1
+    return 3
+
+
+@inlined
+def list_around(bricks: Bricks, corner: int) -> None:
+    """List the nodes of the 3³ cells from one of a 4³ on."""
+    count = 0
+    for z in range(3):
+        for y in range(3):
+            for x in range(3):
+                at = np.uint64(corner + x + 4 * (y + 4 * z))
+                node = bricks.nodes[at]
+                if node >= 0:
+                    bricks.inner[count] = bricks.keeps[at] | x << 1 | y << 5 | z << 9 | node << 16
+                    count += 1
+    bricks.n_inner[0] = count
+
+
+@inlined
+def note_nodes(bricks: Bricks, level: int) -> None:
+    """Note the nodes of the 4³ of a level, which are listed."""
+    nodes, first = bricks.nodes, 64 * level
+    nodes[first : first + 64] = -1
+    for n in range(bricks.n_inner[1]):
+        listed = bricks.inner[216 + n]
+        x, y, z = listed >> 1 & 15, listed >> 5 & 15, listed >> 9 & 15
+        at = first + x + 4 * (y + 4 * z)
+        nodes[at], bricks.keeps[at] = listed >> 16, listed & 1 != 0
 
 
 @inlined
@@ -458,13 +317,13 @@ def _clear(bricks: Bricks, planes: int, step: int, side: int, target: int) -> No
             at = target + _child_place(x, y, z, trailing_zeros(left), 2 * side - 2)
             left &= left - one
             for plane in range(planes):
-                first = np.uint64(4 * (at + plane * _CELLS))
+                first = np.uint64(4 * (at + plane * CELLS))
                 rows[first] = rows[first + one] = zero
                 rows[first + np.uint64(2)] = rows[first + np.uint64(3)] = zero
 
 
 @inlined
-def _decode(
+def decode(
     values: Values,
     bricks: Bricks,
     planes: int,
@@ -479,7 +338,7 @@ def _decode(
     rows, over = bricks.rows, bricks.over
     below = 2 * side - 2
     for plane in range(planes):
-        shift = plane * _CELLS
+        shift = plane * CELLS
         if has:
             _refine(rows, source + shift, stride, side, target + shift)
         else:
@@ -487,7 +346,7 @@ def _decode(
     if has:
         _clear(bricks, planes, step, side, target)
     one = np.float32(1.0)
-    weight_at = 4 * _CELLS + 1 if planes > 1 else 3
+    weight_at = 4 * CELLS + 1 if planes > 1 else 3
     for n in range(bricks.n_over[step]):
         listed = over[np.uint64(1000 * step + n)]
         at = target + (listed >> 1 & 1023)
@@ -497,239 +356,7 @@ def _decode(
 
 
 @inlined
-def _weights(t: float) -> tuple[np.float32, np.float32, np.float32]:
-    """Weights of the quadratic B-spline: small ones keep their digits."""
-    half = np.float32(0.5)
-    s, r = np.float32(1.0 - t), np.float32(t)
-    low, high = half * s * s, half * r * r
-    return low, np.float32(1.0) - low - high, high
-
-
-@inlined
-def _answer(
-    asked: Asked, n: Integer, n_missed: int, a: float, b: float, c: float, d: float, total: float
-) -> int:
-    """Answer a point with a sum of values divided by that of its weights; it is missed if that says nothing.
-
-    Returns how many points are missed then.
-    """
-    results = asked.results
-    inverse = 1.0 / total
-    a, b, c, d = a * inverse, b * inverse, c * inverse, d * inverse
-    if not (total >= LEAST and abs(a) + abs(b) + abs(c) + abs(d) < np.inf):
-        asked.missed[n_missed] = n
-        return n_missed + 1
-    components = results.shape[1]
-    results[n, 0] = a
-    if components > 1:
-        results[n, 1] = b
-    if components > 2:
-        results[n, 2] = c
-    if components > 3:
-        results[n, 3] = d
-    return n_missed
-
-
-@inlined
-def _walk(
-    tree: Tree,
-    values: Values,
-    walk: Walk,
-    asked: Asked,
-    n: int,
-    n_missed: int,
-) -> int:
-    """Answer a point by the walk, see `neighborhood`; return how many are missed then."""
-    x, y, z = asked.places[n, 0] + 1.0 - 1.0, asked.places[n, 1] + 1.0 - 1.0, asked.places[n, 2] + 1.0 - 1.0
-    i, j, k = _cell(x, UNITS), _cell(y, UNITS), _cell(z, UNITS)
-    arrays, kept_cells = tree.arrays, tree.kept_cells
-    level = follow(arrays, kept_cells, walk, i, j, k, QUADRATIC, 2)
-    windows, levels = walk.windows, walk.levels
-    shift, cells = MAX_DEPTH - level, float(1 << level)
-    of_x = quadratic_weights(x * cells - (i >> shift))
-    of_y = quadratic_weights(y * cells - (j >> shift))
-    of_z = quadratic_weights(z * cells - (k >> shift))
-    for w in range(3):
-        for v in range(3):
-            both = of_z[w] * of_y[v]
-            for u in range(3):
-                windows[SHARES, u + 3 * (v + 3 * w)] = both * of_x[u]
-    sum_a = sum_b = sum_c = sum_d = total = 0.0
-    while True:
-        begin, keeping = levels[level, BEGIN], levels[level, KEEPING] != 0
-        if keeping:
-            weigh(walk, level, 2)
-        kept = np.uint64(0)
-        if kept_cells.size > 0:
-            kept = walk.kept[level, 0]
-        bits = (walk.cells[level, 0] ^ walk.nodes[level, 0] | kept) & INSIDE[0, begin, 0]
-        while bits != 0:
-            place = trailing_zeros(bits)
-            bits &= bits - np.uint64(1)
-            at = place_of(2, begin, place)
-            share = windows[SHARES, at]
-            if keeping and walk.below_kept[level, 0] & bit_at(place) != 0:
-                share *= windows[REFINED + level, at]
-            row = max(cell_at(arrays, walk, level, 0, place), 0)
-            if kept & bit_at(place) != 0:
-                row = _kept_row(tree, row)
-            if share != 0.0:
-                a, b, c, d, covered = _value(values, row)
-                sum_a, sum_b, sum_c = sum_a + share * a, sum_b + share * b, sum_c + share * c
-                sum_d, total = sum_d + share * d, total + share * covered
-        if level == 0 or levels[level - 1, CONTENT] == 0 or not leave_refined(walk, level, QUADRATIC, 2, 1):
-            break
-        change_level(walk, SHARES, level, 2, False)
-        level -= 1
-    return _answer(asked, n, n_missed, sum_a, sum_b, sum_c, sum_d, total)
-
-
-@inlined
-def _blend(
-    bricks: Bricks,
-    planes: int,
-    first: int,
-    side: int,
-    level: int,
-    low: tuple[int, int, int],
-    asked: Asked,
-    begin: int,
-    end: int,
-    n_missed: int,
-) -> int:
-    """Answer points from a block of a level, whose first cell is ``low``; return how many are missed."""
-    rows, places, numbers = bricks.rows, asked.places, asked.order.numbers
-    cells = np.float64(np.int64(1) << level)
-    for m in range(begin, end):
-        ahead = int(numbers[min(m + _AHEAD, numbers.size - 1)])
-        prefetch(places, ahead)
-        prefetch(asked.results, ahead)
-        n = np.uint64(numbers[m])
-        x = (places[n, 0] + 1.0 - 1.0) * cells
-        y = (places[n, 1] + 1.0 - 1.0) * cells
-        z = (places[n, 2] + 1.0 - 1.0) * cells
-        most = cells - 1.0
-        i, j, k = min(np.floor(x), most), min(np.floor(y), most), min(np.floor(z), most)
-        of_x, of_y, of_z = _weights(x - i), _weights(y - j), _weights(z - k)
-        at = (int(i) - low[0] - 1) + side * ((int(j) - low[1] - 1) + side * (int(k) - low[2] - 1))
-        at += first
-        a, b, c, d = weighted_cube(rows, at, side, of_x, of_y, of_z)
-        total = d
-        if planes > 1:
-            total, _, _, _ = weighted_cube(rows, at + _CELLS, side, of_x, of_y, of_z)
-        n_missed = _answer(asked, n, n_missed, a, b, c, d, total)
-    return n_missed
-
-
-@fused_kernel
-def look_up_bricks(
-    tree: Tree,
-    values: Values,
-    asked: Asked,
-    bricks: Bricks,
-    walk: Walk,
-) -> int:
-    """Look up all that is asked; return how many points are missed.
-
-    These lie off the surface, or nearly, or where alpha is zero.
-    """
-    ends, split, order = bricks.ends, bricks.split, asked.order
-    codes, numbers = order.codes, order.numbers
-    planes = 1
-    if values.codes.values.shape[1] > 3 or (values.alpha.values.shape[0] > 0 and tree.kept_cells.size > 0):
-        planes = 2
-    _enter(tree, values, bricks, planes)
-    level, begin, n_missed = 0, 0, 0
-    ends[0], split[0] = codes.size, False
-    path = np.zeros((MAX_DEPTH + 2, 4), np.int64)  # the cell of each level, and its octant
-    while begin < codes.size:
-        while begin >= ends[level]:
-            level -= 1
-        end = ends[level]
-        i, j, k, octant = path[level, 0], path[level, 1], path[level, 2], path[level, 3]
-        if not split[level]:
-            is_done = end - begin <= _FEW
-            if not is_done:
-                corner = 64 * level + (octant & 1) + 4 * (octant >> 1 & 1) + 16 * (octant >> 2)
-                _list_around(bricks, corner)
-                last = _look_below(tree, values.codes.values, bricks)
-                has, source, stride = bricks.has[level], corner, 4
-                first = 64 * (level + 1)
-                for step in range(1, max(last, 1) + 1):
-                    if step > last >= 0:
-                        break
-                    target = _AT_TEN if step == 3 else _AT_SIX if step == 2 else first
-                    side = (0, 3, 4, 6)[step]
-                    has = _decode(values, bricks, planes, step, source, stride, side, target, has)
-                    if step == 1:
-                        bricks.has[level + 1] = has
-                    source, stride = target, 2 * side - 2
-                if last >= 0:
-                    low = (i << last) - 1, (j << last) - 1, (k << last) - 1
-                    task = planes, source, stride, level + last, low
-                    n_missed = _blend(bricks, *task, asked, begin, end, n_missed)
-                    begin = end
-                    continue
-                is_done = level >= MAX_DEPTH
-            if is_done:
-                for m in range(begin, end):
-                    n_missed = _walk(tree, values, walk, asked, int(numbers[m]), n_missed)
-                begin = end
-                continue
-            _note_nodes(bricks, level + 1)
-            if level % 3 == 0:
-                _sort(order, begin, end, 3 * (MAX_DEPTH - level - 3), bricks.counts)
-            split[level] = True
-        level += 1
-        shift = 3 * (MAX_DEPTH - level)
-        ends[level], split[level] = _end_of(codes, begin, end, shift), False
-        octant = codes[begin] >> shift & 7
-        path[level, 0], path[level, 1] = 2 * i + (octant & 1), 2 * j + (octant >> 1 & 1)
-        path[level, 2], path[level, 3] = 2 * k + (octant >> 2), octant
-    return n_missed
-
-
-@inlined
-def _list_around(bricks: Bricks, corner: int) -> None:
-    """List the nodes of the 3³ cells from one of a 4³ on."""
-    count = 0
-    for z in range(3):
-        for y in range(3):
-            for x in range(3):
-                at = np.uint64(corner + x + 4 * (y + 4 * z))
-                node = bricks.nodes[at]
-                if node >= 0:
-                    bricks.inner[count] = bricks.keeps[at] | x << 1 | y << 5 | z << 9 | node << 16
-                    count += 1
-    bricks.n_inner[0] = count
-
-
-@inlined
-def _note_nodes(bricks: Bricks, level: int) -> None:
-    """Note the nodes of the 4³ of a level, which are listed."""
-    nodes, first = bricks.nodes, 64 * level
-    nodes[first : first + 64] = -1
-    for n in range(bricks.n_inner[1]):
-        listed = bricks.inner[216 + n]
-        x, y, z = listed >> 1 & 15, listed >> 5 & 15, listed >> 9 & 15
-        at = first + x + 4 * (y + 4 * z)
-        nodes[at], bricks.keeps[at] = listed >> 16, listed & 1 != 0
-
-
-@inlined
-def _look_below(tree: Tree, values: Rows, bricks: Bricks) -> int:
-    """List what is in the blocks of a brick; return the first without nodes, or −1 if none is."""
-    for step in range(1, 4):
-        if bricks.n_inner[step - 1] == 0:
-            return step - 1
-        side = (0, 3, 4, 6)[step]
-        if not _list_children(tree, values, bricks, step, side):
-            return -1
-    return 3
-
-
-@inlined
-def _enter(tree: Tree, values: Values, bricks: Bricks, planes: int) -> None:
+def enter(tree: Tree, values: Values, bricks: Bricks, planes: int) -> None:
     """Write the root's block: it is the second cell along each axis, the others have nothing."""
     middle, arrays = 1 + 4 * (1 + 4), tree.arrays
     for at in range(64):
@@ -742,7 +369,7 @@ def _enter(tree: Tree, values: Values, bricks: Bricks, planes: int) -> None:
         bricks.nodes[middle] = 0
         bricks.keeps[middle] = tree.kept_cells.size > 0 and arrays.flags[0] & KEPT != 0
         if bricks.keeps[middle]:
-            row = _kept_row(tree, 0)
+            row = kept_row(tree, 0)
     bricks.has[0] = row >= 0
     if row >= 0:
         _write_value(values, bricks, middle, row, planes, np.float32(1.0))

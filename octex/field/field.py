@@ -146,6 +146,11 @@ class Field:
             assert above is not None  # as all leaves have one depth, or had it before they were painted
             yield above
 
+    def prepare(self, filter_code: int) -> None:
+        """Build what lookups of the leaves read, before threads share it."""
+        self.tiles_for(filter_code)
+        self.mixed  # noqa: B018
+
     def taps(
         self, points: Points, placement: Placement, filter: str = "quadratic", *, gradient: bool = False
     ) -> Listed:

@@ -9,9 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.channels import ColorSpace, decode
-from octex.field.bricks import Asked, Values, look_up_bricks, new_bricks, order_of
+from octex.field.bricks import Values, new_bricks
+from octex.field.crowded import Asked, look_up_crowded
 from octex.field.field import Field, Finder
 from octex.field.footprints import Footprints, Looks, spread
+from octex.field.order import order_of
 from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, cover, divide
 from octex.field.splines import FILTERS
 from octex.field.stages import Facings, leave_mixed, weigh_by_area
@@ -21,7 +23,7 @@ from octex.field.windows import new_walk
 from octex.tree.placement import Placement
 
 #: Points for which it is worth while to sort them.
-_LEAST_SORTED = 32
+_LEAST_SORTED = 64
 #: What is no more than this of a weight is rounding.
 _ROUNDED = np.float32(1e-6)
 _NO_GRADIENTS = np.empty((0, 1, 3), np.float32)
@@ -161,7 +163,7 @@ class _Lookup:
             return fault
         asked = Asked(places, order_of(places), results, missed)
         values = Values.of(channel.codes, alpha)
-        n_missed = look_up_bricks(self._field.mixed, values, asked, new_bricks(), new_walk())
+        n_missed = look_up_crowded(self._field.mixed, values, asked, new_bricks(), new_walk())
         if n_missed:
             rows = missed[:n_missed].astype(np.int64)
             self._look_again(points, rows, [0], self._alpha, _Lookup.leaves)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from octex.checks import as_choice
 from octex.errors import ArgumentError
-from octex.field.bricks import order_in_space, put_rows
+from octex.field.order import order_in_space, put_rows
 from octex.parallel import ordered_map, workers
 from octex.tree.placement import Placement
 
@@ -27,8 +27,8 @@ LookUp = Callable[[Given, list[Array]], int]
 #: Points looked up at once: what is kept of them stays in the processor's cache, and a thread that takes them
 #: is busy for a millisecond or more, beside which handing them over (50 µs) is little.
 BLOCK = 1 << 16
-#: Points sorted at once, where that is worth it: 64 bytes for each are needed meanwhile.
-_SORTED = 1 << 20
+#: Most points sorted at once: what is given of them and their answers are copied meanwhile.
+_SORTED = 1 << 19
 _NO_NUMBERS = np.empty(0, np.int32)
 
 

@@ -236,7 +236,7 @@ class OctreeTexture:
         self._read_for(len(given["points"]))
         task = given, answers.arrays, self._look_up(answers.channels, lens, normalize), threads, executor
         if given.keys() <= {"points", "normals"} and self._field.tiles is None:
-            self._field.tiles_for(FILTERS.index(filter))  # built before threads share them
+            self._field.prepare(FILTERS.index(filter))
             in_space(*task, self.placement)
         else:
             in_blocks(*task)
