@@ -91,16 +91,15 @@ class Field:
 
     def areas_of_averages(self, level: int) -> npt.NDArray[np.uint8]:
         """Return the codes of the areas of nodes down to a level (cells,), 0 for leaves: not known."""
-        areas = self.tree.arrays.areas
-        if not any(leaves for leaves, _ in self.tree.cells_by_depth()[: level + 1]):
-            return areas
         with self._lock:
             if level not in self._areas:
-                found = np.zeros(areas.size, np.uint8)
-                for above, (_, is_node) in enumerate(islice(self.tree.walk(), level + 1)):
-                    nodes = np.flatnonzero(is_node) + int(self.tree.arrays.level_cells[above])
-                    found[nodes] = areas[nodes]
-                self._areas[level] = found
+                areas = self.tree.arrays.areas
+                if any(leaves for leaves, _ in self.tree.cells_by_depth()[: level + 1]):
+                    areas = np.zeros(areas.size, np.uint8)
+                    for above, (_, is_node) in enumerate(islice(self.tree.walk(), level + 1)):
+                        nodes = np.flatnonzero(is_node) + int(self.tree.arrays.level_cells[above])
+                        areas[nodes] = self.tree.arrays.areas[nodes]
+                self._areas[level] = areas
             return self._areas[level]
 
     @built_once

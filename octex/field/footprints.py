@@ -26,7 +26,7 @@ Int64s = npt.NDArray[np.int64]
 Int32s = npt.NDArray[np.int32]
 
 #: Looks made at once: few enough to stay in the processor's cache.
-_ROOM = 1 << 14
+_ROOM = 1 << 15
 #: By filter: levels by which looks are finer than cells of the footprint's width, for round footprints and,
 #: beyond those for its rows of looks, for long ones. Errors were least so, or nearly, for painted content on
 #: a sphere seen in 20², 64² and 256² pixels.

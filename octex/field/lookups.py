@@ -295,7 +295,7 @@ class _Lookup:
         self, here: Field, looks: Looks, normals: Float32s | None, sums: Sequence[Sums]
     ) -> Float32s:
         """Add looks at a level up, in any tree; return the part of each that mixes opposite facings."""
-        left = np.zeros(len(looks.points), np.float32)
+        left = self._room_for_left(here, looks)
         for begin in range(0, len(looks.points), BLOCK):
             rows = slice(begin, begin + BLOCK)
             owners = looks.owners[rows]
@@ -311,25 +311,33 @@ class _Lookup:
     ) -> Float32s:
         """Add looks at a level up by tiles; return the part of each that mixes opposite facings."""
         assert self._channel is not None
-        channel, left = self._channel, np.zeros(len(looks.points), np.float32)
+        channel, left = self._channel, self._room_for_left(here, looks)
         facing = _NO_VECTORS if normals is None else normals
 
         def add_some(search: Search, which: Int64s | None, lost: Int64s) -> tuple[int, int, int]:
             some, part = looks, left
             if which is not None:
-                some, part = looks.of(which), np.zeros(which.size, np.float32)
+                some = looks.of(which)
+                part = self._room_for_left(here, some)
             points, owners, shares = some
             n_empty, n_rim = add_tiled(
                 search, points, *self._placement, facing, owners, shares, part, channel, sums[0], lost
             )
-            if which is not None:
+            if which is not None and part.size:
                 left[which] = part
             return n_empty, n_rim, -1
 
         rim, _ = self._search(here, len(looks.points), add_some)
         if rim.size:
-            left[rim] = self._add_walked(here, looks.of(rim), normals, sums)
+            part = self._add_walked(here, looks.of(rim), normals, sums)
+            if part.size:
+                left[rim] = part
         return left
+
+    def _room_for_left(self, here: Field, looks: Looks) -> Float32s:
+        """Return room for what of each look mixes facings; none where nothing can."""
+        is_any = self._query.normals is None and self._mixes(here)
+        return np.zeros(len(looks.points) if is_any else 0, np.float32)
 
     def _look_again(
         self,

@@ -40,6 +40,8 @@ _AWAY = np.float32(1e-6)
 #: Most taps that stand for one: a facing of each axis.
 MOST_ROWS = 3
 
+#: So many rows lie in the processor's second cache, and need not be asked for.
+_NEAR_ROWS = 1 << 16
 #: Points whose split cells are asked for before any is read.
 _GROUP = 64
 
@@ -230,7 +232,7 @@ def face(
             n_mixed += int(seen >= np.uint8(SPLIT))
         if facings.rows.size == 0:
             continue
-        for m in range(n_mixed):
+        for m in range(n_mixed if facings.rows.size > _NEAR_ROWS else 0):
             for tap in range(taps.starts[mixed[m]], taps.ends[mixed[m]]):
                 prefetch(facings.rows, int(taps.rows[tap]))
         for m in range(n_mixed):
@@ -265,7 +267,7 @@ def _take_rows(
     for tap in range(taps.starts[n], taps.ends[n]):
         row, weight = taps.rows[np.uint64(tap)], taps.weights[np.uint64(tap)]
         flags = _flags_of(facings, first_kept, row)
-        bits = _DIRECTIONS[64 * signs + int(flags & np.uint8(FACING_FLAGS))]
+        bits = _DIRECTIONS[np.uint64(64 * signs) + np.uint64(flags & np.uint8(FACING_FLAGS))]
         left = np.uint8(0)
         if flags & np.uint8(SPLIT) != 0 and bits < np.uint8(8):
             if known >> bits & bit == 0:

