@@ -8,6 +8,7 @@ import numpy as np
 import PIL.Image
 
 import octex
+from octex.field.order import order_in_space, put_rows
 from octex.files import scratch_folder
 from octex.formats.ply import write_points
 from octex.parallel import Progress
@@ -112,6 +113,11 @@ def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
         for filter in ("nearest", "quadratic"):
             coarse.sample(samples.rest, list(texture.channels), filter)
     octex.convert(surface, 4, max_error=2, detail="stretch")
+    mixed = octex.convert(surface, 4, detail=lambda rest: np.where(rest[:, 0] > rest[0, 0], 4.0, 2.0))
+    for points in (surface.scatter(100).rest, surface.scatter(100).rest.astype(np.float32)):
+        mixed.sample(points, list(mixed.channels))
+        numbers = order_in_space(points, *mixed.placement)  # as for more points than are warmed up with
+        put_rows(np.empty((numbers.size, 3), np.float32), numbers, np.empty((len(points), 3), np.float32))
     encode_cells([(1, 2, 3)])
     texture.tree.level_codes(6)
     write_points(texture, folder / "points.ply")

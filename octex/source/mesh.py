@@ -147,11 +147,11 @@ class Mesh:
         return overlapping_parts(self.rest, self.triangles, margin)
 
     def points_at(self, triangles: npt.NDArray[np.integer[Any]], barycentric: Floats) -> Floats:
-        """Return posed positions (n, 3) of points of triangles (n,), by barycentric coordinates (n, 3)."""
+        """Return posed positions (n, 3) of points of triangles (n,) by barycentric (n, 3); checks nothing."""
         return at_corners(self.vertices, self.triangles[triangles], barycentric)
 
     def rest_at(self, triangles: npt.NDArray[np.integer[Any]], barycentric: Floats) -> Floats:
-        """Return rest positions (n, 3) of points of triangles (n,), by barycentric coordinates (n, 3)."""
+        """Return rest positions (n, 3) of points of triangles (n,) by barycentric (n, 3); checks nothing."""
         return at_corners(self.rest, self.triangles[triangles], barycentric)
 
     def areas(self) -> npt.NDArray[np.float64]:

@@ -68,7 +68,7 @@ class Surface(Mesh):
         self._single: dict[str, Source] = {}
 
     @classmethod
-    def on(cls, mesh: Mesh, source: Source, provenance: Mapping[str, str] | None = None) -> Surface:
+    def _on(cls, mesh: Mesh, source: Source, provenance: Mapping[str, str] | None = None) -> Surface:
         """Return a mesh with a source of values for it."""
         return cls(
             mesh.vertices, mesh.triangles, source,
@@ -314,7 +314,7 @@ class Surface(Mesh):
         return surface if names is None else surface.with_channels(names)
 
     def _with(self, source: Source, mesh: Mesh | None = None) -> Surface:
-        return Surface.on(mesh or self, source, self.provenance)
+        return Surface._on(mesh or self, source, self.provenance)
 
     def part(self, triangles: npt.ArrayLike, source: Source | None = None) -> Surface:
         """Return some triangles (k,) of the surface, in that order, with the vertices that they use.

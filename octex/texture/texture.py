@@ -408,7 +408,7 @@ class OctreeTexture:
         given = {"points": places}
         lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
         lens.check(given, gradient=False, width=width, normals=normals, dPdx=dPdx, dPdy=dPdy)
-        names = [channel] if isinstance(channel, str) else list(channel)
+        names = list(channel) if isinstance(channel, (list, tuple)) else [channel]
         for name in names:
             as_choice(name, self.channels, "channel")
         spans = Spans(mapping, block_size)
