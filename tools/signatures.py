@@ -51,7 +51,9 @@ def main() -> int:
         sections["convert"] = record("convert", MODEL, texture)
         sections["preview"] = record("convert", MODEL, texture, "--preview", preview, "--force")
         sections["view"] = record("paint", MODEL, texture, "--view", view, "--camera-out", camera)
-        sections["paint"] = record("paint", MODEL, texture, view, "--camera", camera, "--out", painted)
+        sections["paint"] = record(
+            "paint", MODEL, texture, view, "--whole", "--camera", camera, "--out", painted
+        )
         sections["warm-up"] = record("convert", "--warm-up")
     sections["preview"] = [line for line in sections["preview"] if line not in sections["convert"]]
     blocks = ["\n".join([f"[{name}]", *lines, ""]) for name, lines in sections.items()]
