@@ -67,7 +67,10 @@ def test_each_commands_help_is_a_screen_with_examples(name: str, capsys: pytest.
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_examples_of_helps_are_understood(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_examples_of_helps_are_understood(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)  # without any file
     text = said(capsys, name, "--help")
     for example in re.findall(rf"^  octex {name} (.+)$", text.split("\n\n")[2], re.MULTILINE):
         assert main([name, *example.split()]) == ExitCode.REFUSED
