@@ -12,7 +12,6 @@ from octex.errors import ArgumentError
 
 if TYPE_CHECKING:
     from octex.preview import Viewpoint
-    from octex.view.camera_files import Frame
 
 LOOKING = (
     option(
@@ -34,10 +33,13 @@ LOOKING_WORDS = {each.word for each in LOOKING}
 
 
 def viewpoint(options: argparse.Namespace, model: Path) -> Viewpoint:
-    """Return from where a model is drawn; raises ArgumentError for options that contradict each other."""
+    """Return from where a model is drawn; raises CameraError for a frame that it does not have."""
+    from octex.cli.shots import frame_of
     from octex.preview import Viewpoint
+    from octex.view.camera_files import read_cameras
 
-    frame = None if options.frame is None else frame_of_model(model, options.frame)
+    name = options.frame
+    frame = None if name is None else frame_of(read_cameras(model), name, model)
     return Viewpoint(options.direction, options.up or (0.0, 1.0, 0.0), options.zoom or 1.0, frame)
 
 
@@ -51,11 +53,3 @@ def check_looking(options: argparse.Namespace) -> None:
             raise ArgumentError(f"{word} and --frame both say where the camera is; give one of them")
     if options.direction is not None and not any(options.direction):
         raise ArgumentError("--direction must not be 0,0,0")
-
-
-def frame_of_model(model: Path, name: str) -> Frame:
-    """Return the camera of a glTF model that has a name; raises CameraError."""
-    from octex.cli.shots import frame_of
-    from octex.view.camera_files import read_cameras
-
-    return frame_of(read_cameras(model), name, model)
