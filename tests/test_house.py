@@ -37,9 +37,11 @@ ROWS = [
     {"preview"},
     {"cli"},
 ]
-# The wing of what models look like does not know the wing of what is stored.
+# The wing of what models look like does not know the wing of what is stored; what works on textures alone
+# needs neither what makes them of models nor what paints them: it shares its tools with these in editing.
 STORED = {"tree", "field", "container", "texture", "editing"}
-FORBIDDEN = {"source": STORED, "view": STORED}
+MADE = {"source", "conversion", "view", "painting"}
+FORBIDDEN = {"source": STORED, "view": STORED, "editing": MADE, "processing": MADE - {"source"}}
 # Depth and cell limits are checked at the border too.
 EXCEPTIONS = {("checks", "octex.tree.layout")}
 

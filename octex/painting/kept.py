@@ -16,10 +16,9 @@ from octex.painting.cells import (
     boundary,
     is_within,
     paint_at,
-    with_all_above,
     with_skirt,
 )
-from octex.tree.edit import among, locate
+from octex.tree.edit import among, locate, with_all_above
 from octex.tree.layout import FACING_FLAGS
 from octex.tree.octree import Octree, distinct
 

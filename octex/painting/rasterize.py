@@ -14,6 +14,7 @@ from octex.conversion.adapt import adapted
 from octex.conversion.fill import assemble, fill
 from octex.conversion.gaps import without_gaps
 from octex.conversion.sides import fitters
+from octex.editing.split import refaced
 from octex.painting.near import around
 from octex.painting.samples import with_centres
 from octex.painting.source import PaintSource
@@ -22,7 +23,6 @@ from octex.source.separation import SEPARATION
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.texture.channel import Channel
-from octex.texture.split import refaced
 from octex.tree.layout import MAX_DEPTH
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
