@@ -99,13 +99,13 @@ def raise_texture(
 def _skirts(
     texture: OctreeTexture, paint: Sequence[Paint], surface: Surface, executor: Executor, progress: Progress
 ) -> Bools:
-    """Say which leaves (cells,) no surface is in: skirts, and near paint what ``resize`` has filled leaves with.
+    """Say which leaves (cells,) no surface is in: skirts, and, near paint, cells that ``resize`` has made.
 
-    That is more than half of the cells of a node, all alike. Near is what lies in or beside nodes that paint
+    These are more than half of the cells of a node, all alike. Near is what lies in or beside nodes that paint
     is in and that keep a coefficient; see `kept.on_kept`.
     """
     tree = texture.tree
-    is_skirt = tree.arrays.areas == SKIRT
+    is_skirt: Bools = tree.arrays.areas == SKIRT
     codes = np.empty(0, np.int64)
     doubted: list[tuple[int, Int64s]] = []
     for level, above in enumerate(with_all_above([each.codes for each in paint])[: tree.max_depth]):
