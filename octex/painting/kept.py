@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.painting.cells import (
+    SKIRT,
     Paint,
     among_at,
     are_beside,
@@ -73,7 +74,9 @@ def with_old_skirts(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> li
         here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
         skirt = codes[~is_node & is_skirt[here]]
         skirt = skirt[_are_near(skirt, painted, level) & ~among(skirt, paint[level].codes)]
-        skirt = skirt[_touch(skirt, painted, level, half=True)]
+        is_own = tree.arrays.areas[here][np.searchsorted(codes, skirt)] == SKIRT  # there for paint alone
+        reaches = is_own & _touch(skirt, painted, level, half=True)
+        skirt = skirt[reaches | _touch(skirt, painted, level)]
         if skirt.size:
             bare = bare or bare_leaves(tree, paint, is_skirt)
             around = boundary(skirt, level)
