@@ -101,7 +101,7 @@ def _skirts(
 ) -> Bools:
     """Say which leaves (cells,) no surface is in: skirts, and, near paint, cells that ``resize`` has made.
 
-    These are more than half of the cells of a node, all alike. Near is what lies in or beside nodes that paint
+    These are more than half of the cells of a node, all alike. Near is what is in or beside nodes that paint
     is in and that keep a coefficient; see `kept.on_kept`.
     """
     tree = texture.tree
