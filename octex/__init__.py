@@ -18,12 +18,12 @@ The words
     fit         choosing the leaves' values so that the field meets the source
 
 The rooms, each of which knows only those before it
-    tree        Morton codes, placement; building, validating, searching and walking octrees
+    tree        Morton codes, areas, placement; building, changing, searching and walking octrees
     nearest     nearest points of triangles and of clouds, how near meshes come
     field       what lies between the cells: which of them a lookup blends, and what weighs them
     texture     OctreeTexture: tree, channels and placement; lookups; the .octex file
     kernels     lookups of one point, for one's own compiled loops
-    editing     what every change of a texture shares: areas, averages, facings, residuals
+    editing     what every change of a texture shares: averages, rows of split cells, refined cells
     source      surfaces and what they are coloured by: models, images, mappings, functions, clouds
     conversion  cells met exactly, sums over clipped pieces, the fit, adaptive depth
     view        cameras and their files, what a camera sees, studio light
