@@ -403,4 +403,4 @@ def test_hardly_anything_shows_through_paint_on_cells_that_were_divided_off_the_
     made.validate()
     found = made.sample(surface.scatter(3000).rest, "alpha")
     assert found.max() < 0.005
-    assert (found > 0).mean() < 0.03  # along the rims of the squares
+    assert (found > 1e-6).mean() < 0.03  # along the rims of the squares
