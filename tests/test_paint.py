@@ -16,13 +16,14 @@ from octex.channels import BASE_COLOR, decode
 from octex.conversion.samples import Samples
 from octex.errors import ArgumentError
 from octex.painting.balance import balanced
-from octex.painting.cells import boundary, paint_of
+from octex.painting.cells import paint_of
 from octex.painting.merge import blended
 from octex.painting.pictures import BLENDS
 from octex.painting.samples import with_centres
 from octex.painting.source import COVERAGE, PaintSource
 from octex.parallel import pool_of
 from octex.texture import OctreeTexture
+from octex.tree.edit import boundary
 from octex.tree.layout import KEPT, SPLIT
 from octex.tree.placement import Placement
 from tests.conftest import needs_jit

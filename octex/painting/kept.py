@@ -13,13 +13,12 @@ from octex.painting.cells import (
     Paint,
     among_at,
     are_beside,
-    boundary,
     is_within,
     paint_at,
     with_all_above,
     with_skirt,
 )
-from octex.tree.edit import among, locate
+from octex.tree.edit import among, boundary, locate
 from octex.tree.layout import FACING_FLAGS
 from octex.tree.octree import Octree, distinct
 

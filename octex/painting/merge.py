@@ -8,9 +8,10 @@ from concurrent.futures import Executor
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import ALPHA, ONE, decode, encode
+from octex.channels import ALPHA, decode, encode
 from octex.checks import as_choice, as_number
 from octex.conversion.facings import MOST, in_codes
+from octex.editing.draft import cut_out, put_back, tiles_around, with_alpha
 from octex.editing.facings import average_rows, rows_of
 from octex.errors import ArgumentError, DefectError, own_making
 from octex.painting.averages import (
@@ -91,7 +92,7 @@ def merge(
     given = texture
     surface = surface.placed_in(texture)
     if target == ALPHA.name and target not in texture.channels:
-        texture = _with_alpha(texture)
+        texture = with_alpha(texture)
     as_choice(target, texture.channels, "channel to paint")
     stored = texture.channels[target].format
     if stored.components != form.components and blend != "erase":
@@ -99,32 +100,18 @@ def merge(
             f"the layer paints {form.components} components, but {target!r} of the texture has "
             f"{stored.components}"
         )
+    tiles = tiles_around(texture, [each.codes for each in paint])
+    part = texture if tiles is None else cut_out(texture, tiles)
     with workers(threads, executor) as pool:
-        raised = raise_texture(texture, layer, paint, surface, pool, report, adds=blend != "erase")
+        adds = blend != "erase"
+        raised = raise_texture(part, texture, layer, paint, surface, pool, report, adds=adds)
     if not any(each.codes.size for each in raised.paint):
         return given
     with own_making():
         paint = refine_paint(raised.paint, layer, raised.texture.tree, opacity)
         paint = with_old_skirts(raised.texture.tree, paint)
-        return _blended(texture, raised, paint, layer, target, blend, opacity)
-
-
-def _with_alpha(texture: OctreeTexture) -> OctreeTexture:
-    """Give a texture a channel alpha: opaque."""
-    channel = Channel(
-        ALPHA,
-        *(
-            np.full((rows, 1), ONE[ALPHA.dtype], ALPHA.dtype)
-            for rows in (texture.tree.n_cells, texture.tree.split.areas.size, texture.tree.kept.cells.size)
-        ),
-    )
-    return OctreeTexture(
-        texture.tree,
-        {**texture.channels, ALPHA.name: channel},
-        texture.placement,
-        texture.bounds,
-        texture.metadata,
-    )
+        made = _blended(part, raised, paint, layer, target, blend, opacity)
+        return made if tiles is None else put_back(texture, tiles, made)
 
 
 def blended(base: Float32s, paint: Float32s, coverage: Float32s, blend: Blend) -> Float32s:

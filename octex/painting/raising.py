@@ -13,13 +13,13 @@ from octex.channels import encode
 from octex.conversion.facings import MOST, in_codes
 from octex.conversion.fill import assemble, fill
 from octex.editing.averages import add_up_areas
+from octex.editing.draft import coarsest_near
 from octex.errors import ModelError, own_making
 from octex.painting.cells import (
     SKIRT,
     Paint,
     are_beside,
     beside_larger,
-    boundary,
     facings_within,
     is_within,
     refined_rows,
@@ -38,7 +38,7 @@ from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.texture.channel import Channel
 from octex.texture.split import bits_of, refaced, with_split
-from octex.tree.edit import Edited, Located, among, locate, raised, unchanged
+from octex.tree.edit import Edited, Located, among, boundary, locate, raised, unchanged
 from octex.tree.layout import FACING_FLAGS, KEPT
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree, distinct
@@ -65,6 +65,7 @@ class Raised(NamedTuple):
 
 def raise_texture(
     texture: OctreeTexture,
+    whole: OctreeTexture,
     layer: OctreeTexture,
     paint: list[Paint],
     surface: Surface,
@@ -74,6 +75,8 @@ def raise_texture(
     adds: bool,
 ) -> Raised:
     """Bring a texture's tree to where paint, or the boundary around it, is finer; its field does not move.
+
+    ``whole`` is the texture that ``texture`` is a draft of, or itself.
 
     Leaves above become nodes that keep their coefficients. Below them stand the cells that the surface meets,
     with what the field refines to; what it does not meet is culled. Where the texture has nothing, the
@@ -91,7 +94,7 @@ def raise_texture(
     if is_empty:
         edited = edited._replace(old=np.full_like(edited.old, -1))
     with own_making():
-        made, is_fresh = _carried(texture, edited, edited.tree, met, layer, paint)
+        made, is_fresh = _carried(texture, whole, edited, edited.tree, met, layer, paint)
     return Raised(made, edited.old, is_fresh, paint)
 
 
@@ -112,10 +115,6 @@ def _raised(
     tree = texture.tree
     none = np.empty(0, np.int64)
     shallowest = next((level for level, (leaves, _) in enumerate(tree.cells_by_depth()) if leaves), None)
-    coarsest = 0 if shallowest is None else shallowest  # of what the field is refined from
-    if tree.kept.cells.size:
-        first_kept = np.searchsorted(tree.arrays.level_cells, tree.kept.cells[0], side="right") - 1
-        coarsest = min(coarsest, int(first_kept))
     added: list[Int64s] = []
     below: list[Int64s] = []
     virtual: list[Int64s] = []  # beside paint: refined from what is above
@@ -153,6 +152,8 @@ def _raised(
     above = with_all_above(painted)
     has_absent = any(codes.size for codes in absent)
     unraised, bare = _bare(tree, paint, above, tops, met) if has_absent else ([], [])
+    first = next((level for level, codes in enumerate(painted) if codes.size), 0)
+    coarsest = coarsest_near(tree, painted, first) if has_absent else 0
     wanted: list[Int64s] = []
     skirts: list[Int64s] = []  # none lies in another
     with_skirts: list[Paint] = []
@@ -224,7 +225,7 @@ def _is_beside_old(
 ) -> npt.NDArray[np.bool_]:
     """Say which cells (n,) of a level are in or beside nodes that paint is in and whose coefficient stays.
 
-    See ``kept.on_kept``: unpainted surface is in or beside them. They are of the coarsest level there is.
+    See ``kept.on_kept``: unpainted surface is in or beside them. They are of the coarsest level there is near paint.
     """
     if not codes.size:
         return np.zeros(0, np.bool_)
@@ -275,6 +276,7 @@ def _met_cells(
 
 def _carried(
     texture: OctreeTexture,
+    whole: OctreeTexture,
     edited: Edited,
     tree: Octree,
     met: Met | None,
@@ -337,7 +339,7 @@ def _carried(
         if texture.tree.n_leaves and not is_refined.all():
             centres = (decode_cells(new_codes[~is_refined]) + 0.5) / 2**level
             points = texture.placement.to_rest(centres)
-            values.append((~is_refined, texture.sample(points, list(texture.channels), normalize=False)))
+            values.append((~is_refined, whole.sample(points, list(texture.channels), normalize=False)))
         keeps = among(cells, kept)
         kept_at = np.searchsorted(kept, cells[keeps])
         for name, channel in texture.channels.items():
@@ -349,8 +351,8 @@ def _carried(
         add_up_areas(tree, is_added, areas)
     tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
     made = {name: Channel(texture.channels[name].format, *arrays) for name, arrays in channels.items()}
-    whole = OctreeTexture(tree, made, texture.placement, texture.bounds, texture.metadata)
-    return refaced(split_below(whole, texture, edited.old)), is_fresh
+    carried = OctreeTexture(tree, made, texture.placement, texture.bounds, texture.metadata)
+    return refaced(split_below(carried, texture, edited.old)), is_fresh
 
 
 def _face(

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from octex.jit import kernel, popcount
 from octex.tree.layout import FACING_FLAGS, KEPT, MAX_DEPTH, KeptTable, SplitTable, TreeArrays
+from octex.tree.morton import cells_around
 from octex.tree.octree import Octree, distinct
 from octex.tree.search import child
 
@@ -158,6 +159,15 @@ def among(codes: Int64s, known: Int64s) -> Bools:
         return np.zeros(codes.size, np.bool_)
     found: Bools = known[np.minimum(np.searchsorted(known, codes), known.size - 1)] == codes
     return found
+
+
+def boundary(codes: Int64s, level: int) -> Int64s:
+    """Return the boundary layer of some cells of a level, ascending (paper 4.1, step 3).
+
+    These are the cells beside them, at faces, edges and corners, without themselves.
+    """
+    around = distinct(cells_around(codes, level))
+    return around[~among(around, codes)]
 
 
 def rebuilt(tree: Octree, leaves: Sequence[Int64s]) -> Edited:
