@@ -17,8 +17,8 @@ from octex.painting import raising
 from octex.painting.pictures import Blend
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.texture.split import find_rows
 from octex.tree.octree import Octree
+from octex.tree.split import find_rows
 from tests.conftest import needs_jit
 from tests.naive_edits import assert_averages
 from tests.painted import above, ball, one_color, plain, square, together

@@ -19,11 +19,11 @@ import numpy.typing as npt
 
 from octex.channels import ALPHA, ONE
 from octex.errors import ArgumentError
-from octex.texture import OctreeTexture
-from octex.texture.channel import Channel
+from octex.texture import Channel, OctreeTexture
 from octex.tree.edit import among, boundary, locate
 from octex.tree.layout import KEPT, KeptTable, SplitTable, TreeArrays
 from octex.tree.octree import Octree, distinct, rank
+from octex.tree.split import counts_of
 
 Array = npt.NDArray[Any]
 Bools = npt.NDArray[np.bool_]
@@ -50,7 +50,7 @@ class Change(NamedTuple):
     Both are textures of their own, small where the edit was.
     """
 
-    tiles: Tiles
+    tiles: Tiles | None  # None: all of the texture
     before: OctreeTexture
     after: OctreeTexture
 
@@ -70,7 +70,11 @@ class Change(NamedTuple):
         """
         if not _is_cut_from(self.before, texture, self.tiles):
             raise ArgumentError("the change was made from another texture, or from this one as it was once")
-        return put_back(texture, self.tiles, self.after)
+        return self.put_into(texture)
+
+    def put_into(self, texture: OctreeTexture) -> OctreeTexture:
+        """Return the texture from which the change was made with it."""
+        return self.after if self.tiles is None else put_back(texture, self.tiles, self.after)
 
 
 class Runs(NamedTuple):
@@ -125,7 +129,7 @@ def _brightest(texture: OctreeTexture) -> Int64s:
                 continue
             row = int(stored.argmax()) // stored.shape[1]
             if stored[row].max() > 1:
-                ends = np.cumsum(np.bitwise_count(split.facings), dtype=np.int64) if number else None
+                ends = np.cumsum(counts_of(split.facings)) if number else None
                 found.append(row if ends is None else int(split.cells[np.searchsorted(ends, row, "right")]))
     return np.array(found, np.int64)
 
@@ -198,11 +202,7 @@ def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
     cells.add(0, 0, int(tree.arrays.level_cells[level + 1]))
     nodes.add(0, 0, int(tree.arrays.level_nodes[level]))
     numbers = int(tree.arrays.level_nodes[level]) + np.flatnonzero(is_open[is_node])
-    breaks = np.flatnonzero(np.diff(numbers) != 1) + 1
-    begins = numbers[np.concatenate([[0], breaks])] if numbers.size else numbers
-    ends = numbers[np.concatenate([breaks - 1, [-1]])] + 1 if numbers.size else numbers
-    owners = np.zeros(begins.size, np.int64)
-    levels = _add_below([tree], owners, begins, ends, level, cells, nodes)
+    levels = _add_below([tree], *_runs(np.zeros_like(numbers), numbers), cells, nodes)
     made = _joined([texture], texture, level, levels, (cells, nodes), is_closed)
     return _forgetting(made, int(tree.arrays.level_cells[level]) + np.flatnonzero(is_closed))
 
@@ -226,30 +226,23 @@ def _forgetting(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
 def put_back(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> OctreeTexture:
     """Return a texture with what a draft, cut out of it and edited, has in the open tiles and above them."""
     texture = _with_channels(texture, draft)
-    level = tiles.level
-    first = texture.tree.arrays.level_cells[level], draft.tree.arrays.level_cells[level]
-    old_codes, was_node = next(islice(texture.tree.walk(), level, None))
-    codes, is_node = next(islice(draft.tree.walk(), level, None))
-    closed = old_codes[was_node & ~among(old_codes, tiles.codes)]
-    is_closed = among(codes, closed)
+    level, trees = tiles.level, (texture.tree, draft.tree)
+    (old_codes, was_node), (codes, is_node) = (next(islice(tree.walk(), level, None)) for tree in trees)
+    is_closed = among(codes, old_codes[was_node & ~among(old_codes, tiles.codes)])
+    owners = np.where(is_closed, 0, 1)
     cells, nodes = Runs.none(), Runs.none()
-    cells.add(1, 0, int(first[1]))
+    cells.add(1, 0, int(draft.tree.arrays.level_cells[level]))
     nodes.add(1, 0, int(draft.tree.arrays.level_nodes[level]))
-    # The cells of the level itself: closed ones as they were, with what they keep.
-    numbers = np.where(
-        is_closed, first[0] + np.searchsorted(old_codes, codes), first[1] + np.arange(codes.size)
-    )
-    for run in zip(*_runs(np.where(is_closed, 0, 1), numbers), strict=True):
-        cells.add(*run)
-    # Its nodes, with all below them.
-    old_nodes = int(texture.tree.arrays.level_nodes[level]) + np.cumsum(was_node) - 1
-    own_nodes = int(draft.tree.arrays.level_nodes[level]) + np.cumsum(is_node) - 1
+    old, own = (int(tree.arrays.level_cells[level]) for tree in trees)
     at = np.minimum(np.searchsorted(old_codes, codes), old_codes.size - 1)
-    numbers = np.where(is_closed, old_nodes[at], own_nodes)[is_closed | is_node]
-    runs = _runs(np.where(is_closed, 0, 1)[is_closed | is_node], numbers)
-    levels = _add_below(
-        [texture.tree, draft.tree], *(np.array(run, np.int64) for run in runs), level, cells, nodes
-    )
+    # The level itself: closed cells as they were, with what they keep.
+    for run in zip(*_runs(owners, np.where(is_closed, old + at, own + np.arange(codes.size))), strict=True):
+        cells.add(*(int(number) for number in run))
+    # Its nodes, with all below them.
+    old, own = (int(tree.arrays.level_nodes[level]) for tree in trees)
+    numbers = np.where(is_closed, old + np.cumsum(was_node)[at] - 1, own + np.cumsum(is_node) - 1)
+    has_below = is_closed | is_node
+    levels = _add_below(trees, *_runs(owners[has_below], numbers[has_below]), cells, nodes)
     return _joined([texture, draft], draft, level, levels, (cells, nodes), is_closed)
 
 
@@ -278,38 +271,50 @@ def with_alpha(texture: OctreeTexture) -> OctreeTexture:
     )
 
 
-def _is_cut_from(draft: OctreeTexture, texture: OctreeTexture, tiles: Tiles) -> bool:
-    """Say whether a draft has the cells, and the channels, of a texture's open tiles and above them."""
+def with_channels_of(draft: OctreeTexture, texture: OctreeTexture) -> OctreeTexture:
+    """Return a draft with those of its channels that a texture has."""
+    if draft.channels.keys() == texture.channels.keys():
+        return draft
+    channels = {name: draft.channels[name] for name in texture.channels}
+    return OctreeTexture(draft.tree, channels, draft.placement, draft.bounds, draft.metadata)
+
+
+def _is_cut_from(draft: OctreeTexture, texture: OctreeTexture, tiles: Tiles | None) -> bool:
+    """Say whether a draft has what a texture has in the open tiles and above them."""
     if draft.channels.keys() != texture.channels.keys() or draft.placement != texture.placement:
         return False
-    here = cut_out(texture, tiles).tree.arrays
-    return all(np.array_equal(one, other) for one, other in zip(here, draft.tree.arrays, strict=True))
+    here = texture if tiles is None else cut_out(texture, tiles)
+    return all(np.array_equal(one, own) for one, own in zip(_arrays(here), _arrays(draft), strict=True))
 
 
-def _runs(owners: Int64s, numbers: Int64s) -> tuple[list[int], list[int], list[int]]:
+def _arrays(texture: OctreeTexture) -> list[Array]:
+    """Return what a texture is made of."""
+    tree = texture.tree
+    channels = [array for name in sorted(texture.channels) for array in texture.channels[name][1:]]
+    return [*tree.arrays, *tree.split, *tree.kept, *channels]
+
+
+def _runs(owners: Int64s, numbers: Int64s) -> tuple[Int64s, Int64s, Int64s]:
     """Return runs of consecutive numbers of one owner: owners, begins, ends."""
     if not numbers.size:
-        return [], [], []
+        return owners, numbers, numbers
     breaks = np.flatnonzero((np.diff(numbers) != 1) | (np.diff(owners) != 0)) + 1
     begins = np.concatenate([[0], breaks])
     ends = np.concatenate([breaks, [numbers.size]]) - 1
-    return owners[begins].tolist(), numbers[begins].tolist(), (numbers[ends] + 1).tolist()
+    return owners[begins], numbers[begins], numbers[ends] + 1
 
 
 def _add_below(
-    trees: Sequence[Octree],
-    owners: Int64s,
-    begins: Int64s,
-    ends: Int64s,
-    level: int,
-    cells: Runs,
-    nodes: Runs,
+    trees: Sequence[Octree], owners: Int64s, begins: Int64s, ends: Int64s, cells: Runs, nodes: Runs
 ) -> list[tuple[int, int]]:
-    """Add runs of nodes of a level, and all below them; return each deeper level's cells and its nodes above."""
+    """Add runs of nodes of a level with all below them.
+
+    Returns how many cells each deeper level has, and how many nodes are above these.
+    """
     found = []
     while True:
-        for owner, begin, end in zip(owners.tolist(), begins.tolist(), ends.tolist(), strict=True):
-            nodes.add(owner, begin, end)
+        for run in zip(owners.tolist(), begins.tolist(), ends.tolist(), strict=True):
+            nodes.add(*run)
         first, last = np.zeros((2, 2, owners.size), np.int64)
         for number, tree in enumerate(trees):
             own = owners == number
@@ -319,8 +324,8 @@ def _add_below(
         found.append((count, int((ends - begins).sum())))
         if not count:
             return found
-        for owner, begin, end in zip(owners.tolist(), first[0].tolist(), last[0].tolist(), strict=True):
-            cells.add(owner, begin, end)
+        for run in zip(owners.tolist(), first[0].tolist(), last[0].tolist(), strict=True):
+            cells.add(*run)
         begins, ends = first[1], last[1]
 
 
@@ -389,7 +394,7 @@ def _parents_of(masks: npt.NDArray[np.uint8], arrays: TreeArrays, level: int) ->
 
 
 def _split_runs(trees: Sequence[Octree], cells: Runs) -> tuple[npt.NDArray[np.uint32], Runs, Runs]:
-    """Return the split cells among runs of cells, by their new numbers, and the runs of them and their rows."""
+    """Return the split cells among runs of cells, by new numbers, and the runs of them and of their rows."""
     found, runs = _listed([tree.split.cells for tree in trees], cells)
     ends = [
         np.concatenate([[0], np.cumsum(np.bitwise_count(tree.split.facings), dtype=np.int64)])
@@ -402,7 +407,7 @@ def _split_runs(trees: Sequence[Octree], cells: Runs) -> tuple[npt.NDArray[np.ui
 
 
 def _listed(tables: Sequence[npt.NDArray[np.uint32]], cells: Runs) -> tuple[npt.NDArray[np.uint32], Runs]:
-    """Return which of runs of cells are listed in tables, by their new numbers, and the runs of the tables."""
+    """Return which of runs of cells tables list, by their new numbers, and the runs of the tables."""
     owners, begins, ends = (np.array(column, np.int64) for column in cells)
     counts = ends - begins
     shifts = np.cumsum(counts) - counts - begins

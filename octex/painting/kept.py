@@ -15,10 +15,9 @@ from octex.painting.cells import (
     are_beside,
     is_within,
     paint_at,
-    with_all_above,
     with_skirt,
 )
-from octex.tree.edit import among, boundary, locate
+from octex.tree.edit import among, boundary, locate, with_all_above
 from octex.tree.layout import FACING_FLAGS
 from octex.tree.octree import Octree, distinct
 

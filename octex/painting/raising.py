@@ -10,10 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import encode
-from octex.conversion.facings import MOST, in_codes
 from octex.conversion.fill import assemble, fill
-from octex.editing.averages import add_up_areas
+from octex.editing.averages import with_summed_areas
+from octex.editing.carried import carried
 from octex.editing.draft import coarsest_near
+from octex.editing.nodes import nodes_at
+from octex.editing.refined import Below, refined_below, with_rows
+from octex.editing.split import refaced
 from octex.errors import ModelError, own_making
 from octex.painting.cells import (
     SKIRT,
@@ -22,23 +25,26 @@ from octex.painting.cells import (
     beside_larger,
     facings_within,
     is_within,
-    refined_rows,
-    refined_values,
     skirt_of,
     skirt_on_nothing,
     some,
-    with_all_above,
     with_skirt,
 )
 from octex.painting.flat import Flat
+from octex.painting.ground import Ground
 from octex.painting.kept import bare_leaves
-from octex.painting.near import touching
 from octex.parallel import Progress
-from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.texture.channel import Channel
-from octex.texture.split import bits_of, refaced, with_split
-from octex.tree.edit import Edited, Located, among, boundary, locate, raised, unchanged
+from octex.tree.edit import (
+    Edited,
+    Located,
+    among,
+    boundary,
+    locate,
+    raised,
+    unchanged,
+    with_all_above,
+)
 from octex.tree.layout import FACING_FLAGS, KEPT
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree, distinct
@@ -68,7 +74,7 @@ def raise_texture(
     whole: OctreeTexture,
     layer: OctreeTexture,
     paint: list[Paint],
-    surface: Surface,
+    ground: Ground,
     executor: Executor,
     progress: Progress,
     *,
@@ -90,7 +96,7 @@ def raise_texture(
     is_empty = texture.tree.n_leaves == 0  # its root stands for nothing
     if not adds:
         paint = [] if is_empty else [_on(texture.tree, each, level) for level, each in enumerate(paint)]
-    edited, paint, met = _raised(texture, paint, surface, executor, progress)
+    edited, paint, met = _raised(texture, paint, ground, executor, progress)
     if is_empty:
         edited = edited._replace(old=np.full_like(edited.old, -1))
     with own_making():
@@ -107,7 +113,7 @@ def _on(tree: Octree, paint: Paint, level: int) -> Paint:
 def _raised(
     texture: OctreeTexture,
     paint: list[Paint],
-    surface: Surface,
+    ground: Ground,
     executor: Executor,
     progress: Progress,
 ) -> tuple[Edited, list[Paint], Met | None]:
@@ -145,7 +151,7 @@ def _raised(
     if not tops and not any(codes.size for codes in (*added, *virtual)):
         return unchanged(tree), paint, None
     depth = max((level for level, each in enumerate(paint) if each.codes.size), default=0)
-    met = _met_cells(surface, texture, tops, depth, executor, progress)
+    met = _met_cells(ground, texture, tops, depth, executor, progress)
     # New cells of paint, and what is above them, count as met: whatever the surface says, no skirt holds any.
     new = with_all_above([np.concatenate([below[level], added[level]]) for level in range(depth + 1)])
     painted = [each.codes for each in paint]
@@ -225,7 +231,7 @@ def _is_beside_old(
 ) -> npt.NDArray[np.bool_]:
     """Say which cells (n,) of a level are in or beside nodes that paint is in and whose coefficient stays.
 
-    See ``kept.on_kept``: unpainted surface is in or beside them. They are of the coarsest level there is near paint.
+    See ``kept.on_kept``: unpainted surface is in or beside them. They are of the coarsest level near paint.
     """
     if not codes.size:
         return np.zeros(0, np.bool_)
@@ -252,7 +258,7 @@ def _above(codes: Int64s, where: Located, level: int) -> list[tuple[int, Int64s]
 
 
 def _met_cells(
-    surface: Surface,
+    ground: Ground,
     texture: OctreeTexture,
     tops: Sequence[tuple[int, Int64s]],
     depth: int,
@@ -260,11 +266,11 @@ def _met_cells(
     progress: Progress,
 ) -> Met:
     """Find the cells down to ``depth`` that the surface meets in some cells, given by level."""
-    chosen = touching(surface, tops, texture.placement) if tops else np.empty(0, np.int32)
+    chosen = ground.near(texture.placement).touching(tops) if tops else np.empty(0, np.int32)
     nothing = Met(Octree.from_leaves(np.empty(0, np.int64), 0), [np.empty(0, np.int64)] * (depth + 1))
     if not chosen.size:
         return nothing
-    part = Surface(surface.vertices, surface.triangles[chosen], Flat(), rest=surface.rest, name=surface.name)
+    part = ground.surface.part(chosen, Flat())
     channels = part.source.channels
     try:
         filled = fill(part, channels, texture.placement, depth, executor, progress, has_samples=False)
@@ -289,36 +295,19 @@ def _carried(
     take other channels from the coarser averages there.
     """
     is_fresh = np.zeros(tree.n_cells, np.bool_)
-    is_added = np.zeros(tree.n_cells, np.bool_)
     if tree is texture.tree:
         return texture, is_fresh
-    channels = {
-        name: [
-            edited.carried(channel.values),
-            channel.split_values[edited.split_rows],
-            np.zeros((tree.kept.cells.size, channel.format.components), channel.format.dtype),
-        ]
-        for name, channel in texture.channels.items()
-    }
+    values = {name: edited.carried(channel.values) for name, channel in texture.channels.items()}
     flags, areas = tree.arrays.flags.copy(), tree.arrays.areas.copy()
-    old_kept = edited.old[tree.kept.cells]
-    at = np.searchsorted(texture.tree.kept.cells, np.maximum(old_kept, 0).astype(np.uint32))
-    at = np.minimum(at, max(texture.tree.kept.cells.size - 1, 0))
-    was_kept = np.zeros(old_kept.size, np.bool_)
-    if texture.tree.kept.cells.size:
-        was_kept = (old_kept >= 0) & (texture.tree.kept.cells[at] == old_kept)
-    for name, channel in texture.channels.items():
-        kept_values = channels[name][2]
-        kept_values[was_kept] = channel.kept_values[at[was_kept]]
-        was_leaf = ~was_kept & (old_kept >= 0)
-        kept_values[was_leaf] = channel.values[old_kept[was_leaf]]
-    kept = tree.kept.cells.astype(np.int64)
+    rows: list[tuple[Int64s, Below]] = []
+    added: list[Int64s] = []
     for level, (codes, is_node) in enumerate(tree.walk()):
         first = int(tree.arrays.level_cells[level])
         new = np.flatnonzero(edited.old[first : first + codes.size] < 0)
+        cells, new_codes = first + new, codes[new]
+        added.append(new_codes[:0])
         if not new.size:
             continue
-        cells, new_codes = first + new, codes[new]
         where, inside = locate(texture.tree, new_codes, level), locate(layer.tree, new_codes, level)
         is_met = np.zeros(new.size, np.bool_)
         if met is not None and level < len(met.codes) and met.codes[level].size:
@@ -331,28 +320,30 @@ def _carried(
         flags[cells[is_bare]] |= facings_within(new_codes[is_bare], paint, level)
         areas[cells[is_bare]] = SKIRT
         is_own = is_painted & ~where.is_leaf
-        is_added[cells[is_own]] = True
+        added[-1] = new_codes[is_own]
         is_fresh[cells[~where.is_leaf & (is_own | is_node[new])]] = True
         is_kept = texture.tree.arrays.flags[where.cells] & KEPT != 0
         is_refined = where.is_leaf | is_kept | is_bare & ~is_node[new]
-        values = [(is_refined, refined_values(texture.tree, texture.channels, new_codes[is_refined], level))]
+        facings = np.where(where.is_leaf, flags[cells] & np.uint8(FACING_FLAGS), np.uint8(0))
+        below = refined_below(texture, new_codes[is_refined], level, facings[is_refined])
+        rows.append((cells[is_refined], below))
+        found = [(is_refined, below.values)]
         if texture.tree.n_leaves and not is_refined.all():
             centres = (decode_cells(new_codes[~is_refined]) + 0.5) / 2**level
             points = texture.placement.to_rest(centres)
-            values.append((~is_refined, whole.sample(points, list(texture.channels), normalize=False)))
-        keeps = among(cells, kept)
-        kept_at = np.searchsorted(kept, cells[keeps])
+            found.append((~is_refined, whole.sample(points, list(texture.channels), normalize=False)))
         for name, channel in texture.channels.items():
-            for chosen, found in values:
-                own = encode(found[name], channel.format.dtype, channel.format.space)
-                channels[name][0][cells[chosen]] = own
-            channels[name][2][kept_at] = channels[name][0][cells[keeps]]
-    if is_added.any():
-        add_up_areas(tree, is_added, areas)
+            for chosen, own in found:
+                values[name][cells[chosen]] = encode(own[name], channel.format.dtype, channel.format.space)
+    channels = carried(texture, edited, values)
     tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
-    made = {name: Channel(texture.channels[name].format, *arrays) for name, arrays in channels.items()}
-    carried = OctreeTexture(tree, made, texture.placement, texture.bounds, texture.metadata)
-    return refaced(split_below(carried, texture, edited.old)), is_fresh
+    all_carried = OctreeTexture(tree, channels, texture.placement, texture.bounds, texture.metadata)
+    made = refaced(with_rows(all_carried, rows))
+    if any(codes.size for codes in added):
+        nodes = nodes_at(made.tree, [distinct(codes >> 3) for codes in with_all_above(added)[1:]])
+        tree = with_summed_areas(made.tree, nodes)
+        made = OctreeTexture(tree, made.channels, made.placement, made.bounds, made.metadata)
+    return made, is_fresh
 
 
 def _face(
@@ -361,38 +352,3 @@ def _face(
     """Give cells the facings and areas of cells of another tree, in place."""
     flags[cells] |= tree.arrays.flags[sources] & np.uint8(FACING_FLAGS)
     areas[cells] = tree.arrays.areas[sources]
-
-
-def split_below(made: OctreeTexture, texture: OctreeTexture, old: Int64s) -> OctreeTexture:
-    """Split new cells below leaves where a facing sees something else in what the field refines to.
-
-    ``old`` (cells,) are the numbers that cells had in ``texture``; negative ones are new.
-    """
-    tree, forms = made.tree, {name: channel.format for name, channel in made.channels.items()}
-    found = [(np.empty(0, np.int64), np.empty(0, np.uint8))]
-    rows: dict[str, list[npt.NDArray[np.generic]]] = {
-        name: [channel.split_values[:0]] for name, channel in made.channels.items()
-    }
-    for level, (codes, _) in enumerate(tree.walk()):
-        first = int(tree.arrays.level_cells[level])
-        facings = tree.arrays.flags[first : first + codes.size] & np.uint8(FACING_FLAGS)
-        new = np.flatnonzero((old[first : first + codes.size] < 0) & (facings != 0))
-        new = new[locate(texture.tree, codes[new], level).is_leaf]
-        if not new.size:
-            continue
-        facings = facings[new]
-        owners, bits = np.repeat(np.arange(new.size), np.bitwise_count(facings)), bits_of(facings)
-        is_split = np.zeros(new.size, np.bool_)
-        stored = {}
-        for name, values in refined_rows(texture, codes[new], level, owners, bits).items():
-            stored[name] = encode(values, forms[name].dtype, forms[name].space)
-            whole = made.channels[name].values[first + new[owners]]
-            apart = in_codes(stored[name], forms[name]) - in_codes(whole, forms[name])
-            is_split[owners[(np.abs(apart) > MOST).any(axis=1)]] = True
-        found.append((first + new[is_split], facings[is_split]))
-        for name, own in stored.items():
-            rows[name].append(own[is_split[owners]])
-    cells, facings = (np.concatenate(column) for column in zip(*found, strict=True))
-    if not cells.size:
-        return made
-    return with_split(made, cells, facings, {name: np.concatenate(each) for name, each in rows.items()})

@@ -14,7 +14,8 @@ from octex.conversion.adapt import adapted
 from octex.conversion.fill import assemble, fill
 from octex.conversion.gaps import without_gaps
 from octex.conversion.sides import fitters
-from octex.painting.near import around
+from octex.editing.split import refaced
+from octex.painting.ground import Ground
 from octex.painting.samples import with_centres
 from octex.painting.source import PaintSource
 from octex.parallel import Progress
@@ -22,7 +23,6 @@ from octex.source.separation import SEPARATION
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.texture.channel import Channel
-from octex.texture.split import refaced
 from octex.tree.layout import MAX_DEPTH
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -51,7 +51,7 @@ def wanted_depth(source: PaintSource, size: float) -> int:
 
 
 def rasterize_paint(
-    surface: Surface,
+    ground: Ground,
     source: PaintSource,
     placement: Placement,
     depth: int,
@@ -67,11 +67,12 @@ def rasterize_paint(
     paint is on has no cells. With ``fit`` leaves hold what brings the field nearest to the paint, as in a
     conversion.
     """
+    surface = ground.surface
     nothing = empty_texture(source.channels, placement, surface.bounds)
     touched = source.touched()
     if not touched.size:
         return nothing
-    chosen = around(surface, touched, placement, depth)
+    chosen = ground.near(placement).around(touched, depth)
     here = source.on(chosen)
     part = surface.part(chosen, here)
     filled = fill(

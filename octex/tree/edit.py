@@ -12,10 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.jit import kernel, popcount
-from octex.tree.layout import FACING_FLAGS, KEPT, MAX_DEPTH, KeptTable, SplitTable, TreeArrays
+from octex.tree.layout import FACING_FLAGS, KEPT, MAX_DEPTH, KeptTable, TreeArrays
 from octex.tree.morton import cells_around
 from octex.tree.octree import Octree, distinct
 from octex.tree.search import child
+from octex.tree.split import taken
 
 Int64s = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
@@ -170,6 +171,16 @@ def boundary(codes: Int64s, level: int) -> Int64s:
     return around[~among(around, codes)]
 
 
+def with_all_above(codes: Sequence[Int64s]) -> list[Int64s]:
+    """Return cells, given level by level, with all cells above them; ascending."""
+    found = []
+    above = np.empty(0, np.int64)
+    for own in reversed(codes):
+        found.append(distinct(np.concatenate([own, above])))
+        above = found[-1] >> 3
+    return found[::-1]
+
+
 def rebuilt(tree: Octree, leaves: Sequence[Int64s]) -> Edited:
     """Build a tree of other leaves, ascending Morton codes for each level, and carry over what it shares."""
     built = Octree.from_levels(leaves)
@@ -187,15 +198,9 @@ def rebuilt(tree: Octree, leaves: Sequence[Int64s]) -> Edited:
     flags[there & ~is_node] &= np.uint8(0xFF ^ KEPT)
     new = np.full(n_old, -1, np.int64)
     new[old[there]] = np.flatnonzero(there)
-    split_cells = new[tree.split.cells]
-    rows = np.repeat(split_cells >= 0, np.bitwise_count(tree.split.facings & np.uint8(FACING_FLAGS)))
+    split, rows = taken(tree.split, new[tree.split.cells])
     kept_cells = new[tree.kept.cells]
     kept_rows = (kept_cells >= 0) & is_node[kept_cells]
-    split = SplitTable(
-        split_cells[split_cells >= 0].astype(np.uint32),
-        tree.split.facings[split_cells >= 0],
-        tree.split.areas[rows],
-    )
     kept = KeptTable(kept_cells[kept_rows].astype(np.uint32))
     return Edited(built.with_cell_data(flags, areas, split, kept), old, rows, kept_rows)
 
