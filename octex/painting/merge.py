@@ -40,6 +40,10 @@ Float32s = npt.NDArray[np.float32]
 Float64s = npt.NDArray[np.float64]
 
 
+#: Paint of this coverage or more hides what is below: less than half a step of 8 bits shows through.
+_HIDING = 1.0 - 1.0 / 512.0
+
+
 def merge(
     texture: OctreeTexture,
     layer: OctreeTexture,
@@ -121,8 +125,10 @@ def merged(
         )
     tiles = tiles_around(texture, [each.codes for each in paint])
     part = texture if tiles is None else cut_out(texture, tiles)
-    adds = blend != "erase"
-    raised = raise_texture(part, texture, layer, paint, ground, executor, report, adds=adds)
+    raised = raise_texture(
+        part, texture, layer, paint, ground, executor, report,
+        adds=blend != "erase", hiding=_hiding(texture, target, blend),
+    )  # fmt: skip
     if not any(each.codes.size for each in raised.paint):
         return None
     with own_making():
@@ -130,6 +136,14 @@ def merged(
         paint = with_old_skirts(raised.texture.tree, paint)
         made = _blended(part, raised, paint, layer, target, blend, opacity)
     return Change(tiles, with_channels_of(part, given), made)
+
+
+def _hiding(texture: OctreeTexture, target: str, blend: Blend) -> float:
+    """Return the coverage from which on paint leaves nothing of what a texture had, of any channel."""
+    changed = {target, ALPHA.name} if blend == "over" else {target}
+    if blend not in ("over", "erase", "replace") or not changed >= texture.channels.keys():
+        return np.inf
+    return 0.0 if blend == "replace" else _HIDING
 
 
 def blended(base: Float32s, paint: Float32s, coverage: Float32s, blend: Blend) -> Float32s:

@@ -79,6 +79,7 @@ def raise_texture(
     progress: Progress,
     *,
     adds: bool,
+    hiding: float,
 ) -> Raised:
     """Bring a texture's tree to where paint, or the boundary around it, is finer; its field does not move.
 
@@ -89,14 +90,15 @@ def raise_texture(
     layer's cells are added, without values, if it ``adds``; else the paint there is dropped.
 
     Paint below what was a leaf gets a skirt: cells off the surface beside it, which would else be refined
-    from the coefficients kept, and show through.
+    from the coefficients kept, and show through. Leaves that have nothing but paint around them, all of which
+    leaves nothing of what was there, for its coverage is ``hiding`` or more, keep none: they need no skirt.
 
     All cells of the paint that is returned are cells of the texture, and none lies in another.
     """
     is_empty = texture.tree.n_leaves == 0  # its root stands for nothing
     if not adds:
         paint = [] if is_empty else [_on(texture.tree, each, level) for level, each in enumerate(paint)]
-    edited, paint, met = _raised(texture, paint, ground, executor, progress)
+    edited, paint, met = _raised(texture, paint, ground, hiding, executor, progress)
     if is_empty:
         edited = edited._replace(old=np.full_like(edited.old, -1))
     with own_making():
@@ -114,6 +116,7 @@ def _raised(
     texture: OctreeTexture,
     paint: list[Paint],
     ground: Ground,
+    hiding: float,
     executor: Executor,
     progress: Progress,
 ) -> tuple[Edited, list[Paint], Met | None]:
@@ -157,7 +160,9 @@ def _raised(
     painted = [each.codes for each in paint]
     above = with_all_above(painted)
     has_absent = any(codes.size for codes in absent)
-    unraised, bare = _bare(tree, paint, above, tops, met) if has_absent else ([], [])
+    hides = bool(tops) and any((each.coverage >= hiding).any() for each in paint)
+    unraised, bare = _bare(tree, paint, above, tops, met) if has_absent or hides else ([], [])
+    freed = _freed(tree, paint, tops, bare, hiding) if hides else []
     first = next((level for level, codes in enumerate(painted) if codes.size), 0)
     coarsest = coarsest_near(tree, painted, first) if has_absent else 0
     wanted: list[Int64s] = []
@@ -167,6 +172,7 @@ def _raised(
         surface_cells = distinct(np.concatenate([met.codes[level], new[level]]))
         is_met = among(virtual[level], surface_cells)
         raised_ring, outer = virtual[level][is_met], virtual[level][~is_met]
+        outer = outer[~is_within(outer, freed, level)]
         ring = np.sort(np.concatenate([raised_ring, rings[level]]))
         if (outer.size or absent[level].size) and level <= tree.max_depth:
             surface_cells = distinct(np.concatenate([surface_cells, _facing_cells(tree, level)]))
@@ -193,7 +199,7 @@ def _raised(
     kinds = met.codes, new, with_all_above(skirts)
     stored = [distinct(np.concatenate(each)) for each in zip(*kinds, strict=True)]
     with own_making():
-        return raised(tree, wanted, stored, added), with_skirts, met
+        return raised(tree, wanted, stored, added, freed), with_skirts, met
 
 
 def _bare(
@@ -224,6 +230,39 @@ def _bare(
         is_bare[there] = facings & ~own != 0
         bare[level] = distinct(np.concatenate([bare[level], inside[is_bare]]))
     return unraised, bare
+
+
+def _freed(
+    tree: Octree,
+    paint: Sequence[Paint],
+    tops: Sequence[tuple[int, Int64s]],
+    bare: Sequence[Int64s],
+    hiding: float,
+) -> list[Int64s]:
+    """Return those of the leaves that are raised, ``tops``, that need keep nothing, by level.
+
+    Two of their own size around them there is no kept node, no ``bare`` surface and no paint through which
+    something shows: no cell off the surface below them is refined from what was there.
+    """
+    levels = range(max(len(bare), len(paint)))
+    old = [[np.empty(0, np.int64)] for _ in levels]
+    for level, own in enumerate(bare):
+        old[level].append(own)
+    for level, each in enumerate(paint):
+        old[level].append(each.codes[each.coverage < hiding])
+    ends = np.searchsorted(tree.kept.cells, tree.arrays.level_cells)
+    for level in range(tree.max_depth + 1 if tree.kept.cells.size else 0):
+        kept = tree.kept.cells[ends[level] : ends[level + 1]].astype(np.int64)
+        if kept.size:
+            old[level].append(tree.level_codes(level)[kept - tree.arrays.level_cells[level]])
+    shown = [distinct(np.concatenate(own)) for own in old]
+    freed = []
+    for level in levels:
+        codes = distinct(np.concatenate([np.empty(0, np.int64), *(own for at, own in tops if at == level)]))
+        near = distinct(np.concatenate([codes, boundary(codes, level)]))
+        near = near[are_beside(near, shown, level)] if codes.size else near
+        freed.append(codes[~among(codes, near) & ~among(codes, boundary(near, level))])
+    return freed
 
 
 def _is_beside_old(
