@@ -93,23 +93,26 @@ def residuals(
     for here in by_level(tree, nodes):
         cells = nodes.cells[here]
         means = child_means(tree, nodes.numbers[here], channel.values, form.space, alpha)
-        found[here] = _apart(form, channel.values[cells], means, cells, change)
+        _keep_apart(form, channel.values[cells], means, cells, change, found[here])
     of_rows = np.zeros((rows_of(tree.split, nodes.cells).rows.size, form.components))
     for here, rows, owners in rows_by_level(tree, nodes):
         means, has = _row_means(texture, channel, rows, owners)
         stored = channel.split_values[rows.rows[has]]
-        of_rows[here][has] = _apart(form, stored, means[has], rows.cells[has], change)
+        own = np.zeros((stored.shape[0], form.components))
+        _keep_apart(form, stored, means[has], rows.cells[has], change, own)
+        of_rows[here][has] = own
     return Residuals(found, of_rows)
 
 
-def _apart(form: ChannelFormat, stored: Array, means: Float64s, cells: Int64s, change: Change) -> Float64s:
-    """Return the residuals of what is stored in cells (n, components), changed."""
-    found = np.zeros(means.shape)
-    apart = (encode(means, form.dtype, form.space) != stored).any(axis=1)
-    if apart.any():
+def _keep_apart(
+    form: ChannelFormat, stored: Array, means: Float64s, cells: Int64s, change: Change, found: Floats
+) -> None:
+    """Write the residuals of what is stored in cells (n, components), changed, where they are not zeros."""
+    differs = encode(means, form.dtype, form.space) != stored
+    if differs.any():
+        apart = np.logical_or.reduce(list(differs.T))  # twice as fast as along an axis of three
         values = decode(stored[apart], form.space).astype(np.float64)
         found[apart] = change(cells[apart], values, means[apart])
-    return found
 
 
 def residuals_at(texture: OctreeTexture, name: str, places: Nodes, owners: Int64s, bits: Uint8s) -> Residuals:
@@ -182,6 +185,8 @@ def limits_of(channel: Channel) -> tuple[float, float]:
 
 def with_residuals(limits: tuple[float, float], means: Float64s, left: Floats) -> Float64s:
     """Add residuals to means (n, components), decoded; they leave no value out of limits that it was in."""
+    if not left.any():
+        return means
     low, high = limits
     limited = np.clip(means + left, np.minimum(means, low), np.maximum(means, high))
     return np.asarray(limited, np.float64)

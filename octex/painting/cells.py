@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree, distinct
 from octex.tree.split import rows_of
 
+Bools = npt.NDArray[np.bool_]
 Int64s = npt.NDArray[np.int64]
 Float32s = npt.NDArray[np.float32]
 
@@ -87,7 +88,7 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
     name = painted_channel(layer)
     found = list(paint)
     while len(found) <= tree.max_depth:
-        found.append(_no_paint(layer.channels[name].format.components))
+        found.append(some(paint[0], slice(0)))
     if all(locate(tree, each.codes, level).is_leaf.all() for level, each in enumerate(paint)):
         return found
     walk = list(tree.walk())
@@ -115,7 +116,7 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
     return found
 
 
-def is_within(codes: Int64s, cells: Sequence[Int64s], level: int) -> npt.NDArray[np.bool_]:
+def is_within(codes: Int64s, cells: Sequence[Int64s], level: int) -> Bools:
     """Say which cells of a level are among others, given level by level, or lie in larger ones of them."""
     found = np.zeros(codes.size, np.bool_)
     for above, own in enumerate(cells[: level + 1]):
@@ -123,7 +124,7 @@ def is_within(codes: Int64s, cells: Sequence[Int64s], level: int) -> npt.NDArray
     return found
 
 
-def are_beside(codes: Int64s, leaves: Sequence[Int64s], level: int) -> npt.NDArray[np.bool_]:
+def are_beside(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
     """Say which cells (n,) of a level have some of leaves, given by level, in or beside them."""
     near = distinct(np.concatenate([codes, boundary(codes, level)]))
     below = np.empty(0, np.int64)
@@ -134,7 +135,7 @@ def are_beside(codes: Int64s, leaves: Sequence[Int64s], level: int) -> npt.NDArr
     return among(codes, taken) | among(codes, boundary(taken, level))
 
 
-def among_at(codes: Int64s, level: int, others: Int64s, at: int) -> npt.NDArray[np.bool_]:
+def among_at(codes: Int64s, level: int, others: Int64s, at: int) -> Bools:
     """Say which cells of a level lie in, or hold, others of level ``at``."""
     if level < at:
         return among(codes, distinct(others >> 3 * (at - level)))
@@ -151,13 +152,19 @@ def facings_within(codes: Int64s, paint: Sequence[Paint], level: int) -> npt.NDA
     return found
 
 
-def beside_larger(codes: Int64s, tree: Octree, level: int) -> npt.NDArray[np.bool_]:
-    """Say which cells (n,) of a level are beside leaves of a tree that are larger."""
-    found = np.zeros(codes.size, np.bool_)
+def _each_beside(codes: Int64s, level: int) -> Iterator[tuple[Bools, Int64s]]:
+    """Yield, for each of 26 directions, whether a cell is beside cells (n,) of a level, and its code."""
     for step in _AROUND if codes.size else ():
         cells = decode_cells(codes) + step
         inside = ((cells >= 0) & (cells < 1 << level)).all(axis=1)
-        where = locate(tree, encode_cells(np.where(inside[:, None], cells, 0)), level)
+        yield inside, encode_cells(np.where(inside[:, None], cells, 0))
+
+
+def beside_larger(codes: Int64s, tree: Octree, level: int) -> Bools:
+    """Say which cells (n,) of a level are beside leaves of a tree that are larger."""
+    found = np.zeros(codes.size, np.bool_)
+    for inside, beside in _each_beside(codes, level):
+        where = locate(tree, beside, level)
         found |= inside & where.is_leaf & (where.levels < level)
     return found
 
@@ -165,10 +172,7 @@ def beside_larger(codes: Int64s, tree: Octree, level: int) -> npt.NDArray[np.boo
 def skirt_of(outer: Int64s, painted: Sequence[Int64s], ring: Int64s, met: Int64s, level: int) -> Int64s:
     """Return those cells beside paint, off the surface, that nothing but paint and its boundary is beside."""
     free = np.ones(outer.size, np.bool_)
-    for step in _AROUND:
-        cells = decode_cells(outer) + step
-        inside = ((cells >= 0) & (cells < 1 << level)).all(axis=1)
-        codes = encode_cells(np.where(inside[:, None], cells, 0))
+    for inside, codes in _each_beside(outer, level):
         free &= ~inside | among(codes, ring) | is_within(codes, painted, level) | ~among(codes, met)
     return outer[free]
 
@@ -233,10 +237,7 @@ def with_skirt(paint: Paint, skirt: Int64s, level: int, beside: Paint | None = N
     coverage, count = np.zeros(skirt.size), np.zeros(skirt.size)
     cells = np.zeros(skirt.size, np.int64)
     facings = np.zeros(skirt.size, np.uint8)
-    for step in _AROUND:
-        around = decode_cells(skirt) + step
-        inside = ((around >= 0) & (around < 1 << level)).all(axis=1)
-        codes = encode_cells(np.where(inside[:, None], around, 0))
+    for inside, codes in _each_beside(skirt, level):
         at = np.minimum(np.searchsorted(beside.codes, codes), beside.codes.size - 1)
         hit = inside & (beside.codes[at] == codes)
         values[hit] += (beside.values * beside.coverage[:, None])[at[hit]]
@@ -250,31 +251,16 @@ def with_skirt(paint: Paint, skirt: Int64s, level: int, beside: Paint | None = N
     return _joined(paint, extra)
 
 
-def _no_paint(components: int) -> Paint:
-    return Paint(
-        np.empty(0, np.int64),
-        np.empty((0, components), np.float32),
-        np.empty(0, np.float32),
-        np.empty(0, np.int64),
-        np.empty(0, np.uint8),
-    )
-
-
-def some(paint: Paint, chosen: npt.NDArray[np.bool_]) -> Paint:
+def some(paint: Paint, chosen: Bools | slice) -> Paint:
     """Return the paint on some of the cells."""
     codes, values, coverage, cells, facings = paint
     return Paint(codes[chosen], values[chosen], coverage[chosen], cells[chosen], facings[chosen])
 
 
-def _joined(one: Paint, other: Paint) -> Paint:
-    order = np.argsort(np.concatenate([one.codes, other.codes]), kind="stable")
-    return Paint(
-        np.concatenate([one.codes, other.codes])[order],
-        np.concatenate([one.values, other.values])[order],
-        np.concatenate([one.coverage, other.coverage])[order],
-        np.concatenate([one.cells, other.cells])[order],
-        np.concatenate([one.facings, other.facings])[order],
-    )
+def _joined(*parts: Paint) -> Paint:
+    codes, *columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.argsort(codes, kind="stable")
+    return Paint(codes[order], *(column[order] for column in columns))
 
 
 def _refined_paint(

@@ -133,7 +133,7 @@ def merged(
         return None
     with own_making():
         paint = refine_paint(raised.paint, layer, raised.texture.tree, opacity)
-        paint = with_old_skirts(raised.texture.tree, paint)
+        paint = with_old_skirts(raised.texture.tree, paint, raised.is_skirt)
         made = _blended(part, raised, paint, layer, target, blend, opacity)
     return Change(tiles, with_channels_of(part, given), made)
 
@@ -227,7 +227,7 @@ def _blended(
         parts[name] = Channel(form, *(np.zeros((count, 1), np.float32) for count in counts))
         channels[name].values[cells] = encode(new, form.dtype, form.space)
         parts[name].values[cells, 0] = part
-    kept = on_kept(tree, paint)
+    kept = on_kept(tree, paint, raised.is_skirt)
     if kept.rows.size:
         old = {
             name: decode(own.kept_values[kept.rows], own.format.space)

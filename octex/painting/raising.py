@@ -14,7 +14,7 @@ from octex.conversion.fill import assemble, fill
 from octex.editing.averages import with_summed_areas
 from octex.editing.carried import carried
 from octex.editing.draft import coarsest_near
-from octex.editing.nodes import nodes_at
+from octex.editing.nodes import all_children, nodes_at
 from octex.editing.refined import Below, refined_below, with_rows
 from octex.editing.split import refaced
 from octex.errors import ModelError, own_making
@@ -67,6 +67,7 @@ class Raised(NamedTuple):
     old: Int64s  # (cells,)   each cell's number in the texture as it was; −1: it was not there
     is_fresh: Bools  # (cells,)   where the texture had nothing
     paint: list[Paint]  # with skirts
+    is_skirt: Bools  # (cells,)   leaves that no surface is in
 
 
 def raise_texture(
@@ -98,12 +99,52 @@ def raise_texture(
     is_empty = texture.tree.n_leaves == 0  # its root stands for nothing
     if not adds:
         paint = [] if is_empty else [_on(texture.tree, each, level) for level, each in enumerate(paint)]
-    edited, paint, met = _raised(texture, paint, ground, hiding, executor, progress)
+    is_skirt = _skirts(texture, paint, ground, executor, progress)
+    edited, paint, met = _raised(texture, is_skirt, paint, ground, hiding, executor, progress)
     if is_empty:
         edited = edited._replace(old=np.full_like(edited.old, -1))
     with own_making():
         made, is_fresh = _carried(texture, whole, edited, edited.tree, met, layer, paint)
-    return Raised(made, edited.old, is_fresh, paint)
+    is_skirt = edited.carried(is_skirt) | (made.tree.arrays.areas == SKIRT)
+    return Raised(made, edited.old, is_fresh, paint, is_skirt)
+
+
+def _skirts(
+    texture: OctreeTexture, paint: Sequence[Paint], ground: Ground, executor: Executor, progress: Progress
+) -> Bools:
+    """Say which leaves (cells,) no surface is in: skirts, and, near paint, cells that ``resize`` has made.
+
+    These are more than half of the cells of a node, all alike. Near is what is in or beside nodes that paint
+    is in and that keep a coefficient; see `kept.on_kept`.
+    """
+    tree = texture.tree
+    is_skirt: Bools = tree.arrays.areas == SKIRT
+    codes = np.empty(0, np.int64)
+    doubted: list[tuple[int, Int64s]] = []
+    for level, above in enumerate(with_all_above([each.codes for each in paint])[: tree.max_depth]):
+        where = nodes_at(tree, [*[codes[:0]] * level, above])
+        kept = above[(where.numbers >= 0) & (tree.arrays.flags[where.cells] & KEPT != 0)]
+        codes = distinct(np.concatenate([codes, kept, boundary(kept, level)]))
+        where = nodes_at(tree, [*[codes[:0]] * level, codes])
+        numbers = where.numbers[where.numbers >= 0]
+        codes = (codes[where.numbers >= 0, None] << 3 | np.arange(8)).reshape(-1)
+        found = locate(tree, codes, level + 1)
+        codes, found = codes[found.levels == level + 1], found.of(found.levels == level + 1)
+        if not codes.size:
+            continue
+        children, starts = all_children(tree, numbers)
+        looks = tree.arrays.areas[children].astype(np.int64) << 8 | tree.arrays.flags[children] & FACING_FLAGS
+        counts = np.diff(starts, append=children.size)
+        is_filled = np.minimum.reduceat(looks, starts) == np.maximum.reduceat(looks, starts)
+        is_filled = np.repeat(is_filled & (counts > 4), counts) & found.is_leaf & ~is_skirt[found.cells]
+        if is_filled.any():
+            doubted.append((level + 1, codes[is_filled]))
+    if doubted:
+        met = _met_cells(ground, texture, doubted, doubted[-1][0], executor, progress)
+        for level, own in doubted:
+            off = own[~among(own, met.codes[level])]
+            is_skirt[locate(tree, off, level).cells] = True
+    return is_skirt
 
 
 def _on(tree: Octree, paint: Paint, level: int) -> Paint:
@@ -114,6 +155,7 @@ def _on(tree: Octree, paint: Paint, level: int) -> Paint:
 
 def _raised(
     texture: OctreeTexture,
+    is_skirt: Bools,
     paint: list[Paint],
     ground: Ground,
     hiding: float,
@@ -143,10 +185,10 @@ def _raised(
             around = boundary(each.codes, level)
             where = locate(tree, around, level)
             flags = tree.arrays.flags[where.cells]
-            is_skirt = where.is_leaf & (tree.arrays.areas[where.cells] == SKIRT)  # see kept.with_old_skirts
-            is_refined = (where.levels < level) & (where.is_leaf | (flags & KEPT != 0)) & ~is_skirt
+            is_old = where.is_leaf & is_skirt[where.cells]  # see kept.with_old_skirts
+            is_refined = (where.levels < level) & (where.is_leaf | (flags & KEPT != 0)) & ~is_old
             virtual[-1] = around[is_refined]
-            rings[-1] = around[(where.levels == level) & ~is_skirt]
+            rings[-1] = around[(where.levels == level) & ~is_old]
             is_absent = (where.levels < level - 1) & ~where.is_leaf & (flags & KEPT == 0)
             absent[-1] = around[is_absent & among(around, boundary(below[-1], level))]
             is_below = is_refined & where.is_leaf
@@ -161,7 +203,7 @@ def _raised(
     above = with_all_above(painted)
     has_absent = any(codes.size for codes in absent)
     hides = bool(tops) and any((each.coverage >= hiding).any() for each in paint)
-    unraised, bare = _bare(tree, paint, above, tops, met) if has_absent or hides else ([], [])
+    unraised, bare = _bare(tree, is_skirt, paint, above, tops, met) if has_absent or hides else ([], [])
     freed = _freed(tree, paint, tops, bare, hiding) if hides else []
     first = next((level for level, codes in enumerate(painted) if codes.size), 0)
     coarsest = coarsest_near(tree, painted, first) if has_absent else 0
@@ -175,7 +217,7 @@ def _raised(
         outer = outer[~is_within(outer, freed, level)]
         ring = np.sort(np.concatenate([raised_ring, rings[level]]))
         if (outer.size or absent[level].size) and level <= tree.max_depth:
-            surface_cells = distinct(np.concatenate([surface_cells, _facing_cells(tree, level)]))
+            surface_cells = distinct(np.concatenate([surface_cells, _facing_cells(tree, is_skirt, level)]))
         skirt = skirt_of(outer, painted, ring, surface_cells, level)
         extra = [none]
         here = absent[level][_is_beside_old(absent[level], level, above, bare, coarsest)]
@@ -204,6 +246,7 @@ def _raised(
 
 def _bare(
     tree: Octree,
+    is_skirt: Bools,
     paint: Sequence[Paint],
     above: Sequence[Int64s],
     tops: Sequence[tuple[int, Int64s]],
@@ -218,7 +261,9 @@ def _bare(
         distinct(np.concatenate([np.empty(0, np.int64), *(own for at, own in tops if at == level)]))
         for level in range(max(tree.max_depth + 1, len(met.codes)))
     ]
-    unraised = [own[~among(own, split[level])] for level, own in enumerate(bare_leaves(tree, paint))]
+    unraised = [
+        own[~among(own, split[level])] for level, own in enumerate(bare_leaves(tree, paint, is_skirt))
+    ]
     bare = [*unraised, *[np.empty(0, np.int64)] * (len(met.codes) - len(unraised))]
     for level, codes in enumerate(met.codes):
         inside = codes[is_within(codes >> 3, split[:level], level - 1)] if level else codes[:0]
@@ -281,10 +326,10 @@ def _is_beside_old(
     return among(cells, old) | among(cells, boundary(old, coarsest))
 
 
-def _facing_cells(tree: Octree, level: int) -> Int64s:
+def _facing_cells(tree: Octree, is_skirt: Bools, level: int) -> Int64s:
     """Return the Morton codes of a level's cells that a surface is in."""
     first, end = tree.arrays.level_cells[level : level + 2]
-    codes: Int64s = tree.level_codes(level)[tree.arrays.areas[first:end] != SKIRT]
+    codes: Int64s = tree.level_codes(level)[~is_skirt[first:end]]
     return codes
 
 

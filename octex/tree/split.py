@@ -44,9 +44,11 @@ def counts_of(facings: Uint8s) -> Int64s:
 def rows_of(split: SplitTable, cells: Int64s | None = None) -> Rows:
     """Return all rows, or those of some cells, ascending, whether they are split or not."""
     chosen = np.arange(split.cells.size)
-    if cells is not None and split.cells.size:
-        chosen = np.searchsorted(split.cells, cells.astype(np.uint32))
-        chosen = chosen[split.cells[np.minimum(chosen, split.cells.size - 1)] == cells]
+    if cells is not None:
+        own = split.cells.astype(np.int64)
+        few, many = (own, cells) if own.size < cells.size else (cells, own)
+        shared = few[many[np.minimum(np.searchsorted(many, few), many.size - 1)] == few] if few.size else few
+        chosen = np.searchsorted(own, shared)
     counts = counts_of(split.facings)
     firsts, own = (np.cumsum(counts) - counts)[chosen], counts[chosen]
     rows = np.repeat(firsts - (np.cumsum(own) - own), own) + np.arange(own.sum())
