@@ -18,7 +18,7 @@ from octex.painting.ground import Ground
 from octex.painting.merge import merged
 from octex.painting.pictures import Projection, check_projections, levels_of
 from octex.painting.projected import Projected, in_fixed_order, shot_of, terms_of
-from octex.painting.rasterize import empty_texture, rasterize_paint, wanted_depth
+from octex.painting.rasterize import CELLS, FINEST_CELLS, empty_texture, rasterize_paint, wanted_depth
 from octex.parallel import Progress, as_progress, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
@@ -56,8 +56,8 @@ def paint(
                  averaged, the finer one outweighing the coarser, and then merged once; their order does not
                  matter
     channel      what is painted, of any type; colours are blended in linear light
-    max_depth    the deepest level that paint goes to; by default that at which its cells are half as wide as
-                 the pixels, or 14
+    max_depth    the deepest level that paint goes to, at most that of cells a quarter to half as wide as the
+                 pixels; by default that at which they are half as wide to as wide as the pixels, or 14
     max_angle    degrees between the surface's normal and the way to the camera from which on no paint is
                  put; over the last 10 it fades. From 90 on all that faces the camera is painted in full.
                  The normal is the surface's own where it has ``frames``, else the mean of the triangles
@@ -202,8 +202,10 @@ def projected(
     source = Projected(shots, form, terms, *mesh, ground.stretches, shading=ground.shading)
     extent = float(np.ptp(surface.bounds, axis=0).max())
     size = like.placement.size if like is not None else extent
-    finest = wanted_depth(source.near_paint(_REACH), size)
-    depth = min(finest, deepest)
+    cells = CELLS if max_depth is None else FINEST_CELLS
+    near = source.near_paint(_REACH)
+    finest = wanted_depth(near, size, FINEST_CELLS)
+    depth = min(wanted_depth(near, size, cells), deepest)
     # Larger cells look farther around: by as many pixels as they are wide, and those of the level read.
     source = source.near_paint(_REACH << max(finest - depth, 0))
     placement = Placement.around(surface.bounds, depth) if like is None else like.placement
@@ -211,7 +213,9 @@ def projected(
         check_inside(surface, placement)
     if balance and len(shots) > 1:
         source = source.with_gains(balanced(source, surface))
-    return rasterize_paint(ground, source, placement, depth, fit=fit, executor=executor, progress=report)
+    return rasterize_paint(
+        ground, source, placement, depth, fit=fit, cells=cells, executor=executor, progress=report
+    )
 
 
 def format_of(texture: OctreeTexture | None, channel: str) -> ChannelFormat:
