@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from octex.painting.merge import merge as merge
     from octex.painting.paint import paint as paint
     from octex.painting.paint import project as project
+    from octex.painting.painter import Painter as Painter
     from octex.painting.pictures import Projection as Projection
     from octex.painting.region import Box as Box
     from octex.painting.region import Sphere as Sphere
@@ -86,6 +87,7 @@ _HOMES = {
     "MappedImage": ("octex.source.mapped", "MappedImage"),
     "OctexError": ("octex.errors", "OctexError"),
     "OctreeTexture": ("octex.texture", "OctreeTexture"),
+    "Painter": ("octex.painting.painter", "Painter"),
     "PointCloud": ("octex.source.cloud", "PointCloud"),
     "Projection": ("octex.painting.pictures", "Projection"),
     "Sphere": ("octex.painting.region", "Sphere"),

@@ -46,7 +46,17 @@ FORBIDDEN = {"source": STORED, "view": STORED, "editing": MADE, "processing": MA
 EXCEPTIONS = {("checks", "octex.tree.layout")}
 
 EXPORTED = [
-    *["Box", "Camera", "MappedImage", "OctexError", "OctreeTexture", "PointCloud", "Projection", "Sphere"],
+    *[
+        "Box",
+        "Camera",
+        "MappedImage",
+        "OctexError",
+        "OctreeTexture",
+        "Painter",
+        "PointCloud",
+        "Projection",
+        "Sphere",
+    ],
     *["Surface", "TextureSet", "Transfer", "__version__", "blur", "cast", "combine", "convert"],
     *[
         "convert_set",

@@ -12,7 +12,7 @@ from octex.channels import ALPHA, ChannelFormat, decode
 from octex.editing.refined import refined_values
 from octex.errors import ArgumentError
 from octex.texture import OctreeTexture
-from octex.tree.edit import among, locate
+from octex.tree.edit import among, boundary, locate
 from octex.tree.layout import FACING_FLAGS
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree, distinct
@@ -25,8 +25,6 @@ Float32s = npt.NDArray[np.float32]
 _AROUND = np.array([[x, y, z] for z in (-1, 0, 1) for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y or z])
 #: The area that skirts have, the least there is: in averages they weigh next to nothing.
 SKIRT = np.uint8(1)
-#: Cells whose neighbours are listed at once.
-_BLOCK = 1 << 16
 
 
 class Paint(NamedTuple):
@@ -116,20 +114,6 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
                 finer = Paint(leaves, values, coverage, cells[owners], facings[owners])
                 found[deeper] = _joined(found[deeper], finer)
     return found
-
-
-def boundary(codes: Int64s, level: int) -> Int64s:
-    """Return the boundary layer of some cells of a level, ascending (paper 4.1, step 3).
-
-    These are the cells beside them, at faces, edges and corners, without themselves.
-    """
-    found = [np.empty(0, np.int64)]
-    for begin in range(0, codes.size, _BLOCK):
-        cells = (decode_cells(codes[begin : begin + _BLOCK])[:, None] + _AROUND).reshape(-1, 3)
-        cells = cells[((cells >= 0) & (cells < 1 << level)).all(axis=1)]
-        found.append(distinct(encode_cells(cells)))
-    around = distinct(np.concatenate(found))
-    return around[~among(around, codes)]
 
 
 def is_within(codes: Int64s, cells: Sequence[Int64s], level: int) -> Bools:

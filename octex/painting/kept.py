@@ -13,12 +13,11 @@ from octex.painting.cells import (
     Paint,
     among_at,
     are_beside,
-    boundary,
     is_within,
     paint_at,
     with_skirt,
 )
-from octex.tree.edit import among, locate, with_all_above
+from octex.tree.edit import among, boundary, locate, with_all_above
 from octex.tree.layout import FACING_FLAGS
 from octex.tree.octree import Octree, distinct
 

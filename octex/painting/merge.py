@@ -8,9 +8,10 @@ from concurrent.futures import Executor
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import ALPHA, ONE, decode, encode
+from octex.channels import ALPHA, decode, encode
 from octex.checks import as_choice, as_number
 from octex.editing.averages import Residuals, average_rows
+from octex.editing.draft import Change, cut_out, tiles_around, with_alpha, with_channels_of
 from octex.editing.split import rows_facing, split_in_vain, with_split, without_split
 from octex.errors import ArgumentError, DefectError, own_making
 from octex.painting.averages import (
@@ -21,6 +22,7 @@ from octex.painting.averages import (
     residuals_of_paint,
 )
 from octex.painting.cells import Paint, paint_of, painted_channel, refine_paint
+from octex.painting.ground import Ground
 from octex.painting.kept import on_kept, with_old_skirts
 from octex.painting.pictures import BLENDS, Blend
 from octex.painting.raising import Raised, raise_texture
@@ -36,6 +38,10 @@ from octex.tree.split import rows_of
 Int64s = npt.NDArray[np.int64]
 Float32s = npt.NDArray[np.float32]
 Float64s = npt.NDArray[np.float64]
+
+
+#: Paint of this coverage or more hides what is below: less than half a step of 8 bits shows through.
+_HIDING = 1.0 - 1.0 / 512.0
 
 
 def merge(
@@ -73,9 +79,28 @@ def merge(
     Raises ArgumentError for a layer of another root cell, of several channels, or of one that the texture
     does not have.
     """
+    as_surface(surface)
     as_texture(texture)
     as_texture(layer, "layer")
-    as_surface(surface)
+    ground = Ground(surface.placed_in(texture))
+    with workers(threads, executor) as pool:
+        change = merged(
+            texture, layer, ground, opacity=opacity, blend=blend, executor=pool, progress=progress
+        )
+    return texture if change is None else change.put_into(texture)
+
+
+def merged(
+    texture: OctreeTexture,
+    layer: OctreeTexture,
+    ground: Ground,
+    *,
+    opacity: float,
+    blend: Blend,
+    executor: Executor,
+    progress: Progress | None,
+) -> Change | None:
+    """Return the change that merging a layer makes, or None for none; see `merge`."""
     report = as_progress(progress)
     as_choice(blend, BLENDS, "blend")
     opacity = as_number(opacity, "opacity", 0.0, 1.0)
@@ -87,11 +112,10 @@ def merge(
             "project the pictures onto this texture anew"
         )
     if not any(each.codes.size for each in paint):
-        return texture
+        return None
     given = texture
-    surface = surface.placed_in(texture)
     if target == ALPHA.name and target not in texture.channels:
-        texture = _with_alpha(texture)
+        texture = with_alpha(texture)
     as_choice(target, texture.channels, "channel to paint")
     stored = texture.channels[target].format
     if stored.components != form.components and blend != "erase":
@@ -99,32 +123,27 @@ def merge(
             f"the layer paints {form.components} components, but {target!r} of the texture has "
             f"{stored.components}"
         )
-    with workers(threads, executor) as pool:
-        raised = raise_texture(texture, layer, paint, surface, pool, report, adds=blend != "erase")
+    tiles = tiles_around(texture, [each.codes for each in paint])
+    part = texture if tiles is None else cut_out(texture, tiles)
+    raised = raise_texture(
+        part, texture, layer, paint, ground, executor, report,
+        adds=blend != "erase", hiding=_hiding(texture, target, blend),
+    )  # fmt: skip
     if not any(each.codes.size for each in raised.paint):
-        return given
+        return None
     with own_making():
         paint = refine_paint(raised.paint, layer, raised.texture.tree, opacity)
         paint = with_old_skirts(raised.texture.tree, paint, raised.is_skirt)
-        return _blended(texture, raised, paint, layer, target, blend, opacity)
+        made = _blended(part, raised, paint, layer, target, blend, opacity)
+    return Change(tiles, with_channels_of(part, given), made)
 
 
-def _with_alpha(texture: OctreeTexture) -> OctreeTexture:
-    """Give a texture a channel alpha: opaque."""
-    channel = Channel(
-        ALPHA,
-        *(
-            np.full((rows, 1), ONE[ALPHA.dtype], ALPHA.dtype)
-            for rows in (texture.tree.n_cells, texture.tree.split.areas.size, texture.tree.kept.cells.size)
-        ),
-    )
-    return OctreeTexture(
-        texture.tree,
-        {**texture.channels, ALPHA.name: channel},
-        texture.placement,
-        texture.bounds,
-        texture.metadata,
-    )
+def _hiding(texture: OctreeTexture, target: str, blend: Blend) -> float:
+    """Return the coverage from which on paint leaves nothing of what a texture had, of any channel."""
+    changed = {target, ALPHA.name} if blend == "over" else {target}
+    if blend not in ("over", "erase", "replace") or not changed >= texture.channels.keys():
+        return np.inf
+    return 0.0 if blend == "replace" else _HIDING
 
 
 def blended(base: Float32s, paint: Float32s, coverage: Float32s, blend: Blend) -> Float32s:

@@ -13,6 +13,7 @@ from octex.channels import encode
 from octex.conversion.fill import assemble, fill
 from octex.editing.averages import with_summed_areas
 from octex.editing.carried import carried
+from octex.editing.draft import coarsest_near
 from octex.editing.nodes import all_children, nodes_at
 from octex.editing.refined import Below, refined_below, with_rows
 from octex.editing.split import refaced
@@ -22,7 +23,6 @@ from octex.painting.cells import (
     Paint,
     are_beside,
     beside_larger,
-    boundary,
     facings_within,
     is_within,
     skirt_of,
@@ -31,12 +31,20 @@ from octex.painting.cells import (
     with_skirt,
 )
 from octex.painting.flat import Flat
+from octex.painting.ground import Ground
 from octex.painting.kept import bare_leaves
-from octex.painting.near import touching
 from octex.parallel import Progress
-from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.tree.edit import Edited, Located, among, locate, raised, unchanged, with_all_above
+from octex.tree.edit import (
+    Edited,
+    Located,
+    among,
+    boundary,
+    locate,
+    raised,
+    unchanged,
+    with_all_above,
+)
 from octex.tree.layout import FACING_FLAGS, KEPT
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree, distinct
@@ -64,40 +72,45 @@ class Raised(NamedTuple):
 
 def raise_texture(
     texture: OctreeTexture,
+    whole: OctreeTexture,
     layer: OctreeTexture,
     paint: list[Paint],
-    surface: Surface,
+    ground: Ground,
     executor: Executor,
     progress: Progress,
     *,
     adds: bool,
+    hiding: float,
 ) -> Raised:
     """Bring a texture's tree to where paint, or the boundary around it, is finer; its field does not move.
+
+    ``whole`` is the texture that ``texture`` is a draft of, or itself.
 
     Leaves above become nodes that keep their coefficients. Below them stand the cells that the surface meets,
     with what the field refines to; what it does not meet is culled. Where the texture has nothing, the
     layer's cells are added, without values, if it ``adds``; else the paint there is dropped.
 
     Paint below what was a leaf gets a skirt: cells off the surface beside it, which would else be refined
-    from the coefficients kept, and show through.
+    from the coefficients kept, and show through. Leaves that have nothing but paint around them, all of which
+    leaves nothing of what was there, for its coverage is ``hiding`` or more, keep none: they need no skirt.
 
     All cells of the paint that is returned are cells of the texture, and none lies in another.
     """
     is_empty = texture.tree.n_leaves == 0  # its root stands for nothing
     if not adds:
         paint = [] if is_empty else [_on(texture.tree, each, level) for level, each in enumerate(paint)]
-    is_skirt = _skirts(texture, paint, surface, executor, progress)
-    edited, paint, met = _raised(texture, is_skirt, paint, surface, executor, progress)
+    is_skirt = _skirts(texture, paint, ground, executor, progress)
+    edited, paint, met = _raised(texture, is_skirt, paint, ground, hiding, executor, progress)
     if is_empty:
         edited = edited._replace(old=np.full_like(edited.old, -1))
     with own_making():
-        made, is_fresh = _carried(texture, edited, edited.tree, met, layer, paint)
+        made, is_fresh = _carried(texture, whole, edited, edited.tree, met, layer, paint)
     is_skirt = edited.carried(is_skirt) | (made.tree.arrays.areas == SKIRT)
     return Raised(made, edited.old, is_fresh, paint, is_skirt)
 
 
 def _skirts(
-    texture: OctreeTexture, paint: Sequence[Paint], surface: Surface, executor: Executor, progress: Progress
+    texture: OctreeTexture, paint: Sequence[Paint], ground: Ground, executor: Executor, progress: Progress
 ) -> Bools:
     """Say which leaves (cells,) no surface is in: skirts, and, near paint, cells that ``resize`` has made.
 
@@ -127,7 +140,7 @@ def _skirts(
         if is_filled.any():
             doubted.append((level + 1, codes[is_filled]))
     if doubted:
-        met = _met_cells(surface, texture, doubted, doubted[-1][0], executor, progress)
+        met = _met_cells(ground, texture, doubted, doubted[-1][0], executor, progress)
         for level, own in doubted:
             off = own[~among(own, met.codes[level])]
             is_skirt[locate(tree, off, level).cells] = True
@@ -144,7 +157,8 @@ def _raised(
     texture: OctreeTexture,
     is_skirt: Bools,
     paint: list[Paint],
-    surface: Surface,
+    ground: Ground,
+    hiding: float,
     executor: Executor,
     progress: Progress,
 ) -> tuple[Edited, list[Paint], Met | None]:
@@ -152,10 +166,6 @@ def _raised(
     tree = texture.tree
     none = np.empty(0, np.int64)
     shallowest = next((level for level, (leaves, _) in enumerate(tree.cells_by_depth()) if leaves), None)
-    coarsest = 0 if shallowest is None else shallowest  # of what the field is refined from
-    if tree.kept.cells.size:
-        first_kept = np.searchsorted(tree.arrays.level_cells, tree.kept.cells[0], side="right") - 1
-        coarsest = min(coarsest, int(first_kept))
     added: list[Int64s] = []
     below: list[Int64s] = []
     virtual: list[Int64s] = []  # beside paint: refined from what is above
@@ -186,13 +196,17 @@ def _raised(
     if not tops and not any(codes.size for codes in (*added, *virtual)):
         return unchanged(tree), paint, None
     depth = max((level for level, each in enumerate(paint) if each.codes.size), default=0)
-    met = _met_cells(surface, texture, tops, depth, executor, progress)
+    met = _met_cells(ground, texture, tops, depth, executor, progress)
     # New cells of paint, and what is above them, count as met: whatever the surface says, no skirt holds any.
     new = with_all_above([np.concatenate([below[level], added[level]]) for level in range(depth + 1)])
     painted = [each.codes for each in paint]
     above = with_all_above(painted)
     has_absent = any(codes.size for codes in absent)
-    unraised, bare = _bare(tree, is_skirt, paint, above, tops, met) if has_absent else ([], [])
+    hides = bool(tops) and any((each.coverage >= hiding).any() for each in paint)
+    unraised, bare = _bare(tree, is_skirt, paint, above, tops, met) if has_absent or hides else ([], [])
+    freed = _freed(tree, paint, tops, bare, hiding) if hides else []
+    first = next((level for level, codes in enumerate(painted) if codes.size), 0)
+    coarsest = coarsest_near(tree, painted, first) if has_absent else 0
     wanted: list[Int64s] = []
     skirts: list[Int64s] = []  # none lies in another
     with_skirts: list[Paint] = []
@@ -200,6 +214,7 @@ def _raised(
         surface_cells = distinct(np.concatenate([met.codes[level], new[level]]))
         is_met = among(virtual[level], surface_cells)
         raised_ring, outer = virtual[level][is_met], virtual[level][~is_met]
+        outer = outer[~is_within(outer, freed, level)]
         ring = np.sort(np.concatenate([raised_ring, rings[level]]))
         if (outer.size or absent[level].size) and level <= tree.max_depth:
             surface_cells = distinct(np.concatenate([surface_cells, _facing_cells(tree, is_skirt, level)]))
@@ -226,7 +241,7 @@ def _raised(
     kinds = met.codes, new, with_all_above(skirts)
     stored = [distinct(np.concatenate(each)) for each in zip(*kinds, strict=True)]
     with own_making():
-        return raised(tree, wanted, stored, added), with_skirts, met
+        return raised(tree, wanted, stored, added, freed), with_skirts, met
 
 
 def _bare(
@@ -262,12 +277,45 @@ def _bare(
     return unraised, bare
 
 
+def _freed(
+    tree: Octree,
+    paint: Sequence[Paint],
+    tops: Sequence[tuple[int, Int64s]],
+    bare: Sequence[Int64s],
+    hiding: float,
+) -> list[Int64s]:
+    """Return those of the leaves that are raised, ``tops``, that need keep nothing, by level.
+
+    Two of their own size around them there is no kept node, no ``bare`` surface and no paint through which
+    something shows: no cell off the surface below them is refined from what was there.
+    """
+    levels = range(max(len(bare), len(paint)))
+    old = [[np.empty(0, np.int64)] for _ in levels]
+    for level, own in enumerate(bare):
+        old[level].append(own)
+    for level, each in enumerate(paint):
+        old[level].append(each.codes[each.coverage < hiding])
+    ends = np.searchsorted(tree.kept.cells, tree.arrays.level_cells)
+    for level in range(tree.max_depth + 1 if tree.kept.cells.size else 0):
+        kept = tree.kept.cells[ends[level] : ends[level + 1]].astype(np.int64)
+        if kept.size:
+            old[level].append(tree.level_codes(level)[kept - tree.arrays.level_cells[level]])
+    shown = [distinct(np.concatenate(own)) for own in old]
+    freed = []
+    for level in levels:
+        codes = distinct(np.concatenate([np.empty(0, np.int64), *(own for at, own in tops if at == level)]))
+        near = distinct(np.concatenate([codes, boundary(codes, level)]))
+        near = near[are_beside(near, shown, level)] if codes.size else near
+        freed.append(codes[~among(codes, near) & ~among(codes, boundary(near, level))])
+    return freed
+
+
 def _is_beside_old(
     codes: Int64s, level: int, above: Sequence[Int64s], bare: Sequence[Int64s], coarsest: int
 ) -> npt.NDArray[np.bool_]:
     """Say which cells (n,) of a level are in or beside nodes that paint is in and whose coefficient stays.
 
-    See ``kept.on_kept``: unpainted surface is in or beside them. They are of the coarsest level there is.
+    See ``kept.on_kept``: unpainted surface is in or beside them. They are of the coarsest level near paint.
     """
     if not codes.size:
         return np.zeros(0, np.bool_)
@@ -294,7 +342,7 @@ def _above(codes: Int64s, where: Located, level: int) -> list[tuple[int, Int64s]
 
 
 def _met_cells(
-    surface: Surface,
+    ground: Ground,
     texture: OctreeTexture,
     tops: Sequence[tuple[int, Int64s]],
     depth: int,
@@ -302,11 +350,11 @@ def _met_cells(
     progress: Progress,
 ) -> Met:
     """Find the cells down to ``depth`` that the surface meets in some cells, given by level."""
-    chosen = touching(surface, tops, texture.placement) if tops else np.empty(0, np.int32)
+    chosen = ground.near(texture.placement).touching(tops) if tops else np.empty(0, np.int32)
     nothing = Met(Octree.from_leaves(np.empty(0, np.int64), 0), [np.empty(0, np.int64)] * (depth + 1))
     if not chosen.size:
         return nothing
-    part = Surface(surface.vertices, surface.triangles[chosen], Flat(), rest=surface.rest, name=surface.name)
+    part = ground.surface.part(chosen, Flat())
     channels = part.source.channels
     try:
         filled = fill(part, channels, texture.placement, depth, executor, progress, has_samples=False)
@@ -318,6 +366,7 @@ def _met_cells(
 
 def _carried(
     texture: OctreeTexture,
+    whole: OctreeTexture,
     edited: Edited,
     tree: Octree,
     met: Met | None,
@@ -366,14 +415,14 @@ def _carried(
         if texture.tree.n_leaves and not is_refined.all():
             centres = (decode_cells(new_codes[~is_refined]) + 0.5) / 2**level
             points = texture.placement.to_rest(centres)
-            found.append((~is_refined, texture.sample(points, list(texture.channels), normalize=False)))
+            found.append((~is_refined, whole.sample(points, list(texture.channels), normalize=False)))
         for name, channel in texture.channels.items():
             for chosen, own in found:
                 values[name][cells[chosen]] = encode(own[name], channel.format.dtype, channel.format.space)
     channels = carried(texture, edited, values)
     tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
-    whole = OctreeTexture(tree, channels, texture.placement, texture.bounds, texture.metadata)
-    made = refaced(with_rows(whole, rows))
+    all_carried = OctreeTexture(tree, channels, texture.placement, texture.bounds, texture.metadata)
+    made = refaced(with_rows(all_carried, rows))
     if any(codes.size for codes in added):
         nodes = nodes_at(made.tree, [distinct(codes >> 3) for codes in with_all_above(added)[1:]])
         tree = with_summed_areas(made.tree, nodes)
