@@ -16,7 +16,7 @@ from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, 
 from octex.cli.convert_options import COMMANDS, CONVERT, check_input, work_of
 from octex.cli.diff import diff
 from octex.cli.inspect import info, validate
-from octex.cli.looking import viewpoint
+from octex.cli.looking import previewing
 from octex.cli.models import TEXTURE_ENDING, input_files, kind_of, read_model
 from octex.cli.overlaps import overlaps, separated_as_json, separated_text
 from octex.cli.parser import Parser
@@ -81,6 +81,7 @@ def _convert(options: argparse.Namespace, program: str) -> int:
     stages = ("convert", "preview") if options.preview is not None else ("convert",)
     is_shared = options.threads is None and kind == "model"
     with Reporter(program, options.quiet) as progress, ahead(*stages if is_shared else ()):
+        draw = previewing(options, options.INPUT)
         if kind == "texture":
             with workers() as executor:
                 texture = processed(options, executor)
@@ -107,11 +108,9 @@ def _convert(options: argparse.Namespace, program: str) -> int:
                 detail=options.detail,
                 progress=progress,
             )
-        if options.preview is not None:  # first: without room for it, no OUTPUT is left unannounced
-            from octex.preview import write_preview
-
+        if draw is not None:  # first: without room for it, no OUTPUT is left unannounced
             with progress.stage("draw"):
-                write_preview(options.preview, surface, texture, view=viewpoint(options, options.INPUT))
+                draw(surface, texture)
         if options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
             with progress.stage("write"):
                 texture.save(options.OUTPUT)

@@ -108,6 +108,12 @@ _OPTIONS = (
         metavar="PNG",
         type=Path,
     ),
+    option(
+        "--empty-layer",
+        "beside that picture, a transparent one of its size: what is painted on it is all that is painted",
+        metavar="PNG",
+        type=Path,
+    ),
     option("--camera-out", "the camera of that picture, .json, for --camera", metavar="CAMERA", type=Path),
     option(
         "--size",
@@ -139,7 +145,9 @@ _WORDS = {
         "--layer-out",
     },
     "--layer": _MERGE,
-    "--view": _SHARED | LOOKING_WORDS | {"--shaded", "--camera-out", "--camera", "--size", "--channel"},
+    "--view": _SHARED
+    | LOOKING_WORDS
+    | {"--shaded", "--empty-layer", "--camera-out", "--camera", "--size", "--channel"},
 }
 _NEEDED = {
     "painting": ("MODEL", "--camera", "--out"),
@@ -185,6 +193,11 @@ def work_of(options: argparse.Namespace, program: str) -> str:
     if work == "--view" and options.camera is None and options.camera_out is None:
         raise ArgumentError(
             "--view without --camera needs --camera-out: without its camera a picture cannot be painted back"
+        )
+    if options.empty_layer is not None and options.empty_layer.name == options.view.name:
+        raise ArgumentError(
+            f"--empty-layer has the name of --view, {options.view.name}, by which its camera is found; "
+            "give it another"
         )
     if options.background is not None and is_there:
         raise ArgumentError(f"{options.TEXTURE}: exists already; --background is for a new texture")
