@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from octex.ahead import ahead
 from octex.cli.common import (
@@ -32,6 +32,7 @@ from octex.cli.models import (
     posed_inputs,
     read_posed,
     texture_of,
+    told_of,
 )
 from octex.cli.paint_options import PAINT, work_of
 from octex.cli.parser import Parser
@@ -139,16 +140,7 @@ def _say_what_was_painted(
     seconds: float,
 ) -> None:
     tree = texture.tree
-    made: dict[str, Any] = {
-        "output": str(options.out),
-        "leaves": tree.n_leaves,
-        "nodes": tree.n_nodes,
-        "depth": tree.max_depth,
-        "painted": list(painted),
-        "skipped": list(skipped),
-        "bytes": options.out.stat().st_size,
-        "seconds": round(seconds, 3),
-    }
+    made = {**told_of(texture, options.out, seconds), "painted": list(painted), "skipped": list(skipped)}
     if options.layer_out is not None:
         made["layer"] = str(options.layer_out)
     if options.preview is not None:

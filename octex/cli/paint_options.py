@@ -11,7 +11,6 @@ from octex.cli.arguments import (
     blend,
     camera,
     color,
-    count,
     opacity,
     picture_size,
     pixels,
@@ -19,7 +18,7 @@ from octex.cli.arguments import (
 )
 from octex.cli.looking import LOOKING, LOOKING_WORDS, check_looking
 from octex.cli.models import DEFAULT_CHANNEL, TEXTURE_ENDING
-from octex.cli.parser import Command, option, words_given
+from octex.cli.parser import RUNNING, Command, option, words_given
 from octex.cli.view import DEFAULT_SIZE
 from octex.errors import ArgumentError
 
@@ -123,10 +122,7 @@ _OPTIONS = (
     ),
     *LOOKING,
     option("--shaded", "draw that picture in studio light, to be looked at", action="store_true"),
-    option("--force", "overwrite what exists", action="store_true"),
-    option("--threads", "threads to work on (default: all processors)", metavar="N", type=count),
-    option("--quiet", "print nothing but errors (and what --json asks for)", action="store_true"),
-    option("--json", "print the result as one JSON object", action="store_true"),
+    *RUNNING,
 )
 
 # Which options go with which work.

@@ -12,8 +12,9 @@ import numpy.typing as npt
 from octex.checks import as_whole, locked
 from octex.errors import ArgumentError, ModelError
 from octex.source.corners import Corners, Frames, Polygons, at_corners
-from octex.source.parts import Overlaps, overlapping_parts, parts_of, weld
+from octex.source.parts import Overlaps, overlapping_parts, parts_of
 from octex.source.tangents import carried
+from octex.source.welding import first_equal
 
 Floats = npt.NDArray[np.float64]
 Int32s = npt.NDArray[np.int32]
@@ -138,7 +139,7 @@ class Mesh:
 
         Parts are what hangs together at rest, vertices at the same position being one.
         """
-        return parts_of(self.triangles, weld(self.rest))
+        return parts_of(self.triangles, first_equal(self.rest))
 
     def loops(self) -> tuple[Int32s, Int32s, Int32s]:
         """Return the polygons by their numbers: numbers and corners of each (k,), and vertices one by one.
