@@ -144,6 +144,7 @@ def test_a_texture_can_be_made_coarser_but_not_finer(
         ["--rest", str(made.with_suffix(".glb"))],
         ["--source", "alpha=1"],
         ["--filter", "sat"],
+        ["--frame", "front", "--preview", str(tmp_path / "x.png")],
     ):
         assert refusal(capsys, made, tmp_path / "x.octex", *option) == (
             f"{made}: {option[0]} needs the model, and this is a texture made from one"

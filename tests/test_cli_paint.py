@@ -768,7 +768,7 @@ def test_of_a_view_only_what_was_drawn_on_it_is_painted(
     result(capsys, *look)
     shot = [scene.model, scene.texture, view, "--camera", file, "--quiet", "--out"]
     assert main([str(each) for each in (*shot, tmp_path / "none.octex")]) == ExitCode.NOTHING_PAINTED
-    capsys.readouterr()
+    assert capsys.readouterr().err.endswith(", or nothing was drawn on the view (--whole paints all of it)\n")
     before = tmp_path / "before.png"
     before.write_bytes(view.read_bytes())
     picture = np.array(Image.open(view))

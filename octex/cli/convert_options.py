@@ -249,10 +249,10 @@ _OF_TEXTURES = {"--crop", "--combine", "--mix", "--blur", "--levels"}
 #: In the order in which they are done.
 _EDITS = ("--crop", "--depth", "--combine", "--mix", "--blur", "--levels", "--channels", "--dtype")
 _OF_ANYTHING = {"INPUT", "OUTPUT", "--depth", "--channels", "--dtype"}
-_OF_ANYTHING |= LOOKING_WORDS | {"--preview", "--force", "--threads", "--quiet", "--json"}
+_OF_ANYTHING |= LOOKING_WORDS - {"--frame"} | {"--preview", "--force", "--threads", "--quiet", "--json"}
 _CONVERSION = "a conversion"
 _WORDS = {
-    _CONVERSION: {"--cell", "--max-error", "--detail", "--no-fit", "--separate", "--parts"}
+    _CONVERSION: {"--cell", "--max-error", "--detail", "--no-fit", "--separate", "--parts", "--frame"}
     | _OF_ANYTHING
     | _OF_TEXTURES
     | _MATERIALS,

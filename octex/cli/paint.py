@@ -94,13 +94,14 @@ def _paint(options: argparse.Namespace, program: str) -> int:
                     with_entries(layers[0], surface, entries).save(options.layer_out)
                 made.save(options.out)
     if made is base:
-        return fail(
-            program,
-            f"nothing was painted, and {options.out} is not written: no camera sees the model (do they look "
-            "away from it, or stand behind or inside it?), or the pictures' alpha, the mask or --opacity are "
-            "zero all over",
-            ExitCode.NOTHING_PAINTED,
-        )
+        reasons = [
+            "no camera sees the model (do they look away from it, or stand behind or inside it?)",
+            "the pictures' alpha, the mask or --opacity are zero all over",
+            *["nothing was drawn on the view (--whole paints all of it)" for shot in shots[:1] if shot.since],
+        ]
+        reason = ", or ".join(reasons)
+        message = f"nothing was painted, and {options.out} is not written: {reason}"
+        return fail(program, message, ExitCode.NOTHING_PAINTED)
     if not options.quiet or options.json:
         names = [str(entry["image"]) for entry in entries]
         _say_what_was_painted(options, made, names, skipped, time.perf_counter() - began)
