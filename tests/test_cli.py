@@ -17,7 +17,7 @@ from octex.cli.convert_options import CONVERT
 from octex.cli.models import DEFAULT_FILTER
 from octex.cli.parser import Parser
 from octex.errors import ExitCode
-from tests.command import colored_box, python, refusal, result
+from tests.command import python, refusal, result
 from tests.fixtures import OBJ_SQUARE, obj, png, random_image, textured_square
 
 HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.texture", "octex.tree")
@@ -235,19 +235,6 @@ print(sorted(entries - called))
 """
     done = python(code, env={**os.environ, "NUMBA_DISABLE_JIT": "1"})
     assert (done.stdout, done.stderr) == ("[]\n", "")
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return colored_box(tmp_path_factory.mktemp("model"))
-
-
-@pytest.fixture(scope="module")
-def made(model: Path) -> Path:
-    """The box as an octree texture of depth 4."""
-    path = model.with_name("box.octex")
-    octex.convert(model, 4).save(path)
-    return path
 
 
 # --- the order of arguments

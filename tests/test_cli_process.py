@@ -9,22 +9,9 @@ import numpy as np
 import pytest
 
 import octex
-from tests.command import colored_box, refusal, result
+from tests.command import refusal, result
 from tests.conftest import needs_jit
 from tests.test_processing_combine import assert_same
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return colored_box(tmp_path_factory.mktemp("model"))
-
-
-@pytest.fixture(scope="module")
-def made(model: Path) -> Path:
-    """The box as an octree texture of depth 4."""
-    path = model.with_name("box.octex")
-    octex.convert(model, 4).save(path)
-    return path
 
 
 @pytest.fixture(scope="module")

@@ -161,7 +161,17 @@ PAINT = Command(
     ],
     usual=(
         *("--camera", "--out", "--mask", "--blend", "--opacity", "--max-depth", "--balance", "--preview"),
-        *("--layer-out", "--layer", "--view", "--camera-out", "--size", "--force", "--quiet", "--json"),
+        *(
+            "--layer-out",
+            "--layer",
+            "--view",
+            "--empty-layer",
+            "--camera-out",
+            "--size",
+            "--force",
+            "--quiet",
+            "--json",
+        ),
     ),
     usages=[
         ["MODEL", "TEXTURE", "IMAGE", "--camera", "--out"],
