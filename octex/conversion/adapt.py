@@ -18,12 +18,12 @@ import numpy.typing as npt
 from octex.channels import decode
 from octex.conversion.distances import Looked, coverage_of, far_samples, near_alone
 from octex.conversion.measure import Columns, encoded
-from octex.conversion.nearness import Decoded, Ranges, far_cells, narrow_blocks
+from octex.conversion.nearness import BETWEEN, Decoded, far_cells
+from octex.conversion.patches import near_cells
 from octex.conversion.prune import Bools, Channels, Depths, Finest, Pruned, grafted, limits_of, prune
 from octex.conversion.samples import Samples
 from octex.conversion.sides import Fit, Split
 from octex.errors import ArgumentError
-from octex.field.coefficients import Coefficients
 from octex.parallel import Progress, ordered_map
 from octex.texture.channel import Channel
 from octex.tree.morton import decode_cells, encode_cells
@@ -34,8 +34,6 @@ Block: TypeAlias = npt.NDArray[np.int64]
 
 #: Finest cells or samples that are tested at once.
 _BLOCK = 1 << 14
-#: From so many levels above the finest cells on, what is near is looked for by what it is made of.
-_LEVELS = 2
 #: What the fields are rounded by at most, in codes.
 _ROUNDING = 1 / 16
 #: Leaves that fail are split by a level, which mostly is enough; by one more after each so many rounds, since
@@ -124,8 +122,9 @@ class _Merger:
         self._executor = executor
         self._progress = progress
         self._whole = prune(finest, limits)
+        self._full = self._looked(self._whole)
         #: (samples, columns)   the full tree's field, and (samples,) by how much it counts
-        self._wanted = self._codes(self._looked(self._whole), np.arange(samples.places.shape[0]))
+        self._wanted = self._codes(self._full, np.arange(samples.places.shape[0]))
         self._coverage = coverage_of(self._wanted, samples.channels)
 
     def merged(self, fit: Fit | None) -> tuple[Octree, dict[str, Channel]]:
@@ -189,39 +188,24 @@ class _Merger:
 
     def _settle(self, depths: Depths) -> None:
         """Split merged leaves until the field is near everywhere, looked up with normals too."""
-        unsettled = np.ones(depths.size, np.bool_)
-        suspects = unsettled
-        whole = self._whole
-        full = Decoded.of(self._known, self._samples.channels)
-        ranges = Ranges.below(self._finest, full, whole)
+        unsettled = suspects = np.ones(depths.size, np.bool_)
         attempt = 0
         while True:
-            unsettled |= self._split(depths, suspects)
+            unsettled = unsettled | self._split(depths, suspects)
             pruned = prune(self._finest, depths)
-            field = full.pruned(pruned)
-            chosen = unsettled.copy()
-            for level in range(max(self._finest.tree.max_depth - _LEVELS, 0), self._finest.tree.max_depth):
-                blocks = np.logical_or.reduceat(chosen, self._finest.firsts[level])
-                chosen &= ~self._finest.spread(level, self._narrow(ranges, level, field, blocks))
-            work = partial(far_cells, field, full.pruned(whole), self._samples, self._most, True, None)
-            failing = self._judged(work, chosen)
-            splits = self._splits(failing, pruned, depths)
+            looked = self._looked(pruned)
+            work = partial(near_cells, looked, self._full, self._samples, self._most + BETWEEN)
+            unsure = unsettled & ~self._judged(work, unsettled)
+            splits = np.zeros(depths.size, np.bool_)
+            if unsure.any():
+                decoded = Decoded.of(self._known, self._samples.channels)
+                fields = decoded.pruned(pruned), decoded.pruned(self._whole)
+                work = partial(far_cells, *fields, self._samples, self._most)
+                splits = self._splits(self._judged(work, unsure), pruned, depths)
             if not splits.any():
                 return
-            suspects = self._refined(splits, pruned, depths, 1 + attempt // _PATIENCE)
-            unsettled = suspects.copy()
+            unsettled = suspects = self._refined(splits, pruned, depths, 1 + attempt // _PATIENCE)
             attempt += 1
-
-    def _narrow(self, full: Ranges, level: int, field: Coefficients, chosen: Bools) -> Bools:
-        """Say in which of some cells of a level all that a field and the full tree's are made of is near."""
-        narrow = np.zeros(chosen.size, np.bool_)
-        codes = self._finest.codes[self._finest.firsts[level][chosen]]
-        work = partial(
-            narrow_blocks, Ranges.of(field), full, self._columns, self._samples.depth, self._most, level
-        )
-        blocks = [codes[begin : begin + _BLOCK] for begin in range(0, codes.size, _BLOCK)]
-        narrow[chosen] = np.concatenate([np.zeros(0, np.bool_), *self._mapped(work, blocks)])
-        return narrow
 
     def _split(self, depths: Depths, suspects: Bools, rounds: int | None = None) -> Bools:
         """Split merged leaves where the field is not near the full tree's at samples; changes ``depths``.
@@ -288,7 +272,7 @@ class _Merger:
         return np.concatenate(list(self._mapped(work, blocks)))
 
     def _far(self, looked: Looked, chosen: Bools) -> Bools:
-        """Say in which of the chosen finest cells what is looked up at samples is too far from the full tree's."""
+        """Say in which of the chosen finest cells what is looked up at samples is too far off."""
         return self._judged(partial(self._far_in, looked), chosen)
 
     def _far_in(self, looked: Looked, cells: npt.NDArray[np.int64]) -> Bools:
