@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from functools import partial
+from itertools import count
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -18,7 +19,7 @@ import numpy.typing as npt
 from octex.channels import decode
 from octex.conversion.distances import Looked, coverage_of, far_samples, near_alone
 from octex.conversion.measure import Columns, encoded
-from octex.conversion.nearness import BETWEEN, Decoded, far_cells
+from octex.conversion.nearness import Decoded, far_cells
 from octex.conversion.patches import near_cells
 from octex.conversion.prune import Bools, Channels, Depths, Finest, Pruned, grafted, limits_of, prune
 from octex.conversion.samples import Samples
@@ -31,14 +32,13 @@ from octex.tree.octree import Octree
 
 #: Finest cells or samples.
 Block: TypeAlias = npt.NDArray[np.int64]
+#: Says something of finest cells (n,), which ascend.
+Judge: TypeAlias = Callable[[npt.NDArray[np.int64]], Bools]
 
 #: Finest cells or samples that are tested at once.
 _BLOCK = 1 << 14
 #: What the fields are rounded by at most, in codes.
 _ROUNDING = 1 / 16
-#: Leaves that fail are split by a level, which mostly is enough; by one more after each so many rounds, since
-#: their neighbours may fail in turn.
-_PATIENCE = 6
 
 
 def as_max_error(max_error: float) -> float:
@@ -136,7 +136,7 @@ class _Merger:
             self._merge(level, depths)
         self._progress("adapt", depth, depth + 3)
         # What was judged on even trees is judged again on the tree of many depths.
-        self._split(depths, np.ones(depths.size, np.bool_), rounds=1)
+        self._split(depths)
         self._progress("adapt", depth + 1, depth + 3)
         if fit:
             self._fit(fit, depths)
@@ -188,45 +188,33 @@ class _Merger:
 
     def _settle(self, depths: Depths) -> None:
         """Split merged leaves until the field is near everywhere, looked up with normals too."""
-        unsettled = suspects = np.ones(depths.size, np.bool_)
-        attempt = 0
-        while True:
-            unsettled = unsettled | self._split(depths, suspects)
+        decoded = Decoded.of(self._known, self._samples.channels)
+        full = decoded.pruned(self._whole)
+        suspects = np.ones(depths.size, np.bool_)
+        self._split(depths)
+        for attempt in count():
             pruned = prune(self._finest, depths)
-            looked = self._looked(pruned)
-            work = partial(near_cells, looked, self._full, self._samples, self._most + BETWEEN)
-            unsure = unsettled & ~self._judged(work, unsettled)
-            splits = np.zeros(depths.size, np.bool_)
-            if unsure.any():
-                decoded = Decoded.of(self._known, self._samples.channels)
-                fields = decoded.pruned(pruned), decoded.pruned(self._whole)
-                work = partial(far_cells, *fields, self._samples, self._most)
-                splits = self._splits(self._judged(work, unsure), pruned, depths)
-            if not splits.any():
+            work: Judge = partial(near_cells, self._looked(pruned), self._full, self._samples, self._most)
+            suspects &= ~self._judged(work, suspects)
+            if suspects.any():
+                work = partial(far_cells, decoded.pruned(pruned), full, self._samples, self._most)
+                suspects = self._judged(work, suspects)
+            suspects = self._refined(suspects, pruned, depths, 1 + attempt)
+            if not suspects.any():
                 return
-            unsettled = suspects = self._refined(splits, pruned, depths, 1 + attempt // _PATIENCE)
-            attempt += 1
 
-    def _split(self, depths: Depths, suspects: Bools, rounds: int | None = None) -> Bools:
-        """Split merged leaves where the field is not near the full tree's at samples; changes ``depths``.
+    def _split(self, depths: Depths) -> None:
+        """Split merged leaves by a level where the field is not near the full tree's at samples."""
+        pruned = prune(self._finest, depths)
+        failing = self._far(self._looked(pruned), np.ones(depths.size, np.bool_))
+        self._refined(failing, pruned, depths, 1)
 
-        That is, in cells that are ``suspects``, and then around leaves that are split; at most ``rounds``
-        times, or until it is near. Returns these other cells.
+    def _refined(self, failing: Bools, pruned: Pruned, depths: Depths, steps: int) -> Bools:
+        """Split leaves by some levels for cells that fail; changes ``depths``.
+
+        Returns the cells that this reaches.
         """
-        others = np.zeros(depths.size, np.bool_)
-        attempt = 0
-        while rounds is None or attempt < rounds:
-            pruned = prune(self._finest, depths)
-            splits = self._splits(self._far(self._looked(pruned), suspects), pruned, depths)
-            if not splits.any():
-                break
-            suspects = self._refined(splits, pruned, depths, 1 + attempt // _PATIENCE)
-            others |= suspects
-            attempt += 1
-        return others
-
-    def _refined(self, splits: Bools, pruned: Pruned, depths: Depths, steps: int) -> Bools:
-        """Split leaves by some levels; changes ``depths``, and returns the cells that this reaches."""
+        splits = self._splits(failing, pruned, depths)
         reached = self._around(pruned.starts[splits[pruned.starts]], depths)
         depths[splits] = np.minimum(depths[splits] + steps, self._limits[splits])
         return reached
@@ -282,7 +270,7 @@ class _Merger:
         counts = self._samples.firsts[cells + 1] - self._samples.firsts[cells]
         return np.logical_or.reduceat(far, np.cumsum(counts) - counts)
 
-    def _judged(self, work: Callable[[npt.NDArray[np.int64]], Bools], chosen: Bools) -> Bools:
+    def _judged(self, work: Judge, chosen: Bools) -> Bools:
         """Say in which of the chosen finest cells ``work`` says so."""
         cells = np.flatnonzero(chosen)
         blocks = [cells[begin : begin + _BLOCK] for begin in range(0, cells.size, _BLOCK)]

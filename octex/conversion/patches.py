@@ -12,7 +12,7 @@ import numpy.typing as npt
 from octex.conversion.distances import Looked
 from octex.conversion.facings import HIDDEN
 from octex.conversion.measure import Columns, all_near
-from octex.conversion.nearness import Places, full_facings
+from octex.conversion.nearness import BETWEEN, Places, full_facings
 from octex.conversion.samples import MOST_POINTS, Samples, lay_out
 from octex.field.bricks import (
     AT_SIX,
@@ -50,11 +50,10 @@ _MOST_COMPONENTS = 3
 
 
 def near_cells(found: Looked, full: Looked, samples: Samples, most: float, cells: Int64s) -> Bools:
-    """Say in which finest cells (n,), which ascend, two fields are surely no more than ``most`` codes apart.
+    """Say in which finest cells (n,), which ascend, two fields are surely not far apart: see `far_cells`.
 
-    That is, in the plane of the surface at each sample as far as it lies in the cell, with the difference of
-    the values, decoded, taken for a quadratic polynomial on each of the triangles of `lay_out`; looked up
-    without normals and with the samples' own. Where that takes more to be found out, it is not sure.
+    Between points the difference of the values, decoded, is taken for the quadratic polynomial. Where it
+    takes more to be found out, it is not sure.
     """
     near = np.zeros(cells.size, np.bool_)
     forms = samples.channels
@@ -239,7 +238,8 @@ def _find_near(
             if not (
                 _look_up(bricks[0].rows, at, points, count, found, 0)
                 and _look_up(bricks[1].rows, at, points, count, found, 1)
-                and _are_near(found, columns, count, most, bounds)
+                and _are_near(found, columns, 1, most, bounds)
+                and _are_near(found, columns, count, most + BETWEEN, bounds)
             ):
                 near[n] = False
                 break
@@ -259,7 +259,7 @@ def _are_equal(rows: Float32s, others: Float32s, at: int) -> bool:
 
 @inlined
 def _look_up(rows: Float32s, at: int, points: Float32s, count: int, found: Float32s, side: int) -> bool:
-    """Write a field's values at points of a cell to ``found[side]``; say whether it weighs anything at all."""
+    """Write a field's values at points of a cell to ``found[side]``; say whether all have a weight."""
     weighs = True
     for point in range(count):
         of_x = _weights(points[0, point])
