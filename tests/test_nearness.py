@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from octex.channels import ALPHA, BASE_COLOR, NORMAL, linear_to_srgb
 from octex.conversion.distances import Looked
 from octex.conversion.nearness import Decoded, far_cells
-from octex.conversion.patches import near_cells
+from octex.conversion.patches import BARE, NEAR, near_cells
 from octex.conversion.prune import Finest, Pruned, limits_of, prune
 from octex.conversion.samples import MOST_POINTS, NORMAL_STEPS, PLACE_STEPS, Samples, lay_out
 from octex.jit import DISABLED, kernel, spline_rows
@@ -183,7 +183,7 @@ def test_cells_are_far_where_samples_and_patches_say_so(seed: int, smooth: float
     for part in (0.2, 0.6, 0.95):
         most = float(np.quantile(expected, part))
         clear = np.abs(expected[chosen] - most) > 0.02
-        far = far_cells(*fields, made.samples, most, chosen)
+        far = far_cells(*fields, made.samples, most, np.zeros(expected.size, np.bool_), chosen)
         np.testing.assert_array_equal(far[clear], expected[chosen][clear] > most)
 
 
@@ -199,15 +199,17 @@ def test_cells_that_are_surely_near_are_near_all_over_their_patches(seed: int, s
         corners = patch[1 : 1 + len(patch) // 3]
         parts = random.dirichlet(np.full(len(corners), 0.5), 8)
         inside.append(np.concatenate([patch[:1], parts @ corners]))
-    values = [np.abs(each).max(axis=1) for each in apart_on(made, inside)]
-    at, around = np.zeros((2, cells.size))
-    np.maximum.at(at, owners(samples), [each[0] for each in values])
-    np.maximum.at(around, owners(samples), [each.max() for each in values])
-    for most in (0.5, 2.0, 20.0):
-        near = near_cells(found, full, samples, most, cells)
-        assert (at[near] <= most + 0.02).all()
-        assert (around[near] <= most + BETWEEN + 0.02).all()
-    assert near_cells(full, full, samples, 0.0, cells).all()
+    differences = [np.abs(each) for each in apart_on(made, inside)]
+    for sure in (BARE, NEAR):
+        values = [each if sure == NEAR else each[:, : each.shape[1] // 2] for each in differences]
+        at, around = np.zeros((2, cells.size))
+        np.maximum.at(at, owners(samples), [each[0].max() for each in values])
+        np.maximum.at(around, owners(samples), [each.max() for each in values])
+        for most in (0.5, 2.0, 20.0):
+            near = near_cells(found, full, samples, most, cells) >= sure
+            assert (at[near] <= most + 0.02).all()
+            assert (around[near] <= most + BETWEEN + 0.02).all()
+    assert (near_cells(full, full, samples, 0.0, cells) == NEAR).all()
     is_plain = list(made.full.channels) == ["base_color"] and seed % 4 == 3  # all face one way
     assert near.any() or not is_plain or smooth > 0.01
 

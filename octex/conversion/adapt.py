@@ -20,7 +20,7 @@ from octex.channels import decode
 from octex.conversion.distances import Looked, coverage_of, far_samples, near_alone
 from octex.conversion.measure import Columns, encoded
 from octex.conversion.nearness import Decoded, far_cells
-from octex.conversion.patches import near_cells
+from octex.conversion.patches import BARE, NEAR, near_cells
 from octex.conversion.prune import Bools, Channels, Depths, Finest, Pruned, grafted, limits_of, prune
 from octex.conversion.samples import Samples
 from octex.conversion.sides import Fit, Split
@@ -33,12 +33,15 @@ from octex.tree.octree import Octree
 #: Finest cells or samples.
 Block: TypeAlias = npt.NDArray[np.int64]
 #: Says something of finest cells (n,), which ascend.
-Judge: TypeAlias = Callable[[npt.NDArray[np.int64]], Bools]
+Judge: TypeAlias = Callable[[npt.NDArray[np.int64]], npt.NDArray[np.uint8 | np.bool_]]
 
 #: Finest cells or samples that are tested at once.
 _BLOCK = 1 << 14
 #: What the fields are rounded by at most, in codes.
 _ROUNDING = 1 / 16
+#: Leaves that fail are split by a level; by one more after each so many rounds, since neighbours may fail in
+#: turn.
+_PATIENCE = 2
 
 
 def as_max_error(max_error: float) -> float:
@@ -195,11 +198,13 @@ class _Merger:
         for attempt in count():
             pruned = prune(self._finest, depths)
             work: Judge = partial(near_cells, self._looked(pruned), self._full, self._samples, self._most)
-            suspects &= ~self._judged(work, suspects)
+            near = self._judged(work, suspects)
+            suspects &= near < NEAR
             if suspects.any():
-                work = partial(far_cells, decoded.pruned(pruned), full, self._samples, self._most)
-                suspects = self._judged(work, suspects)
-            suspects = self._refined(suspects, pruned, depths, 1 + attempt)
+                fields = decoded.pruned(pruned), full
+                work = partial(far_cells, *fields, self._samples, self._most, near == BARE)
+                suspects = self._judged(work, suspects) > 0
+            suspects = self._refined(suspects, pruned, depths, 1 + attempt // _PATIENCE)
             if not suspects.any():
                 return
 
@@ -261,7 +266,7 @@ class _Merger:
 
     def _far(self, looked: Looked, chosen: Bools) -> Bools:
         """Say in which of the chosen finest cells what is looked up at samples is too far off."""
-        return self._judged(partial(self._far_in, looked), chosen)
+        return self._judged(partial(self._far_in, looked), chosen) > 0
 
     def _far_in(self, looked: Looked, cells: npt.NDArray[np.int64]) -> Bools:
         rows = self._samples.rows(cells)
@@ -270,11 +275,11 @@ class _Merger:
         counts = self._samples.firsts[cells + 1] - self._samples.firsts[cells]
         return np.logical_or.reduceat(far, np.cumsum(counts) - counts)
 
-    def _judged(self, work: Judge, chosen: Bools) -> Bools:
-        """Say in which of the chosen finest cells ``work`` says so."""
+    def _judged(self, work: Judge, chosen: Bools) -> npt.NDArray[np.uint8]:
+        """Return what ``work`` says of the chosen finest cells, 0 for the others."""
         cells = np.flatnonzero(chosen)
         blocks = [cells[begin : begin + _BLOCK] for begin in range(0, cells.size, _BLOCK)]
-        judged = np.zeros(chosen.size, np.bool_)
+        judged = np.zeros(chosen.size, np.uint8)
         for block, found in zip(blocks, self._mapped(work, blocks), strict=True):
             judged[block] = found
         return judged

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from octex.channels import ChannelFormat, decode
 from octex.conversion.facings import HIDDEN
-from octex.conversion.measure import Columns, all_near, are_near, are_near_between, subtract
+from octex.conversion.measure import Columns, all_near, are_near, are_near_between, are_surely_near, subtract
 from octex.conversion.prune import Pruned
 from octex.conversion.samples import MOST_POINTS, Samples, lay_out
 from octex.field.coefficients import (
@@ -109,15 +109,18 @@ class Scratch(NamedTuple):
     bounds: Float32s  # (2, components)
 
 
-def far_cells(found: Coefficients, full: Coefficients, samples: Samples, most: float, cells: Int64s) -> Bools:
+def far_cells(
+    found: Coefficients, full: Coefficients, samples: Samples, most: float, are_bare: Bools, cells: Int64s
+) -> Bools:
     """Say in which finest cells (n,), which ascend, a field is more than ``most`` codes from the full tree's.
 
     That is, at a sample; or by more than one code more in the plane of the surface at a sample, as far as it
-    lies in the cell (see `lay_out`); looked up without normals or with the sample's own.
+    lies in the cell (see `lay_out`); looked up without normals, unless ``are_bare`` (all finest cells,) says
+    that they are near so, or with the sample's own.
     """
     far = np.zeros(cells.size, np.bool_)
     places = Places(samples.depth, samples.codes, samples.firsts, samples.places, samples.normals)
-    _find_far((found, full), places, Columns.of(samples.channels), cells, float(most), far)
+    _find_far((found, full), places, Columns.of(samples.channels), cells, are_bare[cells], float(most), far)
     return far
 
 
@@ -127,6 +130,7 @@ def _find_far(
     samples: Places,
     columns: Columns,
     cells: Int64s,
+    are_bare: Bools,
     most: float,
     far: Bools,
 ) -> None:
@@ -143,7 +147,8 @@ def _find_far(
         np.zeros((2, components), np.float32),
     )
     for n in range(cells.size):
-        far[n] = _is_far(fields, walks, windows, samples, columns, scratch, int(cells[n]), most)
+        cell, is_bare = int(cells[n]), bool(are_bare[n])
+        far[n] = _is_far(fields, walks, windows, samples, columns, scratch, cell, is_bare, most)
 
 
 @inlined
@@ -155,9 +160,10 @@ def _is_far(
     columns: Columns,
     scratch: Scratch,
     cell: int,
+    is_bare: bool,
     most: float,
 ) -> bool:
-    """Say whether fields are too far apart in a finest cell."""
+    """Say whether fields are too far apart in a finest cell; if it ``is_bare``, with normals."""
     i, j, k = decode_cell(samples.codes[cell])
     shift = MAX_DEPTH - samples.depth
     full = enter(fields[1], walks[1], windows, 1, i << shift, j << shift, k << shift)
@@ -186,6 +192,8 @@ def _is_far(
             is_first = look == 0 and sample == samples.firsts[cell]
             if is_first and _are_made_alike(windows, level, full, columns, most, scratch.bounds):
                 return False
+            if is_bare and look == 0:
+                continue
             for side in range(2):
                 at = level if side == 0 else full
                 _look_up(fields[1], windows, 2 * look + side, at, place, 0, 1, scratch)
@@ -195,7 +203,7 @@ def _is_far(
             for side in range(2):
                 at = level if side == 0 else full
                 _look_up(fields[1], windows, 2 * look + side, at, place, 1, count, scratch)
-            if _are_all_near(scratch.values, columns, count, most + BETWEEN, scratch.bounds):
+            if are_surely_near(scratch.values, columns, count, most + BETWEEN, scratch.bounds):
                 continue
             for point in range(1, count):
                 subtract(scratch.values, columns, point, scratch.differences)
@@ -244,23 +252,6 @@ def _are_made_alike(
         bounds[0, component] = min(windows.ranges[one, 0, column], windows.ranges[other, 0, column])
         bounds[1, component] = max(windows.ranges[one, 1, column], windows.ranges[other, 1, column])
     return all_near(bounds, columns, most)
-
-
-@inlined
-def _are_all_near(values: Float32s, columns: Columns, count: int, most: float, bounds: Float32s) -> bool:
-    """Say whether differences at the points of a patch are so small that they are near between them, too.
-
-    The Bézier coefficients are three times as large at most. Of all pairs of light that differ by as much,
-    the darkest is apart by most codes.
-    """
-    for component in range(columns.kinds.size):
-        low, apart = np.float32(np.inf), _ZERO
-        for point in range(count):
-            found, wanted = values[0, component, point], values[1, component, point]
-            low = min(low, min(found, wanted))
-            apart = max(apart, abs(found - wanted))
-        bounds[0, component], bounds[1, component] = low, low + apart
-    return all_near(bounds, columns, most / 3.0)
 
 
 @inlined

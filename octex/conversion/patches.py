@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from octex.conversion.distances import Looked
 from octex.conversion.facings import HIDDEN
-from octex.conversion.measure import Columns, all_near
+from octex.conversion.measure import Columns, are_surely_near
 from octex.conversion.nearness import BETWEEN, Places, full_facings
 from octex.conversion.samples import MOST_POINTS, Samples, lay_out
 from octex.field.bricks import (
@@ -39,8 +39,10 @@ from octex.tree.morton import decode as decode_cell
 Float32s = npt.NDArray[np.float32]
 Int64s = npt.NDArray[np.int64]
 Uint64s = npt.NDArray[np.uint64]
-Bools = npt.NDArray[np.bool_]
+Bytes = npt.NDArray[np.uint8]
 
+#: What is found out of cells: nothing, or that fields are near looked up without normals, or in any way.
+UNSURE, BARE, NEAR = 0, 1, 2
 #: Levels that a brick goes down.
 _STEPS = 3
 #: Where the root lies in its block: the second cell along each axis.
@@ -49,24 +51,24 @@ _ROOT = 1 + 4 * (1 + 4)
 _MOST_COMPONENTS = 3
 
 
-def near_cells(found: Looked, full: Looked, samples: Samples, most: float, cells: Int64s) -> Bools:
+def near_cells(found: Looked, full: Looked, samples: Samples, most: float, cells: Int64s) -> Bytes:
     """Say in which finest cells (n,), which ascend, two fields are surely not far apart: see `far_cells`.
 
-    Between points the difference of the values, decoded, is taken for the quadratic polynomial. Where it
-    takes more to be found out, it is not sure.
+    Returns UNSURE, BARE or NEAR for each. Between points the difference of the values, decoded, is taken for
+    the quadratic polynomial.
     """
-    near = np.zeros(cells.size, np.bool_)
+    near = np.full(cells.size, UNSURE, np.uint8)
     forms = samples.channels
     if samples.depth < _STEPS or any(form.components > _MOST_COMPONENTS for form in forms):
         return near
-    near[:] = True
+    near[:] = NEAR
     places = Places(samples.depth, samples.codes, samples.firsts, samples.places, samples.normals)
     trees = found.field.mixed, full.field.mixed
     pairs = [[stored(channel) for channel in each.channels] for each in (found, full)]
     alphas = [next((each.codes for each in read if each.is_alpha), None) for read in pairs]
     for form, *both in zip(forms, *pairs, strict=True):
         if any(each.space is not None for each in both):  # not decoded by a table
-            near[:] = False
+            near[:] = UNSURE
             continue
         values = [
             Values.of(each.codes, None if each.is_alpha else alpha)
@@ -180,7 +182,7 @@ def _find_near(
     columns: Columns,
     cells: Int64s,
     most: float,
-    near: Bools,
+    near: Bytes,
 ) -> None:
     bottom = samples.depth - _STEPS  # the level of bricks
     kinds = np.zeros((2, CELLS), np.uint64)
@@ -196,7 +198,7 @@ def _find_near(
         if trees[side].arrays.groups.shape[0] == 0:
             kinds[side, _ROOT] = _kind_of(trees[side], 0)
     for n in range(cells.size):
-        if not near[n]:
+        if near[n] == UNSURE:
             continue
         code = samples.codes[cells[n]]
         brick = code >> 3 * _STEPS
@@ -232,16 +234,15 @@ def _find_near(
                         _kinds_below(trees[side], bricks[side], kinds[side], bottom)
                     are_known = True
                 if (_kinds_at(kinds[0], at) | _kinds_at(kinds[1], at)) & hidden != np.uint64(0):
-                    near[n] = False  # with its normal the field is another
-                    break
+                    near[n] = BARE  # with its normal the field is another
             count = lay_out(samples.places, samples.normals, sample, points)
             if not (
                 _look_up(bricks[0].rows, at, points, count, found, 0)
                 and _look_up(bricks[1].rows, at, points, count, found, 1)
-                and _are_near(found, columns, 1, most, bounds)
-                and _are_near(found, columns, count, most + BETWEEN, bounds)
+                and are_surely_near(found, columns, 1, most, bounds)
+                and are_surely_near(found, columns, count, most + BETWEEN, bounds)
             ):
-                near[n] = False
+                near[n] = UNSURE
                 break
 
 
@@ -280,28 +281,3 @@ def _look_up(rows: Float32s, at: int, points: Float32s, count: int, found: Float
 def _weights(t: float) -> tuple[np.float32, np.float32, np.float32]:
     a, b, c = quadratic_weights(t)
     return np.float32(a), np.float32(b), np.float32(c)
-
-
-@inlined
-def _are_near(values: Float32s, columns: Columns, count: int, most: float, bounds: Float32s) -> bool:
-    """Say whether values (2, components, points) on a patch are ``most`` apart or less all over it.
-
-    Of all pairs that differ by as much as the largest Bézier coefficient, the darkest is apart by most codes.
-    """
-    two, half = np.float32(2), np.float32(0.5)
-    for component in range(columns.kinds.size):
-        found, wanted = values[0, component], values[1, component]
-        middle = found[0] - wanted[0]
-        low, apart = min(found[0], wanted[0]), abs(middle)
-        for corner in range(1, count, 3):
-            other = corner + 3 if corner + 3 < count else 1
-            here, after = found[corner] - wanted[corner], found[other] - wanted[other]
-            inner = found[corner + 1] - wanted[corner + 1]
-            along = found[corner + 2] - wanted[corner + 2]
-            apart = max(apart, abs(here))
-            apart = max(apart, abs(two * inner - half * (here + middle)))
-            apart = max(apart, abs(two * along - half * (here + after)))
-            for point in range(corner, corner + 3):
-                low = min(low, min(found[point], wanted[point]))
-        bounds[0, component], bounds[1, component] = low, low + apart
-    return all_near(bounds, columns, most)
