@@ -174,29 +174,3 @@ def all_near(bounds: Float32s, columns: Columns, most: float) -> bool:
         if not apart <= most:
             return False
     return True
-
-
-@inlined
-def are_surely_near(values: Float32s, columns: Columns, count: int, most: float, bounds: Float32s) -> bool:
-    """Say whether values (2, components, points) are ``most`` codes apart or less all over a patch.
-
-    It is as in `are_near_between`, with the difference of the values themselves for the polynomial. Of all
-    pairs that differ by as much as its largest coefficient, the darkest is apart by most codes.
-    """
-    two, half = np.float32(2), np.float32(0.5)
-    for component in range(columns.kinds.size):
-        found, wanted = values[0, component], values[1, component]
-        middle = found[0] - wanted[0]
-        low, apart = min(found[0], wanted[0]), abs(middle)
-        for corner in range(1, count, 3):
-            other = corner + 3 if corner + 3 < count else 1
-            here, after = found[corner] - wanted[corner], found[other] - wanted[other]
-            inner = found[corner + 1] - wanted[corner + 1]
-            along = found[corner + 2] - wanted[corner + 2]
-            apart = max(apart, abs(here))
-            apart = max(apart, abs(two * inner - half * (here + middle)))
-            apart = max(apart, abs(two * along - half * (here + after)))
-            for point in range(corner, corner + 3):
-                low = min(low, min(found[point], wanted[point]))
-        bounds[0, component], bounds[1, component] = low, low + apart
-    return all_near(bounds, columns, most)

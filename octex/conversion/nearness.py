@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from octex.channels import ChannelFormat, decode
 from octex.conversion.facings import HIDDEN
-from octex.conversion.measure import Columns, all_near, are_near, are_near_between, are_surely_near, subtract
+from octex.conversion.measure import Columns, all_near, are_near, are_near_between, subtract
 from octex.conversion.prune import Pruned
 from octex.conversion.samples import MOST_POINTS, Samples, lay_out
 from octex.field.coefficients import (
@@ -203,7 +203,7 @@ def _is_far(
             for side in range(2):
                 at = level if side == 0 else full
                 _look_up(fields[1], windows, 2 * look + side, at, place, 1, count, scratch)
-            if are_surely_near(scratch.values, columns, count, most + BETWEEN, scratch.bounds):
+            if _are_all_near(scratch.values, columns, count, most + BETWEEN, scratch.bounds):
                 continue
             for point in range(1, count):
                 subtract(scratch.values, columns, point, scratch.differences)
@@ -252,6 +252,23 @@ def _are_made_alike(
         bounds[0, component] = min(windows.ranges[one, 0, column], windows.ranges[other, 0, column])
         bounds[1, component] = max(windows.ranges[one, 1, column], windows.ranges[other, 1, column])
     return all_near(bounds, columns, most)
+
+
+@inlined
+def _are_all_near(values: Float32s, columns: Columns, count: int, most: float, bounds: Float32s) -> bool:
+    """Say whether differences at the points of a patch are so small that they are near between them, too.
+
+    The Bézier coefficients are three times as large at most. Of all pairs of light that differ by as much,
+    the darkest is apart by most codes.
+    """
+    for component in range(columns.kinds.size):
+        low, apart = np.float32(np.inf), _ZERO
+        for point in range(count):
+            found, wanted = values[0, component, point], values[1, component, point]
+            low = min(low, min(found, wanted))
+            apart = max(apart, abs(found - wanted))
+        bounds[0, component], bounds[1, component] = low, low + apart
+    return all_near(bounds, columns, most / 3.0)
 
 
 @inlined

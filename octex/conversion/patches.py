@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from octex.conversion.distances import Looked
 from octex.conversion.facings import HIDDEN
-from octex.conversion.measure import Columns, are_surely_near
+from octex.conversion.measure import Columns, all_near
 from octex.conversion.nearness import BETWEEN, Places, full_facings
 from octex.conversion.samples import MOST_POINTS, Samples, lay_out
 from octex.field.bricks import (
@@ -239,8 +239,8 @@ def _find_near(
             if not (
                 _look_up(bricks[0].rows, at, points, count, found, 0)
                 and _look_up(bricks[1].rows, at, points, count, found, 1)
-                and are_surely_near(found, columns, 1, most, bounds)
-                and are_surely_near(found, columns, count, most + BETWEEN, bounds)
+                and _are_near(found, columns, 1, most, bounds)
+                and _are_near(found, columns, count, most + BETWEEN, bounds)
             ):
                 near[n] = UNSURE
                 break
@@ -281,3 +281,29 @@ def _look_up(rows: Float32s, at: int, points: Float32s, count: int, found: Float
 def _weights(t: float) -> tuple[np.float32, np.float32, np.float32]:
     a, b, c = quadratic_weights(t)
     return np.float32(a), np.float32(b), np.float32(c)
+
+
+@inlined
+def _are_near(values: Float32s, columns: Columns, count: int, most: float, bounds: Float32s) -> bool:
+    """Say whether values (2, components, points) are ``most`` codes apart or less all over a patch.
+
+    It is as in `are_near_between`, with the difference of the values themselves for the polynomial. Of all
+    pairs that differ by as much as its largest coefficient, the darkest is apart by most codes.
+    """
+    two, half = np.float32(2), np.float32(0.5)
+    for component in range(columns.kinds.size):
+        found, wanted = values[0, component], values[1, component]
+        middle = found[0] - wanted[0]
+        low, apart = min(found[0], wanted[0]), abs(middle)
+        for corner in range(1, count, 3):
+            other = corner + 3 if corner + 3 < count else 1
+            here, after = found[corner] - wanted[corner], found[other] - wanted[other]
+            inner = found[corner + 1] - wanted[corner + 1]
+            along = found[corner + 2] - wanted[corner + 2]
+            apart = max(apart, abs(here))
+            apart = max(apart, abs(two * inner - half * (here + middle)))
+            apart = max(apart, abs(two * along - half * (here + after)))
+            for point in range(corner, corner + 3):
+                low = min(low, min(found[point], wanted[point]))
+        bounds[0, component], bounds[1, component] = low, low + apart
+    return all_near(bounds, columns, most)
