@@ -29,7 +29,6 @@ from octex.field.bricks import (
     note_nodes,
 )
 from octex.field.coefficients import SPLIT_KIND
-from octex.field.splines import quadratic_weights
 from octex.field.stages import view_of
 from octex.jit import fused_kernel, inlined, step, weighted_cube
 from octex.texture.blend import stored
@@ -236,11 +235,12 @@ def _find_near(
                 if (_kinds_at(kinds[0], at) | _kinds_at(kinds[1], at)) & hidden != np.uint64(0):
                     near[n] = BARE  # with its normal the field is another
             count = lay_out(samples.places, samples.normals, sample, points)
-            if not (
-                _look_up(bricks[0].rows, at, points, count, found, 0)
-                and _look_up(bricks[1].rows, at, points, count, found, 1)
-                and _are_near(found, columns, 1, most, bounds)
-                and _are_near(found, columns, count, most + BETWEEN, bounds)
+            if not _look_up(bricks[0].rows, bricks[1].rows, at, points, count, found) or not (
+                _are_near(found, columns, count, most, bounds)
+                or (
+                    _are_near(found, columns, 1, most, bounds)
+                    and _are_near(found, columns, count, most + BETWEEN, bounds)
+                )
             ):
                 near[n] = UNSURE
                 break
@@ -259,28 +259,33 @@ def _are_equal(rows: Float32s, others: Float32s, at: int) -> bool:
 
 
 @inlined
-def _look_up(rows: Float32s, at: int, points: Float32s, count: int, found: Float32s, side: int) -> bool:
-    """Write a field's values at points of a cell to ``found[side]``; say whether all have a weight."""
-    weighs = True
+def _look_up(
+    rows: Float32s, others: Float32s, at: int, points: Float32s, count: int, found: Float32s
+) -> bool:
+    """Write both fields' values at points of a cell; say whether they weigh anything at all of them."""
+    weigh = True
     for point in range(count):
         of_x = _weights(points[0, point])
         of_y = _weights(points[1, point])
         of_z = _weights(points[2, point])
         a, b, c, total = weighted_cube(rows, at, 10, of_x, of_y, of_z)
-        weighs &= total > np.float32(0)
-        inverse = np.float32(1) / total
-        found[side, 0, point] = a * inverse
+        u, v, w, other = weighted_cube(others, at, 10, of_x, of_y, of_z)
+        weigh &= min(total, other) > np.float32(0)
+        one, two = np.float32(1) / total, np.float32(1) / other
+        found[0, 0, point], found[1, 0, point] = a * one, u * two
         if found.shape[1] > 1:
-            found[side, 1, point] = b * inverse
+            found[0, 1, point], found[1, 1, point] = b * one, v * two
         if found.shape[1] > 2:
-            found[side, 2, point] = c * inverse
-    return weighs
+            found[0, 2, point], found[1, 2, point] = c * one, w * two
+    return weigh
 
 
 @inlined
-def _weights(t: float) -> tuple[np.float32, np.float32, np.float32]:
-    a, b, c = quadratic_weights(t)
-    return np.float32(a), np.float32(b), np.float32(c)
+def _weights(t: np.float32) -> tuple[np.float32, np.float32, np.float32]:
+    """Return the weights of the quadratic B-spline in a cell, 0 … 1."""
+    half, one = np.float32(0.5), np.float32(1)
+    low, high = half * (one - t) * (one - t), half * t * t
+    return low, one - low - high, high
 
 
 @inlined
