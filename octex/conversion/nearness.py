@@ -176,6 +176,7 @@ def _is_far(
     for sample in range(samples.firsts[cell], samples.firsts[cell + 1]):
         count = lay_out(samples.places, samples.normals, sample, scratch.points)
         for look in range(2):  # without a normal, then with it
+            one, other = 0, 1
             if look == 1:
                 is_new = False
                 for axis in range(3):
@@ -184,25 +185,25 @@ def _is_far(
                 view = view_of(normal, 0)
                 if is_new:
                     windows.known[2:] = False
-                kinds = windows.kinds[0, level] | windows.kinds[1, full]
-                if kinds & HIDDEN[full_facings(view)] == np.uint64(0):
+                hidden = HIDDEN[full_facings(view)]
+                one = 2 if windows.kinds[0, level] & hidden != np.uint64(0) else 0
+                other = 3 if windows.kinds[1, full] & hidden != np.uint64(0) else 1
+                if one == 0 and other == 1:
                     continue  # the normal changes nothing
-            find_coefficients(fields[0], walks[0], windows, 2 * look, level, look == 1, view)
-            find_coefficients(fields[1], walks[1], windows, 2 * look + 1, full, look == 1, view)
+            find_coefficients(fields[0], walks[0], windows, one, level, one == 2, view)
+            find_coefficients(fields[1], walks[1], windows, other, full, other == 3, view)
             is_first = look == 0 and sample == samples.firsts[cell]
             if is_first and _are_made_alike(windows, level, full, columns, most, scratch.bounds):
                 return False
             if is_bare and look == 0:
                 continue
-            for side in range(2):
-                at = level if side == 0 else full
-                _look_up(fields[1], windows, 2 * look + side, at, place, 0, 1, scratch)
+            _look_up(fields[0], windows, one, level, place, 0, 1, scratch)
+            _look_up(fields[1], windows, other, full, place, 0, 1, scratch)
             subtract(scratch.values, columns, 0, scratch.differences)
             if not are_near(scratch.differences, 0, most):
                 return True
-            for side in range(2):
-                at = level if side == 0 else full
-                _look_up(fields[1], windows, 2 * look + side, at, place, 1, count, scratch)
+            _look_up(fields[0], windows, one, level, place, 1, count, scratch)
+            _look_up(fields[1], windows, other, full, place, 1, count, scratch)
             if _are_all_near(scratch.values, columns, count, most + BETWEEN, scratch.bounds):
                 continue
             for point in range(1, count):
