@@ -208,9 +208,9 @@ class Answers:
     ) -> None:
         self._single = isinstance(channel, str)
         names = list(channel) if isinstance(channel, (list, tuple)) else [channel]
-        shapes: dict[str, tuple[int, ...]] = {}
         for name in names:
-            shapes[as_choice(name, components, "channel")] = count, components[name]
+            as_choice(name, components, "channel")
+        shapes: dict[str, tuple[int, ...]] = {name: (count, components[name]) for name in names}
         self._gradients: dict[str, Floats] | None = None
         if gradient:
             out, out_gradients = pair_of(out)
