@@ -19,6 +19,7 @@ from octex.field.splines import FILTERS
 from octex.field.stages import Facings, leave_mixed, weigh_by_area
 from octex.field.taps import BLOCK, Bytes, Float32s, Int64s, Memory, Points, Taps, place_points
 from octex.field.tiled import Search, Weighed, add_tiled, look_up_tiled
+from octex.field.tiles import Tiles
 from octex.field.windows import new_walk
 from octex.tree.placement import Placement
 
@@ -211,6 +212,17 @@ class _Lookup:
 
     def _searches(self, here: Field) -> Iterator[Search]:
         """Yield how a level's field is searched by tiles, its own and then coarser ones."""
+        filter_code = FILTERS.index(self._query.filter)
+        is_plain = here is self._field and self._query.normals is None
+        known = here.plain_searches if is_plain else {}
+        for number, tiles in enumerate(here.searched(filter_code)):
+            key = filter_code, number
+            if key not in known:
+                known[key] = self._search_by(here, tiles, number > 0)
+            yield known[key]
+
+    def _search_by(self, here: Field, tiles: Tiles, is_off: bool) -> Search:
+        """Return how a level's field is searched by some tiles."""
         field, tree, faces = self._field, here.tree, self._query.normals is not None
         areas = mixed = _NO_BYTES
         if here is not field:
@@ -223,8 +235,7 @@ class _Lookup:
         first_row = first_kept + field.tree.kept.cells.size
         weighing = areas, facings, faces, first_kept, first_row, mixed
         filter_code = FILTERS.index(self._query.filter)
-        for number, tiles in enumerate(here.searched(filter_code)):
-            yield Search(filter_code, tiles, tree.n_cells - 1, number > 0, *weighing)
+        return Search(filter_code, tiles, tree.n_cells - 1, is_off, *weighing)
 
     def leaves(self, points: Points) -> int:
         """Look up the leaves, in any tree."""

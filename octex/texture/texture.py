@@ -66,6 +66,7 @@ class OctreeTexture:
     """
 
     __slots__ = (
+        "_components",
         "_field",
         "_file",
         "_known_mixed",
@@ -101,6 +102,7 @@ class OctreeTexture:
                 raise ArgumentError(f"channel {name!r} must be a Channel, not {channel!r}")
             channel.check(name, tree)
         self.channels = MappingProxyType({name: channel.locked() for name, channel in given.items()})
+        self._components = {name: channel.format.components for name, channel in given.items()}
 
     def __repr__(self) -> str:
         return f"<OctreeTexture of {', '.join(self.channels) or 'no channels'}; {self.tree!r}>"
@@ -239,8 +241,7 @@ class OctreeTexture:
         gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
         footprint = {"width": width, "dPdx": dPdx, "dPdy": dPdy}
         given = lens.given(points, normals=normals, gradient=gradient, **footprint)
-        components = {name: each.format.components for name, each in self.channels.items()}
-        answers = Answers(components, channel, len(given["points"]), gradient, out)
+        answers = Answers(self._components, channel, len(given["points"]), gradient, out)
         if out is not None:
             check_apart(given.values(), answers.arrays)
         self._read_for(len(given["points"]))
