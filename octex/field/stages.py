@@ -15,7 +15,8 @@ import numpy.typing as npt
 
 from octex.field.taps import OFF, Bytes, Float32s, Memory, Taps, Uint32s, end_of, scale
 from octex.jit import decoded, inlined, kernel, popcount, prefetch, trailing_zeros
-from octex.tree.layout import AREA_ONE, AREA_STEPS, FACING_FLAGS, POSITIVE_FACINGS, SPLIT
+from octex.tree.areas import AREAS
+from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
 from octex.tree.octree import Octree
 
 Rows = npt.NDArray[np.uint8 | np.uint16 | np.float32]
@@ -25,7 +26,7 @@ Table = npt.NDArray[np.float32 | np.float64]
 #: not known. By the area itself, cells that the surface hardly touches count for as little as they hold, but
 #: what is then looked at is more ragged: half way from equal weights, painted content was nearest to the
 #: truth.
-AREA_WEIGHTS = (2.0 ** ((np.arange(256) - AREA_ONE) / AREA_STEPS / 2)).astype(np.float32)
+AREA_WEIGHTS = np.sqrt(AREAS).astype(np.float32)
 AREA_WEIGHTS[0] = 1.0
 
 #: Cosine between the normal and one of a cell's facings from which on the cell counts in full. A surface is
