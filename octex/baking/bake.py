@@ -29,6 +29,7 @@ from octex.checks import as_choice, as_names, as_whole
 from octex.errors import ArgumentError, ModelError
 from octex.parallel import Progress, as_progress, ordered_map, workers
 from octex.source.corners import Frames
+from octex.source.images.pyramid import CLAMP, REPEAT
 from octex.source.materials import MaterialSource
 from octex.source.surface import Surface, as_surface
 from octex.source.tangents import corner_frames
@@ -107,7 +108,9 @@ def bake(
         _bake_gutter(job, drawn, padding, maps)
         weights = (drawn.areas > 0).astype(np.float32)
         list(ordered_map(pool, lambda each: fill_up(each, weights.copy()), list(maps.values())))
-    material = material_of(maps, None)
+    uv_values = layout.uv.values[layout.uv.rows]
+    repeats = bool((uv_values < 0.0).any() or (uv_values > 1.0).any())
+    material = material_of(maps, wrap=REPEAT if repeats else CLAMP)
     source = MaterialSource(
         [material], np.zeros(len(surface.triangles), np.int32), surface.rest, surface.triangles,
         coordinates=[layout.uv], frames=job.frames, name=surface.name,

@@ -81,10 +81,13 @@ def unit(vectors: Float64s) -> Float64s:
     return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0), np.float64)
 
 
-def material_of(maps: Mapping[str, Float32s], alpha_mode: AlphaMode | None) -> Material:
+def material_of(
+    maps: Mapping[str, Float32s], alpha_mode: AlphaMode | None = None, wrap: int = CLAMP
+) -> Material:
     """Return a material whose images are maps (height, width, components) of channels, linear light.
 
-    ``alpha_mode`` None: "mask" if hardly any texel is translucent, else "blend".
+    ``alpha_mode`` None: "mask" if hardly any texel is translucent, else "blend". ``wrap`` is how coordinates
+    beyond the unit square meet the images.
     """
     inputs: dict[str, Input] = {}
     mode: AlphaMode = "opaque"
@@ -94,7 +97,7 @@ def material_of(maps: Mapping[str, Float32s], alpha_mode: AlphaMode | None) -> M
             continue
         height, width, _ = maps[given[0]].shape
         texels = np.full((height, width, 4), 65535, np.uint16)
-        texture = Texture(texels, CLAMP, CLAMP)
+        texture = Texture(texels, wrap, wrap)
         for name in given:
             values, form = maps[name], CHANNELS[name]
             lanes = (3,) if name == ALPHA.name else tuple(range(3))
