@@ -148,9 +148,7 @@ class _Job(NamedTuple):
     frames: Frames | None
 
 
-def _layout(
-    texture: OctreeTexture, surface: Surface, uv: Layouts, size: int | None, padding: int
-) -> Layout:
+def _layout(texture: OctreeTexture, surface: Surface, uv: Layouts, size: int | None, padding: int) -> Layout:
     """Lay the surface out in maps of a size, or of one that keeps the texture's cells."""
     if uv != "atlas":
         try:

@@ -54,9 +54,7 @@ def gutter_of(
 
 
 @inlined
-def _nearest_on(
-    ax: float, ay: float, bx: float, by: float, x: float, y: float
-) -> tuple[float, float, float]:
+def _nearest_on(ax: float, ay: float, bx: float, by: float, x: float, y: float) -> tuple[float, float, float]:
     """Return how far along an edge, 0 … 1, it is nearest to a point, and the way from there to the point."""
     ex, ey = bx - ax, by - ay
     square = ex * ex + ey * ey

@@ -79,16 +79,16 @@ def kept_layout(surface: Surface, size: int) -> Layout:
             f"{surface.name}: texture coordinates of a triangle reach over "
             f"{int(repeats.prod(axis=1).max()):,} squares; have an atlas made"
         )
-    faces = np.repeat(np.arange(len(uv), dtype=np.int32), repeats.prod(axis=1))
+    faces: Int32s = np.repeat(np.arange(len(uv), dtype=np.int32), repeats.prod(axis=1))
     starts = np.cumsum(repeats.prod(axis=1)) - repeats.prod(axis=1)
     number = np.arange(faces.size) - starts[faces]
     across, down = number % repeats[faces, 0], number // repeats[faces, 0]
     moved = low[faces] + np.stack([across, down], axis=1)
     charts = charts_of(surface, uv * size)[faces]
     squares = np.column_stack([charts, moved])
-    _, charts = np.unique(squares, axis=0, return_inverse=True)
+    _, numbers = np.unique(squares, axis=0, return_inverse=True)
     corners = (uv[faces] - moved[:, None]) * size
-    return Layout(surface.uv, corners, faces, charts.astype(np.int32), size, size)
+    return Layout(surface.uv, corners, faces, numbers.astype(np.int32), size, size)
 
 
 def charts_of(surface: Surface, corners: Float64s) -> Int32s:

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from octex.channels import ALPHA, CHANNELS, NORMAL, encode
 from octex.source.corners import Frames
-from octex.source.materials import AlphaMode, Input, Material, Texture
 from octex.source.images.pyramid import CLAMP
+from octex.source.materials import AlphaMode, Input, Material, Texture
 from octex.texture import OctreeTexture
 
 Float32s = npt.NDArray[np.float32]
@@ -67,12 +67,12 @@ def in_tangent_space(
 
 
 def turned(directions: Float32s, before: Float64s, after: Float64s) -> Float32s:
-    """Return directions (n, 3), turned as unit vectors ``before`` (n, 3) turn to ``after`` the shortest way."""
+    """Return directions (n, 3), turned as unit vectors ``before`` (n, 3) turn straight to ``after``."""
     cosines = np.einsum("nx,nx->n", before, after)[:, None]
     axes = np.cross(before, after)
     along = np.einsum("nx,nx->n", axes, directions)[:, None]
     made = directions * cosines + np.cross(axes, directions) + axes * along / np.maximum(1.0 + cosines, 1e-6)
-    return made.astype(np.float32)
+    return np.asarray(made, np.float32)
 
 
 def unit(vectors: Float64s) -> Float64s:
@@ -109,7 +109,9 @@ def material_of(
                 values = values / np.float32(strength)
             codes = encode(values, "uint8", form.space).astype(np.uint16) * np.uint16(257)
             texels[..., list(lanes)] = codes
-            inputs[name] = Input((strength,) * len(lanes) if name != NORMAL.name else (1.0,) * 3, texture, lanes)
+            inputs[name] = Input(
+                (strength,) * len(lanes) if name != NORMAL.name else (1.0,) * 3, texture, lanes
+            )
         if "alpha" in given:
             mode = alpha_mode or _mode_of(maps["alpha"])
     return Material(inputs, mode)

@@ -171,7 +171,10 @@ def _find_triangles(
     for row in range(triangles.shape[0]):
         for column in range(triangles.shape[1]):
             if triangles[row, column] >= 0:
-                x, y = column + np.float64(centroids[row, column, 0]), first + row + np.float64(centroids[row, column, 1])
+                x, y = (
+                    column + np.float64(centroids[row, column, 0]),
+                    first + row + np.float64(centroids[row, column, 1]),
+                )
                 p, q, r = barycentric_of(corners, int(triangles[row, column]), x, y)
                 nearest[row, column] = min(p, min(q, r))
     for triangle in range(corners.shape[0]):
@@ -192,7 +195,7 @@ def _find_triangles(
 
 
 def barycentrics(corners: Float64s, triangles: Int32s, points: Float64s) -> Float64s:
-    """Return the barycentric coordinates (n, 3) of points (n, 2) of the map, on or nearest to triangles (n,)."""
+    """Return the barycentric coordinates (n, 3) of points (n, 2) of the map on triangles (n,), or beside."""
     found = np.empty((triangles.size, 3))
     _barycentrics(corners, triangles, points, found)
     return found

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import io
 import json
 import struct
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import PIL.Image
 
-from octex.checks import as_choice, as_path
-from octex.errors import ArgumentError, ModelError
+from octex.errors import ModelError
 from octex.files import replacing
+from octex.formats.images import ImageFormat, image_file, materials_of
 from octex.parallel import ordered_map, workers
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Input, Material, MaterialSource, Texture
-from octex.source.surface import Surface, as_surface
-
-ImageFormat = Literal["png", "jpeg", "webp"]
-IMAGE_FORMATS: tuple[ImageFormat, ...] = ("png", "jpeg", "webp")
+from octex.source.surface import Surface
 
 _FLOAT, _UINT = 5126, 5125
 _ARRAYS, _ELEMENTS = 34962, 34963
@@ -31,30 +26,20 @@ _NEAREST, _LINEAR, _MIPMAPS = 9728, 9729, 9987
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 #: What a dielectric reflects where KHR_materials_specular says 1.
 _DIELECTRIC = 0.04
-_JPEG_QUALITY = 95
 
 
-def write_gltf(surface: Surface, path: str | Path, *, images: ImageFormat = "png") -> None:
+def write_gltf(surface: Surface, path: Path, images: ImageFormat) -> None:
     """Write a surface whose values come from images, as ``bake`` makes it, as glTF 2.0.
 
     ``path`` ends in .glb, one file, or .gltf, whose .bin and images are written beside it. Positions are the
     posed ones; normals and tangents are the surface's ``frames``, without which viewers shade it flat.
     ``images`` is how maps are stored: "png", or with loss "jpeg" (where there is no alpha) or "webp".
 
-    What was there is replaced whole or not at all. Raises ArgumentError for another ending, ModelError for a
-    surface with other sources of values, and OutputError if it cannot be written.
+    Raises ModelError for a surface whose values glTF's materials cannot say.
     """
-    as_surface(surface)
-    path = as_path(path, "path")
-    as_choice(images, IMAGE_FORMATS, "images")
-    ending = path.suffix.lower()
-    if ending not in (".glb", ".gltf"):
-        raise ArgumentError(f"{path.name} must end in .glb or .gltf")
-    if not isinstance(surface.source, MaterialSource):
-        raise ModelError(f"{surface.name}: its values do not come from materials; bake it first")
     content = _Content(images)
-    content.add(surface, surface.source)
-    if ending == ".glb":
+    content.add(surface, materials_of(surface))
+    if path.suffix.lower() == ".glb":
         _write_glb(content, path)
     else:
         _write_files(content, path)
@@ -130,7 +115,11 @@ class _Content:
         return len(self.json["accessors"]) - 1
 
     def _view(self, data: bytes, target: int | None = None) -> int:
-        view: dict[str, Any] = {"buffer": 0, "byteOffset": sum(map(len, self.arrays)), "byteLength": len(data)}
+        view: dict[str, Any] = {
+            "buffer": 0,
+            "byteOffset": sum(map(len, self.arrays)),
+            "byteLength": len(data),
+        }
         self._views.append(view if target is None else {**view, "target": target})
         self.arrays.append(data + bytes(-len(data) % 4))
         return len(self._views) - 1
@@ -147,7 +136,9 @@ class _Content:
                     texels[id(given.texture.texels)] = known[0], known[1] or is_covered
         with workers(None, None, len(texels)) as pool:
             made = ordered_map(
-                pool, lambda each: _image_file(each[0].texels, each[1], self._format), list(texels.values())
+                pool,
+                lambda each: image_file(each[0].texels, slice(4 if each[1] else 3), self._format),
+                list(texels.values()),
             )
             self.images = list(made)
         self._numbers = {key: number for number, key in enumerate(texels)}
@@ -249,23 +240,6 @@ _LANES = {
     "base_color": (0, 1, 2), "alpha": (3,), "occlusion": (0,), "roughness": (1,), "metallic": (2,),
     "emissive": (0, 1, 2), "specular": (0, 1, 2), "normal": (0, 1, 2),
 }  # fmt: skip
-
-
-def _image_file(texels: npt.NDArray[Any], is_covered: bool, form: ImageFormat) -> tuple[bytes, str]:
-    """Return an image file of texels, with alpha if ``is_covered``, and its format."""
-    if texels.dtype != np.uint16:
-        raise ModelError("glTF's images hold no floats; bake the surface first")
-    codes = np.ascontiguousarray(((texels[..., : 4 if is_covered else 3] + np.uint32(128)) // 257), np.uint8)
-    image = PIL.Image.fromarray(codes)
-    file = io.BytesIO()
-    if form == "jpeg" and not is_covered:
-        image.save(file, "jpeg", quality=_JPEG_QUALITY, subsampling=0)
-        return file.getvalue(), "jpeg"
-    if form == "webp":
-        image.save(file, "webp", quality=_JPEG_QUALITY)
-        return file.getvalue(), "webp"
-    image.save(file, "png", compress_level=3)
-    return file.getvalue(), "png"
 
 
 def _write_glb(content: _Content, path: Path) -> None:
