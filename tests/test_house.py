@@ -32,6 +32,7 @@ ROWS = [
     {"view"},
     {"painting"},
     {"processing"},
+    {"baking"},
     {"formats"},
     {"compare"},
     {"preview"},
@@ -45,7 +46,7 @@ EXCEPTIONS = {("checks", "octex.tree.layout")}
 
 EXPORTED = [
     *["Box", "Camera", "MappedImage", "OctexError", "OctreeTexture", "PointCloud", "Projection", "Sphere"],
-    *["Surface", "TextureSet", "Transfer", "__version__", "blur", "cast", "combine", "convert"],
+    *["Surface", "TextureSet", "Transfer", "__version__", "bake", "blur", "cast", "combine", "convert"],
     *[
         "convert_set",
         "crop",
@@ -60,7 +61,7 @@ EXPORTED = [
         "read_cameras",
         "resize",
     ],
-    *["separate", "write_cameras"],
+    *["separate", "write_cameras", "write_model"],
 ]
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]
 

@@ -40,7 +40,9 @@ BAKE = Command(
         ),
         option("--padding", "texels between charts (default 8)", metavar="N", type=whole_number),
         option("--channels", "those to bake, like base_color,normal", metavar="NAMES", type=channel_names),
-        option("--images", "png (default), jpeg or webp, with loss", choices=("png", "jpeg", "webp")),
+        option(
+            "--images", "png (default), webp, smaller, or jpeg, with loss", choices=("png", "jpeg", "webp")
+        ),
         option("--rest", "the undeformed model, of the same topology", metavar="MODEL", type=Path),
         option("--force", "overwrite OUTPUT", action="store_true"),
         option("--threads", "threads to work on (default: all processors)", metavar="N", type=count),

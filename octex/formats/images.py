@@ -39,9 +39,11 @@ def image_file(
     codes = ((texels[..., lanes] + np.uint32(128)) // np.uint32(257)).astype(np.uint8)
     image = PIL.Image.fromarray(codes[..., 0] if codes.shape[-1] == 1 else codes)
     made: ImageFormat = "png" if form == "jpeg" and codes.shape[-1] == 4 else form
-    settings: dict[str, Any] = {"compress_level": _PNG_LEVEL} if made == "png" else {"quality": _QUALITY}
-    if made == "jpeg":
-        settings["subsampling"] = 0
+    settings: dict[str, Any] = {
+        "png": {"compress_level": _PNG_LEVEL},
+        "jpeg": {"quality": _QUALITY, "subsampling": 0},
+        "webp": {"lossless": True, "exact": True},
+    }[made]
     file = io.BytesIO()
     image.save(file, made, **settings)
     return file.getvalue(), made

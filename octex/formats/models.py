@@ -27,7 +27,8 @@ def write_model(surface: Surface, path: str | os.PathLike[str], *, images: Image
     """Write a surface whose values come from images, as ``bake`` makes it, for other tools.
 
     ``path`` ends in .glb (one file), .gltf (a .bin and images are written beside it) or .obj (a .mtl and
-    images). ``images`` is how maps are stored: "png", or with loss "jpeg" (those without alpha) or "webp".
+    images). ``images`` is how maps are stored: "png"; "webp", smaller, which fewer tools read; or
+    with loss "jpeg" (those without alpha).
     Positions are the posed ones; normals are the surface's ``frames``, without which viewers shade it flat.
 
     Each file is replaced whole or not at all. Raises ArgumentError for another ending, ModelError for values
