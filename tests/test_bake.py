@@ -16,7 +16,7 @@ import octex
 from octex.baking import atlas
 from octex.baking.gutters import fill_up, gutter_of
 from octex.baking.layout import borders, kept_layout, neighbors, unit_area
-from octex.baking.texels import barycentrics, draw_texels
+from octex.baking.texels import draw_texels, texel_points
 from octex.channels import linear_to_srgb
 from octex.cli import main as cli
 from octex.errors import ArgumentError, ModelError
@@ -102,10 +102,15 @@ def test_triangles_of_a_chart_share_texels_and_charts_do_not() -> None:
     assert 0.0 < drawn.areas[0, 4] < 0.4
     diagonal = drawn.triangles[[0, 1, 2, 3], [3, 2, 1, 0]]
     assert set(diagonal.tolist()) <= {0, 1}
-    found = barycentrics(corners, np.array([0, 2], np.int32), np.array([[1.0, 1.0], [9.0, 1.0]]))
-    np.testing.assert_allclose(found[0], [0.5, 0.25, 0.25])
-    assert (found >= 0).all()
-    np.testing.assert_allclose(found.sum(axis=1), 1.0)
+    flat = np.concatenate([corners.reshape(-1, 2), np.zeros((9, 1))], axis=1)
+    rows, columns, barycentric, rest = texel_points(
+        corners, drawn, 0, flat, np.arange(9, dtype=np.int32).reshape(-1, 3)
+    )
+    np.testing.assert_allclose(
+        rest[:, :2] - np.stack([columns, rows], axis=1), drawn.centroids[rows, columns], atol=1e-6
+    )
+    assert (barycentric >= 0).all()
+    np.testing.assert_allclose(barycentric.sum(axis=1), 1.0)
 
 
 def test_rows_drawn_apart_are_those_drawn_together() -> None:
@@ -246,18 +251,13 @@ def test_coordinates_that_repeat_are_drawn_in_each_square() -> None:
     ("uv", "words"),
     [
         (None, "has no texture coordinates to keep"),
-        (
-            np.tile([[0.1, 0.1], [0.9, 0.1], [0.5, 0.9]], (4, 1)).reshape(4, 3, 2),
-            "texture coordinates overlap",
-        ),
-        (np.tile([[0.1, 0.1], [9.9, 0.1], [0.5, 9.9]], (4, 1)).reshape(4, 3, 2), "reach over 100 squares"),
+        ([0.1, 0.1, 0.9, 0.1, 0.5, 0.9], "texture coordinates overlap"),
+        ([0.1, 0.1, 9.9, 0.1, 0.5, 9.9], "reach over 100 squares"),
     ],
 )
-def test_coordinates_that_cannot_be_kept_are_refused_or_made_anew(
-    uv: list[list[float]] | None, words: str
-) -> None:
+def test_coordinates_that_cannot_be_kept_are_refused_or_made_anew(uv: list[float] | None, words: str) -> None:
     points, triangles = whole().vertices, whole().triangles
-    own = None if uv is None else np.tile(uv, (4, 1)).reshape(4, 3, 2)  # all triangles in one place
+    own = None if uv is None else np.tile(uv, 4).reshape(4, 3, 2)  # all triangles in one place
     surface = Surface.from_arrays(points, triangles, uv=own)
     texture = octex.convert(surface, 4)
     with pytest.raises(ModelError, match=words):

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.baking.atlas import atlas_layout
-from octex.baking.gutters import fill_up, gutter_of
+from octex.baking.gutters import Gutter, fill_up, gutter_of
 from octex.baking.layout import (
     ALIGNMENT,
     LAYOUTS,
@@ -23,7 +23,7 @@ from octex.baking.layout import (
     unit_area,
 )
 from octex.baking.maps import Points, in_tangent_space, material_of, sampled, turned, unit
-from octex.baking.texels import Texels, barycentrics, draw_texels
+from octex.baking.texels import Texels, draw_texels, texel_points
 from octex.channels import CHANNELS, NORMAL
 from octex.checks import as_choice, as_names, as_whole
 from octex.errors import ArgumentError, ModelError
@@ -43,6 +43,8 @@ Int32s = npt.NDArray[np.int32]
 _SMALLEST, _LARGEST, _MOST = 64, 8192, 16384
 #: Rows of texels in one task.
 _BAND = 32
+#: Texels of gutters in one task.
+_GUTTER = 1 << 16
 #: Coordinates of which so much is covered twice are not kept unless that is asked for.
 _OVERLAPPING = 0.01
 
@@ -105,12 +107,13 @@ def bake(
         tasks = [(job, drawn, band, maps) for band in bands]
         for _ in ordered_map(pool, _bake_band, tasks, stage="bake", progress=report):
             pass
-        _bake_gutter(job, drawn, padding, maps)
+        if padding:
+            _bake_gutter(job, drawn, padding, maps, pool)
         weights = (drawn.areas > 0).astype(np.float32)
-        list(ordered_map(pool, lambda each: fill_up(each, weights.copy()), list(maps.values())))
-    uv_values = layout.uv.values[layout.uv.rows]
-    repeats = bool((uv_values < 0.0).any() or (uv_values > 1.0).any())
-    material = material_of(maps, wrap=REPEAT if repeats else CLAMP)
+        list(ordered_map(pool, lambda each: fill_up(each, weights), list(maps.values())))
+        used = layout.uv.values[layout.uv.rows]
+        repeats = bool((used < 0.0).any() or (used > 1.0).any())
+        material = material_of(maps, REPEAT if repeats else CLAMP, pool)
     source = MaterialSource(
         [material], np.zeros(len(surface.triangles), np.int32), surface.rest, surface.triangles,
         coordinates=[layout.uv], frames=job.frames, name=surface.name,
@@ -141,6 +144,7 @@ class _Job(NamedTuple):
     texture: OctreeTexture
     surface: Surface
     layout: Layout
+    faces: Int32s  # (k, 3)   of what is drawn
     names: list[str]
     dPdx: Float64s  # (m, 3)
     dPdy: Float64s  # (m, 3)
@@ -203,7 +207,7 @@ def _job(texture: OctreeTexture, surface: Surface, layout: Layout, names: list[s
         normals = None if surface.frames is None else surface.frames.normals
         frames = corner_frames(surface.rest, surface.triangles, normals, None, layout.uv)
     return _Job(
-        texture, surface, layout, names,
+        texture, surface, layout, surface.triangles[layout.faces], names,
         dPdx=(first * two[:, 1:] - second * one[:, 1:]) * scale,
         dPdy=(second * one[:, :1] - first * two[:, :1]) * scale,
         normals=crosses / np.where(lengths > 0, lengths, 1.0),
@@ -229,53 +233,51 @@ def _new_map(layout: Layout, name: str) -> Float32s:
 
 def _bake_band(task: tuple[_Job, Texels, slice, dict[str, Float32s]]) -> None:
     """Write the channels at the texels of some rows."""
-    job, drawn, band, maps = task
-    rows, columns = np.nonzero(drawn.triangles[band] >= 0)
+    job, whole, band, maps = task
+    layout, surface = job.layout, job.surface
+    drawn = Texels(whole.triangles[band], whole.centroids[band], whole.areas[band])
+    rows, columns, barycentric, rest = texel_points(
+        layout.corners, drawn, band.start, surface.rest, job.faces
+    )
     if not rows.size:
         return
-    rows += band.start
-    shown = drawn.triangles[rows, columns]
-    triangles = job.layout.faces[shown]
-    places = drawn.centroids[rows, columns].astype(np.float64) + np.stack([columns, rows], axis=1)
-    barycentric = barycentrics(job.layout.corners, shown, places)
-    dPdx, dPdy = job.dPdx[triangles], job.dPdy[triangles]
-    rest = job.surface.rest_at(triangles, barycentric)
-    found = sampled(job.texture, job.names, Points(rest, dPdx, dPdy, job.normals[triangles]))
+    triangles = layout.faces[whole.triangles[rows, columns]]
+    points = Points(rest, job.dPdx[triangles], job.dPdy[triangles], job.normals[triangles])
+    found = sampled(job.texture, job.names, points)
     if job.frames is not None:
         found[NORMAL.name] = in_tangent_space(found[NORMAL.name], job.frames, triangles, barycentric)
     for name, values in found.items():
         maps[name][rows, columns] = values
 
 
-def _bake_gutter(job: _Job, drawn: Texels, padding: int, maps: dict[str, Float32s]) -> None:
+def _bake_gutter(job: _Job, drawn: Texels, padding: int, maps: dict[str, Float32s], pool: Executor) -> None:
     """Write the channels around the charts, and count these texels as covered, in place."""
-    if padding == 0:
-        return
     others, sides = neighbors(job.surface)
     gutter = gutter_of(
         job.layout, borders(job.surface, job.layout), job.surface.rest, job.surface.triangles, others, sides,
         drawn.areas > 0, padding,
     )  # fmt: skip
-    if not gutter.rows.size:
-        return
-    # As large as the texels of the chart that they are beside, in the plane of the triangle that they show.
     sizes = np.linalg.norm(np.cross(job.dPdx, job.dPdy), axis=1) ** 0.5
+    firsts = range(0, gutter.rows.size, _GUTTER)
+    parts = [gutter.part(first, first + _GUTTER) for first in firsts]
+    list(ordered_map(pool, lambda some: _bake_beside(job, sizes, some, maps), parts))
+    drawn.areas[gutter.rows, gutter.columns] = 1.0
+
+
+def _bake_beside(job: _Job, sizes: Float64s, gutter: Gutter, maps: dict[str, Float32s]) -> None:
+    """Write the channels at some texels of gutters; ``sizes`` (m,) are the edges of texels on triangles.
+
+    They are as large as the texels of the chart beside them, in the plane of the triangle that they show.
+    """
     normals = job.normals[gutter.triangles]
     helper = np.where(np.abs(normals[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-    across = np.cross(normals, helper)
-    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-30)
-    wide = across * sizes[gutter.beside][:, None]
+    wide = unit(np.cross(normals, helper)) * sizes[gutter.beside][:, None]
     rest = job.surface.rest_at(gutter.triangles, gutter.barycentric)
     found = sampled(job.texture, job.names, Points(rest, wide, np.cross(normals, wide), normals))
     if job.frames is not None:
-        shading = [
-            unit(job.frames.normals.at(triangles, barycentric))
-            for triangles, barycentric in (
-                (gutter.triangles, gutter.barycentric), (gutter.beside, gutter.edges),
-            )
-        ]  # fmt: skip
+        ends = ((gutter.triangles, gutter.barycentric), (gutter.beside, gutter.edges))
+        shading = [unit(job.frames.normals.at(*each)) for each in ends]
         directions = turned(found[NORMAL.name], *shading)
         found[NORMAL.name] = in_tangent_space(directions, job.frames, gutter.beside, gutter.edges)
     for name, values in found.items():
         maps[name][gutter.rows, gutter.columns] = values
-    drawn.areas[gutter.rows, gutter.columns] = 1.0

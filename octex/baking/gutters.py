@@ -28,6 +28,10 @@ class Gutter(NamedTuple):
     beside: Int32s  # (n,)   the triangle whose edge they are nearest to in the map
     edges: Float64s  # (n, 3)   where on that
 
+    def part(self, first: int, end: int) -> Gutter:
+        """Return a run of the texels."""
+        return Gutter._make(each[first:end] for each in self)
+
 
 def gutter_of(
     layout: Layout, borders: Borders, rest: Float64s, faces: Int32s, others: Int32s, sides: Int32s,
@@ -204,17 +208,35 @@ def fill_up(values: Float32s, weights: Float32s) -> None:
     down, what lies between the coarser values (S. J. Gortler et al., "The Lumigraph", 1996, 3.4).
     """
     height, width = weights.shape
-    if (weights > 0).all() or max(height, width) == 1 or not (weights > 0).any():
+    if max(height, width) == 1:
         return
-    padded = np.zeros((height + height % 2, width + width % 2, values.shape[2] + 1), np.float32)
-    padded[:height, :width, -1] = weights
-    np.multiply(values, weights[..., None], out=padded[:height, :width, :-1])
-    sums = padded.reshape(padded.shape[0] // 2, 2, padded.shape[1] // 2, 2, -1).sum(axis=(1, 3))
-    del padded
-    total = sums[..., -1]
-    coarse = sums[..., :-1] / np.maximum(total, np.float32(1e-30))[..., None]
-    fill_up(coarse, np.minimum(total, np.float32(1.0)))
-    _pull(coarse, weights, values)
+    shape = (height + 1) // 2, (width + 1) // 2
+    coarse = np.zeros((*shape, values.shape[2]), np.float32)
+    above = np.zeros(shape, np.float32)
+    if _push(values, weights, coarse, above):
+        fill_up(coarse, above)
+        _pull(coarse, weights, values)
+
+
+@kernel
+def _push(values: Float32s, weights: Float32s, coarse: Float32s, above: Float32s) -> bool:
+    """Average texels two by two, with weights up to 1; say whether some have no weight, and not all."""
+    none = some = False
+    for row in range(weights.shape[0]):
+        for column in range(weights.shape[1]):
+            weight = weights[row, column]
+            none |= weight <= 0.0
+            some |= weight > 0.0
+            above[row >> 1, column >> 1] += weight
+            for k in range(values.shape[2]):
+                coarse[row >> 1, column >> 1, k] += weight * values[row, column, k]
+    for row in range(above.shape[0]):
+        for column in range(above.shape[1]):
+            if above[row, column] > 0.0:
+                for k in range(coarse.shape[2]):
+                    coarse[row, column, k] /= above[row, column]
+                above[row, column] = min(above[row, column], np.float32(1.0))
+    return none and some
 
 
 @kernel

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from octex.jit import inlined, kernel
 
-Bools = npt.NDArray[np.bool_]
 Int32s = npt.NDArray[np.int32]
+Int64s = npt.NDArray[np.int64]
 Float32s = npt.NDArray[np.float32]
 Float64s = npt.NDArray[np.float64]
 
@@ -194,17 +194,35 @@ def _find_triangles(
                     triangles[row - first, column] = triangle
 
 
-def barycentrics(corners: Float64s, triangles: Int32s, points: Float64s) -> Float64s:
-    """Return the barycentric coordinates (n, 3) of points (n, 2) of the map on triangles (n,), or beside."""
-    found = np.empty((triangles.size, 3))
-    _barycentrics(corners, triangles, points, found)
-    return found
+def texel_points(
+    corners: Float64s, drawn: Texels, first: int, rest: Float64s, faces: Int32s
+) -> tuple[Int64s, Int64s, Float64s, Float64s]:
+    """Return where texels of a map show something, from row ``first`` on, and what.
+
+    ``corners`` (k, 3, 2) were drawn; ``faces`` (k, 3) are rows of ``rest`` (n, 3). Returns the texels' rows
+    and columns (t,), the barycentric coordinates (t, 3) on what was drawn, and the rest positions (t, 3).
+    """
+    rows, columns = np.nonzero(drawn.triangles >= 0)
+    barycentric, positions = np.empty((2, rows.size, 3))
+    _texel_points(corners, *drawn[:2], rows, columns, first, rest, faces, barycentric, positions)
+    return rows + first, columns, barycentric, positions
 
 
 @kernel
-def _barycentrics(corners: Float64s, triangles: Int32s, points: Float64s, found: Float64s) -> None:
-    for n in range(triangles.size):
-        p, q, r = barycentric_of(corners, int(triangles[n]), points[n, 0], points[n, 1])
+def _texel_points(
+    corners: Float64s, triangles: Int32s, centroids: Float32s, rows: Int64s, columns: Int64s, first: int,
+    rest: Float64s, faces: Int32s, barycentric: Float64s, positions: Float64s,
+) -> None:  # fmt: skip
+    for n in range(rows.size):
+        row, column = rows[n], columns[n]
+        triangle = int(triangles[row, column])
+        x = column + np.float64(centroids[row, column, 0])
+        y = first + row + np.float64(centroids[row, column, 1])
+        p, q, r = barycentric_of(corners, triangle, x, y)
         p, q, r = max(p, 0.0), max(q, 0.0), max(r, 0.0)
         total = p + q + r
-        found[n, 0], found[n, 1], found[n, 2] = p / total, q / total, r / total
+        p, q, r = p / total, q / total, r / total
+        barycentric[n, 0], barycentric[n, 1], barycentric[n, 2] = p, q, r
+        a, b, c = faces[triangle, 0], faces[triangle, 1], faces[triangle, 2]
+        for axis in range(3):
+            positions[n, axis] = p * rest[a, axis] + q * rest[b, axis] + r * rest[c, axis]
