@@ -44,6 +44,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from octex.baking.bake import bake as bake
+    from octex.baking.vertices import bake_vertices as bake_vertices
     from octex.conversion.apart import separate as separate
     from octex.conversion.convert import convert as convert
     from octex.conversion.sets import convert_set as convert_set
@@ -96,6 +97,7 @@ _HOMES = {
     "TextureSet": ("octex.texture", "TextureSet"),
     "Transfer": ("octex.source.transfer", "Transfer"),
     "bake": ("octex.baking.bake", "bake"),
+    "bake_vertices": ("octex.baking.vertices", "bake_vertices"),
     "blur": ("octex.processing.blur", "blur"),
     "cast": ("octex.processing.cast", "cast"),
     "combine": ("octex.processing.combine", "combine"),

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,7 +18,7 @@ from octex.baking import atlas
 from octex.baking.gutters import fill_up, gutter_of
 from octex.baking.layout import borders, kept_layout, neighbors, unit_area
 from octex.baking.texels import draw_texels, texel_points
-from octex.channels import linear_to_srgb
+from octex.channels import encode, linear_to_srgb
 from octex.cli import main as cli
 from octex.errors import ArgumentError, ModelError
 from octex.source.surface import Surface
@@ -320,6 +321,50 @@ def test_what_cannot_be_written_is_said(tmp_path: Path) -> None:
         octex.write_model(surface, tmp_path / "a.fbx")
 
 
+def test_vertex_colours_follow_the_field_and_neighbours_divide_alike() -> None:
+    texture, surface = painted_sphere()
+    coarse = octex.bake_vertices(texture, surface)
+    assert len(coarse.triangles) == len(surface.triangles)
+    fine = octex.bake_vertices(texture, surface, subdivide="auto", max_error=2.0)
+    near = texture.sample(fine.vertices, "base_color", normals=fine.vertices)
+    np.testing.assert_allclose(fine.source.colors.values[:, :3], near, atol=0.02)  # type: ignore[attr-defined]
+    for seed, made, least in ((3, coarse, 20.0), (4, fine, 43.0)):
+        some = made.scatter(20_000, seed=seed)
+        assert psnr(made.evaluate(some), texture.sample(some, "base_color")) > least
+    # Each edge has two triangles, as before, and the sphere is where it was.
+    ends = np.stack([fine.triangles, np.roll(fine.triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
+    _, counts = np.unique(np.sort(ends, axis=1), axis=0, return_counts=True)
+    assert (counts == 2).all()
+    assert fine.areas().sum() == pytest.approx(surface.areas().sum(), rel=1e-9)
+
+
+def test_edges_are_halved_until_none_is_longer() -> None:
+    surface = whole()
+    texture = octex.convert(surface, 6)
+    made = octex.bake_vertices(texture, surface, subdivide=0.1)
+    sides = made.vertices[np.roll(made.triangles, -1, axis=1)] - made.vertices[made.triangles]
+    assert np.linalg.norm(sides, axis=2).max() <= 0.1
+    assert made.areas().sum() == pytest.approx(surface.areas().sum(), rel=1e-9)
+    few = octex.bake_vertices(texture, surface, subdivide=0.1, most_triangles=20)
+    assert len(few.triangles) <= 20
+
+
+@pytest.mark.parametrize("ending", [".ply", ".glb", ".obj"])
+def test_vertex_colours_are_written_and_read_back(ending: str, tmp_path: Path) -> None:
+    texture, surface = painted_sphere()
+    made = octex.bake_vertices(texture, surface)
+    octex.write_model(made, tmp_path / f"ball{ending}")
+    read = octex.load_surface(tmp_path / f"ball{ending}")
+    assert read.triangles.shape == made.triangles.shape
+    points = made.scatter(2000)
+    np.testing.assert_allclose(read.evaluate(points), made.evaluate(points), atol=0.01)
+    if ending == ".ply":
+        cloud = trimesh.load(tmp_path / "ball.ply", process=False)
+        np.testing.assert_array_equal(cloud.faces, made.triangles)
+        codes = encode(made.source.colors.values[:, :3], "uint8", "srgb")  # type: ignore[attr-defined]
+        np.testing.assert_array_equal(cloud.visual.vertex_colors[:, :3], codes)
+
+
 def test_the_command_bakes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     surface = cube_with_charts().with_sources({"base_color": waves})
     octex.convert(surface, 4).save(tmp_path / "cube.octex")
@@ -331,6 +376,12 @@ def test_the_command_bakes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert made["texture_size"] == 64
     assert made["channels"] == ["base_color"]
     assert made["bytes"] == (tmp_path / "baked.glb").stat().st_size
+    assert cli.main(["bake", *given[:2], str(tmp_path / "b.ply"), "--subdivide", "auto", "--json", "-q"]) == 2
+    assert "unrecognized" in capsys.readouterr().err
+    assert cli.main(["bake", *given[:2], str(tmp_path / "b.ply"), "--subdivide", "auto", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["vertices"] > 8
+    assert cli.main(["bake", *given[:2], str(tmp_path / "c.ply"), "--uv", "keep"]) == 2
+    assert "--uv has no meaning with vertex colours" in capsys.readouterr().err
     assert cli.main(["bake", *given]) == 2
     assert "exists" in capsys.readouterr().err
     assert cli.main(["bake", *given[1:], str(tmp_path / "c.glb")]) == 2

@@ -46,7 +46,18 @@ EXCEPTIONS = {("checks", "octex.tree.layout")}
 
 EXPORTED = [
     *["Box", "Camera", "MappedImage", "OctexError", "OctreeTexture", "PointCloud", "Projection", "Sphere"],
-    *["Surface", "TextureSet", "Transfer", "__version__", "bake", "blur", "cast", "combine", "convert"],
+    *[
+        "Surface",
+        "TextureSet",
+        "Transfer",
+        "__version__",
+        "bake",
+        "bake_vertices",
+        "blur",
+        "cast",
+        "combine",
+        "convert",
+    ],
     *[
         "convert_set",
         "crop",

@@ -5,5 +5,6 @@ atlas       coordinates for any surface: charts, flattened and packed
 texels      which point of the surface a texel shows
 gutters     what stands around charts
 maps        the channels at these points, as images of a material
+vertices    colours at vertices instead
 bake        all of it: a texture and a surface in, a surface with images out
 """

@@ -53,6 +53,11 @@ def length(text: str) -> float:
     return number
 
 
+def edge_length(text: str) -> float | str:
+    """Read a length, or "auto"."""
+    return text if text == "auto" else length(text)
+
+
 def cells_apart(text: str) -> float:
     """Read how many cells parts are to be apart."""
     try:

@@ -9,17 +9,19 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import octex
-from octex.cli.arguments import channel_names, count, whole_number
+from octex.cli.arguments import channel_names, count, edge_length, error_codes, whole_number
 from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
 from octex.cli.models import TEXTURE_ENDING, open_sound
-from octex.cli.parser import Command, Parser, option
+from octex.cli.parser import Command, Parser, option, words_given
 from octex.errors import ArgumentError, ExitCode
 
+_OF_IMAGES = ("--uv", "--texture-size", "--padding", "--channels", "--images")
+_OF_VERTICES = ("--subdivide", "--max-error")
 #: As formats.models.WRITTEN_ENDINGS, without an import.
-ENDINGS = (".glb", ".gltf", ".obj")
+ENDINGS = (".glb", ".gltf", ".obj", ".ply")
 
 BAKE = Command(
-    "Bake a texture to images, for tools that show models: one .glb, .gltf or .obj.",
+    "Bake a texture to images, or to vertex colours, for tools that show models.",
     [
         option("TEXTURE", "an .octex file", type=Path),
         option("MODEL", "the model that it is a texture of", type=Path),
@@ -43,6 +45,24 @@ BAKE = Command(
         option(
             "--images", "png (default), webp, smaller, or jpeg, with loss", choices=("png", "jpeg", "webp")
         ),
+        option(
+            "--vertex-colors",
+            "colours at the vertices instead of images; always so in a .ply",
+            action="store_true",
+        ),
+        option(
+            "--subdivide",
+            "divide triangles until edges are no longer than SIZE, or with auto until vertex colours are "
+            "within --max-error (default: as they are)",
+            metavar="SIZE",
+            type=edge_length,
+        ),
+        option(
+            "--max-error",
+            "what vertex colours may be off by, in codes of 255 (default 8)",
+            metavar="CODES",
+            type=error_codes,
+        ),
         option("--rest", "the undeformed model, of the same topology", metavar="MODEL", type=Path),
         option("--force", "overwrite OUTPUT", action="store_true"),
         option("--threads", "threads to work on (default: all processors)", metavar="N", type=count),
@@ -64,21 +84,31 @@ def _bake(options: argparse.Namespace, program: str) -> int:
         raise ArgumentError(
             f"{options.TEXTURE}: is no {TEXTURE_ENDING} file; octex convert makes one of a model"
         )
+    options.vertex_colors |= options.OUTPUT.suffix.lower() == ".ply"
+    work, others = ("vertex colours", _OF_IMAGES) if options.vertex_colors else ("images", _OF_VERTICES)
+    for word in words_given(options):
+        if word in others:
+            raise ArgumentError(f"{word} has no meaning with {work}; see {program} --help")
     inputs = [path for path in (options.TEXTURE, options.MODEL, options.rest) if path is not None]
     check_outputs([(options.OUTPUT, ENDINGS, "OUTPUT")], inputs, force=options.force)
     with limited(options.threads), Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
             texture = open_sound(options.TEXTURE)
             surface = octex.load_surface(options.MODEL, options.rest, normals=True)
-        baked = octex.bake(
-            texture,
-            surface,
-            uv=options.uv or "auto",
-            texture_size=options.texture_size,
-            padding=8 if options.padding is None else options.padding,
-            channels=options.channels,
-            progress=progress,
-        )
+        if options.vertex_colors:
+            with progress.stage("divide"):
+                error = 8.0 if options.max_error is None else options.max_error
+                baked = octex.bake_vertices(texture, surface, subdivide=options.subdivide, max_error=error)
+        else:
+            baked = octex.bake(
+                texture,
+                surface,
+                uv=options.uv or "auto",
+                texture_size=options.texture_size,
+                padding=8 if options.padding is None else options.padding,
+                channels=options.channels,
+                progress=progress,
+            )
         with progress.stage("write"):
             octex.write_model(baked, options.OUTPUT, images=options.images or "png")
     size = max(_sizes(baked), default=0)
@@ -86,6 +116,7 @@ def _bake(options: argparse.Namespace, program: str) -> int:
         "output": str(options.OUTPUT),
         "channels": [form.name for form in baked.channels],
         "triangles": len(baked.triangles),
+        "vertices": len(baked.vertices),
         "texture_size": size,
         "bytes": options.OUTPUT.stat().st_size,
         "seconds": round(time.perf_counter() - began, 3),
@@ -95,7 +126,8 @@ def _bake(options: argparse.Namespace, program: str) -> int:
     elif not options.quiet:
         names = ", ".join(form.name for form in baked.channels)
         bytes_there = bytes_text(options.OUTPUT.stat().st_size)
-        say(f"{options.OUTPUT}: {names} in maps of {size} × {size}, {bytes_there}, {made['seconds']:.1f} s")
+        where = f"in maps of {size} × {size}" if size else f"at {len(baked.vertices):,} vertices"
+        say(f"{options.OUTPUT}: {names} {where}, {bytes_there}, {made['seconds']:.1f} s")
     return ExitCode.DONE
 
 

@@ -83,6 +83,8 @@ class _Content:
     ) -> dict[str, Any]:
         """Add some triangles with what is bound to their corners; corners that are alike are one vertex."""
         bound = {f"TEXCOORD_{slot}": each for slot, each in enumerate(source.coordinates)}
+        if source.colors is not None:
+            bound["COLOR_0"] = source.colors
         if surface.frames is not None:
             bound["NORMAL"] = surface.frames.normals
             if "normal" in [form.name for form in surface.channels]:

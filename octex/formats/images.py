@@ -30,6 +30,19 @@ def materials_of(surface: Surface) -> MaterialSource:
     return surface.source
 
 
+def colors_of_vertices(surface: Surface) -> npt.NDArray[np.float32] | None:
+    """Return colours of vertices (n, 4), linear light and alpha; None where a surface has none.
+
+    Raises ModelError for colours that differ between the corners of a vertex.
+    """
+    colors = materials_of(surface).colors
+    if colors is None:
+        return None
+    if colors.rows is not surface.triangles and not np.array_equal(colors.rows, surface.triangles):
+        raise ModelError(f"{surface.name}: its colours belong to corners, not to vertices; bake it first")
+    return colors.values
+
+
 def image_file(
     texels: npt.NDArray[Any], lanes: slice | tuple[int, ...], form: ImageFormat = "png"
 ) -> tuple[bytes, ImageFormat]:

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from octex.channels import linear_to_srgb
 from octex.errors import ModelError
 from octex.files import replacing
-from octex.formats.images import ImageFormat, image_file, materials_of
+from octex.formats.images import ImageFormat, colors_of_vertices, image_file, materials_of
 from octex.source.materials import Material
 from octex.source.surface import Surface
 
@@ -46,7 +47,11 @@ def write_obj(surface: Surface, path: Path, images: ImageFormat) -> None:
                     file.write(data)
     with replacing(path.with_suffix(".mtl")) as file:
         file.write("\n".join([*materials, ""]).encode())
-    lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in surface.vertices.tolist()]
+    positions = surface.vertices
+    colors = colors_of_vertices(surface)
+    if colors is not None:  # as many programs write them; in sRGB
+        positions = np.column_stack([positions, linear_to_srgb(colors[:, :3]).round(6)])
+    lines += ["v " + " ".join(map(repr, each)) for each in positions.tolist()]
     columns = [surface.triangles]
     if coordinates is not None:
         lines += [f"vt {u!r} {1.0 - v!r}" for u, v in coordinates.values.astype(np.float64).tolist()]

@@ -98,7 +98,7 @@ class MaterialSource(Source):
         self.triangle_materials = triangle_materials
         self._rest = rest
         self._triangles = triangles
-        self._colors = colors
+        self.colors = colors
         self.coordinates = list(coordinates)
         self._frames = frames
         self._name = name
@@ -208,8 +208,8 @@ class MaterialSource(Source):
             (_brightest(material.inputs[name]) for material in self._used() if name in material.inputs),
             default=1.0,
         )
-        if name == "base_color" and self._colors is not None and len(self._colors.values):
-            most *= float(self._colors.values[:, :3].max())
+        if name == "base_color" and self.colors is not None and len(self.colors.values):
+            most *= float(self.colors.values[:, :3].max())
         return light_format(form, most)
 
     def _check(self) -> None:
@@ -218,7 +218,7 @@ class MaterialSource(Source):
             n for m in self.materials for each in m.inputs.values() for n in (*each.factor, *each.offset)
         ]
         if not np.isfinite(numbers).all() or not (
-            self._colors is None or np.isfinite(self._colors.values).all()
+            self.colors is None or np.isfinite(self.colors.values).all()
         ):
             raise ModelError(f"{self._name}: colours are not all finite; repair the model")
         textures = (each.texture for material in self._used() for each in material.inputs.values())
@@ -301,15 +301,15 @@ class MaterialSource(Source):
 
     def _vertex_alpha(self, number: int) -> float:
         """Return the mean alpha of the vertex colours under a material."""
-        if self._colors is None or self.materials[number].alpha_mode != "mask":
+        if self.colors is None or self.materials[number].alpha_mode != "mask":
             return 1.0
-        rows = self._colors.rows[self.triangle_materials == number]
-        return float(self._colors.values[rows, 3].mean()) if rows.size else 1.0
+        rows = self.colors.rows[self.triangle_materials == number]
+        return float(self.colors.values[rows, 3].mean()) if rows.size else 1.0
 
     def _bound(self) -> dict[str, Any]:
         """Return what is bound to corners, as the tables name it."""
         nothing = Corners(np.empty((0, 4), np.float32), np.empty((0, 3), np.int32))
-        colors = self._colors or nothing
+        colors = self.colors or nothing
         normals, tangents = (nothing, nothing) if self._frames is None else self._frames
         firsts = np.cumsum([0, *(len(corners.values) for corners in self.coordinates)])
         rows = [c.rows + np.int32(first) for c, first in zip(self.coordinates, firsts, strict=False)]
