@@ -48,6 +48,11 @@ def length(text: str) -> float:
     return _number(text, lambda number: 0.0 < number < float("inf"), "a finite number above zero")
 
 
+def edge_length(text: str) -> float | str:
+    """Read a length, or "auto"."""
+    return text if text == "auto" else length(text)
+
+
 def cells_apart(text: str) -> float:
     """Read how many cells parts are to be apart."""
     return _number(text, lambda number: 1.0 <= number <= 1e6, "a number of cells from 1 to a million")
