@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ChannelFormat, linear_to_srgb
+from octex.editing.codes import SLOPE
 from octex.jit import inlined, kernel
 
 Float32s = npt.NDArray[np.float32]
@@ -26,7 +27,6 @@ _KINDS = {"srgb": _LIGHT, "linear": _LIGHT, "data": _FRACTION, "direction": _DIR
 #: sRGB's curve over the square root of light: straight lines between its points are within 2·10⁻⁴ codes.
 _STEPS = 1024
 _CURVE = 255.0 * linear_to_srgb((np.arange(_STEPS + 2) / _STEPS) ** 2)
-_SLOPE = 255.0 * 1.055 / 2.4  # of the curve at 1
 
 
 class Columns(NamedTuple):
@@ -57,7 +57,7 @@ def _code(value: float, kind: int, curve: Float64s) -> float:
     if kind == _DIRECTION:
         return 127.5 * value
     if value > 1.0:
-        return 255.0 + _SLOPE * math.log(value)
+        return 255.0 + SLOPE * math.log(value)
     place = math.sqrt(max(value, 0.0)) * _STEPS
     step = int(place)
     low, high = float(curve[step]), float(curve[step + 1])

@@ -29,7 +29,7 @@ from octex.field.taps import (
     Taps,
     place_points,
 )
-from octex.field.tiled import tiled_taps
+from octex.field.tiled import Search, tiled_taps
 from octex.field.tiles import Tiles, build_tiles, can_be_tiled, marked, painted_depth
 from octex.parallel import built_once
 from octex.tree.octree import Octree
@@ -75,6 +75,9 @@ class Field:
         self._lock = RLock()
         self._levels: dict[int, Field] = {}
         self._areas: dict[int, npt.NDArray[np.uint8]] = {}
+        #: How leaves are searched without normals, by filter and by how many tiles were searched before: made
+        #: once, which is a part of a lookup of one point.
+        self.plain_searches: dict[tuple[int, int], Search] = {}
 
     def __reduce__(self) -> tuple[type[Field], tuple[Octree]]:
         return Field, (self.tree,)

@@ -118,11 +118,6 @@ class MaterialSource(Source):
             stated = [channel for channel in stated if channel != "normal"]
         self._channels = tuple(self._format(channel) for channel in stated)
 
-    @property
-    def channels(self) -> tuple[ChannelFormat, ...]:
-        """The channels, in the order of the values' columns."""
-        return self._channels
-
     def evaluate(
         self,
         triangles: npt.NDArray[np.int32],
