@@ -29,11 +29,13 @@ The rooms, each of which knows only those before it
     view        cameras and their files, what a camera sees, studio light
     painting    pictures projected into a paint octree, regions, layers; raising and merging
     processing  textures from textures
+    baking      textures to images at texture coordinates
     preview     model and texture side by side; pictures of differences
     formats     files that are not our own
     cli         the commands, and the pages of octex help
 
-Common ground: ahead, channels, checks, compare, container, errors, files, jit, jit_cache, parallel.
+Common ground: ahead, channels, checks, compare, container, errors, files, functions, jit, jit_cache,
+parallel.
 """
 
 from __future__ import annotations
@@ -42,10 +44,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from octex.baking.bake import bake as bake
+    from octex.baking.vertices import bake_vertices as bake_vertices
     from octex.conversion.apart import separate as separate
     from octex.conversion.convert import convert as convert
     from octex.conversion.sets import convert_set as convert_set
     from octex.errors import OctexError as OctexError
+    from octex.formats.models import write_model as write_model
     from octex.painting.merge import merge as merge
     from octex.painting.paint import paint as paint
     from octex.painting.paint import project as project
@@ -94,6 +99,8 @@ _HOMES = {
     "Surface": ("octex.source.surface", "Surface"),
     "TextureSet": ("octex.texture", "TextureSet"),
     "Transfer": ("octex.source.transfer", "Transfer"),
+    "bake": ("octex.baking.bake", "bake"),
+    "bake_vertices": ("octex.baking.vertices", "bake_vertices"),
     "blur": ("octex.processing.blur", "blur"),
     "cast": ("octex.processing.cast", "cast"),
     "combine": ("octex.processing.combine", "combine"),
@@ -113,6 +120,7 @@ _HOMES = {
     "read_cameras": ("octex.view.camera_files", "read_cameras"),
     "resize": ("octex.processing.resize", "resize"),
     "separate": ("octex.conversion.apart", "separate"),
+    "write_model": ("octex.formats.models", "write_model"),
     "write_cameras": ("octex.view.camera_files", "write_cameras"),
 }
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
-from octex import jit
+import octex
+from octex import ahead, jit
+from octex.parallel import cpu_count
+from tests.command import colored_box
 
 # No deadlines: a first call compiles. Derandomized: a red test stays red.
 settings.register_profile("octex", deadline=None, derandomize=True, max_examples=10 if jit.DISABLED else 50)
@@ -18,6 +22,19 @@ settings.load_profile("octex")
 needs_jit = pytest.mark.skipif(jit.DISABLED, reason="too slow without compilation")
 
 
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """Share the whole suite among the processors; run some files in this process."""
+    return cpu_count() if config.args_source is pytest.Config.ArgsSource.TESTPATHS else 0
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_helpers() -> Iterator[None]:
+    """Let no command start helpers that compile ahead: the other processors have tests to run."""
+    with pytest.MonkeyPatch.context() as changed:
+        changed.setattr(ahead, "cpu_count", lambda: 1)
+        yield
+
+
 @pytest.fixture(scope="session")
 def models() -> Path:
     """The folder of real models, named by OCTEX_TEST_MODELS."""
@@ -25,3 +42,17 @@ def models() -> Path:
     if not folder:
         pytest.skip("set OCTEX_TEST_MODELS to a folder of real models")
     return Path(folder)
+
+
+@pytest.fixture(scope="session")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A box whose corners have colours."""
+    return colored_box(tmp_path_factory.mktemp("model"))
+
+
+@pytest.fixture(scope="session")
+def made(model: Path) -> Path:
+    """The box as an octree texture of depth 4."""
+    path = model.with_name("box.octex")
+    octex.convert(model, 4).save(path)
+    return path

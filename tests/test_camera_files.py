@@ -434,14 +434,17 @@ def one_camera(**node):
             "frame 'eye': its node, with the nodes above it, must not scale to nothing",
         ),
         (one_camera(matrix=[1, 0.5, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]), "must not scale or shear"),
-        (one_camera(matrix=[1, 2]), "node 0: matrix must be 16 numbers, not 2"),
-        (one_camera(rotation=[0, 0, 0, 0]), "node 0: rotation must not be zero"),
-        (one_camera(rotation="x"), "node 0: rotation must be 4 numbers, not 'x'"),
-        (one_camera(camera=2), "node 0: camera must be an index below 2, not 2"),
-        (one_camera(children=[0]), "node 0 stands twice in the scene"),
-        (one_camera(children=[-1]), "node 0: children must be an index below 1, not -1"),
-        (gltf(scene=7), "scene must be an index below 2"),
-        (gltf(nodes={}), "nodes must be a list of objects"),
+        (one_camera(matrix=[1, 2]), "nodes[0]: matrix must be 16 numbers, not [1, 2]"),
+        (one_camera(rotation=[0, 0, 0, 0]), "nodes[0]: rotation must not be zero"),
+        (one_camera(rotation=None), "nodes[0]: rotation must be 4 numbers, not None"),
+        (one_camera(translation=[0, 10**400, 0]), "nodes[0]: translation must be 3 numbers"),
+        (one_camera(children=1), "nodes[0]: children must be a list of indices"),
+        (one_camera(rotation="x"), "nodes[0]: rotation must be 4 numbers, not 'x'"),
+        (one_camera(camera=2), "refers to cameras[2], which it does not have"),
+        (one_camera(children=[0]), "nodes[0] is reached twice"),
+        (one_camera(children=[-1]), "refers to nodes[-1], which it does not have"),
+        (gltf(scene=7), "refers to scenes[7], which it does not have"),
+        (gltf(nodes={}), "nodes must be a list, not {}"),
         (gltf(scenes=[{}], scene=0), "has no cameras"),
         (one_camera() | {"cameras": [{"type": "fisheye"}]}, "type must be one of perspective, orthographic"),
         (one_camera() | {"cameras": [{"type": "perspective"}]}, "'eye': perspective is missing"),
@@ -466,10 +469,10 @@ def test_a_broken_glb_is_refused(tmp_path):
     whole = glb(gltf())
     path = tmp_path / "a.glb"
     for content, complaint in [
-        (whole[:10], "ends in its header"),
-        (whole[:100], "ends in its JSON chunk"),
-        (whole[:4] + struct.pack("<I", 1) + whole[8:], "is glTF 1"),
-        (whole[:16] + b"BIN\0" + whole[20:], "does not begin with a JSON chunk"),
+        (whole[:10], "is truncated: a GLB header has 20 bytes, the file 10"),
+        (whole[:100], "is truncated: it should have"),
+        (whole[:4] + struct.pack("<I", 1) + whole[8:], "is GLB version 1"),
+        (whole[:16] + b"BIN\0" + whole[20:], "its first chunk is not JSON"),
     ]:
         path.write_bytes(content)
         assert complaint in refusal(path)

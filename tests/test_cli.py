@@ -17,7 +17,7 @@ from octex.cli.convert_options import CONVERT
 from octex.cli.models import DEFAULT_FILTER
 from octex.cli.parser import Parser
 from octex.errors import ExitCode
-from tests.command import colored_box, python, refusal, result
+from tests.command import python, refusal, result
 from tests.fixtures import OBJ_SQUARE, obj, png, random_image, textured_square
 
 HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.texture", "octex.tree")
@@ -31,19 +31,22 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
     [
         ("", "INPUT is missing; see octree-convert --help"),
         ("a.glb", "OUTPUT is missing; see octree-convert --help"),
-        ("a.glb b.octex c", "unrecognized arguments: c; see octree-convert --help"),
-        ("a.glb b.octex --dept 3", "unrecognized arguments: --dept 3; see octree-convert --help"),
-        ("a.glb b.octex --depth x", "argument --depth: 'x' is no whole number; see octree-convert --help"),
-        ("a.glb b.octex --depth", "argument --depth: expected one argument; see octree-convert --help"),
-        ("a.glb b.octex --cell x", "argument --cell: 'x' is no number; see octree-convert --help"),
+        (
+            "a.glb b.octex c",
+            "c is one file too many for octree-convert INPUT OUTPUT; see octree-convert --help",
+        ),
+        ("a.glb b.octex --dept 3", "--dept is no option, --depth is; see octree-convert --help"),
+        ("a.glb b.octex --depth x", "--depth: 'x' is no whole number; see octree-convert --help"),
+        ("a.glb b.octex --depth", "--depth needs a value, N; see octree-convert --help"),
+        ("a.glb b.octex --cell x", "--cell: 'x' is no number; see octree-convert --help"),
         (
             "a.glb b.octex --cell 0",
-            "argument --cell: 0 is not a finite number above zero; see octree-convert --help",
+            "--cell: 0 is not a finite number above zero; see octree-convert --help",
         ),
-        ("a.glb b.octex --threads 0", "argument --threads: 0 is not above zero; see octree-convert --help"),
+        ("a.glb b.octex --threads 0", "--threads: 0 is not above zero; see octree-convert --help"),
         (
             "a.glb b.octex --threads x",
-            "argument --threads: 'x' is no whole number; see octree-convert --help",
+            "--threads: 'x' is no whole number; see octree-convert --help",
         ),
         (
             "a.glb b.octex --depth 0 --cell 1",
@@ -58,40 +61,39 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
         ),
         ("--validate a.octex --force", "--force has no meaning with --validate; see octree-convert --help"),
         ("--warm-up --json", "--json has no meaning with --warm-up; see octree-convert --help"),
-        ("--diff a.octex", "argument --diff: expected 2 arguments; see octree-convert --help"),
+        ("--diff a.octex", "--diff: expected 2 arguments; see octree-convert --help"),
         ("--diff a.octex b.octex c", "INPUT has no meaning with --diff; see octree-convert --help"),
         ("--diff a b --depth 3", "--depth has no meaning with --diff; see octree-convert --help"),
         ("a.glb b.octex --points 9", "--points has no meaning with a conversion; see octree-convert --help"),
         (
             "a.glb b.octex --channels base_color,,",
-            "argument --channels: 'base_color,,' has an empty name; write base_color,normal; "
+            "--channels: 'base_color,,' has an empty name; write base_color,normal; "
             "see octree-convert --help",
         ),
         (
             "a.glb b.octex --channels a,b,a",
-            "argument --channels: a is there twice; see octree-convert --help",
+            "--channels: a is there twice; see octree-convert --help",
         ),
         (
             "a.glb b.octex --dtype int8",
-            "argument --dtype: 'int8' is none of uint8, uint16, float16, float32; see octree-convert --help",
+            "--dtype: 'int8' is none of uint8, uint16, float16, float32; see octree-convert --help",
         ),
         (
             "a.glb b.octex --dtype normal=uint16,alpha",
-            "argument --dtype: 'alpha' is not NAME=TYPE, like normal=uint16; see octree-convert --help",
+            "--dtype: 'alpha' is not NAME=TYPE, like normal=uint16; see octree-convert --help",
         ),
         (
             "a.glb b.octex --dtype normal=uint16,normal=uint8",
-            "argument --dtype: normal is there twice; see octree-convert --help",
+            "--dtype: normal is there twice; see octree-convert --help",
         ),
         (
             "a.glb b.octex --filter cubic",
-            "argument --filter: 'cubic' is none of nearest, bilinear, bicubic, trilinear, ripmap, sat, ewa; "
+            "--filter: 'cubic' is none of nearest, bilinear, bicubic, trilinear, ripmap, sat, ewa; "
             "see octree-convert --help",
         ),
         (
             "a.glb b.octex --source roughness",
-            "argument --source: 'roughness' is not CHANNEL=FILE, like roughness=rough.png; "
-            "see octree-convert --help",
+            "--source: 'roughness' is not CHANNEL=FILE, like roughness=rough.png; see octree-convert --help",
         ),
         (
             "a.glb b.octex --source alpha=1 --source alpha=0",
@@ -233,19 +235,6 @@ print(sorted(entries - called))
 """
     done = python(code, env={**os.environ, "NUMBA_DISABLE_JIT": "1"})
     assert (done.stdout, done.stderr) == ("[]\n", "")
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return colored_box(tmp_path_factory.mktemp("model"))
-
-
-@pytest.fixture(scope="module")
-def made(model: Path) -> Path:
-    """The box as an octree texture of depth 4."""
-    path = model.with_name("box.octex")
-    octex.convert(model, 4).save(path)
-    return path
 
 
 # --- the order of arguments

@@ -96,14 +96,14 @@ def test_a_texture_cannot_adapt_any_more(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("--max-error two", "argument --max-error: 'two' is no number; see octree-convert --help"),
+        ("--max-error two", "--max-error: 'two' is no number; see octree-convert --help"),
         (
             "--max-error -1",
-            "argument --max-error: -1 is not a finite number from 0 on; see octree-convert --help",
+            "--max-error: -1 is not a finite number from 0 on; see octree-convert --help",
         ),
         (
             "--max-error inf",
-            "argument --max-error: inf is not a finite number from 0 on; see octree-convert --help",
+            "--max-error: inf is not a finite number from 0 on; see octree-convert --help",
         ),
         ("--detail wear", "unknown detail 'wear'; there are: base_color, stretch"),
         ("--detail base_color", "detail must be a channel of one number in 0 … 1, which 'base_color' is not"),

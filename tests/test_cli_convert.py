@@ -17,21 +17,8 @@ from octex.cli.convert import COMMAND, main
 from octex.cli.convert_options import CONVERT
 from octex.cli.parser import Parser
 from octex.errors import ExitCode
-from tests.command import colored_box, refusal, result
+from tests.command import refusal, result
 from tests.fixtures import png, random_image, textured_square
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return colored_box(tmp_path_factory.mktemp("model"))
-
-
-@pytest.fixture(scope="module")
-def made(model: Path) -> Path:
-    """The box as an octree texture of depth 4."""
-    path = model.with_name("box.octex")
-    octex.convert(model, 4).save(path)
-    return path
 
 
 def test_a_model_becomes_an_octree_texture(
@@ -144,6 +131,7 @@ def test_a_texture_can_be_made_coarser_but_not_finer(
         ["--rest", str(made.with_suffix(".glb"))],
         ["--source", "alpha=1"],
         ["--filter", "sat"],
+        ["--frame", "front", "--preview", str(tmp_path / "x.png")],
     ):
         assert refusal(capsys, made, tmp_path / "x.octex", *option) == (
             f"{made}: {option[0]} needs the model, and this is a texture made from one"

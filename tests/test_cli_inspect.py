@@ -11,20 +11,7 @@ import pytest
 import octex
 from octex.cli.convert import main
 from octex.errors import ExitCode
-from tests.command import colored_box, refusal, result
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return colored_box(tmp_path_factory.mktemp("model"))
-
-
-@pytest.fixture(scope="module")
-def made(model: Path) -> Path:
-    """The box as an octree texture of depth 4."""
-    path = model.with_name("box.octex")
-    octex.convert(model, 4).save(path)
-    return path
+from tests.command import refusal, result
 
 
 def test_info_is_text_for_people_and_json_for_machines(

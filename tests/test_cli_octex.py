@@ -75,7 +75,7 @@ def test_the_examples_of_helps_are_understood(
     for example in re.findall(rf"^  octex {name} (.+)$", text.split("\n\n")[2], re.MULTILINE):
         assert main([name, *example.split()]) == ExitCode.REFUSED
         message = capsys.readouterr().err.splitlines()[-1]
-        assert not re.search("unrecognized|argument|no meaning|missing", message), message
+        assert not re.search("no option|too many|needs a value|no meaning|missing", message), message
 
 
 def test_the_overview_names_every_command_and_page(capsys: pytest.CaptureFixture[str]) -> None:
@@ -113,9 +113,33 @@ def test_what_is_no_command_is_refused_with_those_that_there_are(capsys: pytest.
     )
     message = "octex edit: error: a.glb: is no .octex file; octex convert makes one of a model"
     assert refused(capsys, "edit", "a.glb", "b.octex") == message
-    assert refused(capsys, "info") == (
-        "octex info: error: the following arguments are required: FILE; see octex info --help"
-    )
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("info", "FILE is missing"),
+        ("diff a.octex", "A B are missing"),
+        ("validate a b", "b is one file too many for octex validate FILE"),
+        ("warm-up now", "now is one file too many for octex warm-up"),
+        ("edit a.octex b.octex --dpeth=3", "--dpeth is no option, --depth is"),
+        ("convert a.glb b.octex --qqq", "--qqq is no option"),
+        ("overlaps a.glb --margin --json", "--margin needs a value, SIZE"),
+        ("paint a.glb --camera", "--camera needs a value, FILE[#NAME]"),
+    ],
+)
+def test_words_that_do_not_fit_are_named(
+    words: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = f"octex {words.split()[0]}"
+    assert refused(capsys, *words.split()) == f"{command}: error: {message}; see {command} --help"
+
+
+def test_a_file_of_functions_needs_the_name_of_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    message = refused(capsys, "convert", "shapes.py", tmp_path / "a.octex", "--quiet")
+    assert message.endswith("shapes.py: name the function in it, like shapes.py:NAME")
 
 
 def test_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:

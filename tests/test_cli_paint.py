@@ -19,6 +19,7 @@ from PIL import Image
 
 import octex
 from octex.cli.arguments import BLENDS, camera
+from octex.cli.convert import main as convert
 from octex.cli.models import DEFAULT_CHANNEL
 from octex.cli.paint import COMMAND, main
 from octex.cli.paint_options import PAINT
@@ -639,6 +640,42 @@ def test_a_view_needs_a_camera_that_can_be_found_again(
     assert list(tmp_path.iterdir()) == []
 
 
+# --- an empty layer
+
+
+@needs_jit
+def test_an_empty_layer_beside_a_view_is_painted_back_as_it_is(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    view, layer, file = tmp_path / "view.png", tmp_path / "layer.png", tmp_path / "camera.json"
+    look = [scene.model, scene.texture, "--view", view, "--camera", f"{scene.cameras}#square.png"]
+    said = result(capsys, *look, "--empty-layer", layer, "--camera-out", file)
+    assert said.splitlines()[1:] == [f"{layer}: an empty layer of its size", f"{file}: its camera"]
+    picture = np.array(Image.open(layer))
+    assert picture.shape == (SIZE, SIZE, 4)
+    assert not picture.any()
+    back = [scene.model, scene.texture, layer, "--camera", file, "--quiet", "--out"]
+    assert main([str(each) for each in (*back, tmp_path / "none.octex")]) == ExitCode.NOTHING_PAINTED
+    capsys.readouterr()
+    # In the view's own colours: as a layer that is paint, and it is multiplied with what is there.
+    place = np.s_[SQUARE[1] : SQUARE[3] + 1, SQUARE[0] : SQUARE[2] + 1]
+    picture[place] = np.array(Image.open(view))[place]
+    Image.fromarray(picture).save(layer)
+    same = tmp_path / "same.png"
+    same.write_bytes(layer.read_bytes())
+    outs = [tmp_path / "as_layer.octex", tmp_path / "by_hand.octex"]
+    result(capsys, *back, outs[0], "--blend", "multiply")
+    by_hand = [same, "--camera", f"{scene.cameras}#square.png", "--blend", "multiply", "--quiet"]
+    result(capsys, scene.model, scene.texture, *by_hand, "--out", outs[1])
+    painted, expected = (octex.open(out) for out in outs)
+    np.testing.assert_array_equal(
+        painted.channels["base_color"].values, expected.channels["base_color"].values
+    )
+    points, inside = scene.places(1.5)
+    before = octex.open(scene.texture).sample(points[inside])
+    np.testing.assert_allclose(painted.sample(points[inside]), before**2, atol=0.05)
+
+
 # --- from where
 
 
@@ -683,6 +720,14 @@ def test_a_view_is_from_the_side_and_as_near_as_wanted(
             "--camera c --out o.octex --shaded",
             "--shaded has no meaning with painting",
         ),
+        (
+            "--camera c --out o.octex --empty-layer l.png",
+            "--empty-layer has no meaning with painting",
+        ),
+        (
+            "--view v.png --camera-out c.json --empty-layer v.png",
+            "--empty-layer has the name of --view, v.png, by which its camera is found; give it another",
+        ),
     ],
 )
 def test_where_a_picture_is_drawn_from_is_said_once(
@@ -690,6 +735,25 @@ def test_where_a_picture_is_drawn_from_is_said_once(
 ) -> None:
     words = options.replace("c.json", str(tmp_path / "c.json")).replace("v.png", str(tmp_path / "v.png"))
     assert complaint(capsys, scene.model, scene.texture, *words.split()).startswith(message)
+
+
+def test_a_frame_that_is_not_there_is_refused_before_anything_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    document: dict[str, Any] = {"asset": {"version": "2.0"}, "nodes": [{"camera": 0, "name": "front"}]}
+    document["cameras"] = [{"type": "perspective", "perspective": {"yfov": 0.7}}]
+    model = tmp_path / "scene.gltf"
+    model.write_text(json.dumps(document))
+    texture, picture = tmp_path / "a.octex", tmp_path / "a.png"
+    for name in ("load_surface", "open", "convert"):
+        monkeypatch.setattr(octex, name, lambda *_, **__: pytest.fail("it was begun"))
+    message = f"{model}: there is no frame 'back'; there are: 'front'"
+    look = ["--frame", "back"]
+    assert complaint(capsys, model, "--view", picture, *look, "--camera-out", tmp_path / "c.json") == message
+    shot = [model, picture, "--camera", model, "--out", texture, "--preview", tmp_path / "p.png"]
+    assert complaint(capsys, *shot, *look) == message
+    assert convert([str(each) for each in (model, texture, "--preview", picture, *look)]) == ExitCode.REFUSED
+    assert capsys.readouterr().err.endswith(f"error: {message}\n")
 
 
 # --- only what was drawn
@@ -704,7 +768,7 @@ def test_of_a_view_only_what_was_drawn_on_it_is_painted(
     result(capsys, *look)
     shot = [scene.model, scene.texture, view, "--camera", file, "--quiet", "--out"]
     assert main([str(each) for each in (*shot, tmp_path / "none.octex")]) == ExitCode.NOTHING_PAINTED
-    capsys.readouterr()
+    assert capsys.readouterr().err.endswith(", or nothing was drawn on the view (--whole paints all of it)\n")
     before = tmp_path / "before.png"
     before.write_bytes(view.read_bytes())
     picture = np.array(Image.open(view))
@@ -825,18 +889,18 @@ def test_paint_that_more_than_doubles_a_texture_is_announced(
             "m.glb t.octex --camera c --out o.octex --blend erase",
             "t.octex: does not exist; there is nothing to erase",
         ),
-        ("m.glb t.octex --blend burn", "argument --blend: 'burn' is none of over, multiply, "),
-        ("m.glb t.octex --opacity 2", "argument --opacity: 2 is not from 0 to 1; see octree-paint --help"),
-        ("m.glb t.octex --opacity x", "argument --opacity: 'x' is no number; see octree-paint --help"),
-        ("m.glb t.octex --opacity nan", "argument --opacity: nan is not from 0 to 1"),
-        ("m.glb t.octex --max-angle 181", "argument --max-angle: 181 is not from 0 to 180"),
-        ("m.glb t.octex --edge-feather 1e7", "argument --edge-feather: 1e7 is not from 0 to 1000000"),
-        ("m.glb t.octex --size 3", "argument --size: '3' is not WIDTH,HEIGHT, like 1024,768"),
-        ("m.glb t.octex --size 3,0", "argument --size: 3,0 is not from 1 to 16384 pixels each way"),
-        ("m.glb t.octex --background red", "argument --background: 'red' is not R,G,B from 0 to 255, nor"),
-        ("m.glb t.octex --background 1,2", "argument --background: '1,2' is not R,G,B from 0 to 255, nor"),
-        ("m.glb t.octex --background 1,2,256", "argument --background: 1,2,256 is not from 0 to 255"),
-        ("m.glb t.octex --camera c#", "argument --camera: 'c#' names no camera; write FILE#NAME, or FILE"),
+        ("m.glb t.octex --blend burn", "--blend: 'burn' is none of over, multiply, "),
+        ("m.glb t.octex --opacity 2", "--opacity: 2 is not from 0 to 1; see octree-paint --help"),
+        ("m.glb t.octex --opacity x", "--opacity: 'x' is no number; see octree-paint --help"),
+        ("m.glb t.octex --opacity nan", "--opacity: nan is not from 0 to 1"),
+        ("m.glb t.octex --max-angle 181", "--max-angle: 181 is not from 0 to 180"),
+        ("m.glb t.octex --edge-feather 1e7", "--edge-feather: 1e7 is not from 0 to 1000000"),
+        ("m.glb t.octex --size 3", "--size: '3' is not WIDTH,HEIGHT, like 1024,768"),
+        ("m.glb t.octex --size 3,0", "--size: 3,0 is not from 1 to 16384 pixels each way"),
+        ("m.glb t.octex --background red", "--background: 'red' is not R,G,B from 0 to 255, nor"),
+        ("m.glb t.octex --background 1,2", "--background: '1,2' is not R,G,B from 0 to 255, nor"),
+        ("m.glb t.octex --background 1,2,256", "--background: 1,2,256 is not from 0 to 255"),
+        ("m.glb t.octex --camera c#", "--camera: 'c#' names no camera; write FILE#NAME, or FILE"),
         (
             "m.glb t.octex --camera c --out o.octex --max-depth 22",
             "--max-depth must be a whole number from 0 to 21, not 22",

@@ -9,22 +9,9 @@ import numpy as np
 import pytest
 
 import octex
-from tests.command import colored_box, refusal, result
+from tests.command import refusal, result
 from tests.conftest import needs_jit
 from tests.test_processing_combine import assert_same
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return colored_box(tmp_path_factory.mktemp("model"))
-
-
-@pytest.fixture(scope="module")
-def made(model: Path) -> Path:
-    """The box as an octree texture of depth 4."""
-    path = model.with_name("box.octex")
-    octex.convert(model, 4).save(path)
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -109,14 +96,14 @@ def test_models_are_converted_first(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("--crop 0,0,0,1,1", "argument --crop: '0,0,0,1,1' is not x0,y0,z0,x1,y1,z1, like 0,0,0,1,2,1"),
-        ("--crop 0,0,0,1,1,nan", "argument --crop: 0,0,0,1,1,nan has numbers that are not finite"),
-        ("--levels 0.5", "argument --levels: '0.5' is not BLACK,WHITE[,GAMMA], like 0.1,0.9,1.2"),
-        ("--levels 0.5,0.4", "argument --levels: '0.5,0.4' is not BLACK,WHITE[,GAMMA]"),
-        ("--levels a,b", "argument --levels: 'a,b' is not numbers with commas between"),
-        ("--mix b.octex", "argument --mix: 'b.octex' is not FILE=AMOUNT, like other.octex=0.3"),
-        ("--mix b.octex=2", "argument --mix: 2 is not from 0 to 1"),
-        ("--blur 0", "argument --blur: 0 is not a finite number above zero"),
+        ("--crop 0,0,0,1,1", "--crop: '0,0,0,1,1' is not x0,y0,z0,x1,y1,z1, like 0,0,0,1,2,1"),
+        ("--crop 0,0,0,1,1,nan", "--crop: 0,0,0,1,1,nan has numbers that are not finite"),
+        ("--levels 0.5", "--levels: '0.5' is not BLACK,WHITE[,GAMMA], like 0.1,0.9,1.2"),
+        ("--levels 0.5,0.4", "--levels: '0.5,0.4' is not BLACK,WHITE[,GAMMA]"),
+        ("--levels a,b", "--levels: 'a,b' is not numbers with commas between"),
+        ("--mix b.octex", "--mix: 'b.octex' is not FILE=AMOUNT, like other.octex=0.3"),
+        ("--mix b.octex=2", "--mix: 2 is not from 0 to 1"),
+        ("--blur 0", "--blur: 0 is not a finite number above zero"),
         ("--combine none.octex", "none.octex"),
         ("--channels paint", "unknown channel of "),
     ],

@@ -19,7 +19,7 @@ MODULES = sorted(path.relative_to(ROOT).with_suffix("").as_posix() for path in R
 
 # A module imports only from its own row and the rows above.
 ROWS = [
-    {"errors", "files", "checks", "ahead", "jit_cache", "jit", "parallel", "channels"},
+    {"errors", "files", "checks", "functions", "ahead", "jit_cache", "jit", "parallel", "channels"},
     {"tree"},
     {"nearest"},
     {"field"},
@@ -32,6 +32,7 @@ ROWS = [
     {"view"},
     {"painting"},
     {"processing"},
+    {"baking"},
     {"formats"},
     {"compare"},
     {"preview"},
@@ -45,35 +46,11 @@ FORBIDDEN = {"source": STORED, "view": STORED, "editing": MADE, "processing": MA
 # Depth and cell limits are checked at the border too.
 EXCEPTIONS = {("checks", "octex.tree.layout")}
 
-EXPORTED = [
-    *[
-        "Box",
-        "Camera",
-        "MappedImage",
-        "OctexError",
-        "OctreeTexture",
-        "Painter",
-        "PointCloud",
-        "Projection",
-        "Sphere",
-    ],
-    *["Surface", "TextureSet", "Transfer", "__version__", "blur", "cast", "combine", "convert"],
-    *[
-        "convert_set",
-        "crop",
-        "curves",
-        "fill",
-        "levels",
-        "load_surface",
-        "merge",
-        "mix",
-        "paint",
-        "project",
-        "read_cameras",
-        "resize",
-    ],
-    *["separate", "write_cameras"],
-]
+EXPORTED = """
+    Box Camera MappedImage OctexError OctreeTexture Painter PointCloud Projection Sphere Surface TextureSet
+    Transfer __version__ bake bake_vertices blur cast combine convert convert_set crop curves fill levels
+    load_surface merge mix paint project read_cameras resize separate write_cameras write_model
+""".split()
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]
 
 PROJECT = tomllib.loads((ROOT.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]

@@ -539,30 +539,27 @@ def test_the_help_lists_the_mappings_of_the_library() -> None:
         ),
         (
             "--project cone",
-            "argument --project: 'cone' is none of planar, box, cylindrical, spherical; "
-            "see octree-convert --help",
+            "--project: 'cone' is none of planar, box, cylindrical, spherical; see octree-convert --help",
         ),
         (
             "--project-axis w",
-            "argument --project-axis: 'w' is none of x, -x, y, -y, z, -z; see octree-convert --help",
+            "--project-axis: 'w' is none of x, -x, y, -y, z, -z; see octree-convert --help",
         ),
         (
             "--project-center 1,2",
-            "argument --project-center: '1,2' is not X,Y,Z, like 0,0.5,1; see octree-convert --help",
+            "--project-center: '1,2' is not X,Y,Z, like 0,0.5,1; see octree-convert --help",
         ),
         (
             "--project-center a,b,c",
-            "argument --project-center: 'a,b,c' is not numbers with commas between; "
-            "see octree-convert --help",
+            "--project-center: 'a,b,c' is not numbers with commas between; see octree-convert --help",
         ),
         (
             "--project-center 1,nan,2",
-            "argument --project-center: 1,nan,2 has numbers that are not finite; see octree-convert --help",
+            "--project-center: 1,nan,2 has numbers that are not finite; see octree-convert --help",
         ),
         (
             "--project-size 0",
-            "argument --project-size: '0' is not a size above zero, nor three like 1,1,0.5; "
-            "see octree-convert --help",
+            "--project-size: '0' is not a size above zero, nor three like 1,1,0.5; see octree-convert --help",
         ),
     ],
 )

@@ -634,10 +634,11 @@ def test_filling_starts_from_nothing_too() -> None:
         ([99], "region must be a Sphere"),
         (octex.Sphere((0, 0, 0), -1), "radius must be finite and above zero"),
         (octex.Box((1, 0, 0), (0, 1, 1)), "its corners must be in order"),
-        (lambda _: np.zeros(3), r"region must return shape \("),
-        (lambda p: np.full(len(p), 2.0), "region must return numbers in 0 … 1, but 2 at"),
-        (lambda p: np.full(len(p), np.nan), "region must return numbers in 0 … 1, but nan at"),
-        (lambda _: "x", "region must return a number for each point"),
+        (lambda _: np.zeros(3), r"region must return an array of shape \("),
+        (lambda p: np.full(len(p), 2.0), r"region returned 2 at \(.*\); values must be from 0 to 1"),
+        (lambda p: np.full(len(p), np.nan), r"region returned nan at \(.*\); values must be from 0 to 1"),
+        (lambda _: "x", "region must return an array of shape"),
+        (lambda _: {}["cover"], "region raised KeyError: 'cover' for"),
     ],
 )
 def test_regions_that_make_no_sense_are_refused(region: Any, message: str) -> None:

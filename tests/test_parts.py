@@ -14,8 +14,9 @@ import octex
 from octex.errors import ArgumentError
 from octex.nearest.gaps import boxes_over, gap
 from octex.source import parts
-from octex.source.parts import Overlap, Unchecked, parts_of, weld
+from octex.source.parts import Overlap, Unchecked, parts_of
 from octex.source.surface import Surface
+from octex.source.welding import first_equal
 from tests.conftest import needs_jit
 from tests.naive_parts import components, distance, solid
 from tests.solids import colored, cube, inside_out, open_cube, sphere, torn
@@ -144,7 +145,7 @@ def test_parts_are_what_hangs_together(seed: int, count: int) -> None:
     random = np.random.default_rng(seed)
     points = random.integers(0, 5, (count + 3, 3)).astype(np.float64)
     triangles = random.integers(0, len(points), (count, 3)).astype(np.int32)
-    found = parts_of(triangles, weld(points))
+    found = parts_of(triangles, first_equal(points))
     for number, own in enumerate(np.unique(found)):
         members = set(np.flatnonzero(found == own).tolist())
         assert any(members <= whole for whole in components(points, triangles))
@@ -236,7 +237,7 @@ def test_real_solids_share_what_a_boolean_of_them_says(
     found = surface.overlapping_parts()
     assert (found.n_parts, found.unchecked) == (solids, ())
     assert sum(pair.volume > 0 for pair in found.pairs if pair.volume is not None) == volumes
-    welded = weld(surface.rest)[surface.triangles]
+    welded = first_equal(surface.rest)[surface.triangles]
     for a, b, volume, _ in found.pairs:
         first, second = (solid(surface.rest, welded[found.parts == part]) for part in (a, b))
         assert volume == pytest.approx((first ^ second).volume(), rel=1e-9)

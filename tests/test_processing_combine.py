@@ -211,7 +211,7 @@ def test_what_cannot_be_put_together_is_refused() -> None:
         octex.mix(full, full, full)
     with pytest.raises(ArgumentError, match=r"shape \(8,\), not \(8, 3\)"):
         octex.mix(full, full, lambda points: points)
-    with pytest.raises(ArgumentError, match=r"no number for the cell at \(0.75, 0.25, 0.25\)"):
+    with pytest.raises(ArgumentError, match=r"the amount returned nan at \(0.75, 0.25, 0.25\)"):
         octex.mix(full, full, lambda points: np.where(points[:, 0] > 0.5, np.nan, 0))
     with pytest.raises(ArgumentError, match="the amount raised ZeroDivisionError"):
         octex.mix(full, full, lambda points: len(points) // 0)

@@ -138,11 +138,12 @@ def test_rows_of_split_nodes_follow_what_their_children_show() -> None:
     ("f", "message"),
     [
         (lambda values: values[:, :2],
-         r"returned shape \(9, 2\), not \(9, 3\), for the cell at \(0.5, 0.5, 0.5\)"),
+         r"<lambda> must return an array of shape \(9, 3\), not \(9, 2\), for 9 points"),
         (lambda values: values + np.where(np.arange(len(values)) == 2, np.nan, 0)[:, None],
-         r"<lambda> returned \[nan, nan, nan\], for the cell at \(0.75, 0.25, 0.25\)"),
-        (lambda values: values.undefined, "raised AttributeError: .* for the cell at"),
-        (lambda values: values.astype(str), "returned <U32, not real numbers"),
+         r"<lambda> returned nan, nan, nan at \(0.75, 0.25, 0.25\); values must be finite"),
+        (lambda values: values.undefined,
+         r"raised AttributeError: .* for 9 points from \(0.5, 0.5, 0.5\) on"),
+        (lambda values: values.astype(str), "must return real numbers, not <U32"),
     ],
 )  # fmt: skip
 def test_a_map_that_fails_is_named_with_the_first_bad_cell(f: Any, message: str) -> None:

@@ -21,6 +21,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from bench_adaptive import adaptive
+from bench_baking import baking
 from bench_conversion import boombox, large, torus
 from bench_filtered import far, footprints, pages, stretched
 from bench_images import filters, materials
@@ -57,6 +58,7 @@ BENCHMARKS = {
         transfer,
         cloud,
         processing,
+        baking,
     )
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 from octex.cli.functions import FunctionName, function_name
@@ -44,35 +45,22 @@ def count(text: str) -> int:
 
 def length(text: str) -> float:
     """Read a length: finite and above zero."""
-    try:
-        number = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number") from None
-    if not 0.0 < number < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is not a finite number above zero")
-    return number
+    return _number(text, lambda number: 0.0 < number < float("inf"), "a finite number above zero")
+
+
+def edge_length(text: str) -> float | str:
+    """Read a length, or "auto"."""
+    return text if text == "auto" else length(text)
 
 
 def cells_apart(text: str) -> float:
     """Read how many cells parts are to be apart."""
-    try:
-        number = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of cells") from None
-    if not 1.0 <= number <= 1e6:
-        raise argparse.ArgumentTypeError(f"{text} is not from 1 to a million")
-    return number
+    return _number(text, lambda number: 1.0 <= number <= 1e6, "a number of cells from 1 to a million")
 
 
 def error_codes(text: str) -> float:
     """Read a number of 8-bit codes: finite, 0 or more."""
-    try:
-        number = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number") from None
-    if not 0.0 <= number < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is not a finite number from 0 on")
-    return number
+    return _number(text, lambda number: 0.0 <= number < float("inf"), "a finite number from 0 on")
 
 
 def channel_names(text: str) -> list[str]:
@@ -237,12 +225,16 @@ def _numbers(text: str) -> tuple[float, ...]:
 
 
 def _within(text: str, most: float) -> float:
+    return _number(text, lambda number: 0.0 <= number <= most, f"from 0 to {most:.7g}")
+
+
+def _number(text: str, fits: Callable[[float], bool], limits: str) -> float:
     try:
         number = float(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is no number") from None
-    if not 0.0 <= number <= most:
-        raise argparse.ArgumentTypeError(f"{text} is not from 0 to {most:.7g}")
+    if not fits(number):
+        raise argparse.ArgumentTypeError(f"{text} is not {limits}")
     return number
 
 

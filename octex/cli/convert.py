@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import octex
 from octex.ahead import ahead
@@ -16,8 +16,8 @@ from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, 
 from octex.cli.convert_options import COMMANDS, CONVERT, check_input, work_of
 from octex.cli.diff import diff
 from octex.cli.inspect import info, validate
-from octex.cli.looking import viewpoint
-from octex.cli.models import TEXTURE_ENDING, input_files, kind_of, read_model
+from octex.cli.looking import previewing
+from octex.cli.models import TEXTURE_ENDING, input_files, kind_of, read_model, settings_of, told_of
 from octex.cli.overlaps import overlaps, separated_as_json, separated_text
 from octex.cli.parser import Parser
 from octex.cli.process import others_of, processed
@@ -73,14 +73,10 @@ def _convert(options: argparse.Namespace, program: str) -> int:
     check_outputs(outputs, inputs, force=options.force)
     kind = kind_of(options.INPUT)
     check_input(options, kind, program)
-    if options.depth is not None:
-        from octex.checks import as_depth
-
-        as_depth(options.depth, "--depth")
-
     stages = ("convert", "preview") if options.preview is not None else ("convert",)
     is_shared = options.threads is None and kind == "model"
     with Reporter(program, options.quiet) as progress, ahead(*stages if is_shared else ()):
+        draw = previewing(options, options.INPUT)
         if kind == "texture":
             with workers() as executor:
                 texture = processed(options, executor)
@@ -96,22 +92,10 @@ def _convert(options: argparse.Namespace, program: str) -> int:
                         surface, options.separate, depth=options.depth, cell=options.cell
                     )
                     model = surface
-            texture = octex.convert(
-                model,
-                options.depth,
-                cell=options.cell,
-                channels=options.channels,
-                dtype=options.dtype,
-                fit=not options.no_fit,
-                max_error=options.max_error,
-                detail=options.detail,
-                progress=progress,
-            )
-        if options.preview is not None:  # first: without room for it, no OUTPUT is left unannounced
-            from octex.preview import write_preview
-
+            texture = octex.convert(model, **settings_of(options), progress=progress)
+        if draw is not None:  # first: without room for it, no OUTPUT is left unannounced
             with progress.stage("draw"):
-                write_preview(options.preview, surface, texture, view=viewpoint(options, options.INPUT))
+                draw(surface, texture)
         if options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
             with progress.stage("write"):
                 texture.save(options.OUTPUT)
@@ -135,15 +119,8 @@ def _say_what_was_made(
     is_new: bool,
 ) -> None:
     tree = texture.tree
-    made: dict[str, Any] = {
-        "output": str(options.OUTPUT),
-        "leaves": tree.n_leaves,
-        "nodes": tree.n_nodes,
-        "depth": tree.max_depth,
-        "cell": texture.placement.size / 2**tree.max_depth,
-        "bytes": options.OUTPUT.stat().st_size,
-        "seconds": round(seconds, 3),
-    }
+    made = told_of(texture, options.OUTPUT, seconds)
+    made["cell"] = texture.placement.size / 2**tree.max_depth
     empty = json.loads(texture.metadata["convert"]).get("empty", 0) if is_new else 0
     if empty:
         made["empty"] = empty

@@ -32,7 +32,7 @@ from octex.cli.arguments import (
 from octex.cli.looking import LOOKING, LOOKING_WORDS, check_looking
 from octex.cli.models import DEFAULT_FILTER, TEXTURE_ENDING, check_elsewhere, sources_of
 from octex.cli.overlaps import SEPARATE_CELLS
-from octex.cli.parser import Command, Option, option, words_given
+from octex.cli.parser import RUNNING, Command, Option, option, words_given
 from octex.errors import ArgumentError
 
 _OPTIONS = (
@@ -201,10 +201,7 @@ _OPTIONS = (
     ),
     option("--preview", "draw the model beside the model from its octree", metavar="PNG", type=Path),
     *LOOKING,
-    option("--force", "overwrite what exists", action="store_true"),
-    option("--threads", "threads to work on (default: all processors)", metavar="N", type=count),
-    option("--quiet", "print nothing but errors (and what --json asks for)", action="store_true"),
-    option("--json", "print the result as one JSON object", action="store_true"),
+    *RUNNING,
     option(
         "--diff",
         "say how two textures, or a texture and a model, differ over the surface; --preview draws it. "
@@ -252,10 +249,10 @@ _OF_TEXTURES = {"--crop", "--combine", "--mix", "--blur", "--levels"}
 #: In the order in which they are done.
 _EDITS = ("--crop", "--depth", "--combine", "--mix", "--blur", "--levels", "--channels", "--dtype")
 _OF_ANYTHING = {"INPUT", "OUTPUT", "--depth", "--channels", "--dtype"}
-_OF_ANYTHING |= LOOKING_WORDS | {"--preview", "--force", "--threads", "--quiet", "--json"}
+_OF_ANYTHING |= LOOKING_WORDS - {"--frame"} | {"--preview", "--force", "--threads", "--quiet", "--json"}
 _CONVERSION = "a conversion"
 _WORDS = {
-    _CONVERSION: {"--cell", "--max-error", "--detail", "--no-fit", "--separate", "--parts"}
+    _CONVERSION: {"--cell", "--max-error", "--detail", "--no-fit", "--separate", "--parts", "--frame"}
     | _OF_ANYTHING
     | _OF_TEXTURES
     | _MATERIALS,
@@ -403,3 +400,7 @@ def check_input(options: argparse.Namespace, kind: str, program: str) -> None:
             f"{options.INPUT}: is an octree texture already; --depth makes it coarser, --channels smaller; "
             f"see {program} --help"
         )
+    if options.depth is not None:
+        from octex.checks import as_depth
+
+        as_depth(options.depth, "--depth")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +13,8 @@ from octex.cli.parser import option
 from octex.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from octex.preview import Viewpoint
+    from octex.source.surface import Surface
+    from octex.texture import OctreeTexture
 
 LOOKING = (
     option(
@@ -32,15 +35,23 @@ LOOKING = (
 LOOKING_WORDS = {each.word for each in LOOKING}
 
 
-def viewpoint(options: argparse.Namespace, model: Path) -> Viewpoint:
-    """Return from where a model is drawn; raises CameraError for a frame that it does not have."""
+def previewing(
+    options: argparse.Namespace, model: Path
+) -> Callable[[Surface | None, OctreeTexture], None] | None:
+    """Return what draws --preview of a surface and its texture; None where none is asked for.
+
+    Raises CameraError for a frame that the model's file does not have.
+    """
+    if options.preview is None:
+        return None
     from octex.cli.shots import frame_of
-    from octex.preview import Viewpoint
+    from octex.preview import Viewpoint, write_preview
     from octex.view.camera_files import read_cameras
 
     name = options.frame
     frame = None if name is None else frame_of(read_cameras(model), name, model)
-    return Viewpoint(options.direction, options.up or (0.0, 1.0, 0.0), options.zoom or 1.0, frame)
+    view = Viewpoint(options.direction, options.up or (0.0, 1.0, 0.0), options.zoom or 1.0, frame)
+    return partial(write_preview, options.preview, view=view)
 
 
 def check_looking(options: argparse.Namespace) -> None:

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 
 import octex
-from octex.cli import convert, paint
+from octex.cli import bake, convert, paint
+from octex.cli.bake import BAKE
 from octex.cli.common import run, say
 from octex.cli.convert_options import COMMANDS
 from octex.cli.paint_options import PAINT
@@ -18,9 +19,10 @@ PROGRAM = "octex"
 _SUMMARIES = {
     **{name: command.summary for name, command in COMMANDS.items()},
     "paint": PAINT.summary,
+    "bake": BAKE.summary,
     "help": "Print a page on a topic.",
 }
-_ORDER = ("convert", "paint", "edit", "info", "diff", "validate", "overlaps", "warm-up", "help")
+_ORDER = ("convert", "paint", "bake", "edit", "info", "diff", "validate", "overlaps", "warm-up", "help")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -31,6 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return convert.main(rest, f"{PROGRAM} {first}", first)
     if first == "paint":
         return paint.main(rest, f"{PROGRAM} paint")
+    if first == "bake":
+        return bake.main(rest, f"{PROGRAM} bake")
     return run(PROGRAM, lambda: _answer(first, rest))
 
 

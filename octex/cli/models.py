@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.cli.arguments import STRETCH
@@ -144,6 +144,8 @@ def _read(
 ) -> Surface:
     named = function_name(str(path))
     image_filter = options.filter or DEFAULT_FILTER
+    if path.suffix == ".py":
+        raise ArgumentError(f"{path}: name the function in it, like {path}:NAME")
     if named is None:
         return octex.load_surface(path, options.rest, channels=wanted, sources=sources, filter=image_filter)
     if options.bounds is None or options.edge is None:
@@ -151,6 +153,25 @@ def _read(
     bounds = [options.bounds[:3], options.bounds[3:]]
     surface = octex.Surface.from_function(load_function(named), bounds, options.edge, name=named.path.name)
     return surface.completed(sources, wanted, image_filter)
+
+
+def settings_of(options: argparse.Namespace) -> dict[str, Any]:
+    """Return what the options say of a conversion, as ``octex.convert`` takes it."""
+    names = ("depth", "cell", "channels", "dtype", "max_error", "detail")
+    return {**{name: getattr(options, name) for name in names}, "fit": not options.no_fit}
+
+
+def told_of(texture: OctreeTexture, path: Path, seconds: float) -> dict[str, Any]:
+    """Return what a machine is told of a texture that was written."""
+    tree = texture.tree
+    return {
+        "output": str(path),
+        "leaves": tree.n_leaves,
+        "nodes": tree.n_nodes,
+        "depth": tree.max_depth,
+        "bytes": path.stat().st_size,
+        "seconds": round(seconds, 3),
+    }
 
 
 def posed_inputs(options: argparse.Namespace) -> list[Path]:

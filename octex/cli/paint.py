@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from octex.ahead import ahead
 from octex.cli.common import (
@@ -22,7 +22,7 @@ from octex.cli.common import (
     say,
 )
 from octex.cli.layers import channel_of, empty_like, entries_of, merged, projected, with_entries
-from octex.cli.looking import viewpoint
+from octex.cli.looking import previewing
 from octex.cli.models import (
     DEFAULT_CHANNEL,
     TEXTURE_ENDING,
@@ -32,6 +32,7 @@ from octex.cli.models import (
     posed_inputs,
     read_posed,
     texture_of,
+    told_of,
 )
 from octex.cli.paint_options import PAINT, work_of
 from octex.cli.parser import Parser
@@ -68,6 +69,7 @@ def _paint(options: argparse.Namespace, program: str) -> int:
     began = time.perf_counter()
     _check_files(options)
     with Reporter(program, options.quiet) as progress:
+        draw = previewing(options, options.MODEL)
         shots, skipped = ([], []) if options.layer else shots_of(options, progress)
         texture = texture_of(options)
         if texture is None:
@@ -84,21 +86,22 @@ def _paint(options: argparse.Namespace, program: str) -> int:
         if made is not base:
             entries = entries_of(options, [shot.path for shot in shots] or options.layer, layers[0])
             made = with_entries(made, surface, entries)
-            if options.preview is not None:  # first: without room for it, nothing is left unannounced
+            if draw is not None:  # first: without room for it, nothing is left unannounced
                 with progress.stage("draw"):
-                    _write_preview(options, surface, made, channel_of(layers[0]))
+                    draw(*_previewed(surface, made, channel_of(layers[0])))
             with progress.stage("write"):
                 if options.layer_out is not None:
                     with_entries(layers[0], surface, entries).save(options.layer_out)
                 made.save(options.out)
     if made is base:
-        return fail(
-            program,
-            f"nothing was painted, and {options.out} is not written: no camera sees the model (do they look "
-            "away from it, or stand behind or inside it?), or the pictures' alpha, the mask or --opacity are "
-            "zero all over",
-            ExitCode.NOTHING_PAINTED,
-        )
+        reasons = [
+            "no camera sees the model (do they look away from it, or stand behind or inside it?)",
+            "the pictures' alpha, the mask or --opacity are zero all over",
+            *["nothing was drawn on the view (--whole paints all of it)" for shot in shots[:1] if shot.since],
+        ]
+        reason = ", or ".join(reasons)
+        message = f"nothing was painted, and {options.out} is not written: {reason}"
+        return fail(program, message, ExitCode.NOTHING_PAINTED)
     if not options.quiet or options.json:
         names = [str(entry["image"]) for entry in entries]
         _say_what_was_painted(options, made, names, skipped, time.perf_counter() - began)
@@ -119,18 +122,15 @@ def _check_files(options: argparse.Namespace) -> None:
     check_outputs(outputs, posed_inputs(options) + others, force=options.force)
 
 
-def _write_preview(
-    options: argparse.Namespace, surface: Surface, texture: OctreeTexture, channel: str
-) -> None:
-    """Draw what was painted: beside the model's own, if it has such a channel."""
-    from octex.preview import write_preview
-
-    model: Surface | None = surface
-    if channel != DEFAULT_CHANNEL:
-        has_it = channel in [form.name for form in surface.channels]
-        model = surface.with_channels([channel]) if has_it else None
-        texture = texture if has_it else only(texture, channel)
-    write_preview(options.preview, model, texture, view=viewpoint(options, options.MODEL))
+def _previewed(
+    surface: Surface, texture: OctreeTexture, channel: str
+) -> tuple[Surface | None, OctreeTexture]:
+    """Return what shows what was painted: beside the model's own, if it has such a channel."""
+    if channel == DEFAULT_CHANNEL:
+        return surface, texture
+    if channel in [form.name for form in surface.channels]:
+        return surface.with_channels([channel]), texture
+    return None, only(texture, channel)
 
 
 def _say_what_was_painted(
@@ -141,16 +141,7 @@ def _say_what_was_painted(
     seconds: float,
 ) -> None:
     tree = texture.tree
-    made: dict[str, Any] = {
-        "output": str(options.out),
-        "leaves": tree.n_leaves,
-        "nodes": tree.n_nodes,
-        "depth": tree.max_depth,
-        "painted": list(painted),
-        "skipped": list(skipped),
-        "bytes": options.out.stat().st_size,
-        "seconds": round(seconds, 3),
-    }
+    made = {**told_of(texture, options.out, seconds), "painted": list(painted), "skipped": list(skipped)}
     if options.layer_out is not None:
         made["layer"] = str(options.layer_out)
     if options.preview is not None:

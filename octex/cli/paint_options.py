@@ -11,7 +11,6 @@ from octex.cli.arguments import (
     blend,
     camera,
     color,
-    count,
     opacity,
     picture_size,
     pixels,
@@ -19,7 +18,7 @@ from octex.cli.arguments import (
 )
 from octex.cli.looking import LOOKING, LOOKING_WORDS, check_looking
 from octex.cli.models import DEFAULT_CHANNEL, TEXTURE_ENDING
-from octex.cli.parser import Command, option, words_given
+from octex.cli.parser import RUNNING, Command, option, words_given
 from octex.cli.view import DEFAULT_SIZE
 from octex.errors import ArgumentError
 
@@ -108,6 +107,12 @@ _OPTIONS = (
         metavar="PNG",
         type=Path,
     ),
+    option(
+        "--empty-layer",
+        "beside that picture, a transparent one of its size: what is painted on it is all that is painted",
+        metavar="PNG",
+        type=Path,
+    ),
     option("--camera-out", "the camera of that picture, .json, for --camera", metavar="CAMERA", type=Path),
     option(
         "--size",
@@ -117,10 +122,7 @@ _OPTIONS = (
     ),
     *LOOKING,
     option("--shaded", "draw that picture in studio light, to be looked at", action="store_true"),
-    option("--force", "overwrite what exists", action="store_true"),
-    option("--threads", "threads to work on (default: all processors)", metavar="N", type=count),
-    option("--quiet", "print nothing but errors (and what --json asks for)", action="store_true"),
-    option("--json", "print the result as one JSON object", action="store_true"),
+    *RUNNING,
 )
 
 # Which options go with which work.
@@ -139,7 +141,9 @@ _WORDS = {
         "--layer-out",
     },
     "--layer": _MERGE,
-    "--view": _SHARED | LOOKING_WORDS | {"--shaded", "--camera-out", "--camera", "--size", "--channel"},
+    "--view": _SHARED
+    | LOOKING_WORDS
+    | {"--shaded", "--empty-layer", "--camera-out", "--camera", "--size", "--channel"},
 }
 _NEEDED = {
     "painting": ("MODEL", "--camera", "--out"),
@@ -157,7 +161,17 @@ PAINT = Command(
     ],
     usual=(
         *("--camera", "--out", "--mask", "--blend", "--opacity", "--max-depth", "--balance", "--preview"),
-        *("--layer-out", "--layer", "--view", "--camera-out", "--size", "--force", "--quiet", "--json"),
+        *(
+            "--layer-out",
+            "--layer",
+            "--view",
+            "--empty-layer",
+            "--camera-out",
+            "--size",
+            "--force",
+            "--quiet",
+            "--json",
+        ),
     ),
     usages=[
         ["MODEL", "TEXTURE", "IMAGE", "--camera", "--out"],
@@ -185,6 +199,11 @@ def work_of(options: argparse.Namespace, program: str) -> str:
     if work == "--view" and options.camera is None and options.camera_out is None:
         raise ArgumentError(
             "--view without --camera needs --camera-out: without its camera a picture cannot be painted back"
+        )
+    if options.empty_layer is not None and options.empty_layer.name == options.view.name:
+        raise ArgumentError(
+            f"--empty-layer has the name of --view, {options.view.name}, by which its camera is found; "
+            "give it another"
         )
     if options.background is not None and is_there:
         raise ArgumentError(f"{options.TEXTURE}: exists already; --background is for a new texture")

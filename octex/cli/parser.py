@@ -8,9 +8,11 @@ import sys
 import textwrap
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
+from difflib import get_close_matches
 from typing import Any, NamedTuple, NoReturn
 
 import octex
+from octex.cli.arguments import count
 from octex.cli.common import say
 from octex.errors import ArgumentError, ExitCode
 
@@ -37,6 +39,15 @@ class Option(NamedTuple):
 def option(word: str, help: str, **settings: Any) -> Option:
     """Describe an option by argparse's settings."""
     return Option(word, {**settings, "help": help})
+
+
+#: How any command works, and what it prints.
+RUNNING = (
+    option("--force", "overwrite what exists", action="store_true"),
+    option("--threads", "threads to work on (default: all processors)", metavar="N", type=count),
+    option("--quiet", "print nothing but errors (and what --json asks for)", action="store_true"),
+    option("--json", "print the result as one JSON object", action="store_true"),
+)
 
 
 class Command(NamedTuple):
@@ -69,7 +80,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raise ArgumentError."""
-        raise ArgumentError(f"{message}; see {self.prog} --help")
+        raise ArgumentError(f"{message.removeprefix('argument ')}; see {self.prog} --help")
 
     def help_text(self, every: bool = True) -> str:
         """Return all help, or the screen of it that lists the usual options."""
@@ -115,18 +126,39 @@ class Parser(argparse.ArgumentParser):
             if word == "--":
                 files += words
                 break
-            action = self._options.get(word)
-            if action is None:
-                (options if word.startswith("-") and word != "-" else files).append(word)
+            if not word.startswith("-") or word == "-":
+                files.append(word)
                 continue
+            name = word if word in self._options else word.partition("=")[0]
+            action = self._options.get(name)
+            if action is None:
+                near = get_close_matches(name, self._options, 1)
+                self.error(f"{name} is no option{f', {near[0]} is' if near else ''}")
             options.append(word)
-            if action.nargs is None and words and words[0] not in self._options:
+            if word != name:
+                continue
+            if action.nargs is None:
+                if not words or words[0] in self._options:
+                    self.error(f"{word} needs a value, {action.metavar}")
                 options[-1] += f"={words.popleft()}"  # which may begin with a minus
             elif action.nargs == "?" and words and _is_number(words[0]):
                 options[-1] += f"={words.popleft()}"
             elif isinstance(action.nargs, int):
                 options += [words.popleft() for _ in range(min(action.nargs, len(words)))]
+        self._check_files(files, options)
         return self.parse_args([*options, "--", *files] if files else options)
+
+    def _check_files(self, files: Sequence[str], options: Sequence[str]) -> None:
+        """Refuse too few or too many files, but for a command that only shows its help."""
+        wanted = [action for action in self._actions if not action.option_strings]
+        names = " ".join(str(action.metavar or action.dest) for action in wanted)
+        counts = [each.nargs if isinstance(each.nargs, int) else 1 for each in wanted]
+        most = sum(counts)
+        if len(files) > most and all(each.nargs != "*" for each in wanted):
+            self.error(f"{files[most]} is one file too many for {self.prog} {names}".rstrip())
+        least = sum(count for each, count in zip(wanted, counts, strict=True) if each.nargs not in ("?", "*"))
+        if len(files) < least and not {"-h", "--help", "--help-all", "--version"}.intersection(options):
+            self.error(f"{names} {'are' if least > 1 else 'is'} missing")
 
 
 class _Help(argparse.Action):

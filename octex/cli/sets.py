@@ -13,7 +13,7 @@ from typing import Any
 import octex
 from octex.cli.common import Reporter, bytes_text, say
 from octex.cli.convert_options import check_input
-from octex.cli.models import TEXTURE_ENDING, kind_of, read_model
+from octex.cli.models import TEXTURE_ENDING, kind_of, read_model, settings_of
 from octex.errors import ArgumentError, ExitCode, OutputError
 
 INDEX = "set.json"  # as octex.texture.folder.INDEX
@@ -24,24 +24,10 @@ def convert_parts(command: str, options: argparse.Namespace) -> int:
     began = time.perf_counter()
     _check_folder(options.OUTPUT, force=options.force)
     check_input(options, kind_of(options.INPUT), command)
-    if options.depth is not None:
-        from octex.checks import as_depth
-
-        as_depth(options.depth, "--depth")
     with Reporter(command, options.quiet) as progress:
         with progress.stage("read"):
             surface = read_model(options.INPUT, options)
-        made = octex.convert_set(
-            surface,
-            options.depth,
-            cell=options.cell,
-            channels=options.channels,
-            dtype=options.dtype,
-            fit=not options.no_fit,
-            max_error=options.max_error,
-            detail=options.detail,
-            progress=progress,
-        )
+        made = octex.convert_set(surface, **settings_of(options), progress=progress)
         with progress.stage("write"):
             made.save(options.OUTPUT)
     seconds = time.perf_counter() - began

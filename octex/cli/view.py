@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
     from octex.view.camera import Camera
+    from octex.view.camera_files import Frame
 
 DEFAULT_SIZE = (1024, 1024)
 _DIRECTION = (0.4, 0.3, 1.0)  # to the camera, where none is given
@@ -32,10 +33,13 @@ def view(command: str, options: argparse.Namespace) -> int:
     """Draw what a camera sees, and write that camera if asked to."""
     began = time.perf_counter()
     outputs: list[tuple[Path, tuple[str, ...], str]] = [(options.view, (".png",), "--view")]
+    if options.empty_layer is not None:
+        outputs.append((options.empty_layer, (".png",), "--empty-layer"))
     if options.camera_out is not None:
         outputs.append((options.camera_out, (".json",), "--camera-out"))
     textures = [] if options.TEXTURE is None else [options.TEXTURE]
     check_outputs(outputs, [*posed_inputs(options), *textures], force=options.force)
+    frame = _frame(options)
     with Reporter(command, options.quiet) as progress:
         texture = texture_of(options)
         if texture is not None:
@@ -44,7 +48,7 @@ def view(command: str, options: argparse.Namespace) -> int:
             progress.note(f"{new_texture(options)}: the model is drawn grey, in some light")
         with progress.stage("read"):
             surface = read_posed(options)
-        camera = _view_camera(options, surface)
+        camera = _view_camera(options, surface, frame)
         if any(camera.distortion):
             progress.note(
                 "the camera's lens distorts; the picture is drawn without that, and fits the camera that "
@@ -55,24 +59,26 @@ def view(command: str, options: argparse.Namespace) -> int:
             shaded = options.shaded or texture is None
             codes = _draw(texture, surface, camera, options.channel or DEFAULT_CHANNEL, shaded)
         with progress.stage("write"):
-            png = _png(codes)
-            if options.camera_out is not None:
-                octex.write_cameras(options.camera_out, {options.view.name: camera}, {options.view.name: png})
-            with replacing(options.view) as file:
-                file.write(png)
+            pictures = {options.view: _png(codes)}
+            if options.empty_layer is not None:
+                pictures[options.empty_layer] = _png(codes * 0)
+            if options.camera_out is not None:  # of a layer no view is kept: all of it is paint
+                cameras = dict.fromkeys((path.name for path in pictures), camera)
+                octex.write_cameras(options.camera_out, cameras, {options.view.name: pictures[options.view]})
+            for path, png in pictures.items():
+                with replacing(path) as file:
+                    file.write(png)
     if not options.quiet or options.json:
         _say_what_was_drawn(options, camera, time.perf_counter() - began)
     return ExitCode.DONE
 
 
-def _view_camera(options: argparse.Namespace, surface: Surface) -> Camera:
-    """Return the camera that is given, or one from the front that sees the whole model."""
+def _frame(options: argparse.Namespace) -> Frame | None:
+    """Return the frame that is asked for; None for a camera from the front."""
     from octex.view.camera_files import read_cameras
 
     if options.camera is None and options.frame is None:
-        direction, up = options.direction or _DIRECTION, options.up or (0.0, 1.0, 0.0)
-        size = options.size or DEFAULT_SIZE
-        return octex.Camera.fitted(surface.vertices, direction, size=size, up=up).zoomed(options.zoom or 1.0)
+        return None
     file, name = options.camera or (options.MODEL, None)
     for word in ("direction", "up"):
         if getattr(options, word) is not None:
@@ -89,6 +95,15 @@ def _view_camera(options: argparse.Namespace, surface: Surface) -> Camera:
         raise ArgumentError(
             f"--size is not that of frame {frame.name!r} of {file}, {width},{height}; leave --size out"
         )
+    return frame
+
+
+def _view_camera(options: argparse.Namespace, surface: Surface, frame: Frame | None) -> Camera:
+    """Return the camera of a frame, or one from the front that sees the whole model."""
+    if frame is None:
+        direction, up = options.direction or _DIRECTION, options.up or (0.0, 1.0, 0.0)
+        size = options.size or DEFAULT_SIZE
+        return octex.Camera.fitted(surface.vertices, direction, size=size, up=up).zoomed(options.zoom or 1.0)
     size = options.size or (None if frame.size is not None else DEFAULT_SIZE)
     camera = frame.camera(size)
     return camera.zoomed(options.zoom) if options.zoom is not None else camera
@@ -145,6 +160,8 @@ def _say_what_was_drawn(options: argparse.Namespace, camera: Camera, seconds: fl
         "bytes": options.view.stat().st_size,
         "seconds": round(seconds, 3),
     }
+    if options.empty_layer is not None:
+        made["layer"] = str(options.empty_layer)
     if options.camera_out is not None:
         made["camera"] = str(options.camera_out)
     if options.json:
@@ -152,5 +169,7 @@ def _say_what_was_drawn(options: argparse.Namespace, camera: Camera, seconds: fl
         return
     pixels = f"{camera.width}×{camera.height} pixels"
     say(f"{options.view}: {pixels}, {bytes_text(made['bytes'])}, {seconds:.1f} s")
+    if options.empty_layer is not None:
+        say(f"{options.empty_layer}: an empty layer of its size")
     if options.camera_out is not None:
         say(f"{options.camera_out}: its camera")

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from octex.checks import as_choice
 from octex.conversion.pieces import Pieces
 from octex.errors import ArgumentError, ModelError
+from octex.functions import answer
 from octex.jit import kernel
 from octex.source.base import Source, by_channel
 from octex.source.corners import at_corners
@@ -97,15 +98,7 @@ def _by_function(
     _widths: npt.NDArray[np.float32],
 ) -> npt.NDArray[np.float64]:
     points = at_corners(rest, faces[triangles], barycentric)
-    try:
-        levels = np.asarray(function(points), np.float64)
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"detail must return a number for each point: {error}") from error
-    if levels.shape != (len(points),):
-        raise ArgumentError(f"detail must return shape ({len(points)},), not {levels.shape}")
-    if np.isnan(levels).any():
-        first = int(np.argmax(np.isnan(levels)))
-        raise ArgumentError(f"detail must return numbers, but is NaN at {points[first].tolist()}")
+    levels = answer(function, [points], [(len(points),)], "detail", points.__getitem__)
     clipped: npt.NDArray[np.float64] = np.clip(levels, 0.0, depth)
     return clipped
 

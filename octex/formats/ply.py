@@ -1,4 +1,4 @@
-"""PLY: a coloured point a leaf, with its normal, for any tool that shows point clouds."""
+"""PLY: a texture as coloured points, one a leaf; and a surface with coloured vertices."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ColorSpace, encode
-from octex.errors import TextureFileError
+from octex.errors import ModelError, TextureFileError
 from octex.files import replacing
+from octex.formats.images import colors_of_vertices
 from octex.parallel import Progress, silent
 from octex.tree.morton import decode_cells
 from octex.tree.normals import estimate_normals
 from octex.tree.walk import Leaves, walk_leaves
 
 if TYPE_CHECKING:
+    from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
 _PLY_TYPES = {"f4": "float", "f8": "double", "u1": "uchar"}
@@ -54,6 +56,43 @@ def write_points(texture: OctreeTexture, path: str | Path, progress: Progress = 
             )
 
 
+def write_mesh(surface: Surface, path: Path) -> None:
+    """Write a surface with vertex colours, as ``bake_vertices`` makes it, as a binary PLY mesh.
+
+    ``x y z`` are posed positions, double; ``red green blue alpha`` are sRGB and coverage, 0 … 255. Raises
+    ModelError for a surface whose values come from images.
+    """
+    colors = colors_of_vertices(surface)
+    if colors is None:
+        raise ModelError(f"{surface.name}: .ply files hold colours at vertices; bake these, or write a .glb")
+    fields = [(axis, "<f8") for axis in "xyz"] + [(name, "u1") for names in _SHOWN.values() for name in names]
+    vertices = np.empty(len(surface.vertices), np.dtype(fields))
+    codes = np.column_stack([encode(colors[:, :3], "uint8", "srgb"), encode(colors[:, 3:], "uint8", "data")])
+    for name, column in zip(vertices.dtype.names or (), [*surface.vertices.T, *codes.T], strict=True):
+        vertices[name] = column
+    faces = np.empty(len(surface.triangles), np.dtype([("count", "u1"), ("vertices", "<i4", 3)]))
+    faces["count"], faces["vertices"] = 3, surface.triangles
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment octex: vertex colours, sRGB",
+        f"element vertex {len(vertices)}",
+        *_properties(vertices.dtype),
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "end_header",
+        "",
+    ]
+    with replacing(path) as file:
+        file.write("\n".join(lines).encode("ascii"))
+        file.write(vertices.tobytes())
+        file.write(faces.tobytes())
+
+
+def _properties(vertex: np.dtype[np.void]) -> list[str]:
+    return [f"property {_PLY_TYPES[vertex[name].str[1:]]} {name}" for name in vertex.names or ()]
+
+
 def _vertex_type(texture: OctreeTexture) -> np.dtype[np.void]:
     """Return what one vertex is in the file."""
     placement = texture.placement
@@ -73,8 +112,7 @@ def _header(texture: OctreeTexture, vertex: np.dtype[np.void]) -> bytes:
         "comment units: those of the model; colours: sRGB",
         f"element vertex {texture.tree.n_leaves}",
     ]
-    lines += [f"property {_PLY_TYPES[vertex[name].str[1:]]} {name}" for name in vertex.names or ()]
-    return "\n".join([*lines, "end_header", ""]).encode("ascii")
+    return "\n".join([*lines, *_properties(vertex), "end_header", ""]).encode("ascii")
 
 
 def _vertices(texture: OctreeTexture, leaves: Leaves, vertex: np.dtype[np.void]) -> npt.NDArray[np.void]:

@@ -14,9 +14,8 @@ import PIL.Image
 from octex.channels import ChannelFormat, decode_table
 from octex.checks import as_choice, as_items, as_number, as_path, is_path
 from octex.errors import ArgumentError, ImageError
-from octex.files import read_bytes
 from octex.jit import inlined
-from octex.source.images.decode import as_texels, decode_image
+from octex.source.images.decode import as_texels, read_image_file
 from octex.source.images.pyramid import resized
 from octex.view.camera import Camera
 
@@ -124,12 +123,7 @@ def _texels(image: Image, otherwise: str) -> npt.NDArray[np.uint16 | np.float32]
             return as_texels(image)  # type: ignore[arg-type]
         except ImageError as error:
             raise ImageError(f"{otherwise}: {error}") from None
-    path = as_path(image, "image")
-    try:
-        data = read_bytes(path)
-    except OSError as error:
-        raise ImageError(f"{path} cannot be read: {error.strerror or error}") from None
-    return decode_image(data, path.name)
+    return read_image_file(as_path(image, "image"))[0]
 
 
 def _check_size(texels: npt.NDArray[np.generic], width: int, height: int, name: str) -> None:

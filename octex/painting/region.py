@@ -12,6 +12,7 @@ import numpy.typing as npt
 from octex.channels import ChannelFormat
 from octex.checks import as_choice, as_depth, as_number, as_points, as_positive, as_reals
 from octex.errors import ArgumentError
+from octex.functions import answer
 from octex.painting.ground import Ground
 from octex.painting.merge import merged
 from octex.painting.paint import check_inside, format_of
@@ -258,16 +259,6 @@ def _checked(function: RegionFunction, points: Floats) -> npt.NDArray[np.float32
     """Call a region's function; refuse what is no coverage."""
     if not len(points):
         return np.empty(0, np.float32)
-    try:
-        found = np.asarray(function(points), np.float64)
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"region must return a number for each point: {error}") from error
-    if found.shape != (len(points),):
-        raise ArgumentError(f"region must return shape ({len(points)},), not {found.shape}")
-    bad = ~((found >= 0.0) & (found <= 1.0))
-    if bad.any():
-        first = int(np.argmax(bad))
-        raise ArgumentError(
-            f"region must return numbers in 0 … 1, but {found[first]:g} at {points[first].tolist()}"
-        )
+    where = points.__getitem__
+    found = answer(function, [points], [(len(points),)], "region", where, least=0.0, most=1.0)
     return found.astype(np.float32)

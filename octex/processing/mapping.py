@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy.typing as npt
 from octex.channels import ALPHA, decode, encode
 from octex.checks import as_choice, as_names
 from octex.errors import ArgumentError
+from octex.functions import answer, name_of, takes_both
 from octex.processing.edit import noted, with_values
 from octex.texture import Channel, OctreeTexture, as_texture
 from octex.tree.morton import decode_cells
@@ -24,6 +24,7 @@ Float64s = npt.NDArray[np.float64]
 
 #: Values that a function is given at once: with what it makes of them they stay in the processor's cache.
 BLOCK = 1 << 13
+_MOST = float(np.finfo(np.float64).max)
 
 #: From decoded values (n, components), and the positions (n, 3) of their cells' centres at rest if it wants
 #: them, to as many values.
@@ -69,7 +70,7 @@ def map_values(
             kept_values=mapped.stored(before.kept_values, texture.tree.kept.cells.astype(np.int64)),
         )
         change[name] = mapped.changed
-    metadata = noted(texture.metadata, "map", channels=list(made), function=_name_of(f))
+    metadata = noted(texture.metadata, "map", channels=list(made), function=name_of(f))
     return with_values(texture, made, change, metadata)
 
 
@@ -104,7 +105,8 @@ class _Mapped:
 
     def __init__(self, f: ValueFunction, channel: Channel, cells: _Cells) -> None:
         self._f, self._form, self._cells = f, channel.format, cells
-        self._wants_positions = _parameters(f) > 1
+        self._what = f"channel {self._form.name!r}: {name_of(f)}"
+        self._wants_positions = takes_both(f, self._what, "values", "positions")
 
     def stored(self, values: Array, cells: Int64s | None) -> Array:
         """Map values as stored, which are those of ``cells``, or one a cell."""
@@ -126,45 +128,15 @@ class _Mapped:
         arguments: list[Any] = [values]
         if self._wants_positions:
             arguments.append(self._cells.centres(cells))
-        shape = values.shape
-        try:
-            found = np.asarray(self._f(*arguments))
-        except Exception as error:
-            raise self._fault(cells, 0, f"raised {type(error).__name__}: {error}") from error
-        if found.dtype.kind not in "fiub":
-            raise self._fault(cells, 0, f"returned {found.dtype}, not real numbers")
-        if found.shape != shape:
-            raise self._fault(cells, 0, f"returned shape {found.shape}, not {shape}")
-        sound = np.isfinite(found).all(axis=1)
-        if not sound.all():
-            row = int(np.argmin(sound))
-            raise self._fault(cells, row, f"returned {found[row].tolist()}")
-        found = found.astype(np.float64, copy=False)
+        found = answer(
+            self._f, arguments, [values.shape], self._what,
+            lambda row: self._cells.centres(cells[row : row + 1])[0],
+            least=-_MOST, most=_MOST,
+        )  # fmt: skip
         return np.clip(found, 0, 1) if self._form.name == ALPHA.name else found
-
-    def _fault(self, cells: Int64s | range, row: int, what: str) -> ArgumentError:
-        position = self._cells.centres(cells[row : row + 1])[0].tolist()
-        where = ", ".join(f"{coordinate:.7g}" for coordinate in position)
-        return ArgumentError(
-            f"channel {self._form.name!r}: {_name_of(self._f)} {what}, for the cell at ({where})"
-        )
 
 
 def _blocks(count: int, cells: Int64s | None) -> Iterator[tuple[slice, Int64s | range]]:
     for begin in range(0, count, BLOCK):
         here = slice(begin, min(begin + BLOCK, count))
         yield here, range(here.start, here.stop) if cells is None else cells[here]
-
-
-def _parameters(f: ValueFunction) -> int:
-    """Count the positional parameters without a default."""
-    try:
-        parameters = inspect.signature(f).parameters.values()
-    except (TypeError, ValueError):  # some builtins tell nothing
-        return 1
-    kinds = inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD
-    return sum(each.kind in kinds and each.default is each.empty for each in parameters)
-
-
-def _name_of(f: object) -> str:
-    return str(getattr(f, "__name__", type(f).__name__))

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from octex.channels import ALPHA, encode
 from octex.editing.averages import Residuals, average, average_plain, with_summed_areas
 from octex.editing.nodes import Nodes, all_children, by_level, node_cells
-from octex.errors import ArgumentError
+from octex.functions import answer
 from octex.parallel import ordered_map
 from octex.processing.mapping import centres_of, levels_of
 from octex.processing.sides import Cells, Side
@@ -201,21 +201,8 @@ class Mixing:
             found = self._amount.sample(centres, next(iter(self._amount.channels)))[:, 0]
             return np.clip(found, 0, 1)
         assert self._amount is not None
-        first = (
-            f"the cell at ({', '.join(f'{each:.7g}' for each in centres[0])})" if cells.size else "no cell"
-        )
-        try:
-            given = np.asarray(self._amount(centres), np.float32)
-        except Exception as error:
-            raise ArgumentError(
-                f"the amount raised {type(error).__name__}: {error}, for {first} or after it"
-            ) from error
-        if given.shape != (cells.size,):
-            raise ArgumentError(f"the amount must have shape {(cells.size,)}, not {given.shape}, at {first}")
-        if np.isnan(given).any():
-            where = ", ".join(f"{each:.7g}" for each in centres[np.argmax(np.isnan(given))])
-            raise ArgumentError(f"the amount is no number for the cell at ({where})")
-        return np.clip(given, 0, 1)
+        given = answer(self._amount, [centres], [(cells.size,)], "the amount", centres.__getitem__)
+        return np.clip(given, 0, 1).astype(np.float32)
 
     def _take(self, given: Sequence[Array], taken: Array) -> None:
         """Take what cells have in the texture that prevails, or in the other if it lacks the cell."""

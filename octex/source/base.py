@@ -14,10 +14,12 @@ from octex.channels import ALPHA, CHANNELS, ChannelFormat
 class Source(ABC):
     """Anything that gives values to points of a surface."""
 
+    _channels: tuple[ChannelFormat, ...]
+
     @property
-    @abstractmethod
     def channels(self) -> tuple[ChannelFormat, ...]:
         """The channels, in the order of the values' columns."""
+        return self._channels
 
     @abstractmethod
     def evaluate(
@@ -97,11 +99,6 @@ class Combined(Source):
         if self._gaps:
             forms.setdefault(ALPHA.name, ALPHA)
         self._channels = tuple(forms[name] for name in in_order(list(forms)))
-
-    @property
-    def channels(self) -> tuple[ChannelFormat, ...]:
-        """The channels, in the order of the values' columns."""
-        return self._channels
 
     def evaluate(
         self,

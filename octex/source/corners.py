@@ -33,6 +33,23 @@ def at_corners(
     return between
 
 
+class Polygons(NamedTuple):
+    """The polygons that triangles were cut from."""
+
+    numbers: npt.NDArray[np.int32]  # (triangles,)     the polygon of each triangle, in the file's order
+    corners: npt.NDArray[np.int32]  # (triangles, 3)   which corner of its polygon each corner is, from 0
+
+    @classmethod
+    def of_triangles(cls, count: int) -> Polygons:
+        """Return so many triangles, each of which is a polygon."""
+        corners = np.broadcast_to(np.arange(3, dtype=np.int32), (count, 3))
+        return cls(np.arange(count, dtype=np.int32), corners)
+
+    def of(self, triangles: npt.NDArray[np.int32]) -> Polygons:
+        """Return the same of some triangles (k,) alone; polygons keep their numbers."""
+        return Polygons(self.numbers[triangles], self.corners[triangles])
+
+
 class Frames(NamedTuple):
     """Shading normals and tangents at triangle corners, unit vectors."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy.typing as npt
 
 from octex.channels import ChannelFormat
 from octex.errors import ArgumentError
+from octex.functions import answer, name_of, takes_both
 from octex.source.materials import MOST_IN_FLOAT16, light_format
 from octex.source.spatial import Floats, Int32s, SpatialSource
 
@@ -42,7 +42,7 @@ class FunctionSource(SpatialSource):
         self._least, self._most = -1.0 if form.space == "direction" else 0.0, most
         self._function = function
         self._what = f"the function {name_of(function)} of {form.name}"
-        self._takes_normals = _takes_normals(function, self._what)
+        self._takes_normals = takes_both(function, self._what, "positions", "normals")
 
     def at(
         self,
@@ -55,75 +55,16 @@ class FunctionSource(SpatialSource):
         if len(points) == 0:
             return np.empty((0, form.components), np.float32)
         arguments = (points.copy(), normals.copy()) if self._takes_normals else (points.copy(),)
-        try:
-            found = self._function(*arguments)
-        except Exception as error:
-            reason = " ".join(str(error).split())
-            kind = type(error).__name__
-            raise ArgumentError(
-                f"{self._what} raised {kind}{f': {reason}' if reason else ''} "
-                f"for {len(points)} points from {_place(points[0])} on"
-            ) from error
-        values = self._as_rows(found, len(points), form.components)
-        with np.errstate(invalid="ignore"):
-            fits = (values >= self._least - _ROUNDING) & (values <= self._most * (1.0 + _ROUNDING))
-            lengths = np.linalg.norm(values, axis=1, keepdims=True)
-        fits = fits.all(axis=1) & ((form.space != "direction") | (lengths[:, 0] > 0.0))
-        if not fits.all():
-            bad = int(np.argmin(fits))
-            numbers = ", ".join(f"{value:.6g}" for value in values[bad])
-            wanted = f"from {self._least:g} to {self._most:g}" + (
-                ", not all zeros" if form.space == "direction" else ""
-            )
-            raise ArgumentError(
-                f"{self._what} returned {numbers} at {_place(points[bad])}; values must be {wanted}"
-            )
+        count = len(points)
+        shapes = [(count, form.components)] + [(count,)] * (form.components == 1)
+        values = answer(
+            self._function, arguments, shapes, self._what, points.__getitem__,
+            least=self._least, most=self._most, slack=_ROUNDING,
+        ).reshape(count, form.components)  # fmt: skip
         if form.space == "direction":
+            lengths = np.linalg.norm(values, axis=1, keepdims=True)
+            if not lengths.all():
+                place = ", ".join(f"{x:.6g}" for x in points[int(np.argmin(lengths))])
+                raise ArgumentError(f"{self._what} returned all zeros at ({place}), which point nowhere")
             values = values / lengths
         return np.clip(values, self._least, self._most).astype(np.float32)
-
-    def _as_rows(self, found: object, count: int, components: int) -> Floats:
-        """Return what the function returned as (count, components), or refuse it."""
-        shapes = [(count, components)] + [(count,)] * (components == 1)
-        wanted = " or ".join(map(str, shapes))
-        try:
-            values = np.asarray(found)
-        except ValueError:  # rows of unequal lengths
-            raise ArgumentError(f"{self._what} must return an array of shape {wanted}") from None
-        if values.shape not in shapes:
-            raise ArgumentError(
-                f"{self._what} must return an array of shape {wanted}, not {values.shape}, for {count} points"
-            )
-        if values.dtype.kind not in "fiub":
-            raise ArgumentError(f"{self._what} must return real numbers, not {values.dtype}")
-        return values.reshape(count, components).astype(np.float64)
-
-
-def name_of(function: Callable[..., Any]) -> str:
-    """Return a function's name as its author knows it."""
-    return str(getattr(function, "__name__", type(function).__name__))
-
-
-def _takes_normals(function: Callable[..., Any], what: str) -> bool:
-    """Say whether a function requires two positional arguments; raises ArgumentError if not one or two."""
-    try:
-        signature = inspect.signature(function)
-    except (TypeError, ValueError):  # written in C
-        return False
-    required = [
-        each
-        for each in signature.parameters.values()
-        if each.default is each.empty and each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD)
-    ]
-    count = max(len(required), 1)
-    try:
-        signature.bind(*range(count))
-    except TypeError:
-        count = 0
-    if count not in (1, 2):
-        raise ArgumentError(f"{what} must take positions, or positions and normals, not {signature}")
-    return count == 2
-
-
-def _place(point: Floats) -> str:
-    return "({})".format(", ".join(f"{x:.6g}" for x in point))

@@ -11,8 +11,9 @@ import numpy as np
 from octex.channels import CHANNELS, ChannelFormat
 from octex.checks import as_choice
 from octex.errors import ArgumentError, ModelError
+from octex.functions import name_of
 from octex.source.base import Source
-from octex.source.function import FunctionSource, name_of
+from octex.source.function import FunctionSource
 from octex.source.images.decode import read_image
 from octex.source.materials import Input, Material, MaterialSource, Texture
 from octex.source.mesh import Mesh

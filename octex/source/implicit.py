@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from octex.checks import as_number, as_points, as_positive
 from octex.errors import ArgumentError, ModelError
+from octex.functions import answer
 from octex.parallel import memory_size
 
 Floats = npt.NDArray[np.float64]
@@ -71,21 +72,7 @@ def _values(f: ImplicitFunction, points: Floats) -> Floats:
     found = np.empty(len(points))
     for first in range(0, len(points), _BATCH):
         batch = points[first : first + _BATCH]
-        try:
-            values = np.asarray(f(batch), np.float64)
-        except Exception as error:
-            raise ArgumentError(
-                f"the function raised {type(error).__name__} for {len(batch)} points from "
-                f"{batch[0].tolist()} on: {error}"
-            ) from error
-        if values.shape != (len(batch),):
-            raise ArgumentError(
-                f"the function must return shape ({len(batch)},) for points of shape ({len(batch)}, 3), not "
-                f"{values.shape}"
-            )
-        if np.isnan(values).any():
-            worst = batch[int(np.argmax(np.isnan(values)))]
-            raise ArgumentError(f"the function returned NaN at {worst.tolist()}")
+        values = answer(f, [batch], [(len(batch),)], "the function", batch.__getitem__)
         found[first : first + _BATCH] = np.clip(values, -_LARGEST, _LARGEST)
     return found
 

@@ -44,11 +44,6 @@ class Joined(Source):
         self._channels = tuple(found[name] for name in in_order(list(found)))
 
     @property
-    def channels(self) -> tuple[ChannelFormat, ...]:
-        """The channels, in the order of the values' columns."""
-        return self._channels
-
-    @property
     def has_gaps(self) -> bool:
         """Whether any of the sources may know nothing of some points."""
         return any(part.source.has_gaps for part in self._parts if part.source)

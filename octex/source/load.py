@@ -93,7 +93,7 @@ def _read(path: Path, options: Options) -> Surface:
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         endings = ", ".join(MODEL_ENDINGS)
-        raise ModelError(f"{path.name} is not a model that octex reads; it reads {endings}")
+        raise ModelError(f"{path.name or path} is not a model that octex reads; it reads {endings}")
     try:
         data = read_bytes(path)
         if not data:

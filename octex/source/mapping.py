@@ -17,9 +17,9 @@ from octex.source.images.filters import MOST_VARIANCE, find_taps, footprint
 from octex.source.images.gather import gather
 from octex.source.images.pyramid import MIRROR, REPEAT, Images
 from octex.source.images.taps import TAP_ROOM
+from octex.source.vectors import Vector, cross_product, dot_product
 
 Floats = npt.NDArray[np.float64]
-_Vector = tuple[float, float, float]
 
 #: The kinds of mappings.
 KINDS = ("planar", "box", "cylindrical", "spherical")
@@ -44,8 +44,8 @@ class Mapping(NamedTuple):
 
 @inlined
 def map_point(
-    mapping: Mapping, point: _Vector, normal: _Vector, width: float
-) -> tuple[float, float, _Vector, _Vector, bool]:
+    mapping: Mapping, point: Vector, normal: Vector, width: float
+) -> tuple[float, float, Vector, Vector, bool]:
     """Return u and v of a point, their gradients, and whether u runs around the axis.
 
     What is ``width`` wide there covers no more than once around and from pole to pole, however near to the
@@ -88,7 +88,7 @@ def _length(x: float, y: float) -> float:
 
 
 @inlined
-def _in_frame(mapping: Mapping, vector: _Vector) -> _Vector:
+def _in_frame(mapping: Mapping, vector: Vector) -> Vector:
     frame, (x, y, z) = mapping.frame, vector
     return (
         frame[0, 0] * x + frame[0, 1] * y + frame[0, 2] * z,
@@ -98,30 +98,20 @@ def _in_frame(mapping: Mapping, vector: _Vector) -> _Vector:
 
 
 @inlined
-def _placed(mapping: Mapping, points: Floats, i: int) -> _Vector:
+def _placed(mapping: Mapping, points: Floats, i: int) -> Vector:
     center = mapping.center
     return _in_frame(mapping, (points[i, 0] - center[0], points[i, 1] - center[1], points[i, 2] - center[2]))
 
 
 @inlined
-def _dot(a: _Vector, b: _Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@inlined
-def _cross(a: _Vector, b: _Vector) -> _Vector:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@inlined
-def _covariance(u_slope: _Vector, v_slope: _Vector, normal: _Vector, square: float) -> _Vector:
+def _covariance(u_slope: Vector, v_slope: Vector, normal: Vector, square: float) -> Vector:
     """Return uu, uv and vv of a box on the plane of a normal, ``square`` its side's square."""
-    along_u, along_v = _dot(u_slope, normal), _dot(v_slope, normal)
+    along_u, along_v = dot_product(u_slope, normal), dot_product(v_slope, normal)
     scale = square / 12.0
     return (
-        max(_dot(u_slope, u_slope) - along_u * along_u, 0.0) * scale,
-        (_dot(u_slope, v_slope) - along_u * along_v) * scale,
-        max(_dot(v_slope, v_slope) - along_v * along_v, 0.0) * scale,
+        max(dot_product(u_slope, u_slope) - along_u * along_u, 0.0) * scale,
+        (dot_product(u_slope, v_slope) - along_u * along_v) * scale,
+        max(dot_product(v_slope, v_slope) - along_v * along_v, 0.0) * scale,
     )
 
 
@@ -180,9 +170,9 @@ def read_mapped(
 def _turn(
     mapping: Mapping,
     lanes: npt.NDArray[np.float32],
-    u_slope: _Vector,
-    v_slope: _Vector,
-    shading: _Vector,
+    u_slope: Vector,
+    v_slope: Vector,
+    shading: Vector,
     is_point: bool,
     values: npt.NDArray[np.float32],
     i: int,
@@ -193,22 +183,22 @@ def _turn(
     does not change on the surface, the tangent is where u grows most.
     """
     normal = _in_frame(mapping, shading)
-    if _dot(normal, normal) == 0.0:
+    if dot_product(normal, normal) == 0.0:
         normal = (0.0, 0.0, 1.0)
-    level = _cross(normal, v_slope)
-    hand = 1.0 if _dot(u_slope, level) >= 0.0 else -1.0
+    level = cross_product(normal, v_slope)
+    hand = 1.0 if dot_product(u_slope, level) >= 0.0 else -1.0
     tangent = (level[0] * hand, level[1] * hand, level[2] * hand)
-    if _dot(level, level) <= _TIE * _TIE * _dot(v_slope, v_slope):
-        along = _dot(u_slope, normal)
+    if dot_product(level, level) <= _TIE * _TIE * dot_product(v_slope, v_slope):
+        along = dot_product(u_slope, normal)
         tangent = (
             u_slope[0] - along * normal[0],
             u_slope[1] - along * normal[1],
             u_slope[2] - along * normal[2],
         )
-    other = _cross(normal, tangent)
+    other = cross_product(normal, tangent)
     x, y, z = 2.0 * lanes[0] - 1.0, 2.0 * lanes[1] - 1.0, 2.0 * lanes[2] - 1.0
     unit = 1.0 / max(math.sqrt(x * x + y * y + z * z), 1e-150) if is_point else 1.0
-    length = 1.0 / max(math.sqrt(_dot(tangent, tangent)), 1e-150)
+    length = 1.0 / max(math.sqrt(dot_product(tangent, tangent)), 1e-150)
     x, y, z = x * unit * length, y * unit * length * hand, z * unit
     for column in range(3):
         direction = 0.0

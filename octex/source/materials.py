@@ -94,12 +94,12 @@ class MaterialSource(Source):
         filter: str = "ewa",
         channels: Sequence[str] | None = None,
     ) -> None:
-        self._materials = list(materials)
-        self._triangle_materials = triangle_materials
+        self.materials = list(materials)
+        self.triangle_materials = triangle_materials
         self._rest = rest
         self._triangles = triangles
-        self._colors = colors
-        self._coordinates = list(coordinates)
+        self.colors = colors
+        self.coordinates = list(coordinates)
         self._frames = frames
         self._name = name
         self._filter = FILTERS.index(as_choice(filter, FILTERS, "filter"))
@@ -117,11 +117,6 @@ class MaterialSource(Source):
         if frames is None:
             stated = [channel for channel in stated if channel != "normal"]
         self._channels = tuple(self._format(channel) for channel in stated)
-
-    @property
-    def channels(self) -> tuple[ChannelFormat, ...]:
-        """The channels, in the order of the values' columns."""
-        return self._channels
 
     def evaluate(
         self,
@@ -190,7 +185,7 @@ class MaterialSource(Source):
         self.__dict__.update(state, _lock=Lock())
 
     def _used(self) -> list[Material]:
-        return [self._materials[i] for i in np.unique(self._triangle_materials)]
+        return [self.materials[i] for i in np.unique(self.triangle_materials)]
 
     def _stated(self) -> list[str]:
         used = self._used()
@@ -208,33 +203,33 @@ class MaterialSource(Source):
             (_brightest(material.inputs[name]) for material in self._used() if name in material.inputs),
             default=1.0,
         )
-        if name == "base_color" and self._colors is not None and len(self._colors.values):
-            most *= float(self._colors.values[:, :3].max())
+        if name == "base_color" and self.colors is not None and len(self.colors.values):
+            most *= float(self.colors.values[:, :3].max())
         return light_format(form, most)
 
     def _check(self) -> None:
         """Refuse coordinates that are not there, and colours and coordinates in use that are not finite."""
         numbers = [
-            n for m in self._materials for each in m.inputs.values() for n in (*each.factor, *each.offset)
+            n for m in self.materials for each in m.inputs.values() for n in (*each.factor, *each.offset)
         ]
         if not np.isfinite(numbers).all() or not (
-            self._colors is None or np.isfinite(self._colors.values).all()
+            self.colors is None or np.isfinite(self.colors.values).all()
         ):
             raise ModelError(f"{self._name}: colours are not all finite; repair the model")
         textures = (each.texture for material in self._used() for each in material.inputs.values())
         last = max((texture.slot for texture in textures if texture is not None), default=-1)
-        if last >= len(self._coordinates):
+        if last >= len(self.coordinates):
             raise ModelError(
                 f"{self._name}: an image reads set {last} of texture coordinates, which is not there"
             )
-        for slot, corners in enumerate(self._coordinates):
+        for slot, corners in enumerate(self.coordinates):
             if np.isfinite(corners.values).all():
                 continue
             reads = [
                 any(each.texture is not None and each.texture.slot == slot for each in m.inputs.values())
-                for m in self._materials
+                for m in self.materials
             ]
-            textured = np.array(reads, np.bool_)[self._triangle_materials]
+            textured = np.array(reads, np.bool_)[self.triangle_materials]
             if not np.isfinite(corners.values[corners.rows[textured]]).all():
                 raise ModelError(f"{self._name}: texture coordinates are not all finite; repair the model")
 
@@ -258,12 +253,12 @@ class MaterialSource(Source):
         first_column = {
             form.name: end - form.components for form, end in zip(self._channels, ends[1:], strict=True)
         }
-        count = len(self._materials)
+        count = len(self.materials)
         lanes = np.zeros((count, ends[-1]), np.int32)
         gains = np.ones((count, ends[-1]), np.float32)
         offsets = np.zeros((count, ends[-1]), np.float32)
-        shelf = _Shelf(self._materials, [self._vertex_alpha(number) for number in range(count)])
-        for number, material in enumerate(self._materials):
+        shelf = _Shelf(self.materials, [self._vertex_alpha(number) for number in range(count)])
+        for number, material in enumerate(self.materials):
             lane_of = shelf.add(number, names)
             for form in self._channels:
                 columns = slice(first_column[form.name], first_column[form.name] + form.components)
@@ -284,16 +279,16 @@ class MaterialSource(Source):
         stacks = [(stored.layout_of[image], *rest) for image, *rest in shelf.stacks]
         stacks.append((0, 0, 0, 0, 0, len(shelf.images)))
         tables = Tables(
-            materials=self._triangle_materials,
+            materials=self.triangle_materials,
             first_stacks=np.array(shelf.first_stacks, np.int32),
             stacks=np.array(stacks, np.int32),
             images=np.array([*shelf.images, 0], np.int32),
             lanes=lanes,
             gains=gains,
             offsets=offsets,
-            alpha_modes=np.array([ALPHA_MODES.index(m.alpha_mode) for m in self._materials], np.uint8),
-            alpha_factors=np.array([_alpha_factor(m) for m in self._materials], np.float32),
-            cutoffs=np.array([m.cutoff for m in self._materials], np.float32),
+            alpha_modes=np.array([ALPHA_MODES.index(m.alpha_mode) for m in self.materials], np.uint8),
+            alpha_factors=np.array([_alpha_factor(m) for m in self.materials], np.float32),
+            cutoffs=np.array([m.cutoff for m in self.materials], np.float32),
             **self._bound(),
         )
         places = (first_column.get(name, -1) for name in ("base_color", "alpha", "normal"))
@@ -301,23 +296,23 @@ class MaterialSource(Source):
 
     def _vertex_alpha(self, number: int) -> float:
         """Return the mean alpha of the vertex colours under a material."""
-        if self._colors is None or self._materials[number].alpha_mode != "mask":
+        if self.colors is None or self.materials[number].alpha_mode != "mask":
             return 1.0
-        rows = self._colors.rows[self._triangle_materials == number]
-        return float(self._colors.values[rows, 3].mean()) if rows.size else 1.0
+        rows = self.colors.rows[self.triangle_materials == number]
+        return float(self.colors.values[rows, 3].mean()) if rows.size else 1.0
 
     def _bound(self) -> dict[str, Any]:
         """Return what is bound to corners, as the tables name it."""
         nothing = Corners(np.empty((0, 4), np.float32), np.empty((0, 3), np.int32))
-        colors = self._colors or nothing
+        colors = self.colors or nothing
         normals, tangents = (nothing, nothing) if self._frames is None else self._frames
-        firsts = np.cumsum([0, *(len(corners.values) for corners in self._coordinates)])
-        rows = [c.rows + np.int32(first) for c, first in zip(self._coordinates, firsts, strict=False)]
+        firsts = np.cumsum([0, *(len(corners.values) for corners in self.coordinates)])
+        rows = [c.rows + np.int32(first) for c, first in zip(self.coordinates, firsts, strict=False)]
         return {
             "colors": colors.values,
             "color_rows": colors.rows,
             "coordinates": np.concatenate(
-                [np.empty((0, 2), np.float32), *(c.values for c in self._coordinates)]
+                [np.empty((0, 2), np.float32), *(c.values for c in self.coordinates)]
             ),
             "coordinate_rows": np.stack(rows) if rows else np.empty((0, len(self._triangles), 3), np.int32),
             "normals": normals.values,

@@ -11,9 +11,10 @@ import numpy.typing as npt
 
 from octex.checks import as_whole, locked
 from octex.errors import ArgumentError, ModelError
-from octex.source.corners import Corners, Frames, at_corners
-from octex.source.parts import Overlaps, overlapping_parts, parts_of, weld
+from octex.source.corners import Corners, Frames, Polygons, at_corners
+from octex.source.parts import Overlaps, overlapping_parts, parts_of
 from octex.source.tangents import carried
+from octex.source.welding import first_equal
 
 Floats = npt.NDArray[np.float64]
 Int32s = npt.NDArray[np.int32]
@@ -41,6 +42,7 @@ class Mesh:
     rest       (n, 3) rest positions: the vertices themselves if None
     uv         texture coordinates at corners, v running down; or None
     frames     shading normals and tangents at corners, at rest; or None
+    polygons   the polygons that the triangles were cut from; None where each triangle is one
     bounds     (2, 3) the lowest and the highest rest position that triangles use
 
     Arrays are copied, and those of the mesh are read-only. Raises ModelError for positions that are not
@@ -55,6 +57,7 @@ class Mesh:
         rest: npt.ArrayLike | None = None,
         uv: Corners | None = None,
         frames: Frames | None = None,
+        polygons: Polygons | None = None,
         name: str = "surface",
     ) -> None:
         self.vertices = as_positions(vertices, f"{name}: vertices")
@@ -68,6 +71,7 @@ class Mesh:
             raise ArgumentError(f"{name}: uv must be Corners, and frames must be Frames, or None")
         self.uv = None if uv is None else _locked_corners(uv)
         self.frames = None if frames is None else _locked_frames(frames)
+        self.polygons = None if polygons is None else _as_polygons(polygons, len(self.triangles), name)
         self.name = name
         used = self._used(self.triangles)
         self.bounds: Floats = locked(np.array([self.rest[used].min(axis=0), self.rest[used].max(axis=0)]))
@@ -88,7 +92,10 @@ class Mesh:
 
     def moved(self, rest: Floats) -> Mesh:
         """Return the same mesh with its parts elsewhere at rest, turned as they are: frames stay."""
-        return Mesh(self.vertices, self.triangles, rest=rest, uv=self.uv, frames=self.frames, name=self.name)
+        return Mesh(
+            self.vertices, self.triangles, rest=rest, uv=self.uv, frames=self.frames, polygons=self.polygons,
+            name=self.name,
+        )  # fmt: skip
 
     def picked(self, triangles: npt.ArrayLike) -> tuple[Mesh, Int32s, Int32s]:
         """Return some triangles (k,) as a mesh with the vertices that they use, and the numbers of both here.
@@ -116,6 +123,7 @@ class Mesh:
             rest=None if self.rest is self.vertices else self.rest[used],
             uv=self.uv and self.uv.of(chosen),
             frames=frames and Frames(frames.normals.of(chosen), frames.tangents.of(chosen)),
+            polygons=self.polygons and self.polygons.of(chosen),
             name=self.name,
         )
         return mesh, chosen, np.flatnonzero(used).astype(np.int32)
@@ -131,7 +139,19 @@ class Mesh:
 
         Parts are what hangs together at rest, vertices at the same position being one.
         """
-        return parts_of(self.triangles, weld(self.rest))
+        return parts_of(self.triangles, first_equal(self.rest))
+
+    def loops(self) -> tuple[Int32s, Int32s, Int32s]:
+        """Return the polygons by their numbers: numbers and corners of each (k,), and vertices one by one.
+
+        The vertices of a polygon are in the file's order, from its first corner on, and wind as its triangles
+        do. Of a polygon some of whose triangles were left out, these are the corners of the others.
+        """
+        numbers, corners = self.polygons or Polygons.of_triangles(len(self.triangles))
+        keys = numbers[:, None].astype(np.int64) << 32 | corners
+        keys, first = np.unique(keys, return_index=True)
+        known, sizes = np.unique((keys >> 32).astype(np.int32), return_counts=True)
+        return known, sizes.astype(np.int32), self.triangles.ravel()[first]
 
     def overlapping_parts(self, margin: float = 0.0) -> Overlaps:
         """Find the parts that intersect at rest, or come nearer than ``margin`` (in the model's units).
@@ -244,6 +264,17 @@ def _owned(given: npt.ArrayLike, dtype: type) -> npt.NDArray[Any]:
     array: npt.NDArray[Any] = np.array(given, dtype, order="C")
     array.flags.writeable = False
     return array
+
+
+def _as_polygons(polygons: Polygons, triangles: int, name: str) -> Polygons:
+    """Return polygons that nobody else can change, or raise ArgumentError."""
+    if not isinstance(polygons, Polygons):
+        raise ArgumentError(f"{name}: polygons must be Polygons, or None")
+    wanted = ((triangles,), (triangles, 3))
+    for array, shape in zip(polygons, wanted, strict=True):
+        if array.shape != shape or array.dtype.kind not in "iu" or (array < 0).any():
+            raise ArgumentError(f"{name}: polygons must be whole numbers from 0 on, of shapes {wanted}")
+    return Polygons(*(_owned(array, np.int32) for array in polygons))
 
 
 def _locked_frames(frames: Frames) -> Frames:

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from octex.checks import as_number
 from octex.jit import kernel
 from octex.nearest.gaps import Boxes, boxes_over, gap
+from octex.source.welding import first_equal
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -88,7 +89,7 @@ def _many(number: int, what: str) -> str:
 def overlapping_parts(rest: Floats, triangles: Int32s, margin: float = 0.0) -> Overlaps:
     """Find the parts that intersect or come nearer than ``margin``: ``Surface.overlapping_parts``."""
     margin = as_number(margin, "margin", 0.0, 1e30)
-    welded = weld(rest)
+    welded = first_equal(rest)
     parts = parts_of(triangles, welded)
     order = np.argsort(parts, kind="stable")
     members = np.split(order, np.flatnonzero(np.diff(parts[order])) + 1)
@@ -125,13 +126,6 @@ def boxes_of(rest: Floats, triangles: Int32s, parts: Int32s) -> tuple[Floats, Fl
     np.minimum.at(low, parts, corners.min(axis=1))
     np.maximum.at(high, parts, corners.max(axis=1))
     return low, high
-
-
-def weld(rest: Floats) -> Int64s:
-    """Return for each position (n, 3) the first vertex that lies exactly there (n,)."""
-    rows = np.ascontiguousarray(rest + 0.0).view(np.dtype((np.void, 24))).ravel()  # 0.0 and -0.0 are one
-    _, first, inverse = np.unique(rows, return_index=True, return_inverse=True)
-    return first[inverse].astype(np.int64)
 
 
 def parts_of(triangles: Int32s, welded: Int64s) -> Int32s:

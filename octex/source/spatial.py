@@ -49,11 +49,6 @@ class SpatialSource(Source):
         self._rest = rest
         self._triangles = triangles
 
-    @property
-    def channels(self) -> tuple[ChannelFormat, ...]:
-        """The channels, in the order of the values' columns."""
-        return self._channels
-
     def is_on(self, mesh: Mesh) -> bool:
         """Say whether it was laid on this mesh."""
         return self._rest is mesh.rest and self._triangles is mesh.triangles

@@ -24,7 +24,7 @@ from octex.checks import (
 from octex.errors import ArgumentError
 from octex.source.base import Combined, Source, by_channel
 from octex.source.colors import linear_colors
-from octex.source.corners import Corners, Frames
+from octex.source.corners import Corners, Frames, Polygons
 from octex.source.given import given_source
 from octex.source.images.decode import as_texels
 from octex.source.images.filters import FILTERS
@@ -57,10 +57,11 @@ class Surface(Mesh):
         rest: npt.NDArray[np.float64] | None = None,
         uv: Corners | None = None,
         frames: Frames | None = None,
+        polygons: Polygons | None = None,
         name: str = "surface",
         provenance: Mapping[str, str] | None = None,
     ) -> None:
-        super().__init__(vertices, triangles, rest=rest, uv=uv, frames=frames, name=name)
+        super().__init__(vertices, triangles, rest=rest, uv=uv, frames=frames, polygons=polygons, name=name)
         if not isinstance(source, Source):
             raise ArgumentError(f"{name}: source must be a Source, not {source!r}")
         self.source = source
@@ -73,7 +74,7 @@ class Surface(Mesh):
         return cls(
             mesh.vertices, mesh.triangles, source,
             rest=None if mesh.rest is mesh.vertices else mesh.rest, uv=mesh.uv, frames=mesh.frames,
-            name=mesh.name, provenance=provenance,
+            polygons=mesh.polygons, name=mesh.name, provenance=provenance,
         )  # fmt: skip
 
     @classmethod
@@ -163,7 +164,8 @@ class Surface(Mesh):
 
         It has the channels that any of them has; where one does not state a channel, that is what materials
         give that do not: 1, no light, and the faces' own normals. Its triangles and vertices are theirs in
-        order. It has no texture coordinates. Raises ArgumentError for none.
+        order, and so are the numbers of their polygons. It has no texture coordinates. Raises ArgumentError
+        for none.
         """
         surfaces = as_items(surfaces, Surface, "surface to join")
         vertices = np.cumsum([0, *(len(each.vertices) for each in surfaces)]).tolist()
@@ -183,6 +185,7 @@ class Surface(Mesh):
             faces,
             Joined(parts, FaceNormals((NORMAL,), rest, faces)),
             rest=None if all(each.rest is each.vertices for each in surfaces) else rest,
+            polygons=_joined_polygons(surfaces),
             name=name,
             provenance={"source": name, "sources": json.dumps(sources)},
         )
@@ -426,6 +429,18 @@ class Surface(Mesh):
             np.ascontiguousarray(barycentric, np.float64),
             np.ascontiguousarray(widths, np.float32),
         )
+
+
+def _joined_polygons(meshes: Sequence[Mesh]) -> Polygons | None:
+    """Return the polygons of meshes whose triangles follow each other, numbered on; None if none were cut."""
+    if all(each.polygons is None for each in meshes):
+        return None
+    numbers, first = [], 0
+    every = [each.polygons or Polygons.of_triangles(len(each.triangles)) for each in meshes]
+    for polygons in every:
+        numbers.append(polygons.numbers + np.int32(first))
+        first = int(numbers[-1].max()) + 1
+    return Polygons(np.concatenate(numbers), np.concatenate([each.corners for each in every]))
 
 
 def _corner_coordinates(uv: npt.ArrayLike, triangles: npt.NDArray[np.int32], vertices: int) -> Corners:

@@ -13,12 +13,10 @@ import numpy.typing as npt
 
 from octex.jit import inlined, kernel
 from octex.source.corners import Corners, Frames
+from octex.source.vectors import Vector, cross_product, dot_product
+from octex.source.welding import welded
 
-_Vector = tuple[float, float, float]
-_Edges = tuple[_Vector, _Vector, _Vector, float]
-
-# Odd, and without a pattern in its bits: the golden ratio's fraction (Knuth, TAOCP 3, 6.4).
-_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
+_Edges = tuple[Vector, Vector, Vector, float]
 
 
 def corner_frames(
@@ -151,81 +149,30 @@ def _mended(corners: Corners, fallback: npt.NDArray[np.floating]) -> Corners:
     return Corners(values, corners.rows)
 
 
-def welded(rows: npt.NDArray[np.floating | np.integer]) -> npt.NDArray[np.int32]:
-    """Return a number for each row, the same for equal rows and counting from 0 up."""
-    words = np.ascontiguousarray(rows + np.zeros((), rows.dtype)).view(np.uint32)  # −0 becomes 0
-    hashes = np.zeros(len(rows), np.uint64)
-    for column in words.T:
-        hashes ^= column
-        hashes *= _MULTIPLIER
-        hashes ^= hashes >> np.uint64(32)
-    size = 2 ** (2 * len(rows)).bit_length()
-    numbers = np.empty(len(rows), np.int32)
-    _weld(words, (hashes & np.uint64(size - 1)).astype(np.int64), np.full(size, -1, np.int32), numbers)
-    return numbers
-
-
-@kernel
-def _weld(
-    words: npt.NDArray[np.uint32],
-    places: npt.NDArray[np.int64],
-    table: npt.NDArray[np.int32],
-    numbers: npt.NDArray[np.int32],
-) -> None:
-    """Give equal rows equal numbers: a table of rows with linear probing, its size a power of two."""
-    count = 0
-    for row in range(len(words)):
-        place = places[row]
-        while True:
-            other = table[place]
-            if other < 0:
-                table[place] = row
-                numbers[row] = count
-                count += 1
-                break
-            same = True
-            for k in range(words.shape[1]):
-                same = same and words[row, k] == words[other, k]
-            if same:
-                numbers[row] = numbers[other]
-                break
-            place = (place + 1) & (len(table) - 1)
-
-
 @inlined
-def _row(values: npt.NDArray[np.floating], row: int) -> _Vector:
+def _row(values: npt.NDArray[np.floating], row: int) -> Vector:
     return float(values[row, 0]), float(values[row, 1]), float(values[row, 2])
 
 
 @inlined
-def _minus(a: _Vector, b: _Vector) -> _Vector:
+def _minus(a: Vector, b: Vector) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @inlined
-def _dot(a: _Vector, b: _Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@inlined
-def _cross(a: _Vector, b: _Vector) -> _Vector:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@inlined
-def _times(a: _Vector, factor: float) -> _Vector:
+def _times(a: Vector, factor: float) -> Vector:
     return a[0] * factor, a[1] * factor, a[2] * factor
 
 
 @inlined
-def _sum(a: _Vector, b: _Vector, c: _Vector) -> _Vector:
+def _sum(a: Vector, b: Vector, c: Vector) -> Vector:
     return a[0] + b[0] + c[0], a[1] + b[1] + c[1], a[2] + b[2] + c[2]
 
 
 @inlined
-def _in_plane(vector: _Vector, normal: _Vector) -> _Vector:
+def _in_plane(vector: Vector, normal: Vector) -> Vector:
     """Return the direction of a vector as seen along a normal: a unit vector, or zeros."""
-    lean = _dot(vector, normal)
+    lean = dot_product(vector, normal)
     x = vector[0] - lean * normal[0]
     y = vector[1] - lean * normal[1]
     z = vector[2] - lean * normal[2]
@@ -263,8 +210,12 @@ def _sum_tangents(
         # The directions of u and v: the inverse of the map from the edges to the image, but for its scale.
         s = (sign * (fv * e[0] - ev * f[0]), sign * (fv * e[1] - ev * f[1]), sign * (fv * e[2] - ev * f[2]))
         t = (eu * f[0] - fu * e[0], eu * f[1] - fu * e[1], eu * f[2] - fu * e[2])
-        distinct = _dot(e, e) > 0.0 and _dot(f, f) > 0.0 and (e[0] != f[0] or e[1] != f[1] or e[2] != f[2])
-        usable = 0.0 < abs(area) < math.inf and _dot(s, s) > 0.0 and _dot(t, t) > 0.0
+        distinct = (
+            dot_product(e, e) > 0.0
+            and dot_product(f, f) > 0.0
+            and (e[0] != f[0] or e[1] != f[1] or e[2] != f[2])
+        )
+        usable = 0.0 < abs(area) < math.inf and dot_product(s, s) > 0.0 and dot_product(t, t) > 0.0
         if not (distinct and usable):
             rows[triangle] = -1
             continue
@@ -276,7 +227,7 @@ def _sum_tangents(
                 one, other = _minus(f, e), (-e[0], -e[1], -e[2])
             else:
                 one, other = (-f[0], -f[1], -f[2]), _minus(e, f)
-            cosine = _dot(_in_plane(one, normal), _in_plane(other, normal))
+            cosine = dot_product(_in_plane(one, normal), _in_plane(other, normal))
             angle = math.acos(min(max(cosine, -1.0), 1.0))
             x, y, z = _in_plane(s, normal)
             row = 2 * groups[triangle, corner] + (1 if sign < 0.0 else 0)
@@ -301,7 +252,7 @@ def _finish_tangents(
             for corner in range(3):
                 for candidate in (1, 0):
                     total = _row(sums, 2 * groups[triangle, corner] + candidate)
-                    if side < 0 and _dot(total, total) > 0.0:
+                    if side < 0 and dot_product(total, total) > 0.0:
                         side = candidate
             for corner in range(3):
                 rows[triangle, corner] = 2 * groups[triangle, corner] + (1 if side < 0 else side)
@@ -327,14 +278,14 @@ def _edges(positions: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32],
     origin = _row(positions, triangles[triangle, 0])
     e = _minus(_row(positions, triangles[triangle, 1]), origin)
     f = _minus(_row(positions, triangles[triangle, 2]), origin)
-    cross = _cross(e, f)
-    return e, f, cross, math.sqrt(_dot(cross, cross))
+    cross = cross_product(e, f)
+    return e, f, cross, math.sqrt(dot_product(cross, cross))
 
 
 @inlined
-def _store(values: npt.NDArray[np.float32], row: int, vector: _Vector, fallback: _Vector) -> None:
+def _store(values: npt.NDArray[np.float32], row: int, vector: Vector, fallback: Vector) -> None:
     """Write a vector at length 1, or ``fallback`` if it has no direction."""
-    length = math.sqrt(_dot(vector, vector))
+    length = math.sqrt(dot_product(vector, vector))
     x, y, z = _times(vector, 1.0 / length) if 0.0 < length < math.inf else fallback
     values[row, 0], values[row, 1], values[row, 2] = x, y, z
 
@@ -364,14 +315,14 @@ def _carry(
                 # the basis, and so its right angle to tangents. Both are a power of an area too long.
                 root = 1.0 / (math.sqrt(area) * math.sqrt(new_area))
                 moved_tangent = _sum(
-                    _times(new_e, _dot(tangent, _cross(f, cross)) / area),
-                    _times(new_f, _dot(tangent, _cross(cross, e)) / area),
-                    _times(new_cross, _dot(tangent, cross) * root),
+                    _times(new_e, dot_product(tangent, cross_product(f, cross)) / area),
+                    _times(new_f, dot_product(tangent, cross_product(cross, e)) / area),
+                    _times(new_cross, dot_product(tangent, cross) * root),
                 )
                 moved_normal = _sum(
-                    _times(_cross(new_f, new_cross), _dot(normal, e) / new_area),
-                    _times(_cross(new_cross, new_e), _dot(normal, f) / new_area),
-                    _times(new_cross, _dot(normal, cross) * root),
+                    _times(cross_product(new_f, new_cross), dot_product(normal, e) / new_area),
+                    _times(cross_product(new_cross, new_e), dot_product(normal, f) / new_area),
+                    _times(new_cross, dot_product(normal, cross) * root),
                 )
             row = 3 * triangle + corner
             _store(normals, row, moved_normal, normal)

@@ -23,9 +23,10 @@ import numpy as np
 from octex.checks import as_entries, as_path
 from octex.errors import ArgumentError, CameraError, OutputError
 from octex.files import read_bytes, referred, replacing
+from octex.source.models.gltf_file import Document
 from octex.view.camera import Camera, Convention
 from octex.view.camera_colmap import colmap_folder, read_colmap
-from octex.view.camera_gltf import json_chunk, read_gltf
+from octex.view.camera_gltf import read_gltf
 from octex.view.camera_records import (
     BrokenError,
     Floats,
@@ -138,14 +139,14 @@ def _entry(name: str, camera: Camera, view: bytes | None) -> Json:
 
 def _read_document(path: Path, content: bytes) -> list[Frame]:
     if content.startswith(b"glTF"):
-        return read_gltf(path, _parsed(json_chunk(content)))
+        return read_gltf(path, Document(path, content))
     document = _parsed(content)
     if _OURS in document:
         return _read_ours(path, document)
     if "frames" in document:
         return _read_transforms(path, document)
     if "asset" in document:
-        return read_gltf(path, document)
+        return read_gltf(path, Document(path, content))
     raise BrokenError(
         "is no file of cameras; give a .gltf or .glb file, a transforms.json, a COLMAP model or a file that "
         "octex wrote"
@@ -275,6 +276,3 @@ def _transforms_lens(record: Json) -> Lens:
         )
 
     return lens
-
-
-# glTF

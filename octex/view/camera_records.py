@@ -14,7 +14,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.errors import ArgumentError, CameraError
+from octex.errors import ArgumentError, CameraError, ModelError
+from octex.source.models.gltf_scene import rotation_matrix
 from octex.view.camera import (
     LARGEST,
     LARGEST_SIZE,
@@ -89,6 +90,8 @@ def reading(path: Path) -> Iterator[None]:
             yield
     except (BrokenError, ArgumentError) as error:
         raise CameraError(f"{path}: {error}") from None
+    except ModelError as error:  # which begins with the file's name
+        raise CameraError(f"{path}: {str(error).removeprefix(path.name).lstrip(': ')}") from None
     except UnicodeDecodeError:
         raise CameraError(f"{path}: is not UTF-8 text; is the file damaged?") from None
     except (OSError, ValueError) as error:  # ValueError: names that no file can have
@@ -165,18 +168,6 @@ def choice_field(record: Json, field: str, choices: Sequence[str]) -> str:
     return found
 
 
-def index_field(record: Json, field: str, items: Sequence[Any]) -> int:
-    """Return a field that is an index of items."""
-    return as_index(field_of(record, field, object, "an index"), field, items)
-
-
-def as_index(value: object, field: str, items: Sequence[Any]) -> int:
-    """Return a value that is an index of items."""
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < len(items):
-        raise BrokenError(f"{field} must be an index below {len(items)}, not {reprlib.repr(value)}")
-    return value
-
-
 def as_finite(value: object, field: str) -> float:
     """Return a value that is a finite number."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= LARGEST:
@@ -243,9 +234,6 @@ def intrinsics_of(x: float, y: float, center_x: float, center_y: float) -> Float
     return np.array([[x, 0.0, center_x], [0.0, y, center_y], [0.0, 0.0, 1.0]])
 
 
-# JSON files
-
-
 def focal_per_size(record: Json, field: str) -> float:
     """Return the focal length, in pictures, for the angle across a picture."""
     return 0.5 / math.tan(positive_field(record, field, below=math.pi) / 2)
@@ -253,14 +241,6 @@ def focal_per_size(record: Json, field: str) -> float:
 
 def rotation_of(quaternion: Floats, field: str) -> Floats:
     """Return the matrix (3, 3) of a quaternion w, x, y, z of any length."""
-    length = float(np.linalg.norm(quaternion))
-    if not length > 0.0:
+    if not quaternion.any():
         raise BrokenError(f"{field} must not be zero")
-    w, x, y, z = quaternion / length
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return rotation_matrix(*quaternion)

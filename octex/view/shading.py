@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.jit import kernel
-from octex.source.tangents import welded
+from octex.source.welding import welded
 from octex.view.camera import Camera
 
 Floats = npt.NDArray[np.float64]

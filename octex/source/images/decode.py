@@ -115,11 +115,17 @@ def read_image(given: object) -> tuple[Texels, dict[str, str]]:
         texels = as_texels(given)  # type: ignore[arg-type]
         return texels, {"array": hashlib.sha256(texels.tobytes()).hexdigest()}
     path = as_path(given, "image")
+    texels, data = read_image_file(path)
+    return texels, {path.name: hashlib.sha256(data).hexdigest()}
+
+
+def read_image_file(path: Path) -> tuple[Texels, bytes]:
+    """Return the texels of a file, and its content; raises ImageError as ``read_image`` does."""
     try:
         data = read_bytes(path)
     except OSError as error:
         raise ImageError(f"{path} cannot be read: {error.strerror or error}") from None
-    return decode_image(data, path.name), {path.name: hashlib.sha256(data).hexdigest()}
+    return decode_image(data, path.name), data
 
 
 def _finite(texels: Texels, name: str) -> Texels:
@@ -140,7 +146,7 @@ def image_size(path: Path) -> tuple[int, int]:
             with _open(file) as image:
                 return image.size
     except Exception:  # Pillow's plugins raise nearly anything, and do not know all that octex reads
-        height, width = read_image(path)[0].shape[:2]
+        height, width = read_image_file(path)[0].shape[:2]
         return width, height
 
 

@@ -20,6 +20,7 @@ from octex.source.corners import Corners, Frames
 from octex.source.materials import MaterialSource
 from octex.source.models.gltf_file import Document, as_object
 from octex.source.models.gltf_materials import Bound, read_materials
+from octex.source.models.gltf_scene import local_matrix, scene_nodes
 from octex.source.models.options import EVERYTHING, Options
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames, transformed
@@ -37,7 +38,9 @@ def load_gltf(path: Path, options: Options = EVERYTHING) -> Surface:
     Morph targets and skins are not applied: the mesh is taken as it is modelled.
     Raises ModelError or ImageError.
     """
-    return _Scene(Document(path), options).surface()
+    document = Document(path)
+    document.refuse_extensions()
+    return _Scene(document, options).surface()
 
 
 class _Shape(NamedTuple):
@@ -161,27 +164,12 @@ class _Scene:
 
     def _instances(self) -> list[tuple[int, npt.NDArray[np.float64]]]:
         """List the meshes of the scene, each with its global transform, depth first."""
-        document = self._document
-        if "scenes" in document.json:
-            roots = document.item("scenes", document.json.get("scene", 0)).get("nodes", [])
-        else:  # without scenes a file is a library; its roots are the best guess
-            children = {c for n in document.json.get("nodes", []) for c in n.get("children", [])}
-            roots = [i for i in range(len(document.json.get("nodes", []))) if i not in children]
-        found: list[tuple[int, npt.NDArray[np.float64]]] = []
-        seen: set[int] = set()
-        stack = [(root, np.eye(4)) for root in reversed(roots)]
-        while stack:
-            number, parent = stack.pop()
-            node = document.item("nodes", number)
-            if number in seen:
-                raise ModelError(f"{document.name}: nodes[{number}] is reached twice; nodes must form a tree")
-            seen.add(number)
-            with np.errstate(over="ignore", invalid="ignore"):
-                matrix = parent @ _local_matrix(node)
-            if "mesh" in node:
-                found.extend((node["mesh"], matrix @ each) for each in self._copies(node))
-            stack.extend((child, matrix) for child in reversed(node.get("children", [])))
-        return found
+        return [
+            (node["mesh"], matrix @ each)
+            for _, node, matrix in scene_nodes(self._document)
+            if "mesh" in node
+            for each in self._copies(node)
+        ]
 
     def _copies(self, node: dict[str, Any]) -> list[npt.NDArray[np.float64]]:
         """Return the transforms of a node's instances (EXT_mesh_gpu_instancing), else only the identity."""
@@ -194,7 +182,7 @@ class _Scene:
             if name in instancing["attributes"]
         }
         count = min((len(rows) for rows in columns.values()), default=0)
-        return [_local_matrix({key: rows[i] for key, rows in columns.items()}) for i in range(count)]
+        return [local_matrix({key: rows[i] for key, rows in columns.items()}) for i in range(count)]
 
     def _mesh(self, number: int) -> list[_Shape]:
         if number not in self._shapes:
@@ -303,26 +291,6 @@ def _joined(parts: Sequence[Corners]) -> Corners:
     firsts = np.cumsum([0, *(len(part.values) for part in parts)])
     rows = [part.rows + np.int32(first) for part, first in zip(parts, firsts, strict=False)]
     return Corners(np.concatenate([part.values for part in parts]), np.concatenate(rows))
-
-
-def _local_matrix(node: dict[str, Any]) -> npt.NDArray[np.float64]:
-    """Return a node's matrix (column-major in the file), or translation · rotation · scale (3.6.2)."""
-    if "matrix" in node:
-        return np.array(node["matrix"], np.float64).reshape(4, 4).T
-    x, y, z, w = np.array(node.get("rotation", (0, 0, 0, 1)), np.float64)
-    length = x * x + y * y + z * z + w * w
-    s = 2 / length if length else 0.0
-    rotation = np.array(
-        [
-            [1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)],
-            [s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)],
-            [s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)],
-        ]
-    )
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation * np.array(node.get("scale", (1, 1, 1)), np.float64).reshape(3)
-    matrix[:3, 3] = np.array(node.get("translation", (0, 0, 0)), np.float64).reshape(3)
-    return matrix
 
 
 def _triangles(indices: npt.NDArray[np.int64], mode: int) -> npt.NDArray[np.int64]:

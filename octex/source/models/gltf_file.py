@@ -48,14 +48,17 @@ CODED = {
 
 
 class Document:
-    """A parsed file: its JSON, and the bytes that it refers to."""
+    """A parsed file: its JSON, and the bytes that it refers to.
 
-    def __init__(self, path: Path) -> None:
+    ``content`` is the file's, if it is read already.
+    """
+
+    def __init__(self, path: Path, content: bytes | None = None) -> None:
         self.path = path
         self.name = path.name
         self.files: dict[str, str] = {}  # SHA-256 of the other files read, by their names in this one
         self._buffers: dict[int, bytes] = {}
-        data = read_bytes(path)
+        data = read_bytes(path) if content is None else content
         self._binary: bytes | None = None
         if data[:4] == b"glTF":
             data = self._unpack(data)
@@ -74,6 +77,9 @@ class Document:
         if not version.startswith("2.") or needed > "2.0":
             is_kind = f"is glTF {version}" if needed <= "2.0" else f"needs glTF {needed}"
             raise ModelError(f"{self.name} {is_kind}; octex reads glTF 2.0: convert it first")
+
+    def refuse_extensions(self) -> None:
+        """Raise ModelError for a file that requires what octex does not read."""
         for extension in self.json.get("extensionsRequired", []):
             known = extension in _KNOWN_EXTENSIONS or str(extension).startswith("KHR_materials_")
             if not known and extension not in CODED:
@@ -105,9 +111,18 @@ class Document:
             position += chunk_length
         return data[20 : 20 + json_length]
 
+    def items(self, kind: str) -> list[Any]:
+        """Return a top-level array, empty if it is not there."""
+        items = self.json.get(kind, [])
+        if not isinstance(items, list):
+            raise ModelError(
+                f"{self.name}: {kind} must be a list, not {reprlib.repr(items)}; export it again"
+            )
+        return items
+
     def item(self, kind: str, index: Any) -> dict[str, Any]:
         """Return one object of a top-level array."""
-        items = self.json.get(kind, [])
+        items = self.items(kind)
         if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(items):
             which = f"{kind}[{reprlib.repr(index)}]"
             raise ModelError(f"{self.name} refers to {which}, which it does not have; export it again")

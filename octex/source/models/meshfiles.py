@@ -21,12 +21,12 @@ from octex.files import read_bytes, referred
 from octex.jit import kernel
 from octex.source.alone import alone
 from octex.source.colors import screen_colors
-from octex.source.corners import Corners
+from octex.source.corners import Corners, Polygons
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import Texels
 from octex.source.materials import AlphaMode, Input, Material, MaterialSource, Texture
 from octex.source.models.options import EVERYTHING, Options
-from octex.source.models.polygons import triangulate
+from octex.source.models.polygons import cut_polygons, triangulate
 from octex.source.models.text import parse_numbers, whole_numbers
 from octex.source.surface import Surface, flip_v
 
@@ -89,22 +89,51 @@ def load_stl(path: Path, options: Options = EVERYTHING) -> Surface:
             raise ModelError(
                 f"{path.name}: a facet's vertices are not three times three numbers; export it again"
             ) from None
-    if len(mesh.faces) == 0:
-        raise _no_triangles(path.name)
-    return _colored(
-        path.name, options, np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int32), None
-    )
+    faces = np.array(mesh.faces, np.int64)
+    shape = _shape(path.name, np.array(mesh.vertices, np.float64), faces.ravel(), np.full(len(faces), 3))
+    return _colored(path.name, options, shape, None)
 
 
-def _no_triangles(name: str) -> ModelError:
-    return ModelError(f"{name} has no triangles; octex needs a surface, not points or lines")
+class _Shape(NamedTuple):
+    """Polygons, cut into triangles."""
+
+    positions: npt.NDArray[np.float64]
+    triangles: npt.NDArray[np.int32]
+    corners: npt.NDArray[np.int64]  # (triangles, 3)   which of all corners of polygons each corner is
+    numbers: npt.NDArray[np.int64]  # (triangles,)     the polygon of each
+    polygons: Polygons | None
+
+    def colors(
+        self, of_vertices: npt.NDArray[np.float32] | None, of_polygons: npt.NDArray[np.float32] | None
+    ) -> Corners | None:
+        """Bind the colours of vertices, or else of polygons."""
+        if of_vertices is not None:
+            return Corners(of_vertices, self.triangles)
+        if of_polygons is not None:
+            return Corners(of_polygons, np.repeat(self.numbers.astype(np.int32), 3).reshape(-1, 3))
+        return None
+
+
+def _shape(
+    name: str,
+    positions: npt.NDArray[np.float64],
+    indices: npt.NDArray[np.int64],
+    sizes: npt.NDArray[np.int64],
+) -> _Shape:
+    """Cut polygons, of so many of the vertices ``indices`` each, into triangles."""
+    if len(indices) and not 0 <= indices.min() <= indices.max() < len(positions):
+        raise ModelError(f"{name}: a face uses a vertex that is not among the {len(positions)}")
+    corners, numbers = triangulate(positions, indices, sizes)
+    if len(corners) == 0:
+        raise ModelError(f"{name} has no triangles; octex needs a surface, not points or lines")
+    triangles = indices[corners].astype(np.int32)
+    return _Shape(positions, triangles, corners, numbers, cut_polygons(corners, numbers, sizes))
 
 
 def _colored(
     name: str,
     options: Options,
-    positions: npt.NDArray[np.float64],
-    triangles: npt.NDArray[np.int32],
+    shape: _Shape,
     colors: Corners | None,
     textures: list[Texture] | None = None,
     numbers: npt.NDArray[np.int32] | None = None,
@@ -119,19 +148,21 @@ def _colored(
         for each in textured
     ]
     if numbers is None:
-        numbers = np.zeros(len(triangles), np.int32)
+        numbers = np.zeros(len(shape.triangles), np.int32)
     source = MaterialSource(
         materials,
         numbers,
-        positions,
-        triangles,
+        shape.positions,
+        shape.triangles,
         colors=colors,
         coordinates=[] if coordinates is None else [coordinates],
         name=name,
         filter=options.filter,
         channels=options.channels,
     )
-    return Surface(positions, triangles, source, uv=coordinates, name=name)
+    return Surface(
+        shape.positions, shape.triangles, source, uv=coordinates, polygons=shape.polygons, name=name
+    )
 
 
 class _Property(NamedTuple):
@@ -273,55 +304,46 @@ class _Ply:
     def surface(self, options: Options) -> Surface:
         vertex, face = self.data.get("vertex", {}), self.data.get("face", {})
         positions = self._positions()
-        polygons = face.get("vertex_indices", face.get("vertex_index"))
-        if polygons is None or polygons.sizes is None or len(polygons.sizes) == 0:
-            raise _no_triangles(self.name)
-        indices, sizes = whole_numbers(polygons.values), polygons.sizes
-        if len(indices) and not 0 <= indices.min() <= indices.max() < len(positions):
-            raise ModelError(f"{self.name}: a face uses a vertex that is not among the {len(positions)}")
-        corners, faces = triangulate(positions, indices, sizes)
-        triangles = indices[corners].astype(np.int32)
-        if len(triangles) == 0:
-            raise _no_triangles(self.name)
-        colors = None
-        of_vertices, of_faces = _ply_colors(vertex), _ply_colors(face)
-        if of_vertices is not None:
-            colors = Corners(of_vertices, triangles)
-        elif of_faces is not None:
-            colors = Corners(of_faces, np.repeat(faces.astype(np.int32), 3).reshape(-1, 3))
-        coordinates = self._coordinates(vertex, face, triangles, corners, sizes)
+        listed = face.get("vertex_indices", face.get("vertex_index"))
+        indices = sizes = np.empty(0, np.int64)
+        if listed is not None and listed.sizes is not None:
+            indices, sizes = whole_numbers(listed.values), listed.sizes
+        shape = _shape(self.name, positions, indices, sizes)
+        colors = shape.colors(_ply_colors(vertex), _ply_colors(face))
+        coordinates = self._coordinates(vertex, face, shape, sizes)
         if not options.wants("base_color") or not self.images:
-            return _colored(self.name, options, positions, triangles, colors, coordinates=coordinates)
+            return _colored(self.name, options, shape, colors, coordinates=coordinates)
         if coordinates is None:
             raise ModelError(
                 f"{self.name} names the image {self.images[0]} but has no texture coordinates; give it some, "
                 "or remove the TextureFile comment"
             )
         textures = [Texture(self._image(image)) for image in self.images]
-        numbers = np.zeros(len(triangles), np.int32)
+        numbers = None
         if "texnumber" in face:
             chosen = whole_numbers(face["texnumber"].values)
             if not 0 <= chosen.min() <= chosen.max() < len(textures):
                 raise ModelError(
                     f"{self.name}: a face's texnumber is not among its {len(textures)} TextureFiles"
                 )
-            numbers = chosen[faces].astype(np.int32)
-        return _colored(self.name, options, positions, triangles, colors, textures, numbers, coordinates)
+            numbers = chosen[shape.numbers].astype(np.int32)
+        return _colored(self.name, options, shape, colors, textures, numbers, coordinates)
 
     def _coordinates(
         self,
         vertex: dict[str, _Values],
         face: dict[str, _Values],
-        triangles: npt.NDArray[np.int32],
-        corners: npt.NDArray[np.int64],
+        shape: _Shape,
         sizes: npt.NDArray[np.int64],
     ) -> Corners | None:
         listed = face.get("texcoord")
         if listed is not None and listed.sizes is not None and np.array_equal(listed.sizes, 2 * sizes):
-            return Corners(flip_v(listed.values.reshape(-1, 2)), corners.astype(np.int32))
+            return Corners(flip_v(listed.values.reshape(-1, 2)), shape.corners.astype(np.int32))
         for u, v in _PLY_COORDINATES:
             if u in vertex and v in vertex:
-                return Corners(flip_v(np.stack([vertex[u].values, vertex[v].values], axis=1)), triangles)
+                return Corners(
+                    flip_v(np.stack([vertex[u].values, vertex[v].values], axis=1)), shape.triangles
+                )
         return None
 
     def _image(self, image: str) -> Texels:
@@ -434,20 +456,10 @@ class _Off:
             raise ModelError(f"{self.name}: a face has fewer corners than it says; export it again")
         within = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
         indices = whole_numbers(faces.values[np.repeat(faces.starts + 1, sizes) + within])
-        if len(indices) and not 0 <= indices.min() <= indices.max() < len(positions):
-            raise ModelError(f"{self.name}: a face uses a vertex that is not among the {len(positions)}")
-        corners, polygons = triangulate(positions, indices, sizes)
-        triangles = indices[corners].astype(np.int32)
-        if len(triangles) == 0:
-            raise _no_triangles(self.name)
+        shape = _shape(self.name, positions, indices, sizes)
         of_vertices = _off_colors(vertices, np.full(len(positions), self._skip), self._tail)
         of_faces = _off_colors(faces, sizes + 1, 0)
-        colors = None
-        if of_vertices is not None:
-            colors = Corners(of_vertices, triangles)
-        elif of_faces is not None:
-            colors = Corners(of_faces, np.repeat(polygons.astype(np.int32), 3).reshape(-1, 3))
-        return _colored(self.name, options, positions, triangles, colors)
+        return _colored(self.name, options, shape, shape.colors(of_vertices, of_faces))
 
 
 class _Rows(NamedTuple):

@@ -24,7 +24,7 @@ from octex.source.corners import Corners
 from octex.source.materials import MaterialSource
 from octex.source.models.mtl import Description, Library, Transform, load_materials, wavefront_lines
 from octex.source.models.options import EVERYTHING, Options
-from octex.source.models.polygons import triangulate
+from octex.source.models.polygons import cut_polygons, triangulate
 from octex.source.models.text import parse_numbers
 from octex.source.surface import Surface, flip_v
 from octex.source.tangents import corner_frames
@@ -89,6 +89,7 @@ def load_obj(path: Path, options: Options = EVERYTHING) -> Surface:
         source,
         uv=uv if (rows >= 0).all() else None,
         frames=frames if normals is not None else None,
+        polygons=cut_polygons(corners, polygons, sizes),
         name=name,
         provenance=provenance,
     )

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.jit import kernel
+from octex.source.corners import Polygons
 
 
 def triangulate(
@@ -31,6 +32,16 @@ def triangulate(
         if len(cut) == size - 2:
             triangles[end - size + 2 : end] = first + cut
     return triangles, np.repeat(np.arange(len(sizes)), counts)
+
+
+def cut_polygons(
+    corners: npt.NDArray[np.int64], polygons: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64]
+) -> Polygons | None:
+    """Return what ``triangulate`` returned as a mesh keeps it; None where each polygon was a triangle."""
+    if (sizes == 3).all():
+        return None
+    within = corners - (np.cumsum(sizes) - sizes)[polygons, None]
+    return Polygons(polygons.astype(np.int32), within.astype(np.int32))
 
 
 def _ears(outline: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:

@@ -1,0 +1,10 @@
+"""From octree textures to images for other tools (Benson & Davis 2002, 6.3).
+
+layout      where triangles lie in a map: at coordinates of their own, and the edges of charts
+atlas       coordinates for any surface: charts, flattened and packed
+texels      which point of the surface a texel shows
+gutters     what stands around charts
+maps        the channels at these points, as images of a material
+vertices    colours at vertices instead
+bake        all of it: a texture and a surface in, a surface with images out
+"""

@@ -1,0 +1,269 @@
+"""An atlas for any surface: cut into charts, flattened, packed."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.baking.layout import ALIGNMENT, Layout, charts_of, neighbors
+from octex.baking.texels import draw_texels
+from octex.errors import ModelError
+from octex.jit import kernel
+from octex.source.corners import Corners
+from octex.source.parts import weld
+from octex.source.surface import Surface
+
+Bools = npt.NDArray[np.bool_]
+Int32s = npt.NDArray[np.int32]
+Int64s = npt.NDArray[np.int64]
+Float64s = npt.NDArray[np.float64]
+
+#: The least cosine between the normals of a chart's triangles and the direction that it is projected along.
+_LEAST_COSINE = 0.7
+#: Charts are tried at scales each so much smaller than the one before, until they fit.
+_SMALLER = 0.97
+#: How much of a map charts fill at best.
+_FULL = 0.92
+#: Overlaps of a projected chart are looked for in a map of so many texels a side ...
+_PROBE = 256
+#: ... and are there if charts cover so much less than their triangles have area.
+_OVERLAPPING = 0.01
+
+
+def atlas_layout(surface: Surface, size: int, padding: int) -> Layout:
+    """Lay a surface out in a square map of charts, ``padding`` texels and more apart.
+
+    Charts are those of the extra ``atlas`` (xatlas) if it is installed; else parts that face about one way,
+    projected along it. Raises ModelError for a map that is too small for so many charts.
+    """
+    flat = _unwrapped(surface)
+    if flat is None:
+        flat = _projected(surface)
+    charts = charts_of(surface, flat)
+    flat = _upright(flat, charts)
+    area = _area(flat)
+    scale = size * np.sqrt(_FULL / area) if area > 0.0 else 1.0
+    while True:
+        placed = _packed(flat * scale, charts, size, padding)
+        if placed is not None:
+            faces = np.arange(len(charts), dtype=np.int32)
+            values, rows = np.unique(
+                (placed / size).reshape(-1, 2).astype(np.float32), axis=0, return_inverse=True
+            )
+            uv = Corners(values, rows.reshape(-1, 3).astype(np.int32))
+            return Layout(uv, placed, faces, charts, size, size)
+        scale *= _SMALLER
+        if scale * scale * area < 1.0:
+            raise ModelError(
+                f"{surface.name}: {int(charts.max()) + 1:,} charts do not fit in a map of {size} × {size} "
+                "texels; make it larger"
+            )
+
+
+def _unwrapped(surface: Surface) -> Float64s | None:
+    """Return flattened corners (m, 3, 2) in rest units, as xatlas makes them; None without it."""
+    try:
+        import xatlas
+    except ImportError:
+        return None
+    welded = weld(surface.rest)
+    low, high = surface.bounds
+    edge = float((high - low).max()) or 1.0
+    positions = ((surface.rest - low) / edge).astype(np.float32)
+    used, faces = np.unique(welded[surface.triangles], return_inverse=True)
+    atlas = xatlas.Atlas()
+    atlas.add_mesh(positions[used], faces.reshape(-1, 3).astype(np.uint32))
+    options = xatlas.PackOptions()
+    options.texels_per_unit = 1024.0
+    options.bruteForce = False
+    atlas.generate(xatlas.ChartOptions(), options)
+    _, rows, coordinates = atlas[0]
+    flat = coordinates.astype(np.float64) * (atlas.width, atlas.height) * (edge / atlas.texels_per_unit)
+    corners: Float64s = flat[rows]
+    return corners
+
+
+def _projected(surface: Surface) -> Float64s:
+    """Return flattened corners (m, 3, 2) in rest units, of charts that face about one way."""
+    rest = surface.rest[surface.triangles]
+    crosses = np.cross(rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0])
+    areas = np.linalg.norm(crosses, axis=1)
+    normals = crosses / np.where(areas > 0, areas, 1.0)[:, None]
+    others, _ = neighbors(surface)
+    charts = np.full(len(rest), -1, np.int32)
+    axes = np.zeros((len(rest), 3))
+    order = np.argsort(-areas, kind="stable")
+    _grow(others, normals, order, _LEAST_COSINE, charts, axes)
+    flat = _project(rest, axes[charts])
+    spread = flat + charts[:, None, None] * 0.0
+    for chart in _overlapping(spread, charts).tolist():
+        own = np.flatnonzero(charts == chart)  # each triangle by itself
+        charts[own[1:]] = int(charts.max()) + 1 + np.arange(own.size - 1)
+        flat[own] = _project(rest[own], normals[own])
+    # What is apart must not look joined: charts are moved off each other.
+    across = float(np.ptp(flat, axis=(0, 1)).max()) + 1.0
+    moved: Float64s = flat + (charts * across * 2.0)[:, None, None] * (1.0, 0.0)
+    return moved
+
+
+@kernel
+def _grow(
+    others: Int32s, normals: Float64s, order: Int64s, least: float, charts: Int32s, axes: Float64s
+) -> None:
+    """Grow charts from the largest triangles, over neighbours that face about as their first one does."""
+    stack = np.empty(charts.size, np.int64)
+    count = 0
+    for n in range(order.size):
+        seed = order[n]
+        if charts[seed] >= 0:
+            continue
+        axes[count] = normals[seed]
+        charts[seed] = count
+        stack[0], top = seed, 1
+        while top > 0:
+            top -= 1
+            triangle = stack[top]
+            for side in range(3):
+                other = others[triangle, side]
+                if other < 0 or charts[other] >= 0:
+                    continue
+                cosine = 0.0
+                for axis in range(3):
+                    cosine += normals[other, axis] * axes[count, axis]
+                if cosine >= least:
+                    charts[other] = count
+                    stack[top] = other
+                    top += 1
+        count += 1
+
+
+def _project(rest: Float64s, directions: Float64s) -> Float64s:
+    """Project triangles (m, 3, 3) along directions (m, 3): to the right and down, seen from their tips."""
+    helper = np.where(np.abs(directions[:, 1:2]) < 0.9, (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
+    right = np.cross(helper, directions)
+    lengths = np.linalg.norm(right, axis=1, keepdims=True)
+    right /= np.where(lengths > 0, lengths, 1.0)
+    down = np.cross(right, directions)
+    return np.stack([np.einsum("mkx,mx->mk", rest, right), np.einsum("mkx,mx->mk", rest, down)], axis=-1)
+
+
+def _overlapping(flat: Float64s, charts: Int32s) -> Int64s:
+    """Return the charts that overlap themselves."""
+    found = []
+    order = np.argsort(charts, kind="stable")
+    for own in np.split(order, np.flatnonzero(np.diff(charts[order])) + 1):
+        if own.size < 2:
+            continue
+        corners = flat[own] - flat[own].min(axis=(0, 1))
+        corners *= _PROBE / max(float(corners.max()), 1e-300)
+        drawn = draw_texels(corners, np.zeros(own.size, np.int32), _PROBE + 1, 0, _PROBE + 1)
+        area = _area(corners)
+        if area - float(drawn.areas.sum()) > _OVERLAPPING * area:
+            found.append(int(charts[own[0]]))
+    return np.array(found, np.int64)
+
+
+def _area(flat: Float64s) -> float:
+    first, second = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    return float(np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).sum() / 2)
+
+
+def _upright(flat: Float64s, charts: Int32s) -> Float64s:
+    """Turn charts so that their boxes are small, and put their lowest corners at the origin."""
+    made = np.empty_like(flat)
+    order = np.argsort(charts, kind="stable")
+    angles = np.radians(np.arange(0.0, 90.0, 5.0))
+    for own in np.split(order, np.flatnonzero(np.diff(charts[order])) + 1):
+        points = flat[own].reshape(-1, 2)
+        turned = [points @ _turn(angle) for angle in (angles if own.size < 100_000 else angles[:1])]
+        best = min(turned, key=lambda each: float(np.prod(np.ptp(each, axis=0))))
+        if np.ptp(best[:, 0]) < np.ptp(best[:, 1]):
+            best = best @ _turn(np.pi / 2)
+        made[own] = (best - best.min(axis=0)).reshape(-1, 3, 2)
+    return made
+
+
+def _turn(angle: float) -> Float64s:
+    return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+
+
+def _packed(flat: Float64s, charts: Int32s, size: int, padding: int) -> Float64s | None:
+    """Place charts (m, 3, 2), in texels from their lowest corners on, in a square map; None: no room."""
+    blocks = size // ALIGNMENT
+    order = np.argsort(charts, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(charts[order])) + 1)
+    reaches = np.array([flat[own].max(axis=(0, 1)) for own in groups])
+    if (reaches + 2 * padding > size).any():
+        return None
+    free = np.ones((blocks, blocks), np.bool_)
+    starts = np.zeros(blocks + 1, np.int64)
+    placed = np.empty_like(flat)
+    for group in np.argsort(-reaches.max(axis=1), kind="stable").tolist():
+        own = groups[group]
+        shape = np.floor((reaches[group] + 2 * padding) / ALIGNMENT).astype(np.int64) + 1
+        if (shape > blocks).any():
+            return None
+        mask = np.zeros((int(shape[1]), int(shape[0])), np.bool_)
+        _mark((flat[own] + padding) / ALIGNMENT, padding / ALIGNMENT, mask)
+        at = _place(free, mask, starts)
+        if at < 0:
+            return None
+        row, column = divmod(at, blocks)
+        placed[own] = flat[own] + (column * ALIGNMENT + padding, row * ALIGNMENT + padding)
+    return placed
+
+
+@kernel
+def _mark(corners: Float64s, around: float, mask: Bools) -> None:
+    """Mark the blocks that triangles (m, 3, 2), in blocks, reach, and what is so near ``around`` them."""
+    for triangle in range(corners.shape[0]):
+        a, b, c = corners[triangle, 0], corners[triangle, 1], corners[triangle, 2]
+        x0 = max(int(np.floor(min(a[0], min(b[0], c[0])) - around)), 0)
+        x1 = min(int(np.floor(max(a[0], max(b[0], c[0])) + around)), mask.shape[1] - 1)
+        y0 = max(int(np.floor(min(a[1], min(b[1], c[1])) - around)), 0)
+        y1 = min(int(np.floor(max(a[1], max(b[1], c[1])) + around)), mask.shape[0] - 1)
+        doubled = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        sign = 1.0 if doubled >= 0.0 else -1.0
+        for y in range(y0, y1 + 1):
+            for x in range(x0, x1 + 1):
+                apart = False
+                for k in range(3):
+                    p, q = corners[triangle, k], corners[triangle, (k + 1) % 3]
+                    across, down = sign * (p[1] - q[1]), sign * (q[0] - p[0])
+                    length = np.sqrt(across * across + down * down)
+                    most = across * (x - p[0]) + down * (y - p[1]) + max(across, 0.0) + max(down, 0.0)
+                    apart |= most < -around * length * 1.5
+                if not apart:
+                    mask[y, x] = True
+
+
+@kernel
+def _place(free: Bools, mask: Bools, starts: Int64s) -> int:
+    """Put a mask where all blocks are free, in the first such place row by row; return it, or −1.
+
+    ``starts`` (blocks + 1,) remembers from which place on masks as large as one may be free.
+    """
+    height, width = mask.shape
+    blocks = free.shape[0]
+    size = max(height, width)
+    for at in range(starts[size], blocks * blocks):
+        row, column = at // blocks, at % blocks
+        if row + height > blocks:
+            break
+        if column + width > blocks:
+            continue
+        fits = True
+        for y in range(height):
+            for x in range(width):
+                if mask[y, x] and not free[row + y, column + x]:
+                    fits = False
+                    break
+            if not fits:
+                break
+        if fits:
+            for y in range(height):
+                for x in range(width):
+                    if mask[y, x]:
+                        free[row + y, column + x] = False
+            return at
+    return -1

@@ -1,0 +1,258 @@
+"""What stands around charts: what lies across their edges on the surface, then whatever is smooth."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.baking.layout import Borders, Layout
+from octex.jit import inlined, kernel
+
+Int32s = npt.NDArray[np.int32]
+Float32s = npt.NDArray[np.float32]
+Float64s = npt.NDArray[np.float64]
+
+#: Most triangles that a way across the surface crosses.
+_MOST_CROSSED = 64
+
+
+class Gutter(NamedTuple):
+    """Texels beside charts, and the points of the surface that they show."""
+
+    rows: Int32s  # (n,)
+    columns: Int32s  # (n,)
+    triangles: Int32s  # (n,)
+    barycentric: Float64s  # (n, 3)
+    beside: Int32s  # (n,)   the triangle whose edge they are nearest to in the map
+    edges: Float64s  # (n, 3)   where on that
+
+    def part(self, first: int, end: int) -> Gutter:
+        """Return a run of the texels."""
+        return Gutter._make(each[first:end] for each in self)
+
+
+def gutter_of(
+    layout: Layout, borders: Borders, rest: Float64s, faces: Int32s, others: Int32s, sides: Int32s,
+    taken: npt.NDArray[np.bool_], padding: int,
+) -> Gutter:  # fmt: skip
+    """Find what the texels that are not ``taken`` (height, width) show, up to ``padding`` texels from charts.
+
+    They show the surface as it goes on across the nearest edge, unfolded; where it ends, the edge.
+    """
+    nearest = np.full(taken.shape, np.inf, np.float32)
+    border = np.full(taken.shape, -1, np.int32)
+    _find_nearest(layout.corners, borders.drawn, borders.sides, taken, float(padding), nearest, border)
+    rows, columns = np.nonzero(border >= 0)
+    chosen = border[rows, columns]
+    triangles = np.empty(rows.size, np.int32)
+    barycentric, edges = np.zeros((2, rows.size, 3))
+    drawn = borders.drawn[chosen]
+    beside = layout.faces[drawn]
+    _follow(
+        layout.corners[drawn], rest, faces, others, sides, beside, borders.sides[chosen],
+        np.stack([columns + 0.5, rows + 0.5], axis=1), edges, triangles, barycentric,
+    )  # fmt: skip
+    return Gutter(rows.astype(np.int32), columns.astype(np.int32), triangles, barycentric, beside, edges)
+
+
+@inlined
+def _nearest_on(ax: float, ay: float, bx: float, by: float, x: float, y: float) -> tuple[float, float, float]:
+    """Return how far along an edge, 0 … 1, it is nearest to a point, and the way from there to the point."""
+    ex, ey = bx - ax, by - ay
+    square = ex * ex + ey * ey
+    t = 0.0 if square == 0.0 else min(max(((x - ax) * ex + (y - ay) * ey) / square, 0.0), 1.0)
+    return t, x - ax - t * ex, y - ay - t * ey
+
+
+@kernel
+def _find_nearest(
+    corners: Float64s, triangles: Int32s, sides: Int32s, taken: npt.NDArray[np.bool_], padding: float,
+    nearest: Float32s, border: Int32s,
+) -> None:  # fmt: skip
+    """Write the border that is nearest to each texel's centre, of those within ``padding``."""
+    height, width = taken.shape
+    for n in range(triangles.size):
+        a = corners[triangles[n], sides[n]]
+        b = corners[triangles[n], (sides[n] + 1) % 3]
+        x0 = max(int(np.floor(min(a[0], b[0]) - padding - 0.5)), 0)
+        x1 = min(int(np.floor(max(a[0], b[0]) + padding + 0.5)), width - 1)
+        y0 = max(int(np.floor(min(a[1], b[1]) - padding - 0.5)), 0)
+        y1 = min(int(np.floor(max(a[1], b[1]) + padding + 0.5)), height - 1)
+        for y in range(y0, y1 + 1):
+            for x in range(x0, x1 + 1):
+                if taken[y, x]:
+                    continue
+                _, dx, dy = _nearest_on(a[0], a[1], b[0], b[1], x + 0.5, y + 0.5)
+                distance = np.float32(dx * dx + dy * dy)
+                if distance < nearest[y, x] and distance <= padding * padding:
+                    nearest[y, x] = distance
+                    border[y, x] = n
+
+
+@inlined
+def _minus(rest: Float64s, a: int, b: int) -> tuple[float, float, float]:
+    return rest[a, 0] - rest[b, 0], rest[a, 1] - rest[b, 1], rest[a, 2] - rest[b, 2]
+
+
+@inlined
+def _dot(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inlined
+def _edge_frame(
+    rest: Float64s, faces: Int32s, triangle: int, side: int
+) -> tuple[tuple[float, float, float], tuple[float, float, float], float]:
+    """Return unit vectors along a side and from it into the triangle, and the side's length; 0: no frame."""
+    start, end, tip = faces[triangle, side], faces[triangle, (side + 1) % 3], faces[triangle, (side + 2) % 3]
+    along, inward = _minus(rest, end, start), _minus(rest, tip, start)
+    length = np.sqrt(_dot(along, along))
+    if not length > 0.0:
+        return along, inward, 0.0
+    along = (along[0] / length, along[1] / length, along[2] / length)
+    part = _dot(along, inward)
+    inward = (inward[0] - part * along[0], inward[1] - part * along[1], inward[2] - part * along[2])
+    height = np.sqrt(_dot(inward, inward))
+    if not height > 0.0:
+        return along, inward, 0.0
+    return along, (inward[0] / height, inward[1] / height, inward[2] / height), length
+
+
+@kernel
+def _follow(
+    corners: Float64s, rest: Float64s, faces: Int32s, others: Int32s, sides: Int32s, triangles: Int32s,
+    own_sides: Int32s, points: Float64s, edges: Float64s, found: Int32s, barycentric: Float64s,
+) -> None:  # fmt: skip
+    """Walk straight over the surface from edges of triangles (n,) to where points (n, 2) of the map lie.
+
+    ``corners`` (n, 3, 2) are theirs in the map.
+    """
+    for n in range(triangles.size):
+        triangle, side = int(triangles[n]), int(own_sides[n])
+        a, b, c = corners[n, side], corners[n, (side + 1) % 3], corners[n, (side + 2) % 3]
+        t, dx, dy = _nearest_on(a[0], a[1], b[0], b[1], points[n, 0], points[n, 1])
+        edges[n, side], edges[n, (side + 1) % 3] = 1.0 - t, t
+        barycentric[n] = edges[n]
+        found[n] = triangle
+        along, inward, length = _edge_frame(rest, faces, triangle, side)
+        other = int(others[triangle, side])
+        doubled = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        if other < 0 or length == 0.0 or doubled == 0.0:
+            continue
+        # The way in the map, as parts of the sides a → b and a → c, then along and away from the edge.
+        s = (dx * (c[1] - a[1]) - dy * (c[0] - a[0])) / doubled
+        u = ((b[0] - a[0]) * dy - (b[1] - a[1]) * dx) / doubled
+        start, tip = faces[triangle, side], faces[triangle, (side + 2) % 3]
+        to_tip = _minus(rest, tip, start)
+        forward = s * length + u * _dot(to_tip, along)
+        away = max(-u * _dot(to_tip, inward), 0.0)
+        place = t * length
+        for _ in range(_MOST_CROSSED):
+            # Across the edge, which is run through the other way there.
+            next_side = int(sides[triangle, side])
+            triangle, side = other, next_side
+            along, inward, length = _edge_frame(rest, faces, triangle, side)
+            if length == 0.0:
+                break
+            place, forward = min(max(length - place, 0.0), length), -forward
+            start, tip = faces[triangle, side], faces[triangle, (side + 2) % 3]
+            to_tip = _minus(rest, tip, start)
+            tip_along, tip_away = _dot(to_tip, along), _dot(to_tip, inward)
+            # Barycentric coordinates of the end: of the tip, of the side's end, of its start.
+            r = away / tip_away
+            q = (place + forward - r * tip_along) / length
+            p = 1.0 - q - r
+            if p >= -1e-9 and q >= -1e-9:
+                found[n] = triangle
+                barycentric[n, side] = max(p, 0.0)
+                barycentric[n, (side + 1) % 3] = max(q, 0.0)
+                barycentric[n, (side + 2) % 3] = r
+                break
+            # Which of the other two sides the way leaves by: where p or q falls to 0 first.
+            p0, q0 = 1.0 - place / length, place / length
+            part_p = p0 / (p0 - p) if p < 0.0 else 2.0
+            part_q = q0 / (q0 - q) if q < 0.0 else 2.0
+            by_end = part_p < part_q  # through the side from end to tip
+            part = min(part_p, part_q)
+            found[n] = triangle
+            r0 = r * part
+            other_part = q0 + (q - q0) * part if by_end else p0 + (p - p0) * part
+            barycentric[n, side] = 0.0 if by_end else other_part
+            barycentric[n, (side + 1) % 3] = other_part if by_end else 0.0
+            barycentric[n, (side + 2) % 3] = r0
+            out = (side + 1) % 3 if by_end else (side + 2) % 3
+            other = int(others[triangle, out])
+            if other < 0:
+                break
+            # The rest of the way, in the frame of the side that it leaves by.
+            rest_along, rest_away = forward * (1.0 - part), away * (1.0 - part)
+            way = (
+                rest_along * along[0] + rest_away * inward[0],
+                rest_along * along[1] + rest_away * inward[1],
+                rest_along * along[2] + rest_away * inward[2],
+            )
+            new_along, new_inward, new_length = _edge_frame(rest, faces, triangle, out)
+            if new_length == 0.0:
+                break
+            forward, away = _dot(way, new_along), max(-_dot(way, new_inward), 0.0)
+            place = (r0 if by_end else other_part) * new_length
+            side = out
+
+
+def fill_up(values: Float32s, weights: Float32s) -> None:
+    """Fill texels (height, width, components) of weight 0 from those around, in place: push and pull.
+
+    Each level halves the map, averaging by ``weights`` (height, width); what has none takes, from the top
+    down, what lies between the coarser values (S. J. Gortler et al., "The Lumigraph", 1996, 3.4).
+    """
+    height, width = weights.shape
+    if max(height, width) == 1:
+        return
+    shape = (height + 1) // 2, (width + 1) // 2
+    coarse = np.zeros((*shape, values.shape[2]), np.float32)
+    above = np.zeros(shape, np.float32)
+    if _push(values, weights, coarse, above):
+        fill_up(coarse, above)
+        _pull(coarse, weights, values)
+
+
+@kernel
+def _push(values: Float32s, weights: Float32s, coarse: Float32s, above: Float32s) -> bool:
+    """Average texels two by two, with weights up to 1; say whether some have no weight, and not all."""
+    none = some = False
+    for row in range(weights.shape[0]):
+        for column in range(weights.shape[1]):
+            weight = weights[row, column]
+            none |= weight <= 0.0
+            some |= weight > 0.0
+            above[row >> 1, column >> 1] += weight
+            for k in range(values.shape[2]):
+                coarse[row >> 1, column >> 1, k] += weight * values[row, column, k]
+    for row in range(above.shape[0]):
+        for column in range(above.shape[1]):
+            if above[row, column] > 0.0:
+                for k in range(coarse.shape[2]):
+                    coarse[row, column, k] /= above[row, column]
+                above[row, column] = min(above[row, column], np.float32(1.0))
+    return none and some
+
+
+@kernel
+def _pull(coarse: Float32s, weights: Float32s, values: Float32s) -> None:
+    """Write what lies between coarse values to texels of weight 0."""
+    for row in range(values.shape[0]):
+        for column in range(values.shape[1]):
+            if weights[row, column] > 0.0:
+                continue
+            y, x = 0.5 * row - 0.25, 0.5 * column - 0.25
+            y0, x0 = int(np.floor(y)), int(np.floor(x))
+            fy, fx = np.float32(y - y0), np.float32(x - x0)
+            ya, yb = max(y0, 0), min(y0 + 1, coarse.shape[0] - 1)
+            xa, xb = max(x0, 0), min(x0 + 1, coarse.shape[1] - 1)
+            one = np.float32(1.0)
+            for k in range(values.shape[2]):
+                upper = (one - fx) * coarse[ya, xa, k] + fx * coarse[ya, xb, k]
+                lower = (one - fx) * coarse[yb, xa, k] + fx * coarse[yb, xb, k]
+                values[row, column, k] = (one - fy) * upper + fy * lower

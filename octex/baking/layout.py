@@ -1,0 +1,160 @@
+"""Where triangles lie in a map: at coordinates of their own, or packed anew as an atlas."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.errors import ModelError
+from octex.jit import kernel
+from octex.source.corners import Corners
+from octex.source.parts import weld
+from octex.source.surface import Surface
+
+Int32s = npt.NDArray[np.int32]
+Float64s = npt.NDArray[np.float64]
+
+#: Where texture coordinates come from.
+Layouts = Literal["auto", "keep", "atlas"]
+LAYOUTS: tuple[Layouts, ...] = ("auto", "keep", "atlas")
+#: Coordinates nearer to whole numbers than this are these.
+_BEYOND = 1e-4
+#: Charts start at multiples of so many texels, so that no texel of three smaller levels has parts of two.
+ALIGNMENT = 8
+#: A triangle may repeat the map so often.
+_MOST_REPEATS = 16
+#: Ends of edges are one point of a map if they are so near, in texels.
+_SAME = 1e-3
+
+
+class Layout(NamedTuple):
+    """Where triangles lie in a map.
+
+    Coordinates that leave the unit square repeat: what lies in several squares is drawn in each.
+    """
+
+    uv: Corners  # texture coordinates of the surface's triangles, v down
+    corners: Float64s  # (k, 3, 2)   what is drawn, in texels, x to the right and y down
+    faces: Int32s  # (k,)   the surface's triangle that each is
+    charts: Int32s  # (k,)
+    width: int
+    height: int
+
+    def sized(self, size: int) -> Layout:
+        """Return the same layout in square maps of another size."""
+        return self._replace(corners=self.corners * (size / self.width), width=size, height=size)
+
+
+class Borders(NamedTuple):
+    """Edges of charts."""
+
+    drawn: Int32s  # (n,)   among what is drawn
+    sides: Int32s  # (n,)   side k goes from corner k to the next
+
+
+def unit_area(layout: Layout) -> float:
+    """Return the area of the triangles in a map, as a part of it, what overlaps counted as often."""
+    corners = layout.uv.values[layout.uv.rows].astype(np.float64)
+    return float(np.abs(_doubled(corners)).sum() / 2)
+
+
+def kept_layout(surface: Surface, size: int) -> Layout:
+    """Lay a surface out by its own texture coordinates in a square map.
+
+    Raises ModelError if it has none, or if they repeat the map many times.
+    """
+    if surface.uv is None:
+        raise ModelError(f"{surface.name} has no texture coordinates to keep; have an atlas made")
+    uv = surface.uv.values[surface.uv.rows].astype(np.float64)
+    if not np.isfinite(uv).all():
+        raise ModelError(f"{surface.name}: texture coordinates are not all finite; have an atlas made")
+    whole = np.abs(uv - np.rint(uv)) < _BEYOND
+    uv = np.where(whole, np.rint(uv), uv)
+    low, high = np.floor(uv.min(axis=1)), np.maximum(np.ceil(uv.max(axis=1)), np.floor(uv.min(axis=1)) + 1)
+    repeats = (high - low).astype(np.int64)
+    if (repeats.prod(axis=1) > _MOST_REPEATS).any():
+        raise ModelError(
+            f"{surface.name}: texture coordinates of a triangle reach over "
+            f"{int(repeats.prod(axis=1).max()):,} squares; have an atlas made"
+        )
+    faces: Int32s = np.repeat(np.arange(len(uv), dtype=np.int32), repeats.prod(axis=1))
+    starts = np.cumsum(repeats.prod(axis=1)) - repeats.prod(axis=1)
+    number = np.arange(faces.size) - starts[faces]
+    across, down = number % repeats[faces, 0], number // repeats[faces, 0]
+    moved = low[faces] + np.stack([across, down], axis=1)
+    charts = charts_of(surface, uv * size)[faces]
+    squares = np.column_stack([charts, moved])
+    _, numbers = np.unique(squares, axis=0, return_inverse=True)
+    corners = (uv[faces] - moved[:, None]) * size
+    return Layout(surface.uv, corners, faces, numbers.astype(np.int32), size, size)
+
+
+def charts_of(surface: Surface, corners: Float64s) -> Int32s:
+    """Return the chart of each triangle (m,): those that share an edge both on the surface and in the map."""
+    parents = np.arange(len(corners), dtype=np.int32)
+    _join(joined(surface, corners), neighbors(surface)[0], parents)
+    return np.unique(parents, return_inverse=True)[1].astype(np.int32)
+
+
+def borders(surface: Surface, layout: Layout) -> Borders:
+    """Return the edges of the charts of a layout."""
+    uv = layout.uv.values[layout.uv.rows].astype(np.float64) * (layout.width, layout.height)
+    drawn, sides = np.nonzero(~joined(surface, uv)[layout.faces])
+    return Borders(drawn.astype(np.int32), sides.astype(np.int32))
+
+
+def neighbors(surface: Surface) -> tuple[Int32s, Int32s]:
+    """Return the triangle beyond each side (m, 3), −1 for none or several, and which side it is there."""
+    faces = weld(surface.rest)[surface.triangles]
+    ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
+    low, high = ends.min(axis=1), ends.max(axis=1)
+    keys = low * (int(faces.max()) + 1) + high
+    order = np.argsort(keys, kind="stable")
+    starts = np.flatnonzero(np.diff(keys[order], prepend=-1))
+    pairs = starts[np.diff(starts, append=keys.size) == 2]
+    a, b = order[pairs], order[pairs + 1]
+    opposite = (ends[a, 0] == ends[b, 1]) & (low[a] < high[a])
+    a, b = a[opposite], b[opposite]
+    found = np.full(keys.size, -1, np.int64)
+    found[a], found[b] = b, a
+    others = np.where(found < 0, -1, found // 3).astype(np.int32).reshape(-1, 3)
+    return others, np.where(found < 0, -1, found % 3).astype(np.int32).reshape(-1, 3)
+
+
+def joined(surface: Surface, corners: Float64s) -> npt.NDArray[np.bool_]:
+    """Say beyond which sides (m, 3) the map goes on as the surface does; ``corners`` (m, 3, 2) in texels."""
+    others, sides = neighbors(surface)
+    there = np.maximum(others, 0), np.maximum(sides, 0)
+    starts = corners[there[0], (there[1] + 1) % 3]  # run through the other way
+    same = np.abs(starts - corners).max(axis=-1) < _SAME
+    same &= np.abs(corners[there] - np.roll(corners, -1, axis=1)).max(axis=-1) < _SAME
+    found: npt.NDArray[np.bool_] = same & (others >= 0)
+    return found
+
+
+@kernel
+def _join(are_joined: npt.NDArray[np.bool_], others: Int32s, parents: Int32s) -> None:
+    """Join triangles in charts; every parent becomes its chart's least triangle."""
+    for triangle in range(parents.size):
+        for side in range(3):
+            if not are_joined[triangle, side]:
+                continue
+            x, y = np.int32(triangle), others[triangle, side]
+            while parents[x] != x:
+                parents[x] = parents[parents[x]]
+                x = parents[x]
+            while parents[y] != y:
+                parents[y] = parents[parents[y]]
+                y = parents[y]
+            parents[max(x, y)] = min(x, y)
+    for triangle in range(parents.size):
+        parents[triangle] = parents[parents[triangle]]
+
+
+def _doubled(corners: Float64s) -> Float64s:
+    """Return twice the signed areas of triangles (m,) in the map."""
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    doubled: Float64s = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    return doubled

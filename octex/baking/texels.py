@@ -1,0 +1,228 @@
+"""Which points of a surface the texels of a map show: triangles drawn at their texture coordinates."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.jit import inlined, kernel
+
+Int32s = npt.NDArray[np.int32]
+Int64s = npt.NDArray[np.int64]
+Float32s = npt.NDArray[np.float32]
+Float64s = npt.NDArray[np.float64]
+
+#: Texels of which charts cover less than this part count as gutter.
+_LEAST = 1e-4
+
+
+class Texels(NamedTuple):
+    """What the texels of some rows of a map show."""
+
+    triangles: Int32s  # (rows, width)   −1: none
+    centroids: Float32s  # (rows, width, 2)   of the covered part, right and down of the texel's corner, 0 … 1
+    areas: Float32s  # (rows, width)   the covered part, 0 … 1
+
+
+def draw_texels(corners: Float64s, charts: Int32s, width: int, first: int, end: int) -> Texels:
+    """Find what the texels of rows ``first`` to ``end`` show.
+
+    ``corners`` (m, 3, 2) are triangles in texels, x to the right and y down, and ``charts`` (m,) the charts
+    that they belong to. A texel belongs to the chart whose triangle covers most of it. It shows the centroid
+    of what that chart covers, on the triangle that lies there, or comes nearest.
+    """
+    shape = end - first, width
+    triangles, areas = np.full(shape, -1, np.int32), np.zeros(shape, np.float32)
+    _find_owners(corners, first, triangles, areas)
+    centroids = np.zeros((*shape, 2), np.float32)
+    _find_centroids(corners, charts, first, triangles, areas, centroids)
+    _find_triangles(corners, charts, first, triangles, centroids)
+    return Texels(triangles, centroids, areas)
+
+
+@inlined
+def _reach(corners: Float64s, triangle: int, axis: int, low: int, high: int) -> tuple[int, int]:
+    """Return the first and the end of the texels that a triangle reaches along an axis, within limits."""
+    a, b, c = corners[triangle, 0, axis], corners[triangle, 1, axis], corners[triangle, 2, axis]
+    least, most = min(a, min(b, c)), max(a, max(b, c))
+    return int(max(np.floor(least), np.float64(low))), int(min(np.floor(most) + 1.0, np.float64(high)))
+
+
+@inlined
+def _cut(polygon: Float64s, count: int, axis: int, limit: float, sign: float, found: Float64s) -> int:
+    """Cut a polygon along an axis: what has sign · (coordinate − limit) ≥ 0 stays."""
+    made = 0
+    for n in range(count):
+        m = n + 1 if n + 1 < count else 0
+        here, there = sign * (polygon[n, axis] - limit), sign * (polygon[m, axis] - limit)
+        if here >= 0.0:
+            found[made, 0], found[made, 1] = polygon[n, 0], polygon[n, 1]
+            made += 1
+        if (here >= 0.0) != (there >= 0.0):
+            part = here / (here - there)
+            found[made, 0] = polygon[n, 0] + part * (polygon[m, 0] - polygon[n, 0])
+            found[made, 1] = polygon[n, 1] + part * (polygon[m, 1] - polygon[n, 1])
+            made += 1
+    return made
+
+
+@inlined
+def _covered(
+    corners: Float64s, triangle: int, column: int, row: int, one: Float64s, two: Float64s
+) -> tuple[float, float, float]:
+    """Return the area of a triangle in a texel, and that times its centroid relative to the texel."""
+    inside = True
+    doubled = 0.0
+    for k in range(3):
+        one[k, 0], one[k, 1] = corners[triangle, k, 0] - column, corners[triangle, k, 1] - row
+    doubled = (one[1, 0] - one[0, 0]) * (one[2, 1] - one[0, 1])
+    doubled -= (one[1, 1] - one[0, 1]) * (one[2, 0] - one[0, 0])
+    if doubled == 0.0:
+        return 0.0, 0.0, 0.0
+    sign = 1.0 if doubled > 0.0 else -1.0
+    for k in range(3):
+        m = k + 1 if k < 2 else 0
+        across, down = sign * (one[k, 1] - one[m, 1]), sign * (one[m, 0] - one[k, 0])
+        at = -across * one[k, 0] - down * one[k, 1]  # at the texel's corner
+        if at + max(across, 0.0) + max(down, 0.0) <= 0.0:
+            return 0.0, 0.0, 0.0
+        inside &= at + min(across, 0.0) + min(down, 0.0) >= 0.0
+    if inside:
+        return 1.0, 0.5, 0.5
+    count = _cut(one, 3, 0, 0.0, 1.0, two)
+    count = _cut(two, count, 0, 1.0, -1.0, one)
+    count = _cut(one, count, 1, 0.0, 1.0, two)
+    count = _cut(two, count, 1, 1.0, -1.0, one)
+    area = x = y = 0.0
+    for n in range(1, count - 1):
+        bx, by = one[n, 0] - one[0, 0], one[n, 1] - one[0, 1]
+        cx, cy = one[n + 1, 0] - one[0, 0], one[n + 1, 1] - one[0, 1]
+        part = 0.5 * sign * (bx * cy - by * cx)
+        area += part
+        x += part * (one[0, 0] + (bx + cx) / 3.0)
+        y += part * (one[0, 1] + (by + cy) / 3.0)
+    return area, x, y
+
+
+@kernel
+def _find_owners(corners: Float64s, first: int, triangles: Int32s, areas: Float32s) -> None:
+    """Write the triangle that covers most of each texel, and how much."""
+    one, two = np.empty((8, 2)), np.empty((8, 2))
+    for triangle in range(corners.shape[0]):
+        top, bottom = _reach(corners, triangle, 1, first, first + triangles.shape[0])
+        left, right = _reach(corners, triangle, 0, 0, triangles.shape[1])
+        for row in range(top, bottom):
+            for column in range(left, right):
+                area, _, _ = _covered(corners, triangle, column, row, one, two)
+                if area > np.float64(areas[row - first, column]) and area > _LEAST:
+                    areas[row - first, column] = area
+                    triangles[row - first, column] = triangle
+
+
+@kernel
+def _find_centroids(
+    corners: Float64s, charts: Int32s, first: int, triangles: Int32s, areas: Float32s, centroids: Float32s
+) -> None:
+    """Write how much of each texel the chart of its triangle covers, and the centroid of that."""
+    one, two = np.empty((8, 2)), np.empty((8, 2))
+    areas[:] = 0.0
+    for triangle in range(corners.shape[0]):
+        top, bottom = _reach(corners, triangle, 1, first, first + triangles.shape[0])
+        left, right = _reach(corners, triangle, 0, 0, triangles.shape[1])
+        for row in range(top, bottom):
+            for column in range(left, right):
+                owner = triangles[row - first, column]
+                if owner >= 0 and charts[owner] == charts[triangle]:
+                    area, x, y = _covered(corners, triangle, column, row, one, two)
+                    areas[row - first, column] += np.float32(area)
+                    centroids[row - first, column, 0] += np.float32(x)
+                    centroids[row - first, column, 1] += np.float32(y)
+    for row in range(areas.shape[0]):
+        for column in range(areas.shape[1]):
+            if areas[row, column] > 0.0:
+                for axis in range(2):
+                    middle = centroids[row, column, axis] / areas[row, column]
+                    centroids[row, column, axis] = min(max(middle, np.float32(0.0)), np.float32(1.0))
+                areas[row, column] = min(areas[row, column], np.float32(1.0))
+
+
+@inlined
+def barycentric_of(corners: Float64s, triangle: int, x: float, y: float) -> tuple[float, float, float]:
+    """Return the barycentric coordinates of a point of the map on a triangle; thirds if it has no area."""
+    ax, ay = corners[triangle, 0, 0], corners[triangle, 0, 1]
+    bx, by = corners[triangle, 1, 0] - ax, corners[triangle, 1, 1] - ay
+    cx, cy = corners[triangle, 2, 0] - ax, corners[triangle, 2, 1] - ay
+    doubled = bx * cy - by * cx
+    if doubled == 0.0:
+        return 1 / 3, 1 / 3, 1 / 3
+    q = ((x - ax) * cy - (y - ay) * cx) / doubled
+    r = (bx * (y - ay) - by * (x - ax)) / doubled
+    return 1.0 - q - r, q, r
+
+
+@kernel
+def _find_triangles(
+    corners: Float64s, charts: Int32s, first: int, triangles: Int32s, centroids: Float32s
+) -> None:
+    """Write the triangle that each texel's centroid lies on, of those of its chart, or comes nearest to."""
+    nearest = np.full(triangles.shape, -np.inf, np.float32)
+    for row in range(triangles.shape[0]):
+        for column in range(triangles.shape[1]):
+            if triangles[row, column] >= 0:
+                x, y = (
+                    column + np.float64(centroids[row, column, 0]),
+                    first + row + np.float64(centroids[row, column, 1]),
+                )
+                p, q, r = barycentric_of(corners, int(triangles[row, column]), x, y)
+                nearest[row, column] = min(p, min(q, r))
+    for triangle in range(corners.shape[0]):
+        top, bottom = _reach(corners, triangle, 1, first, first + triangles.shape[0])
+        left, right = _reach(corners, triangle, 0, 0, triangles.shape[1])
+        for row in range(top, bottom):
+            for column in range(left, right):
+                owner = triangles[row - first, column]
+                if nearest[row - first, column] >= 0.0 or owner < 0 or charts[owner] != charts[triangle]:
+                    continue
+                x = column + np.float64(centroids[row - first, column, 0])
+                y = row + np.float64(centroids[row - first, column, 1])
+                p, q, r = barycentric_of(corners, triangle, x, y)
+                inside = min(p, min(q, r))
+                if inside > np.float64(nearest[row - first, column]):
+                    nearest[row - first, column] = inside
+                    triangles[row - first, column] = triangle
+
+
+def texel_points(
+    corners: Float64s, drawn: Texels, first: int, rest: Float64s, faces: Int32s
+) -> tuple[Int64s, Int64s, Float64s, Float64s]:
+    """Return where texels of a map show something, from row ``first`` on, and what.
+
+    ``corners`` (k, 3, 2) were drawn; ``faces`` (k, 3) are rows of ``rest`` (n, 3). Returns the texels' rows
+    and columns (t,), the barycentric coordinates (t, 3) on what was drawn, and the rest positions (t, 3).
+    """
+    rows, columns = np.nonzero(drawn.triangles >= 0)
+    barycentric, positions = np.empty((2, rows.size, 3))
+    _texel_points(corners, *drawn[:2], rows, columns, first, rest, faces, barycentric, positions)
+    return rows + first, columns, barycentric, positions
+
+
+@kernel
+def _texel_points(
+    corners: Float64s, triangles: Int32s, centroids: Float32s, rows: Int64s, columns: Int64s, first: int,
+    rest: Float64s, faces: Int32s, barycentric: Float64s, positions: Float64s,
+) -> None:  # fmt: skip
+    for n in range(rows.size):
+        row, column = rows[n], columns[n]
+        triangle = int(triangles[row, column])
+        x = column + np.float64(centroids[row, column, 0])
+        y = first + row + np.float64(centroids[row, column, 1])
+        p, q, r = barycentric_of(corners, triangle, x, y)
+        p, q, r = max(p, 0.0), max(q, 0.0), max(r, 0.0)
+        total = p + q + r
+        p, q, r = p / total, q / total, r / total
+        barycentric[n, 0], barycentric[n, 1], barycentric[n, 2] = p, q, r
+        a, b, c = faces[triangle, 0], faces[triangle, 1], faces[triangle, 2]
+        for axis in range(3):
+            positions[n, axis] = p * rest[a, axis] + q * rest[b, axis] + r * rest[c, axis]

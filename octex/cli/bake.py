@@ -1,0 +1,141 @@
+"""octex bake: an octree texture and its model in; the model with images, for other tools, out."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import octex
+from octex.cli.arguments import channel_names, count, edge_length, error_codes, whole_number
+from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
+from octex.cli.models import TEXTURE_ENDING, open_sound
+from octex.cli.parser import Command, Parser, option, words_given
+from octex.errors import ArgumentError, ExitCode
+
+_OF_IMAGES = ("--uv", "--texture-size", "--padding", "--channels", "--images")
+_OF_VERTICES = ("--subdivide", "--max-error")
+#: As formats.models.WRITTEN_ENDINGS, without an import.
+ENDINGS = (".glb", ".gltf", ".obj", ".ply")
+
+BAKE = Command(
+    "Bake a texture to images, or to vertex colours, for tools that show models.",
+    [
+        option("TEXTURE", "an .octex file", type=Path),
+        option("MODEL", "the model that it is a texture of", type=Path),
+        option("OUTPUT", f"NAME{', NAME'.join(ENDINGS)}", type=Path),
+    ],
+    [
+        option(
+            "--uv",
+            "auto (default), keep or atlas: the model's own texture coordinates or new ones; auto keeps them "
+            "if they hardly overlap",
+            choices=("auto", "keep", "atlas"),
+        ),
+        option(
+            "--texture-size",
+            "texels a side of the maps (default: a power of two that keeps the cells, up to 8192)",
+            metavar="N",
+            type=whole_number,
+        ),
+        option("--padding", "texels between charts (default 8)", metavar="N", type=whole_number),
+        option("--channels", "those to bake, like base_color,normal", metavar="NAMES", type=channel_names),
+        option(
+            "--images", "png (default), webp, smaller, or jpeg, with loss", choices=("png", "jpeg", "webp")
+        ),
+        option(
+            "--vertex-colors",
+            "colours at the vertices instead of images; always so in a .ply",
+            action="store_true",
+        ),
+        option(
+            "--subdivide",
+            "divide triangles until edges are no longer than SIZE, or with auto until vertex colours are "
+            "within --max-error (default: as they are)",
+            metavar="SIZE",
+            type=edge_length,
+        ),
+        option(
+            "--max-error",
+            "what vertex colours may be off by, in codes of 255 (default 8)",
+            metavar="CODES",
+            type=error_codes,
+        ),
+        option("--rest", "the undeformed model, of the same topology", metavar="MODEL", type=Path),
+        option("--force", "overwrite OUTPUT", action="store_true"),
+        option("--threads", "threads to work on (default: all processors)", metavar="N", type=count),
+        option("--quiet", "print nothing but errors (and what --json asks for)", action="store_true"),
+        option("--json", "print the result as one JSON object", action="store_true"),
+    ],
+    ["droid.octex droid.glb baked.glb", "droid.octex droid.glb web.glb --texture-size 1024 --images webp"],
+)
+
+
+def main(arguments: Sequence[str] | None, program: str) -> int:
+    """Run octex bake, and return its exit code (octex.errors.ExitCode)."""
+    return run(program, lambda: _bake(Parser(program, BAKE).parsed(arguments), program))
+
+
+def _bake(options: argparse.Namespace, program: str) -> int:
+    began = time.perf_counter()
+    if options.TEXTURE.suffix.lower() != TEXTURE_ENDING:
+        raise ArgumentError(
+            f"{options.TEXTURE}: is no {TEXTURE_ENDING} file; octex convert makes one of a model"
+        )
+    options.vertex_colors |= options.OUTPUT.suffix.lower() == ".ply"
+    work, others = ("vertex colours", _OF_IMAGES) if options.vertex_colors else ("images", _OF_VERTICES)
+    for word in words_given(options):
+        if word in others:
+            raise ArgumentError(f"{word} has no meaning with {work}; see {program} --help")
+    inputs = [path for path in (options.TEXTURE, options.MODEL, options.rest) if path is not None]
+    check_outputs([(options.OUTPUT, ENDINGS, "OUTPUT")], inputs, force=options.force)
+    with limited(options.threads), Reporter(program, options.quiet) as progress:
+        with progress.stage("read"):
+            texture = open_sound(options.TEXTURE)
+            surface = octex.load_surface(options.MODEL, options.rest, normals=True)
+        if options.vertex_colors:
+            with progress.stage("divide"):
+                error = 8.0 if options.max_error is None else options.max_error
+                baked = octex.bake_vertices(texture, surface, subdivide=options.subdivide, max_error=error)
+        else:
+            baked = octex.bake(
+                texture,
+                surface,
+                uv=options.uv or "auto",
+                texture_size=options.texture_size,
+                padding=8 if options.padding is None else options.padding,
+                channels=options.channels,
+                progress=progress,
+            )
+        with progress.stage("write"):
+            octex.write_model(baked, options.OUTPUT, images=options.images or "png")
+    size = max(_sizes(baked), default=0)
+    made = {
+        "output": str(options.OUTPUT),
+        "channels": [form.name for form in baked.channels],
+        "triangles": len(baked.triangles),
+        "vertices": len(baked.vertices),
+        "texture_size": size,
+        "bytes": options.OUTPUT.stat().st_size,
+        "seconds": round(time.perf_counter() - began, 3),
+    }
+    if options.json:
+        say(json.dumps(made))
+    elif not options.quiet:
+        names = ", ".join(form.name for form in baked.channels)
+        bytes_there = bytes_text(options.OUTPUT.stat().st_size)
+        where = f"in maps of {size} × {size}" if size else f"at {len(baked.vertices):,} vertices"
+        say(f"{options.OUTPUT}: {names} {where}, {bytes_there}, {made['seconds']:.1f} s")
+    return ExitCode.DONE
+
+
+def _sizes(baked: octex.Surface) -> Iterator[int]:
+    """Yield the widths of a surface's images."""
+    from octex.formats.images import materials_of
+
+    for material in materials_of(baked).materials:
+        for given in material.inputs.values():
+            if given.texture is not None:
+                yield given.texture.texels.shape[1]

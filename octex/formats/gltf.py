@@ -1,0 +1,270 @@
+"""glTF 2.0: a surface with images as .glb, one file, or as .gltf with its files beside it."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.errors import ModelError
+from octex.files import replacing
+from octex.formats.images import ImageFormat, image_file, materials_of
+from octex.parallel import ordered_map, workers
+from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
+from octex.source.materials import Input, Material, MaterialSource, Texture
+from octex.source.surface import Surface
+
+_FLOAT, _UINT = 5126, 5125
+_ARRAYS, _ELEMENTS = 34962, 34963
+_WRAPS = {REPEAT: 10497, MIRROR: 33648, CLAMP: 33071}
+_NEAREST, _LINEAR, _MIPMAPS = 9728, 9729, 9987
+_JSON, _BIN = 0x4E4F534A, 0x004E4942
+#: What a dielectric reflects where KHR_materials_specular says 1.
+_DIELECTRIC = 0.04
+
+
+def write_gltf(surface: Surface, path: Path, images: ImageFormat) -> None:
+    """Write a surface whose values come from images, as ``bake`` makes it, as glTF 2.0.
+
+    ``path`` ends in .glb, one file, or .gltf, whose .bin and images are written beside it. Positions are the
+    posed ones; normals and tangents are the surface's ``frames``, without which viewers shade it flat.
+    ``images`` is how maps are stored: "png", or with loss "jpeg" (where there is no alpha) or "webp".
+
+    Raises ModelError for a surface whose values glTF's materials cannot say.
+    """
+    content = _Content(images)
+    content.add(surface, materials_of(surface))
+    if path.suffix.lower() == ".glb":
+        _write_glb(content, path)
+    else:
+        _write_files(content, path)
+
+
+class _Content:
+    """What a file says, and the bytes that it refers to."""
+
+    def __init__(self, images: ImageFormat) -> None:
+        self._format = images
+        self.json: dict[str, Any] = {
+            "asset": {"version": "2.0", "generator": "octex"},
+            "scene": 0,
+            "scenes": [{"nodes": [0]}],
+        }
+        self.arrays: list[bytes] = []  # of buffer views
+        self._views: list[dict[str, Any]] = []
+        self.images: list[tuple[bytes, str]] = []  # files, and their names
+        self._extensions: set[str] = set()
+
+    def add(self, surface: Surface, source: MaterialSource) -> None:
+        """Add a surface as the one mesh."""
+        materials, owners = source.materials, source.triangle_materials
+        primitives = []
+        used = np.unique(owners).tolist()
+        self._encode(materials, used)
+        self.json["materials"] = [self._material(materials[n]) for n in used]
+        for number, material in enumerate(used):
+            chosen = np.flatnonzero(owners == material)
+            primitives.append({**self._primitive(surface, source, chosen), "material": number})
+        name = Path(surface.name).stem
+        self.json["meshes"] = [{"name": name, "primitives": primitives}]
+        self.json["nodes"] = [{"name": name, "mesh": 0}]
+        if self._extensions:
+            self.json["extensionsUsed"] = sorted(self._extensions)
+        if self._format == "webp" and self.images:
+            self.json["extensionsRequired"] = ["EXT_texture_webp"]
+
+    def _primitive(
+        self, surface: Surface, source: MaterialSource, chosen: npt.NDArray[np.integer]
+    ) -> dict[str, Any]:
+        """Add some triangles with what is bound to their corners; corners that are alike are one vertex."""
+        bound = {f"TEXCOORD_{slot}": each for slot, each in enumerate(source.coordinates)}
+        if source.colors is not None:
+            bound["COLOR_0"] = source.colors
+        if surface.frames is not None:
+            bound["NORMAL"] = surface.frames.normals
+            if "normal" in [form.name for form in surface.channels]:
+                bound["TANGENT"] = surface.frames.tangents
+        corners = np.stack(
+            [surface.triangles[chosen], *(each.rows[chosen] for each in bound.values())], axis=-1
+        )
+        distinct, indices = np.unique(corners.reshape(-1, corners.shape[-1]), axis=0, return_inverse=True)
+        attributes = {"POSITION": self._floats(surface.vertices[distinct[:, 0]], limits=True)}
+        for number, (name, each) in enumerate(bound.items(), 1):
+            attributes[name] = self._floats(each.values[distinct[:, number]])
+        accessor = {
+            "bufferView": self._view(indices.astype("<u4").tobytes(), _ELEMENTS),
+            "componentType": _UINT, "count": int(indices.size), "type": "SCALAR",
+        }  # fmt: skip
+        return {"attributes": attributes, "indices": self._accessor(accessor)}
+
+    def _floats(self, values: npt.NDArray[np.floating], *, limits: bool = False) -> int:
+        values = values.astype("<f4")
+        accessor: dict[str, Any] = {
+            "bufferView": self._view(values.tobytes(), _ARRAYS), "componentType": _FLOAT,
+            "count": len(values), "type": f"VEC{values.shape[1]}",
+        }  # fmt: skip
+        if limits:
+            accessor |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
+        return self._accessor(accessor)
+
+    def _accessor(self, accessor: dict[str, Any]) -> int:
+        self.json.setdefault("accessors", []).append(accessor)
+        return len(self.json["accessors"]) - 1
+
+    def _view(self, data: bytes, target: int | None = None) -> int:
+        view: dict[str, Any] = {
+            "buffer": 0,
+            "byteOffset": sum(map(len, self.arrays)),
+            "byteLength": len(data),
+        }
+        self._views.append(view if target is None else {**view, "target": target})
+        self.arrays.append(data + bytes(-len(data) % 4))
+        return len(self._views) - 1
+
+    def _encode(self, materials: list[Material], used: list[int]) -> None:
+        """Encode all images that materials read, side by side."""
+        self._textures: dict[tuple[object, ...], int] = {}
+        texels: dict[int, tuple[Texture, bool]] = {}
+        for number in used:
+            for name, given in materials[number].inputs.items():
+                if given.texture is not None:
+                    is_covered = name == "alpha" and materials[number].alpha_mode != "opaque"
+                    known = texels.get(id(given.texture.texels), (given.texture, False))
+                    texels[id(given.texture.texels)] = known[0], known[1] or is_covered
+        with workers(None, None, len(texels)) as pool:
+            made = ordered_map(
+                pool,
+                lambda each: image_file(each[0].texels, slice(4 if each[1] else 3), self._format),
+                list(texels.values()),
+            )
+            self.images = list(made)
+        self._numbers = {key: number for number, key in enumerate(texels)}
+
+    def _texture(self, given: Input) -> dict[str, Any]:
+        """Return what names a texture, which is added if it is new."""
+        texture = given.texture
+        assert texture is not None
+        key = (id(texture.texels), *texture[1:])
+        if key not in self._textures:
+            sampler = {
+                "magFilter": _NEAREST if texture.nearest else _LINEAR,
+                "minFilter": _NEAREST if texture.nearest else _MIPMAPS,
+                "wrapS": _WRAPS[texture.wrap_u], "wrapT": _WRAPS[texture.wrap_v],
+            }  # fmt: skip
+            samplers = self.json.setdefault("samplers", [])
+            if sampler not in samplers:
+                samplers.append(sampler)
+            entry: dict[str, Any] = {"sampler": samplers.index(sampler)}
+            image = self._numbers[id(texture.texels)]
+            if self._format == "webp":
+                entry["extensions"] = {"EXT_texture_webp": {"source": image}}
+                self._extensions.add("EXT_texture_webp")
+            else:
+                entry["source"] = image
+            textures = self.json.setdefault("textures", [])
+            textures.append(entry)
+            self._textures[key] = len(textures) - 1
+        info: dict[str, Any] = {"index": self._textures[key]}
+        return {**info, "texCoord": texture.slot} if texture.slot else info
+
+    def _material(self, material: Material) -> dict[str, Any]:
+        """Return a material in glTF's words; raises ModelError for what these cannot say."""
+        inputs = material.inputs
+        for name, given in inputs.items():
+            lanes = _LANES.get(name, given.lanes)
+            if any(given.offset) or (given.texture is not None and given.lanes[: len(lanes)] != lanes):
+                raise ModelError(f"glTF cannot say what the channel {name!r} is made of; bake it first")
+        for pair in (("base_color", "alpha"), ("metallic", "roughness")):
+            textures = [inputs[name].texture for name in pair if name in inputs]
+            known = {id(each.texels) for each in textures if each is not None}
+            if len(known) > 1 or (None in textures and known and "alpha" not in pair):
+                raise ModelError(f"glTF needs {pair[0]} and {pair[1]} in one image; bake them first")
+        color, alpha = inputs.get("base_color", Input((1.0,) * 3)), inputs.get("alpha", Input((1.0,)))
+        pbr: dict[str, Any] = {"baseColorFactor": [*color.factor, *alpha.factor]}
+        if color.texture is not None:
+            pbr["baseColorTexture"] = self._texture(color)
+        for name, factor in (("metallic", "metallicFactor"), ("roughness", "roughnessFactor")):
+            pbr[factor] = inputs[name].factor[0] if name in inputs else float(name == "roughness")
+            if name in inputs and inputs[name].texture is not None:
+                pbr["metallicRoughnessTexture"] = self._texture(inputs[name])
+        made: dict[str, Any] = {"pbrMetallicRoughness": pbr}
+        if material.alpha_mode != "opaque":
+            made["alphaMode"] = material.alpha_mode.upper()
+        if material.alpha_mode == "mask":
+            made["alphaCutoff"] = material.cutoff
+        if "occlusion" in inputs and inputs["occlusion"].texture is not None:
+            made["occlusionTexture"] = self._texture(inputs["occlusion"])
+        if "normal" in inputs and inputs["normal"].texture is not None:
+            made["normalTexture"] = {**self._texture(inputs["normal"]), "scale": inputs["normal"].factor[0]}
+        if "emissive" in inputs:
+            self._emit(inputs["emissive"], made)
+        if "specular" in inputs:
+            given = inputs["specular"]
+            specular: dict[str, Any] = {"specularColorFactor": [each / _DIELECTRIC for each in given.factor]}
+            if given.texture is not None:
+                specular["specularColorTexture"] = self._texture(given)
+            made.setdefault("extensions", {})["KHR_materials_specular"] = specular
+            self._extensions.add("KHR_materials_specular")
+        return made
+
+    def _emit(self, given: Input, made: dict[str, Any]) -> None:
+        strength = max(1.0, *given.factor)
+        made["emissiveFactor"] = [each / strength for each in given.factor]
+        if given.texture is not None:
+            made["emissiveTexture"] = self._texture(given)
+        if strength > 1.0:
+            made.setdefault("extensions", {})["KHR_materials_emissive_strength"] = {
+                "emissiveStrength": strength
+            }
+            self._extensions.add("KHR_materials_emissive_strength")
+
+    def finish(self, buffer: Mapping[str, Any], place: Callable[[int], dict[str, Any]]) -> bytes:
+        """Return the JSON; ``place`` says where the image with a number is."""
+        if self.images:
+            self.json["images"] = [place(number) for number in range(len(self.images))]
+        self.json["buffers"] = [{**buffer, "byteLength": sum(map(len, self.arrays))}]
+        self.json["bufferViews"] = self._views
+        return json.dumps(self.json, separators=(",", ":")).encode()
+
+    def embed(self, number: int) -> dict[str, Any]:
+        """Put an image into the buffer, and return what names it."""
+        data, ending = self.images[number]
+        return {"bufferView": self._view(data), "mimeType": f"image/{ending}"}
+
+
+#: Where glTF reads a channel in its texture.
+_LANES = {
+    "base_color": (0, 1, 2), "alpha": (3,), "occlusion": (0,), "roughness": (1,), "metallic": (2,),
+    "emissive": (0, 1, 2), "specular": (0, 1, 2), "normal": (0, 1, 2),
+}  # fmt: skip
+
+
+def _write_glb(content: _Content, path: Path) -> None:
+    words = content.finish({}, content.embed)
+    words += b" " * (-len(words) % 4)
+    size = sum(map(len, content.arrays))
+    total = 12 + 8 + len(words) + 8 + size
+    if total >= 2**32:
+        raise ModelError(f"{path.name}: {total:,} bytes are more than a .glb holds; write a .gltf")
+    with replacing(path) as file:
+        file.write(struct.pack("<4sII", b"glTF", 2, total))
+        file.write(struct.pack("<II", len(words), _JSON) + words)
+        file.write(struct.pack("<II", size, _BIN))
+        file.writelines(content.arrays)
+
+
+def _write_files(content: _Content, path: Path) -> None:
+    names = [f"{path.stem}-{number}.{ending}" for number, (_, ending) in enumerate(content.images)]
+    words = content.finish({"uri": f"{path.stem}.bin"}, lambda number: {"uri": names[number]})
+    for name, (data, _) in zip(names, content.images, strict=True):
+        with replacing(path.with_name(name)) as file:
+            file.write(data)
+    with replacing(path.with_name(f"{path.stem}.bin")) as file:
+        file.writelines(content.arrays)
+    with replacing(path) as file:
+        file.write(words)

@@ -1,0 +1,88 @@
+"""Wavefront OBJ: a surface with images as .obj, with .mtl and the images beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from octex.channels import linear_to_srgb
+from octex.errors import ModelError
+from octex.files import replacing
+from octex.formats.images import ImageFormat, colors_of_vertices, image_file, materials_of
+from octex.source.materials import Material
+from octex.source.surface import Surface
+
+#: What names the image of a channel in a .mtl, and its factor.
+_MAPS = {
+    "base_color": ("map_Kd", "Kd"),
+    "alpha": ("map_d", "d"),
+    "specular": ("map_Ks", "Ks"),
+    "emissive": ("map_Ke", "Ke"),
+    "roughness": ("map_Pr", "Pr"),
+    "metallic": ("map_Pm", "Pm"),
+    "occlusion": ("map_ao", ""),
+    "normal": ("norm", ""),
+}
+
+
+def write_obj(surface: Surface, path: Path, images: ImageFormat) -> None:
+    """Write a surface whose values come from images, as ``bake`` makes it, as OBJ with a .mtl file.
+
+    Raises ModelError for values above 1, and for materials
+    that read several sets of texture coordinates.
+    """
+    source = materials_of(surface)
+    used = np.unique(source.triangle_materials).tolist()
+    coordinates = source.coordinates[0] if source.coordinates else None
+    lines = [f"mtllib {path.stem}.mtl"]
+    materials = []
+    for number in used:
+        materials.append(f"newmtl material{number}")
+        for line, name, data in _described(source.materials[number], f"{path.stem}-{number}", images):
+            materials.append(line)
+            if data:
+                with replacing(path.with_name(name)) as file:
+                    file.write(data)
+    with replacing(path.with_suffix(".mtl")) as file:
+        file.write("\n".join([*materials, ""]).encode())
+    positions = surface.vertices
+    colors = colors_of_vertices(surface)
+    if colors is not None:  # as many programs write them; in sRGB
+        positions = np.column_stack([positions, linear_to_srgb(colors[:, :3]).round(6)])
+    lines += ["v " + " ".join(map(repr, each)) for each in positions.tolist()]
+    columns = [surface.triangles]
+    if coordinates is not None:
+        lines += [f"vt {u!r} {1.0 - v!r}" for u, v in coordinates.values.astype(np.float64).tolist()]
+        columns.append(coordinates.rows)
+    if surface.frames is not None:
+        normals = surface.frames.normals
+        lines += [f"vn {x:.7g} {y:.7g} {z:.7g}" for x, y, z in normals.values.tolist()]
+        columns.append(normals.rows)
+    separator = "//" if coordinates is None else "/"
+    corners = np.stack(columns, axis=-1) + 1
+    for number in used:
+        lines.append(f"usemtl material{number}")
+        for triangle in corners[source.triangle_materials == number].tolist():
+            lines.append("f " + " ".join(separator.join(map(str, corner)) for corner in triangle))
+    with replacing(path) as file:
+        file.write("\n".join([*lines, ""]).encode())
+
+
+def _described(material: Material, stem: str, images: ImageFormat) -> Iterator[tuple[str, str, bytes]]:
+    """Yield the lines of a material, and the names and contents of the image files that they name."""
+    for channel, given in material.inputs.items():
+        if channel not in _MAPS or (channel == "alpha" and material.alpha_mode == "opaque"):
+            continue
+        if any(given.offset) or max(given.factor) > 1.0:
+            raise ModelError(f"an .mtl file cannot say what {channel!r} is made of; write a .glb")
+        word, factor = _MAPS[channel]
+        if given.texture is not None:
+            if given.texture.slot != 0:
+                raise ModelError("an .obj file has one set of texture coordinates; write a .glb")
+            data, ending = image_file(given.texture.texels, given.lanes, images)
+            name = f"{stem}-{channel}.{ending}"
+            yield f"{word} {name}", name, data
+        if factor:
+            yield f"{factor} " + " ".join(f"{each:.7g}" for each in given.factor), "", b""

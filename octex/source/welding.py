@@ -1,0 +1,59 @@
+"""Equal rows of arrays, which are vertices at one place, or equal directions and coordinates."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.jit import kernel
+
+# Odd, and without a pattern in its bits: the golden ratio's fraction (Knuth, TAOCP 3, 6.4).
+_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
+
+
+def first_equal(rows: npt.NDArray[np.floating]) -> npt.NDArray[np.int64]:
+    """Return for each row the first one that equals it (n,)."""
+    numbers = welded(rows)
+    _, first = np.unique(numbers, return_index=True)
+    return first[numbers].astype(np.int64)
+
+
+def welded(rows: npt.NDArray[np.floating | np.integer]) -> npt.NDArray[np.int32]:
+    """Return a number for each row, the same for equal rows and counting from 0 up."""
+    words = np.ascontiguousarray(rows + np.zeros((), rows.dtype)).view(np.uint32)  # −0 becomes 0
+    hashes = np.zeros(len(rows), np.uint64)
+    for column in words.T:
+        hashes ^= column
+        hashes *= _MULTIPLIER
+        hashes ^= hashes >> np.uint64(32)
+    size = 2 ** (2 * len(rows)).bit_length()
+    numbers = np.empty(len(rows), np.int32)
+    _weld(words, (hashes & np.uint64(size - 1)).astype(np.int64), np.full(size, -1, np.int32), numbers)
+    return numbers
+
+
+@kernel
+def _weld(
+    words: npt.NDArray[np.uint32],
+    places: npt.NDArray[np.int64],
+    table: npt.NDArray[np.int32],
+    numbers: npt.NDArray[np.int32],
+) -> None:
+    """Give equal rows equal numbers: a table of rows with linear probing, its size a power of two."""
+    count = 0
+    for row in range(len(words)):
+        place = places[row]
+        while True:
+            other = table[place]
+            if other < 0:
+                table[place] = row
+                numbers[row] = count
+                count += 1
+                break
+            same = True
+            for k in range(words.shape[1]):
+                same = same and words[row, k] == words[other, k]
+            if same:
+                numbers[row] = numbers[other]
+                break
+            place = (place + 1) & (len(table) - 1)

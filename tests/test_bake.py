@@ -1,0 +1,388 @@
+"""Baking: texels against counting, gutters against unfolding by hand, maps against the field."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import octex
+from octex.baking import atlas
+from octex.baking.gutters import fill_up, gutter_of
+from octex.baking.layout import borders, kept_layout, neighbors, unit_area
+from octex.baking.texels import draw_texels, texel_points
+from octex.channels import encode, linear_to_srgb
+from octex.cli import main as cli
+from octex.errors import ArgumentError, ModelError
+from octex.source.surface import Surface
+from tests import solids
+from tests.small_surfaces import whole
+
+Array = npt.NDArray[Any]
+
+#: The faces of a unit cube: the triangles' corners at rest, and in the unit square, a chart for each face.
+CUBE_AXES = [(axis, side) for axis in range(3) for side in (0.0, 1.0)]
+
+
+def cube_with_charts() -> Surface:
+    """A cube whose faces are squares of a quarter of the map's edge, well apart."""
+    vertices, triangles, uv = [], [], []
+    for number, (axis, side) in enumerate(CUBE_AXES):
+        across, up = (axis + 1) % 3, (axis + 2) % 3
+        corners = np.zeros((4, 3))
+        corners[:, axis] = side
+        corners[:, across] = [0, 1, 1, 0]
+        corners[:, up] = [0, 0, 1, 1]
+        place = np.array([0.05 + 0.32 * (number % 3), 0.05 + 0.5 * (number // 3)])
+        flat = place + 0.25 * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+        order = [[0, 1, 2], [0, 2, 3]] if side else [[0, 2, 1], [0, 3, 2]]
+        for triangle in order:
+            triangles.append([len(vertices) + k for k in range(3)])
+            vertices += [corners[k] for k in triangle]
+            uv.append([flat[k] for k in triangle])
+    return Surface.from_arrays(np.array(vertices), np.array(triangles), uv=np.array(uv))
+
+
+def painted_sphere() -> tuple[octex.OctreeTexture, Surface]:
+    points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 32)
+    surface = Surface.from_arrays(points, triangles).with_sources({"base_color": waves})
+    return octex.convert(surface, 6), surface
+
+
+def waves(points: Array) -> Array:
+    return 0.5 + 0.4 * np.sin(3.0 * points + [0.0, 1.0, 2.0])
+
+
+def psnr(a: Array, b: Array) -> float:
+    difference = linear_to_srgb(np.clip(a, 0, 1)) - linear_to_srgb(np.clip(b, 0, 1))
+    return float(-10 * np.log10(max(np.mean(difference**2), 1e-20)))
+
+
+coordinates = st.floats(-2.0, 10.0, width=32)
+
+
+@given(st.lists(coordinates, min_size=6, max_size=6))
+@settings(max_examples=60, deadline=None)
+def test_a_triangle_covers_as_much_of_the_texels_as_points_in_it_say(numbers: list[float]) -> None:
+    corners = np.array(numbers).reshape(1, 3, 2)
+    drawn = draw_texels(corners, np.zeros(1, np.int32), 8, 0, 8)
+    steps = (np.arange(8 * 32) + 0.5) / 32
+    points = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    a, b, c = corners[0]
+    sides = [
+        (q - p)[0] * (points - p)[:, 1] - (q - p)[1] * (points - p)[:, 0] for p, q in ((a, b), (b, c), (c, a))
+    ]
+    inside = np.all(np.array(sides) > 0, axis=0) | np.all(np.array(sides) < 0, axis=0)
+    counted = inside.reshape(8, 32, 8, 32).mean(axis=(1, 3))
+    np.testing.assert_allclose(drawn.areas, counted, atol=0.08)
+    well = counted > 0.3
+    assert (drawn.triangles[well] == 0).all()
+    for axis in range(2):
+        weights = inside.reshape(8, 32, 8, 32)
+        place = (np.arange(32) + 0.5) / 32
+        along = place[None, :, None, None] if axis else place[None, None, None, :]
+        middle = (weights * along).sum(axis=(1, 3)) / np.maximum(weights.sum(axis=(1, 3)), 1)
+        np.testing.assert_allclose(drawn.centroids[..., axis][well], middle[well], atol=0.06)
+
+
+def test_triangles_of_a_chart_share_texels_and_charts_do_not() -> None:
+    corners = np.array(
+        [[[0.0, 0], [4, 0], [0, 4]], [[4.0, 0], [4, 4], [0, 4]], [[4.0, 0], [4.4, 0], [4.0, 4]]]
+    )
+    drawn = draw_texels(corners, np.array([0, 0, 1], np.int32), 6, 0, 4)
+    np.testing.assert_allclose(drawn.areas[:, :4], 1.0, atol=1e-6)
+    np.testing.assert_allclose(drawn.centroids[:, :4], 0.5, atol=1e-6)
+    assert (drawn.triangles[:, 4][:3] == 2).all()
+    assert 0.0 < drawn.areas[0, 4] < 0.4
+    diagonal = drawn.triangles[[0, 1, 2, 3], [3, 2, 1, 0]]
+    assert set(diagonal.tolist()) <= {0, 1}
+    flat = np.concatenate([corners.reshape(-1, 2), np.zeros((9, 1))], axis=1)
+    rows, columns, barycentric, rest = texel_points(
+        corners, drawn, 0, flat, np.arange(9, dtype=np.int32).reshape(-1, 3)
+    )
+    np.testing.assert_allclose(
+        rest[:, :2] - np.stack([columns, rows], axis=1), drawn.centroids[rows, columns], atol=1e-6
+    )
+    assert (barycentric >= 0).all()
+    np.testing.assert_allclose(barycentric.sum(axis=1), 1.0)
+
+
+def test_rows_drawn_apart_are_those_drawn_together() -> None:
+    corners = np.random.default_rng(3).random((40, 3, 2)) * 20 - 2
+    charts = np.arange(40, dtype=np.int32) // 4
+    together = draw_texels(corners, charts, 16, 0, 16)
+    apart = [draw_texels(corners, charts, 16, first, first + 4) for first in range(0, 16, 4)]
+    for whole_map, parts in zip(together, zip(*apart, strict=True), strict=True):
+        np.testing.assert_array_equal(whole_map, np.concatenate(parts))
+
+
+def test_beyond_an_edge_the_surface_goes_on_as_if_unfolded() -> None:
+    surface = cube_with_charts()
+    layout = kept_layout(surface, 256)
+    drawn = draw_texels(layout.corners, layout.charts, 256, 0, 256)
+    others, sides = neighbors(surface)
+    assert (others >= 0).all()
+    taken = drawn.areas > 0
+    gutter = gutter_of(
+        layout, borders(surface, layout), surface.rest, surface.triangles, others, sides, taken, 6
+    )
+    assert gutter.rows.size > 6 * 4 * 50
+    rest = surface.rest_at(gutter.triangles, gutter.barycentric)
+    edges = surface.rest_at(gutter.beside, gutter.edges)
+    texel = 1 / 64
+    flat = np.array([layout.corners[t] for t in gutter.beside])
+    at_edge = np.einsum("nk,nkx->nx", gutter.edges, flat)
+    away = np.linalg.norm(np.stack([gutter.columns + 0.5, gutter.rows + 0.5], axis=1) - at_edge, axis=1)
+    # Straight beyond a side, not around a corner: as far from the edge as in the map, on the face beyond.
+    straight = gutter.edges.min(axis=1) == 0.0
+    straight &= np.sort(gutter.edges, axis=1)[:, 1] > 1e-9
+    np.testing.assert_allclose(
+        np.linalg.norm(rest - edges, axis=1)[straight], away[straight] * texel, rtol=1e-6
+    )
+    assert (gutter.triangles[straight] // 2 != gutter.beside[straight] // 2).all()
+
+
+def test_where_the_surface_ends_gutters_show_its_edge() -> None:
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    surface = Surface.from_arrays(square, [[0, 1, 2], [0, 2, 3]], uv=square[:, :2] * 0.5 + 0.25)
+    layout = kept_layout(surface, 64)
+    drawn = draw_texels(layout.corners, layout.charts, 64, 0, 64)
+    gutter = gutter_of(
+        layout, borders(surface, layout), surface.rest, surface.triangles, *neighbors(surface),
+        drawn.areas > 0, 4,
+    )  # fmt: skip
+    rest = surface.rest_at(gutter.triangles, gutter.barycentric)
+    on_edge = np.isclose(rest[:, :2], 0.0) | np.isclose(rest[:, :2], 1.0)
+    assert on_edge.any(axis=1).all()
+
+
+def test_what_is_empty_is_filled_from_around_it() -> None:
+    values = np.zeros((40, 40, 2), np.float32)
+    weights = np.zeros((40, 40), np.float32)
+    values[:, 5], weights[:, 5] = (0.2, 0.8), 1.0
+    values[:, 30], weights[:, 30] = (0.6, 0.4), 1.0
+    fill_up(values, weights)
+    assert (weights.sum(), values[:, 5, 0].max()) == (80.0, np.float32(0.2))
+    assert values[..., 0].min() >= np.float32(0.2) - 1e-6
+    assert values[..., 0].max() <= np.float32(0.6) + 1e-6
+    assert values[20, 0, 0] < 0.3 < 0.42 < values[20, 39, 0]  # more like what is nearer
+    np.testing.assert_allclose(values.sum(axis=2), 1.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("unwrapper", ["xatlas", None])
+def test_an_atlas_has_room_for_every_triangle_once(
+    unwrapper: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if unwrapper is None:
+        monkeypatch.setitem(__import__("sys").modules, "xatlas", None)
+    else:
+        pytest.importorskip("xatlas", reason="the extra octex[atlas] is not installed")
+    points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 24)
+    surface = Surface.from_arrays(points, triangles)
+    layout = atlas.atlas_layout(surface, 256, 4)
+    drawn = draw_texels(layout.corners, layout.charts, 256, 0, 256)
+    assert float(drawn.areas.sum()) / 256**2 == pytest.approx(unit_area(layout), rel=2e-3)
+    assert unit_area(layout) > 0.3
+    assert layout.corners.min() >= 4.0
+    assert layout.corners.max() <= 252.0
+    own = np.unique(drawn.triangles[drawn.triangles >= 0])
+    assert own.size > 0.99 * len(triangles)
+
+
+def test_an_atlas_without_room_says_so() -> None:
+    random = np.random.default_rng(0)
+    vertices = random.random((3000, 3))
+    surface = Surface.from_arrays(vertices, np.arange(3000).reshape(-1, 3))
+    with pytest.raises(ModelError, match=r"charts do not fit in a map of 64 × 64 texels; make it larger"):
+        atlas.atlas_layout(surface, 64, 8)
+
+
+@pytest.mark.parametrize("uv", ["keep", "atlas"])
+def test_baked_maps_show_the_field(uv: str) -> None:
+    texture, surface = painted_sphere()
+    if uv == "keep":
+        cube = cube_with_charts()
+        surface = cube.with_sources({"base_color": waves})
+        texture = octex.convert(surface, 6)
+    baked = octex.bake(texture, surface, uv=uv, texture_size=512)  # type: ignore[arg-type]
+    points = baked.scatter(20_000, seed=1)
+    field = texture.sample(points, "base_color")
+    assert psnr(baked.evaluate(points), field) > 48.0
+    # Read as widely as a smaller level of the maps is coarse: no seam, nothing from outside the charts.
+    wide = 8 * 2 * np.sqrt(surface.areas().sum() / 512**2)
+    assert psnr(baked.evaluate(points, width=wide), texture.sample(points, "base_color", width=wide)) > 38.0
+
+
+def test_all_channels_of_a_material_are_baked() -> None:
+    surface = whole()
+    texture = octex.convert(surface, 5)
+    baked = octex.bake(texture, surface, texture_size=128)
+    assert [form.name for form in baked.channels] == [*texture.channels]
+    assert {form.name: form.space for form in baked.channels}["emissive"] == "linear"
+    points = baked.scatter(4000)
+    for name in texture.channels:
+        expected, found = texture.sample(points, name), baked.evaluate(points, name)
+        if name == "normal":
+            expected = expected / np.linalg.norm(expected, axis=1, keepdims=True)
+            cosines = np.einsum("nx,nx->n", expected, found)
+            assert np.degrees(np.arccos(np.clip(cosines, -1, 1))).mean() < 1.5
+            continue
+        scale = max(1.0, float(expected.max()))
+        assert float(np.mean(np.abs(expected - found))) / scale < 0.01
+
+
+def test_coordinates_that_repeat_are_drawn_in_each_square() -> None:
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    uv = square[:, :2] * 0.8 + (0.5, -0.4)
+    surface = Surface.from_arrays(square, [[0, 1, 2], [0, 2, 3]], uv=uv).with_sources({"base_color": waves})
+    texture = octex.convert(surface, 6)
+    baked = octex.bake(texture, surface, uv="keep", texture_size=256)
+    points = baked.scatter(5000)
+    assert psnr(baked.evaluate(points), texture.sample(points, "base_color")) > 45.0
+
+
+@pytest.mark.parametrize(
+    ("uv", "words"),
+    [
+        (None, "has no texture coordinates to keep"),
+        ([0.1, 0.1, 0.9, 0.1, 0.5, 0.9], "texture coordinates overlap"),
+        ([0.1, 0.1, 9.9, 0.1, 0.5, 9.9], "reach over 100 squares"),
+    ],
+)
+def test_coordinates_that_cannot_be_kept_are_refused_or_made_anew(uv: list[float] | None, words: str) -> None:
+    points, triangles = whole().vertices, whole().triangles
+    own = None if uv is None else np.tile(uv, 4).reshape(4, 3, 2)  # all triangles in one place
+    surface = Surface.from_arrays(points, triangles, uv=own)
+    texture = octex.convert(surface, 4)
+    with pytest.raises(ModelError, match=words):
+        octex.bake(texture, surface, uv="keep")
+    baked = octex.bake(texture, surface, texture_size=64)
+    assert baked.uv is not None
+    assert 0.0 <= baked.uv.values.min() <= baked.uv.values.max() <= 1.0
+
+
+def test_what_bake_cannot_do_is_said() -> None:
+    surface = whole()
+    texture = octex.convert(surface, 3)
+    for options, words in [
+        ({"texture_size": 100}, "multiple of 8"),
+        ({"texture_size": 8}, "texture_size"),
+        ({"padding": -1}, "padding"),
+        ({"uv": "kept"}, "keep"),
+        ({"channels": ["gloss"]}, "channel of the texture"),
+    ]:
+        with pytest.raises(ArgumentError, match=words):
+            octex.bake(texture, surface, **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("ending", [".glb", ".gltf", ".obj"])
+def test_written_models_read_back_as_they_were(ending: str, tmp_path: Path) -> None:
+    surface = whole()
+    channels = ["base_color", "metallic", "roughness", "normal"] + ([] if ending == ".obj" else ["emissive"])
+    baked = octex.bake(octex.convert(surface, 4), surface, texture_size=64, channels=channels)
+    path = tmp_path / f"whole{ending}"
+    octex.write_model(baked, path)
+    read = octex.load_surface(path)
+    assert [form.name for form in read.channels] == [form.name for form in baked.channels]
+    np.testing.assert_allclose(
+        read.vertices[read.triangles], baked.vertices[baked.triangles], rtol=1e-6, atol=1e-7
+    )
+    points = baked.scatter(2000)
+    for form in baked.channels:
+        np.testing.assert_allclose(
+            read.evaluate(points, form.name), baked.evaluate(points, form.name), atol=2e-3
+        )
+
+
+@pytest.mark.parametrize("images", ["png", "jpeg", "webp"])
+def test_images_are_stored_as_asked(images: str, tmp_path: Path) -> None:
+    surface = whole()
+    baked = octex.bake(octex.convert(surface, 3), surface, texture_size=64, channels=["base_color"])
+    octex.write_model(baked, tmp_path / "a.gltf", images=images)  # type: ignore[arg-type]
+    assert (tmp_path / f"a-0.{images}").exists()
+    points = baked.scatter(500)
+    read = octex.load_surface(tmp_path / "a.gltf")
+    least = 30.0 if images == "jpeg" else 100.0
+    assert psnr(read.evaluate(points), baked.evaluate(points)) > least
+
+
+def test_what_cannot_be_written_is_said(tmp_path: Path) -> None:
+    surface = whole()
+    with pytest.raises(ModelError, match="bake it first"):
+        octex.write_model(surface, tmp_path / "a.glb")
+    with pytest.raises(ArgumentError, match=r"a.fbx must end in .glb, .gltf, .obj or .ply"):
+        octex.write_model(surface, tmp_path / "a.fbx")
+
+
+def test_vertex_colours_follow_the_field_and_neighbours_divide_alike() -> None:
+    texture, surface = painted_sphere()
+    coarse = octex.bake_vertices(texture, surface)
+    assert len(coarse.triangles) == len(surface.triangles)
+    fine = octex.bake_vertices(texture, surface, subdivide="auto", max_error=2.0)
+    near = texture.sample(fine.vertices, "base_color", normals=fine.vertices)
+    np.testing.assert_allclose(fine.source.colors.values[:, :3], near, atol=0.02)  # type: ignore[attr-defined]
+    for seed, made, least in ((3, coarse, 20.0), (4, fine, 43.0)):
+        some = made.scatter(20_000, seed=seed)
+        assert psnr(made.evaluate(some), texture.sample(some, "base_color")) > least
+    # Each edge has two triangles, as before, and the sphere is where it was.
+    ends = np.stack([fine.triangles, np.roll(fine.triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
+    _, counts = np.unique(np.sort(ends, axis=1), axis=0, return_counts=True)
+    assert (counts == 2).all()
+    assert fine.areas().sum() == pytest.approx(surface.areas().sum(), rel=1e-9)
+
+
+def test_edges_are_halved_until_none_is_longer() -> None:
+    surface = whole()
+    texture = octex.convert(surface, 6)
+    made = octex.bake_vertices(texture, surface, subdivide=0.1)
+    sides = made.vertices[np.roll(made.triangles, -1, axis=1)] - made.vertices[made.triangles]
+    assert np.linalg.norm(sides, axis=2).max() <= 0.1
+    assert made.areas().sum() == pytest.approx(surface.areas().sum(), rel=1e-9)
+    few = octex.bake_vertices(texture, surface, subdivide=0.1, most_triangles=20)
+    assert len(few.triangles) <= 20
+
+
+@pytest.mark.parametrize("ending", [".ply", ".glb", ".obj"])
+def test_vertex_colours_are_written_and_read_back(ending: str, tmp_path: Path) -> None:
+    texture, surface = painted_sphere()
+    made = octex.bake_vertices(texture, surface)
+    octex.write_model(made, tmp_path / f"ball{ending}")
+    read = octex.load_surface(tmp_path / f"ball{ending}")
+    assert read.triangles.shape == made.triangles.shape
+    points = made.scatter(2000)
+    np.testing.assert_allclose(read.evaluate(points), made.evaluate(points), atol=0.01)
+    if ending == ".ply":
+        cloud = trimesh.load(tmp_path / "ball.ply", process=False)
+        np.testing.assert_array_equal(cloud.faces, made.triangles)
+        codes = encode(made.source.colors.values[:, :3], "uint8", "srgb")  # type: ignore[attr-defined]
+        np.testing.assert_array_equal(cloud.visual.vertex_colors[:, :3], codes)
+
+
+def test_the_command_bakes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    surface = cube_with_charts().with_sources({"base_color": waves})
+    octex.convert(surface, 4).save(tmp_path / "cube.octex")
+    model = octex.bake(octex.open(tmp_path / "cube.octex"), surface, texture_size=64)
+    octex.write_model(model, tmp_path / "cube.obj")
+    given = [str(tmp_path / name) for name in ("cube.octex", "cube.obj", "baked.glb")]
+    assert cli.main(["bake", *given, "--texture-size", "64", "--json", "--quiet"]) == 0
+    made = json.loads(capsys.readouterr().out)
+    assert made["texture_size"] == 64
+    assert made["channels"] == ["base_color"]
+    assert made["bytes"] == (tmp_path / "baked.glb").stat().st_size
+    assert cli.main(["bake", *given[:2], str(tmp_path / "b.ply"), "--subdivide", "auto", "--json", "-q"]) == 2
+    assert "unrecognized" in capsys.readouterr().err
+    assert cli.main(["bake", *given[:2], str(tmp_path / "b.ply"), "--subdivide", "auto", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["vertices"] > 8
+    assert cli.main(["bake", *given[:2], str(tmp_path / "c.ply"), "--uv", "keep"]) == 2
+    assert "--uv has no meaning with vertex colours" in capsys.readouterr().err
+    assert cli.main(["bake", *given]) == 2
+    assert "exists" in capsys.readouterr().err
+    assert cli.main(["bake", *given[1:], str(tmp_path / "c.glb")]) == 2
+    assert "is no .octex file" in capsys.readouterr().err
