@@ -18,12 +18,12 @@ The words
     fit         choosing the leaves' values so that the field meets the source
 
 The rooms, each of which knows only those before it
-    tree        Morton codes, placement; building, validating, searching and walking octrees
+    tree        Morton codes, areas, placement; building, changing, searching and walking octrees
     nearest     nearest points of triangles and of clouds, how near meshes come
     field       what lies between the cells: which of them a lookup blends, and what weighs them
     texture     OctreeTexture: tree, channels and placement; lookups; the .octex file
     kernels     lookups of one point, for one's own compiled loops
-    editing     what every change of a texture shares: areas, averages, facings, residuals
+    editing     what every change of a texture shares: averages, rows of split cells, refined cells
     source      surfaces and what they are coloured by: models, images, mappings, functions, clouds
     conversion  cells met exactly, sums over clipped pieces, the fit, adaptive depth
     view        cameras and their files, what a camera sees, studio light
@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from octex.painting.merge import merge as merge
     from octex.painting.paint import paint as paint
     from octex.painting.paint import project as project
+    from octex.painting.painter import Painter as Painter
     from octex.painting.pictures import Projection as Projection
     from octex.painting.region import Box as Box
     from octex.painting.region import Sphere as Sphere
@@ -87,6 +88,7 @@ _HOMES = {
     "MappedImage": ("octex.source.mapped", "MappedImage"),
     "OctexError": ("octex.errors", "OctexError"),
     "OctreeTexture": ("octex.texture", "OctreeTexture"),
+    "Painter": ("octex.painting.painter", "Painter"),
     "PointCloud": ("octex.source.cloud", "PointCloud"),
     "Projection": ("octex.painting.pictures", "Projection"),
     "Sphere": ("octex.painting.region", "Sphere"),

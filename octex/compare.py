@@ -23,7 +23,7 @@ from octex.source.base import by_channel
 from octex.source.separation import SEPARATION
 from octex.source.surface import Surface
 from octex.texture import FILTERS, OctreeTexture
-from octex.tree.layout import AREA_ONE, AREA_STEPS
+from octex.tree.areas import AREAS
 from octex.tree.morton import decode_cells
 from octex.tree.walk import walk_leaves
 
@@ -39,8 +39,6 @@ MEASURES = {"srgb": "sRGB codes", "linear": "sRGB codes", "data": "fractions", "
 _ANGLE = "degrees"
 #: The peak of a measure's PSNR: how far apart ordinary values can be.
 PEAKS = {"sRGB codes": 255.0, "fractions": 1.0, "components": 2.0, _ANGLE: 180.0}
-#: A cell's area in squares of its edge, by its code; cells without area hardly count.
-_AREAS = 2.0 ** ((np.arange(256) - AREA_ONE) / AREA_STEPS)
 # Percentiles come from a histogram over the first 18 bits of a float32 without its sign: steps of 0.1 %.
 _CUT_BITS, _BINS = 13, 1 << 18
 
@@ -337,7 +335,7 @@ def _leaves(texture: OctreeTexture) -> Iterator[tuple[Doubles, Doubles, Doubles]
         edges = np.ldexp(1.0, -depths.astype(np.int32))
         centres = texture.placement.to_rest((decode_cells(codes) + 0.5) * edges[:, None])
         edges *= texture.placement.size
-        yield centres, edges, _AREAS[texture.tree.arrays.areas[cells]] * edges**2
+        yield centres, edges, AREAS[texture.tree.arrays.areas[cells]] * edges**2
 
 
 def _area(side: Side) -> float:

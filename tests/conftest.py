@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
 import octex
-from octex import jit
+from octex import ahead, jit
+from octex.parallel import cpu_count
 from tests.command import colored_box
 
 # No deadlines: a first call compiles. Derandomized: a red test stays red.
@@ -18,6 +20,19 @@ settings.load_profile("octex")
 
 #: For tests whose inputs are too large to run as plain Python.
 needs_jit = pytest.mark.skipif(jit.DISABLED, reason="too slow without compilation")
+
+
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """Share the whole suite among the processors; run some files in this process."""
+    return cpu_count() if config.args_source is pytest.Config.ArgsSource.TESTPATHS else 0
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_helpers() -> Iterator[None]:
+    """Let no command start helpers that compile ahead: the other processors have tests to run."""
+    with pytest.MonkeyPatch.context() as changed:
+        changed.setattr(ahead, "cpu_count", lambda: 1)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -12,11 +12,10 @@ import numpy.typing as npt
 
 import octex
 from octex.channels import ALPHA, ONE, ChannelFormat, decode, encode
-from octex.editing.facings import rows_of
 from octex.texture import OctreeTexture
-from octex.texture.split import find_rows
 from octex.tree.layout import FACING_FLAGS, KEPT
 from octex.tree.morton import decode_cells
+from octex.tree.split import find_rows, rows_of
 from tests.naive_processing import AREAS
 
 Array = npt.NDArray[Any]
@@ -263,7 +262,7 @@ def _stored(texture: OctreeTexture, cells: Cells) -> dict[str, tuple[Array, Arra
     found = {
         "cells": (cells.keys, np.stack([tree.arrays.flags & mask, tree.arrays.areas, has_children], axis=1))
     }
-    rows = rows_of(tree)
+    rows = rows_of(tree.split)
     row_keys = cells.keys[rows.cells] << 6 | rows.bits
     found["split areas"] = row_keys, tree.split.areas[:, None]
     kept = cells.keys[tree.kept.cells]
@@ -357,7 +356,7 @@ def assert_far_field_stays(
 
 def _with_other_rows(before: OctreeTexture, after: OctreeTexture, at: Array) -> Array:
     """Nodes that keep a coefficient and have other rows after; ``at`` are the cells' numbers then."""
-    rows = rows_of(before.tree, before.tree.kept.cells.astype(np.int64))
+    rows = rows_of(before.tree.split, before.tree.kept.cells.astype(np.int64))
     there, found = find_rows(after.tree.split, at[rows.cells], rows.bits)
     differs = ~there
     for name, channel in before.channels.items():

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ChannelFormat, decode, encode
-from octex.painting.cells import refined_values
+from octex.editing.refined import refined_values
 from octex.texture import Channel, OctreeTexture
 from tests.naive_processing import AREAS, Cell, Place, cells_of, children_of
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import decode, encode
-from octex.painting.cells import refined_values
+from octex.editing.refined import refined_values
 from octex.texture import Channel, OctreeTexture
 
 Place = tuple[int, int]  # level, Morton code

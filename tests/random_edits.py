@@ -147,6 +147,28 @@ def picture(seed: int, width: int, height: int, translucent: bool = False) -> Ar
     return image
 
 
+def stroke(seed: int, width: int, height: int) -> Array:
+    """A layer of a paint program: a mark in one colour, soft or hard, and nothing else."""
+    random = np.random.default_rng(seed)
+    image = np.zeros((height, width, 4), np.uint8)
+    y, x = np.mgrid[:height, :width]
+    away = np.hypot(x - random.uniform(0, width), y - random.uniform(0, height))
+    radius = random.uniform(1, 6)
+    image[..., :3] = random.integers(0, 256, 3)
+    image[..., 3] = 255 * np.clip((radius - away) / random.choice([0.01, 2.0]), 0, 1)
+    image[image[..., 3] == 0] = 0
+    return image
+
+
+def drawn_on(image: Array, seed: int) -> Array:
+    """A picture with such a mark on it."""
+    mark = stroke(seed, image.shape[1], image.shape[0])
+    part = mark[..., 3:] / 255
+    found = image.copy()
+    found[..., :3] = np.rint(image[..., :3] * (1 - part) + mark[..., :3] * part)
+    return found
+
+
 def camera(surface: Surface, seed: int, width: int, height: int) -> octex.Camera:
     """A camera that looks at a surface from somewhere."""
     random = np.random.default_rng(seed)
@@ -259,7 +281,10 @@ class Run:
 
 def vars_of_scripts() -> dict[str, Any]:
     names = globals()
-    made = ("mesh", "waved", "cloud", "picture", "camera", "beyond", "reopened", "np", "octex")
+    made = (
+        *("mesh", "waved", "cloud", "picture", "stroke", "drawn_on", "camera", "beyond", "reopened"),
+        *("np", "octex"),
+    )
     return {name: names[name] for name in made}
 
 
@@ -354,6 +379,12 @@ def projection(random: Random, blend: str | None = None) -> str:
     seed = int(random.integers(1000))
     image = call("picture", seed, width, height, random.random() < 0.5)
     options: dict[str, object] = {}
+    how = random.random()
+    if how < 0.2:
+        image = call("stroke", seed, width, height)
+    elif how < 0.4:
+        options["since"] = image
+        image = call("drawn_on", image, seed)
     if random.random() < 0.5:
         options["opacity"] = one_of(random, (0.5, 0.25, 0.9))
     blend = blend or one_of(random, (*BLENDS, "over", "over"))
@@ -365,7 +396,8 @@ def projection(random: Random, blend: str | None = None) -> str:
 
 def overshoots(pictures: str) -> bool:
     """Whether any picture is no ramp."""
-    return any(int(seed) % 3 != RAMP for seed in re.findall(r"picture\((\d+)", pictures))
+    seeds = re.findall(r"picture\((\d+)", pictures)
+    return "stroke(" in pictures or "drawn_on(" in pictures or any(int(seed) % 3 != RAMP for seed in seeds)
 
 
 def paint_options(random: Random, run: Run) -> dict[str, object]:

@@ -224,7 +224,7 @@ def check(edited: Edited, tree: Octree, leaves: set[Key], keeping: set[Key]) -> 
         for n, key in enumerate(cells):
             assert np.array_equal(carried[n], values[old[key]] if key in old else np.zeros(shape))
 
-    edited.tree.with_cell_data(  # what split nodes face may change: that is for octex.texture.split
+    edited.tree.with_cell_data(  # what split nodes face may change: that is for octex.editing.split
         facings_of_nodes(edited.tree) & np.uint8(0xFF ^ SPLIT),
         edited.tree.arrays.areas,
         kept=edited.tree.kept,

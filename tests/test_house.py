@@ -37,14 +37,26 @@ ROWS = [
     {"preview"},
     {"cli"},
 ]
-# The wing of what models look like does not know the wing of what is stored.
+# The wing of what models look like does not know the wing of what is stored; what works on textures alone
+# needs neither what makes them of models nor what paints them: it shares its tools with these in editing.
 STORED = {"tree", "field", "container", "texture", "editing"}
-FORBIDDEN = {"source": STORED, "view": STORED}
+MADE = {"source", "conversion", "view", "painting"}
+FORBIDDEN = {"source": STORED, "view": STORED, "editing": MADE, "processing": MADE - {"source"}}
 # Depth and cell limits are checked at the border too.
 EXCEPTIONS = {("checks", "octex.tree.layout")}
 
 EXPORTED = [
-    *["Box", "Camera", "MappedImage", "OctexError", "OctreeTexture", "PointCloud", "Projection", "Sphere"],
+    *[
+        "Box",
+        "Camera",
+        "MappedImage",
+        "OctexError",
+        "OctreeTexture",
+        "Painter",
+        "PointCloud",
+        "Projection",
+        "Sphere",
+    ],
     *["Surface", "TextureSet", "Transfer", "__version__", "blur", "cast", "combine", "convert"],
     *[
         "convert_set",

@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from octex.channels import ALPHA, BASE_COLOR, NORMAL, linear_to_srgb
-from octex.conversion.measure import Columns
-from octex.conversion.nearness import Decoded, Ranges, far_cells, narrow_blocks
+from octex.conversion.distances import Looked
+from octex.conversion.nearness import Decoded, far_cells
+from octex.conversion.patches import BARE, NEAR, near_cells
 from octex.conversion.prune import Finest, Pruned, limits_of, prune
 from octex.conversion.samples import MOST_POINTS, NORMAL_STEPS, PLACE_STEPS, Samples, lay_out
 from octex.jit import DISABLED, kernel, spline_rows
@@ -131,93 +131,92 @@ def polygon(middle: Floats, normal: Floats) -> Floats:
     return points[np.argsort(np.arctan2(flat[:, 1], flat[:, 0]))]
 
 
-def scores(scene: Scene, between: bool) -> Floats:
-    """By how many codes each finest cell's fields are apart; those between samples by one less."""
-    samples = scene.samples
-    cells = np.repeat(np.arange(samples.codes.size), np.diff(samples.firsts))
+def patches(samples: Samples) -> list[Floats]:
+    """The points (n, 3) of each sample's patch, in its cell: itself, corners, middles of spokes and sides."""
     middles, normals = (samples.places + 0.5) / PLACE_STEPS, samples.normals.astype(np.float64)
-    patches = []
+    found = []
     for middle, normal in zip(middles, normals, strict=True):
-        ends = polygon(middle, normal) if between else np.zeros((0, 3))
+        ends = polygon(middle, normal)
         after = np.roll(ends, -1, axis=0)
-        patches.append(np.concatenate([[middle], ends, (ends + middle) / 2, (ends + after) / 2]))
-    counts = [len(patch) for patch in patches]
-    corners = np.repeat(decode_cells(samples.codes)[cells], counts, axis=0)
-    points = (corners + np.concatenate(patches)) / (1 << DEPTH)
-    found = np.zeros(samples.codes.size)
-    for facing in (None, np.repeat(normals, counts, axis=0)) if between else (None,):
-        values = np.split(apart(scene, points, facing), np.cumsum(counts)[:-1])
-        for cell, each in zip(cells, values, strict=True):
-            found[cell] = max(found[cell], np.abs(each[0]).max())
-            if between:
-                corners, spokes, sides = np.split(each[1:], 3)
-                spokes = 2 * spokes - (corners + each[0]) / 2
-                sides = 2 * sides - (corners + np.roll(corners, -1, axis=0)) / 2
-                found[cell] = max(found[cell], np.abs([corners, spokes, sides]).max() - BETWEEN)
+        found.append(np.concatenate([[middle], ends, (ends + middle) / 2, (ends + after) / 2]))
     return found
 
 
-@pytest.mark.parametrize("between", [False, True])
+def owners(samples: Samples) -> npt.NDArray[np.int64]:
+    """The finest cell of each sample."""
+    return np.repeat(np.arange(samples.codes.size), np.diff(samples.firsts))
+
+
+def apart_on(scene: Scene, points: list[Floats]) -> list[Floats]:
+    """By how many codes fields are apart at each sample's points, without normals and with its own."""
+    samples, counts = scene.samples, [len(each) for each in points]
+    corners = np.repeat(decode_cells(samples.codes)[owners(samples)], counts, axis=0)
+    places = (corners + np.concatenate(points)) / (1 << DEPTH)
+    normals = np.repeat(samples.normals.astype(np.float64), counts, axis=0)
+    columns = np.hstack([apart(scene, places, facing) for facing in (None, normals)])
+    return np.split(columns, np.cumsum(counts)[:-1])
+
+
+def scores(scene: Scene) -> Floats:
+    """By how many codes each finest cell's fields are apart; those between samples by one less."""
+    found = np.zeros(scene.samples.codes.size)
+    values = apart_on(scene, patches(scene.samples))
+    for cell, each in zip(owners(scene.samples), values, strict=True):
+        corners, spokes, sides = np.split(each[1:], 3)
+        spokes = 2 * spokes - (corners + each[0]) / 2
+        sides = 2 * sides - (corners + np.roll(corners, -1, axis=0)) / 2
+        between = np.abs([corners, spokes, sides]).max() - BETWEEN
+        found[cell] = max(found[cell], np.abs(each[0]).max(), between)
+    return found
+
+
 @few
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.02, 0.2, 0.9]))
-def test_cells_are_far_where_samples_and_patches_say_so(between: bool, seed: int, smooth: float):
+def test_cells_are_far_where_samples_and_patches_say_so(seed: int, smooth: float):
     made = scene(seed, smooth)
     fields = (
         made.decoded.pruned(made.pruned),
         made.decoded.pruned(prune(made.finest, np.full_like(made.depths, DEPTH))),
     )
-    expected = scores(made, between)
+    expected = scores(made)
     chosen = np.arange(0, expected.size, 2)
     for part in (0.2, 0.6, 0.95):
         most = float(np.quantile(expected, part))
         clear = np.abs(expected[chosen] - most) > 0.02
-        far = far_cells(*fields, made.samples, most, between, None, chosen)
+        far = far_cells(*fields, made.samples, most, np.zeros(expected.size, np.bool_), chosen)
         np.testing.assert_array_equal(far[clear], expected[chosen][clear] > most)
 
 
-@given(st.integers(0, 2**32 - 1))
-def test_nodes_by_themselves_show_what_they_hold(seed: int):
-    made = scene(seed, 0.5)
-    color = made.full.channels["base_color"]
-    full = made.decoded.pruned(prune(made.finest, np.full_like(made.depths, DEPTH)))
-    level = made.finest.tree.truncated(2)
-    owners = np.searchsorted(level.level_codes(2), made.finest.codes >> 6) + level.arrays.level_cells[2]
-    chosen = np.arange(0, owners.size, 3)
-    far = far_cells(made.decoded.truncated(level), full, made.samples, 30.0, False, owners, chosen)
-    first = made.samples.firsts[chosen]
-    points = (decode_cells(made.finest.codes[chosen]) + (made.samples.places[first] + 0.5) / PLACE_STEPS) / (
-        1 << DEPTH
-    )
-    wanted, coverage = codes(made.full, points, None)
-    own = 255 * linear_to_srgb(color.values[owners[chosen]])
-    is_far = (coverage * np.abs(own - wanted[:, :3])).max(axis=1) > 30.1
-    assert far[is_far].all()
-    if list(made.full.channels) == ["base_color"] and (np.diff(made.samples.firsts)[chosen] == 1).all():
-        np.testing.assert_array_equal(far, is_far)
-
-
 @few
-@given(st.integers(0, 2**32 - 1))
-def test_in_narrow_blocks_fields_are_not_far_apart(seed: int):
-    made = scene(seed, 0.01)
-    limits = np.where(np.arange(made.depths.size) < seed % 50, made.depths, DEPTH).astype(np.uint8)
-    whole = prune(made.finest, limits_of(made.finest, limits))
-    made = made._replace(
-        full=OctreeTexture(whole.tree, whole.carried(made.full.channels), UNIT, [[0, 0, 0], [1, 1, 1]])
-    )
-    ranges = Ranges.of(made.decoded.pruned(made.pruned)), Ranges.below(made.finest, made.decoded, whole)
-    expected = scores(made, between=True)
-    columns = Columns.of(made.samples.channels)
-    for level, most in itertools.product(range(1, DEPTH), (1.0, 2.0, 5.0, 50.0)):
-        codes = made.finest.codes[made.finest.firsts[level]]
-        narrow = narrow_blocks(*ranges, columns, DEPTH, most, level, codes)
-        assert (expected[made.finest.spread(level, narrow)] <= most + 0.01).all()
-    assert narrow.any() or "normal" in made.full.channels
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.01, 0.1, 0.9]))
+def test_cells_that_are_surely_near_are_near_all_over_their_patches(seed: int, smooth: float):
+    made = scene(seed, smooth)
+    samples, cells = made.samples, np.arange(made.samples.codes.size)
+    found, full = (Looked.of(each.tree, each.channels, samples.channels) for each in (made.found, made.full))
+    random = np.random.default_rng(seed)
+    inside = []
+    for patch in patches(samples):
+        corners = patch[1 : 1 + len(patch) // 3]
+        parts = random.dirichlet(np.full(len(corners), 0.5), 8)
+        inside.append(np.concatenate([patch[:1], parts @ corners]))
+    differences = [np.abs(each) for each in apart_on(made, inside)]
+    for sure in (BARE, NEAR):
+        values = [each if sure == NEAR else each[:, : each.shape[1] // 2] for each in differences]
+        at, around = np.zeros((2, cells.size))
+        np.maximum.at(at, owners(samples), [each[0].max() for each in values])
+        np.maximum.at(around, owners(samples), [each.max() for each in values])
+        for most in (0.5, 2.0, 20.0):
+            near = near_cells(found, full, samples, most, cells) >= sure
+            assert (at[near] <= most + 0.02).all()
+            assert (around[near] <= most + BETWEEN + 0.02).all()
+    assert (near_cells(full, full, samples, 0.0, cells) == NEAR).all()
+    is_plain = list(made.full.channels) == ["base_color"] and seed % 4 == 3  # all face one way
+    assert near.any() or not is_plain or smooth > 0.01
 
 
 @kernel
 def _points_of(places: Array, normals: Array, points: Array) -> int:
-    return lay_out(places, normals, 0, True, points)
+    return lay_out(places, normals, 0, points)
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -16,14 +16,16 @@ from octex.channels import BASE_COLOR, decode
 from octex.conversion.samples import Samples
 from octex.errors import ArgumentError
 from octex.painting.balance import balanced
-from octex.painting.cells import boundary, paint_of
+from octex.painting.cells import paint_of
 from octex.painting.merge import blended
-from octex.painting.pictures import BLENDS
+from octex.painting.pictures import BLENDS, Blend
 from octex.painting.samples import with_centres
 from octex.painting.source import COVERAGE, PaintSource
 from octex.parallel import pool_of
 from octex.texture import OctreeTexture
+from octex.tree.edit import boundary
 from octex.tree.layout import KEPT, SPLIT
+from octex.tree.morton import decode_cells
 from octex.tree.placement import Placement
 from tests.conftest import needs_jit
 from tests.painted import above, ball, centres, codes, one_color, picture_of, plain, square, together
@@ -650,3 +652,55 @@ def test_colours_that_do_not_fit_are_refused() -> None:
     for color in ((1, 0), (np.nan, 0, 0), 1.0):
         with pytest.raises(ArgumentError, match=r"color of .base_color. must be finite numbers of shape"):
             octex.fill(None, surface, octex.Sphere((0, 0, 0), 1), color)
+
+
+def places_of(texture: OctreeTexture, cells: Array) -> Array:
+    """The middles of cells at rest (n, 3)."""
+    levels = np.searchsorted(texture.tree.arrays.level_cells, cells, side="right") - 1
+    found = np.empty((len(cells), 3))
+    for level in np.unique(levels):
+        own = levels == level
+        codes = texture.tree.level_codes(int(level))[cells[own] - texture.tree.arrays.level_cells[level]]
+        found[own] = texture.placement.to_rest((decode_cells(codes) + 0.5) / 2 ** int(level))
+    return found
+
+
+@pytest.mark.parametrize(("opacity", "blend"), [(1.0, "over"), (0.5, "over"), (0.5, "replace"), (1.0, "add")])
+def test_what_opaque_paint_covers_keeps_nothing_and_has_no_skirts(opacity: float, blend: Blend) -> None:
+    surface = ball(24)
+    texture = octex.convert(surface, 6)
+    edge = texture.placement.size / 2**6
+    sphere = octex.Sphere((1.0, 0.0, 0.0), 0.8)
+    found = octex.fill(texture, surface, sphere, (0.2, 0.5, 0.7), max_depth=7, opacity=opacity, blend=blend)
+    leaves = found.tree.leaf_cells()
+    skirts = places_of(found, leaves[found.tree.arrays.areas[leaves] == 1])
+    kept = places_of(found, found.tree.kept.cells.astype(np.int64))
+    hides = (opacity == 1.0 and blend == "over") or blend == "replace"
+    for off in (skirts, kept):
+        inside = 0.8 - np.linalg.norm(off - [1.0, 0.0, 0.0], axis=1)
+        assert len(off)
+        assert (inside.max() < 6 * edge) == hides
+    points = surface.scatter(2000, 1)
+    away = np.linalg.norm(points.rest - [1.0, 0.0, 0.0], axis=1)
+    if hides:
+        np.testing.assert_allclose(found.sample(points)[away < 0.8 - 2 * edge][:, 1], 0.5, atol=4e-3)
+    beside = away > 0.8 + 3 * edge
+    before, after = (each.sample(points.rest[beside]) for each in (texture, found))
+    np.testing.assert_allclose(after, before, atol=1e-6)
+
+
+def test_pictures_get_cells_of_half_a_pixel_to_one_unless_they_may_be_finer() -> None:
+    surface = plain(square(0.0, 1.0))
+    image = np.full((64, 64, 3), 9, np.uint8)
+    for pixels_per_unit in (20.0, 30.0, 40.0, 55.0):
+        pose = np.eye(4)
+        pose[2, 3] = 2.0
+        camera = octex.Camera.orthographic(
+            (64, 64), pose=pose, convention="opengl", pixels_per_unit=pixels_per_unit
+        )
+        layer = octex.project(surface, octex.Projection(image, camera))
+        deepest = octex.project(surface, octex.Projection(image, camera), max_depth=12)
+        cell = layer.placement.size / 2**layer.tree.max_depth * pixels_per_unit
+        assert 0.5 < cell < 1.1
+        finest = deepest.placement.size / 2**deepest.tree.max_depth * pixels_per_unit
+        assert 0.25 < finest < 0.55

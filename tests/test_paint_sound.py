@@ -17,8 +17,8 @@ from octex.painting import raising
 from octex.painting.pictures import Blend
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.texture.split import find_rows
 from octex.tree.octree import Octree
+from octex.tree.split import find_rows
 from tests.conftest import needs_jit
 from tests.naive_edits import assert_averages
 from tests.painted import above, ball, one_color, plain, square, together
@@ -389,3 +389,18 @@ def test_a_transparent_picture_paints_what_its_opaque_part_alone_paints(max_dept
     values = [each.channels["base_color"].values[leaves].astype(int) for each in (whole, alone)]
     assert np.abs(values[0] - values[1]).max() <= 1  # the centre of the crop is rounded otherwise
     assert whole.tree.n_leaves >= texture.tree.n_leaves
+
+
+@pytest.mark.parametrize("deeper", [0, 1])
+def test_hardly_anything_shows_through_paint_on_cells_that_were_divided_off_the_surface_too(
+    deeper: int,
+) -> None:
+    """The squares lie in planes of cells, beside cells of a resize that they are not in."""
+    surface = waved("planes", 16, ["base_color", "alpha", "roughness"], 52)
+    texture = octex.resize(octex.convert(surface, 4, dtype="uint8", max_error=20), 5)
+    everything = octex.Box((-2, -2, -2), (2, 2, 2))
+    made = octex.fill(texture, surface, everything, (0, 0, 0), blend="erase", max_depth=5 + deeper)
+    made.validate()
+    found = made.sample(surface.scatter(3000).rest, "alpha")
+    assert found.max() < 0.005
+    assert (found > 1e-6).mean() < 0.03  # along the rims of the squares

@@ -15,6 +15,7 @@ from octex.errors import ArgumentError
 from octex.texture import Channel, OctreeTexture
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
+from octex.tree.split import rows_of
 from tests import naive_processing as naive
 from tests.conftest import needs_jit
 from tests.random_edits import waved
@@ -239,3 +240,21 @@ def test_two_parts_put_together_have_the_areas_of_their_whole_in_rows_too() -> N
     np.testing.assert_array_equal(found.cells, whole.tree.split.cells)
     apart = found.areas.astype(int) - whole.tree.split.areas
     assert np.abs(apart).max() <= 3
+
+
+@needs_jit
+@pytest.mark.parametrize("kind", ["sheet", "overlapping"])
+def test_cells_below_leaves_show_each_way_what_a_finer_texture_shows(kind: str) -> None:
+    texture = octex.convert(waved(kind, 4, ["base_color", "alpha"], 7), 3, dtype="float32")
+    finer = octex.resize(texture, 4)
+    made = octex.mix(texture, finer, 0.0)
+    assert finer.tree.split.cells.size > texture.tree.split.cells.size > 0
+    for one, other in zip(
+        [*made.tree.arrays, *made.tree.split], [*finer.tree.arrays, *finer.tree.split], strict=True
+    ):
+        np.testing.assert_array_equal(one, other)
+    of_leaves = np.isin(rows_of(finer.tree.split).cells, finer.tree.leaf_cells())
+    assert of_leaves.sum() > 20
+    for name, channel in finer.channels.items():
+        rows = made.channels[name].split_values[of_leaves]
+        np.testing.assert_allclose(rows, channel.split_values[of_leaves], atol=1e-6)

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 import octex
 from octex.channels import BASE_COLOR, ROUGHNESS, decode, encode
-from octex.editing.facings import rows_of
 from octex.errors import ArgumentError
 from octex.texture import Channel, OctreeTexture
+from octex.tree.split import rows_of
 from tests import naive_processing as naive
 from tests.conftest import needs_jit
 from tests.naive import unmorton
@@ -149,7 +149,7 @@ def test_rows_of_cut_nodes_have_the_areas_of_what_is_left() -> None:
     texture = octex.convert(waved("sheet", 4, ["base_color"], 7), 4, dtype="float32")
     low, high = texture.bounds
     made = octex.crop(texture, low, [(low[0] + high[0]) / 2, *high[1:]])
-    tree, cells, found = made.tree, naive.cells_of(made), rows_of(made.tree)
+    tree, cells, found = made.tree, naive.cells_of(made), rows_of(made.tree.split)
     gone = naive.cells_of(texture).keys() - cells.keys()
     cut = {(place[0] - n, place[1] >> 3 * n) for place in gone for n in range(place[0] + 1)}
     rows = {(int(cell), int(bit)): int(row) for cell, bit, row in zip(*found[1:], found[0], strict=True)}
@@ -187,7 +187,7 @@ def test_nodes_that_lose_nothing_stay_to_the_last_bit() -> None:
     assert old.size
     for name, channel in texture.channels.items():
         np.testing.assert_array_equal(made.channels[name].values[new], channel.values[old])
-        one, other = (rows_of(each.tree, cells).rows for each, cells in ((texture, old), (made, new)))
+        one, other = (rows_of(each.tree.split, cells).rows for each, cells in ((texture, old), (made, new)))
         assert one.size
         np.testing.assert_array_equal(made.channels[name].split_values[other], channel.split_values[one])
 

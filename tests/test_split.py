@@ -11,11 +11,12 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from octex.channels import decode
+from octex.editing.split import refaced, rows_facing, with_split
 from octex.texture import Channel, OctreeTexture
-from octex.texture.split import bits_of, refaced, rows_facing, with_split
 from octex.tree.edit import cull, facings_of_nodes
 from octex.tree.layout import FACING_FLAGS, SPLIT, SplitTable
 from octex.tree.octree import Octree
+from octex.tree.split import bits_of
 from tests.small_textures import eight_colors, shell
 from tests.strategies import random_values, textures
 

@@ -64,7 +64,7 @@ _OPTIONS = (
     option("--channel", f"what is painted (default {DEFAULT_CHANNEL})", metavar="NAME"),
     option(
         "--max-depth",
-        "the deepest level that paint goes to (default: cells of half a pixel, at most level 14)",
+        "the deepest level that paint goes to (default: cells of half a pixel to one, at most level 14)",
         metavar="N",
         type=whole_number,
     ),

@@ -7,34 +7,41 @@ detail than that, a leaf that meets it at some points can be far off at others.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from functools import partial
+from itertools import count
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from octex.conversion.nearness import Decoded, Ranges, far_cells, narrow_blocks
+from octex.channels import decode
+from octex.conversion.distances import Looked, coverage_of, far_samples, near_alone
+from octex.conversion.measure import Columns, encoded
+from octex.conversion.nearness import Decoded, far_cells
+from octex.conversion.patches import BARE, NEAR, near_cells
 from octex.conversion.prune import Bools, Channels, Depths, Finest, Pruned, grafted, limits_of, prune
 from octex.conversion.samples import Samples
 from octex.conversion.sides import Fit, Split
 from octex.errors import ArgumentError
-from octex.field.coefficients import Coefficients
 from octex.parallel import Progress, ordered_map
 from octex.texture.channel import Channel
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
 
-#: Finest cells that are tested at once.
+#: Finest cells or samples.
+Block: TypeAlias = npt.NDArray[np.int64]
+#: Says something of finest cells (n,), which ascend.
+Judge: TypeAlias = Callable[[npt.NDArray[np.int64]], npt.NDArray[np.uint8 | np.bool_]]
+
+#: Finest cells or samples that are tested at once.
 _BLOCK = 1 << 14
-#: From so many levels above the finest cells on, what is near is looked for by what it is made of.
-_LEVELS = 2
 #: What the fields are rounded by at most, in codes.
 _ROUNDING = 1 / 16
-#: If no more than this part of all leaves fail, only those around them are tested again.
-_FEW = 0.05
-#: Leaves that fail are split by a level, which mostly is enough; by one more after each so many rounds, since
-#: their neighbours may fail in turn.
-_PATIENCE = 6
+#: Leaves that fail are split by a level; by one more after each so many rounds, since neighbours may fail in
+#: turn.
+_PATIENCE = 2
 
 
 def as_max_error(max_error: float) -> float:
@@ -112,15 +119,16 @@ class _Merger:
         self._means = means
         self._known = dict(known)
         self._samples = samples
+        self._columns = Columns.of(samples.channels)
         self._most = max_error + _ROUNDING
         self._limits = limits
         self._executor = executor
         self._progress = progress
-        self._averages = Decoded.of(means, samples.channels)
-        self._decoded = Decoded.of(known, samples.channels)
-        whole = prune(finest, limits)
-        self._full = self._decoded.pruned(whole)
-        self._ranges = Ranges.below(finest, self._decoded, whole)
+        self._whole = prune(finest, limits)
+        self._full = self._looked(self._whole)
+        #: (samples, columns)   the full tree's field, and (samples,) by how much it counts
+        self._wanted = self._codes(self._full, np.arange(samples.places.shape[0]))
+        self._coverage = coverage_of(self._wanted, samples.channels)
 
     def merged(self, fit: Fit | None) -> tuple[Octree, dict[str, Channel]]:
         """Return the tree of fewest leaves that was found, and its channels."""
@@ -131,12 +139,12 @@ class _Merger:
             self._merge(level, depths)
         self._progress("adapt", depth, depth + 3)
         # What was judged on even trees is judged again on the tree of many depths.
-        self._split(depths, rounds=1)
+        self._split(depths)
         self._progress("adapt", depth + 1, depth + 3)
         if fit:
             self._fit(fit, depths)
         self._progress("adapt", depth + 2, depth + 3)
-        self._split(depths)
+        self._settle(depths)
         self._progress("adapt", depth + 3, depth + 3)
         pruned = prune(self._finest, depths)
         return pruned.tree, pruned.carried(self._known)
@@ -152,8 +160,6 @@ class _Merger:
         values = fit(pruned.tree, pruned.carried(self._known), is_merged)
         for name, channel in values.items():
             self._known[name].values[pruned.cells[merged]] = channel.values[merged]
-        some = {name: channel._replace(values=channel.values[merged]) for name, channel in values.items()}
-        self._decoded.values[pruned.cells[merged]] = Decoded.of(some, self._samples.channels).values
 
     def _merge(self, level: int, depths: Depths) -> None:
         """Make leaves of the nodes of a level all of whose children are, where that seems to be near enough.
@@ -161,74 +167,62 @@ class _Merger:
         Either the averages of this level, as a field, are near the full tree's in the node, or the node's own
         average is: beside an edge the former are not, but finer leaves on the edge will keep it.
         """
-        finest = self._finest
+        finest, samples = self._finest, self._samples
         firsts = finest.firsts[level]
         may = np.maximum.reduceat(depths, firsts) == level + 1
         if not may.any():
             return
-        tree = finest.tree.truncated(level)
-        averages = self._averages.truncated(tree)
-        near = self._narrow(level, averages, may)
-        near |= self._near(level, averages, may & ~near)
-        near |= self._near(level, averages, may & ~near, by_itself=True)
-        depths[finest.spread(level, near)] = level
+        rows = slice(*finest.tree.arrays.level_cells[level : level + 2])
+        own = [self._means[form.name] for form in samples.channels]
+        values = np.concatenate([decode(each.values[rows], each.format.space) for each in own], axis=1)
+        starts = np.append(samples.firsts[firsts], samples.firsts[-1])
+        task = encoded(values, self._columns), self._wanted, starts, self._coverage
+        near = near_alone(*task, self._columns.alpha, self._most, may)
+        may &= ~near
+        # What is small, finer levels have seen: one of the finest cells in each child will do, and most nodes
+        # that fail do so in the first.
+        looked = Looked.of(finest.tree.truncated(level), self._means, samples.channels)
+        for first in (firsts, finest.first(level + 1)):
+            chosen = np.zeros(finest.codes.size, np.bool_)
+            chosen[first] = True
+            failing = self._far(looked, chosen & finest.spread(level, may))
+            may &= ~np.logical_or.reduceat(failing, firsts)
+        depths[finest.spread(level, near | may)] = level
 
-    def _narrow(self, level: int, field: Coefficients, chosen: Bools) -> Bools:
-        """Say in which of some cells of a level all that a field and the full tree's are made of is near."""
-        narrow = np.zeros(chosen.size, np.bool_)
-        codes = self._finest.codes[self._finest.firsts[level][chosen]]
-        own, columns = Ranges.of(field), self._averages.columns
-        work = partial(narrow_blocks, own, self._ranges, columns, self._samples.depth, self._most, level)
-        blocks = [codes[begin : begin + _BLOCK] for begin in range(0, codes.size, _BLOCK)]
-        done = map(work, blocks) if self._executor is None else ordered_map(self._executor, work, blocks)
-        narrow[chosen] = np.concatenate([np.zeros(0, np.bool_), *done])
-        return narrow
-
-    def _near(self, level: int, averages: Coefficients, may: Bools, *, by_itself: bool = False) -> Bools:
-        """Say in which of some nodes of a level its averages are near enough to the full tree's field.
-
-        Each ``by_itself``, or as a field.
-        """
-        finest = self._finest
-        firsts = finest.firsts[level]
-        # Most nodes that fail do so in their first finest cell.
-        first = np.zeros(finest.codes.size, np.bool_)
-        first[firsts[may]] = True
-        nodes = None
-        if by_itself:
-            nodes = averages.arrays.level_cells[-2] + np.arange(firsts.size)
-            nodes = np.repeat(nodes, np.diff(firsts, append=finest.codes.size))
-        may = may & ~self._fails(averages, first, nodes)[firsts]
-        # What is small, finer levels have seen: one of the finest cells in each child will do.
-        children = np.zeros(finest.codes.size, np.bool_)
-        children[finest.first(level + 1)] = True
-        failing = self._fails(averages, children & finest.spread(level, may), nodes)
-        return may & ~np.logical_or.reduceat(failing, firsts)
-
-    def _split(self, depths: Depths, rounds: int | None = None) -> None:
-        """Split merged leaves where the field is not near the full tree's; changes ``depths``.
-
-        At most ``rounds`` times; or until it is near everywhere, looked up with normals too.
-        """
+    def _settle(self, depths: Depths) -> None:
+        """Split merged leaves until the field is near everywhere, looked up with normals too."""
+        decoded = Decoded.of(self._known, self._samples.channels)
+        full = decoded.pruned(self._whole)
         suspects = np.ones(depths.size, np.bool_)
-        attempt = 0
-        while rounds is None or attempt < rounds:
+        self._split(depths)
+        for attempt in count():
             pruned = prune(self._finest, depths)
-            field = self._decoded.pruned(pruned)
-            chosen = suspects.copy()
-            for level in range(max(self._finest.tree.max_depth - _LEVELS, 0), self._finest.tree.max_depth):
-                blocks = np.logical_or.reduceat(chosen, self._finest.firsts[level])
-                chosen &= ~self._finest.spread(level, self._narrow(level, field, blocks))
-            failing = self._fails(field, chosen, between=rounds is None)
-            splits = self._splits(failing, pruned, depths)
-            if not splits.any():
+            work: Judge = partial(near_cells, self._looked(pruned), self._full, self._samples, self._most)
+            near = self._judged(work, suspects)
+            suspects &= near < NEAR
+            if suspects.any():
+                fields = decoded.pruned(pruned), full
+                work = partial(far_cells, *fields, self._samples, self._most, near == BARE)
+                suspects = self._judged(work, suspects) > 0
+            suspects = self._refined(suspects, pruned, depths, 1 + attempt // _PATIENCE)
+            if not suspects.any():
                 return
-            starts = pruned.starts[splits[pruned.starts]]
-            few = starts.size <= _FEW * pruned.starts.size
-            suspects = self._around(starts, depths) if few else np.ones(depths.size, np.bool_)
-            steps = 1 + attempt // _PATIENCE
-            depths[splits] = np.minimum(depths[splits] + steps, self._limits[splits])
-            attempt += 1
+
+    def _split(self, depths: Depths) -> None:
+        """Split merged leaves by a level where the field is not near the full tree's at samples."""
+        pruned = prune(self._finest, depths)
+        failing = self._far(self._looked(pruned), np.ones(depths.size, np.bool_))
+        self._refined(failing, pruned, depths, 1)
+
+    def _refined(self, failing: Bools, pruned: Pruned, depths: Depths, steps: int) -> Bools:
+        """Split leaves by some levels for cells that fail; changes ``depths``.
+
+        Returns the cells that this reaches.
+        """
+        splits = self._splits(failing, pruned, depths)
+        reached = self._around(pruned.starts[splits[pruned.starts]], depths)
+        depths[splits] = np.minimum(depths[splits] + steps, self._limits[splits])
+        return reached
 
     def _splits(self, failing: Bools, pruned: Pruned, depths: Depths) -> Bools:
         """Mark the finest cells in the merged leaves that are to be split where the field is too far off.
@@ -260,27 +254,38 @@ class _Merger:
             marked |= _marked(firsts, ends, codes.size)
         return marked
 
-    def _fails(
-        self,
-        field: Coefficients,
-        chosen: Bools,
-        nodes: npt.NDArray[np.int64] | None = None,
-        *,
-        between: bool = False,
-    ) -> Bools:
-        """Say in which of the chosen finest cells a field is too far from the full tree's: see `far_cells`.
+    def _looked(self, pruned: Pruned) -> Looked:
+        """Return what is looked up of a pruned tree."""
+        return Looked.of(pruned.tree, pruned.carried(self._known), self._samples.channels)
 
-        With ``nodes`` (finest cells,) it is what these cells of its tree hold by themselves.
-        """
-        fails = np.zeros(chosen.size, np.bool_)
+    def _codes(self, looked: Looked, rows: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+        """Return what is looked up at samples (n,), in codes (n, columns)."""
+        blocks = [rows[begin : begin + _BLOCK] for begin in range(0, rows.size, _BLOCK)]
+        work = partial(looked.codes, self._samples, columns=self._columns)
+        return np.concatenate(list(self._mapped(work, blocks)))
+
+    def _far(self, looked: Looked, chosen: Bools) -> Bools:
+        """Say in which of the chosen finest cells what is looked up at samples is too far off."""
+        return self._judged(partial(self._far_in, looked), chosen) > 0
+
+    def _far_in(self, looked: Looked, cells: npt.NDArray[np.int64]) -> Bools:
+        rows = self._samples.rows(cells)
+        task = self._wanted, rows, self._coverage, self._columns.alpha, self._most
+        far = far_samples(looked.codes(self._samples, rows, self._columns), *task)
+        counts = self._samples.firsts[cells + 1] - self._samples.firsts[cells]
+        return np.logical_or.reduceat(far, np.cumsum(counts) - counts)
+
+    def _judged(self, work: Judge, chosen: Bools) -> npt.NDArray[np.uint8]:
+        """Return what ``work`` says of the chosen finest cells, 0 for the others."""
         cells = np.flatnonzero(chosen)
         blocks = [cells[begin : begin + _BLOCK] for begin in range(0, cells.size, _BLOCK)]
+        judged = np.zeros(chosen.size, np.uint8)
+        for block, found in zip(blocks, self._mapped(work, blocks), strict=True):
+            judged[block] = found
+        return judged
 
-        work = partial(far_cells, field, self._full, self._samples, self._most, between, nodes)
-        done = map(work, blocks) if self._executor is None else ordered_map(self._executor, work, blocks)
-        for block, failing in zip(blocks, done, strict=True):
-            fails[block] = failing
-        return fails
+    def _mapped(self, work: Callable[[Block], Any], blocks: Sequence[Block]) -> Iterable[Any]:
+        return map(work, blocks) if self._executor is None else ordered_map(self._executor, work, blocks)
 
 
 _OFFSETS = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), axis=-1).reshape(-1, 3)

@@ -32,13 +32,13 @@ from octex.conversion.gaps import without_gaps, without_opaque
 from octex.conversion.points import convert_points
 from octex.conversion.sides import fitters
 from octex.conversion.stored import Dtypes, stored_as
+from octex.editing.split import refaced
 from octex.errors import ArgumentError, ModelError
 from octex.parallel import Progress, as_progress, workers
 from octex.source.cloud import PointCloud, is_cloud
 from octex.source.load import at_rest, load_surface
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.texture.split import refaced
 from octex.tree.placement import Placement
 
 DEFAULT_DEPTH = 10

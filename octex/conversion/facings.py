@@ -1,8 +1,4 @@
-"""What lookups with normals find something else in than those without.
-
-A cell in which the surface shows both ways along an axis is *split* if its facings show something else than
-the whole.
-"""
+"""Where lookups with normals find something else than those without: near what faces away, or is split."""
 
 from __future__ import annotations
 
@@ -11,7 +7,6 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import ONE, ChannelFormat, linear_to_srgb
 from octex.field.coefficients import SPLIT_KIND
 from octex.field.field import Field, Listed
 from octex.tree.layout import FACING_FLAGS, SPLIT
@@ -22,22 +17,8 @@ from octex.tree.placement import Placement
 #: Of cells: a bit for each of the 2⁶ sets of facings that a cell can have; the empty set's for split cells.
 Kinds: TypeAlias = npt.NDArray[np.uint64]
 
-#: Difference, in 8-bit codes, from which on a facing's value is stored for itself.
-MOST = 1.0
 #: Cells whose surroundings are looked at at once.
 _BLOCK = 1 << 16
-
-
-def in_codes(stored: npt.NDArray[np.generic], channel: ChannelFormat) -> npt.NDArray[np.floating]:
-    """Return stored values on the scale of 8-bit codes: light on sRGB's curve, a logarithm from 1 on."""
-    if channel.space == "linear" and channel.dtype.startswith("float"):
-        light = stored.astype(np.float64)
-        slope = 1.055 / 2.4  # of the curve at 1
-        return 255.0 * (linear_to_srgb(np.minimum(light, 1.0)) + slope * np.log(np.maximum(light, 1.0)))
-    scale = 255.0 / ONE[channel.dtype]
-    if channel.space == "direction" and channel.dtype.startswith("float"):
-        scale /= 2  # −1 … 1
-    return stored.astype(np.float32) * np.float32(scale)
 
 
 def kinds_around(tree: Octree) -> Kinds:

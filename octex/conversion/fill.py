@@ -22,9 +22,9 @@ from octex.conversion.accumulate import (
 )
 from octex.conversion.cells import BLOCK_BITS, SPREAD, load_triangle
 from octex.conversion.detail import Wanted, deepest_wanted
-from octex.conversion.facings import MOST, in_codes
 from octex.conversion.pieces import Blocks, bin_triangles, cut, most_pieces
 from octex.conversion.samples import Samples, Taken, join, take_samples
+from octex.editing.codes import differ
 from octex.errors import ArgumentError, ModelError
 from octex.jit import kernel
 from octex.parallel import Progress, memory_size, ordered_map
@@ -234,8 +234,7 @@ def _stored(level: Sums, channels: Sequence[ChannelFormat], columns: Columns) ->
         owners = np.repeat(cells, counts)
         differs = np.zeros(len(owners), np.bool_)
         for channel, whole, facing in zip(channels, values, facing_values, strict=True):
-            apart = in_codes(facing, channel) - in_codes(whole[owners], channel)
-            differs |= (np.abs(apart) > MOST).any(axis=1)
+            differs |= differ(channel, facing, whole[owners])
         is_split = np.logical_or.reduceat(differs, np.cumsum(counts) - counts)
         rows = np.repeat(is_split, counts)
         cells, facing_areas = cells[is_split], facing_areas[rows]

@@ -20,7 +20,7 @@ from octex.channels import CHANNELS, ChannelFormat, decode, encode
 from octex.conversion.numbering import Leaves, Outside, members_of, number
 from octex.conversion.samples import SHARE_STEPS, Samples, sample_points
 from octex.conversion.solve import Codes, approach, covered, diagonal, residuals, sweep, transpose
-from octex.field.field import Field, Listed
+from octex.field.field import Field
 from octex.jit import kernel
 from octex.parallel import Progress, ordered_map
 from octex.texture.channel import Channel
@@ -270,7 +270,7 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
     own = leaves.numbers(first, end)
     outside = Outside.of(0)
     ring = leaves.with_samples(np.arange(first, end))
-    samples, strides, counts = [], [], []
+    samples, strides, starts = [], [], [np.zeros(1, np.int64)]
     numbers, weights = np.empty(0, np.int32), np.empty(0, np.float32)
     n_taps = unknowns = 0
     for _ in range(RINGS + 1):
@@ -279,32 +279,29 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
         members, stride = members_of(leaves.firsts, ring, LEAF_SAMPLES)
         samples.append(members)
         strides.append(stride)
+        normals = job.samples.normals[members].astype(np.float32) if job.is_facing else None
         points = sample_points(job.samples, members, job.placement)
-        for starts, rows, found, *_ in _taps(job, members, points):
-            if n_taps + rows.size > numbers.size:
-                room = (n_taps + rows.size) * 2 + TAPS * len(members)
-                numbers, weights = _with_room(numbers, n_taps, room), _with_room(weights, n_taps, room)
-            outside = outside.with_room(rows.size)
-            number(rows, leaves, first, end, outside, numbers[n_taps:])
-            weights[n_taps : n_taps + rows.size] = found
-            n_taps += rows.size
-            counts.append(np.diff(starts))
+        for taps in job.field.runs(points, job.placement, normals=normals):
+            room = int((taps.ends - taps.starts).sum())
+            if n_taps + room > numbers.size:
+                more = (n_taps + room) * 2 + TAPS * len(members)
+                numbers, weights = _with_room(numbers, n_taps, more), _with_room(weights, n_taps, more)
+            outside = outside.with_room(room)
+            ends = np.empty(taps.starts.size, np.int64)
+            found = number(taps, leaves, first, end, outside, ends, numbers[n_taps:], weights[n_taps:])
+            starts.append(ends + n_taps)
+            n_taps += found
         ranks = leaves.ranks_of(outside.found()[known:])
         ring = leaves.with_samples(ranks[ranks >= 0])
     return Lookups(
         np.concatenate(samples),
         np.concatenate(strides),
-        np.append(0, np.cumsum(np.concatenate(counts))),
+        np.concatenate(starts),
         numbers[:n_taps],
         weights[:n_taps],
         np.concatenate([own, outside.found()]),
         unknowns,
     )
-
-
-def _taps(job: Job, samples: npt.NDArray[np.int64], points: npt.NDArray[np.float64]) -> Iterator[Listed]:
-    normals = job.samples.normals[samples].astype(np.float32) if job.is_facing else None
-    return job.field.batches(points, job.placement, normals=normals)
 
 
 def _with_room(array: npt.NDArray[Any], used: int, room: int) -> npt.NDArray[Any]:

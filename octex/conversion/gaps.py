@@ -11,11 +11,11 @@ import numpy.typing as npt
 from octex.channels import ALPHA, ONE, decode
 from octex.conversion.fill import Filled
 from octex.conversion.samples import Samples
-from octex.editing.averages import all_nodes, average
-from octex.editing.facings import average_rows
-from octex.texture import OctreeTexture
-from octex.texture.channel import Channel
-from octex.tree.edit import among, cull
+from octex.editing.averages import average
+from octex.editing.carried import carried
+from octex.editing.nodes import nodes_at
+from octex.texture import Channel, OctreeTexture
+from octex.tree.edit import cull
 from octex.tree.octree import Octree, distinct
 from octex.tree.placement import Placement
 
@@ -58,13 +58,8 @@ def without_gaps(
     empty = filled.codes.size - cells.size
     if empty:
         edited = cull(tree, is_left)
+        channels = carried(OctreeTexture(tree, channels, placement, np.zeros((2, 3))), edited)
         tree = edited.tree
-        channels = {
-            name: channel._replace(
-                values=channel.values[edited.old], split_values=channel.split_values[edited.split_rows]
-            )
-            for name, channel in channels.items()
-        }
         _average_transparent(tree, channels, placement, filled.codes[~is_left[-filled.codes.size :]])
         samples = None if samples is None else samples.of(cells)
         wanted = None if wanted is None else wanted[cells]
@@ -80,17 +75,15 @@ def _average_transparent(
 
     A gap weighs as much as what is transparent: means of both are not those of what is left.
     """
-    alpha = channels[ALPHA.name].values
     texture = OctreeTexture(tree, channels, placement, np.zeros((2, 3)))
-    above = [distinct(gaps >> 3 * (tree.max_depth - level)) for level in range(tree.max_depth + 1)]
-    had = np.concatenate([among(codes, own) for (codes, _), own in zip(tree.walk(), above, strict=True)])
-    nodes = all_nodes(tree)
-    nodes = nodes.of(had[nodes.cells] & (decode(alpha[nodes.cells, 0], "data") < _TRANSPARENT))
+    nodes = nodes_at(
+        tree, [distinct(gaps >> 3 * (tree.max_depth - level)) for level in range(tree.max_depth)]
+    )
+    alpha = decode(channels[ALPHA.name].values[nodes.cells, 0], "data")
+    nodes = nodes.of((nodes.numbers >= 0) & (alpha < _TRANSPARENT))
     for name, channel in channels.items():
         if name != ALPHA.name and nodes.cells.size:
-            components = channel.format.components
-            average(tree, channel, alpha, np.zeros((nodes.cells.size, components)), nodes)
-            average_rows(texture, channel, np.zeros((len(channel.split_values), components)), nodes)
+            average(texture, channel, nodes=nodes)
 
 
 def without_opaque(channels: Mapping[str, Channel]) -> dict[str, Channel]:

@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ChannelFormat, linear_to_srgb
-from octex.jit import inlined
+from octex.editing.codes import SLOPE
+from octex.jit import inlined, kernel
 
 Float32s = npt.NDArray[np.float32]
 Float64s = npt.NDArray[np.float64]
@@ -26,7 +27,6 @@ _KINDS = {"srgb": _LIGHT, "linear": _LIGHT, "data": _FRACTION, "direction": _DIR
 #: sRGB's curve over the square root of light: straight lines between its points are within 2·10⁻⁴ codes.
 _STEPS = 1024
 _CURVE = 255.0 * linear_to_srgb((np.arange(_STEPS + 2) / _STEPS) ** 2)
-_SLOPE = 255.0 * 1.055 / 2.4  # of the curve at 1
 
 
 class Columns(NamedTuple):
@@ -57,7 +57,7 @@ def _code(value: float, kind: int, curve: Float64s) -> float:
     if kind == _DIRECTION:
         return 127.5 * value
     if value > 1.0:
-        return 255.0 + _SLOPE * math.log(value)
+        return 255.0 + SLOPE * math.log(value)
     place = math.sqrt(max(value, 0.0)) * _STEPS
     step = int(place)
     low, high = float(curve[step]), float(curve[step + 1])
@@ -70,6 +70,31 @@ def _code_between(low: float, high: float, kind: int, curve: Float64s) -> float:
     if low == high:
         return 0.0
     return _code(high, kind, curve) - _code(low, kind, curve)
+
+
+@kernel
+def encoded(values: Float32s, columns: Columns) -> Float32s:
+    """Return values (n, components) in codes (n, columns): the components, then those of unit vectors."""
+    components = columns.kinds.size
+    more = 0
+    for component in range(components):
+        more += columns.vectors[component] >= 0
+    codes = np.empty((values.shape[0], components + more), np.float32)
+    for n in range(values.shape[0]):
+        column = components
+        for component in range(components):
+            value = float(values[n, component])
+            kind = columns.kinds[component]
+            codes[n, component] = _code(value, kind, columns.curve)
+            if columns.vectors[component] >= 0:
+                square = 0.0
+                for each in range(columns.vectors[component], components):
+                    if columns.vectors[each] == columns.vectors[component]:
+                        square += float(values[n, each]) ** 2
+                value = value / math.sqrt(square) if square > 0.0 else 0.0
+                codes[n, column] = _code(value, kind, columns.curve)
+                column += 1
+    return codes
 
 
 @inlined

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from octex.channels import ChannelFormat, decode
 from octex.conversion.facings import HIDDEN
 from octex.conversion.measure import Columns, all_near, are_near, are_near_between, subtract
-from octex.conversion.prune import Finest, Pruned
+from octex.conversion.prune import Pruned
 from octex.conversion.samples import MOST_POINTS, Samples, lay_out
 from octex.field.coefficients import (
     Coefficients,
@@ -26,14 +26,12 @@ from octex.field.coefficients import (
     is_refined,
     new_windows,
 )
-from octex.field.splines import QUADRATIC
 from octex.field.stages import View, facings_of, view_of
-from octex.field.windows import BEGIN, INSIDE, Walk, cell_at, follow, new_walk
-from octex.jit import inlined, kernel, popcount, trailing_zeros
+from octex.field.windows import Walk, new_walk
+from octex.jit import inlined, kernel
 from octex.texture.channel import Channel
-from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT, TreeArrays
+from octex.tree.layout import MAX_DEPTH
 from octex.tree.morton import decode as decode_cell
-from octex.tree.octree import Octree
 
 Float32s = npt.NDArray[np.float32]
 Float64s = npt.NDArray[np.float64]
@@ -49,7 +47,7 @@ _NO_KEPT = np.empty(0, np.uint32)
 _FULL = 0.52
 #: How many codes more fields may be apart between samples than at them. In random trials (60,000 points each,
 #: edges, dots and light up to 20) none then went beyond it.
-_BETWEEN = 1.0
+BETWEEN = 1.0
 
 
 class Decoded(NamedTuple):
@@ -71,152 +69,14 @@ class Decoded(NamedTuple):
         )
         return cls(values, split_values, Columns.of(forms))
 
-    def truncated(self, tree: Octree) -> Coefficients:
-        """Return the field of the tree's first levels; the cells of the last are leaves."""
-        return self._field(tree, self.values, np.empty(0, np.uint32), 0)
-
     def pruned(self, pruned: Pruned) -> Coefficients:
         """Return the field of a tree with some nodes as leaves."""
         tree = pruned.tree
         rows = np.concatenate([self.values[pruned.cells], self.split_values[pruned.split_rows]])
-        return self._field(tree, rows, facings_of(tree).rows, tree.n_cells)
-
-    def _field(
-        self, tree: Octree, rows: Float32s, splits: npt.NDArray[np.uint32], first: int
-    ) -> Coefficients:
         kinds, _, alpha, _ = self.columns
-        return Coefficients(tree.arrays, splits, first, rows.reshape(-1, 4), kinds.size, alpha)
-
-
-class Ranges(NamedTuple):
-    """The least and the largest of what cells of a tree hold, their facings too."""
-
-    arrays: TreeArrays
-    numbers: Int64s  # (cells of the tree,)   their rows
-    low: Float32s  # (rows, columns)
-    high: Float32s  # (rows, columns)
-
-    @classmethod
-    def of(cls, field: Coefficients) -> Ranges:
-        """Find the ranges of what each cell of a field holds by itself."""
-        n_cells = field.arrays.flags.size
-        rows = field.rows.reshape(-1, (field.components + 4) // 4 * 4)
-        low, high = rows[:n_cells], rows[:n_cells]
-        if field.splits.size:
-            cells = np.flatnonzero(field.arrays.flags & SPLIT)
-            low, high = low.copy(), high.copy()
-            _widen_split(field, cells, low, high)
-        return cls(field.arrays, np.arange(n_cells), low, high)
-
-    @classmethod
-    def below(cls, finest: Finest, decoded: Decoded, pruned: Pruned) -> Ranges:
-        """Find the ranges of what each cell of a pruned tree and all below it hold in the full tree."""
-        low, high = decoded.values.copy(), decoded.values.copy()
-        split = finest.tree.split
-        rows = np.repeat(split.cells, np.bitwise_count(split.facings))
-        np.minimum.at(low, rows, decoded.split_values)
-        np.maximum.at(high, rows, decoded.split_values)
-        level_cells = finest.tree.arrays.level_cells
-        for level in range(finest.tree.max_depth - 1, -1, -1):
-            ends = np.append(finest.firsts[level], finest.codes.size)
-            if level + 1 < finest.tree.max_depth:
-                ends = np.searchsorted(finest.firsts[level + 1], ends)
-            _widen(low, high, int(level_cells[level]), int(level_cells[level + 1]), ends)
-        return cls(pruned.tree.arrays, pruned.cells, low, high)
-
-
-@kernel
-def _widen_split(field: Coefficients, cells: Int64s, low: Float32s, high: Float32s) -> None:
-    """Let split cells hold what their facings hold."""
-    vectors = (field.components + 4) // 4
-    for cell in cells:
-        first = field.first_row + np.int64(field.splits[cell])
-        for row in range(
-            first, first + popcount(np.uint64(field.arrays.flags[cell] & np.uint8(FACING_FLAGS)))
-        ):
-            for column in range(low.shape[1]):
-                value = field.rows[row * vectors + (column >> 2), column & 3]
-                low[cell, column] = min(low[cell, column], value)
-                high[cell, column] = max(high[cell, column], value)
-
-
-@kernel
-def _widen(low: Float32s, high: Float32s, first: int, first_child: int, ends: Int64s) -> None:
-    """Let the cells of a level, from the ``first`` on, hold what their children hold."""
-    for n in range(ends.size - 1):
-        for child in range(first_child + ends[n], first_child + ends[n + 1]):
-            for column in range(low.shape[1]):
-                low[first + n, column] = min(low[first + n, column], low[child, column])
-                high[first + n, column] = max(high[first + n, column], high[child, column])
-
-
-def narrow_blocks(
-    found: Ranges,
-    full: Ranges,
-    columns: Columns,
-    depth: int,
-    most: float,
-    level: int,
-    codes: Int64s,
-) -> Bools:
-    """Say in which cells of a level all that two fields can be made of is ``most`` codes apart or less.
-
-    The cells are those that hold finest cells of ``codes`` (n,), of a ``depth``. ``found`` is of the cells of
-    one field, ``full`` of the other's with all below them. Where the first has finer leaves it is not known.
-    """
-    narrow = np.zeros(codes.size, np.bool_)
-    _find_narrow(found, full, columns, depth, float(most), level, codes, narrow)
-    return narrow
-
-
-@kernel
-def _find_narrow(
-    found: Ranges,
-    full: Ranges,
-    columns: Columns,
-    depth: int,
-    most: float,
-    level: int,
-    codes: Int64s,
-    narrow: Bools,
-) -> None:
-    walks = (new_walk(), new_walk())
-    bounds = np.zeros((2, columns.kinds.size), np.float32)
-    shift = MAX_DEPTH - depth
-    for n in range(codes.size):
-        i, j, k = decode_cell(codes[n])
-        i, j, k = i << shift, j << shift, k << shift
-        own = follow(found.arrays, _NO_KEPT, walks[0], i, j, k, QUADRATIC, 2)
-        if own > level:
-            continue
-        bounds[0], bounds[1] = np.inf, -np.inf
-        _widen_bounds(found, walks[0], own, bounds)
-        if not all_near(bounds, columns, most):
-            continue
-        deepest = follow(full.arrays, _NO_KEPT, walks[1], i, j, k, QUADRATIC, 2)
-        _widen_bounds(full, walks[1], min(deepest, level), bounds)
-        narrow[n] = all_near(bounds, columns, most)
-
-
-@inlined
-def _widen_bounds(ranges: Ranges, walk: Walk, level: int, bounds: Float32s) -> None:
-    """Let bounds hold all in a level's window, and the leaves in those that it is refined from."""
-    with_nodes = True
-    while True:
-        cells = walk.cells[level, 0] & INSIDE[0, walk.levels[level, BEGIN], 0]
-        if not with_nodes:
-            cells &= ~walk.nodes[level, 0]
-        while cells != 0:
-            child = trailing_zeros(cells)
-            cells &= cells - np.uint64(1)
-            row = ranges.numbers[cell_at(ranges.arrays, walk, level, 0, child)]
-            for component in range(bounds.shape[1]):
-                bounds[0, component] = min(bounds[0, component], ranges.low[row, component])
-                bounds[1, component] = max(bounds[1, component], ranges.high[row, component])
-        if not is_refined(walk, level):
-            break
-        level -= 1
-        with_nodes = False
+        return Coefficients(
+            tree.arrays, facings_of(tree).rows, tree.n_cells, rows.reshape(-1, 4), kinds.size, alpha
+        )
 
 
 def _side_by_side(columns: Sequence[Float32s]) -> Float32s:
@@ -250,24 +110,17 @@ class Scratch(NamedTuple):
 
 
 def far_cells(
-    found: Coefficients,
-    full: Coefficients,
-    samples: Samples,
-    most: float,
-    between: bool,
-    nodes: Int64s | None,
-    cells: Int64s,
+    found: Coefficients, full: Coefficients, samples: Samples, most: float, are_bare: Bools, cells: Int64s
 ) -> Bools:
     """Say in which finest cells (n,), which ascend, a field is more than ``most`` codes from the full tree's.
 
-    That is, at a sample. If it is looked at ``between`` samples, also by more than one code more in the plane
-    of the surface at a sample, as far as it lies in the cell (see `lay_out`), and both looked up with the
-    sample's normal. With ``nodes`` (all finest cells,) the field is what these cells of its tree hold.
+    That is, at a sample; or by more than one code more in the plane of the surface at a sample, as far as it
+    lies in the cell (see `lay_out`); looked up without normals, unless ``are_bare`` (all finest cells,) says
+    that they are near so, or with the sample's own.
     """
     far = np.zeros(cells.size, np.bool_)
     places = Places(samples.depth, samples.codes, samples.firsts, samples.places, samples.normals)
-    own = _NO_CELLS if nodes is None else nodes[cells]
-    _find_far((found, full), places, Columns.of(samples.channels), cells, own, float(most), between, far)
+    _find_far((found, full), places, Columns.of(samples.channels), cells, are_bare[cells], float(most), far)
     return far
 
 
@@ -277,15 +130,14 @@ def _find_far(
     samples: Places,
     columns: Columns,
     cells: Int64s,
-    own: Int64s,
+    are_bare: Bools,
     most: float,
-    between: bool,
     far: Bools,
 ) -> None:
     components = columns.kinds.size
     vectors = (components + 4) // 4
     walks = (new_walk(), new_walk())
-    windows = new_windows(4, vectors, between)  # of both fields; of both looked up with a normal
+    windows = new_windows(4, vectors)  # of both fields; of both looked up with a normal
     scratch = Scratch(
         np.zeros((vectors, 4), np.float32),
         np.zeros((2, components, MOST_POINTS), np.float32),
@@ -295,9 +147,8 @@ def _find_far(
         np.zeros((2, components), np.float32),
     )
     for n in range(cells.size):
-        node = int(own[n]) if own.size > 0 else -1
-        cell = int(cells[n])
-        far[n] = _is_far(fields, walks, windows, samples, columns, scratch, cell, node, most, between)
+        cell, is_bare = int(cells[n]), bool(are_bare[n])
+        far[n] = _is_far(fields, walks, windows, samples, columns, scratch, cell, is_bare, most)
 
 
 @inlined
@@ -309,25 +160,23 @@ def _is_far(
     columns: Columns,
     scratch: Scratch,
     cell: int,
-    node: int,
+    is_bare: bool,
     most: float,
-    between: bool,
 ) -> bool:
-    """Say whether fields are too far apart in a finest cell; the first is a node's value, if not −1."""
+    """Say whether fields are too far apart in a finest cell; if it ``is_bare``, with normals."""
     i, j, k = decode_cell(samples.codes[cell])
     shift = MAX_DEPTH - samples.depth
     full = enter(fields[1], walks[1], windows, 1, i << shift, j << shift, k << shift)
-    level = full
-    if node < 0:
-        level = enter(fields[0], walks[0], windows, 0, i << shift, j << shift, k << shift)
-        if level == full and not is_refined(walks[0], level):
-            return False  # both have the same leaves there
+    level = enter(fields[0], walks[0], windows, 0, i << shift, j << shift, k << shift)
+    if level == full and not is_refined(walks[0], level):
+        return False  # both have the same leaves there
     place = (i, j, k, samples.depth)
     normal = scratch.normal
     view = view_of(normal, 0)
     for sample in range(samples.firsts[cell], samples.firsts[cell + 1]):
-        count = lay_out(samples.places, samples.normals, sample, between, scratch.points)
-        for look in range(2 if between else 1):  # without a normal, then with it
+        count = lay_out(samples.places, samples.normals, sample, scratch.points)
+        for look in range(2):  # without a normal, then with it
+            one, other = 0, 1
             if look == 1:
                 is_new = False
                 for axis in range(3):
@@ -336,43 +185,32 @@ def _is_far(
                 view = view_of(normal, 0)
                 if is_new:
                     windows.known[2:] = False
-                kinds = windows.kinds[0, level] | windows.kinds[1, full]
-                if kinds & HIDDEN[_full_facings(view)] == np.uint64(0):
+                hidden = HIDDEN[full_facings(view)]
+                one = 2 if windows.kinds[0, level] & hidden != np.uint64(0) else 0
+                other = 3 if windows.kinds[1, full] & hidden != np.uint64(0) else 1
+                if one == 0 and other == 1:
                     continue  # the normal changes nothing
-            if node < 0:
-                find_coefficients(fields[0], walks[0], windows, 2 * look, level, look == 1, view)
-            else:
-                _take_own(fields[0], node, scratch.values)
-            find_coefficients(fields[1], walks[1], windows, 2 * look + 1, full, look == 1, view)
+            find_coefficients(fields[0], walks[0], windows, one, level, one == 2, view)
+            find_coefficients(fields[1], walks[1], windows, other, full, other == 3, view)
             is_first = look == 0 and sample == samples.firsts[cell]
-            if between and is_first and _are_made_alike(windows, level, full, columns, most, scratch.bounds):
+            if is_first and _are_made_alike(windows, level, full, columns, most, scratch.bounds):
                 return False
-            for side in range(0 if node < 0 else 1, 2):
-                at = level if side == 0 else full
-                _look_up(fields[1], windows, 2 * look + side, at, place, 0, 1, scratch)
+            if is_bare and look == 0:
+                continue
+            _look_up(fields[0], windows, one, level, place, 0, 1, scratch)
+            _look_up(fields[1], windows, other, full, place, 0, 1, scratch)
             subtract(scratch.values, columns, 0, scratch.differences)
             if not are_near(scratch.differences, 0, most):
                 return True
-            if not between:
-                continue
-            for side in range(2):
-                at = level if side == 0 else full
-                _look_up(fields[1], windows, 2 * look + side, at, place, 1, count, scratch)
-            if _are_all_near(scratch.values, columns, count, most + _BETWEEN, scratch.bounds):
+            _look_up(fields[0], windows, one, level, place, 1, count, scratch)
+            _look_up(fields[1], windows, other, full, place, 1, count, scratch)
+            if _are_all_near(scratch.values, columns, count, most + BETWEEN, scratch.bounds):
                 continue
             for point in range(1, count):
                 subtract(scratch.values, columns, point, scratch.differences)
-            if not are_near_between(scratch.differences, count, most + _BETWEEN):
+            if not are_near_between(scratch.differences, count, most + BETWEEN):
                 return True
     return False
-
-
-@inlined
-def _take_own(field: Coefficients, node: int, values: Float32s) -> None:
-    """Write what a cell of a tree holds."""
-    vectors = (field.components + 4) // 4
-    for component in range(field.components):
-        values[0, component, 0] = field.rows[node * vectors + (component >> 2), component & 3]
 
 
 @inlined
@@ -435,7 +273,7 @@ def _are_all_near(values: Float32s, columns: Columns, count: int, most: float, b
 
 
 @inlined
-def _full_facings(view: View) -> int:
+def full_facings(view: View) -> int:
     """Return the facings that lookups with a normal take in full."""
     x, y, z, signs = view
     full = int(x >= _FULL) << (signs & 1)

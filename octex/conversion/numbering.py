@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.conversion.samples import Samples
+from octex.field.taps import Taps
 from octex.jit import inlined, kernel
 from octex.tree.octree import Octree
 
@@ -170,21 +171,36 @@ def _extend(outside: Outside, rows: Int64s) -> None:
 
 @kernel
 def number(
-    rows: npt.NDArray[np.uint32],
+    taps: Taps,
     leaves: Leaves,
     first: int,
     end: int,
     outside: Outside,
+    ends: Int64s,
     numbers: npt.NDArray[np.int32],
-) -> None:
-    """Give numbers to the rows that lookups touch: leaves ``first`` … ``end`` − 1 from 0 on, then the rest.
+    weights: npt.NDArray[np.float32],
+) -> int:
+    """List the taps of points that weigh anything, with weights that sum to 1; return how many.
 
-    ``outside``, which must have room for all of them, takes what it does not have yet. ``numbers`` may be
-    longer than ``rows``.
+    Their rows get numbers: leaves ``first`` … ``end`` − 1 from 0 on, then the rest. ``outside``, which must
+    have room for all of them, takes what it does not have yet. A point's taps end at ``ends`` (points,).
     """
-    for i in range(rows.size):
-        row = int(rows[i])
-        rank = row - leaves.offset
-        if leaves.ranks.size > 0:
-            rank = int(leaves.ranks[row]) if row < leaves.ranks.size else -1
-        numbers[i] = rank - first if first <= rank < end else end - first + _number(outside, row)
+    count = 0
+    for n in range(taps.starts.size):
+        total = 0.0
+        for tap in range(taps.starts[n], taps.ends[n]):
+            total += np.float64(taps.weights[tap])
+        inverse = 1.0 / total if total > 0.0 else 0.0
+        for tap in range(taps.starts[n], taps.ends[n]):
+            weight = np.float32(np.float64(taps.weights[tap]) * inverse)
+            if not weight > np.float32(0):
+                continue
+            row = int(taps.rows[tap])
+            rank = row - leaves.offset
+            if leaves.ranks.size > 0:
+                rank = int(leaves.ranks[row]) if row < leaves.ranks.size else -1
+            numbers[count] = rank - first if first <= rank < end else end - first + _number(outside, row)
+            weights[count] = weight
+            count += 1
+        ends[n] = count
+    return count

@@ -14,8 +14,9 @@ import numpy.typing as npt
 
 from octex.jit import kernel
 from octex.texture.channel import Channel
-from octex.tree.layout import SPLIT, SplitTable
+from octex.tree.layout import SPLIT
 from octex.tree.octree import Octree
+from octex.tree.split import taken
 
 Channels: TypeAlias = Mapping[str, Channel]
 Bools: TypeAlias = npt.NDArray[np.bool_]
@@ -99,14 +100,7 @@ def prune(finest: Finest, depths: Depths) -> Pruned:
     numbers = np.concatenate(cells)
     is_left = np.zeros(tree.n_cells, np.bool_)
     is_left[numbers] = True
-    split = tree.split
-    is_split = is_left[split.cells]
-    rows = np.repeat(is_split, np.bitwise_count(split.facings))
-    split = SplitTable(
-        np.searchsorted(numbers, split.cells[is_split]).astype(np.uint32),
-        split.facings[is_split],
-        split.areas[rows],
-    )
+    split, rows = taken(tree.split, np.where(is_left, np.cumsum(is_left) - 1, -1)[tree.split.cells])
     pruned = Octree.from_leaves(codes, depths[starts])
     pruned = pruned.with_cell_data(full.flags[numbers], full.areas[numbers], split)
     return Pruned(pruned, numbers, np.concatenate(leaves), starts, rows, depths.size)

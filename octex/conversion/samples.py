@@ -144,10 +144,9 @@ def lay_out(
     places: npt.NDArray[np.uint16],
     normals: npt.NDArray[np.int8],
     sample: int,
-    patch: bool,
     points: npt.NDArray[np.float32],
 ) -> int:
-    """Write where a sample lies in its cell, 0 … 1, and points of the ``patch`` around it; return how many.
+    """Write where a sample lies in its cell, 0 … 1, and points of the patch around it; return how many.
 
     The patch is the polygon in which the plane of the surface cuts the cell. For each corner c, in order
     around, there are c, the middle between c and the sample, and that between c and the next corner: the
@@ -156,8 +155,6 @@ def lay_out(
     """
     for axis in range(3):
         points[axis, 0] = (places[sample, axis] + 0.5) / PLACE_STEPS
-    if not patch:
-        return 1
     count = _cut(normals[sample, 0], normals[sample, 1], normals[sample, 2], points)
     for corner in range(count):
         at = 1 + 3 * corner

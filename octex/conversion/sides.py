@@ -16,14 +16,15 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from octex.conversion.facings import MOST, has_opposite, in_codes, kinds_around
+from octex.conversion.facings import has_opposite, kinds_around
 from octex.conversion.fit import fitted, fitted_rows
 from octex.conversion.numbering import Leaves
 from octex.conversion.samples import Samples, sample_points
+from octex.editing.split import split_in_vain, with_split, without_split
 from octex.field.field import Field
 from octex.parallel import Progress
-from octex.texture.channel import Channel
-from octex.tree.layout import AREA_STEPS, FACING_FLAGS, SPLIT, SplitTable
+from octex.texture import Channel, OctreeTexture
+from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 
@@ -81,30 +82,20 @@ def with_sides(
     if not chosen.any():
         return tree, dict(values)
     order = leaves.numbers(0, len(chosen))
-    tried, rows = split_leaves(tree, means, order[chosen])
-    start = {name: channel._replace(values=values[name].values) for name, channel in rows.items()}
+    whole = np.sort(order[chosen])
+    whole = whole[tree.arrays.flags[whole] & SPLIT == 0]
+    tried = OctreeTexture(tree, means, placement, np.zeros((2, 3)))
+    tried = with_split(tried, whole, tree.arrays.flags[whole] & np.uint8(FACING_FLAGS), {})
+    start = {name: channel._replace(values=values[name].values) for name, channel in tried.channels.items()}
     own = np.repeat(chosen, np.diff(leaves.firsts))
     finest = np.logical_or.reduceat(own, samples.firsts[:-1])
     found = fitted_rows(
-        tried, start, samples.of(np.flatnonzero(finest)), leaves.rows_of(tried, chosen), placement,
+        tried.tree, start, samples.of(np.flatnonzero(finest)), leaves.rows_of(tried.tree, chosen), placement,
         executor=executor, progress=progress, unfitted=unfitted,
     )  # fmt: skip
-    owners = np.repeat(tried.split.cells, np.bitwise_count(tried.split.facings))
-    differs = tree.arrays.flags[owners] & SPLIT > 0
-    for channel in found.values():
-        apart = in_codes(channel.split_values, channel.format)
-        apart = apart - in_codes(channel.values[owners], channel.format)
-        differs |= (np.abs(apart) > MOST).any(axis=1)
-    needs = np.zeros(tree.n_cells, np.bool_)
-    needs[owners[differs]] = True
-    needed = needs[owners]
-    is_split = needs[tried.split.cells]
-    split = SplitTable(tried.split.cells[is_split], tried.split.facings[is_split], tried.split.areas[needed])
-    flags = tried.arrays.flags & np.where(needs, 0xFF, 0xFF ^ SPLIT).astype(np.uint8)
-    channels = {
-        name: channel._replace(split_values=channel.split_values[needed]) for name, channel in found.items()
-    }
-    return tree.with_cell_data(flags, tree.arrays.areas, split, tree.kept), channels
+    made = OctreeTexture(tried.tree, found, placement, tried.bounds)
+    made = without_split(made, split_in_vain(made, whole))
+    return made.tree, dict(made.channels)
 
 
 def _in_sight(tree: Octree, leaves: Leaves, samples: Samples) -> Bools:
@@ -129,32 +120,3 @@ def _in_sight(tree: Octree, leaves: Leaves, samples: Samples) -> Bools:
             reached[rows] = True
     flags = tree.arrays.flags[order]
     return reached[order] & (flags & FACING_FLAGS > 0)
-
-
-def split_leaves(tree: Octree, channels: Channels, cells: Int64s) -> tuple[Octree, dict[str, Channel]]:
-    """Split leaves (n,), unless they are: their rows hold their values, and a part of their areas each."""
-    flags = tree.arrays.flags
-    cells = np.sort(cells[flags[cells] & SPLIT == 0])
-    facings = flags[cells] & np.uint8(FACING_FLAGS)
-    counts = np.bitwise_count(facings).astype(np.int64)
-    rows = np.repeat(cells, counts)
-    areas = tree.arrays.areas[rows].astype(np.float64) - np.repeat(AREA_STEPS * np.log2(counts), counts)
-    areas = np.where(tree.arrays.areas[rows] > 0, np.clip(np.rint(areas), 1, 255), 0).astype(np.uint8)
-    split = tree.split
-    order = np.argsort(np.concatenate([split.cells, cells]), kind="stable")
-    old_rows = np.repeat(split.cells, np.bitwise_count(split.facings))
-    row_order = np.argsort(np.concatenate([old_rows, rows]), kind="stable")
-    table = SplitTable(
-        np.concatenate([split.cells, cells]).astype(np.uint32)[order],
-        np.concatenate([split.facings, facings])[order],
-        np.concatenate([split.areas, areas])[row_order],
-    )
-    flags = flags.copy()
-    flags[cells] |= SPLIT
-    made = {
-        name: channel._replace(
-            split_values=np.concatenate([channel.split_values, channel.values[rows]])[row_order]
-        )
-        for name, channel in channels.items()
-    }
-    return tree.with_cell_data(flags, tree.arrays.areas, table, tree.kept), made

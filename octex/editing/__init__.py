@@ -1,1 +1,11 @@
-"""What every change of a texture shares: areas, and the averages of nodes and of their rows."""
+"""What every change of a texture shares.
+
+codes       the scale on which facings are told apart
+split       what cells show each way: rows of split cells, read and changed
+nodes       some nodes of a tree, and their rows, level by level
+averages    a node's value: the mean of what is below it, and its residual; areas that are sums
+refined     cells below leaves: what the field refines to, and in which facings
+carried     the values of a texture in a tree that was made from its own
+
+Areas by their codes, and the split table itself, are in ``tree``: areas, split.
+"""

@@ -4,12 +4,13 @@ The mean weighs children by area and alpha, as a conversion does; alpha itself b
 holds a coefficient, not a mean, so the value of a node, the mean of the source, is not the mean of its
 children. What it differs by is its *residual*; a difference that is no more than rounding is none. An edit
 says what becomes of residuals; the mean of the children as they are then is added to that.
+
+The rows of a split node are averages likewise, of what its children show the same way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from itertools import pairwise
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,25 +26,24 @@ from octex.channels import (
     decode_table,
     encode,
 )
-from octex.jit import decoded, kernel, popcount
+from octex.editing.nodes import Nodes, all_children, all_nodes, by_level, rows_by_level
+from octex.editing.split import rows_facing
+from octex.jit import decoded, kernel
+from octex.texture import Channel, OctreeTexture
 from octex.texture.blend import NO_TABLE
-from octex.texture.channel import Channel
-from octex.tree.edit import children_of, first_children, nodes_by_level
-from octex.tree.layout import AREA_ONE, AREA_STEPS, TreeArrays
+from octex.tree.areas import AREAS, area_codes
+from octex.tree.edit import children_of
 from octex.tree.octree import Octree
+from octex.tree.split import Rows, counts_of, find_rows, rows_of
 
 Array = npt.NDArray[np.generic]
 Bools = npt.NDArray[np.bool_]
 Int64s = npt.NDArray[np.int64]
+Uint8s = npt.NDArray[np.uint8]
 Float32s = npt.NDArray[np.float32]
 Floats = npt.NDArray[np.floating[Any]]
 Float64s = npt.NDArray[np.float64]
 
-#: Areas in cell faces by their codes; contacts weigh next to nothing.
-AREAS = 2.0 ** ((np.arange(256) - AREA_ONE) / AREA_STEPS)
-AREAS[0] = 2.0**-30
-
-_PLAIN = ChannelFormat("number", 1, "data", "float32")
 #: What values of floats may be, light that is nowhere brighter than white; integers are clamped as they are
 #: stored.
 _LIMITS = {
@@ -63,37 +63,16 @@ def difference(_cells: Int64s, values: Float64s, means: Float64s) -> Float64s:
     return values - means
 
 
-class Nodes(NamedTuple):
-    """Some nodes of a tree, level by level."""
+class Residuals(NamedTuple):
+    """What nodes have beyond the averages of what is below them."""
 
-    numbers: Int64s  # (n,)   among its nodes, ascending
-    cells: Int64s  # (n,)   among its cells, ascending
-
-    def of(self, chosen: Bools) -> Nodes:
-        """Return some of them."""
-        return Nodes(self.numbers[chosen], self.cells[chosen])
+    nodes: Floats  # (n, components)
+    rows: Floats  # (rows of these nodes, components)
 
 
-def all_nodes(tree: Octree) -> Nodes:
-    """Return all nodes of a tree."""
-    return Nodes(np.arange(tree.n_nodes), node_cells(tree))
-
-
-def node_cells(tree: Octree) -> Int64s:
-    """Return the cell numbers of all nodes (nodes,), ascending."""
-    cells = np.zeros(tree.n_nodes, np.int64)
-    _node_cells(tree.arrays, cells)
-    return cells
-
-
-def levels_of(tree: Octree, nodes: Nodes) -> list[slice]:
-    """Return where the nodes of each level stand that has any, from the root on."""
-    ends = np.searchsorted(nodes.numbers, tree.arrays.level_nodes[: tree.max_depth + 1])
-    return [slice(begin, end) for begin, end in pairwise(ends.tolist()) if begin < end]
-
-
-def alpha_beside(channels: Mapping[str, Channel], name: str) -> Array | None:
+def _alpha_beside(texture: OctreeTexture, name: str) -> Array | None:
     """Return alpha, as stored (cells, 1), if averages of a channel weigh by it."""
+    channels = texture.channels
     return channels[ALPHA.name].values if ALPHA.name in channels and name != ALPHA.name else None
 
 
@@ -103,51 +82,92 @@ def coverage(alpha: Array) -> Float32s:
 
 
 def residuals(
-    tree: Octree,
-    channel: Channel,
-    alpha: Array | None,
-    change: Change = difference,
-    nodes: Nodes | None = None,
-) -> Floats:
-    """Return the residuals of nodes (n, components), of all if none are given, changed.
-
-    For ``alpha`` see ``alpha_beside``. They are float32, and float64 where float32 is stored.
-    """
+    texture: OctreeTexture, name: str, nodes: Nodes | None = None, change: Change = difference
+) -> Residuals:
+    """Return the residuals of nodes, of all if none are given, changed."""
+    tree, channel = texture.tree, texture.channels[name]
     nodes = all_nodes(tree) if nodes is None else nodes
-    form = channel.format
+    form, alpha = channel.format, _alpha_beside(texture, name)
     precise = np.float64 if form.dtype == "float32" else np.float32
     found = np.zeros((nodes.cells.size, form.components), precise)
-    for here in levels_of(tree, nodes):
-        cells, own = nodes.cells[here], found[here]
+    for here in by_level(tree, nodes):
+        cells = nodes.cells[here]
         means = child_means(tree, nodes.numbers[here], channel.values, form.space, alpha)
-        stored = channel.values[cells]
-        apart = (encode(means, form.dtype, form.space) != stored).any(axis=1)
-        if apart.any():
-            values = decode(stored[apart], form.space).astype(np.float64)
-            own[apart] = change(cells[apart], values, means[apart])
-    return found
+        _keep_apart(form, channel.values[cells], means, cells, change, found[here])
+    of_rows = np.zeros((rows_of(tree.split, nodes.cells).rows.size, form.components))
+    for here, rows, owners in rows_by_level(tree, nodes):
+        means, has = _row_means(texture, channel, rows, owners)
+        stored = channel.split_values[rows.rows[has]]
+        own = np.zeros((stored.shape[0], form.components))
+        _keep_apart(form, stored, means[has], rows.cells[has], change, own)
+        of_rows[here][has] = own
+    return Residuals(found, of_rows)
+
+
+def _keep_apart(
+    form: ChannelFormat, stored: Array, means: Float64s, cells: Int64s, change: Change, found: Floats
+) -> None:
+    """Write the residuals of what is stored in cells (n, components), changed, where they are not zeros."""
+    differs = encode(means, form.dtype, form.space) != stored
+    if differs.any():
+        apart = np.logical_or.reduce(list(differs.T))  # twice as fast as along an axis of three
+        values = decode(stored[apart], form.space).astype(np.float64)
+        found[apart] = change(cells[apart], values, means[apart])
+
+
+def residuals_at(texture: OctreeTexture, name: str, places: Nodes, owners: Int64s, bits: Uint8s) -> Residuals:
+    """Return the residuals that a texture has in places (n,), and in rows (m,) that another has there.
+
+    ``places`` are its nodes; where there is none, the number is −1, and residuals are zeros. ``owners`` (m,)
+    are the places of the rows, ``bits`` (m,) their facings; a row that is not there has its node's residual.
+    """
+    has = places.numbers >= 0
+    found = np.zeros((has.size, texture.channels[name].format.components))
+    if not has.any():
+        return Residuals(found, found[owners])
+    nodes = places.of(has)
+    own = residuals(texture, name, nodes)
+    found[has] = own.nodes
+    of_rows = found[owners]
+    there, rows = find_rows(texture.tree.split, np.where(has, places.cells, -1)[owners], bits)
+    if rows.size:
+        of_rows[there] = own.rows[np.searchsorted(rows_of(texture.tree.split, nodes.cells).rows, rows)]
+    return Residuals(found, of_rows)
 
 
 def average(
-    tree: Octree, channel: Channel, alpha: Array | None, left: Floats, nodes: Nodes | None = None
+    texture: OctreeTexture, channel: Channel, left: Residuals | None = None, nodes: Nodes | None = None
 ) -> None:
-    """Make the values of nodes, of all if none are given, anew, in place.
+    """Make the values of nodes, of all if none are given, and their rows anew, in place.
 
-    They become the means of their children and residuals ``left`` (n, components).
+    They become the means of their children, and the residuals that are ``left``; None stands for zeros. A row
+    that no child shows the same way as stays. ``texture`` has the tree, and the alpha that is weighed by.
     """
+    tree, form, limits = texture.tree, channel.format, limits_of(channel)
     nodes = all_nodes(tree) if nodes is None else nodes
-    form, limits = channel.format, limits_of(channel)
-    for here in reversed(levels_of(tree, nodes)):
+    alpha = _alpha_beside(texture, form.name)
+    for here in reversed(by_level(tree, nodes)):
         means = child_means(tree, nodes.numbers[here], channel.values, form.space, alpha)
-        made = with_residuals(limits, means, left[here])
+        made = means if left is None else with_residuals(limits, means, left.nodes[here])
         channel.values[nodes.cells[here]] = encode(made, form.dtype, form.space)
+    average_rows(texture, channel, None if left is None else left.rows, nodes)
+
+
+def average_rows(texture: OctreeTexture, channel: Channel, left: Floats | None, nodes: Nodes) -> None:
+    """Make the rows of nodes anew, in place; ``left`` (rows, components) of residuals. See `average`."""
+    form, limits = channel.format, limits_of(channel)
+    for here, rows, owners in reversed(list(rows_by_level(texture.tree, nodes))):
+        means, has = _row_means(texture, channel, rows, owners)
+        made = means[has] if left is None else with_residuals(limits, means[has], left[here][has])
+        channel.split_values[rows.rows[has]] = encode(made, form.dtype, form.space)
 
 
 def average_plain(tree: Octree, numbers: Float32s, nodes: Nodes | None = None) -> None:
     """Make the numbers of nodes, in place, the means of those of their children; ``numbers`` (cells,)."""
-    channel = Channel(_PLAIN, numbers[:, None], numbers[:0, None], numbers[:0, None])
-    count = tree.n_nodes if nodes is None else nodes.cells.size
-    average(tree, channel, None, np.zeros((count, 1)), nodes)
+    nodes = all_nodes(tree) if nodes is None else nodes
+    for here in reversed(by_level(tree, nodes)):
+        means = child_means(tree, nodes.numbers[here], numbers[:, None], "data", None)
+        numbers[nodes.cells[here]] = means[:, 0]
 
 
 def limits_of(channel: Channel) -> tuple[float, float]:
@@ -165,6 +185,8 @@ def limits_of(channel: Channel) -> tuple[float, float]:
 
 def with_residuals(limits: tuple[float, float], means: Float64s, left: Floats) -> Float64s:
     """Add residuals to means (n, components), decoded; they leave no value out of limits that it was in."""
+    if not left.any():
+        return means
     low, high = limits
     limited = np.clip(means + left, np.minimum(means, low), np.maximum(means, high))
     return np.asarray(limited, np.float64)
@@ -222,37 +244,51 @@ def _means(
             means[n, k] /= total
 
 
-@kernel
-def _node_cells(arrays: TreeArrays, cells: Int64s) -> None:
-    """Fill in the cells of the nodes after the root."""
-    groups = arrays.groups
-    next_node, begin = 1, np.int64(1)
-    for node in range(cells.size):
-        shift = np.uint64(8 * (node & 7))
-        nodes = groups[node >> 3, 0] >> shift & np.uint64(0xFF)
-        children = nodes | groups[node >> 3, 1] >> shift & np.uint64(0xFF)
-        while nodes != np.uint64(0) and next_node < cells.size:
-            lowest = nodes & (~nodes + np.uint64(1))
-            nodes ^= lowest
-            cell = begin + popcount(children & (lowest - np.uint64(1)))
-            cells[next_node] = min(cell, np.int64(arrays.areas.size - 1))
-            next_node += 1
-        begin += popcount(children)
+def _row_means(
+    texture: OctreeTexture, channel: Channel, rows: Rows, owners: Int64s
+) -> tuple[Float64s, Bools]:
+    """Return the means (n, components) of what children show as rows do, and for which rows some do."""
+    tree = texture.tree
+    children, bits, starts, shares = _row_shares(tree, tree.split.areas, rows, owners)
+    alpha = texture.channels.get(ALPHA.name)
+    if alpha is not None and channel.format.name != ALPHA.name:
+        shares *= np.maximum(rows_facing(texture, alpha, children, bits)[:, 0], LEAST_COVERAGE)
+    values = rows_facing(texture, channel, children, bits) * shares[:, None]
+    totals = np.add.reduceat(shares, starts)
+    sums = np.add.reduceat(values, starts, axis=0)
+    return sums / np.where(totals > 0, totals, 1.0)[:, None], totals > 0
 
 
-def add_up_areas(tree: Octree, is_new: Bools, areas: npt.NDArray[np.uint8]) -> None:
-    """Give nodes above new cells the areas of all their children, in place."""
-    first = tree.arrays.level_cells
-    above = is_new.copy()
-    nodes_of = nodes_by_level(tree)
-    for level in range(tree.max_depth - 1, -1, -1):
-        starts = first_children(tree, level) - first[level + 1]
-        if not starts.size:
-            continue
-        below = slice(int(first[level + 1]), int(first[level + 2]))
-        changed = np.logical_or.reduceat(above[below], starts)
-        nodes = nodes_of[level][changed]
-        above[nodes] = True
-        sums = np.add.reduceat(np.where(areas[below] > 0, AREAS[areas[below]], 0.0), starts)[changed] / 4
-        coded = np.rint(AREA_STEPS * np.log2(np.maximum(sums, 1e-30)) + AREA_ONE)
-        areas[nodes] = np.where(sums > 0, np.clip(coded, 1, 255), 0)
+def _row_shares(
+    tree: Octree, areas: Uint8s, rows: Rows, owners: Int64s
+) -> tuple[Int64s, Uint8s, Int64s, Float64s]:
+    """Return the children (n,) of rows' owners, the rows' facings, where each row's begin, and their areas.
+
+    ``areas`` are those of all rows of the tree. What a child does not face counts for nothing.
+    """
+    children, starts = all_children(tree, owners)
+    bits = np.repeat(rows.bits, np.diff(starts, append=children.size))
+    flags = tree.arrays.flags[children]
+    shares = AREAS[tree.arrays.areas[children]] / np.maximum(counts_of(flags), 1)
+    there, found = find_rows(tree.split, children, bits)
+    shares[there] = AREAS[areas[found]]
+    shares[flags & bits == 0] = 0.0
+    return children, bits, starts, shares
+
+
+def with_summed_areas(tree: Octree, nodes: Nodes) -> Octree:
+    """Return a tree in which the areas of nodes, and of their rows, are the sums of what is below them.
+
+    A row that no child shows the same way as keeps its own.
+    """
+    areas, row_areas = tree.arrays.areas.copy(), tree.split.areas.copy()
+    for here in reversed(by_level(tree, nodes)):
+        children, starts = all_children(tree, nodes.numbers[here])
+        sums = np.add.reduceat(AREAS[areas[children]], starts)
+        areas[nodes.cells[here]] = area_codes(sums / 4)
+    tree = tree.with_cell_data(tree.arrays.flags, areas, tree.split, tree.kept)
+    for _, rows, owners in reversed(list(rows_by_level(tree, nodes))):
+        _, _, starts, shares = _row_shares(tree, row_areas, rows, owners)
+        totals = np.add.reduceat(shares, starts)
+        row_areas[rows.rows[totals > 0]] = area_codes(totals[totals > 0] / 4)
+    return tree.with_cell_data(tree.arrays.flags, areas, tree.split._replace(areas=row_areas), tree.kept)

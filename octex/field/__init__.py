@@ -13,6 +13,7 @@ A lookup goes through this room from left to right, a block of points at a time;
     levels         └── order · bricks · crowded            many points at once where the walk would answer:
                                                            source and sink in one
                    `tiled` takes one channel by tiles through all of that in one call, step by step
+   `seen` weighs by areas and facings while it sums up, where nothing else changes the weights
 
 Trees of one depth that were painted more finely have tiles too: marked where the walk, or bricks, answer.
 `listing` is for others: the rows that lookups blend and their weights, or the rows that they read.

@@ -181,7 +181,7 @@ def _child_place(x: int, y: int, z: int, octant: int, side: int) -> int:
 
 
 @inlined
-def _list_children(tree: Tree, values: Rows, bricks: Bricks, step: int, side: int) -> bool:
+def list_children(tree: Tree, values: Rows, bricks: Bricks, step: int, side: int) -> bool:
     """List the coefficients below the nodes of a block, and which children of these are nodes.
 
     Returns False if there is any such after the last step.
@@ -252,7 +252,7 @@ def look_below(tree: Tree, values: Rows, bricks: Bricks) -> int:
         if bricks.n_inner[step - 1] == 0:
             return step - 1
         side = (0, 3, 4, 6)[step]
-        if not _list_children(tree, values, bricks, step, side):
+        if not list_children(tree, values, bricks, step, side):
             return -1
     return 3
 

@@ -49,18 +49,18 @@ class Windows(NamedTuple):
     rows: Float32s  # (fields · vectors · levels · places, 4)   coefficients; zeros where there is none
     known: npt.NDArray[np.bool_]  # (fields, levels)   whether the level's coefficients are written
     kinds: npt.NDArray[np.uint64]  # (fields, levels)   the kinds of cells that they are made of
-    #: (fields · levels · vectors, 2, 4) or (0, 2, 4)   the least and the largest of what these cells hold
+    #: (fields · levels · vectors, 2, 4)   the least and the largest of what these cells hold
     ranges: Float32s
 
 
 @kernel
-def new_windows(fields: int, vectors: int, has_ranges: bool) -> Windows:
+def new_windows(fields: int, vectors: int) -> Windows:
     """Return windows of which nothing is known."""
     return Windows(
         np.zeros((fields * vectors * _LEVELS * _PLACES, 4), np.float32),
         np.zeros((fields, _LEVELS), np.bool_),
         np.zeros((fields, _LEVELS), np.uint64),
-        np.zeros((fields * _LEVELS * vectors if has_ranges else 0, 2, 4), np.float32),
+        np.zeros((fields * _LEVELS * vectors, 2, 4), np.float32),
     )
 
 
@@ -130,8 +130,7 @@ def _gather(
     kinds = np.uint64(0)
     is_below = is_refined(walk, level)
     range_row = (which * _LEVELS + level) * vectors
-    has_ranges = windows.ranges.shape[0] > 0 and not is_facing
-    if has_ranges:
+    if not is_facing:
         for vector in range(vectors):
             _begin_range(windows.ranges, range_row + vector, range_row + vector - vectors if is_below else -1)
     if is_below:
@@ -171,9 +170,8 @@ def _gather(
             kinds |= np.uint64(1) << np.uint64(flags & np.uint8(FACING_FLAGS))
         for vector in range(vectors):
             _write(windows.rows, at + vector * stride, _covered(field, cell, vectors, vector))
-            if has_ranges:
-                _widen(windows.ranges, range_row + vector, _read(field.rows, cell * vectors + vector))
-        if has_ranges and flags & np.uint8(SPLIT) != 0 and field.splits.size > 0:
+            _widen(windows.ranges, range_row + vector, _read(field.rows, cell * vectors + vector))
+        if flags & np.uint8(SPLIT) != 0 and field.splits.size > 0:
             for row in range(_row_of(field, cell, flags, 0), _row_of(field, cell, flags, 6)):
                 for vector in range(vectors):
                     _widen(windows.ranges, range_row + vector, _read(field.rows, row * vectors + vector))

@@ -29,7 +29,7 @@ from octex.field.taps import (
     Taps,
     place_points,
 )
-from octex.field.tiled import tiled_taps
+from octex.field.tiled import Search, tiled_taps
 from octex.field.tiles import Tiles, build_tiles, can_be_tiled, marked, painted_depth
 from octex.parallel import built_once
 from octex.tree.octree import Octree
@@ -75,6 +75,9 @@ class Field:
         self._lock = RLock()
         self._levels: dict[int, Field] = {}
         self._areas: dict[int, npt.NDArray[np.uint8]] = {}
+        #: How leaves are searched without normals, by filter and by how many tiles were searched before: made
+        #: once, which is a part of a lookup of one point.
+        self.plain_searches: dict[tuple[int, int], Search] = {}
 
     def __reduce__(self) -> tuple[type[Field], tuple[Octree]]:
         return Field, (self.tree,)
@@ -179,9 +182,32 @@ class Field:
         normals: Float32s | None = None,
         gradient: bool = False,
     ) -> Iterator[Listed]:
-        """Yield the taps of consecutive runs of rest positions. See ``taps``.
+        """Yield the taps of consecutive runs of rest positions. See ``taps`` and ``runs``."""
+        for taps in self.runs(points, placement, filter, normals=normals, gradient=gradient):
+            n, room = taps.starts.size, int((taps.ends - taps.starts).sum()) + 1
+            starts, rows, weights = (
+                np.empty(n + 1, np.int64),
+                np.empty(room, np.uint32),
+                np.empty(room, np.float32),
+            )
+            slopes = np.empty((room if gradient else 0, 3), np.float32)
+            list_taps(taps, 1.0 / placement.size, starts, rows, weights, slopes)
+            end = starts[-1]
+            yield Listed(starts, rows[:end], weights[:end], slopes[:end], taps.covers)
 
-        With ``normals`` (n, 3) they are what faces these; after the kept rows come those of the split table.
+    def runs(
+        self,
+        points: Points,
+        placement: Placement,
+        filter: str = "quadratic",
+        *,
+        normals: Float32s | None = None,
+        gradient: bool = False,
+    ) -> Iterator[Taps]:
+        """Yield what runs of rest positions (n, 3) blend, as it is found: valid until the next run.
+
+        With ``normals`` (n, 3) it is what faces these; after the kept rows come those of the split table.
+        Raises NotFiniteError.
         """
         finder = Finder(self, filter, gradient=gradient)
         places = np.empty((min(len(points), BLOCK), 3))
@@ -192,18 +218,7 @@ class Field:
             if fault >= 0:
                 raise NotFiniteError(begin + fault)
             taps = finder.find(here)
-            if normals is not None:
-                taps = self.facing(taps, normals[begin : begin + BLOCK], self)
-            room = int((taps.ends - taps.starts).sum()) + 1
-            starts, rows, weights = (
-                np.empty(len(some) + 1, np.int64),
-                np.empty(room, np.uint32),
-                np.empty(room, np.float32),
-            )
-            slopes = np.empty((room if gradient else 0, 3), np.float32)
-            list_taps(taps, 1.0 / placement.size, starts, rows, weights, slopes)
-            end = starts[-1]
-            yield Listed(starts, rows[:end], weights[:end], slopes[:end], taps.covers)
+            yield taps if normals is None else self.facing(taps, normals[begin : begin + BLOCK], self)
 
     def facing(self, taps: Taps, normals: Float32s, whole: Field) -> Taps:
         """Return what faces the normals (points, 3) of taps, which change: see `stages.face`.

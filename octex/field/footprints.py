@@ -125,6 +125,25 @@ def _principal_axes(
 
 
 @kernel
+def passed_on(looks: Looks, left: Float32s, least: np.float32, more: Looks) -> Looks:
+    """Return ``more`` looks, and those of which more than ``least`` is ``left`` (m,), with that share."""
+    count = n_more = more.shares.size
+    for n in range(left.size):
+        count += left[n] > least
+    points, owners = np.empty((count, 3), looks.points.dtype), np.empty(count, np.int32)
+    shares = np.empty(count, np.float32)
+    points[:n_more], owners[:n_more], shares[:n_more] = more.points, more.owners, more.shares
+    at = n_more
+    for n in range(left.size):
+        if left[n] > least:
+            points[at, 0], points[at, 1] = looks.points[n, 0], looks.points[n, 1]
+            points[at, 2], owners[at] = looks.points[n, 2], looks.owners[n]
+            shares[at] = looks.shares[n] * left[n]
+            at += 1
+    return Looks(points, owners, shares)
+
+
+@kernel
 def _levels_of(widths: Float64s, size: float, depth: int, finer: float, levels: Float32s) -> None:
     """Say at which level, 0 … depth and between, looks of some widths are made."""
     least, most = size * 0.25**MAX_DEPTH, size * 4.0**MAX_DEPTH

@@ -12,13 +12,14 @@ from octex.channels import ColorSpace, decode
 from octex.field.bricks import Values, new_bricks
 from octex.field.crowded import Asked, look_up_crowded
 from octex.field.field import Field, Finder
-from octex.field.footprints import Footprints, Looks, spread
+from octex.field.footprints import Footprints, Looks, passed_on, spread
 from octex.field.order import order_of
 from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, cover, divide
 from octex.field.splines import FILTERS
 from octex.field.stages import Facings, leave_mixed, weigh_by_area
-from octex.field.taps import BLOCK, Float32s, Int64s, Memory, Points, Taps, place_points
+from octex.field.taps import BLOCK, Bytes, Float32s, Int64s, Memory, Points, Taps, place_points
 from octex.field.tiled import Search, Weighed, add_tiled, look_up_tiled
+from octex.field.tiles import Tiles
 from octex.field.windows import new_walk
 from octex.tree.placement import Placement
 
@@ -30,6 +31,7 @@ _NO_GRADIENTS = np.empty((0, 1, 3), np.float32)
 _NO_TABLE = np.empty(0, np.float32)
 _NO_VECTORS = np.empty((0, 3), np.float32)
 _NO_BYTES = np.empty(0, np.uint8)
+_NO_NUMBERS = np.empty(0, np.int64)
 _NO_FACINGS = Facings(_NO_BYTES, np.empty(0, np.uint32), np.empty(0, np.uint32))
 
 
@@ -39,10 +41,9 @@ class Query(NamedTuple):
     filter: str
     footprints: Footprints | None = None  # None: the leaves where the points are
     normals: Float32s | None = None  # (n, 3)   what faces away from them is not seen
-    #: For footprints without normals: how far opposite facings of the split cells of a level's field differ.
-    #: Cells where they do by ``threshold`` or more are left to the next finer level.
-    spreads: Callable[[int], Float32s] | None = None
-    threshold: float = 0.0
+    #: For footprints without normals: which cells (cells,) of a level's field are left to the next finer
+    #: level, see `stages.mark_mixed`.
+    mixed: Callable[[int], Bytes] | None = None
 
     def of(self, points: Int64s) -> Query:
         """Return what is asked of some of the points."""
@@ -114,12 +115,10 @@ class _Lookup:
         self._channel: Weighed | None = None
         if len(channels) == 1:
             own, weighing = channels[0], None if channels[0].is_alpha else alpha
-            spaces, types = {own.space}, {own.codes.values.dtype}
-            if weighing:
-                spaces.add(weighing.space)
-                types.add(weighing.codes.values.dtype)
-            if spaces == {None} and len(types) == 1:  # else kernels would be compiled for each pair of types
-                self._channel = Weighed(own.codes, (weighing or own).codes, weighing is not None)
+            other = weighing or own
+            is_alike = own.codes.values.dtype == other.codes.values.dtype
+            if own.space is other.space is None and is_alike:  # else many pairs of types would be compiled
+                self._channel = Weighed(own.codes, other.codes, weighing is not None)
 
     @cached_property
     def _order(self) -> list[int]:
@@ -175,18 +174,11 @@ class _Lookup:
         channel, (answer,), normals = self._channel, self._answers, self._query.normals
         gradients = self._gradients[0] if self._gradients else _NO_GRADIENTS
 
-        def look_up_some(search: Search, which: Int64s | None, lost: Int64s) -> tuple[int, int, int]:
-            some, facing, found, slopes = points, normals, answer, gradients
-            if which is not None:
-                some, facing = points[which], None if normals is None else normals[which]
-                found, slopes = np.empty_like(answer[: which.size]), np.empty_like(gradients[: which.size])
-            facing = _NO_VECTORS if facing is None else facing
-            listed = look_up_tiled(search, some, *self._placement, facing, channel, found, slopes, lost)
-            if which is not None:
-                answer[which] = found
-                if self._gradients:
-                    gradients[which] = slopes
-            return listed
+        facing = _NO_VECTORS if normals is None else normals
+
+        def look_up_some(search: Search, which: Int64s, lost: Int64s) -> tuple[int, int, int]:
+            given = points, which, *self._placement, facing
+            return look_up_tiled(search, *given, channel, answer, gradients, lost)
 
         rim, fault = self._search(self._field, len(points), look_up_some)
         if rim.size:
@@ -197,46 +189,53 @@ class _Lookup:
         self,
         here: Field,
         count: int,
-        look_up_some: Callable[[Search, Int64s | None, Int64s], tuple[int, int, int]],
+        look_up_some: Callable[[Search, Int64s, Int64s], tuple[int, int, int]],
     ) -> tuple[Int64s, int]:
         """Look points up by a level's tiles, and those that they do not have by coarser ones.
 
-        ``look_up_some`` takes the numbers of points, or None for all, and lists what is lost, like
+        ``look_up_some`` takes the numbers of points that are off the surface, and lists what is lost, like
         `look_up_tiled`. Returns the points for the walk, and the first that is not finite or −1.
         """
-        which: Int64s | None = None
+        which = _NO_NUMBERS
         rims = []
         for search in self._searches(here):
-            lost = np.empty((2, count if which is None else which.size), np.int64)
+            lost = np.empty((2, which.size if search.is_off else count), np.int64)
             n_empty, n_rim, fault = look_up_some(search, which, lost)
             if fault >= 0:
-                return lost[1, :0], fault
-            empty, rim = lost[0, :n_empty], lost[1, :n_rim]
-            if which is not None:
-                empty, rim = which[empty], which[rim]
+                return _NO_NUMBERS, fault
             if n_rim:
-                rims.append(rim)
+                rims.append(lost[1, :n_rim])
             if not n_empty:
                 break
-            which = empty
-        return np.concatenate(rims) if rims else rim, -1
+            which = lost[0, :n_empty]
+        return np.concatenate(rims) if rims else _NO_NUMBERS, -1
 
     def _searches(self, here: Field) -> Iterator[Search]:
         """Yield how a level's field is searched by tiles, its own and then coarser ones."""
+        filter_code = FILTERS.index(self._query.filter)
+        is_plain = here is self._field and self._query.normals is None
+        known = here.plain_searches if is_plain else {}
+        for number, tiles in enumerate(here.searched(filter_code)):
+            key = filter_code, number
+            if key not in known:
+                known[key] = self._search_by(here, tiles, number > 0)
+            yield known[key]
+
+    def _search_by(self, here: Field, tiles: Tiles, is_off: bool) -> Search:
+        """Return how a level's field is searched by some tiles."""
         field, tree, faces = self._field, here.tree, self._query.normals is not None
-        areas, spreads = _NO_BYTES, _NO_TABLE
+        areas = mixed = _NO_BYTES
         if here is not field:
             areas = field.areas_of_averages(tree.max_depth)[: tree.n_cells]
         if not faces and self._mixes(here):
-            assert self._query.spreads is not None
-            spreads = self._query.spreads(tree.max_depth)
-        facings = here.facings if faces or spreads.size else _NO_FACINGS
+            assert self._query.mixed is not None
+            mixed = self._query.mixed(tree.max_depth)
+        facings = here.facings if faces else _NO_FACINGS
         first_kept = field.tree.n_cells
         first_row = first_kept + field.tree.kept.cells.size
-        weighing = areas, facings, faces, first_kept, first_row, spreads, self._query.threshold
+        weighing = areas, facings, faces, first_kept, first_row, mixed
         filter_code = FILTERS.index(self._query.filter)
-        for number, tiles in enumerate(here.searched(filter_code)):
-            yield Search(filter_code, tiles, tree.n_cells - 1, number > 0, *weighing)
+        return Search(filter_code, tiles, tree.n_cells - 1, is_off, *weighing)
 
     def leaves(self, points: Points) -> int:
         """Look up the leaves, in any tree."""
@@ -314,18 +313,10 @@ class _Lookup:
         channel, left = self._channel, self._room_for_left(here, looks)
         facing = _NO_VECTORS if normals is None else normals
 
-        def add_some(search: Search, which: Int64s | None, lost: Int64s) -> tuple[int, int, int]:
-            some, part = looks, left
-            if which is not None:
-                some = looks.of(which)
-                part = self._room_for_left(here, some)
-            points, owners, shares = some
-            n_empty, n_rim = add_tiled(
-                search, points, *self._placement, facing, owners, shares, part, channel, sums[0], lost
-            )
-            if which is not None and part.size:
-                left[which] = part
-            return n_empty, n_rim, -1
+        def add_some(search: Search, which: Int64s, lost: Int64s) -> tuple[int, int, int]:
+            given = looks.points, which, *self._placement, facing
+            listed = add_tiled(search, *given, looks.owners, looks.shares, left, channel, sums[0], lost)
+            return *listed, -1
 
         rim, _ = self._search(here, len(looks.points), add_some)
         if rim.size:
@@ -381,14 +372,13 @@ class _Lookup:
         if normals is not None:
             taps = here.facing(taps, normals, field)
         elif left is not None and self._mixes(here):
-            assert self._query.spreads is not None
-            spreads = self._query.spreads(here.tree.max_depth)
-            leave_mixed(taps, here.facings, spreads, self._query.threshold, left)
+            assert self._query.mixed is not None
+            leave_mixed(taps, self._query.mixed(here.tree.max_depth), left)
         return taps, fault
 
     def _mixes(self, here: Field) -> bool:
         """Say whether a level's averages may mix opposite facings."""
-        return here is not self._field and self._query.spreads is not None and here.tree.split.cells.size > 0
+        return here is not self._field and self._query.mixed is not None and here.tree.split.cells.size > 0
 
     def _weighed(self, taps: Taps, is_asked: bool, *, always: bool) -> Iterator[tuple[int, Stored]]:
         """Yield the channels by number, those that are not alpha after their taps weigh by it."""
@@ -430,11 +420,8 @@ def _levels(by_level: dict[int, Looks], depth: int) -> Iterator[tuple[int, Looks
 
 def _pass_on(by_level: dict[int, Looks], level: int, looks: Looks, left: Float32s) -> None:
     """Look at the next level for what was not seen at this."""
-    unseen = np.flatnonzero(left > _ROUNDED)
-    if not unseen.size:
-        return
-    more = looks.of(unseen)
-    more = more._replace(shares=more.shares * left[unseen])
-    if level + 1 in by_level:
-        more = Looks(*(np.concatenate(pair) for pair in zip(by_level[level + 1], more, strict=True)))
-    by_level[level + 1] = more
+    if left.size:
+        none = Looks(looks.points[:0], looks.owners[:0], looks.shares[:0])
+        more = passed_on(looks, left, _ROUNDED, by_level.get(level + 1, none))
+        if more.shares.size:
+            by_level[level + 1] = more

@@ -15,7 +15,8 @@ import numpy.typing as npt
 
 from octex.field.taps import OFF, Bytes, Float32s, Memory, Taps, Uint32s, end_of, scale
 from octex.jit import decoded, inlined, kernel, popcount, prefetch, trailing_zeros
-from octex.tree.layout import AREA_ONE, AREA_STEPS, FACING_FLAGS, POSITIVE_FACINGS, SPLIT
+from octex.tree.areas import AREAS
+from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
 from octex.tree.octree import Octree
 
 Rows = npt.NDArray[np.uint8 | np.uint16 | np.float32]
@@ -25,7 +26,7 @@ Table = npt.NDArray[np.float32 | np.float64]
 #: not known. By the area itself, cells that the surface hardly touches count for as little as they hold, but
 #: what is then looked at is more ragged: half way from equal weights, painted content was nearest to the
 #: truth.
-AREA_WEIGHTS = (2.0 ** ((np.arange(256) - AREA_ONE) / AREA_STEPS / 2)).astype(np.float32)
+AREA_WEIGHTS = np.sqrt(AREAS).astype(np.float32)
 AREA_WEIGHTS[0] = 1.0
 
 #: Cosine between the normal and one of a cell's facings from which on the cell counts in full. A surface is
@@ -35,13 +36,13 @@ _FULL = np.float32(0.5)
 #: Difference of cosines, to the facing nearest to the normal, within which others of a split cell count too.
 _NEAR = np.float32(0.2)
 #: Weight of what faces away: decides only where nothing else is there, as behind double-sided materials.
-_AWAY = np.float32(1e-6)
+AWAY = np.float32(1e-6)
 
 #: Most taps that stand for one: a facing of each axis.
 MOST_ROWS = 3
 
 #: So many rows lie in the processor's second cache, and need not be asked for.
-_NEAR_ROWS = 1 << 16
+NEAR_ROWS = 1 << 16
 #: Points whose split cells are asked for before any is read.
 _GROUP = 64
 
@@ -117,39 +118,35 @@ def weigh_by_area(taps: Taps, areas: Bytes) -> None:
 
 
 @kernel
-def leave_mixed(taps: Taps, facings: Facings, spreads: Float32s, threshold: float, left: Float32s) -> None:
-    """Let cells whose opposite facings differ by ``threshold`` or more weigh nothing.
+def mark_mixed(cells: Uint32s, facings: Bytes, spreads: Float32s, threshold: float, mixed: Bytes) -> None:
+    """Mark the split cells whose opposite facings differ by ``threshold`` or more in ``mixed`` (cells,).
 
-    ``spreads`` (rows,) say how far they differ, at each split cell's first row. Writes to ``left`` (points,)
-    the part of the weight that is taken away.
+    ``spreads`` (rows,) say how far they differ, at each split cell's first row.
     """
-    n_cells = np.uint32(facings.flags.size)
-    split = np.empty(end_of(taps) + 1, np.int64)
+    row = 0
+    for n in range(cells.size):
+        flags = facings[n] & np.uint8(FACING_FLAGS)
+        is_double = flags & (flags >> np.uint8(1)) & np.uint8(POSITIVE_FACINGS) != 0
+        if is_double and np.int64(cells[n]) < mixed.size and row < spreads.size:
+            mixed[cells[n]] = spreads[row] >= threshold
+        row += popcount(np.uint64(flags))
+
+
+@kernel
+def leave_mixed(taps: Taps, mixed: Bytes, left: Float32s) -> None:
+    """Let cells that are marked in ``mixed`` (cells,) weigh nothing; see `mark_mixed`.
+
+    Writes to ``left`` (points,) the part of the weight that is taken away.
+    """
     for n in range(taps.starts.size):
-        start, end = taps.starts[np.uint64(n)], taps.ends[np.uint64(n)]
-        left[np.uint64(n)] = np.float32(0.0)
-        n_split = 0
-        for tap in range(start, end):
-            cell = taps.rows[np.uint64(tap)]
-            flags = facings.flags[np.uint64(cell)] if cell < n_cells else np.uint8(0)
-            split[np.uint64(n_split)] = tap
-            n_split += int(flags >= np.uint8(SPLIT))
-        if n_split == 0 or facings.rows.size == 0:
-            continue
         total = gone = np.float32(0.0)
-        for tap in range(start, end):
-            total += taps.weights[np.uint64(tap)]
-        for m in range(n_split):
-            tap = int(split[np.uint64(m)])
-            cell = taps.rows[np.uint64(tap)]
-            flags = facings.flags[np.uint64(cell)]
-            row = min(int(facings.rows[np.uint64(cell)]), spreads.size - 1)
-            is_double = flags & (flags >> np.uint8(1)) & np.uint8(POSITIVE_FACINGS) != 0
-            if is_double and row >= 0 and spreads[np.uint64(row)] >= threshold:
-                gone += taps.weights[np.uint64(tap)]
+        for tap in range(taps.starts[np.uint64(n)], taps.ends[np.uint64(n)]):
+            weight, cell = taps.weights[np.uint64(tap)], taps.rows[np.uint64(tap)]
+            total += weight
+            if cell < mixed.size and mixed[np.uint64(cell)] != 0:
+                gone += weight
                 scale(taps, tap, np.float32(0.0))
-        if gone > np.float32(0.0):
-            left[np.uint64(n)] = gone / total
+        left[np.uint64(n)] = gone / total if gone > np.float32(0.0) else np.float32(0.0)
 
 
 def _directions() -> Bytes:
@@ -165,18 +162,18 @@ def _directions() -> Bytes:
     return table.reshape(-1)
 
 
-_DIRECTIONS = _directions()
+DIRECTIONS = _directions()
 
 
 @inlined
-def _ramp(cosine: np.float32) -> np.float32:
+def ramp(cosine: np.float32) -> np.float32:
     """Rise from 0 to 1 between no and the full cosine, without a bend."""
     t = min(cosine / _FULL, np.float32(1.0))
     return t * t * (np.float32(3.0) - np.float32(2.0) * t)
 
 
 @inlined
-def _unit(normals: Float32s, n: int) -> tuple[np.float32, np.float32, np.float32, int]:
+def unit_of(normals: Float32s, n: int) -> tuple[np.float32, np.float32, np.float32, int]:
     """Return the sizes of a normal's cosines with the axes, and their signs as bits."""
     x, y, z = normals[n, 0], normals[n, 1], normals[n, 2]
     signs = int(x < 0) | int(y < 0) << 1 | int(z < 0) << 2
@@ -187,6 +184,21 @@ def _unit(normals: Float32s, n: int) -> tuple[np.float32, np.float32, np.float32
         length = np.sqrt(x * x + y * y + z * z)
         x, y, z = x / length, y / length, z / length
     return x, y, z, signs
+
+
+@inlined
+def parts_of(parts: Float32s, x: np.float32, y: np.float32, z: np.float32) -> None:
+    """Write what cells weigh (9,) by `direction_of` them, for the sizes of a normal's cosines."""
+    x, y, z = ramp(x) + AWAY, ramp(y) + AWAY, ramp(z) + AWAY
+    parts[0], parts[8] = AWAY, np.float32(1.0) + AWAY
+    parts[1], parts[2], parts[3], parts[4] = x, y, max(x, y), z
+    parts[5], parts[6], parts[7] = max(x, z), max(y, z), max(x, max(y, z))
+
+
+@inlined
+def direction_of(signs: int, flags: np.uint8) -> np.uint8:
+    """Return which facings of a cell can see a normal whose signs are known: see `_directions`."""
+    return DIRECTIONS[np.uint64(64 * signs) + np.uint64(flags & np.uint8(FACING_FLAGS))]  # type: ignore[no-any-return]
 
 
 @inlined
@@ -212,27 +224,23 @@ def face(
     """
     end = end_of(taps)
     parts = np.zeros(9, np.float32)
-    parts[0], parts[8] = _AWAY, np.float32(1.0) + _AWAY
     shares, wanted = np.zeros((8, 3), np.float32), np.zeros(8, np.uint8)
     mixed = np.zeros(_GROUP, np.int64)
     for begin in range(0, taps.starts.size, _GROUP):
         n_mixed = 0
         for n in range(begin, min(begin + _GROUP, taps.starts.size)):
-            x, y, z, signs = _unit(normals, n)
-            x, y, z = _ramp(x) + _AWAY, _ramp(y) + _AWAY, _ramp(z) + _AWAY
-            parts[1], parts[2], parts[3], parts[4] = x, y, max(x, y), z
-            parts[5], parts[6], parts[7] = max(x, z), max(y, z), max(x, max(y, z))
+            x, y, z, signs = unit_of(normals, n)
+            parts_of(parts, x, y, z)
             seen = np.uint8(0)
             for tap in range(taps.starts[np.uint64(n)], taps.ends[np.uint64(n)]):
                 flags = _flags_of(facings, first_kept, taps.rows[np.uint64(tap)])
                 seen |= flags
-                bits = _DIRECTIONS[np.uint64(64 * signs) + np.uint64(flags & np.uint8(FACING_FLAGS))]
-                scale(taps, int(tap), parts[np.uint64(bits)])
+                scale(taps, int(tap), parts[np.uint64(direction_of(signs, flags))])
             mixed[np.uint64(n_mixed)] = n
             n_mixed += int(seen >= np.uint8(SPLIT))
         if facings.rows.size == 0:
             continue
-        for m in range(n_mixed if facings.rows.size > _NEAR_ROWS else 0):
+        for m in range(n_mixed if facings.rows.size > NEAR_ROWS else 0):
             for tap in range(taps.starts[mixed[m]], taps.ends[mixed[m]]):
                 prefetch(facings.rows, int(taps.rows[tap]))
         for m in range(n_mixed):
@@ -255,25 +263,25 @@ def _take_rows(
 ) -> int:
     """Write the taps of a point anew, from ``end`` on: those of split cells as the rows that face the normal.
 
-    ``shares`` (8, 3) and ``wanted`` (8,) are room for the shares of rows by the bits of `_DIRECTIONS`, and
+    ``shares`` (8, 3) and ``wanted`` (8,) are room for the shares of rows by the bits of `DIRECTIONS`, and
     for which of them there are.
     """
     gradient = taps.slopes.shape[0] > 0
     none, one, bit = np.float32(0.0), np.uint64(1), np.uint8(1)
-    x, y, z, signs = _unit(normals, n)
+    x, y, z, signs = unit_of(normals, n)
     known = np.uint8(1)  # what faces away is left as it is
     wanted[0] = 0
     start = end
     for tap in range(taps.starts[n], taps.ends[n]):
         row, weight = taps.rows[np.uint64(tap)], taps.weights[np.uint64(tap)]
         flags = _flags_of(facings, first_kept, row)
-        bits = _DIRECTIONS[np.uint64(64 * signs) + np.uint64(flags & np.uint8(FACING_FLAGS))]
+        bits = direction_of(signs, flags)
         left = np.uint8(0)
         if flags & np.uint8(SPLIT) != 0 and bits < np.uint8(8):
             if known >> bits & bit == 0:
                 known |= bit << bits
                 a, b, c = x if bits & 1 else none, y if bits & 2 else none, z if bits & 4 else none
-                shares[bits, 0], shares[bits, 1], shares[bits, 2] = a, b, c = _shares(a, b, c)
+                shares[bits, 0], shares[bits, 1], shares[bits, 2] = a, b, c = shares_of(a, b, c)
                 wanted[bits] = int(a > none) | int(b > none) << 1 | int(c > none) << 2
             left = wanted[np.uint64(bits)]
         if left == 0:
@@ -304,10 +312,10 @@ def _take_rows(
 
 
 @inlined
-def _shares(x: np.float32, y: np.float32, z: np.float32) -> tuple[np.float32, np.float32, np.float32]:
+def shares_of(x: np.float32, y: np.float32, z: np.float32) -> tuple[np.float32, np.float32, np.float32]:
     """Share a split cell out among its rows, by the cosines of those that face the normal; 0 for no row."""
     none = np.float32(0.0)
-    if _ramp(max(x, max(y, z))) == none:
+    if ramp(max(x, max(y, z))) == none:
         return none, none, none
     least = max(x, max(y, z)) - _NEAR
     x = max(x - least, none) if x > none else none
@@ -327,7 +335,7 @@ View: TypeAlias = tuple[np.float32, np.float32, np.float32, int]
 @inlined
 def view_of(normals: Float32s, n: int) -> View:
     """Return how ``face_cell`` takes normal ``n`` of some (m, 3)."""
-    return _unit(normals, n)
+    return unit_of(normals, n)
 
 
 @inlined
@@ -339,14 +347,14 @@ def face_cell(flags: np.uint8, view: View) -> tuple[np.float32, np.float32, np.f
     """
     x, y, z, signs = view
     none = np.float32(0.0)
-    bits = _DIRECTIONS[64 * signs + int(flags & np.uint8(FACING_FLAGS))]
+    bits = direction_of(signs, flags)
     if bits >= np.uint8(8):
-        return np.float32(1.0) + _AWAY, none, none, none
+        return np.float32(1.0) + AWAY, none, none, none
     x = x if bits & np.uint8(1) else none
     y = y if bits & np.uint8(2) else none
     z = z if bits & np.uint8(4) else none
-    part = _ramp(max(x, max(y, z)))
+    part = ramp(max(x, max(y, z)))
     if flags & np.uint8(SPLIT) == 0 or part == none:
-        return part + _AWAY, none, none, none
-    a, b, c = _shares(x, y, z)
-    return part + _AWAY, a, b, c
+        return part + AWAY, none, none, none
+    a, b, c = shares_of(x, y, z)
+    return part + AWAY, a, b, c

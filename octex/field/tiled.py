@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.field.linear import linear_taps, nearest_rows
-from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, cover, take
+from octex.field.seen import add_averages, add_facing
+from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, cover, divide, take
 from octex.field.spline import nearest_around, quadratic_taps, quartic_taps
 from octex.field.splines import LINEAR, NEAREST, QUADRATIC
 from octex.field.stages import MOST_ROWS, Facings, face, leave_mixed, weigh_by_area
@@ -86,8 +87,7 @@ class Search(NamedTuple):
     faces: bool  # there are normals, see `stages.face`
     first_kept: int
     first_row: int
-    spreads: Float32s  # (rows,) or (0,)   see `stages.leave_mixed`
-    threshold: float
+    mixed: Bytes  # (cells,) or (0,)   see `stages.leave_mixed`
 
 
 class Weighed(NamedTuple):
@@ -116,6 +116,16 @@ def _room(search: Search, points: int, gradient: bool) -> tuple[Taps, Float64s, 
 
 
 @kernel
+def _found(
+    search: Search, places: Float64s, which: Int64s, taps: Taps, empty: Int64s, rim: Int64s, ahead: Ahead
+) -> tuple[int, int]:
+    """Find the taps of some points."""
+    task = which, search.is_off, search.last, taps, 0, empty, rim, ahead
+    _, n_empty, n_rim = tiled_taps(search.filter_code, search.tiles, places, *task)
+    return n_empty, n_rim
+
+
+@kernel
 def _weighed(
     search: Search,
     places: Float64s,
@@ -129,14 +139,13 @@ def _weighed(
     rim: Int64s,
 ) -> tuple[int, int]:
     """Find the taps of some points, and let the stages change their weights."""
-    task = which, search.is_off, search.last, taps, 0, empty, rim, ahead
-    _, n_empty, n_rim = tiled_taps(search.filter_code, search.tiles, places, *task)
+    n_empty, n_rim = _found(search, places, which, taps, empty, rim, ahead)
     if search.areas.size > 0:
         weigh_by_area(taps, search.areas)
     if search.faces:
         face(taps, search.facings, search.first_kept, search.first_row, normals, split)
-    elif search.spreads.size > 0:
-        leave_mixed(taps, search.facings, search.spreads, search.threshold, left)
+    elif search.mixed.size > 0:
+        leave_mixed(taps, search.mixed, left)
     return n_empty, n_rim
 
 
@@ -153,6 +162,7 @@ def _ahead(search: Search, channel: Weighed) -> tuple[Ahead, Memory]:
 def look_up_tiled(
     search: Search,
     points: Points,
+    which: Int64s,
     origin: Origin,
     size: float,
     normals: Float32s,
@@ -163,39 +173,71 @@ def look_up_tiled(
 ) -> tuple[int, int, int]:
     """Write the mean (n, components) of a channel at rest positions (n, 3), and its gradient.
 
-    ``gradients`` (n, components, 3) or (0, components, 3). In ``lost`` (2, n) are listed the points that have
-    no cells around them, and those at the rim, for the walk. Returns how many they are, and the first that is
-    not finite, where all stopped, or −1.
+    Off the surface only points ``which`` (m,) are looked up. ``gradients`` (n, components, 3) or
+    (0, components, 3). In ``lost`` (2, n) are listed the points that have no cells around them, and those at
+    the rim, for the walk. Returns how many they are, and the first that is not finite, where all stopped, or
+    −1.
     """
-    gradient = gradients.shape[0] > 0
-    step = max(min(_STEP, points.shape[0]), 1)
-    room, places, which = _room(search, step, gradient)
+    gradient, is_off = gradients.shape[0] > 0, search.is_off
+    all_points = which.size if is_off else points.shape[0]
+    step = max(min(_STEP, all_points), 1)
+    room, places, each = _room(search, step, gradient)
+    some = step if is_off else 0
+    own_points, own_normals = np.empty((some, 3), points.dtype), np.empty((some, 3), np.float32)
+    own_values = np.empty((some, results.shape[1]), np.float32)
+    own_slopes = np.empty((some, gradients.shape[1], 3), np.float32)
     ahead, split = _ahead(search, channel)
+    is_seen = search.faces and not (gradient or channel.has_alpha)
+    components = channel.codes.values.shape[1]
+    seen = step if is_seen else 0
+    sums = Sums(np.empty((seen, components)), np.empty(seen), np.empty((0, components, 3)), np.empty((0, 3)))
+    owners, shares = np.arange(seen, dtype=np.int32), np.ones(seen, np.float32)
     only_cells = search.filter_code == NEAREST and not (channel.has_alpha or search.faces or search.is_off)
     nothing = np.empty(0, np.float32)
     n_empty = n_rim = 0
-    for begin in range(0, points.shape[0], step):
-        count = min(step, points.shape[0] - begin)
+    for begin in range(0, all_points, step):
+        count = min(step, all_points - begin)
         end = begin + count
-        here, values = places[:count], results[begin:end]
-        fault = place_points(points[begin:end], origin, size, here)
+        here, given, facing = places[:count], points[begin:end], normals[begin:end]
+        values, slopes = results[begin:end], gradients[begin:end]
+        if is_off:
+            _gather(points, which[begin:end], own_points)
+            given, values, slopes = own_points[:count], own_values[:count], own_slopes[:count]
+            if search.faces:
+                _gather(normals, which[begin:end], own_normals)
+                facing = own_normals[:count]
+        fault = place_points(given, origin, size, here)
         if fault >= 0:
             return n_empty, n_rim, begin + fault
         empty, rim = lost[0, n_empty:], lost[1, n_rim:]
         if only_cells:
             more, rest = nearest_rows(search.tiles, here, search.last, room.rows, empty, ahead), 0
             take(room.rows[:count], channel.codes, values)
+        elif is_seen:
+            taps = _of_points(room, count)
+            more, rest = _found(search, here, each[:count], taps, empty, rim, ahead)
+            sums.values[:], sums.totals[:] = 0.0, 0.0
+            add_facing(taps, search.areas, search.facings, facing, channel.codes, owners, shares, sums)
+            mean = Sums(sums.values[:count], sums.totals[:count], sums.slopes, sums.total_slopes)
+            divide(mean, 1.0, values, slopes)
         else:
             taps = _of_points(room, count)
-            facing = normals[begin:end] if search.faces else normals
-            task = which[:count], taps, ahead, split, facing, nothing
+            task = each[:count], taps, ahead, split, facing, nothing
             more, rest = _weighed(search, here, *task, empty, rim)
             if channel.has_alpha:
                 cover(taps, channel.alpha, True, False)
             blend(taps, channel.codes, True, values)
             if gradient:
-                blend_slopes(taps, channel.codes, 1.0 / size, values, gradients[begin:end])
-        n_empty, n_rim = n_empty + _count_from(begin, empty, more), n_rim + _count_from(begin, rim, rest)
+                blend_slopes(taps, channel.codes, 1.0 / size, values, slopes)
+        if is_off:
+            for n in range(count):
+                at = which[begin + n]
+                for component in range(results.shape[1]):
+                    results[at, component] = values[n, component]
+                    for axis in range(3 if gradient else 0):
+                        gradients[at, component, axis] = slopes[n, component, axis]
+        n_empty += _number(search, which, begin, empty, more)
+        n_rim += _number(search, which, begin, rim, rest)
     return n_empty, n_rim, -1
 
 
@@ -203,6 +245,7 @@ def look_up_tiled(
 def add_tiled(
     search: Search,
     points: Points,
+    which: Int64s,
     origin: Origin,
     size: float,
     normals: Float32s,
@@ -217,28 +260,54 @@ def add_tiled(
 
     Normals are those of the owners. ``left`` (n,) takes what mixes facings. Else as `look_up_tiled`.
     """
-    gradient = sums.total_slopes.shape[0] > 0
-    step = max(min(_STEP, points.shape[0]), 1)
-    room, places, which = _room(search, step, gradient)
+    gradient, is_off = sums.total_slopes.shape[0] > 0, search.is_off
+    all_looks = which.size if is_off else points.shape[0]
+    step = max(min(_STEP, all_looks), 1)
+    room, places, each = _room(search, step, gradient)
+    some = step if is_off else 0
+    own_points, own_left = np.empty((some, 3), points.dtype), np.empty(some, np.float32)
+    if left.size == 0:
+        own_left = own_left[:0]
+    own_owners, own_shares = np.empty(some, np.int32), np.empty(some, np.float32)
     ahead, split = _ahead(search, channel)
+    is_seen = not (gradient or channel.has_alpha)
     facing = np.empty((step if search.faces else 0, 3), np.float32)
     n_empty = n_rim = 0
-    for begin in range(0, points.shape[0], step):
-        count = min(step, points.shape[0] - begin)
+    for begin in range(0, all_looks, step):
+        count = min(step, all_looks - begin)
         end = begin + count
-        here = places[:count]
-        place_points(points[begin:end], origin, size, here)
+        here, given, mixing = places[:count], points[begin:end], left[begin:end]
+        owned, parts = owners[begin:end], shares[begin:end]
+        if is_off:
+            _gather(points, which[begin:end], own_points)
+            for n in range(count):
+                at = which[begin + n]
+                own_owners[n], own_shares[n] = owners[at], shares[at]
+            given, mixing = own_points[:count], own_left[:count]
+            owned, parts = own_owners[:count], own_shares[:count]
+        place_points(given, origin, size, here)
         for n in range(count if search.faces else 0):
-            owner = np.uint64(owners[begin + n])
+            owner = np.uint64(owned[n])
             for axis in range(3):
                 facing[n, axis] = normals[owner, axis]
         taps, empty, rim = _of_points(room, count), lost[0, n_empty:], lost[1, n_rim:]
-        task = which[:count], taps, ahead, split, facing[:count], left[begin:end]
-        more, rest = _weighed(search, here, *task, empty, rim)
-        if channel.has_alpha:
-            cover(taps, channel.alpha, True, True)
-        add_up(taps, channel.codes, True, owners[begin:end], shares[begin:end], sums)
-        n_empty, n_rim = n_empty + _count_from(begin, empty, more), n_rim + _count_from(begin, rim, rest)
+        looks = owned, parts
+        if is_seen and (search.faces or search.areas.size > 0):
+            more, rest = _found(search, here, each[:count], taps, empty, rim, ahead)
+            if search.faces:
+                add_facing(taps, search.areas, search.facings, facing[:count], channel.codes, *looks, sums)
+            else:
+                add_averages(taps, search.areas, search.mixed, channel.codes, *looks, mixing, sums)
+        else:
+            task = each[:count], taps, ahead, split, facing[:count], mixing
+            more, rest = _weighed(search, here, *task, empty, rim)
+            if channel.has_alpha:
+                cover(taps, channel.alpha, True, True)
+            add_up(taps, channel.codes, True, *looks, sums)
+        for n in range(count if own_left.size > 0 else 0):
+            left[which[begin + n]] = mixing[n]
+        n_empty += _number(search, which, begin, empty, more)
+        n_rim += _number(search, which, begin, rim, rest)
     return n_empty, n_rim
 
 
@@ -250,8 +319,17 @@ def _of_points(taps: Taps, count: int) -> Taps:
 
 
 @inlined
-def _count_from(begin: int, points: Int64s, count: int) -> int:
-    """Count listed points from that of a number on; return how many are listed."""
+def _gather(rows: Points, which: Int64s, taken: Points) -> None:
+    """Take some rows (n, 3)."""
+    for n in range(which.size):
+        at = np.uint64(which[n])
+        for axis in range(3):
+            taken[n, axis] = rows[at, axis]
+
+
+@inlined
+def _number(search: Search, which: Int64s, begin: int, points: Int64s, count: int) -> int:
+    """Count listed points of a step as they are counted in all; return how many are listed."""
     for n in range(count):
-        points[n] += begin
+        points[n] = which[begin + points[n]] if search.is_off else begin + points[n]
     return count

@@ -12,17 +12,13 @@ from octex.field.neighborhood import _fill as fill_window
 from octex.field.neighborhood import _finest as finest
 from octex.field.neighborhood import _rounded as rounded
 from octex.field.splines import LINEAR, QUADRATIC
-from octex.field.stages import _AWAY as AWAY
-from octex.field.stages import _DIRECTIONS as DIRECTIONS
-from octex.field.stages import AREA_WEIGHTS
-from octex.field.stages import _ramp as ramp
-from octex.field.stages import _shares as shares_of
+from octex.field.stages import AREA_WEIGHTS, direction_of, parts_of, ramp, shares_of
 from octex.field.taps import LEAST, OFF
 from octex.field.tiles import Tiles, code_in_tile, tile_row
 from octex.field.windows import NODES, follow
 from octex.jit import decoded, inlined, popcount, step
 from octex.kernels.layout import Float32s, LookupArrays, Scratch, Uint32s, Values
-from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, POSITIVE_FACINGS, SPLIT, TreeArrays
+from octex.tree.layout import MAX_DEPTH, POSITIVE_FACINGS, SPLIT, TreeArrays
 from octex.tree.search import fixed, nearest_cell
 
 #: What can be indexed by 0, 1 and 2: an array, or a tuple.
@@ -311,7 +307,7 @@ def _face(
         if row >= n_cells and arrays.kept.size > 0:
             cell = np.int64(arrays.kept[min(int(row - n_cells), arrays.kept.size - 1)])
         flags = arrays.flags[cell]
-        bits = int(DIRECTIONS[64 * signs + int(flags & np.uint8(FACING_FLAGS))])
+        bits = int(direction_of(signs, flags))
         rows[end], weights[end] = row, weights[tap] * scratch.parts[bits]
         is_split = arrays.facings.size > 0 and flags & np.uint8(SPLIT) != 0 and bits > 0 and bits < 8
         a = normal[0] if bits & 1 else none
@@ -401,13 +397,7 @@ def footprint(arrays: LookupArrays, point: Vector, width: float, normal: Vector,
         p, q, r = p / largest, q / largest, r / largest
         length = np.sqrt(p * p + q * q + r * r)
         cosines = np.float32(p / length), np.float32(q / length), np.float32(r / length)
-        a, b, c = ramp(cosines[0]), ramp(cosines[1]), ramp(cosines[2])
-        for bits in range(8):
-            part = a if bits & 1 else np.float32(0.0)
-            part = max(part, b) if bits & 2 else part
-            part = max(part, c) if bits & 4 else part
-            scratch.parts[bits] = part + AWAY
-        scratch.parts[8] = np.float32(1.0) + AWAY
+        parts_of(scratch.parts, cosines[0], cosines[1], cosines[2])
     depth = arrays.level_cells.size - 2
     level, upper = _level_of(width, arrays.place[3], depth)
     share, passed = 1.0 - upper, 0.0

@@ -2,35 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ALPHA, ChannelFormat, decode
+from octex.editing.refined import refined_values
 from octex.errors import ArgumentError
-from octex.field.refined import refined_taps
 from octex.texture import OctreeTexture
-from octex.texture.channel import Channel
-from octex.texture.split import bits_of, find_rows
-from octex.tree.edit import among, locate
-from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS
+from octex.tree.edit import among, boundary, locate
+from octex.tree.layout import FACING_FLAGS
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree, distinct
+from octex.tree.split import rows_of
 
+Bools = npt.NDArray[np.bool_]
 Int64s = npt.NDArray[np.int64]
 Float32s = npt.NDArray[np.float32]
 
 _AROUND = np.array([[x, y, z] for z in (-1, 0, 1) for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y or z])
 #: The area that skirts have, the least there is: in averages they weigh next to nothing.
 SKIRT = np.uint8(1)
-#: Cells whose neighbours are listed at once.
-_BLOCK = 1 << 16
-#: What is transparent still weighs so much in what is refined from it.
-_FAINT = np.float32(1e-6)
-#: What is hidden weighs so much: decides only where nothing else is there.
-_AWAY = np.float32(1e-6)
 
 
 class Paint(NamedTuple):
@@ -78,13 +72,10 @@ def painted_channel(layer: OctreeTexture) -> str:
 
 def _painted_facings(layer: OctreeTexture) -> npt.NDArray[np.uint8]:
     """Return the facings of a layer's cells (cells,) that have paint: all, but in split cells."""
-    split = layer.tree.split
     facings = layer.tree.arrays.flags & np.uint8(FACING_FLAGS)
-    bits = bits_of(split.facings)
-    bits = np.where(layer.channels[ALPHA.name].split_values[:, 0] > 0, bits, np.uint8(0))
-    if split.cells.size:
-        counts = np.bitwise_count(split.facings).astype(np.int64)
-        facings[split.cells] = np.bitwise_or.reduceat(bits, np.cumsum(counts) - counts)
+    rows = rows_of(layer.tree.split)
+    facings[rows.cells] = 0
+    np.bitwise_or.at(facings, rows.cells, rows.bits * (layer.channels[ALPHA.name].split_values[:, 0] > 0))
     return facings
 
 
@@ -97,7 +88,7 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
     name = painted_channel(layer)
     found = list(paint)
     while len(found) <= tree.max_depth:
-        found.append(_no_paint(layer.channels[name].format.components))
+        found.append(some(paint[0], slice(0)))
     if all(locate(tree, each.codes, level).is_leaf.all() for level, each in enumerate(paint)):
         return found
     walk = list(tree.walk())
@@ -125,21 +116,7 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
     return found
 
 
-def boundary(codes: Int64s, level: int) -> Int64s:
-    """Return the boundary layer of some cells of a level, ascending (paper 4.1, step 3).
-
-    These are the cells beside them, at faces, edges and corners, without themselves.
-    """
-    found = [np.empty(0, np.int64)]
-    for begin in range(0, codes.size, _BLOCK):
-        cells = (decode_cells(codes[begin : begin + _BLOCK])[:, None] + _AROUND).reshape(-1, 3)
-        cells = cells[((cells >= 0) & (cells < 1 << level)).all(axis=1)]
-        found.append(distinct(encode_cells(cells)))
-    around = distinct(np.concatenate(found))
-    return around[~among(around, codes)]
-
-
-def is_within(codes: Int64s, cells: Sequence[Int64s], level: int) -> npt.NDArray[np.bool_]:
+def is_within(codes: Int64s, cells: Sequence[Int64s], level: int) -> Bools:
     """Say which cells of a level are among others, given level by level, or lie in larger ones of them."""
     found = np.zeros(codes.size, np.bool_)
     for above, own in enumerate(cells[: level + 1]):
@@ -147,7 +124,7 @@ def is_within(codes: Int64s, cells: Sequence[Int64s], level: int) -> npt.NDArray
     return found
 
 
-def are_beside(codes: Int64s, leaves: Sequence[Int64s], level: int) -> npt.NDArray[np.bool_]:
+def are_beside(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
     """Say which cells (n,) of a level have some of leaves, given by level, in or beside them."""
     near = distinct(np.concatenate([codes, boundary(codes, level)]))
     below = np.empty(0, np.int64)
@@ -158,21 +135,11 @@ def are_beside(codes: Int64s, leaves: Sequence[Int64s], level: int) -> npt.NDArr
     return among(codes, taken) | among(codes, boundary(taken, level))
 
 
-def among_at(codes: Int64s, level: int, others: Int64s, at: int) -> npt.NDArray[np.bool_]:
+def among_at(codes: Int64s, level: int, others: Int64s, at: int) -> Bools:
     """Say which cells of a level lie in, or hold, others of level ``at``."""
     if level < at:
         return among(codes, distinct(others >> 3 * (at - level)))
     return among(codes >> 3 * (level - at), others)
-
-
-def with_all_above(codes: Sequence[Int64s]) -> list[Int64s]:
-    """Return cells, given level by level, with all cells above them; ascending."""
-    found = []
-    above = np.empty(0, np.int64)
-    for own in reversed(codes):
-        found.append(distinct(np.concatenate([own, above])))
-        above = found[-1] >> 3
-    return found[::-1]
 
 
 def facings_within(codes: Int64s, paint: Sequence[Paint], level: int) -> npt.NDArray[np.uint8]:
@@ -185,13 +152,19 @@ def facings_within(codes: Int64s, paint: Sequence[Paint], level: int) -> npt.NDA
     return found
 
 
-def beside_larger(codes: Int64s, tree: Octree, level: int) -> npt.NDArray[np.bool_]:
-    """Say which cells (n,) of a level are beside leaves of a tree that are larger."""
-    found = np.zeros(codes.size, np.bool_)
+def _each_beside(codes: Int64s, level: int) -> Iterator[tuple[Bools, Int64s]]:
+    """Yield, for each of 26 directions, whether a cell is beside cells (n,) of a level, and its code."""
     for step in _AROUND if codes.size else ():
         cells = decode_cells(codes) + step
         inside = ((cells >= 0) & (cells < 1 << level)).all(axis=1)
-        where = locate(tree, encode_cells(np.where(inside[:, None], cells, 0)), level)
+        yield inside, encode_cells(np.where(inside[:, None], cells, 0))
+
+
+def beside_larger(codes: Int64s, tree: Octree, level: int) -> Bools:
+    """Say which cells (n,) of a level are beside leaves of a tree that are larger."""
+    found = np.zeros(codes.size, np.bool_)
+    for inside, beside in _each_beside(codes, level):
+        where = locate(tree, beside, level)
         found |= inside & where.is_leaf & (where.levels < level)
     return found
 
@@ -199,10 +172,7 @@ def beside_larger(codes: Int64s, tree: Octree, level: int) -> npt.NDArray[np.boo
 def skirt_of(outer: Int64s, painted: Sequence[Int64s], ring: Int64s, met: Int64s, level: int) -> Int64s:
     """Return those cells beside paint, off the surface, that nothing but paint and its boundary is beside."""
     free = np.ones(outer.size, np.bool_)
-    for step in _AROUND:
-        cells = decode_cells(outer) + step
-        inside = ((cells >= 0) & (cells < 1 << level)).all(axis=1)
-        codes = encode_cells(np.where(inside[:, None], cells, 0))
+    for inside, codes in _each_beside(outer, level):
         free &= ~inside | among(codes, ring) | is_within(codes, painted, level) | ~among(codes, met)
     return outer[free]
 
@@ -267,10 +237,7 @@ def with_skirt(paint: Paint, skirt: Int64s, level: int, beside: Paint | None = N
     coverage, count = np.zeros(skirt.size), np.zeros(skirt.size)
     cells = np.zeros(skirt.size, np.int64)
     facings = np.zeros(skirt.size, np.uint8)
-    for step in _AROUND:
-        around = decode_cells(skirt) + step
-        inside = ((around >= 0) & (around < 1 << level)).all(axis=1)
-        codes = encode_cells(np.where(inside[:, None], around, 0))
+    for inside, codes in _each_beside(skirt, level):
         at = np.minimum(np.searchsorted(beside.codes, codes), beside.codes.size - 1)
         hit = inside & (beside.codes[at] == codes)
         values[hit] += (beside.values * beside.coverage[:, None])[at[hit]]
@@ -284,106 +251,16 @@ def with_skirt(paint: Paint, skirt: Int64s, level: int, beside: Paint | None = N
     return _joined(paint, extra)
 
 
-def _no_paint(components: int) -> Paint:
-    return Paint(
-        np.empty(0, np.int64),
-        np.empty((0, components), np.float32),
-        np.empty(0, np.float32),
-        np.empty(0, np.int64),
-        np.empty(0, np.uint8),
-    )
-
-
-def some(paint: Paint, chosen: npt.NDArray[np.bool_]) -> Paint:
+def some(paint: Paint, chosen: Bools | slice) -> Paint:
     """Return the paint on some of the cells."""
     codes, values, coverage, cells, facings = paint
     return Paint(codes[chosen], values[chosen], coverage[chosen], cells[chosen], facings[chosen])
 
 
-def _joined(one: Paint, other: Paint) -> Paint:
-    order = np.argsort(np.concatenate([one.codes, other.codes]), kind="stable")
-    return Paint(
-        np.concatenate([one.codes, other.codes])[order],
-        np.concatenate([one.values, other.values])[order],
-        np.concatenate([one.coverage, other.coverage])[order],
-        np.concatenate([one.cells, other.cells])[order],
-        np.concatenate([one.facings, other.facings])[order],
-    )
-
-
-def refined_values(
-    tree: Octree, channels: Mapping[str, Channel], codes: Int64s, level: int
-) -> dict[str, Float32s]:
-    """Return what channels refine to in cells of a level below leaves, decoded; others weigh by alpha."""
-    starts, rows, weights = refined_taps(tree, codes, level)
-    found = {}
-    alpha = channels.get(ALPHA.name)
-    opaque = None if alpha is None else _rows_of(alpha, rows)[:, :1]
-    for name, channel in channels.items():
-        values = _rows_of(channel, rows)
-        own = weights[:, None]
-        if opaque is not None and name != ALPHA.name:
-            own = own * np.maximum(opaque, _FAINT)
-        sums = _sum_runs(np.hstack([values * own, own]), starts)
-        found[name] = np.asarray(sums[:, :-1] / np.maximum(sums[:, -1:], np.float32(1e-30)), np.float32)
-    return found
-
-
-def refined_rows(
-    texture: OctreeTexture, codes: Int64s, level: int, owners: Int64s, bits: npt.NDArray[np.uint8]
-) -> dict[str, Float32s]:
-    """Return what the field refines to in cells of a level below leaves, as facings see it (n,), decoded.
-
-    ``owners`` (n,) are the cells, by their place among ``codes``; ``bits`` (n,) the facings, as flags. What
-    only faces the opposite way is hidden. What faces sideways is not: a normal between the two sees both.
-    """
-    tree = texture.tree
-    firsts, rows, weights = refined_taps(tree, codes, level)
-    counts = np.diff(firsts)[owners]
-    starts = np.cumsum(np.concatenate([[0], counts]))
-    taps = np.repeat(firsts[owners] - starts[:-1], counts) + np.arange(starts[-1])
-    rows, weights, bits = rows[taps], weights[taps], np.repeat(bits, counts)
-    cells = rows.astype(np.int64)
-    is_kept = cells >= tree.n_cells
-    cells[is_kept] = tree.kept.cells[cells[is_kept] - tree.n_cells]
-    facings = tree.arrays.flags[cells] & np.uint8(FACING_FLAGS)
-    opposite = (bits & np.uint8(POSITIVE_FACINGS)) << 1 | bits >> np.uint8(1) & np.uint8(POSITIVE_FACINGS)
-    is_hidden = (facings & bits == 0) & (facings & opposite != 0)
-    weights[is_hidden] *= _AWAY
-    there, own = find_rows(tree.split, cells, bits)
-
-    def shown(channel: Channel) -> Float32s:
-        values = _rows_of(channel, rows)
-        values[there] = decode(channel.split_values[own], channel.format.space)
-        return values
-
-    found = {}
-    alpha = texture.channels.get(ALPHA.name)
-    opaque = None if alpha is None else shown(alpha)
-    for name, channel in texture.channels.items():
-        values, own_weights = shown(channel), weights[:, None]
-        if opaque is not None and name != ALPHA.name:
-            own_weights = own_weights * np.maximum(opaque, _FAINT)
-        sums = _sum_runs(np.hstack([values * own_weights, own_weights]), starts)
-        found[name] = np.asarray(sums[:, :-1] / np.maximum(sums[:, -1:], np.float32(1e-30)), np.float32)
-    return found
-
-
-def _sum_runs(values: Float32s, starts: Int64s) -> Float32s:
-    """Add up rows from each start to the next; zeros where there are none."""
-    sums = np.add.reduceat(np.vstack([values, np.zeros_like(values[:1])]), starts[:-1], axis=0)
-    sums[starts[1:] == starts[:-1]] = 0
-    return np.asarray(sums, np.float32)
-
-
-def _rows_of(channel: Channel, rows: npt.NDArray[np.uint32]) -> Float32s:
-    """Decode cells, and after them kept coefficients, by their rows."""
-    n_cells = len(channel.values)
-    found = decode(channel.values[np.minimum(rows, n_cells - 1)], channel.format.space)
-    is_kept = np.flatnonzero(rows >= n_cells)
-    if is_kept.size:
-        found[is_kept] = decode(channel.kept_values[rows[is_kept] - n_cells], channel.format.space)
-    return found
+def _joined(*parts: Paint) -> Paint:
+    codes, *columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.argsort(codes, kind="stable")
+    return Paint(codes[order], *(column[order] for column in columns))
 
 
 def _refined_paint(

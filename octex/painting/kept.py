@@ -13,13 +13,11 @@ from octex.painting.cells import (
     Paint,
     among_at,
     are_beside,
-    boundary,
     is_within,
     paint_at,
-    with_all_above,
     with_skirt,
 )
-from octex.tree.edit import among, locate
+from octex.tree.edit import among, boundary, locate, with_all_above
 from octex.tree.layout import FACING_FLAGS
 from octex.tree.octree import Octree, distinct
 
@@ -36,7 +34,7 @@ class OnKept(NamedTuple):
     coverage: Float32s  # (n,)   0 … 1
 
 
-def on_kept(tree: Octree, paint: Sequence[Paint]) -> OnKept:
+def on_kept(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> OnKept:
     """Return the paint on kept nodes around which all of the surface is painted, in all its facings.
 
     It is the mean of the paint in them. The field reads their coefficients in cells off the surface, and from
@@ -44,7 +42,7 @@ def on_kept(tree: Octree, paint: Sequence[Paint]) -> OnKept:
     """
     found: list[OnKept] = []
     above = with_all_above([each.codes for each in paint])
-    bare = bare_leaves(tree, paint) if tree.kept.cells.size else []
+    bare = bare_leaves(tree, paint, is_skirt) if tree.kept.cells.size else []
     for level, painted in enumerate(above):
         own = slice(*np.searchsorted(tree.kept.cells, tree.arrays.level_cells[level : level + 2]).tolist())
         if own.start == own.stop:
@@ -60,25 +58,26 @@ def on_kept(tree: Octree, paint: Sequence[Paint]) -> OnKept:
     return OnKept(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
-def with_old_skirts(tree: Octree, paint: Sequence[Paint]) -> list[Paint]:
-    """Add the skirts of earlier paint that are beside paint, which lies on leaves of a tree.
+def with_old_skirts(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[Paint]:
+    """Add the skirts of a tree, ``is_skirt`` (cells,), that are beside paint, which lies on leaves.
 
     Beside them is no surface but what is painted, or beside paint itself.
     """
     found = list(paint)
     if not tree.kept.cells.size:
         return found
-    areas = tree.arrays.areas
     cells = [locate(tree, each.codes, level).cells for level, each in enumerate(paint)]
-    painted = [each.codes[areas[own] != SKIRT] for each, own in zip(paint, cells, strict=True)]
+    painted = [each.codes[~is_skirt[own]] for each, own in zip(paint, cells, strict=True)]
     bare: list[Int64s] = []
     for level, (codes, is_node) in enumerate(tree.walk()):
         here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
-        skirt = codes[~is_node & (areas[here] == SKIRT)]
+        skirt = codes[~is_node & is_skirt[here]]
         skirt = skirt[_are_near(skirt, painted, level) & ~among(skirt, paint[level].codes)]
-        skirt = skirt[_touch(skirt, painted, level, half=True)]
+        is_own = tree.arrays.areas[here][np.searchsorted(codes, skirt)] == SKIRT  # there for paint alone
+        reaches = is_own & _touch(skirt, painted, level, half=True)
+        skirt = skirt[reaches | _touch(skirt, painted, level)]
         if skirt.size:
-            bare = bare or bare_leaves(tree, paint)
+            bare = bare or bare_leaves(tree, paint, is_skirt)
             around = boundary(skirt, level)
             far = [own[among_at(own, at, around, level)] for at, own in enumerate(bare)]
             far = [own[~_touch(own, painted, at)] for at, own in enumerate(far)]
@@ -115,13 +114,13 @@ def _touch(codes: Int64s, leaves: Sequence[Int64s], level: int, *, half: bool = 
     return found
 
 
-def bare_leaves(tree: Octree, paint: Sequence[Paint]) -> list[Int64s]:
+def bare_leaves(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[Int64s]:
     """Return leaves that the surface is in and not all of it painted, by level."""
     found = []
     for level, (codes, is_node) in enumerate(tree.walk()):
         here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
         facings = tree.arrays.flags[here] & np.uint8(FACING_FLAGS)
-        is_bare = ~is_node & (tree.arrays.areas[here] != SKIRT)
+        is_bare = ~is_node & ~is_skirt[here]
         if level < len(paint):
             there = among(codes, paint[level].codes)
             own = paint[level].facings[np.searchsorted(paint[level].codes, codes[there])]

@@ -8,10 +8,11 @@ from concurrent.futures import Executor
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import ALPHA, ONE, decode, encode
+from octex.channels import ALPHA, decode, encode
 from octex.checks import as_choice, as_number
-from octex.conversion.facings import MOST, in_codes
-from octex.editing.facings import average_rows, rows_of
+from octex.editing.averages import Residuals, average_rows
+from octex.editing.draft import Change, cut_out, tiles_around, with_alpha, with_channels_of
+from octex.editing.split import rows_facing, split_in_vain, with_split, without_split
 from octex.errors import ArgumentError, DefectError, own_making
 from octex.painting.averages import (
     Above,
@@ -21,6 +22,7 @@ from octex.painting.averages import (
     residuals_of_paint,
 )
 from octex.painting.cells import Paint, paint_of, painted_channel, refine_paint
+from octex.painting.ground import Ground
 from octex.painting.kept import on_kept, with_old_skirts
 from octex.painting.pictures import BLENDS, Blend
 from octex.painting.raising import Raised, raise_texture
@@ -28,14 +30,18 @@ from octex.parallel import Progress, as_progress, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
 from octex.texture.channel import Channel
-from octex.texture.split import rows_facing, with_split, without_split
 from octex.tree.edit import among, locate
 from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
 from octex.tree.octree import Octree
+from octex.tree.split import rows_of
 
 Int64s = npt.NDArray[np.int64]
 Float32s = npt.NDArray[np.float32]
 Float64s = npt.NDArray[np.float64]
+
+
+#: Paint of this coverage or more hides what is below: less than half a step of 8 bits shows through.
+_HIDING = 1.0 - 1.0 / 512.0
 
 
 def merge(
@@ -73,9 +79,28 @@ def merge(
     Raises ArgumentError for a layer of another root cell, of several channels, or of one that the texture
     does not have.
     """
+    as_surface(surface)
     as_texture(texture)
     as_texture(layer, "layer")
-    as_surface(surface)
+    ground = Ground(surface.placed_in(texture))
+    with workers(threads, executor) as pool:
+        change = merged(
+            texture, layer, ground, opacity=opacity, blend=blend, executor=pool, progress=progress
+        )
+    return texture if change is None else change.put_into(texture)
+
+
+def merged(
+    texture: OctreeTexture,
+    layer: OctreeTexture,
+    ground: Ground,
+    *,
+    opacity: float,
+    blend: Blend,
+    executor: Executor,
+    progress: Progress | None,
+) -> Change | None:
+    """Return the change that merging a layer makes, or None for none; see `merge`."""
     report = as_progress(progress)
     as_choice(blend, BLENDS, "blend")
     opacity = as_number(opacity, "opacity", 0.0, 1.0)
@@ -87,11 +112,10 @@ def merge(
             "project the pictures onto this texture anew"
         )
     if not any(each.codes.size for each in paint):
-        return texture
+        return None
     given = texture
-    surface = surface.placed_in(texture)
     if target == ALPHA.name and target not in texture.channels:
-        texture = _with_alpha(texture)
+        texture = with_alpha(texture)
     as_choice(target, texture.channels, "channel to paint")
     stored = texture.channels[target].format
     if stored.components != form.components and blend != "erase":
@@ -99,32 +123,27 @@ def merge(
             f"the layer paints {form.components} components, but {target!r} of the texture has "
             f"{stored.components}"
         )
-    with workers(threads, executor) as pool:
-        raised = raise_texture(texture, layer, paint, surface, pool, report, adds=blend != "erase")
+    tiles = tiles_around(texture, [each.codes for each in paint])
+    part = texture if tiles is None else cut_out(texture, tiles)
+    raised = raise_texture(
+        part, texture, layer, paint, ground, executor, report,
+        adds=blend != "erase", hiding=_hiding(texture, target, blend),
+    )  # fmt: skip
     if not any(each.codes.size for each in raised.paint):
-        return given
+        return None
     with own_making():
         paint = refine_paint(raised.paint, layer, raised.texture.tree, opacity)
-        paint = with_old_skirts(raised.texture.tree, paint)
-        return _blended(texture, raised, paint, layer, target, blend, opacity)
+        paint = with_old_skirts(raised.texture.tree, paint, raised.is_skirt)
+        made = _blended(part, raised, paint, layer, target, blend, opacity)
+    return Change(tiles, with_channels_of(part, given), made)
 
 
-def _with_alpha(texture: OctreeTexture) -> OctreeTexture:
-    """Give a texture a channel alpha: opaque."""
-    channel = Channel(
-        ALPHA,
-        *(
-            np.full((rows, 1), ONE[ALPHA.dtype], ALPHA.dtype)
-            for rows in (texture.tree.n_cells, texture.tree.split.areas.size, texture.tree.kept.cells.size)
-        ),
-    )
-    return OctreeTexture(
-        texture.tree,
-        {**texture.channels, ALPHA.name: channel},
-        texture.placement,
-        texture.bounds,
-        texture.metadata,
-    )
+def _hiding(texture: OctreeTexture, target: str, blend: Blend) -> float:
+    """Return the coverage from which on paint leaves nothing of what a texture had, of any channel."""
+    changed = {target, ALPHA.name} if blend == "over" else {target}
+    if blend not in ("over", "erase", "replace") or not changed >= texture.channels.keys():
+        return np.inf
+    return 0.0 if blend == "replace" else _HIDING
 
 
 def blended(base: Float32s, paint: Float32s, coverage: Float32s, blend: Blend) -> Float32s:
@@ -208,7 +227,7 @@ def _blended(
         parts[name] = Channel(form, *(np.zeros((count, 1), np.float32) for count in counts))
         channels[name].values[cells] = encode(new, form.dtype, form.space)
         parts[name].values[cells, 0] = part
-    kept = on_kept(tree, paint)
+    kept = on_kept(tree, paint, raised.is_skirt)
     if kept.rows.size:
         old = {
             name: decode(own.kept_values[kept.rows], own.format.space)
@@ -222,7 +241,7 @@ def _blended(
             channels[name] = channels[name]._replace(kept_values=stored)
     after = OctreeTexture(base.tree, channels, base.placement, base.bounds, base.metadata)
 
-    rows = rows_of(base.tree, cells)
+    rows = rows_of(base.tree.split, cells)
     owners = np.searchsorted(cells, rows.cells)
     values, coverage = _shown(layer, sources[owners], rows.bits, opacity)
     old = {name: decode(own.split_values[rows.rows], own.format.space) for name, own in met.items()}
@@ -235,15 +254,15 @@ def _blended(
         channels[name].split_values[rows.rows] = encode(new, form.dtype, form.space)
         parts[name].split_values[rows.rows, 0] = part
 
-    rows = rows_of(base.tree, above.nodes.cells)
-    left_rows = {}
+    rows = rows_of(base.tree.split, above.nodes.cells)
+    left = {}
     for name in sorted(averaged, key=lambda name: name != ALPHA.name):
-        left = residuals_before(texture, raised.texture, name, above, is_fresh, rows)
+        had = residuals_before(texture, raised.texture, name, above, is_fresh, rows)
         takes_on = name == target and blend in ("over", "replace")
         of_paint = residuals_of_paint(layer, painted_channel(layer), above, rows) if takes_on else None
-        left_rows[name] = average_above(after, channels[name], parts.get(name), above, rows, left, of_paint)
+        left[name] = average_above(after, channels[name], parts.get(name), above, rows, had, of_paint)
     new_split = may_split[tree.arrays.flags[may_split] & SPLIT == 0]
-    return _settled(after, new_split, texture, raised, above, left_rows)
+    return _settled(after, new_split, texture, raised, above, left)
 
 
 def _shown(
@@ -262,26 +281,25 @@ def _settled(
     texture: OctreeTexture,
     raised: Raised,
     above: Above,
-    left_rows: Mapping[str, Float64s],
+    left: Mapping[str, Residuals],
 ) -> OctreeTexture:
     """Keep those of the newly split cells that need it; average rows for the cells that are then split."""
-    excess = _split_in_vain(after, new_split)
+    excess = split_in_vain(after, new_split)
     found, channels = _writable(without_split(after, excess))
-    rows = rows_of(found.tree, above.nodes.cells)
-    gone = rows_of(after.tree, excess).rows
-    left = {name: np.delete(own, gone, axis=0) for name, own in left_rows.items()}
+    rows = rows_of(found.tree.split, above.nodes.cells)
+    stays = ~among(rows_of(after.tree.split, above.nodes.cells).cells, excess)
+    rows_left = {name: own.rows[stays] for name, own in left.items()}
     # Rows of other channels change where, or above where, cells are split or faced otherwise than before.
-    was = np.where(above.before.cells >= 0, texture.tree.arrays.flags[above.before.cells], np.uint8(0))
+    was = np.where(above.before.numbers >= 0, texture.tree.arrays.flags[above.before.cells], np.uint8(0))
     is_new = (found.tree.arrays.flags[above.nodes.cells] ^ was) & np.uint8(FACING_FLAGS | SPLIT) != 0
     if is_new.any() or excess.size < new_split.size:
         for name in found.channels.keys() - left.keys():
-            left[name] = np.zeros(channels[name].split_values.shape)
             own = residuals_before(texture, raised.texture, name, above, raised.is_fresh, rows)
-            left[name][rows.rows] = own.rows
-    elif not gone.size:
+            rows_left[name] = own.rows
+    elif not excess.size:
         return found
-    for name in sorted(left, key=lambda name: name != ALPHA.name):  # the others weigh by alpha's rows
-        average_rows(found, channels[name], left[name], above.nodes)
+    for name in sorted(rows_left, key=lambda name: name != ALPHA.name):  # the others weigh by alpha's rows
+        average_rows(found, channels[name], rows_left[name], above.nodes)
     return found
 
 
@@ -323,14 +341,3 @@ def _may_split(tree: Octree, layer: Octree, cells: Int64s, sources: Int64s, abov
     both = facings[nodes] & facings[nodes] >> np.uint8(1) & np.uint8(POSITIVE_FACINGS)
     chosen = (both != 0) | (flags[nodes] & SPLIT != 0)
     return np.sort(np.concatenate([leaves, nodes[chosen]]))
-
-
-def _split_in_vain(texture: OctreeTexture, cells: Int64s) -> Int64s:
-    """Return those of split cells in which no facing differs from the whole."""
-    rows = rows_of(texture.tree, cells)
-    differs = np.zeros(rows.rows.size, np.bool_)
-    for channel in texture.channels.values():
-        apart = in_codes(channel.split_values[rows.rows], channel.format)
-        apart = apart - in_codes(channel.values[rows.cells], channel.format)
-        differs |= (np.abs(apart) > MOST).any(axis=1)
-    return cells[~among(cells, rows.cells[differs])]

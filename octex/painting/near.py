@@ -16,45 +16,59 @@ from octex.tree.placement import Placement
 
 Int32s = npt.NDArray[np.int32]
 Int64s = npt.NDArray[np.int64]
+Uint8s = npt.NDArray[np.uint8]
 
-#: The level of the coarse cells: 128³.
+#: The level of the coarse cells: 128³, whose coordinates fit a byte.
 _COARSE = 7
 
 
-def around(surface: Surface, chosen: Int32s, placement: Placement, reach: int) -> Int32s:
-    """Return the triangles that share coarse cells, or cells beside them, with ``chosen`` ones.
+class Near:
+    """Where the triangles of a surface lie in a root cell: the coarse cells that their boxes reach."""
 
-    ``reach`` is the level of the coarsest cells that must be found beside them.
-    """
-    shift = GRID_BITS - min(_COARSE, reach)
-    where = on_grid(surface.rest, placement), surface.triangles, shift
-    first, last = _reach(*where, chosen)
-    first, last = np.maximum(first - 1, 0), np.minimum(last + 1, (1 << (GRID_BITS - shift)) - 1)
-    marked = np.zeros(last - first + 1, np.bool_)
-    _mark(*where, chosen, first, marked)
-    for axis in range(3):
-        wide = marked.copy()
-        before, after = (np.s_[:],) * axis + (np.s_[:-1],), (np.s_[:],) * axis + (np.s_[1:],)
-        wide[after] |= marked[before]
-        wide[before] |= marked[after]
-        marked = wide
-    return _reaching(*where, first, _counts(marked))
+    def __init__(self, surface: Surface, placement: Placement) -> None:
+        self._boxes = _boxes(on_grid(surface.rest, placement), surface.triangles, GRID_BITS - _COARSE)
+
+    def around(self, chosen: Int32s, reach: int) -> Int32s:
+        """Return the triangles that share coarse cells, or cells beside them, with ``chosen`` ones.
+
+        ``reach`` is the level of the coarsest cells that must be found beside them.
+        """
+        shift = max(_COARSE - reach, 0)
+        boxes = self._boxes[chosen] >> np.uint8(shift)
+        first, last = boxes[:, :3].min(axis=0).astype(np.int64), boxes[:, 3:].max(axis=0).astype(np.int64)
+        first, last = np.maximum(first - 1, 0), np.minimum(last + 1, (1 << (_COARSE - shift)) - 1)
+        marked = np.zeros(last - first + 1, np.bool_)
+        _mark(boxes, first, marked)
+        for axis in range(3):
+            wide = marked.copy()
+            before, after = (np.s_[:],) * axis + (np.s_[:-1],), (np.s_[:],) * axis + (np.s_[1:],)
+            wide[after] |= marked[before]
+            wide[before] |= marked[after]
+            marked = wide
+        return _reaching(self._boxes, shift, first, _counts(marked))
+
+    def touching(self, cells: Sequence[tuple[int, Int64s]]) -> Int32s:
+        """Return the triangles that may meet cells, given as levels and Morton codes."""
+        ends = [(_coarse(codes, level, 0), _coarse(codes, level, 1)) for level, codes in cells if codes.size]
+        if not ends:
+            return np.empty(0, np.int32)
+        first = np.min([low.min(axis=0) for low, _ in ends], axis=0)
+        marked = np.zeros(np.max([high.max(axis=0) for _, high in ends], axis=0) - first, np.bool_)
+        for low, high in ends:
+            if ((high - low) == 1).all():
+                marked[tuple((low - first).T)] = True
+                continue
+            for (x, y, z), (u, v, w) in zip((low - first).tolist(), (high - first).tolist(), strict=True):
+                marked[x:u, y:v, z:w] = True
+        return _reaching(self._boxes, 0, first, _counts(marked))
 
 
-def touching(
-    surface: Surface, cells: Sequence[tuple[int, npt.NDArray[np.int64]]], placement: Placement
-) -> Int32s:
-    """Return the triangles that may meet cells, given as levels and Morton codes."""
-    marked = np.zeros((1 << _COARSE,) * 3, np.bool_)
-    for level, codes in cells:
-        if level >= _COARSE:
-            marked[tuple((decode_cells(codes) >> (level - _COARSE)).T)] = True
-            continue
-        side = 1 << (_COARSE - level)
-        for x, y, z in (decode_cells(codes) * side).tolist():
-            marked[x : x + side, y : y + side, z : z + side] = True
-    where = on_grid(surface.rest, placement), surface.triangles, GRID_BITS - _COARSE
-    return _reaching(*where, np.zeros(3, np.int64), _counts(marked))
+def _coarse(codes: Int64s, level: int, end: int) -> Int64s:
+    """Return the first coarse cell (n, 3) that cells of a level reach; with ``end`` 1 that after the last."""
+    cells = decode_cells(codes)
+    if level >= _COARSE:
+        return (cells >> (level - _COARSE)) + end
+    return (cells + end) << (_COARSE - level)
 
 
 def _counts(marked: npt.NDArray[np.bool_]) -> Int32s:
@@ -66,51 +80,41 @@ def _counts(marked: npt.NDArray[np.bool_]) -> Int32s:
     return counts
 
 
-@inlined
-def _range(grid: Int32s, triangles: Int32s, triangle: int, axis: int, shift: int) -> tuple[int, int]:
-    """Return the first and the last coarse cell that a triangle reaches along an axis."""
-    a = grid[triangles[triangle, 0], axis]
-    b = grid[triangles[triangle, 1], axis]
-    c = grid[triangles[triangle, 2], axis]
-    return int(min(a, min(b, c))) >> shift, int(max(a, max(b, c))) >> shift
-
-
 @kernel
-def _reach(grid: Int32s, triangles: Int32s, shift: int, chosen: Int32s) -> tuple[Int64s, Int64s]:
-    """Return the first and the last coarse cell that chosen triangles reach along each axis."""
-    first, last = np.full(3, 1 << GRID_BITS), np.full(3, -1)
-    for n in range(chosen.size):
+def _boxes(grid: Int32s, triangles: Int32s, shift: int) -> Uint8s:
+    """Return the first and the last coarse cell that triangles reach along each axis (m, 6)."""
+    boxes = np.empty((triangles.shape[0], 6), np.uint8)
+    for triangle in range(triangles.shape[0]):
         for axis in range(3):
-            low, high = _range(grid, triangles, int(chosen[n]), axis, shift)
-            first[axis], last[axis] = min(first[axis], low), max(last[axis], high)
-    return first, last
+            a = grid[triangles[triangle, 0], axis]
+            b = grid[triangles[triangle, 1], axis]
+            c = grid[triangles[triangle, 2], axis]
+            boxes[triangle, axis] = min(a, min(b, c)) >> shift
+            boxes[triangle, 3 + axis] = max(a, max(b, c)) >> shift
+    return boxes
 
 
 @kernel
-def _mark(
-    grid: Int32s, triangles: Int32s, shift: int, chosen: Int32s, first: Int64s, marked: npt.NDArray[np.bool_]
-) -> None:
-    """Mark the coarse cells, from ``first`` on, that the boxes of chosen triangles reach."""
-    for n in range(chosen.size):
-        triangle = int(chosen[n])
-        x0, x1 = _range(grid, triangles, triangle, 0, shift)
-        y0, y1 = _range(grid, triangles, triangle, 1, shift)
-        z0, z1 = _range(grid, triangles, triangle, 2, shift)
-        for x in range(x0 - first[0], x1 - first[0] + 1):
-            for y in range(y0 - first[1], y1 - first[1] + 1):
-                for z in range(z0 - first[2], z1 - first[2] + 1):
+def _mark(boxes: Uint8s, first: Int64s, marked: npt.NDArray[np.bool_]) -> None:
+    """Mark the coarse cells, from ``first`` on, that boxes reach."""
+    for n in range(boxes.shape[0]):
+        for x in range(np.int64(boxes[n, 0]) - first[0], np.int64(boxes[n, 3]) - first[0] + 1):
+            for y in range(np.int64(boxes[n, 1]) - first[1], np.int64(boxes[n, 4]) - first[1] + 1):
+                for z in range(np.int64(boxes[n, 2]) - first[2], np.int64(boxes[n, 5]) - first[2] + 1):
                     marked[x, y, z] = True
 
 
 @kernel
-def _reaching(grid: Int32s, triangles: Int32s, shift: int, first: Int64s, counts: Int32s) -> Int32s:
+def _reaching(boxes: Uint8s, shift: int, first: Int64s, counts: Int32s) -> Int32s:
     """Return the triangles whose boxes reach a coarse cell that is marked, of those from ``first`` on."""
-    found = np.empty(triangles.shape[0], np.int32)
+    found = np.empty(boxes.shape[0], np.int32)
     count = 0
-    for triangle in range(triangles.shape[0]):
-        x0, x1 = _within(grid, triangles, triangle, 0, shift, first, counts.shape)
-        y0, y1 = _within(grid, triangles, triangle, 1, shift, first, counts.shape)
-        z0, z1 = _within(grid, triangles, triangle, 2, shift, first, counts.shape)
+    for triangle in range(boxes.shape[0]):
+        x0, x1 = _within(boxes, triangle, 0, shift, first, counts.shape)
+        if x0 == x1:
+            continue
+        y0, y1 = _within(boxes, triangle, 1, shift, first, counts.shape)
+        z0, z1 = _within(boxes, triangle, 2, shift, first, counts.shape)
         inside = (
             counts[x1, y1, z1]
             - counts[x0, y1, z1]
@@ -128,15 +132,9 @@ def _reaching(grid: Int32s, triangles: Int32s, shift: int, first: Int64s, counts
 
 @inlined
 def _within(
-    grid: Int32s,
-    triangles: Int32s,
-    triangle: int,
-    axis: int,
-    shift: int,
-    first: Int64s,
-    shape: tuple[int, int, int],
+    boxes: Uint8s, triangle: int, axis: int, shift: int, first: Int64s, shape: tuple[int, int, int]
 ) -> tuple[int, int]:
     """Return the rows of counts between which a triangle lies; the same one twice outside."""
-    low, high = _range(grid, triangles, triangle, axis, shift)
+    low, high = np.int64(boxes[triangle, axis]) >> shift, np.int64(boxes[triangle, 3 + axis]) >> shift
     end = shape[axis] - 1
     return min(max(low - first[axis], 0), end), min(max(high - first[axis] + 1, 0), end)

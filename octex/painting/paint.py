@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from itertools import groupby
+from typing import TypedDict
 
 import numpy as np
 
-from octex.channels import ALPHA, CHANNELS, ChannelFormat
+from octex.channels import ALPHA, BASE_COLOR, CHANNELS, ChannelFormat
 from octex.checks import as_choice, as_depth, as_flag, as_number
+from octex.editing.draft import Change
 from octex.errors import ArgumentError
 from octex.painting.balance import balanced
-from octex.painting.merge import merge
-from octex.painting.pictures import Projection, check_projections
-from octex.painting.projected import (
-    Projected,
-    in_fixed_order,
-    shading_of,
-    stretches_of,
-    take_shot,
-    terms_of,
-)
-from octex.painting.rasterize import empty_texture, rasterize_paint, wanted_depth
+from octex.painting.ground import Ground
+from octex.painting.merge import merged
+from octex.painting.pictures import Projection, check_projections, levels_of
+from octex.painting.projected import Projected, in_fixed_order, shot_of, terms_of
+from octex.painting.rasterize import CELLS, FINEST_CELLS, empty_texture, rasterize_paint, wanted_depth
 from octex.parallel import Progress, as_progress, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
@@ -60,8 +56,8 @@ def paint(
                  averaged, the finer one outweighing the coarser, and then merged once; their order does not
                  matter
     channel      what is painted, of any type; colours are blended in linear light
-    max_depth    the deepest level that paint goes to; by default that at which its cells are half as wide as
-                 the pixels, or 14
+    max_depth    the deepest level that paint goes to, at most that of cells a quarter to half as wide as the
+                 pixels; by default that at which they are half as wide to as wide as the pixels, or 14
     max_angle    degrees between the surface's normal and the way to the camera from which on no paint is
                  put; over the last 10 it fades. From 90 on all that faces the camera is painted in full.
                  The normal is the surface's own where it has ``frames``, else the mean of the triangles
@@ -81,27 +77,54 @@ def paint(
     pictures of another size than their cameras', ImageError for files that are no pictures. (Benson & Davis
     2002, 4.1 and 4.2.)
     """
-    given = check_projections(projections)
-    report = as_progress(progress)
     as_surface(surface)
-    if texture is not None:
-        as_texture(texture)
-        surface = surface.placed_in(texture)
-    made = texture
+    ground = Ground(surface if texture is None else surface.placed_in(as_texture(texture)))
+    options: Options = {
+        "channel": channel, "max_depth": max_depth, "max_angle": max_angle, "edge_feather": edge_feather,
+        "balance": balance, "back_faces": back_faces, "fit": fit,
+    }  # fmt: skip
     with workers(threads, executor) as pool:
-        for blend, group in groupby(given, key=lambda projection: projection.blend):
-            pictures = list(group)
-            opacity = max(picture.opacity for picture in pictures)
-            layer = project(
-                surface, pictures, like=made, channel=channel, max_depth=max_depth, max_angle=max_angle,
-                edge_feather=edge_feather, balance=balance, back_faces=back_faces, fit=fit,
-                executor=pool, progress=report,
-            )  # fmt: skip
-            if made is None:
-                made = empty_texture([format_of(None, channel)], layer.placement, layer.bounds, surface)
-            made = merge(made, layer, surface, opacity=opacity, blend=blend, executor=pool, progress=report)
-    assert made is not None
-    return made
+        steps = painted(texture, ground, projections, pool, as_progress(progress), options)
+        for made, _ in steps:
+            texture = made
+    assert texture is not None
+    return texture
+
+
+class Options(TypedDict, total=False):
+    """What `paint` and `project` may be told; see there."""
+
+    channel: str
+    max_depth: int | None
+    max_angle: float
+    edge_feather: float
+    balance: bool
+    back_faces: bool
+    fit: bool
+
+
+def painted(
+    texture: OctreeTexture | None,
+    ground: Ground,
+    projections: Projection | Sequence[Projection],
+    executor: Executor,
+    progress: Progress,
+    options: Options,
+) -> Iterator[tuple[OctreeTexture, Change | None]]:
+    """Paint as `paint` does; yield what has become of the texture with each layer, and what has changed."""
+    given = check_projections(projections)
+    for blend, group in groupby(given, key=lambda projection: projection.blend):
+        pictures = list(group)
+        opacity = max(picture.opacity for picture in pictures)
+        layer = projected(ground, pictures, texture, executor, progress, **options)
+        if texture is None:
+            form = format_of(None, options.get("channel", BASE_COLOR.name))
+            texture = empty_texture([form], layer.placement, layer.bounds, ground.surface)
+        change = merged(
+            texture, layer, ground, opacity=opacity, blend=blend, executor=executor, progress=progress
+        )
+        texture = texture if change is None else change.put_into(texture)
+        yield texture, change
 
 
 def project(
@@ -130,41 +153,69 @@ def project(
     thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
     is the same.
     """
-    given = check_projections(projections)
-    report = as_progress(progress)
     as_surface(surface)
-    form = format_of(like, channel)
+    given = check_projections(projections)
+    format_of(like, channel)
+    ground = Ground(surface if like is None else surface.placed_in(like))
+    with workers(threads, executor) as pool:
+        return projected(
+            ground, given, like, pool, as_progress(progress), channel=channel, max_depth=max_depth,
+            max_angle=max_angle, edge_feather=edge_feather, balance=balance, back_faces=back_faces, fit=fit,
+        )  # fmt: skip
+
+
+def projected(
+    ground: Ground,
+    given: Sequence[Projection],
+    like: OctreeTexture | None,
+    executor: Executor,
+    report: Progress,
+    *,
+    channel: str = BASE_COLOR.name,
+    max_depth: int | None = None,
+    max_angle: float = 75.0,
+    edge_feather: float = 0.0,
+    balance: bool = False,
+    back_faces: bool = False,
+    fit: bool = True,
+) -> OctreeTexture:
+    """Project pictures onto a surface as `project` does."""
+    surface, form = ground.surface, format_of(like, channel)
     max_angle = as_number(max_angle, "max_angle", 0.0, 180.0)
     edge_feather = as_number(edge_feather, "edge_feather", 0.0, 1e6)
     balance, back_faces = as_flag(balance, "balance"), as_flag(back_faces, "back_faces")
     fit = as_flag(fit, "fit")
-    surface = surface if like is None else surface.placed_in(like)
     deepest = _DEEPEST if max_depth is None else as_depth(max_depth, "max_depth")
     terms = terms_of(max_angle, edge_feather, back_faces)
     largest = max(projection.opacity for projection in given) or 1.0
-    with workers(threads, executor) as pool:
-        mesh = surface.vertices, surface.triangles
-        shots = []
-        for number, projection in enumerate(given):
-            report("look", number, len(given))
-            scale = projection.opacity / largest
-            shots.append(take_shot(projection, form, *mesh, edge_feather, scale, pool))
-        report("look", len(given), len(given))
-        shots = in_fixed_order(shots)
-        stretches = stretches_of(surface.vertices, surface.rest, surface.triangles)
-        source = Projected(shots, form, terms, *mesh, stretches, shading=shading_of(surface))
-        extent = float(np.ptp(surface.bounds, axis=0).max())
-        size = like.placement.size if like is not None else extent
-        finest = wanted_depth(source.near_paint(_REACH), size)
-        depth = min(finest, deepest)
-        # Larger cells look farther around: by as many pixels as they are wide, and those of the level read.
-        source = source.near_paint(_REACH << max(finest - depth, 0))
-        placement = Placement.around(surface.bounds, depth) if like is None else like.placement
-        if like is not None:
-            check_inside(surface, placement)
-        if balance and len(shots) > 1:
-            source = source.with_gains(balanced(source, surface))
-        return rasterize_paint(surface, source, placement, depth, fit=fit, executor=pool, progress=report)
+    report("look", 0, len(given))
+    scales = [projection.opacity / largest for projection in given]
+    levels = [
+        executor.submit(levels_of, projection, form, scale)
+        for projection, scale in zip(given, scales, strict=True)
+    ]
+    sights = ground.sights([projection.camera for projection in given], edge_feather, executor)
+    shots = [shot_of(sight, level.result()) for sight, level in zip(sights, levels, strict=True)]
+    report("look", len(given), len(given))
+    shots = in_fixed_order(shots)
+    mesh = surface.vertices, surface.triangles
+    source = Projected(shots, form, terms, *mesh, ground.stretches, shading=ground.shading)
+    extent = float(np.ptp(surface.bounds, axis=0).max())
+    size = like.placement.size if like is not None else extent
+    cells = CELLS if max_depth is None else FINEST_CELLS
+    near = source.near_paint(_REACH)
+    finest = wanted_depth(near, size, FINEST_CELLS)
+    depth = min(wanted_depth(near, size, cells), deepest)
+    # Larger cells look farther around: by as many pixels as they are wide, and those of the level read.
+    source = source.near_paint(_REACH << max(finest - depth, 0))
+    placement = Placement.around(surface.bounds, depth) if like is None else like.placement
+    if like is not None:
+        check_inside(surface, placement)
+    if balance and len(shots) > 1:
+        source = source.with_gains(balanced(source, surface))
+    return rasterize_paint(
+        ground, source, placement, depth, fit=fit, cells=cells, executor=executor, progress=report
+    )
 
 
 def format_of(texture: OctreeTexture | None, channel: str) -> ChannelFormat:

@@ -18,6 +18,7 @@ from octex.painting.source import PaintSource
 from octex.source.corners import Frames
 from octex.source.surface import Surface
 from octex.source.tangents import carried
+from octex.view.camera import Camera
 from octex.view.shading import corner_normals_of, face_normals
 from octex.view.visibility import (
     Seen,
@@ -62,6 +63,16 @@ class Shot(NamedTuple):
     centres: npt.NDArray[np.float32]  # (height, width, 3)   barycentric coordinates of the pixels' centres
 
 
+class Sight(NamedTuple):
+    """What a camera sees of a surface; see Shot."""
+
+    camera: View
+    lens: npt.NDArray[np.float64]
+    seen: Seen
+    margins: npt.NDArray[np.float32]
+    centres: npt.NDArray[np.float32]
+
+
 class Terms(NamedTuple):
     """Under which terms paint is put."""
 
@@ -85,13 +96,25 @@ def take_shot(
     Raises as `levels_of` does.
     """
     levels = executor.submit(levels_of, projection, form, scale)
-    camera = projection.camera
+    sight = sight_of(vertices, triangles, projection.camera, feather, executor)
+    return shot_of(sight, levels.result())
+
+
+def sight_of(
+    vertices: Floats, triangles: Int32s, camera: Camera, feather: float, executor: Executor
+) -> Sight:
+    """Find what a camera sees of triangles (m, 3) of vertices (n, 3)."""
     pinhole = straight(camera)
     seen, centres = look(vertices, triangles, pinhole, executor)
     view = view_of(pinhole)
     margins = distances_to_edges(seen, view, max(feather, _TRUSTED) + 1.0)
     lens = np.concatenate([camera.K.ravel(), camera.distortion, [camera.reach]])
-    return Shot(view, lens, levels.result(), seen, margins, centres)
+    return Sight(view, lens, seen, margins, centres)
+
+
+def shot_of(sight: Sight, levels: Levels) -> Shot:
+    """Put a picture before what its camera sees."""
+    return Shot(sight.camera, sight.lens, levels, sight.seen, sight.margins, sight.centres)
 
 
 def in_fixed_order(shots: Sequence[Shot]) -> list[Shot]:

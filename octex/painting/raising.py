@@ -10,35 +10,41 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import encode
-from octex.conversion.facings import MOST, in_codes
 from octex.conversion.fill import assemble, fill
-from octex.editing.averages import add_up_areas
+from octex.editing.averages import with_summed_areas
+from octex.editing.carried import carried
+from octex.editing.draft import coarsest_near
+from octex.editing.nodes import all_children, nodes_at
+from octex.editing.refined import Below, refined_below, with_rows
+from octex.editing.split import refaced
 from octex.errors import ModelError, own_making
 from octex.painting.cells import (
     SKIRT,
     Paint,
     are_beside,
     beside_larger,
-    boundary,
     facings_within,
     is_within,
-    refined_rows,
-    refined_values,
     skirt_of,
     skirt_on_nothing,
     some,
-    with_all_above,
     with_skirt,
 )
 from octex.painting.flat import Flat
+from octex.painting.ground import Ground
 from octex.painting.kept import bare_leaves
-from octex.painting.near import touching
 from octex.parallel import Progress
-from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.texture.channel import Channel
-from octex.texture.split import bits_of, refaced, with_split
-from octex.tree.edit import Edited, Located, among, locate, raised, unchanged
+from octex.tree.edit import (
+    Edited,
+    Located,
+    among,
+    boundary,
+    locate,
+    raised,
+    unchanged,
+    with_all_above,
+)
 from octex.tree.layout import FACING_FLAGS, KEPT
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree, distinct
@@ -61,38 +67,84 @@ class Raised(NamedTuple):
     old: Int64s  # (cells,)   each cell's number in the texture as it was; −1: it was not there
     is_fresh: Bools  # (cells,)   where the texture had nothing
     paint: list[Paint]  # with skirts
+    is_skirt: Bools  # (cells,)   leaves that no surface is in
 
 
 def raise_texture(
     texture: OctreeTexture,
+    whole: OctreeTexture,
     layer: OctreeTexture,
     paint: list[Paint],
-    surface: Surface,
+    ground: Ground,
     executor: Executor,
     progress: Progress,
     *,
     adds: bool,
+    hiding: float,
 ) -> Raised:
     """Bring a texture's tree to where paint, or the boundary around it, is finer; its field does not move.
+
+    ``whole`` is the texture that ``texture`` is a draft of, or itself.
 
     Leaves above become nodes that keep their coefficients. Below them stand the cells that the surface meets,
     with what the field refines to; what it does not meet is culled. Where the texture has nothing, the
     layer's cells are added, without values, if it ``adds``; else the paint there is dropped.
 
     Paint below what was a leaf gets a skirt: cells off the surface beside it, which would else be refined
-    from the coefficients kept, and show through.
+    from the coefficients kept, and show through. Leaves that have nothing but paint around them, all of which
+    leaves nothing of what was there, for its coverage is ``hiding`` or more, keep none: they need no skirt.
 
     All cells of the paint that is returned are cells of the texture, and none lies in another.
     """
     is_empty = texture.tree.n_leaves == 0  # its root stands for nothing
     if not adds:
         paint = [] if is_empty else [_on(texture.tree, each, level) for level, each in enumerate(paint)]
-    edited, paint, met = _raised(texture, paint, surface, executor, progress)
+    is_skirt = _skirts(texture, paint, ground, executor, progress)
+    edited, paint, met = _raised(texture, is_skirt, paint, ground, hiding, executor, progress)
     if is_empty:
         edited = edited._replace(old=np.full_like(edited.old, -1))
     with own_making():
-        made, is_fresh = _carried(texture, edited, edited.tree, met, layer, paint)
-    return Raised(made, edited.old, is_fresh, paint)
+        made, is_fresh = _carried(texture, whole, edited, edited.tree, met, layer, paint)
+    is_skirt = edited.carried(is_skirt) | (made.tree.arrays.areas == SKIRT)
+    return Raised(made, edited.old, is_fresh, paint, is_skirt)
+
+
+def _skirts(
+    texture: OctreeTexture, paint: Sequence[Paint], ground: Ground, executor: Executor, progress: Progress
+) -> Bools:
+    """Say which leaves (cells,) no surface is in: skirts, and, near paint, cells that ``resize`` has made.
+
+    These are more than half of the cells of a node, all alike. Near is what is in or beside nodes that paint
+    is in and that keep a coefficient; see `kept.on_kept`.
+    """
+    tree = texture.tree
+    is_skirt: Bools = tree.arrays.areas == SKIRT
+    codes = np.empty(0, np.int64)
+    doubted: list[tuple[int, Int64s]] = []
+    for level, above in enumerate(with_all_above([each.codes for each in paint])[: tree.max_depth]):
+        where = nodes_at(tree, [*[codes[:0]] * level, above])
+        kept = above[(where.numbers >= 0) & (tree.arrays.flags[where.cells] & KEPT != 0)]
+        codes = distinct(np.concatenate([codes, kept, boundary(kept, level)]))
+        where = nodes_at(tree, [*[codes[:0]] * level, codes])
+        numbers = where.numbers[where.numbers >= 0]
+        codes = (codes[where.numbers >= 0, None] << 3 | np.arange(8)).reshape(-1)
+        found = locate(tree, codes, level + 1)
+        codes, found = codes[found.levels == level + 1], found.of(found.levels == level + 1)
+        if not codes.size:
+            continue
+        children, starts = all_children(tree, numbers)
+        looks = tree.arrays.areas[children].astype(np.int64) << 8 | tree.arrays.flags[children] & FACING_FLAGS
+        counts = np.diff(starts, append=children.size)
+        is_filled = np.minimum.reduceat(looks, starts) == np.maximum.reduceat(looks, starts)
+        is_filled = np.repeat(is_filled & (counts > 4), counts) & found.is_leaf & ~is_skirt[found.cells]
+        if is_filled.any():
+            doubted.append((level + 1, codes[is_filled]))
+    if doubted:
+        met = _met_cells(ground, texture, doubted, doubted[-1][0], executor, progress)
+        for level, own in doubted:
+            off = own[~among(own, met.codes[level])]
+            is_skirt[locate(tree, off, level).cells] = True
+    return is_skirt
 
 
 def _on(tree: Octree, paint: Paint, level: int) -> Paint:
@@ -103,8 +155,10 @@ def _on(tree: Octree, paint: Paint, level: int) -> Paint:
 
 def _raised(
     texture: OctreeTexture,
+    is_skirt: Bools,
     paint: list[Paint],
-    surface: Surface,
+    ground: Ground,
+    hiding: float,
     executor: Executor,
     progress: Progress,
 ) -> tuple[Edited, list[Paint], Met | None]:
@@ -112,10 +166,6 @@ def _raised(
     tree = texture.tree
     none = np.empty(0, np.int64)
     shallowest = next((level for level, (leaves, _) in enumerate(tree.cells_by_depth()) if leaves), None)
-    coarsest = 0 if shallowest is None else shallowest  # of what the field is refined from
-    if tree.kept.cells.size:
-        first_kept = np.searchsorted(tree.arrays.level_cells, tree.kept.cells[0], side="right") - 1
-        coarsest = min(coarsest, int(first_kept))
     added: list[Int64s] = []
     below: list[Int64s] = []
     virtual: list[Int64s] = []  # beside paint: refined from what is above
@@ -135,10 +185,10 @@ def _raised(
             around = boundary(each.codes, level)
             where = locate(tree, around, level)
             flags = tree.arrays.flags[where.cells]
-            is_skirt = where.is_leaf & (tree.arrays.areas[where.cells] == SKIRT)  # see kept.with_old_skirts
-            is_refined = (where.levels < level) & (where.is_leaf | (flags & KEPT != 0)) & ~is_skirt
+            is_old = where.is_leaf & is_skirt[where.cells]  # see kept.with_old_skirts
+            is_refined = (where.levels < level) & (where.is_leaf | (flags & KEPT != 0)) & ~is_old
             virtual[-1] = around[is_refined]
-            rings[-1] = around[(where.levels == level) & ~is_skirt]
+            rings[-1] = around[(where.levels == level) & ~is_old]
             is_absent = (where.levels < level - 1) & ~where.is_leaf & (flags & KEPT == 0)
             absent[-1] = around[is_absent & among(around, boundary(below[-1], level))]
             is_below = is_refined & where.is_leaf
@@ -146,13 +196,17 @@ def _raised(
     if not tops and not any(codes.size for codes in (*added, *virtual)):
         return unchanged(tree), paint, None
     depth = max((level for level, each in enumerate(paint) if each.codes.size), default=0)
-    met = _met_cells(surface, texture, tops, depth, executor, progress)
+    met = _met_cells(ground, texture, tops, depth, executor, progress)
     # New cells of paint, and what is above them, count as met: whatever the surface says, no skirt holds any.
     new = with_all_above([np.concatenate([below[level], added[level]]) for level in range(depth + 1)])
     painted = [each.codes for each in paint]
     above = with_all_above(painted)
     has_absent = any(codes.size for codes in absent)
-    unraised, bare = _bare(tree, paint, above, tops, met) if has_absent else ([], [])
+    hides = bool(tops) and any((each.coverage >= hiding).any() for each in paint)
+    unraised, bare = _bare(tree, is_skirt, paint, above, tops, met) if has_absent or hides else ([], [])
+    freed = _freed(tree, paint, tops, bare, hiding) if hides else []
+    first = next((level for level, codes in enumerate(painted) if codes.size), 0)
+    coarsest = coarsest_near(tree, painted, first) if has_absent else 0
     wanted: list[Int64s] = []
     skirts: list[Int64s] = []  # none lies in another
     with_skirts: list[Paint] = []
@@ -160,9 +214,10 @@ def _raised(
         surface_cells = distinct(np.concatenate([met.codes[level], new[level]]))
         is_met = among(virtual[level], surface_cells)
         raised_ring, outer = virtual[level][is_met], virtual[level][~is_met]
+        outer = outer[~is_within(outer, freed, level)]
         ring = np.sort(np.concatenate([raised_ring, rings[level]]))
         if (outer.size or absent[level].size) and level <= tree.max_depth:
-            surface_cells = distinct(np.concatenate([surface_cells, _facing_cells(tree, level)]))
+            surface_cells = distinct(np.concatenate([surface_cells, _facing_cells(tree, is_skirt, level)]))
         skirt = skirt_of(outer, painted, ring, surface_cells, level)
         extra = [none]
         here = absent[level][_is_beside_old(absent[level], level, above, bare, coarsest)]
@@ -186,11 +241,12 @@ def _raised(
     kinds = met.codes, new, with_all_above(skirts)
     stored = [distinct(np.concatenate(each)) for each in zip(*kinds, strict=True)]
     with own_making():
-        return raised(tree, wanted, stored, added), with_skirts, met
+        return raised(tree, wanted, stored, added, freed), with_skirts, met
 
 
 def _bare(
     tree: Octree,
+    is_skirt: Bools,
     paint: Sequence[Paint],
     above: Sequence[Int64s],
     tops: Sequence[tuple[int, Int64s]],
@@ -205,7 +261,9 @@ def _bare(
         distinct(np.concatenate([np.empty(0, np.int64), *(own for at, own in tops if at == level)]))
         for level in range(max(tree.max_depth + 1, len(met.codes)))
     ]
-    unraised = [own[~among(own, split[level])] for level, own in enumerate(bare_leaves(tree, paint))]
+    unraised = [
+        own[~among(own, split[level])] for level, own in enumerate(bare_leaves(tree, paint, is_skirt))
+    ]
     bare = [*unraised, *[np.empty(0, np.int64)] * (len(met.codes) - len(unraised))]
     for level, codes in enumerate(met.codes):
         inside = codes[is_within(codes >> 3, split[:level], level - 1)] if level else codes[:0]
@@ -219,12 +277,45 @@ def _bare(
     return unraised, bare
 
 
+def _freed(
+    tree: Octree,
+    paint: Sequence[Paint],
+    tops: Sequence[tuple[int, Int64s]],
+    bare: Sequence[Int64s],
+    hiding: float,
+) -> list[Int64s]:
+    """Return those of the leaves that are raised, ``tops``, that need keep nothing, by level.
+
+    Two of their own size around them there is no kept node, no ``bare`` surface and no paint through which
+    something shows: no cell off the surface below them is refined from what was there.
+    """
+    levels = range(max(len(bare), len(paint)))
+    old = [[np.empty(0, np.int64)] for _ in levels]
+    for level, own in enumerate(bare):
+        old[level].append(own)
+    for level, each in enumerate(paint):
+        old[level].append(each.codes[each.coverage < hiding])
+    ends = np.searchsorted(tree.kept.cells, tree.arrays.level_cells)
+    for level in range(tree.max_depth + 1 if tree.kept.cells.size else 0):
+        kept = tree.kept.cells[ends[level] : ends[level + 1]].astype(np.int64)
+        if kept.size:
+            old[level].append(tree.level_codes(level)[kept - tree.arrays.level_cells[level]])
+    shown = [distinct(np.concatenate(own)) for own in old]
+    freed = []
+    for level in levels:
+        codes = distinct(np.concatenate([np.empty(0, np.int64), *(own for at, own in tops if at == level)]))
+        near = distinct(np.concatenate([codes, boundary(codes, level)]))
+        near = near[are_beside(near, shown, level)] if codes.size else near
+        freed.append(codes[~among(codes, near) & ~among(codes, boundary(near, level))])
+    return freed
+
+
 def _is_beside_old(
     codes: Int64s, level: int, above: Sequence[Int64s], bare: Sequence[Int64s], coarsest: int
 ) -> npt.NDArray[np.bool_]:
     """Say which cells (n,) of a level are in or beside nodes that paint is in and whose coefficient stays.
 
-    See ``kept.on_kept``: unpainted surface is in or beside them. They are of the coarsest level there is.
+    See ``kept.on_kept``: unpainted surface is in or beside them. They are of the coarsest level near paint.
     """
     if not codes.size:
         return np.zeros(0, np.bool_)
@@ -235,10 +326,10 @@ def _is_beside_old(
     return among(cells, old) | among(cells, boundary(old, coarsest))
 
 
-def _facing_cells(tree: Octree, level: int) -> Int64s:
+def _facing_cells(tree: Octree, is_skirt: Bools, level: int) -> Int64s:
     """Return the Morton codes of a level's cells that a surface is in."""
     first, end = tree.arrays.level_cells[level : level + 2]
-    codes: Int64s = tree.level_codes(level)[tree.arrays.areas[first:end] != SKIRT]
+    codes: Int64s = tree.level_codes(level)[~is_skirt[first:end]]
     return codes
 
 
@@ -251,7 +342,7 @@ def _above(codes: Int64s, where: Located, level: int) -> list[tuple[int, Int64s]
 
 
 def _met_cells(
-    surface: Surface,
+    ground: Ground,
     texture: OctreeTexture,
     tops: Sequence[tuple[int, Int64s]],
     depth: int,
@@ -259,11 +350,11 @@ def _met_cells(
     progress: Progress,
 ) -> Met:
     """Find the cells down to ``depth`` that the surface meets in some cells, given by level."""
-    chosen = touching(surface, tops, texture.placement) if tops else np.empty(0, np.int32)
+    chosen = ground.near(texture.placement).touching(tops) if tops else np.empty(0, np.int32)
     nothing = Met(Octree.from_leaves(np.empty(0, np.int64), 0), [np.empty(0, np.int64)] * (depth + 1))
     if not chosen.size:
         return nothing
-    part = Surface(surface.vertices, surface.triangles[chosen], Flat(), rest=surface.rest, name=surface.name)
+    part = ground.surface.part(chosen, Flat())
     channels = part.source.channels
     try:
         filled = fill(part, channels, texture.placement, depth, executor, progress, has_samples=False)
@@ -275,6 +366,7 @@ def _met_cells(
 
 def _carried(
     texture: OctreeTexture,
+    whole: OctreeTexture,
     edited: Edited,
     tree: Octree,
     met: Met | None,
@@ -287,36 +379,19 @@ def _carried(
     take other channels from the coarser averages there.
     """
     is_fresh = np.zeros(tree.n_cells, np.bool_)
-    is_added = np.zeros(tree.n_cells, np.bool_)
     if tree is texture.tree:
         return texture, is_fresh
-    channels = {
-        name: [
-            edited.carried(channel.values),
-            channel.split_values[edited.split_rows],
-            np.zeros((tree.kept.cells.size, channel.format.components), channel.format.dtype),
-        ]
-        for name, channel in texture.channels.items()
-    }
+    values = {name: edited.carried(channel.values) for name, channel in texture.channels.items()}
     flags, areas = tree.arrays.flags.copy(), tree.arrays.areas.copy()
-    old_kept = edited.old[tree.kept.cells]
-    at = np.searchsorted(texture.tree.kept.cells, np.maximum(old_kept, 0).astype(np.uint32))
-    at = np.minimum(at, max(texture.tree.kept.cells.size - 1, 0))
-    was_kept = np.zeros(old_kept.size, np.bool_)
-    if texture.tree.kept.cells.size:
-        was_kept = (old_kept >= 0) & (texture.tree.kept.cells[at] == old_kept)
-    for name, channel in texture.channels.items():
-        kept_values = channels[name][2]
-        kept_values[was_kept] = channel.kept_values[at[was_kept]]
-        was_leaf = ~was_kept & (old_kept >= 0)
-        kept_values[was_leaf] = channel.values[old_kept[was_leaf]]
-    kept = tree.kept.cells.astype(np.int64)
+    rows: list[tuple[Int64s, Below]] = []
+    added: list[Int64s] = []
     for level, (codes, is_node) in enumerate(tree.walk()):
         first = int(tree.arrays.level_cells[level])
         new = np.flatnonzero(edited.old[first : first + codes.size] < 0)
+        cells, new_codes = first + new, codes[new]
+        added.append(new_codes[:0])
         if not new.size:
             continue
-        cells, new_codes = first + new, codes[new]
         where, inside = locate(texture.tree, new_codes, level), locate(layer.tree, new_codes, level)
         is_met = np.zeros(new.size, np.bool_)
         if met is not None and level < len(met.codes) and met.codes[level].size:
@@ -329,28 +404,30 @@ def _carried(
         flags[cells[is_bare]] |= facings_within(new_codes[is_bare], paint, level)
         areas[cells[is_bare]] = SKIRT
         is_own = is_painted & ~where.is_leaf
-        is_added[cells[is_own]] = True
+        added[-1] = new_codes[is_own]
         is_fresh[cells[~where.is_leaf & (is_own | is_node[new])]] = True
         is_kept = texture.tree.arrays.flags[where.cells] & KEPT != 0
         is_refined = where.is_leaf | is_kept | is_bare & ~is_node[new]
-        values = [(is_refined, refined_values(texture.tree, texture.channels, new_codes[is_refined], level))]
+        facings = np.where(where.is_leaf, flags[cells] & np.uint8(FACING_FLAGS), np.uint8(0))
+        below = refined_below(texture, new_codes[is_refined], level, facings[is_refined])
+        rows.append((cells[is_refined], below))
+        found = [(is_refined, below.values)]
         if texture.tree.n_leaves and not is_refined.all():
             centres = (decode_cells(new_codes[~is_refined]) + 0.5) / 2**level
             points = texture.placement.to_rest(centres)
-            values.append((~is_refined, texture.sample(points, list(texture.channels), normalize=False)))
-        keeps = among(cells, kept)
-        kept_at = np.searchsorted(kept, cells[keeps])
+            found.append((~is_refined, whole.sample(points, list(texture.channels), normalize=False)))
         for name, channel in texture.channels.items():
-            for chosen, found in values:
-                own = encode(found[name], channel.format.dtype, channel.format.space)
-                channels[name][0][cells[chosen]] = own
-            channels[name][2][kept_at] = channels[name][0][cells[keeps]]
-    if is_added.any():
-        add_up_areas(tree, is_added, areas)
+            for chosen, own in found:
+                values[name][cells[chosen]] = encode(own[name], channel.format.dtype, channel.format.space)
+    channels = carried(texture, edited, values)
     tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
-    made = {name: Channel(texture.channels[name].format, *arrays) for name, arrays in channels.items()}
-    whole = OctreeTexture(tree, made, texture.placement, texture.bounds, texture.metadata)
-    return refaced(split_below(whole, texture, edited.old)), is_fresh
+    all_carried = OctreeTexture(tree, channels, texture.placement, texture.bounds, texture.metadata)
+    made = refaced(with_rows(all_carried, rows))
+    if any(codes.size for codes in added):
+        nodes = nodes_at(made.tree, [distinct(codes >> 3) for codes in with_all_above(added)[1:]])
+        tree = with_summed_areas(made.tree, nodes)
+        made = OctreeTexture(tree, made.channels, made.placement, made.bounds, made.metadata)
+    return made, is_fresh
 
 
 def _face(
@@ -359,38 +436,3 @@ def _face(
     """Give cells the facings and areas of cells of another tree, in place."""
     flags[cells] |= tree.arrays.flags[sources] & np.uint8(FACING_FLAGS)
     areas[cells] = tree.arrays.areas[sources]
-
-
-def split_below(made: OctreeTexture, texture: OctreeTexture, old: Int64s) -> OctreeTexture:
-    """Split new cells below leaves where a facing sees something else in what the field refines to.
-
-    ``old`` (cells,) are the numbers that cells had in ``texture``; negative ones are new.
-    """
-    tree, forms = made.tree, {name: channel.format for name, channel in made.channels.items()}
-    found = [(np.empty(0, np.int64), np.empty(0, np.uint8))]
-    rows: dict[str, list[npt.NDArray[np.generic]]] = {
-        name: [channel.split_values[:0]] for name, channel in made.channels.items()
-    }
-    for level, (codes, _) in enumerate(tree.walk()):
-        first = int(tree.arrays.level_cells[level])
-        facings = tree.arrays.flags[first : first + codes.size] & np.uint8(FACING_FLAGS)
-        new = np.flatnonzero((old[first : first + codes.size] < 0) & (facings != 0))
-        new = new[locate(texture.tree, codes[new], level).is_leaf]
-        if not new.size:
-            continue
-        facings = facings[new]
-        owners, bits = np.repeat(np.arange(new.size), np.bitwise_count(facings)), bits_of(facings)
-        is_split = np.zeros(new.size, np.bool_)
-        stored = {}
-        for name, values in refined_rows(texture, codes[new], level, owners, bits).items():
-            stored[name] = encode(values, forms[name].dtype, forms[name].space)
-            whole = made.channels[name].values[first + new[owners]]
-            apart = in_codes(stored[name], forms[name]) - in_codes(whole, forms[name])
-            is_split[owners[(np.abs(apart) > MOST).any(axis=1)]] = True
-        found.append((first + new[is_split], facings[is_split]))
-        for name, own in stored.items():
-            rows[name].append(own[is_split[owners]])
-    cells, facings = (np.concatenate(column) for column in zip(*found, strict=True))
-    if not cells.size:
-        return made
-    return with_split(made, cells, facings, {name: np.concatenate(each) for name, each in rows.items()})

@@ -13,7 +13,8 @@ from octex.channels import ChannelFormat
 from octex.checks import as_choice, as_depth, as_number, as_points, as_positive, as_reals
 from octex.errors import ArgumentError
 from octex.functions import answer
-from octex.painting.merge import merge
+from octex.painting.ground import Ground
+from octex.painting.merge import merged
 from octex.painting.paint import check_inside, format_of
 from octex.painting.pictures import BLENDS, Blend
 from octex.painting.rasterize import empty_texture, rasterize_paint
@@ -21,7 +22,7 @@ from octex.painting.source import PaintSource
 from octex.parallel import Progress, as_progress, workers
 from octex.source.corners import at_corners
 from octex.source.surface import Surface, as_surface
-from octex.texture import OctreeTexture
+from octex.texture import OctreeTexture, as_texture
 from octex.tree.placement import Placement
 
 Floats = npt.NDArray[np.float64]
@@ -130,23 +131,42 @@ def fill(
     are not in 0 … 1, or NaN, and as ``paint`` does.
     """
     as_surface(surface)
-    form = format_of(texture, channel)
-    value = _value(form, color)
+    report = as_progress(progress)
+    ground = Ground(surface if texture is None else surface.placed_in(as_texture(texture)))
     opacity = as_number(opacity, "opacity", 0.0, 1.0)
     as_choice(blend, BLENDS, "blend")
-    report = as_progress(progress)
+    with workers(threads, executor) as pool:
+        base, layer = region_layer(texture, ground, surface, region, color, channel, max_depth, pool, report)
+        change = merged(base, layer, ground, opacity=opacity, blend=blend, executor=pool, progress=report)
+    return base if change is None else change.put_into(base)
+
+
+def region_layer(
+    texture: OctreeTexture | None,
+    ground: Ground,
+    surface: Surface,
+    region: Region,
+    color: npt.ArrayLike,
+    channel: str,
+    max_depth: int | None,
+    executor: Executor,
+    progress: Progress,
+) -> tuple[OctreeTexture, OctreeTexture]:
+    """Return the texture to fill, a new one for None, and the layer that fills the region; see `fill`.
+
+    ``surface`` is the one whose rest positions the region is of, ``ground`` where the texture has it.
+    """
+    form = format_of(texture, channel)
+    value = _value(form, color)
     if max_depth is not None:
         depth = as_depth(max_depth, "max_depth")
     else:
         depth = _DEPTH if texture is None or not texture.tree.n_leaves else texture.tree.max_depth
     placement = Placement.around(surface.bounds, depth) if texture is None else texture.placement
     source = Filled(form, value, surface.rest, surface.triangles, *_coverage(region, surface))
-    surface = surface if texture is None else surface.placed_in(texture)
-    check_inside(surface, placement)
-    with workers(threads, executor) as pool:
-        layer = rasterize_paint(surface, source, placement, depth, fit=False, executor=pool, progress=report)
-        base = texture or empty_texture([form], placement, surface.bounds, surface)
-        return merge(base, layer, surface, opacity=opacity, blend=blend, executor=pool, progress=report)
+    check_inside(ground.surface, placement)
+    layer = rasterize_paint(ground, source, placement, depth, fit=False, executor=executor, progress=progress)
+    return texture or empty_texture([form], placement, ground.surface.bounds, ground.surface), layer
 
 
 class Filled(PaintSource):

@@ -1,7 +1,7 @@
 """Textures made from textures: mapped, blurred, combined, mixed, made coarser, finer or smaller.
 
 Every operation takes textures and returns a new one. Averages are made anew where what is below them changes:
-the area-weighted means of children, and what the node differed by from that before (see averages).
+the area-weighted means of children, and what the node differed by from that before (see editing.averages).
 
 mapping     every value through a function
 tone        levels and curves, through tables
@@ -10,6 +10,7 @@ union       the tree of the cells of two trees, and where each of them comes fro
 combine     one texture on another, and anything between the two
 resize      another depth, or a part of space
 cast        other types, fewer channels
-averages    nodes after their leaves
-facings     rows of split nodes after those of their children
+edit        other values: what they are above leaves, and what provenance says
+mixing      two textures mixed, cell by cell of their union
+sides       what each of the two has there
 """

@@ -10,13 +10,15 @@ import numpy.typing as npt
 
 from octex.channels import ALPHA, LEAST_COVERAGE, decode, encode
 from octex.checks import as_number
-from octex.editing.averages import AREAS, average_plain, node_cells
-from octex.editing.facings import Rows, rows_of
+from octex.editing.averages import average_plain
+from octex.editing.nodes import node_cells
 from octex.processing.edit import noted, with_values
 from octex.processing.mapping import centres_of, levels_of, names_of
 from octex.texture import Channel, OctreeTexture
+from octex.tree.areas import AREAS
 from octex.tree.layout import FACING_FLAGS
 from octex.tree.octree import Octree
+from octex.tree.split import Rows, rows_of
 
 Float32s = npt.NDArray[np.float32]
 Int64s = npt.NDArray[np.int64]
@@ -60,17 +62,16 @@ def blur(
     made = {name: Channel(texture.channels[name].format, *own) for name, own in arrays.items()}
     is_leaf = np.ones(tree.n_cells, np.bool_)
     is_leaf[node_cells(tree)] = False
-    rows, cells, bits = rows_of(tree)
-    of_leaves = is_leaf[cells]
-    rows, cells, bits = rows[of_leaves], cells[of_leaves], bits[of_leaves]
+    rows = rows_of(tree.split)
+    rows = rows.of(is_leaf[rows.cells])
     is_plain = is_leaf.copy()
-    is_plain[cells] = False
+    is_plain[rows.cells] = False
     plain, kept = np.flatnonzero(is_plain), tree.kept.cells.astype(np.int64)
     look = _Look(texture, names, width, threads, executor)
     faces = tree.arrays.flags & np.uint8(FACING_FLAGS)
     for part, numbers, chosen, facings in (
         (0, plain, plain, faces[plain]),
-        (1, rows, cells, bits),
+        (1, *rows),
         (2, np.arange(kept.size), kept, faces[kept]),
     ):
         for name, values in look.at(chosen, facings).items():
@@ -79,7 +80,7 @@ def blur(
             old = decode(own[numbers], form.space)
             result = blurred + look.left[chosen, None] * (old - plain_field)
             own[numbers] = encode(result, form.dtype, form.space)
-    _average_facings(texture, made, Rows(rows, cells, bits), look.left)
+    _average_facings(texture, made, rows, look.left)
     left = look.left[:, None].astype(np.float64)
     change = dict.fromkeys(names, lambda cells, values, means: left[cells] * (values - means))
     metadata = noted(texture.metadata, "blur", channels=names, width=width)

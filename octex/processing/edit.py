@@ -9,9 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ALPHA
-from octex.editing.averages import Change, alpha_beside, average, coverage, difference, residuals
-from octex.editing.facings import average_rows, row_residuals
-from octex.processing.averages import Tables, average_by_tables, changed_by
+from octex.editing.averages import Change, average, coverage, difference, residuals
 from octex.texture import Channel, OctreeTexture
 
 #: The name in the metadata under which operations are listed, as JSON.
@@ -33,7 +31,7 @@ def noted(metadata: Mapping[str, str], operation: str, **how: object) -> dict[st
 def with_values(
     texture: OctreeTexture,
     made: Mapping[str, Channel],
-    change: Mapping[str, Change | Tables],
+    change: Mapping[str, Change],
     metadata: Mapping[str, str],
 ) -> OctreeTexture:
     """Return a texture with other values in some of its channels, and averages that suit them.
@@ -53,17 +51,10 @@ def with_values(
     channels = {**texture.channels, **made}
     after = OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, metadata)
     for name in sorted(made, key=lambda name: name != ALPHA.name):
-        before, own = texture.channels[name], change.get(name, difference)
-        was, alpha = (alpha_beside(each, name) for each in (texture.channels, channels))
-        if isinstance(own, Tables) and was is alpha:
-            average_by_tables(texture.tree, before, made[name], alpha, own)
-            own = changed_by(own)
-        else:
-            own = changed_by(own) if isinstance(own, Tables) else own
-            if was is not alpha and was is not None and alpha is not None:
-                own = _covered(own, was, alpha)
-            average(texture.tree, made[name], alpha, residuals(texture.tree, before, was, own))
-        average_rows(after, made[name], row_residuals(texture, before, own))
+        own = change.get(name, difference)
+        if ALPHA.name in made and name != ALPHA.name:
+            own = _covered(own, texture.channels[ALPHA.name].values, made[ALPHA.name].values)
+        average(after, made[name], residuals(texture, name, change=own))
     return after
 
 

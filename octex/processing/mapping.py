@@ -10,13 +10,13 @@ import numpy.typing as npt
 
 from octex.channels import ALPHA, decode, encode
 from octex.checks import as_choice, as_names
-from octex.editing.facings import rows_of
 from octex.errors import ArgumentError
 from octex.functions import answer, name_of, takes_both
 from octex.processing.edit import noted, with_values
 from octex.texture import Channel, OctreeTexture, as_texture
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree
+from octex.tree.split import rows_of
 
 Array = npt.NDArray[Any]
 Int64s = npt.NDArray[np.int64]
@@ -63,7 +63,7 @@ def map_values(
     for name in names_of(texture, channel):
         before = texture.channels[name]
         mapped = _Mapped(f, before, cells)
-        rows = rows_of(texture.tree).cells
+        rows = rows_of(texture.tree.split).cells
         made[name] = before._replace(
             values=mapped.stored(before.values, None),
             split_values=mapped.stored(before.split_values, rows),

@@ -11,24 +11,18 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import ALPHA, encode
-from octex.editing.averages import AREAS, Nodes, alpha_beside, average, average_plain, node_cells
-from octex.editing.facings import add_up_rows, average_rows, rows_of
+from octex.editing.averages import Residuals, average, average_plain, with_summed_areas
+from octex.editing.nodes import Nodes, all_children, by_level, node_cells
 from octex.functions import answer
 from octex.parallel import ordered_map
 from octex.processing.mapping import centres_of, levels_of
 from octex.processing.sides import Cells, Side
-from octex.processing.union import NOTHING, Origins, add_up, find_made, take, unite
+from octex.processing.union import NOTHING, Origins, find_made, take, unite
 from octex.texture import Channel, OctreeTexture
-from octex.texture.split import bits_of
-from octex.tree.layout import (
-    AREA_STEPS,
-    FACING_FLAGS,
-    KEPT,
-    SPLIT,
-    KeptTable,
-    SplitTable,
-)
+from octex.tree.areas import shared_codes
+from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable
 from octex.tree.octree import Octree
+from octex.tree.split import bits_of, counts_of, rows_of
 
 Array = npt.NDArray[np.generic]
 Bools = npt.NDArray[np.bool_]
@@ -76,7 +70,8 @@ class Mixing:
     def _cells(self, origins: Origins) -> Cells | None:
         if not (origins.cells < NOTHING).any():
             return None
-        return Cells(self._codes_of(slice(None)), self._tree.arrays.level_cells)
+        facings = self._tree.arrays.flags & np.uint8(FACING_FLAGS)
+        return Cells(self._codes_of(slice(None)), facings, self._tree.arrays.level_cells)
 
     def _codes_of(self, cells: Int64s | slice) -> Int64s:
         if self._codes is None:
@@ -86,25 +81,21 @@ class Mixing:
     def mixed(self) -> tuple[Octree, dict[str, Channel]]:
         """Return the tree and its channels."""
         values = self._leaves()
-        is_summed = self._give_areas()
+        self._give_areas()
         kept, split = self._kept_nodes(), self._split_cells()
         flags = self._tree.arrays.flags.copy()
         flags[kept] |= np.uint8(KEPT)
         flags[split] |= np.uint8(SPLIT)
         facings = flags[split] & np.uint8(FACING_FLAGS)
-        owners, bits = np.repeat(split, np.bitwise_count(facings)), bits_of(facings)
-        kept_values, _ = self._mix(kept, lambda side, name: side.coefficients(name, kept))
+        owners, bits = np.repeat(split, counts_of(facings)), bits_of(facings)
+        kept_values, _ = self._mix(kept, lambda side: side.coefficients(kept))
         rows = self._rows(owners, bits)
         tables = (
             SplitTable(split.astype(np.uint32), facings, self._row_areas(owners, bits)),
             KeptTable(kept.astype(np.uint32)),
         )
         tree = self._tree.with_cell_data(flags, self._tree.arrays.areas, *tables)
-        row_areas = tree.split.areas.copy()
-        numbers = np.flatnonzero(is_summed[self._nodes])
-        add_up_rows(tree, row_areas, Nodes(numbers, self._nodes[numbers]))
-        table = tree.split._replace(areas=row_areas)
-        tree = self._tree.with_cell_data(flags, self._tree.arrays.areas, table, tree.kept)
+        tree = with_summed_areas(tree, self._summed())
         channels: dict[str, Channel] = {}
         for name in sorted(values, key=lambda name: name != ALPHA.name):
             form = self._texture.channels[name].format
@@ -119,21 +110,22 @@ class Mixing:
     def _average(self, tree: Octree, channels: dict[str, Channel], name: str) -> None:
         """Make nodes that are not as in one of the two anew, in place; residuals count by the parts."""
         made = self._made()
-        sides = self._first, self._second
-        tasks = [self._executor.submit(side.residuals, name, made.numbers) for side in sides]
+        rows = rows_of(tree.split, made.cells)
+        owners = np.searchsorted(made.cells, rows.cells)
+        tasks = [
+            self._executor.submit(side.residuals, name, made, owners, rows.bits)
+            for side in (self._first, self._second)
+        ]
         one, other = (task.result() for task in tasks)
+        # Where only one tells a facing apart, its own residual stays.
+        has_first, has_second = (side.has_rows(rows) for side in (self._first, self._second))
         share = self._share[made.cells, None]
-        left = (1 - share) * one + share * other
-        average(tree, channels[name], alpha_beside(channels, name), left, made)
-        rows = rows_of(tree, made.cells)
-        if rows.rows.size:
-            of_rows = np.zeros((tree.split.areas.size, left.shape[1]))
-            (one, is_one), (other, is_other) = (side.row_residuals(name, rows) for side in sides)
-            share = self._share[rows.cells]
-            share = np.where(is_one & is_other, share, is_other)[:, None]
-            of_rows[rows.rows] = (1 - share) * one + share * other
-            whole = OctreeTexture(tree, channels, self._texture.placement, self._texture.bounds)
-            average_rows(whole, channels[name], of_rows, made)
+        row_share = np.where(has_first == has_second, self._share[rows.cells], has_second)[:, None]
+        left = Residuals(
+            (1 - share) * one.nodes + share * other.nodes, (1 - row_share) * one.rows + row_share * other.rows
+        )
+        whole = OctreeTexture(tree, channels, self._texture.placement, self._texture.bounds)
+        average(whole, channels[name], left, made)
 
     def _made(self) -> Nodes:
         """Return the nodes that are not as in one of the two."""
@@ -166,24 +158,27 @@ class Mixing:
         return found
 
     def _leaves_mixed(self, cells: Int64s) -> tuple[dict[str, Array], Float32s]:
-        values, share = self._mix(cells, lambda side, name: side.values(name, cells))
+        values, share = self._mix(cells, lambda side: side.values(cells))
         forms = {name: channel.format for name, channel in self._texture.channels.items()}
         return {
             name: encode(own, forms[name].dtype, forms[name].space) for name, own in values.items()
         }, share
 
     def _mix(
-        self, cells: Int64s, values: Callable[[Side, str], Float32s], amounts: Float32s | None = None
+        self,
+        cells: Int64s,
+        values: Callable[[Side], dict[str, Float32s]],
+        amounts: Float32s | None = None,
     ) -> tuple[dict[str, Float32s], Float32s]:
         """Mix what both have in cells (n,); return it by channel, and the part (n,) of the second in colours.
 
         ``amounts`` (n,), if they are not what is asked for.
         """
         has = [side.has(cells).astype(np.float32) for side in (self._first, self._second)]
-        names = list(self._texture.channels)
+        one, other = values(self._first), values(self._second)
         alphas = [np.ones(cells.size, np.float32)] * 2
-        if ALPHA.name in names:
-            alphas = [values(side, ALPHA.name)[:, 0] for side in (self._first, self._second)]
+        if ALPHA.name in one:
+            alphas = [each[ALPHA.name][:, 0] for each in (one, other)]
         if amounts is None and self._amount is None:
             weights = has[0] * alphas[0] * (1 - has[1] * alphas[1]), has[1] * alphas[1]
             amounts = has[1]
@@ -193,13 +188,9 @@ class Mixing:
             weights = (1 - amounts) * alphas[0], amounts * alphas[1]
         total = weights[0] + weights[1]
         share = np.where(total > 0, weights[1] / np.where(total > 0, total, 1), amounts).astype(np.float32)
-        found = {}
-        for name in names:
-            found[name] = total[:, None]
-            if name != ALPHA.name:
-                one, other = (values(side, name) for side in (self._first, self._second))
-                found[name] = (1 - share[:, None]) * one + share[:, None] * other
-        return found, share
+        part = share[:, None]
+        found = {name: (1 - part) * one[name] + part * other[name] for name in one if name != ALPHA.name}
+        return ({ALPHA.name: total[:, None]} if ALPHA.name in one else {}) | found, share
 
     def _amounts(self, cells: Int64s) -> Float32s:
         """Return how much of the second there is to be in cells (n,), 0 … 1."""
@@ -225,17 +216,22 @@ class Mixing:
             if not np.may_share_memory(here, own):  # the executor works in other processes
                 here[:] = own
 
-    def _give_areas(self) -> Bools:
-        """Give cells the areas of the texture that prevails; nodes of both get those of all children.
-
-        Parts in nodes are averaged by these areas, on the way. Returns which cells are such nodes.
-        """
-        tree, areas = self._tree, self._tree.arrays.areas
+    def _give_areas(self) -> None:
+        """Give cells the areas of the texture that prevails; the parts in nodes are averaged by them."""
+        areas = self._tree.arrays.areas[:, None]
         given = [side.texture.tree.arrays.areas[:, None] for side in (self._first, self._second)]
-        self._take(given, areas[:, None])
-        average_plain(tree, self._share, self._made())
-        self._take(given, areas[:, None])
-        return add_up(tree.arrays, self._nodes, self._is_made, self._both, AREAS)
+        self._take(given, areas)
+        average_plain(self._tree, self._share, self._made())
+        self._take(given, areas)
+
+    def _summed(self) -> Nodes:
+        """Return the nodes to which both add cells of their own."""
+        made = self._made()
+        adds = ~self._both  # cells, or to what is below them
+        for here in reversed(by_level(self._tree, made)):
+            children, starts = all_children(self._tree, made.numbers[here])
+            adds[made.cells[here]] |= np.logical_or.reduceat(adds[children], starts)
+        return made.of(adds[made.cells] & self._both[made.cells])
 
     def _kept_nodes(self) -> Int64s:
         """Return the nodes that keep a coefficient: those of which the texture that prevails has one."""
@@ -259,7 +255,7 @@ class Mixing:
             cells, facings = owners[chosen], bits[chosen]
             mixed, _ = self._mix(
                 cells,
-                lambda side, name, cells=cells, facings=facings: side.rows(name, cells, facings),  # type: ignore[misc]
+                lambda side, cells=cells, facings=facings: side.rows(cells, facings),  # type: ignore[misc]
                 amounts,
             )
             for name, own in mixed.items():
@@ -268,10 +264,8 @@ class Mixing:
 
     def _row_areas(self, owners: Int64s, bits: Uint8s) -> Uint8s:
         """Return the areas of rows: those of the texture that prevails, else even parts of their cells'."""
-        counts = np.bitwise_count(self._tree.arrays.flags[owners] & np.uint8(FACING_FLAGS))
-        whole = self._tree.arrays.areas[owners].astype(np.float64)
-        shared = np.clip(np.rint(whole - AREA_STEPS * np.log2(np.maximum(counts, 1))), 1, 255)
-        areas = np.where(whole > 0, shared, 0).astype(np.uint8)
+        counts = counts_of(self._tree.arrays.flags[owners])
+        areas = shared_codes(self._tree.arrays.areas[owners], counts)
         is_second = self._share[owners] >= 0.5
         for side, prevails in ((self._first, ~is_second), (self._second, is_second)):
             own = areas[prevails]

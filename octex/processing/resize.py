@@ -9,27 +9,21 @@ import numpy.typing as npt
 
 from octex.channels import ALPHA, encode
 from octex.checks import as_depth, as_reals
-from octex.editing.averages import (
-    Nodes,
-    add_up_areas,
-    all_nodes,
-    alpha_beside,
-    average,
-    levels_of,
-    node_cells,
-    residuals,
-)
-from octex.editing.facings import add_up_rows, average_rows, row_residuals, rows_of
+from octex.editing.averages import average, residuals_at, with_summed_areas
+from octex.editing.carried import carried
+from octex.editing.nodes import nodes_at
+from octex.editing.refined import Below, refined_below, with_rows
+from octex.editing.split import refaced
 from octex.errors import ArgumentError
-from octex.painting.raising import split_below
 from octex.parallel import workers
 from octex.processing.edit import noted
-from octex.processing.refine import refined
-from octex.texture import Channel, OctreeTexture, as_texture
-from octex.texture.split import find_rows, refaced
-from octex.tree.edit import children_of, cull, raised
-from octex.tree.layout import AREA_STEPS, FACING_FLAGS, MAX_CELLS
+from octex.texture import OctreeTexture, as_texture
+from octex.tree.areas import shared_codes
+from octex.tree.edit import cull, locate, raised, with_all_above
+from octex.tree.layout import FACING_FLAGS, MAX_CELLS
 from octex.tree.morton import decode_cells
+from octex.tree.octree import distinct
+from octex.tree.split import rows_of
 
 Int64s = npt.NDArray[np.int64]
 
@@ -83,33 +77,24 @@ def _divided(texture: OctreeTexture, depth: int, executor: Executor) -> OctreeTe
     edited = raised(tree, [*[met[0]] * depth, met[depth]], met, [])
     tree = edited.tree
     flags, areas = tree.arrays.flags.copy(), tree.arrays.areas.copy()
-    arrays = {
-        name: [edited.carried(each.values), each.split_values[edited.split_rows]]
-        for name, each in texture.channels.items()
-    }
+    values = {name: edited.carried(each.values) for name, each in texture.channels.items()}
+    rows: list[tuple[Int64s, Below]] = []
     for level, codes in enumerate(met):
         if not codes.size:
             continue
         first = int(tree.arrays.level_cells[level])
         cells = np.flatnonzero(edited.old[first : tree.arrays.level_cells[level + 1]] < 0) + first
-        below = refined(texture, codes, level, executor)
-        flags[cells] |= texture.tree.arrays.flags[below.leaves] & np.uint8(FACING_FLAGS)
-        area = texture.tree.arrays.areas[below.leaves].astype(np.int64)
-        shared = np.clip(area - AREA_STEPS * (level - below.levels), 1, 255)
-        areas[cells] = np.where(area > 0, shared, 0)
+        where = locate(texture.tree, codes, level)
+        flags[cells] |= texture.tree.arrays.flags[where.cells] & np.uint8(FACING_FLAGS)
+        areas[cells] = shared_codes(texture.tree.arrays.areas[where.cells], 2.0 ** (level - where.levels))
+        below = refined_below(texture, codes, level, flags[cells] & np.uint8(FACING_FLAGS), executor)
+        rows.append((cells, below))
         for name, each in texture.channels.items():
-            arrays[name][0][cells] = encode(below.values[name], each.format.dtype, each.format.space)
-    old_kept = edited.old[tree.kept.cells]
-    was_kept = np.isin(old_kept, texture.tree.kept.cells)
-    channels = {}
-    for name, each in texture.channels.items():
-        values, split_values = arrays[name]
-        kept_values = np.ascontiguousarray(values[tree.kept.cells])
-        kept_values[was_kept] = each.kept_values[edited.kept_rows]
-        channels[name] = Channel(each.format, values, split_values, kept_values)
+            values[name][cells] = encode(below.values[name], each.format.dtype, each.format.space)
+    channels = carried(texture, edited, values)
     tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
     made = OctreeTexture(tree, channels, texture.placement, texture.bounds, texture.metadata)
-    return split_below(made, texture, edited.old)
+    return with_rows(made, rows)
 
 
 def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> OctreeTexture:
@@ -127,11 +112,12 @@ def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> Oct
         raise ArgumentError(f"a box needs a finite lowest and highest corner, not {corners.tolist()}")
     tree = texture.tree
     box = texture.placement.to_texture_space(corners)
-    meets = [np.zeros(0, np.bool_)]
+    meets, lost = [np.zeros(0, np.bool_)], []
     for level, (codes, is_node) in enumerate(tree.walk()):
         cells = decode_cells(codes)
         scaled = box * 2.0**level
         meets.append(is_node | ((cells <= scaled[1]) & (cells + 1 > scaled[0])).all(axis=1))
+        lost.append(codes[~meets[-1]])
     is_kept = np.concatenate(meets)
     edited = cull(tree, is_kept)
     if not edited.tree.n_leaves:
@@ -142,43 +128,21 @@ def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> Oct
     low, high = np.maximum(corners[0], texture.bounds[0]), np.minimum(corners[1], texture.bounds[1])
     bounds = np.array([np.minimum(low, high), np.maximum(low, high)])
     metadata = noted(texture.metadata, "crop", box=corners.tolist())
-    areas = edited.tree.arrays.areas.copy()
-    nodes = all_nodes(edited.tree)
-    old = Nodes(np.searchsorted(node_cells(tree), edited.old[nodes.cells]), edited.old[nodes.cells])
-    firsts, counts = children_of(edited.tree, nodes.numbers)
-    is_cut = counts < children_of(tree, old.numbers)[1]
-    below_cut = np.zeros(edited.tree.n_cells, np.bool_)
-    below_cut[firsts[is_cut]] = True
-    add_up_areas(edited.tree, below_cut, areas)
-    parents = np.repeat(nodes.numbers, counts)[nodes.cells[1:] - 1]  # of all nodes but the root
-    for here in reversed(levels_of(edited.tree, nodes)[1:]):
-        is_cut[parents[here.start - 1 : here.stop - 1][is_cut[here]]] = True
-    nodes, old = nodes.of(is_cut), old.of(is_cut)
-    cut = edited.tree.with_cell_data(edited.tree.arrays.flags, areas, edited.tree.split, edited.tree.kept)
+    channels = carried(texture, edited)
+    made = refaced(OctreeTexture(edited.tree, channels, texture.placement, bounds, metadata))
+    above = [distinct(codes >> 3) for codes in with_all_above(lost)[1:]]
+    nodes = nodes_at(made.tree, above)
+    cut = nodes.numbers >= 0
+    nodes, old = nodes.of(cut), nodes_at(tree, above).of(cut)
     channels = {
-        name: Channel(
-            each.format,
-            edited.carried(each.values),
-            each.split_values[edited.split_rows],
-            each.kept_values[edited.kept_rows],
-        )
-        for name, each in texture.channels.items()
+        name: each._replace(values=channels[name].values, split_values=each.split_values.copy())
+        for name, each in made.channels.items()
     }
-    made = refaced(OctreeTexture(cut, channels, texture.placement, bounds, metadata))
-    for name, each in made.channels.items():
-        channels[name] = channels[name]._replace(split_values=each.split_values.copy())
-    areas = made.tree.split.areas.copy()
-    add_up_rows(made.tree, areas, nodes)
-    split = made.tree.split._replace(areas=areas)
-    whole = made.tree.with_cell_data(made.tree.arrays.flags, made.tree.arrays.areas, split, made.tree.kept)
+    whole = with_summed_areas(made.tree, nodes)
     made = OctreeTexture(whole, channels, texture.placement, bounds, metadata)
-    rows, cells, bits = rows_of(made.tree)
-    there, old_rows = find_rows(tree.split, edited.old[cells], bits)
+    rows = rows_of(whole.split, nodes.cells)
+    owners = np.searchsorted(nodes.cells, rows.cells)
     for name in sorted(channels, key=lambda name: name != ALPHA.name):
-        before, after = texture.channels[name], channels[name]
-        left = residuals(tree, before, alpha_beside(texture.channels, name), nodes=old)
-        average(made.tree, after, alpha_beside(made.channels, name), left, nodes)
-        left = np.zeros((rows.size, before.format.components))
-        left[there] = row_residuals(texture, before, nodes=old)[old_rows]
-        average_rows(made, after, left, nodes)
+        left = residuals_at(texture, name, old, owners, rows.bits)
+        average(made, channels[name], left, nodes)
     return made

@@ -23,7 +23,6 @@ from octex.checks import as_number, as_reals
 from octex.editing.averages import Change, Float64s
 from octex.errors import ArgumentError
 from octex.jit import kernel
-from octex.processing.averages import Tables, tables_of
 from octex.processing.edit import noted, with_values
 from octex.processing.mapping import names_of
 from octex.texture import Channel, OctreeTexture
@@ -120,7 +119,7 @@ def _toned(
     how: dict[str, Any],
 ) -> OctreeTexture:
     made: dict[str, Channel] = {}
-    change: dict[str, Change | Tables] = {}
+    change: dict[str, Change] = {}
     for name in names_of(texture, channel):
         before = texture.channels[name]
         if before.format.space == "direction":
@@ -174,15 +173,21 @@ def _look_up_each(codes: Codes, tables: Codes, found: Codes) -> None:
             found[n, k] = tables[k, codes[n, k]]
 
 
-def _change(form: ChannelFormat, tone: Tone) -> Change | Tables:
-    """Return how residuals change: for integers by tables."""
+def _change(form: ChannelFormat, tone: Tone) -> Change:
+    """Return how residuals change: of integers by a table; between codes a tone is taken to be straight."""
     if not form.dtype.startswith("u"):
         return lambda _cells, values, means: (
             _toned_light(form, tone, values) - _toned_light(form, tone, means)
         )
     light = decode_table(form.dtype, form.space)
-    mapped = _toned_light(form, tone, np.repeat(light[:, None], form.components, axis=1))
-    return tables_of(np.ascontiguousarray(mapped.T, np.float32), form.dtype, form.space)
+    mapped = _toned_light(form, tone, np.repeat(light[:, None], form.components, axis=1)).astype(np.float32)
+    return lambda _cells, values, means: np.stack(
+        [
+            np.interp(values[:, k], light, own) - np.interp(means[:, k], light, own)
+            for k, own in enumerate(mapped.T)
+        ],
+        axis=1,
+    )
 
 
 def _toned_light(form: ChannelFormat, tone: Tone, values: Floats) -> Float64s:

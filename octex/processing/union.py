@@ -14,7 +14,7 @@ import numpy.typing as npt
 from octex.errors import ArgumentError
 from octex.jit import kernel, popcount
 from octex.tree.edit import facings_of_nodes
-from octex.tree.layout import AREA_ONE, AREA_STEPS, FACING_FLAGS, MAX_CELLS, MAX_DEPTH, TreeArrays
+from octex.tree.layout import FACING_FLAGS, MAX_CELLS, MAX_DEPTH, TreeArrays
 from octex.tree.octree import Octree, rank
 
 Bools = npt.NDArray[np.bool_]
@@ -205,27 +205,3 @@ def find_made(
         if not made:
             share[nodes[node]] = part
         end = begin
-
-
-@kernel
-def add_up(arrays: TreeArrays, nodes: Int64s, is_made: Bools, both: Bools, shares: Float64s) -> Bools:
-    """Sum up the areas of nodes to which both add cells of their own, from the deepest up.
-
-    Returns which cells these are.
-    """
-    groups, areas = arrays.groups, arrays.areas
-    is_summed = np.zeros(areas.size, np.bool_)
-    end = areas.size
-    for node in range(nodes.size - 1, -1, -1):
-        children = (groups[node >> 3, 0] | groups[node >> 3, 1]) >> np.uint64(8 * (node & 7))
-        begin = max(end - popcount(children & np.uint64(0xFF)), 0)
-        cell = nodes[node]
-        total = 0.0
-        for child in range(begin, end):
-            is_summed[cell] |= is_made[node] and both[cell] and (is_summed[child] or not both[child])
-            total += shares[areas[child]] if areas[child] > 0 else 0.0
-        if is_summed[cell]:
-            code = np.rint(AREA_STEPS * np.log2(max(total / 4, 2.0**-60))) + AREA_ONE
-            areas[cell] = np.int64(min(max(code, 1.0), 255.0)) if total > 0.0 else 0
-        end = begin
-    return is_summed

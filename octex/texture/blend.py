@@ -11,12 +11,13 @@ import numpy.typing as npt
 from octex.channels import ColorSpace, decode, decode_table
 from octex.field.lookups import Stored
 from octex.field.sinks import Codes
-from octex.field.stages import spreads_of
+from octex.field.stages import mark_mixed, spreads_of
 from octex.jit import kernel
 from octex.texture.channel import Channel
 from octex.tree.octree import Octree
 
 Array = npt.NDArray[Any]
+Bytes = npt.NDArray[np.uint8]
 Floats = npt.NDArray[np.float32]
 
 NO_GRADIENTS = np.empty((0, 4, 3), np.float32)
@@ -46,6 +47,14 @@ def facing_spreads(channel: Channel, tree: Octree) -> Floats:
     split_values = np.asarray(codes.split_values) if space is None else decode(codes.split_values, space)
     spreads_of(codes.table, split_values, tree.split.facings[first:], row, spreads)
     return spreads
+
+
+def mixed_cells(channel: Channel, tree: Octree, threshold: float) -> Bytes:
+    """Mark the cells (cells,) of a tree whose opposite facings differ by ``threshold`` or more."""
+    mixed = np.zeros(tree.n_cells, np.uint8)
+    cells, facings, _ = tree.split
+    mark_mixed(cells, facings, facing_spreads(channel, tree), float(threshold), mixed)
+    return mixed
 
 
 @cache

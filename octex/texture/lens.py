@@ -24,6 +24,8 @@ ANISOTROPY = 16.0
 #: Most that a footprint may be longer than wide.
 MOST_ANISOTROPY = 256.0
 
+_MOST_BLUR = float(np.finfo(np.float64).max)
+
 
 class Looks(TypedDict, total=False):
     """How points are looked at: see `OctreeTexture.sample`."""
@@ -72,19 +74,26 @@ class Lens(NamedTuple):
     sharpness: float
     bleed_threshold: float
 
-    def check(
-        self, given: dict[str, npt.NDArray[Any]], *, gradient: bool, **more: npt.ArrayLike | None
-    ) -> None:
-        """Add what else is given of points, a row for each. Raises ArgumentError for what does not fit."""
+    def given(
+        self,
+        points: npt.ArrayLike | SurfacePoints,
+        *,
+        normals: npt.ArrayLike | None,
+        gradient: bool = False,
+        **more: npt.ArrayLike | None,
+    ) -> dict[str, npt.NDArray[Any]]:
+        """Return what is given of points, a row for each. Raises ArgumentError for what does not fit."""
+        places, normals = placed(points, normals)
+        given = {"points": places}
         as_choice(self.filter, FILTERS, "filter")
         if gradient and self.filter == "nearest":
             raise ArgumentError(f"nearest has no gradient; {', '.join(FILTERS[1:])} have one")
         as_number(self.anisotropy, "anisotropy", 1.0, MOST_ANISOTROPY)
-        as_number(self.blur, "blur", 0.0, np.finfo(np.float64).max)
+        as_number(self.blur, "blur", 0.0, _MOST_BLUR)
         as_number(self.sharpness, "sharpness", 0.0, 1.0)
         as_number(self.bleed_threshold, "bleed_threshold", 0.0, np.inf)
-        n = len(given["points"])
-        for name, array in more.items():
+        n = len(places)
+        for name, array in (("normals", normals), *more.items()):
             if array is None:
                 continue
             if name == "width":
@@ -108,6 +117,7 @@ class Lens(NamedTuple):
                 "bleed_threshold is for footprints without normals: leave it out, or give a width, or dPdx "
                 "and dPdy, or blur, and no normals"
             )
+        return given
 
     def has_footprints(self, given: Given) -> bool:
         """Say whether points are looked up with footprints."""
@@ -126,7 +136,7 @@ class Lens(NamedTuple):
         if normals is not None:
             most = np.finfo(np.float32).max
             normals = np.clip(normals, -most, most).astype(np.float32, copy=False)
-        return Query(self.filter, footprints, normals, threshold=self.bleed_threshold)
+        return Query(self.filter, footprints, normals)
 
 
 def _as_widths(width: npt.ArrayLike, n: int) -> npt.NDArray[Any]:

@@ -29,6 +29,8 @@ LookUp = Callable[[Given, list[Array]], int]
 BLOCK = 1 << 16
 #: Most points sorted at once: what is given of them and their answers are copied meanwhile.
 _SORTED = 1 << 19
+#: Fewer points of a block are looked up as they come.
+_LEAST_SORTED = 1 << 12
 _NO_NUMBERS = np.empty(0, np.int32)
 
 
@@ -63,6 +65,10 @@ def in_blocks(
     Only a block is copied, and only if it is not as kernels take it. Raises ArgumentError naming the first
     row that is not finite, or a width that is below zero; the answers are then written in part.
     """
+    if _is_one_block(given, threads, executor):
+        fault, _ = _look_up_block(look_up, (given, answers))
+        _check(fault, 0, given)
+        return
     for begin, found in each_block(given, answers, look_up, threads, executor):
         for answer, rows in zip(answers, found, strict=True):
             here = answer[begin : begin + BLOCK]
@@ -77,7 +83,7 @@ def each_block(
 
     These are followed by what ``look_up`` adds to the list of answers that it is given.
     """
-    if threads is None and executor is None and 0 < len(given["points"]) <= BLOCK:  # nothing to hand over
+    if _is_one_block(given, threads, executor):
         fault, found = _look_up_block(look_up, (given, list(answers)))
         _check(fault, 0, given)
         yield 0, found
@@ -87,6 +93,11 @@ def each_block(
         for number, (fault, found) in enumerate(ordered_map(pool, partial(_look_up_block, look_up), blocks)):
             _check(fault, number * BLOCK, given)
             yield number * BLOCK, found
+
+
+def _is_one_block(given: Given, threads: int | None, executor: Executor | None) -> bool:
+    """Say whether there is nothing to hand over."""
+    return threads is None and executor is None and 0 < len(given["points"]) <= BLOCK
 
 
 def in_space(
@@ -113,14 +124,42 @@ def in_space(
             if not numbers.size:
                 in_blocks(here, there, look_up, threads, executor)
                 continue
-            here = {name: np.take(array, numbers, axis=0) for name, array in here.items()}
-            found = [np.empty(answer.shape, answer.dtype) for answer in there]
-            in_blocks(here, found, look_up, threads, executor)
-            for answer, each in zip(there, found, strict=True):
-                put_rows(each.reshape(len(each), -1), numbers, answer.reshape(len(answer), -1))
+            taken, found = _in_order(numbers, here, there)
+            in_blocks(taken, found, look_up, threads, executor)
+            _put_back(found, numbers, there)
     except ArgumentError:
         in_blocks(given, answers, look_up, threads, executor)  # which names the first row
         raise
+
+
+def block_in_space(look_up: LookUp, placement: Placement, given: Given, answers: list[Array]) -> int:
+    """Look up a block like ``look_up``, in an order like that of space.
+
+    That is for lookups that read much: points that lie close together read what is still near.
+    """
+    numbers = _NO_NUMBERS
+    if len(given["points"]) >= _LEAST_SORTED:
+        numbers = order_in_space(given["points"], *placement)
+    if not numbers.size:
+        return look_up(given, answers)
+    here, found = _in_order(numbers, given, answers)
+    fault = look_up(here, found)
+    _put_back(found, numbers, answers)
+    return fault
+
+
+def _in_order(
+    numbers: npt.NDArray[np.int32], given: Given, answers: list[Array]
+) -> tuple[Given, list[Array]]:
+    """Return what is given of points in another order, and room for their answers."""
+    taken = {name: np.take(array, numbers, axis=0) for name, array in given.items()}
+    return taken, [np.empty(answer.shape, answer.dtype) for answer in answers]
+
+
+def _put_back(found: list[Array], numbers: npt.NDArray[np.int32], answers: list[Array]) -> None:
+    """Write the answers of points in another order where they belong."""
+    for answer, each in zip(answers, found, strict=True):
+        put_rows(each.reshape(len(each), -1), numbers, answer.reshape(len(answer), -1))
 
 
 def _check(fault: _Fault | None, begin: int, given: Given) -> None:
@@ -134,7 +173,7 @@ def _check(fault: _Fault | None, begin: int, given: Given) -> None:
 def _look_up_block(look_up: LookUp, block: tuple[Given, list[Array]]) -> tuple[_Fault | None, list[Array]]:
     given, answers = block
     taken = {name: _as_kernels_take_it(array) for name, array in given.items()}
-    for name, array in taken.items():
+    for name, array in taken.items() if len(taken) > 1 else ():
         if name == "points":  # looked at as they are placed
             continue
         sound = np.isfinite(array)

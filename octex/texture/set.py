@@ -174,15 +174,15 @@ class TextureSet(Mapping[str, OctreeTexture]):
         Raises ArgumentError as that does, for parts that are not there, naming those that are, and for a
         channel that a part in use lacks, or has with other components than the rest.
         """
-        places, normals = placed(points, normals)
-        given = {"points": places}
         lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
         gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
-        lens.check(given, gradient=gradient, width=width, normals=normals, dPdx=dPdx, dPdy=dPdy)
+        footprint = {"width": width, "dPdx": dPdx, "dPdy": dPdy}
+        given = lens.given(points, normals=normals, gradient=gradient, **footprint)
         used = self._with_parts(given, parts)
         components = self._components(list(used) or [0], channel)
         answers = Answers(components, channel, len(given["points"]), gradient, out)
-        check_apart(given.values(), answers.arrays)
+        if out is not None:
+            check_apart(given.values(), answers.arrays)
         look_ups = {
             part: texture._look_up(answers.channels, lens, normalize) for part, texture in used.items()
         }

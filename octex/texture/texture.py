@@ -31,17 +31,27 @@ from octex.field.field import Field
 from octex.field.listing import TapList, joined, list_blends, rows_read
 from octex.field.lookups import Query, Stored, look_up
 from octex.field.splines import FILTERS
-from octex.texture.blend import NO_GRADIENTS, facing_spreads, make_unit, stored
+from octex.texture.blend import NO_GRADIENTS, make_unit, mixed_cells, stored
 from octex.texture.channel import Channel
 from octex.texture.file import ENDING, File, Parts, described, taken, written
 from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens, Looks, SurfacePoints, placed
-from octex.texture.lookup import Answers, Given, LookUp, check_apart, each_block, in_blocks, in_space
+from octex.texture.lookup import (
+    Answers,
+    Given,
+    LookUp,
+    block_in_space,
+    check_apart,
+    each_block,
+    in_blocks,
+    in_space,
+)
 from octex.texture.spans import Spans, add_reads
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.search import in_leaves
 
 Array = npt.NDArray[Any]
+Bytes = npt.NDArray[np.uint8]
 Floats = npt.NDArray[np.float32]
 
 
@@ -56,9 +66,10 @@ class OctreeTexture:
     """
 
     __slots__ = (
+        "_components",
         "_field",
         "_file",
-        "_known_spreads",
+        "_known_mixed",
         "_known_stored",
         "bounds",
         "channels",
@@ -82,7 +93,7 @@ class OctreeTexture:
         self.bounds = _as_bounds(bounds)
         self.metadata = MappingProxyType(as_metadata(metadata))
         self._field = Field(tree)
-        self._known_spreads: dict[tuple[str, int], Floats] = {}
+        self._known_mixed: dict[tuple[str, int], tuple[float, Bytes]] = {}
         self._known_stored: dict[str, Stored] = {}
         self._file: File | None = None
         given = as_entries(channels, "channels")
@@ -91,6 +102,7 @@ class OctreeTexture:
                 raise ArgumentError(f"channel {name!r} must be a Channel, not {channel!r}")
             channel.check(name, tree)
         self.channels = MappingProxyType({name: channel.locked() for name, channel in given.items()})
+        self._components = {name: channel.format.components for name, channel in given.items()}
 
     def __repr__(self) -> str:
         return f"<OctreeTexture of {', '.join(self.channels) or 'no channels'}; {self.tree!r}>"
@@ -225,16 +237,18 @@ class OctreeTexture:
         widths and derivatives, for unknown channels and filters, listing those there are, for gradients of
         ``nearest``, and for an ``out`` that does not fit.
         """
-        places, normals = placed(points, normals)
-        given = {"points": places}
         lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
         gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
-        lens.check(given, gradient=gradient, width=width, normals=normals, dPdx=dPdx, dPdy=dPdy)
-        components = {name: each.format.components for name, each in self.channels.items()}
-        answers = Answers(components, channel, len(given["points"]), gradient, out)
-        check_apart(given.values(), answers.arrays)
+        footprint = {"width": width, "dPdx": dPdx, "dPdy": dPdy}
+        given = lens.given(points, normals=normals, gradient=gradient, **footprint)
+        answers = Answers(self._components, channel, len(given["points"]), gradient, out)
+        if out is not None:
+            check_apart(given.values(), answers.arrays)
         self._read_for(len(given["points"]))
-        task = given, answers.arrays, self._look_up(answers.channels, lens, normalize), threads, executor
+        look_up_block = self._look_up(answers.channels, lens, normalize)
+        if len(answers.channels) > 2 or filter == "quartic":  # most of the time is waiting for memory
+            look_up_block = partial(block_in_space, look_up_block, self.placement)
+        task = given, answers.arrays, look_up_block, threads, executor
         if given.keys() <= {"points", "normals"} and self._field.tiles is None:
             self._field.prepare(FILTERS.index(filter))
             in_space(*task, self.placement)
@@ -253,16 +267,15 @@ class OctreeTexture:
         channels = [self.channels[name] for name in names]
         values, gradients = answers[: len(channels)], answers[len(channels) :]
         read = [self._as_read(name) for name in names]
-        groups = [slice(0, len(channels))]
-        if self._is_ruled(lens, given):  # each channel has its own spreads
-            groups = [slice(n, n + 1) for n in range(len(channels))]
+        task, alpha = (self._field, self.placement, given["points"]), self._alpha()
         fault = -1
-        for group in groups:
-            query = self._query(lens, given, names[group.start] if names else "")
-            fault = look_up(
-                *(self._field, self.placement, given["points"], query, read[group], self._alpha()),
-                *(values[group], gradients[group]),
-            )
+        if len(channels) == 1 or not self._is_ruled(lens, given):
+            query = self._query(lens, given, names[0] if names else "")
+            fault = look_up(*task, query, read, alpha, values, gradients)
+        else:  # each channel mixes facings in cells of its own
+            for n, name in enumerate(names):
+                query, one = self._query(lens, given, name), slice(n, n + 1)
+                fault = look_up(*task, query, read[one], alpha, values[one], gradients[one])
         if fault < 0 and normalize:
             for number, channel in enumerate(channels):
                 if channel.format.space == "direction":
@@ -271,13 +284,13 @@ class OctreeTexture:
 
     def _is_ruled(self, lens: Lens, given: Given) -> bool:
         """Say whether cells are left to finer levels by what is stored of a channel (paper 3.5.2)."""
-        return lens.has_footprints(given) and "normals" not in given and self.tree.split.cells.size > 0
+        return "normals" not in given and lens.has_footprints(given) and self.tree.split.cells.size > 0
 
     def _query(self, lens: Lens, given: Given, name: str) -> Query:
         """Return what is asked of a block of points of a channel."""
         query = lens.query(given)
         if self._is_ruled(lens, given):
-            query = query._replace(spreads=partial(self._spreads, self.channels[name]))
+            query = query._replace(mixed=partial(self._mixed, self.channels[name], lens.bleed_threshold))
         return query
 
     def _alpha(self) -> Stored | None:
@@ -290,11 +303,13 @@ class OctreeTexture:
             self._known_stored[name] = stored(self.channels[name])
         return self._known_stored[name]
 
-    def _spreads(self, channel: Channel, level: int) -> Floats:
+    def _mixed(self, channel: Channel, threshold: float, level: int) -> Bytes:
         key = channel.format.name, level
-        if key not in self._known_spreads:
-            self._known_spreads[key] = facing_spreads(channel, self._field.level(level).tree)
-        return self._known_spreads[key]
+        known = self._known_mixed.get(key)
+        if known is None or known[0] != threshold:
+            known = threshold, mixed_cells(channel, self._field.level(level).tree, threshold)
+            self._known_mixed[key] = known
+        return known[1]
 
     def taps(
         self,
@@ -336,10 +351,8 @@ class OctreeTexture:
         All other arguments, and what is raised, are as for ``sample``; ``nearest`` has one tap a point but in
         footprints.
         """
-        places, normals = placed(points, normals)
-        given = {"points": places}
         lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
-        lens.check(given, gradient=False, width=width, normals=normals, dPdx=dPdx, dPdy=dPdy)
+        given = lens.given(points, normals=normals, width=width, dPdx=dPdx, dPdy=dPdy)
         as_choice(channel, self.channels, "channel")
         self._read_for(len(given["points"]))
         blocks = each_block(given, [], partial(self._listed, channel, lens), threads, executor)
@@ -404,10 +417,8 @@ class OctreeTexture:
         mapping = self._file.mapping if self._file else None
         if mapping is None:
             raise ArgumentError("the texture has no file: save it and open that")
-        places, normals = placed(points, normals)
-        given = {"points": places}
         lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
-        lens.check(given, gradient=False, width=width, normals=normals, dPdx=dPdx, dPdy=dPdy)
+        given = lens.given(points, normals=normals, width=width, dPdx=dPdx, dPdy=dPdy)
         names = list(channel) if isinstance(channel, (list, tuple)) else [channel]
         for name in names:
             as_choice(name, self.channels, "channel")

@@ -1,9 +1,12 @@
 """The octree: where the surface is, and the number of every stored cell.
 
 layout      what an octree is in memory, drawn
+areas       what codes of areas say
 morton      cell coordinates ⇄ Morton codes
 placement   rest positions ⇄ texture space, the root cell
 octree      build from leaves, truncate, validate
+edit        trees made from trees
+split       the split table, read and changed
 validate    what must hold
 search      the stored cell at a point, or nearest to it
 walk        the leaves one after another

@@ -12,9 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.jit import kernel, popcount
-from octex.tree.layout import FACING_FLAGS, KEPT, MAX_DEPTH, KeptTable, SplitTable, TreeArrays
+from octex.tree.layout import FACING_FLAGS, KEPT, MAX_DEPTH, KeptTable, TreeArrays
+from octex.tree.morton import cells_around
 from octex.tree.octree import Octree, distinct
 from octex.tree.search import child
+from octex.tree.split import taken
 
 Int64s = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
@@ -106,12 +108,14 @@ def raised(
     wanted: Sequence[Int64s],
     met: Sequence[Int64s],
     added: Sequence[Int64s],
+    freed: Sequence[Int64s] = (),
 ) -> Edited:
     """Return a tree that goes down to wanted cells, by splitting the leaves above them (paper 4.1, step 4).
 
     wanted   for each level, Morton codes, ascending: cells below leaves of the tree
     met      for each level, Morton codes, ascending: of all cells below these leaves those that are to be
     added    for each level, Morton codes, ascending: leaves to add where the tree has nothing
+    freed    for each level, Morton codes, ascending: leaves of the tree that keep nothing as nodes
 
     A leaf that none of ``met`` is below stays. Nodes that were leaves, and new nodes below these or below
     nodes that are KEPT, are flagged KEPT: their coefficients, in the order of the kept table, are for the
@@ -122,6 +126,7 @@ def raised(
     wanted = [*wanted, *[none] * (depth + 1 - len(wanted))]
     added = [*added, *[none] * (depth + 1 - len(added))]
     met = [*met, *[none] * (depth + 1 - len(met))]
+    freed = [*freed, *[none] * (depth + 1 - len(freed))]
     needed = [none] * (depth + 2)  # as nodes
     for level in range(depth, 0, -1):
         needed[level - 1] = distinct(np.concatenate([needed[level], wanted[level]]) >> 3)
@@ -136,7 +141,7 @@ def raised(
             above_added[level - 1] = above[is_kept & (where.levels < level - 1)]
     leaves: list[Int64s] = []
     keeping: list[Int64s] = []  # nodes that were leaves, and below them
-    split_codes = none  # those of the level above
+    split_codes = free = none  # those of the level above
     for level in range(depth + 1):
         codes, is_node = next(walk, (none, np.empty(0, np.bool_)))
         own = codes[~is_node]
@@ -147,7 +152,9 @@ def raised(
         on = among(children, needed[level]) & among(children, below)
         leaves.append(np.sort(np.concatenate([own[~may], children[~on], added[level]])))
         split_codes = np.sort(np.concatenate([own[may], children[on]]))
-        keeping.append(np.sort(np.concatenate([split_codes, above_added[level]])))
+        is_free = among(split_codes >> 3, free) | among(split_codes, freed[level])
+        keeping.append(np.sort(np.concatenate([split_codes[~is_free], above_added[level]])))
+        free = split_codes[is_free]
     edited = rebuilt(tree, leaves)
     return _keeping(edited, keeping)
 
@@ -158,6 +165,25 @@ def among(codes: Int64s, known: Int64s) -> Bools:
         return np.zeros(codes.size, np.bool_)
     found: Bools = known[np.minimum(np.searchsorted(known, codes), known.size - 1)] == codes
     return found
+
+
+def boundary(codes: Int64s, level: int) -> Int64s:
+    """Return the boundary layer of some cells of a level, ascending (paper 4.1, step 3).
+
+    These are the cells beside them, at faces, edges and corners, without themselves.
+    """
+    around = distinct(cells_around(codes, level))
+    return around[~among(around, codes)]
+
+
+def with_all_above(codes: Sequence[Int64s]) -> list[Int64s]:
+    """Return cells, given level by level, with all cells above them; ascending."""
+    found = []
+    above = np.empty(0, np.int64)
+    for own in reversed(codes):
+        found.append(distinct(np.concatenate([own, above])))
+        above = found[-1] >> 3
+    return found[::-1]
 
 
 def rebuilt(tree: Octree, leaves: Sequence[Int64s]) -> Edited:
@@ -177,15 +203,9 @@ def rebuilt(tree: Octree, leaves: Sequence[Int64s]) -> Edited:
     flags[there & ~is_node] &= np.uint8(0xFF ^ KEPT)
     new = np.full(n_old, -1, np.int64)
     new[old[there]] = np.flatnonzero(there)
-    split_cells = new[tree.split.cells]
-    rows = np.repeat(split_cells >= 0, np.bitwise_count(tree.split.facings & np.uint8(FACING_FLAGS)))
+    split, rows = taken(tree.split, new[tree.split.cells])
     kept_cells = new[tree.kept.cells]
     kept_rows = (kept_cells >= 0) & is_node[kept_cells]
-    split = SplitTable(
-        split_cells[split_cells >= 0].astype(np.uint32),
-        tree.split.facings[split_cells >= 0],
-        tree.split.areas[rows],
-    )
     kept = KeptTable(kept_cells[kept_rows].astype(np.uint32))
     return Edited(built.with_cell_data(flags, areas, split, kept), old, rows, kept_rows)
 

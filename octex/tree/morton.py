@@ -57,6 +57,23 @@ def decode_cells(codes: npt.ArrayLike) -> npt.NDArray[np.int64]:
 
 
 @kernel
+def cells_around(codes: npt.NDArray[np.int64], level: int) -> npt.NDArray[np.int64]:
+    """Morton codes of the up to 26 cells beside each of some cells of a level: in no order, repeated."""
+    found = np.empty(26 * codes.size, np.int64)
+    count, end = 0, (1 << level) - 1
+    for n in range(codes.size):
+        i, j, k = decode(codes[n])
+        for z in range(max(k - 1, 0), min(k + 1, end) + 1):
+            for y in range(max(j - 1, 0), min(j + 1, end) + 1):
+                row = spread(y) << 1 | spread(z) << 2
+                for x in range(max(i - 1, 0), min(i + 1, end) + 1):
+                    if x != i or y != j or z != k:
+                        found[count] = spread(x) | row
+                        count += 1
+    return found[:count]
+
+
+@kernel
 def _encode_all(
     i: npt.NDArray[np.int64], j: npt.NDArray[np.int64], k: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.int64]:

@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.jit import kernel, summing_kernel
-from octex.tree.layout import AREA_ONE, AREA_STEPS, FACING_FLAGS, POSITIVE_FACINGS, TreeArrays
+from octex.tree.areas import AREAS
+from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, TreeArrays
 from octex.tree.morton import decode
 from octex.tree.search import child
 
@@ -55,11 +56,6 @@ def _estimate(
     depths: npt.NDArray[np.uint8],
     normals: npt.NDArray[np.float32],
 ) -> None:
-    areas = np.empty(256)
-    for code in range(256):
-        areas[code] = 2.0 ** ((code - AREA_ONE) / AREA_STEPS)
-    # A cell that the surface only touches still says where it passes.
-    areas[0] = areas[1]
     nodes = np.empty(_STACK, np.int64)
     places = np.empty((_STACK, 4), np.int64)
     around = np.empty((4, _MOST_CELLS))
@@ -71,7 +67,7 @@ def _estimate(
         block = code >> 3 * _BLOCK_LEVELS
         if block != last_block or depth != last_depth:
             last_block, last_depth = block, depth
-            n_around = _gather(tree, block, depth, areas, nodes, places, around, around_flags)
+            n_around = _gather(tree, block, depth, nodes, places, around, around_flags)
         flags = int(np.int64(tree.flags[cells[n]])) & FACING_FLAGS
         _add_up(code, flags, n_around, around, around_flags, moments)
         x, y, z = _flattest(moments)
@@ -92,7 +88,6 @@ def _gather(
     tree: TreeArrays,
     block: int,
     depth: int,
-    areas: npt.NDArray[np.float64],
     nodes: npt.NDArray[np.int64],
     places: npt.NDArray[np.int64],
     around: npt.NDArray[np.float64],
@@ -135,7 +130,7 @@ def _gather(
                 around[0, found] = (i + 0.5) * edge
                 around[1, found] = (j + 0.5) * edge
                 around[2, found] = (k + 0.5) * edge
-                around[3, found] = areas[tree.areas[cell]] * edge * edge
+                around[3, found] = AREAS[tree.areas[cell]] * edge * edge
                 around_flags[found] = np.int64(tree.flags[cell]) & FACING_FLAGS
                 found += 1
     return found

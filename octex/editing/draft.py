@@ -1,0 +1,424 @@
+"""Drafts: the part of a texture that an edit touches, cut out, edited as a texture of its own, and put back.
+
+A *tile* is a cell of one level, the draft's, with all that is below it. A draft holds all cells down to that
+level, and below it only the open tiles; the others are closed: leaves with the value of the node that they
+are. So what an edit near the middle of the open tiles sees, and all averages above, are as in the whole.
+
+Cells of a level stand in Morton order, so those of a tile are one run of each level: cutting and putting back
+is copying runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import islice
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import ALPHA, ONE
+from octex.errors import ArgumentError
+from octex.texture import Channel, OctreeTexture
+from octex.tree.edit import among, boundary, locate
+from octex.tree.layout import KEPT, KeptTable, SplitTable, TreeArrays
+from octex.tree.octree import Octree, distinct, rank
+from octex.tree.split import counts_of
+
+Array = npt.NDArray[Any]
+Bools = npt.NDArray[np.bool_]
+Int64s = npt.NDArray[np.int64]
+Uint8s = npt.NDArray[np.uint8]
+
+#: A tile is 2³ times as wide as the largest leaves, kept nodes and edited cells in the open tiles: an edit
+#: reads less than that around what it edits.
+_STEPS = 3
+#: Drafts of more than this part of a texture's cells are no gain.
+_MOST = 0.5
+
+
+class Tiles(NamedTuple):
+    """The open tiles of a draft."""
+
+    level: int
+    codes: Int64s  # (n,)   Morton codes, ascending
+
+
+class Change(NamedTuple):
+    """What an edit has changed: its open tiles, and the draft without and with it.
+
+    Both are textures of their own, small where the edit was.
+    """
+
+    tiles: Tiles | None  # None: all of the texture
+    before: OctreeTexture
+    after: OctreeTexture
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of both drafts."""
+        return self.before.nbytes + self.after.nbytes
+
+    def inverted(self) -> Change:
+        """Return the change that undoes this one."""
+        return Change(self.tiles, self.after, self.before)
+
+    def applied(self, texture: OctreeTexture) -> OctreeTexture:
+        """Return a texture with this change.
+
+        Raises ArgumentError for a texture that is not as the one was from which the change was made.
+        """
+        if not _is_cut_from(self.before, texture, self.tiles):
+            raise ArgumentError("the change was made from another texture, or from this one as it was once")
+        return self.put_into(texture)
+
+    def put_into(self, texture: OctreeTexture) -> OctreeTexture:
+        """Return the texture from which the change was made with it."""
+        return self.after if self.tiles is None else put_back(texture, self.tiles, self.after)
+
+
+class Runs(NamedTuple):
+    """Cells, or nodes, of several textures, end to end."""
+
+    owners: list[int]
+    begins: list[int]
+    ends: list[int]
+
+    def add(self, owner: int, begin: int, end: int) -> None:
+        """Add a run, to the last one if it follows that."""
+        if begin == end:
+            return
+        if self.owners and self.owners[-1] == owner and self.ends[-1] == begin:
+            self.ends[-1] = end
+            return
+        self.owners.append(owner)
+        self.begins.append(begin)
+        self.ends.append(end)
+
+    @classmethod
+    def none(cls) -> Runs:
+        """Return no runs."""
+        return cls([], [], [])
+
+    def of(self, arrays: Sequence[Array]) -> Array:
+        """Join the runs of an array of each texture."""
+        runs = zip(self.owners, self.begins, self.ends, strict=True)
+        return np.concatenate([arrays[owner][begin:end] for owner, begin, end in runs] or [arrays[0][:0]])
+
+
+def tiles_around(texture: OctreeTexture, codes: Sequence[Int64s]) -> Tiles | None:
+    """Return the tiles for an edit of cells, given level by level; None if that is most of the texture."""
+    tree = texture.tree
+    finest = next((level for level, own in enumerate(codes) if own.size), 0)
+    level = coarsest_near(tree, codes, finest) - _STEPS
+    if not 0 < level < tree.max_depth:
+        return None
+    edited = _at(codes, level)
+    around = np.concatenate([edited, boundary(edited, level), _tiles_of(tree, _brightest(texture), level)])
+    tiles = Tiles(level, distinct(around))
+    return tiles if _is_small(tree, tiles) else None
+
+
+def _brightest(texture: OctreeTexture) -> Int64s:
+    """Return cells with the most light of channels that have more than 1: it limits averages."""
+    found = []
+    split = texture.tree.split
+    for channel in texture.channels.values():
+        for number, stored in enumerate((channel.values, channel.split_values)):
+            if channel.format.space not in ("srgb", "linear") or stored.dtype.kind != "f" or not stored.size:
+                continue
+            row = int(stored.argmax()) // stored.shape[1]
+            if stored[row].max() > 1:
+                ends = np.cumsum(counts_of(split.facings)) if number else None
+                found.append(row if ends is None else int(split.cells[np.searchsorted(ends, row, "right")]))
+    return np.array(found, np.int64)
+
+
+def _tiles_of(tree: Octree, cells: Int64s, level: int) -> Int64s:
+    """Return the tiles that hold cells; none for cells above them."""
+    codes, is_node = next(islice(tree.walk(), level, None))
+    begins = np.arange(*tree.arrays.level_nodes[level : level + 2])
+    found = [codes[:0]]
+    for deeper in range(level + 1, tree.max_depth + 1):
+        firsts, begins = _children_before(tree, begins)
+        own = cells[
+            (cells >= tree.arrays.level_cells[deeper]) & (cells < tree.arrays.level_cells[deeper + 1])
+        ]
+        found.append(codes[is_node][np.searchsorted(firsts, own, "right") - 1])
+    return np.concatenate(found)
+
+
+def coarsest_near(tree: Octree, codes: Sequence[Int64s], finest: int) -> int:
+    """Return the level of the largest leaf or kept node, down to ``finest``, that cells are in or beside.
+
+    The cells are given level by level; beside it is what is so at its own level. ``finest`` if there is none.
+    """
+    for level in range(finest):
+        own = _at(codes, level)
+        where = locate(tree, np.sort(np.concatenate([own, boundary(own, level)])), level)
+        is_kept = tree.arrays.flags[where.cells] & KEPT != 0
+        if ((where.levels == level) & (where.is_leaf | is_kept)).any():
+            return level
+    return finest
+
+
+def _at(codes: Sequence[Int64s], level: int) -> Int64s:
+    """Return the cells of a level that hold cells given level by level, none of which is larger."""
+    return distinct(np.concatenate([own >> 3 * (at - level) for at, own in enumerate(codes) if own.size]))
+
+
+def _is_small(tree: Octree, tiles: Tiles) -> bool:
+    """Say whether a draft's cells are few beside the tree's."""
+    where = locate(tree, tiles.codes, tiles.level)
+    begins = where.nodes[where.levels == tiles.level]
+    ends = begins + 1
+    total = int(tree.arrays.level_cells[tiles.level + 1])
+    for _ in range(tiles.level, tree.max_depth):
+        (first, begins), (last, ends) = _children_before(tree, begins), _children_before(tree, ends)
+        total += int((last - first).sum())
+    return total <= _MOST * tree.n_cells
+
+
+def _children_before(tree: Octree, nodes: Int64s) -> tuple[Int64s, Int64s]:
+    """Return the first child cell, and the first child node, of nodes (n,) or of what comes after them."""
+    groups = tree.arrays.groups
+    at = np.minimum(nodes >> 3, groups.shape[0] - 1)
+    # Beyond the last node all masks are empty; beyond the last group all children come before.
+    shifts = np.where(nodes >> 3 > at, 64, 8 * (nodes & 7)).astype(np.uint64)
+    below = np.where(shifts == 64, ~np.uint64(0), (np.uint64(1) << shifts % np.uint64(64)) - np.uint64(1))
+    first, second, ranks = groups[at].T
+    child_nodes = (ranks & np.uint64(0xFFFFFFFF)).astype(np.int64) + np.bitwise_count(first & below)
+    child_cells = (ranks >> np.uint64(32)).astype(np.int64) + np.bitwise_count((first | second) & below)
+    return child_cells, child_nodes
+
+
+def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
+    """Return a texture of all cells down to the tiles' level, and of the open tiles."""
+    tree, level = texture.tree, tiles.level
+    codes, is_node = next(islice(tree.walk(), level, None))
+    is_open = is_node & among(codes, tiles.codes)
+    is_closed = is_node & ~is_open
+    cells, nodes = Runs.none(), Runs.none()
+    cells.add(0, 0, int(tree.arrays.level_cells[level + 1]))
+    nodes.add(0, 0, int(tree.arrays.level_nodes[level]))
+    numbers = int(tree.arrays.level_nodes[level]) + np.flatnonzero(is_open[is_node])
+    levels = _add_below([tree], *_runs(np.zeros_like(numbers), numbers), cells, nodes)
+    made = _joined([texture], texture, level, levels, (cells, nodes), is_closed)
+    return _forgetting(made, int(tree.arrays.level_cells[level]) + np.flatnonzero(is_closed))
+
+
+def _forgetting(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
+    """Return a texture in which cells keep nothing."""
+    tree = texture.tree
+    stays = ~among(tree.kept.cells.astype(np.int64), cells)
+    if stays.all():
+        return texture
+    flags = tree.arrays.flags.copy()
+    flags[cells] &= np.uint8(0xFF ^ KEPT)
+    tree = tree.with_cell_data(flags, tree.arrays.areas, tree.split, KeptTable(tree.kept.cells[stays]))
+    channels = {
+        name: channel._replace(kept_values=channel.kept_values[stays])
+        for name, channel in texture.channels.items()
+    }
+    return OctreeTexture(tree, channels, texture.placement, texture.bounds, texture.metadata)
+
+
+def put_back(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> OctreeTexture:
+    """Return a texture with what a draft, cut out of it and edited, has in the open tiles and above them."""
+    texture = _with_channels(texture, draft)
+    level, trees = tiles.level, (texture.tree, draft.tree)
+    (old_codes, was_node), (codes, is_node) = (next(islice(tree.walk(), level, None)) for tree in trees)
+    is_closed = among(codes, old_codes[was_node & ~among(old_codes, tiles.codes)])
+    owners = np.where(is_closed, 0, 1)
+    cells, nodes = Runs.none(), Runs.none()
+    cells.add(1, 0, int(draft.tree.arrays.level_cells[level]))
+    nodes.add(1, 0, int(draft.tree.arrays.level_nodes[level]))
+    old, own = (int(tree.arrays.level_cells[level]) for tree in trees)
+    at = np.minimum(np.searchsorted(old_codes, codes), old_codes.size - 1)
+    # The level itself: closed cells as they were, with what they keep.
+    for run in zip(*_runs(owners, np.where(is_closed, old + at, own + np.arange(codes.size))), strict=True):
+        cells.add(*(int(number) for number in run))
+    # Its nodes, with all below them.
+    old, own = (int(tree.arrays.level_nodes[level]) for tree in trees)
+    numbers = np.where(is_closed, old + np.cumsum(was_node)[at] - 1, own + np.cumsum(is_node) - 1)
+    has_below = is_closed | is_node
+    levels = _add_below(trees, *_runs(owners[has_below], numbers[has_below]), cells, nodes)
+    return _joined([texture, draft], draft, level, levels, (cells, nodes), is_closed)
+
+
+def _with_channels(texture: OctreeTexture, draft: OctreeTexture) -> OctreeTexture:
+    """Return a texture with a draft's channels: without alpha it is opaque."""
+    if ALPHA.name in draft.channels and ALPHA.name not in texture.channels:
+        return with_alpha(texture)
+    return texture
+
+
+def with_alpha(texture: OctreeTexture) -> OctreeTexture:
+    """Give a texture a channel alpha: opaque."""
+    channel = Channel(
+        ALPHA,
+        *(
+            np.full((rows, 1), ONE[ALPHA.dtype], ALPHA.dtype)
+            for rows in (texture.tree.n_cells, texture.tree.split.areas.size, texture.tree.kept.cells.size)
+        ),
+    )
+    return OctreeTexture(
+        texture.tree,
+        {**texture.channels, ALPHA.name: channel},
+        texture.placement,
+        texture.bounds,
+        texture.metadata,
+    )
+
+
+def with_channels_of(draft: OctreeTexture, texture: OctreeTexture) -> OctreeTexture:
+    """Return a draft with those of its channels that a texture has."""
+    if draft.channels.keys() == texture.channels.keys():
+        return draft
+    channels = {name: draft.channels[name] for name in texture.channels}
+    return OctreeTexture(draft.tree, channels, draft.placement, draft.bounds, draft.metadata)
+
+
+def _is_cut_from(draft: OctreeTexture, texture: OctreeTexture, tiles: Tiles | None) -> bool:
+    """Say whether a draft has what a texture has in the open tiles and above them."""
+    if draft.channels.keys() != texture.channels.keys() or draft.placement != texture.placement:
+        return False
+    here = texture if tiles is None else cut_out(texture, tiles)
+    return all(np.array_equal(one, own) for one, own in zip(_arrays(here), _arrays(draft), strict=True))
+
+
+def _arrays(texture: OctreeTexture) -> list[Array]:
+    """Return what a texture is made of."""
+    tree = texture.tree
+    channels = [array for name in sorted(texture.channels) for array in texture.channels[name][1:]]
+    return [*tree.arrays, *tree.split, *tree.kept, *channels]
+
+
+def _runs(owners: Int64s, numbers: Int64s) -> tuple[Int64s, Int64s, Int64s]:
+    """Return runs of consecutive numbers of one owner: owners, begins, ends."""
+    if not numbers.size:
+        return owners, numbers, numbers
+    breaks = np.flatnonzero((np.diff(numbers) != 1) | (np.diff(owners) != 0)) + 1
+    begins = np.concatenate([[0], breaks])
+    ends = np.concatenate([breaks, [numbers.size]]) - 1
+    return owners[begins], numbers[begins], numbers[ends] + 1
+
+
+def _add_below(
+    trees: Sequence[Octree], owners: Int64s, begins: Int64s, ends: Int64s, cells: Runs, nodes: Runs
+) -> list[tuple[int, int]]:
+    """Add runs of nodes of a level with all below them.
+
+    Returns how many cells each deeper level has, and how many nodes are above these.
+    """
+    found = []
+    while True:
+        for run in zip(owners.tolist(), begins.tolist(), ends.tolist(), strict=True):
+            nodes.add(*run)
+        first, last = np.zeros((2, 2, owners.size), np.int64)
+        for number, tree in enumerate(trees):
+            own = owners == number
+            first[:, own] = _children_before(tree, begins[own])
+            last[:, own] = _children_before(tree, ends[own])
+        count = int((last[0] - first[0]).sum())
+        found.append((count, int((ends - begins).sum())))
+        if not count:
+            return found
+        for run in zip(owners.tolist(), first[0].tolist(), last[0].tolist(), strict=True):
+            cells.add(*run)
+        begins, ends = first[1], last[1]
+
+
+def _joined(
+    textures: Sequence[OctreeTexture],
+    top: OctreeTexture,
+    level: int,
+    below: Sequence[tuple[int, int]],
+    runs: tuple[Runs, Runs],
+    turned: Bools,
+) -> OctreeTexture:
+    """Return a texture of runs of cells and nodes of others.
+
+    Down to ``level`` it is as ``top``, but that of this level's cells those ``turned`` are nodes instead of
+    leaves, or the other way round. ``below`` are the numbers of each deeper level's cells, and of the nodes
+    above them.
+    """
+    cells, nodes = runs
+    arrays = top.tree.arrays
+    counts = [count for count, _ in below if count]
+    level_cells = np.concatenate([arrays.level_cells[: level + 2], np.zeros(len(counts), np.int64)])
+    level_cells[level + 2 :] = level_cells[level + 1] + np.cumsum(counts)
+    level_nodes = np.concatenate([arrays.level_nodes[: level + 1], np.zeros(len(counts) + 1, np.int64)])
+    level_nodes[level + 1 :] = level_nodes[level] + np.cumsum([count for _, count in below])
+    n_nodes = int(level_nodes[-1])
+    masks = np.zeros((2, -(-n_nodes // 8) * 8), np.uint8)
+    for word, own in enumerate(masks):
+        packed = [np.ascontiguousarray(each.tree.arrays.groups[:, word]).view(np.uint8) for each in textures]
+        own[:n_nodes] = nodes.of(packed)
+    parents, octants = _parents_of(masks, arrays, level)
+    bits = np.uint8(1) << octants[turned]
+    for own in masks:
+        np.bitwise_xor.at(own, parents[turned], bits)
+    groups = np.zeros((masks.shape[1] // 8, 3), np.uint64)
+    groups[:, 0], groups[:, 1] = (own.view("<u8") for own in masks)
+    rank(groups)
+    trees = [each.tree for each in textures]
+    flags = cells.of([tree.arrays.flags for tree in trees])
+    areas = cells.of([tree.arrays.areas for tree in trees])
+    split_cells, split_runs, row_runs = _split_runs(trees, cells)
+    kept_cells, kept_runs = _listed([tree.kept.cells for tree in trees], cells)
+    split = SplitTable(
+        split_cells,
+        split_runs.of([tree.split.facings for tree in trees]),
+        row_runs.of([tree.split.areas for tree in trees]),
+    )
+    tree = Octree(TreeArrays(groups, level_cells, level_nodes, flags, areas), split, KeptTable(kept_cells))
+    channels = {}
+    for name, channel in top.channels.items():
+        own_channels = [each.channels[name] for each in textures]
+        channels[name] = Channel(
+            channel.format,
+            cells.of([own.values for own in own_channels]),
+            row_runs.of([own.split_values for own in own_channels]),
+            kept_runs.of([own.kept_values for own in own_channels]),
+        )
+    return OctreeTexture(tree, channels, top.placement, top.bounds, top.metadata)
+
+
+def _parents_of(masks: npt.NDArray[np.uint8], arrays: TreeArrays, level: int) -> tuple[Int64s, Uint8s]:
+    """Return the node above each cell of a level, and the cell's octant."""
+    above = slice(*arrays.level_nodes[level - 1 : level + 1].tolist())
+    children = np.unpackbits((masks[0, above] | masks[1, above])[:, None], axis=1, bitorder="little")
+    nodes, octants = np.nonzero(children)
+    return nodes + above.start, octants.astype(np.uint8)
+
+
+def _split_runs(trees: Sequence[Octree], cells: Runs) -> tuple[npt.NDArray[np.uint32], Runs, Runs]:
+    """Return the split cells among runs of cells, by new numbers, and the runs of them and of their rows."""
+    found, runs = _listed([tree.split.cells for tree in trees], cells)
+    ends = [
+        np.concatenate([[0], np.cumsum(np.bitwise_count(tree.split.facings), dtype=np.int64)])
+        for tree in trees
+    ]
+    rows = Runs.none()
+    for owner, begin, end in zip(runs.owners, runs.begins, runs.ends, strict=True):
+        rows.add(owner, int(ends[owner][begin]), int(ends[owner][end]))
+    return found, runs, rows
+
+
+def _listed(tables: Sequence[npt.NDArray[np.uint32]], cells: Runs) -> tuple[npt.NDArray[np.uint32], Runs]:
+    """Return which of runs of cells tables list, by their new numbers, and the runs of the tables."""
+    owners, begins, ends = (np.array(column, np.int64) for column in cells)
+    counts = ends - begins
+    shifts = np.cumsum(counts) - counts - begins
+    first, last = np.zeros((2, owners.size), np.int64)
+    for number, table in enumerate(tables):
+        own = owners == number
+        first[own] = np.searchsorted(table, begins[own].astype(np.uint32))
+        last[own] = np.searchsorted(table, ends[own].astype(np.uint32))
+    runs = Runs.none()
+    found = [np.empty(0, np.int64)]
+    for n in np.flatnonzero(last > first).tolist():
+        runs.add(int(owners[n]), int(first[n]), int(last[n]))
+        found.append(tables[owners[n]][first[n] : last[n]] + shifts[n])
+    return np.concatenate(found).astype(np.uint32), runs

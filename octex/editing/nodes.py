@@ -1,0 +1,100 @@
+"""Nodes of a tree, and the rows that split ones have, level by level."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.jit import kernel, popcount
+from octex.tree.edit import children_of, locate
+from octex.tree.layout import TreeArrays
+from octex.tree.octree import Octree
+from octex.tree.split import Rows, rows_of
+
+Bools = npt.NDArray[np.bool_]
+Int64s = npt.NDArray[np.int64]
+
+
+class Nodes(NamedTuple):
+    """Some nodes of a tree, level by level."""
+
+    numbers: Int64s  # (n,)   among its nodes, ascending
+    cells: Int64s  # (n,)   among its cells, ascending
+
+    def of(self, chosen: Bools) -> Nodes:
+        """Return some of them."""
+        return Nodes(self.numbers[chosen], self.cells[chosen])
+
+
+def all_nodes(tree: Octree) -> Nodes:
+    """Return all nodes of a tree."""
+    return Nodes(np.arange(tree.n_nodes), node_cells(tree))
+
+
+def nodes_at(tree: Octree, codes: Sequence[Int64s]) -> Nodes:
+    """Return the nodes of a tree at places (n,), given by their Morton codes level by level.
+
+    Where it has none, the number is −1, and the cell that around the place.
+    """
+    found = [Nodes(np.empty(0, np.int64), np.empty(0, np.int64))]
+    for level, own in enumerate(codes):
+        where = locate(tree, own, level)
+        found.append(Nodes(np.where(where.levels == level, where.nodes, -1), where.cells))
+    return Nodes(*(np.concatenate(column) for column in zip(*found, strict=True)))
+
+
+def node_cells(tree: Octree) -> Int64s:
+    """Return the cell numbers of all nodes (nodes,), ascending."""
+    cells = np.zeros(tree.n_nodes, np.int64)
+    _node_cells(tree.arrays, cells)
+    return cells
+
+
+def by_level(tree: Octree, nodes: Nodes) -> list[slice]:
+    """Return where the nodes of each level stand that has any, from the root on."""
+    ends = np.searchsorted(nodes.numbers, tree.arrays.level_nodes[: tree.max_depth + 1])
+    return [slice(begin, end) for begin, end in pairwise(ends.tolist()) if begin < end]
+
+
+def all_children(tree: Octree, numbers: Int64s) -> tuple[Int64s, Int64s]:
+    """Return the children (m,) of nodes (n,), given by their numbers, and where those of each begin (n,)."""
+    firsts, counts = children_of(tree, numbers)
+    starts = np.cumsum(counts) - counts
+    return np.repeat(firsts - starts, counts) + np.arange(counts.sum()), starts
+
+
+def rows_by_level(tree: Octree, nodes: Nodes) -> Iterator[tuple[slice, Rows, Int64s]]:
+    """Yield the rows of split nodes from the root down, where these stand among all of nodes' rows.
+
+    The last are the numbers of their nodes (n,).
+    """
+    if not tree.split.cells.size:
+        return
+    rows = rows_of(tree.split, nodes.cells)
+    owners = np.searchsorted(nodes.cells, rows.cells)
+    for here in by_level(tree, nodes):
+        some = slice(*np.searchsorted(owners, [here.start, here.stop]).tolist())
+        if some.start < some.stop:
+            yield some, rows.of(some), nodes.numbers[owners[some]]
+
+
+@kernel
+def _node_cells(arrays: TreeArrays, cells: Int64s) -> None:
+    """Fill in the cells of the nodes after the root."""
+    groups = arrays.groups
+    next_node, begin = 1, np.int64(1)
+    for node in range(cells.size):
+        shift = np.uint64(8 * (node & 7))
+        nodes = groups[node >> 3, 0] >> shift & np.uint64(0xFF)
+        children = nodes | groups[node >> 3, 1] >> shift & np.uint64(0xFF)
+        while nodes != np.uint64(0) and next_node < cells.size:
+            lowest = nodes & (~nodes + np.uint64(1))
+            nodes ^= lowest
+            cell = begin + popcount(children & (lowest - np.uint64(1)))
+            cells[next_node] = min(cell, np.int64(arrays.areas.size - 1))
+            next_node += 1
+        begin += popcount(children)

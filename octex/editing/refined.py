@@ -1,0 +1,187 @@
+"""Cells below leaves: what the field refines to there (paper 4.2), and what facings of theirs see."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import ALPHA, decode, encode
+from octex.editing.codes import differ
+from octex.editing.split import with_split
+from octex.field.refined import refined_taps
+from octex.parallel import ordered_map
+from octex.texture import Channel, OctreeTexture
+from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
+from octex.tree.octree import Octree
+from octex.tree.split import bits_of, counts_of, find_rows
+
+Array = npt.NDArray[np.generic]
+Bools = npt.NDArray[np.bool_]
+Int64s = npt.NDArray[np.int64]
+Uint8s = npt.NDArray[np.uint8]
+Uint32s = npt.NDArray[np.uint32]
+Float32s = npt.NDArray[np.float32]
+
+#: Cells that are refined at once.
+_BLOCK = 1 << 14
+#: What is transparent still weighs so much in what is refined from it.
+_FAINT = np.float32(1e-6)
+#: What is hidden weighs so much: decides only where nothing else is there.
+_AWAY = np.float32(1e-6)
+_NO_TAPS = np.empty(0, np.uint32), np.empty(0, np.float32)
+
+
+class Below(NamedTuple):
+    """What cells of a level below leaves have, decoded, by channel."""
+
+    values: dict[str, Float32s]  # (n, components)
+    is_split: Bools  # (n,)   whether a facing sees something else
+    rows: dict[str, Float32s]  # (rows, components)   of the split ones
+
+
+class _Taps(NamedTuple):
+    """What cells (n,), or facings of theirs, are refined from."""
+
+    starts: Int64s  # (n + 1,)
+    rows: Uint32s  # of cells, and after them of kept coefficients
+    weights: Float32s
+
+
+def refined_below(
+    texture: OctreeTexture, codes: Int64s, level: int, facings: Uint8s, executor: Executor | None = None
+) -> Below:
+    """Refine a texture to cells (n,) of a level below its leaves, given by Morton codes and facings."""
+    blocks = [slice(begin, begin + _BLOCK) for begin in range(0, codes.size, _BLOCK)] or [slice(0)]
+    given = [(codes[here], facings[here]) for here in blocks]
+    refine = partial(_refined_below, texture, level)
+    done = [refine(each) for each in given] if executor is None else ordered_map(executor, refine, given)
+    values, is_split, rows = zip(*done, strict=True)
+    return Below(_joined(values), np.concatenate(is_split), _joined(rows))
+
+
+def _joined(parts: Sequence[Mapping[str, Float32s]]) -> dict[str, Float32s]:
+    return {name: np.concatenate([each[name] for each in parts]) for name in parts[0]}
+
+
+def _refined_below(texture: OctreeTexture, level: int, given: tuple[Int64s, Uint8s]) -> Below:
+    codes, facings = given
+    tree, channels = texture.tree, texture.channels
+    taps = _Taps(*refined_taps(tree, codes, level))
+    values = _blended(channels, taps)
+    # Where no tap is split, and none is hidden from a facing, all facings see the same.
+    flags = tree.arrays.flags[_cells_of(tree, taps.rows)]
+    own = np.repeat(facings, np.diff(taps.starts))
+    tells = (flags & SPLIT != 0) & (own != 0) | (own & ~flags & _opposite(flags) != 0)
+    chosen = np.flatnonzero(_any_in_runs(tells, taps.starts))
+    owners, bits = np.repeat(chosen, counts_of(facings[chosen])), bits_of(facings[chosen])
+    rows = _blended(channels, *_facing(tree, taps, owners, bits))
+    is_split = np.zeros(codes.size, np.bool_)
+    for name, each in rows.items():
+        form = channels[name].format
+        stored = (encode(own, form.dtype, form.space) for own in (each, values[name][owners]))
+        is_split[owners[differ(form, *stored)]] = True
+    return Below(values, is_split, {name: each[is_split[owners]] for name, each in rows.items()})
+
+
+def with_rows(texture: OctreeTexture, parts: Sequence[tuple[Int64s, Below]]) -> OctreeTexture:
+    """Return a texture in which cells (n,), ascending from part to part, are split as they were refined."""
+    cells = np.concatenate([own[below.is_split] for own, below in parts]) if parts else np.empty(0, np.int64)
+    if not cells.size:
+        return texture
+    rows = {}
+    for name, values in _joined([below.rows for _, below in parts]).items():
+        form = texture.channels[name].format
+        rows[name] = encode(values, form.dtype, form.space)
+    return with_split(texture, cells, texture.tree.arrays.flags[cells] & np.uint8(FACING_FLAGS), rows)
+
+
+def refined_values(
+    tree: Octree, channels: Mapping[str, Channel], codes: Int64s, level: int
+) -> dict[str, Float32s]:
+    """Return what channels refine to in cells of a level below leaves, decoded; others weigh by alpha."""
+    return _blended(channels, _Taps(*refined_taps(tree, codes, level)))
+
+
+def refined_rows(texture: OctreeTexture, codes: Int64s, level: int, bits: Uint8s) -> dict[str, Float32s]:
+    """Return what facings (n,) of cells (n,) of a level below leaves see of the field's refinement, decoded.
+
+    What only faces the opposite way is hidden. What faces sideways is not: a normal between the two sees
+    both.
+    """
+    found = [_blended(texture.channels, _Taps(np.zeros(1, np.int64), *_NO_TAPS))]
+    for begin in range(0, codes.size, _BLOCK):
+        here = slice(begin, begin + _BLOCK)
+        own, owners = np.unique(codes[here], return_inverse=True)
+        taps = _Taps(*refined_taps(texture.tree, own, level))
+        found.append(_blended(texture.channels, *_facing(texture.tree, taps, owners, bits[here])))
+    return _joined(found)
+
+
+def _facing(tree: Octree, taps: _Taps, owners: Int64s, bits: Uint8s) -> tuple[_Taps, Bools, Int64s]:
+    """Return the taps of facings of cells, for which of them there are rows in the split table, and these."""
+    counts = np.diff(taps.starts)[owners]
+    starts = np.cumsum(np.concatenate([[0], counts]))
+    own = np.repeat(taps.starts[owners] - starts[:-1], counts) + np.arange(starts[-1])
+    rows, weights, bits = taps.rows[own], taps.weights[own], np.repeat(bits, counts)
+    cells = _cells_of(tree, rows)
+    facings = tree.arrays.flags[cells] & np.uint8(FACING_FLAGS)
+    weights[(facings & bits == 0) & (facings & _opposite(bits) != 0)] *= _AWAY
+    return _Taps(starts, rows, weights), *find_rows(tree.split, cells, bits)
+
+
+def _opposite(facings: Uint8s) -> Uint8s:
+    """Return the facings opposite to some."""
+    positive = np.uint8(POSITIVE_FACINGS)
+    return (facings & positive) << np.uint8(1) | facings >> np.uint8(1) & positive
+
+
+def _cells_of(tree: Octree, rows: Uint32s) -> Int64s:
+    """Return the cells of rows: of coefficients those that keep them."""
+    cells = rows.astype(np.int64)
+    is_kept = cells >= tree.n_cells
+    cells[is_kept] = tree.kept.cells[cells[is_kept] - tree.n_cells]
+    return cells
+
+
+def _blended(
+    channels: Mapping[str, Channel], taps: _Taps, there: Bools | None = None, own: Int64s | None = None
+) -> dict[str, Float32s]:
+    """Blend channels, decoded; where taps are ``there`` their ``own`` rows of the split table."""
+
+    def shown(channel: Channel) -> Float32s:
+        n_cells, kept = len(channel.values), taps.rows >= len(channel.values)
+        stored = channel.values[np.minimum(taps.rows, n_cells - 1)]
+        if kept.any():
+            stored[kept] = channel.kept_values[taps.rows[kept] - n_cells]
+        if there is not None:
+            stored[there] = channel.split_values[own]
+        return decode(stored, channel.format.space)
+
+    found = {}
+    alpha = channels.get(ALPHA.name)
+    opaque = None if alpha is None else np.maximum(shown(alpha), _FAINT)
+    for name, channel in channels.items():
+        weights = taps.weights[:, None]
+        if opaque is not None and name != ALPHA.name:
+            weights = weights * opaque
+        sums = _sum_runs(np.hstack([shown(channel) * weights, weights]), taps.starts)
+        found[name] = np.asarray(sums[:, :-1] / np.maximum(sums[:, -1:], np.float32(1e-30)), np.float32)
+    return found
+
+
+def _sum_runs(values: Float32s, starts: Int64s) -> Float32s:
+    """Add up rows from each start to the next; zeros where there are none."""
+    sums = np.add.reduceat(np.vstack([values, np.zeros_like(values[:1])]), starts[:-1], axis=0)
+    sums[starts[1:] == starts[:-1]] = 0
+    return np.asarray(sums, np.float32)
+
+
+def _any_in_runs(values: Bools, starts: Int64s) -> Bools:
+    """Say for which runs, from each start to the next, something holds."""
+    found: Bools = np.diff(np.concatenate([[0], np.cumsum(values)])[starts]) > 0
+    return found

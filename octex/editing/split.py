@@ -1,0 +1,103 @@
+"""What cells show each way: the values of split cells' rows, read and changed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.channels import decode
+from octex.editing.codes import differ
+from octex.texture import Channel, OctreeTexture
+from octex.tree.edit import among, facings_of_nodes
+from octex.tree.layout import FACING_FLAGS, SPLIT
+from octex.tree.split import find_rows, inserted, rows_of, taken
+
+Array = npt.NDArray[Any]
+Bools = npt.NDArray[np.bool_]
+Int64s = npt.NDArray[np.int64]
+Uint8s = npt.NDArray[np.uint8]
+
+
+def rows_facing(
+    texture: OctreeTexture, channel: Channel, cells: Int64s, bits: Uint8s
+) -> npt.NDArray[np.float32]:
+    """Decode what cells (n,) show facings (n,): a split cell's row, or the cell's value."""
+    there, rows = find_rows(texture.tree.split, cells, bits)
+    return decode(_stored_facing(channel, cells, there, rows), channel.format.space)
+
+
+def _stored_facing(channel: Channel, cells: Int64s, there: Bools, rows: Int64s) -> Array:
+    """Return the values of cells (n,), as stored, and those of ``rows`` where they are ``there`` (n,)."""
+    found = channel.values[cells]
+    found[there] = channel.split_values[rows]
+    return found
+
+
+def with_split(
+    texture: OctreeTexture, cells: Int64s, facings: Uint8s, rows: Mapping[str, Array]
+) -> OctreeTexture:
+    """Return a texture whose ``cells``, ascending, are split, with given rows for some of its channels.
+
+    Other channels keep the rows that they have, or take the cells' values.
+    """
+    tree = texture.tree
+    table, order, own = inserted(tree.split, cells, facings, tree.arrays.areas[cells])
+    there = own.rows >= 0
+    stays = ~np.isin(rows_of(tree.split).cells, cells)
+    channels = {}
+    for name, channel in texture.channels.items():
+        made = rows[name] if name in rows else _stored_facing(channel, own.cells, there, own.rows[there])
+        values = np.concatenate([channel.split_values[stays], made])[order]
+        channels[name] = channel._replace(split_values=np.ascontiguousarray(values))
+    flags = tree.arrays.flags.copy()
+    flags[cells] |= np.uint8(SPLIT)
+    tree = tree.with_cell_data(flags, tree.arrays.areas, table, tree.kept)
+    return OctreeTexture(tree, channels, texture.placement, texture.bounds, texture.metadata)
+
+
+def without_split(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
+    """Return a texture in which ``cells``, that are split, are not."""
+    if not cells.size:
+        return texture
+    tree = texture.tree
+    split, rows = taken(
+        tree.split, np.where(np.isin(tree.split.cells, cells), -1, tree.split.cells.astype(np.int64))
+    )
+    flags = tree.arrays.flags.copy()
+    flags[cells] &= np.uint8(0xFF ^ SPLIT)
+    channels = {
+        name: channel._replace(split_values=channel.split_values[rows])
+        for name, channel in texture.channels.items()
+    }
+    tree = tree.with_cell_data(flags, tree.arrays.areas, split, tree.kept)
+    return OctreeTexture(tree, channels, texture.placement, texture.bounds, texture.metadata)
+
+
+def split_in_vain(texture: OctreeTexture, cells: Int64s) -> Int64s:
+    """Return those of split cells, ascending, no facing of which differs from the whole."""
+    rows = rows_of(texture.tree.split, cells)
+    is_told = np.zeros(rows.rows.size, np.bool_)
+    for channel in texture.channels.values():
+        is_told |= differ(channel.format, channel.split_values[rows.rows], channel.values[rows.cells])
+    return cells[~among(cells, rows.cells[is_told])]
+
+
+def refaced(texture: OctreeTexture) -> OctreeTexture:
+    """Return a texture whose nodes face all ways that their children do, and no other.
+
+    Split nodes lose and gain rows with that; new ones have the cell's value.
+    """
+    tree = texture.tree
+    flags = facings_of_nodes(tree)
+    if (flags == tree.arrays.flags).all():
+        return texture
+    split = tree.split
+    facings = flags[split.cells] & np.uint8(FACING_FLAGS)
+    changed = facings != split.facings
+    cells = split.cells[changed].astype(np.int64)
+    tree = tree.with_cell_data(flags, tree.arrays.areas, split, tree.kept)
+    texture = OctreeTexture(tree, texture.channels, texture.placement, texture.bounds, texture.metadata)
+    return with_split(texture, cells, facings[changed], {}) if cells.size else texture

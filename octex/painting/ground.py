@@ -1,0 +1,70 @@
+"""A surface that is painted, with what of it stays the same from stroke to stroke."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.painting.near import Near
+from octex.painting.projected import Shading, Sight, shading_of, sight_of, stretches_of
+from octex.source.surface import Surface
+from octex.tree.placement import Placement
+from octex.view.camera import Camera
+from octex.view.shading import corner_normals
+
+
+class Ground:
+    """A surface, and what strokes read of it: where its triangles lie, how it shades, what cameras see.
+
+    With ``keeps`` that is kept for the next stroke: the normals of all triangles, and what the cameras of the
+    last call see.
+    """
+
+    def __init__(self, surface: Surface, *, keeps: bool = False) -> None:
+        self.surface = surface
+        self._keeps = keeps
+        self._near: tuple[Placement, Near] | None = None
+        self._sights: dict[bytes, Sight] = {}
+
+    def near(self, placement: Placement) -> Near:
+        """Return where the triangles lie in a root cell."""
+        if self._near is None or self._near[0] != placement:
+            self._near = placement, Near(self.surface, placement)
+        return self._near[1]
+
+    @cached_property
+    def stretches(self) -> npt.NDArray[np.float32]:
+        """How long on each triangle (m,) at rest is what is 1 long on the posed one."""
+        return stretches_of(self.surface.vertices, self.surface.rest, self.surface.triangles)
+
+    @cached_property
+    def shading(self) -> Shading:
+        """The normals that angles to cameras are measured to."""
+        if not self._keeps or self.surface.frames is not None:
+            return shading_of(self.surface)
+        normals = corner_normals(self.surface.vertices, self.surface.triangles)
+        return lambda chosen: normals[chosen]
+
+    def sights(self, cameras: list[Camera], feather: float, executor: Executor) -> list[Sight]:
+        """Return what cameras see of it."""
+        known, self._sights = self._sights, {}
+        found = []
+        for camera in cameras:
+            key = _key(camera, feather)
+            sight = known.get(key) or self._sights.get(key)
+            if sight is None:
+                sight = sight_of(self.surface.vertices, self.surface.triangles, camera, feather, executor)
+            if self._keeps:
+                self._sights[key] = sight
+            found.append(sight)
+        return found
+
+
+def _key(camera: Camera, feather: float) -> bytes:
+    """Return what tells one camera's sight from another's."""
+    numbers = camera.width, camera.height, feather, camera.projection == "pinhole", camera.reach
+    parts = camera.world_to_camera, camera.K, camera.distortion, numbers
+    return b"".join(np.asarray(part, np.float64).tobytes() for part in parts)

@@ -1,0 +1,131 @@
+"""Painter: many strokes on one texture, each of which can be undone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from typing import Unpack
+
+import numpy.typing as npt
+
+from octex.channels import BASE_COLOR
+from octex.editing.draft import Change
+from octex.painting.ground import Ground
+from octex.painting.merge import merged
+from octex.painting.paint import Options, painted
+from octex.painting.pictures import Blend, Projection
+from octex.painting.region import Region, region_layer
+from octex.parallel import Progress, as_progress, workers
+from octex.source.surface import Surface, as_surface
+from octex.texture import OctreeTexture, as_texture
+
+#: What a call has changed: a Change for each layer, in order.
+Stroke = tuple[Change, ...]
+
+
+class Painter:
+    """A session of painting: strokes on a texture of a surface, undone and redone.
+
+    It keeps what does not change from stroke to stroke: where the surface's triangles lie, its normals, and
+    what the cameras of the last call see. ``texture()`` is bit for bit what the same calls of ``octex.paint``
+    and ``octex.fill`` return.
+
+    A stroke is kept as its changes, each the tiles that it touched as they were and as they became: two small
+    textures. They can be kept elsewhere, pickled, applied to an equal texture and inverted.
+
+    Raises ArgumentError for another texture or surface than ``paint`` takes.
+    """
+
+    def __init__(self, texture: OctreeTexture, surface: Surface) -> None:
+        as_surface(surface)
+        self._texture = as_texture(texture)
+        self._surface = surface
+        self._ground = Ground(surface.placed_in(texture), keeps=True)
+        self._done: list[Stroke] = []
+        self._undone: list[Stroke] = []
+
+    def texture(self) -> OctreeTexture:
+        """Return the texture as it is now. Textures are immutable: later strokes do not change it."""
+        return self._texture
+
+    @property
+    def strokes(self) -> tuple[Stroke, ...]:
+        """What the calls that are not undone have changed, the first one first."""
+        return tuple(self._done)
+
+    def paint(
+        self,
+        projections: Projection | Sequence[Projection],
+        *,
+        threads: int | None = None,
+        executor: Executor | None = None,
+        progress: Progress | None = None,
+        **options: Unpack[Options],
+    ) -> Stroke:
+        """Paint pictures as ``octex.paint`` does, with its options; return what has changed.
+
+        That is empty where nothing is painted. What was undone before can no longer be redone. Raises what
+        ``octex.paint`` raises; the texture then stays as it was.
+        """
+        changes = []
+        texture = self._texture
+        with workers(threads, executor) as pool:
+            for made, change in painted(
+                texture, self._ground, projections, pool, as_progress(progress), options
+            ):
+                texture = made
+                changes.append(change)
+        return self._did(texture, changes)
+
+    def fill(
+        self,
+        region: Region,
+        color: npt.ArrayLike,
+        *,
+        channel: str = BASE_COLOR.name,
+        opacity: float = 1.0,
+        blend: Blend = "over",
+        max_depth: int | None = None,
+        threads: int | None = None,
+        executor: Executor | None = None,
+        progress: Progress | None = None,
+    ) -> Stroke:
+        """Fill a region as ``octex.fill`` does; return what has changed, as for ``paint``."""
+        report = as_progress(progress)
+        with workers(threads, executor) as pool:
+            _, layer = region_layer(
+                self._texture, self._ground, self._surface, region, color, channel, max_depth, pool, report
+            )
+            change = merged(
+                self._texture, layer, self._ground, opacity=opacity, blend=blend, executor=pool,
+                progress=report,
+            )  # fmt: skip
+        return self._did(self._texture if change is None else change.put_into(self._texture), [change])
+
+    def undo(self) -> bool:
+        """Take back the last stroke that is not undone; return whether there was one."""
+        if not self._done:
+            return False
+        stroke = self._done.pop()
+        for change in reversed(stroke):
+            self._texture = change.inverted().put_into(self._texture)
+        self._undone.append(stroke)
+        return True
+
+    def redo(self) -> bool:
+        """Do the last stroke that was undone again; return whether there was one."""
+        if not self._undone:
+            return False
+        stroke = self._undone.pop()
+        for change in stroke:
+            self._texture = change.put_into(self._texture)
+        self._done.append(stroke)
+        return True
+
+    def _did(self, texture: OctreeTexture, changes: Sequence[Change | None]) -> Stroke:
+        stroke = tuple(change for change in changes if change is not None)
+        if stroke:
+            self._texture = texture
+            self._done.append(stroke)
+            self._undone.clear()
+        return stroke

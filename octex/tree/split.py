@@ -1,0 +1,105 @@
+"""The split table, read and changed: a row for each facing of each split cell; see layout."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.tree.areas import shared_codes
+from octex.tree.layout import FACING_FLAGS, SplitTable
+
+Bools = npt.NDArray[np.bool_]
+Int64s = npt.NDArray[np.int64]
+Uint8s = npt.NDArray[np.uint8]
+
+
+class Rows(NamedTuple):
+    """Some rows, ascending."""
+
+    rows: Int64s  # (n,)
+    cells: Int64s  # (n,)   whose rows they are
+    bits: Uint8s  # (n,)   their facings, as flags
+
+    def of(self, chosen: Bools | slice) -> Rows:
+        """Return some of them."""
+        return Rows(self.rows[chosen], self.cells[chosen], self.bits[chosen])
+
+
+def bits_of(facings: Uint8s) -> Uint8s:
+    """Return the facings of cells one by one, as flags, in the order of their bits."""
+    bits = np.uint8(1) << np.arange(6, dtype=np.uint8)
+    chosen = facings[:, None] & bits
+    found: Uint8s = chosen[chosen != 0]
+    return found
+
+
+def counts_of(facings: Uint8s) -> Int64s:
+    """Return how many rows cells of some facings have."""
+    counts: Int64s = np.bitwise_count(facings & np.uint8(FACING_FLAGS)).astype(np.int64)
+    return counts
+
+
+def rows_of(split: SplitTable, cells: Int64s | None = None) -> Rows:
+    """Return all rows, or those of some cells, ascending, whether they are split or not."""
+    chosen = np.arange(split.cells.size)
+    if cells is not None:
+        own = split.cells.astype(np.int64)
+        few, many = (own, cells) if own.size < cells.size else (cells, own)
+        shared = few[many[np.minimum(np.searchsorted(many, few), many.size - 1)] == few] if few.size else few
+        chosen = np.searchsorted(own, shared)
+    counts = counts_of(split.facings)
+    firsts, own = (np.cumsum(counts) - counts)[chosen], counts[chosen]
+    rows = np.repeat(firsts - (np.cumsum(own) - own), own) + np.arange(own.sum())
+    return Rows(rows, np.repeat(split.cells[chosen].astype(np.int64), own), bits_of(split.facings[chosen]))
+
+
+def find_rows(split: SplitTable, cells: Int64s, bits: Uint8s) -> tuple[Bools, Int64s]:
+    """Say which cells (n,) have a row for a facing, and which rows these are."""
+    if not split.cells.size:
+        return np.zeros(cells.size, np.bool_), np.empty(0, np.int64)
+    at = np.minimum(np.searchsorted(split.cells, cells.astype(np.uint32)), split.cells.size - 1)
+    there = (split.cells[at] == cells) & (split.facings[at] & bits != 0)
+    counts = counts_of(split.facings)
+    rows = (np.cumsum(counts) - counts)[at] + np.bitwise_count(split.facings[at] & (bits - np.uint8(1)))
+    return there, rows[there]
+
+
+def taken(split: SplitTable, numbers: Int64s) -> tuple[SplitTable, Bools]:
+    """Return the table of some of the split cells, by the numbers that they get, −1 for the others.
+
+    ``numbers`` (split cells,) ascend. The second are the rows (rows,) that are left.
+    """
+    stays = numbers >= 0
+    rows = np.repeat(stays, counts_of(split.facings))
+    return SplitTable(numbers[stays].astype(np.uint32), split.facings[stays], split.areas[rows]), rows
+
+
+def inserted(
+    split: SplitTable, cells: Int64s, facings: Uint8s, areas: Uint8s
+) -> tuple[SplitTable, Int64s, Rows]:
+    """Return a table in which cells (n,), ascending, are split: anew if they are split already.
+
+    Rows that they had keep their areas; others get even parts of the cells' ``areas`` (n,), as codes. Also
+    returned: the order of all rows, those that stay and then those of these cells; and these, by their
+    numbers in ``split``, −1 where they are new.
+    """
+    stays = ~np.isin(split.cells, cells)
+    rest, _ = taken(split, np.where(stays, split.cells.astype(np.int64), -1))
+    counts = counts_of(facings)
+    owners, bits = np.repeat(cells, counts), bits_of(facings)
+    there, known = find_rows(split, owners, bits)
+    own_areas = np.repeat(shared_codes(areas, counts), counts)
+    own_areas[there] = split.areas[known]
+    rows = np.full(owners.size, -1, np.int64)
+    rows[there] = known
+    order = np.argsort(np.concatenate([rest.cells, cells]), kind="stable")
+    old_owners = np.repeat(rest.cells, counts_of(rest.facings))
+    row_order = np.argsort(np.concatenate([old_owners, owners]), kind="stable")
+    table = SplitTable(
+        np.concatenate([rest.cells, cells]).astype(np.uint32)[order],
+        np.concatenate([rest.facings, facings])[order],
+        np.concatenate([rest.areas, own_areas])[row_order],
+    )
+    return table, row_order, Rows(rows, owners, bits)
