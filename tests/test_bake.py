@@ -382,6 +382,14 @@ def test_the_command_bakes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert json.loads(capsys.readouterr().out)["vertices"] > 8
     assert cli.main(["bake", *given[:2], str(tmp_path / "c.ply"), "--uv", "keep"]) == 2
     assert "--uv has no meaning with vertex colours" in capsys.readouterr().err
+    also = [given[0], str(tmp_path / "d.obj")]
+    assert cli.main(["convert", *also]) == 2
+    assert "give --mesh MODEL" in capsys.readouterr().err
+    assert cli.main(["convert", *also, "--mesh", given[1], "--json"]) == 0
+    assert (tmp_path / "d-0-base_color.png").exists()
+    assert json.loads(capsys.readouterr().out)["output"] == also[1]
+    assert cli.main(["convert", *also, "--mesh", given[1], "--depth", "3"]) == 2
+    assert "--depth has no meaning with --mesh" in capsys.readouterr().err
     assert cli.main(["bake", *given]) == 2
     assert "exists" in capsys.readouterr().err
     assert cli.main(["bake", *given[1:], str(tmp_path / "c.glb")]) == 2

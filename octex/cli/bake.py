@@ -17,15 +17,16 @@ from octex.errors import ArgumentError, ExitCode
 
 _OF_IMAGES = ("--uv", "--texture-size", "--padding", "--channels", "--images")
 _OF_VERTICES = ("--subdivide", "--max-error")
-#: As formats.models.WRITTEN_ENDINGS, without an import.
-ENDINGS = (".glb", ".gltf", ".obj", ".ply")
+#: As formats.models.WRITTEN_ENDINGS, without an import: with images, and with colours at vertices.
+BAKED_ENDINGS = (".glb", ".gltf", ".obj")
+_ENDINGS = (*BAKED_ENDINGS, ".ply")
 
 BAKE = Command(
     "Bake a texture to images, or to vertex colours, for tools that show models.",
     [
         option("TEXTURE", "an .octex file", type=Path),
         option("MODEL", "the model that it is a texture of", type=Path),
-        option("OUTPUT", f"NAME{', NAME'.join(ENDINGS)}", type=Path),
+        option("OUTPUT", f"NAME{', NAME'.join(_ENDINGS)}", type=Path),
     ],
     [
         option(
@@ -75,10 +76,20 @@ BAKE = Command(
 
 def main(arguments: Sequence[str] | None, program: str) -> int:
     """Run octex bake, and return its exit code (octex.errors.ExitCode)."""
-    return run(program, lambda: _bake(Parser(program, BAKE).parsed(arguments), program))
+    return run(program, lambda: bake(Parser(program, BAKE).parsed(arguments), program))
 
 
-def _bake(options: argparse.Namespace, program: str) -> int:
+def baking(options: argparse.Namespace, program: str) -> argparse.Namespace:
+    """Return the options of octex bake that those of octree-convert --mesh stand for."""
+    files = options.INPUT, options.mesh, options.OUTPUT
+    made = Parser(program, BAKE).parse_args([str(each) for each in files])
+    for word in ("channels", "rest", "force", "threads", "quiet", "json"):
+        setattr(made, word, getattr(options, word))
+    return made
+
+
+def bake(options: argparse.Namespace, program: str) -> int:
+    """Bake, as the options of octex bake say; return the exit code."""
     began = time.perf_counter()
     if options.TEXTURE.suffix.lower() != TEXTURE_ENDING:
         raise ArgumentError(
@@ -90,7 +101,7 @@ def _bake(options: argparse.Namespace, program: str) -> int:
         if word in others:
             raise ArgumentError(f"{word} has no meaning with {work}; see {program} --help")
     inputs = [path for path in (options.TEXTURE, options.MODEL, options.rest) if path is not None]
-    check_outputs([(options.OUTPUT, ENDINGS, "OUTPUT")], inputs, force=options.force)
+    check_outputs([(options.OUTPUT, _ENDINGS, "OUTPUT")], inputs, force=options.force)
     with limited(options.threads), Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
             texture = open_sound(options.TEXTURE)

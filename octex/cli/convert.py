@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import octex
 from octex.ahead import ahead
+from octex.cli.bake import bake, baking
 from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
 from octex.cli.convert_options import COMMANDS, CONVERT, check_input, work_of
 from octex.cli.diff import diff
@@ -56,6 +57,8 @@ def _main(arguments: Sequence[str] | None, program: str, command: str) -> int:
             return diff(program, options)
         if work == "--overlaps":
             return overlaps(program, options)
+        if work == "--mesh":
+            return bake(baking(options, program), program)
         if work == "--warm-up":
             return _warm_up(options.quiet, program)
         return convert_parts(program, options) if options.parts else _convert(options, program)

@@ -29,6 +29,7 @@ from octex.cli.arguments import (
     source,
     whole_number,
 )
+from octex.cli.bake import BAKED_ENDINGS
 from octex.cli.looking import LOOKING, LOOKING_WORDS, check_looking
 from octex.cli.models import DEFAULT_FILTER, TEXTURE_ENDING, check_elsewhere, sources_of
 from octex.cli.overlaps import SEPARATE_CELLS
@@ -71,6 +72,13 @@ _OPTIONS = (
         metavar="stretch|CHANNEL",
     ),
     option("--no-fit", "store plain averages; lookups are then softer", action="store_true"),
+    option(
+        "--mesh",
+        "the model that INPUT is a texture of: OUTPUT is it with images, .glb, .gltf or .obj (octex bake has "
+        "more options)",
+        metavar="MODEL",
+        type=Path,
+    ),
     option("--rest", "the undeformed model, of the same topology as INPUT", metavar="MESH", type=Path),
     option(
         "--also",
@@ -261,6 +269,7 @@ _WORDS = {
     "--info": {"--json"},
     "--validate": {"--json", "--quiet"},
     "--warm-up": {"--quiet"},
+    "--mesh": {"INPUT", "OUTPUT", "--channels", "--rest", "--force", "--threads", "--quiet", "--json"},
 }
 _BY_WORD = {each.word: each for each in _OPTIONS}
 
@@ -304,7 +313,11 @@ CONVERT = Command(
         *("--depth", "--cell", "--max-error", "--channels", "--source", "--transfer", "--cloud"),
         *("--separate", "--parts", "--preview", "--force", "--threads"),
     ),
-    usages=[["INPUT", "OUTPUT"], *([word] for word in _WORDS if word != _CONVERSION)],
+    usages=[
+        ["INPUT", "OUTPUT"],
+        ["INPUT", "OUTPUT", "--mesh"],
+        *([word] for word in _WORDS if word not in (_CONVERSION, "--mesh")),
+    ],
 )
 #: The commands of octex beside octree-paint; the first is octree-convert.
 COMMANDS = {
@@ -370,10 +383,13 @@ def work_of(options: argparse.Namespace, program: str) -> str:
         sources_of(options)  # refuses what contradicts itself
     check_elsewhere(options)
     check_looking(options)
-    if work == _CONVERSION:
+    if work in (_CONVERSION, "--mesh"):
         for word in ("INPUT", "OUTPUT"):
             if word not in given:
                 raise ArgumentError(f"{word} is missing; see {program} --help")
+        if work == _CONVERSION and options.OUTPUT.suffix.lower() in BAKED_ENDINGS:
+            raise ArgumentError(f"{options.OUTPUT}: a texture is baked onto its model: give --mesh MODEL")
+    if work == _CONVERSION:
         if options.depth is not None and options.cell is not None:
             raise ArgumentError("--depth and --cell both say how fine the cells are; give one of them")
         for word in ("--separate", "--preview", *sorted(LOOKING_WORDS)):
