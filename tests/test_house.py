@@ -46,11 +46,42 @@ FORBIDDEN = {"source": STORED, "view": STORED, "editing": MADE, "processing": MA
 # Depth and cell limits are checked at the border too.
 EXCEPTIONS = {("checks", "octex.tree.layout")}
 
-EXPORTED = """
-    Box Camera MappedImage OctexError OctreeTexture Painter PointCloud Projection Sphere Surface TextureSet
-    Transfer __version__ bake bake_vertices blur cast combine convert convert_set crop curves fill levels
-    load_surface merge mix paint project read_cameras resize separate write_cameras write_model
-""".split()
+EXPORTED = [
+    "Box",
+    "Camera",
+    "MappedImage",
+    "OctexError",
+    "OctreeTexture",
+    "Painter",
+    "PointCloud",
+    "Projection",
+    "Sphere",
+    "Surface",
+    "TextureSet",
+    "Transfer",
+    "__version__",
+    "bake",
+    "bake_vertices",
+    "blur",
+    "cast",
+    "combine",
+    "convert",
+    "convert_set",
+    "crop",
+    "curves",
+    "fill",
+    "levels",
+    "load_surface",
+    "merge",
+    "mix",
+    "paint",
+    "project",
+    "read_cameras",
+    "resize",
+    "separate",
+    "write_cameras",
+    "write_model",
+]
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]
 
 PROJECT = tomllib.loads((ROOT.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]

@@ -10,8 +10,8 @@ from octex.baking.texels import draw_texels
 from octex.errors import ModelError
 from octex.jit import kernel
 from octex.source.corners import Corners
-from octex.source.parts import weld
 from octex.source.surface import Surface
+from octex.source.welding import first_equal
 
 Bools = npt.NDArray[np.bool_]
 Int32s = npt.NDArray[np.int32]
@@ -66,7 +66,7 @@ def _unwrapped(surface: Surface) -> Float64s | None:
         import xatlas
     except ImportError:
         return None
-    welded = weld(surface.rest)
+    welded = first_equal(surface.rest)
     low, high = surface.bounds
     edge = float((high - low).max()) or 1.0
     positions = ((surface.rest - low) / edge).astype(np.float32)

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from octex.errors import ModelError
 from octex.jit import kernel
 from octex.source.corners import Corners
-from octex.source.parts import weld
 from octex.source.surface import Surface
+from octex.source.welding import first_equal
 
 Int32s = npt.NDArray[np.int32]
 Float64s = npt.NDArray[np.float64]
@@ -107,7 +107,7 @@ def borders(surface: Surface, layout: Layout) -> Borders:
 
 def neighbors(surface: Surface) -> tuple[Int32s, Int32s]:
     """Return the triangle beyond each side (m, 3), −1 for none or several, and which side it is there."""
-    faces = weld(surface.rest)[surface.triangles]
+    faces = first_equal(surface.rest)[surface.triangles]
     ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     low, high = ends.min(axis=1), ends.max(axis=1)
     keys = low * (int(faces.max()) + 1) + high
