@@ -161,6 +161,7 @@ def test_types_of_one_name_are_told_apart_by_their_modules() -> None:
     ("owner", "name"),
     [
         (dispatcher.Dispatcher, "_compile_for_args"),
+        (dispatcher.Dispatcher, "add_overload"),
         (dispatcher.Dispatcher, "get_call_template"),
         (dispatcher.Dispatcher, "typeof_pyval"),
         (caching.IndexDataCacheFile, "load"),

@@ -66,11 +66,10 @@ def _unwrapped(surface: Surface) -> Float64s | None:
         import xatlas
     except ImportError:
         return None
-    welded = first_equal(surface.rest)
     low, high = surface.bounds
     edge = float((high - low).max()) or 1.0
     positions = ((surface.rest - low) / edge).astype(np.float32)
-    used, faces = np.unique(welded[surface.triangles], return_inverse=True)
+    used, faces = np.unique(first_equal(surface.rest)[surface.triangles], return_inverse=True)
     atlas = xatlas.Atlas()
     atlas.add_mesh(positions[used], faces.reshape(-1, 3).astype(np.uint32))
     options = xatlas.PackOptions()

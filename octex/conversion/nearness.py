@@ -41,8 +41,6 @@ Bools = npt.NDArray[np.bool_]
 #: A finest cell, and its level.
 Place: TypeAlias = tuple[int, int, int, int]
 _ZERO = np.float32(0)
-_NO_CELLS = np.empty(0, np.int64)
-_NO_KEPT = np.empty(0, np.uint32)
 #: Cosine from which on lookups take what faces so in full (see `field.stages`), and what it is rounded by.
 _FULL = 0.52
 #: How many codes more fields may be apart between samples than at them. In random trials (60,000 points each,

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from octex.channels import ALPHA, ONE
 from octex.errors import ArgumentError
 from octex.texture import Channel, OctreeTexture
-from octex.tree.edit import among, boundary, locate
+from octex.tree.edit import among, boundary, locate, with_all_above
 from octex.tree.layout import KEPT, KeptTable, SplitTable, TreeArrays
 from octex.tree.octree import Octree, distinct, rank
 from octex.tree.split import counts_of
@@ -136,6 +136,8 @@ def _brightest(texture: OctreeTexture) -> Int64s:
 
 def _tiles_of(tree: Octree, cells: Int64s, level: int) -> Int64s:
     """Return the tiles that hold cells; none for cells above them."""
+    if not cells.size:
+        return cells
     codes, is_node = next(islice(tree.walk(), level, None))
     begins = np.arange(*tree.arrays.level_nodes[level : level + 2])
     found = [codes[:0]]
@@ -153,8 +155,7 @@ def coarsest_near(tree: Octree, codes: Sequence[Int64s], finest: int) -> int:
 
     The cells are given level by level; beside it is what is so at its own level. ``finest`` if there is none.
     """
-    for level in range(finest):
-        own = _at(codes, level)
+    for level, own in enumerate(with_all_above(codes)[:finest]):
         where = locate(tree, np.sort(np.concatenate([own, boundary(own, level)])), level)
         is_kept = tree.arrays.flags[where.cells] & KEPT != 0
         if ((where.levels == level) & (where.is_leaf | is_kept)).any():

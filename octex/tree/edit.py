@@ -161,7 +161,7 @@ def raised(
 
 def among(codes: Int64s, known: Int64s) -> Bools:
     """Say which codes (n,) are among ascending ones."""
-    if not known.size:
+    if not known.size or not codes.size:
         return np.zeros(codes.size, np.bool_)
     found: Bools = known[np.minimum(np.searchsorted(known, codes), known.size - 1)] == codes
     return found
@@ -172,6 +172,8 @@ def boundary(codes: Int64s, level: int) -> Int64s:
 
     These are the cells beside them, at faces, edges and corners, without themselves.
     """
+    if not codes.size:
+        return codes
     around = distinct(cells_around(codes, level))
     return around[~among(around, codes)]
 

@@ -69,22 +69,16 @@ def small(
     places[7], weights[7] = row2 + x1, down * middle_x
     places[8], weights[8] = row2 + x2, down * right
     a = (0 if part_y < 0.0 else 3) + (0 if part_x < 0.0 else 1)  # the patch's first texel
-    _skew(xy, a, 3, weights)
-    return 9
-
-
-@inlined
-def _skew(xy: float, a: int, row: int, weights: npt.NDArray[np.float64]) -> None:
-    """Give a patch, whose texels begin at a in rows of some length, the mixed slope of a covariance."""
     shift = xy
     if shift > 0.0:
-        shift = min(shift, weights[a + 1], weights[a + row])
+        shift = min(shift, weights[a + 1], weights[a + 3])
     else:
-        shift = -min(-shift, weights[a], weights[a + row + 1])
+        shift = -min(-shift, weights[a], weights[a + 4])
     weights[a] += shift
     weights[a + 1] -= shift
-    weights[a + row] -= shift
-    weights[a + row + 1] += shift
+    weights[a + 3] -= shift
+    weights[a + 4] += shift
+    return 9
 
 
 @inlined
@@ -126,7 +120,15 @@ def wide(
             share = (_tent(x + 0.5 * across - i0 - i) - _tent(x - 0.5 * across - i0 - i)) / across
             weights[4 * j + i] = weight * share
     a = 4 * min(max(math.floor(y) - j0, 0), 2) + min(max(math.floor(x) - i0, 0), 2)
-    _skew(xy, a, 4, weights)
+    shift = xy
+    if shift > 0.0:
+        shift = min(shift, weights[a + 1], weights[a + 4])
+    else:
+        shift = -min(-shift, weights[a], weights[a + 5])
+    weights[a] += shift
+    weights[a + 1] -= shift
+    weights[a + 4] -= shift
+    weights[a + 5] += shift
     return 16
 
 

@@ -63,28 +63,7 @@ def bilinear(
     x, y = u * width - 0.5, v * height - 0.5
     left, top = math.floor(x), math.floor(y)
     right, down = x - left, y - top
-    return _patch(
-        first, width, height, wrap_u, wrap_v, int(left), int(top), right, down, weight, count, places, weights
-    )
-
-
-@inlined
-def _patch(
-    first: int,
-    width: int,
-    height: int,
-    wrap_u: int,
-    wrap_v: int,
-    x0: int,
-    y0: int,
-    right: float,
-    down: float,
-    weight: float,
-    count: int,
-    places: npt.NDArray[np.int64],
-    weights: npt.NDArray[np.float64],
-) -> int:
-    """Add four texels, of whose weight the right ones and the lower ones have these shares."""
+    x0, y0 = int(left), int(top)
     x1, y1 = x0 + 1, y0 + 1
     if x0 < 0 or x1 >= width:
         x0, x1 = wrapped(x0, width, wrap_u), wrapped(x1, width, wrap_u)
@@ -116,9 +95,14 @@ def flat_texels(
     x, y = u * width - 0.5, v * height - 0.5
     left, top = math.floor(x), math.floor(y)
     right, down = _ramp(x - left, math.sqrt(12.0 * xx)), _ramp(y - top, math.sqrt(12.0 * yy))
-    return _patch(
-        first, width, height, wrap_u, wrap_v, int(left), int(top), right, down, 1.0, 0, places, weights
-    )
+    x0, x1 = wrapped(int(left), width, wrap_u), wrapped(int(left) + 1, width, wrap_u)
+    y0, y1 = wrapped(int(top), height, wrap_v), wrapped(int(top) + 1, height, wrap_v)
+    upper, lower = first + y0 * (width + 2), first + y1 * (width + 2)
+    places[0], weights[0] = upper + x0, (1.0 - right) * (1.0 - down)
+    places[1], weights[1] = upper + x1, right * (1.0 - down)
+    places[2], weights[2] = lower + x0, (1.0 - right) * down
+    places[3], weights[3] = lower + x1, right * down
+    return 4
 
 
 @inlined
