@@ -156,7 +156,7 @@ def test_what_is_erased_is_transparent_in_the_view_and_stays_erased_when_it_is_p
     scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     erased, view, out = tmp_path / "erased.octex", tmp_path / "square.png", tmp_path / "out.octex"
-    result(capsys, *scene.shot, "--blend", "erase", "--out", erased)
+    result(capsys, *scene.shot, "--blend", "erase", "--max-depth", "12", "--out", erased)
     before = octex.open(erased)
     look = [scene.model, erased, "--view", view, "--camera", scene.cameras]
     result(capsys, *look)
@@ -174,7 +174,18 @@ def test_what_is_erased_is_transparent_in_the_view_and_stays_erased_when_it_is_p
     result(capsys, *look, "--force")
     points, inside = scene.places(1.5)
     assert (before.sample(points, "alpha")[inside] == 0).all()
-    back = [scene.model, erased, view, "--camera", scene.cameras, "--out", out, "--force"]
+    back = [
+        scene.model,
+        erased,
+        view,
+        "--camera",
+        scene.cameras,
+        "--max-depth",
+        "12",
+        "--out",
+        out,
+        "--force",
+    ]
     for blend in ("over", "replace"):
         result(capsys, *back, "--blend", blend)
         after = octex.open(out)
