@@ -27,7 +27,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 _USED = "_compile_for_args", "_insert", "add_overload", "get_call_template", "overloads", "typeof_pyval"
 _USED_OF_CACHE = (
     *("_cache._cache_file.load", "_cache._cache_file.save", "_cache._cache_file._source_stamp"),
-    "_cache.cache_path",
+    *("_cache.cache_path", "_cache.save_overload"),
 )
 #: New objects after which Python looks for garbage while kernels are compiled, which make hundreds of
 #: thousands: by its own 700, that takes a tenth of the time.
@@ -117,7 +117,21 @@ def _compiled(function: Function, **options: Any) -> Function:
     if used != _USED:
         kept = compiled._cache
         kept._cache_file = CodeFiles(kept.cache_path, function, kept._cache_file._source_stamp)
+        kept.save_overload = partial(_keep, kept.save_overload)
     return compiled  # type: ignore[no-any-return]
+
+
+def _keep(save: Callable[..., None], signature: Any, result: Any) -> None:
+    """Save what was compiled; what numba has lost of it is used, and compiled anew by the next process.
+
+    llvmlite finds a module that it has compiled in a set, which another thread may change at that moment when
+    it drops a module: the object code is then not handed on.
+    """
+    try:
+        save(signature, result)
+    except RuntimeError as error:
+        if not str(error).startswith("no compiled object yet"):
+            raise
 
 
 def _has(compiled: Any, name: str) -> bool:
