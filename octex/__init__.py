@@ -34,8 +34,8 @@ The rooms, each of which knows only those before it
     formats     files that are not our own
     cli         the commands, and the pages of octex help
 
-Common ground: ahead, channels, checks, compare, container, errors, files, functions, jit, jit_cache,
-parallel.
+Common ground: ahead, arrays, channels, checks, compare, container, errors, files, functions, jit,
+jit_cache, parallel.
 """
 
 from __future__ import annotations

@@ -6,11 +6,12 @@ Values are averaged, filtered and blended in linear light; encoding and decoding
 from __future__ import annotations
 
 from functools import cache
-from typing import Literal, NamedTuple, cast
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Array, ChannelCodes, Float32s, Float64s, Floats, Uint8s, Uint16s
 from octex.jit import inlined, kernel
 
 #: ``srgb``: stored with the sRGB transfer curve; ``linear``: light, as it is; ``data``: not light;
@@ -52,7 +53,7 @@ CHANNELS = {
 }
 
 
-def srgb_to_linear(encoded: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def srgb_to_linear(encoded: npt.ArrayLike) -> Float64s:
     """Decode sRGB values in 0 … 1 to linear light (IEC 61966-2-1)."""
     encoded = np.asarray(encoded, np.float64)
     return np.where(
@@ -60,7 +61,7 @@ def srgb_to_linear(encoded: npt.ArrayLike) -> npt.NDArray[np.float64]:
     )
 
 
-def linear_to_srgb(linear: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def linear_to_srgb(linear: npt.ArrayLike) -> Float64s:
     """Encode linear light in 0 … 1 as sRGB values (IEC 61966-2-1)."""
     linear = np.asarray(linear, np.float64)
     return np.where(
@@ -69,7 +70,7 @@ def linear_to_srgb(linear: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 
 @cache
-def decode_table(dtype: str, space: ColorSpace) -> npt.NDArray[np.float32]:
+def decode_table(dtype: str, space: ColorSpace) -> Float32s:
     """Return the decoded value of every code of an unsigned integer dtype."""
     codes = np.arange(int(ONE[dtype]) + 1) / ONE[dtype]
     if space == "srgb":
@@ -79,16 +80,16 @@ def decode_table(dtype: str, space: ColorSpace) -> npt.NDArray[np.float32]:
     return codes.astype(np.float32)
 
 
-def decode(stored: npt.NDArray[np.generic], space: ColorSpace) -> npt.NDArray[np.float32]:
+def decode(stored: Array, space: ColorSpace) -> Float32s:
     """Return stored values as float32: linear light for colours, −1 … 1 for directions."""
     name = stored.dtype.name
     if name in ("uint8", "uint16"):
-        return cast("npt.NDArray[np.float32]", decode_table(name, space)[stored])
+        return decode_table(name, space)[stored]
     values = stored.astype(np.float32)
     return srgb_to_linear(values).astype(np.float32) if space == "srgb" else values
 
 
-def encode(values: npt.NDArray[np.floating], dtype: str, space: ColorSpace) -> npt.NDArray[np.generic]:
+def encode(values: Floats, dtype: str, space: ColorSpace) -> Array:
     """Return values (linear light for colours) as stored numbers of the same shape, rounded to nearest.
 
     Integers clamp to 0 … 1, directions to −1 … 1; floats stop at their largest finite number. NaN becomes
@@ -124,18 +125,18 @@ def _unit(value: float) -> float:
 
 @kernel
 def _encode_unit(
-    values: npt.NDArray[np.float64],
+    values: Float64s,
     scale: float,
     shift: float,
     one: float,
-    codes: npt.NDArray[np.uint8 | np.uint16],
+    codes: ChannelCodes,
 ) -> None:
     for i in range(values.size):
         codes[i] = np.int32(np.rint(_unit(values[i] * scale + shift) * one))
 
 
 @kernel
-def _encode_single(values: npt.NDArray[np.float64], codes: npt.NDArray[np.float32]) -> None:
+def _encode_single(values: Float64s, codes: Float32s) -> None:
     for i in range(values.size):
         value = values[i] if values[i] == values[i] else 0.0
         codes[i] = np.float32(min(max(value, -_LARGEST_SINGLE), _LARGEST_SINGLE))
@@ -145,7 +146,7 @@ _LARGEST_SINGLE = float(np.finfo(np.float32).max)
 
 
 @kernel
-def _encode_half(values: npt.NDArray[np.float64], codes: npt.NDArray[np.uint16]) -> None:
+def _encode_half(values: Float64s, codes: Uint16s) -> None:
     """Write the bits of float16, ties to even: sign, 5 bits of exponent (bias 15), 10 of mantissa."""
     for i in range(values.size):
         value = values[i] if values[i] == values[i] else 0.0
@@ -162,7 +163,7 @@ _SRGB8_BINS = 4096
 
 
 @cache
-def _srgb8_encoder() -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64]]:
+def _srgb8_encoder() -> tuple[Uint8s, Float64s]:
     """Return a first guess by bin of linear light, and the light at which each code gives way to the next."""
     thresholds = np.append(srgb_to_linear((np.arange(255) + 0.5) / 255), np.inf)
     guesses = np.searchsorted(thresholds, np.arange(_SRGB8_BINS + 1) / _SRGB8_BINS, side="right")
@@ -171,10 +172,10 @@ def _srgb8_encoder() -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64]]:
 
 @kernel
 def _encode_srgb8(
-    values: npt.NDArray[np.float64],
-    guesses: npt.NDArray[np.uint8],
-    thresholds: npt.NDArray[np.float64],
-    codes: npt.NDArray[np.uint8],
+    values: Float64s,
+    guesses: Uint8s,
+    thresholds: Float64s,
+    codes: Uint8s,
 ) -> None:
     # The curve's steepest part crosses less than one code a bin, so the guess is at most one short.
     for i in range(values.size):
@@ -190,7 +191,7 @@ _SRGB_BREAK = 0.0031308
 
 
 @cache
-def _srgb16_encoder() -> npt.NDArray[np.float64]:
+def _srgb16_encoder() -> Float64s:
     """Return the coefficients (bins, 3) of the parabola near sRGB's curve in each bin of linear light."""
     first, last = _SRGB16_FIRST + 1, int(np.float64(1.0).view(np.int64)) >> _SRGB16_SHIFT
     edges = (np.arange(first, last + 1) << _SRGB16_SHIFT).view(np.float64)
@@ -203,9 +204,7 @@ def _srgb16_encoder() -> npt.NDArray[np.float64]:
 
 
 @kernel
-def _encode_srgb16(
-    values: npt.NDArray[np.float64], parabolas: npt.NDArray[np.float64], codes: npt.NDArray[np.uint16]
-) -> None:
+def _encode_srgb16(values: Float64s, parabolas: Float64s, codes: Uint16s) -> None:
     # The parabolas err by less than 0.0006 of a code: nearer to a half than 0.001, the formula decides.
     for i in range(values.size):
         light = np.float64(_unit(values[i]))

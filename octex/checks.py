@@ -11,14 +11,15 @@ from typing import Any, TypeGuard, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Array, Float64s, Floats, Int64s
 from octex.errors import ArgumentError, OctexError
 from octex.tree.layout import MAX_DEPTH
 
 Item = TypeVar("Item")
-Array = TypeVar("Array", bound=npt.NDArray[Any])
+AnyArray = TypeVar("AnyArray", bound=Array)
 
 
-def as_points(points: npt.ArrayLike, name: str = "points") -> npt.NDArray[np.float32 | np.float64]:
+def as_points(points: npt.ArrayLike, name: str = "points") -> Floats:
     """Return positions as a C-ordered (n, 3) float32 or float64 array; float input is not copied if it fits.
 
     Raises ArgumentError for another shape or for values that are not real numbers.
@@ -27,7 +28,7 @@ def as_points(points: npt.ArrayLike, name: str = "points") -> npt.NDArray[np.flo
     return np.ascontiguousarray(array, np.float32 if array.dtype == np.float32 else np.float64)
 
 
-def as_point_rows(points: npt.ArrayLike, name: str = "points") -> npt.NDArray[Any]:
+def as_point_rows(points: npt.ArrayLike, name: str = "points") -> Array:
     """Return positions as an (n, 3) array of whatever real type and order; an array is not copied.
 
     Raises ArgumentError like ``as_points``. An empty list is a batch of no points.
@@ -45,7 +46,7 @@ def as_point_rows(points: npt.ArrayLike, name: str = "points") -> npt.NDArray[An
     return array
 
 
-def as_row_numbers(numbers: npt.ArrayLike, count: int) -> npt.NDArray[np.int64]:
+def as_row_numbers(numbers: npt.ArrayLike, count: int) -> Int64s:
     """Return numbers of rows (n,), each below ``count``, or raise ArgumentError."""
     try:
         array = np.asarray(numbers)
@@ -61,9 +62,7 @@ def as_row_numbers(numbers: npt.ArrayLike, count: int) -> npt.NDArray[np.int64]:
     return array.astype(np.int64, copy=False)
 
 
-def as_reals(
-    given: npt.ArrayLike, name: str, *shapes: tuple[int, ...], most: float = np.inf
-) -> npt.NDArray[np.float64]:
+def as_reals(given: npt.ArrayLike, name: str, *shapes: tuple[int, ...], most: float = np.inf) -> Float64s:
     """Return numbers as a float64 array of one of ``shapes``, in which −1 stands for any length.
 
     Raises ArgumentError for another shape, for what are no real numbers, and for those beyond ±``most``,
@@ -160,7 +159,7 @@ def as_entries(given: Mapping[Any, Item], name: str) -> dict[str, Item]:
     return entries
 
 
-def locked(array: Array) -> Array:
+def locked(array: AnyArray) -> AnyArray:
     """Return a read-only view of an array; kernels take it as any other."""
     view = array.view()
     view.flags.writeable = False

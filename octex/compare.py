@@ -13,8 +13,8 @@ from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Float32s, Float64s, Floats, Int32s
 from octex.channels import ChannelFormat, ColorSpace, linear_to_srgb
 from octex.checks import as_choice
 from octex.errors import ArgumentError
@@ -26,9 +26,6 @@ from octex.texture import FILTERS, OctreeTexture
 from octex.tree.areas import AREAS
 from octex.tree.morton import decode_cells
 from octex.tree.walk import walk_leaves
-
-Floats = npt.NDArray[np.floating]
-Doubles = npt.NDArray[np.float64]
 
 #: Points compared on a model.
 DEFAULT_POINTS = 1_000_000
@@ -84,11 +81,11 @@ class Differences(dict[str, Difference]):
 class Points(NamedTuple):
     """Points of a surface."""
 
-    rest: Doubles  # (n, 3)   rest positions
-    triangles: npt.NDArray[np.int32] | None = None  # (n,)   where they are on the model, if there is one
-    barycentric: Doubles | None = None  # (n, 3)
+    rest: Float64s  # (n, 3)   rest positions
+    triangles: Int32s | None = None  # (n,)   where they are on the model, if there is one
+    barycentric: Float64s | None = None  # (n, 3)
 
-    def only(self, chosen: npt.NDArray[np.bool_]) -> Points:
+    def only(self, chosen: Bools) -> Points:
         """Return some of them."""
         return Points(*(None if array is None else array[chosen] for array in self))  # type: ignore[arg-type]
 
@@ -98,8 +95,8 @@ class _Visit(NamedTuple):
 
     side: int
     points: Points
-    weights: Doubles  # (n,)   the area that each stands for
-    covered: npt.NDArray[np.bool_]  # (n,)   whether the other side has a surface there
+    weights: Float64s  # (n,)   the area that each stands for
+    covered: Bools  # (n,)   whether the other side has a surface there
 
 
 Side = OctreeTexture | Surface
@@ -223,7 +220,7 @@ class Reader:
         self._width = width
         self._filter = filter
 
-    def read(self, points: Points) -> dict[str, Doubles]:
+    def read(self, points: Points) -> dict[str, Float64s]:
         """Return values (n, components) by channel."""
         values = self._values(points)
         measured = {}
@@ -234,7 +231,7 @@ class Reader:
                 measured[name] = 255 * linear_to_srgb(light)
         return measured
 
-    def _values(self, points: Points) -> dict[str, npt.NDArray[np.float32]]:
+    def _values(self, points: Points) -> dict[str, Float32s]:
         if isinstance(self._side, OctreeTexture):
             return self._side.sample(points.rest, self._names, self._filter, normalize=False)
         assert points.triangles is not None
@@ -309,7 +306,7 @@ def _model_visits(sides: tuple[Side, Side], number: int, points: int, seed: int)
     surface, texture = sides[number], sides[1 - number]
     assert isinstance(surface, Surface)
     assert isinstance(texture, OctreeTexture)
-    lies_on = cover(texture)
+    lies_on = inside_cells(texture)
     edge = texture.placement.size / 2**texture.tree.max_depth
     for first in range(0, points, _BLOCK):
         block_seed = int(np.random.SeedSequence([seed, first]).generate_state(1, np.uint64)[0])
@@ -324,12 +321,12 @@ def _leaf_visits(sides: tuple[Side, Side], number: int) -> Iterator[_Visit]:
     texture, other = sides[number], sides[1 - number]
     assert isinstance(texture, OctreeTexture)
     assert isinstance(other, OctreeTexture)
-    lies_on = cover(other)
+    lies_on = inside_cells(other)
     for centres, edges, areas in _leaves(texture):
         yield _Visit(number, Points(centres), areas, lies_on(centres, edges))
 
 
-def _leaves(texture: OctreeTexture) -> Iterator[tuple[Doubles, Doubles, Doubles]]:
+def _leaves(texture: OctreeTexture) -> Iterator[tuple[Float64s, Float64s, Float64s]]:
     """Yield centres (n, 3), edges (n,) and areas (n,) of all leaves, in rest units."""
     for cells, codes, depths in walk_leaves(texture.tree.arrays, _BLOCK):
         edges = np.ldexp(1.0, -depths.astype(np.int32))
@@ -347,13 +344,13 @@ def _area(side: Side) -> float:
     return sum(float(areas.sum()) for _, _, areas in _leaves(side))
 
 
-def cover(texture: OctreeTexture) -> Callable[[Floats, Floats], npt.NDArray[np.bool_]]:
+def inside_cells(texture: OctreeTexture) -> Callable[[Floats, Floats], Bools]:
     """Return a function that says of cubes, centres (n, 3) and edges (n,), whether a leaf meets them."""
     level_of = cache(texture.level)
     # So much further in, the upper corners of a texture's own cells are not rounded into the next ones.
     inset = texture.placement.size * 2.0**-29
 
-    def lies_on(centres: Floats, edges: Floats) -> npt.NDArray[np.bool_]:
+    def lies_on(centres: Floats, edges: Floats) -> Bools:
         found = np.zeros(len(centres), np.bool_)
         for edge in np.unique(edges):
             # A cell no smaller than a cube that it meets holds one of its corners.
@@ -370,7 +367,7 @@ def cover(texture: OctreeTexture) -> Callable[[Floats, Floats], npt.NDArray[np.b
     return lies_on
 
 
-def degrees_between(a: Floats, b: Floats) -> Doubles:
+def degrees_between(a: Floats, b: Floats) -> Float64s:
     """Return the angles (n,) between directions (n, 3) of any length; 0 where one has none."""
     across = np.linalg.norm(np.cross(a, b), axis=1)
     return np.asarray(np.degrees(np.arctan2(across, (a * b).sum(axis=1))))

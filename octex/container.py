@@ -18,12 +18,10 @@ from collections.abc import Mapping
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Array
 from octex.errors import ArgumentError, TextureFileError
 from octex.files import open_file, replacing
-
-Array = npt.NDArray[Any]
 
 #: safetensors' names of the types that octex reads and writes.
 _DTYPES = {

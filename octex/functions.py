@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Array, Float64s
 from octex.errors import ArgumentError
 
 _MOST = float(np.finfo(np.float64).max)
@@ -16,15 +16,15 @@ _MOST = float(np.finfo(np.float64).max)
 
 def answer(
     function: Callable[..., Any],
-    arguments: Sequence[npt.NDArray[Any]],
+    arguments: Sequence[Array],
     shapes: Sequence[tuple[int, ...]],
     what: str,
-    where: Callable[[int], Sequence[float] | npt.NDArray[Any]],
+    where: Callable[[int], Sequence[float] | Array],
     *,
     least: float = -np.inf,
     most: float = np.inf,
     slack: float = 0.0,
-) -> npt.NDArray[np.float64]:
+) -> Float64s:
     """Return what a function returns for arrays with a row for each point: numbers of one of some shapes.
 
     ``what`` is the function in messages, ``where`` gives the position of the point of a row. Raises

@@ -15,7 +15,7 @@ from PIL import Image
 
 import octex
 from octex.channels import encode
-from octex.preview import render, source_look, texture_look
+from octex.preview import render, source_shader, texture_shader
 from octex.view.camera import Camera
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "10"))
@@ -28,7 +28,7 @@ def main(folder: Path) -> None:
     head = surface.vertices[(surface.vertices[:, 1] > 0.43) & (surface.vertices[:, 1] < 0.64)]
     camera = Camera.fitted(head, direction=(0.9, 0.22, 1.0), size=(SIZE, SIZE * 9 // 16))
     texture = octex.convert(surface, depth=DEPTH)
-    looks = [source_look(surface)] + [texture_look(texture.level(DEPTH - i)) for i in (0, 1, 2)]
+    looks = [source_shader(surface)] + [texture_shader(texture.level(DEPTH - i)) for i in (0, 1, 2)]
     pictures = [encode(render(surface, camera, look), "uint8", "srgb") for look in looks]
     folder.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.vstack([np.hstack(pictures[:2]), np.hstack(pictures[2:])])).save(folder / "head.png")

@@ -16,8 +16,8 @@ from PIL import Image
 
 import octex
 from octex.channels import encode
-from octex.preview.looks import Appearance, source_look
 from octex.preview.pictures import film_surface
+from octex.preview.shaders import Appearance, source_shader
 from octex.view.camera import Camera
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "8"))
@@ -35,7 +35,7 @@ def main(folder: Path) -> None:
     ways.append(lambda hits: looks(hits, normals=hits.normals))
     for pixels in (96, 48, 24, 12):
         camera = Camera.fitted(surface.vertices, (0.1, 0.25, 1.0), size=(pixels, pixels * 5 // 8))
-        truth = film_surface(surface, camera, [source_look(surface)], 64 if SIZE >= 240 else 8)
+        truth = film_surface(surface, camera, [source_shader(surface)], 64 if SIZE >= 240 else 8)
         pictures = [film.picture() for film in film_surface(surface, camera, ways, 4) + truth]
         errors = (np.sqrt(((each - pictures[-1]) ** 2).mean()) for each in pictures[:-1])
         print(f"{pixels} pixels wide, RMS:", *map("{:.2%}".format, errors))

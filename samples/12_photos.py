@@ -14,8 +14,8 @@ from PIL import Image
 
 import octex
 from octex.channels import encode
-from octex.preview import render, source_look, texture_look
-from octex.preview.pictures import rest_normals, seen_hits
+from octex.preview import render, source_shader, texture_shader
+from octex.preview.pictures import rest_normals, visible_hits
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "11"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "480"))
@@ -25,8 +25,8 @@ SIDES, LIGHTS = ((1, 0.15, 0.35), (-0.8, 0.3, 0.8), (-0.1, 0.3, -1)), (1.0, 0.8,
 
 def photo(surface: octex.Surface, camera: octex.Camera, exposure: float) -> np.ndarray:
     image = np.zeros((camera.height * camera.width, 4), np.float32)
-    for pixels, hits in seen_hits(surface, camera, rest_normals(surface)):
-        image[pixels, :3], image[pixels, 3] = exposure * source_look(surface)(hits).unlit(), 1.0
+    for pixels, hits in visible_hits(surface, camera, rest_normals(surface)):
+        image[pixels, :3], image[pixels, 3] = exposure * source_shader(surface)(hits).unlit(), 1.0
     return image.reshape(camera.height, camera.width, 4)
 
 
@@ -39,7 +39,7 @@ def main(folder: Path) -> None:
     texture = octex.paint(None, surface, pictures, max_depth=DEPTH, balance=True)
     shown = [encode(p[::2, ::2, :3] + (1 - p[::2, ::2, 3:]), "uint8", "srgb") for p in photos]
     view = octex.Camera.fitted(head, (0.5, 0.3, 1), size=(SIZE * 3 // 2, SIZE))
-    looks = texture_look(texture), source_look(surface)
+    looks = texture_shader(texture), source_shader(surface)
     both = [encode(render(surface, view, look), "uint8", "srgb") for look in looks]
     folder.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.vstack([np.hstack(shown), np.hstack(both)])).save(folder / "photos.png")

@@ -15,7 +15,7 @@ from PIL import Image
 
 import octex
 from octex.channels import encode
-from octex.preview import render, render_leaves, texture_look
+from octex.preview import render, render_leaves, texture_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "6"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "960")) // 3
@@ -38,7 +38,7 @@ def main(folder: Path) -> None:
     pictures = []
     for cells in (None, 3):
         texture = octex.convert(surface, DEPTH, separate=cells)
-        pictures.append(render(surface.placed_in(texture), camera, texture_look(texture)))
+        pictures.append(render(surface.placed_in(texture), camera, texture_shader(texture)))
     camera = octex.Camera.fitted(surface.rest_positions(texture), (0.8, 0.55, 1.0), size=(SIZE, SIZE))
     pictures.append(render_leaves(texture, camera, level=min(DEPTH, 6), cubes=True))
     folder.mkdir(parents=True, exist_ok=True)

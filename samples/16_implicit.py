@@ -12,7 +12,7 @@ from PIL import Image
 
 import octex
 from octex.channels import encode
-from octex.preview import render, render_leaves, texture_look
+from octex.preview import render, render_leaves, texture_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "8"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "560")) // 2
@@ -39,7 +39,7 @@ def main(folder: Path) -> None:
     surface = octex.Surface.from_arrays(shape.vertices, shape.triangles, colors=glaze(shape.vertices))
     texture = octex.convert(surface, DEPTH)
     camera = octex.Camera.fitted(surface.vertices, (0.5, 0.45, 1.0), size=(SIZE, SIZE))
-    pictures = [render(surface, camera, texture_look(texture))]
+    pictures = [render(surface, camera, texture_shader(texture))]
     pictures.append(render_leaves(texture, camera, level=min(DEPTH, 6), cubes=True))
     folder.mkdir(parents=True, exist_ok=True)
     Image.fromarray(encode(np.hstack(pictures), "uint8", "srgb")).save(folder / "implicit.png")

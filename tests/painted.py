@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.channels import linear_to_srgb
-from octex.preview.looks import Look, source_look
-from octex.preview.pictures import rest_normals, seen_hits
+from octex.preview.pictures import rest_normals, visible_hits
+from octex.preview.shaders import Shader, source_shader
 from octex.source.surface import Surface
 from octex.view.camera import Camera
 
@@ -69,11 +69,11 @@ def above(distance: float = 3.0, size: int = 64, focal: float | None = None) -> 
     return Camera.pinhole((size, size), pose=pose, convention="opengl", focal=float(focal or 2 * size))
 
 
-def picture_of(surface: Surface, camera: Camera, look: Look | None = None) -> Array:
+def picture_of(surface: Surface, camera: Camera, look: Shader | None = None) -> Array:
     """What a camera sees, unlit: linear light and alpha (height, width, 4)."""
     image = np.zeros((camera.height * camera.width, 4), np.float32)
-    for pixels, hits in seen_hits(surface, camera, rest_normals(surface)):
-        image[pixels, :3] = (look or source_look(surface, "base_color"))(hits).unlit()
+    for pixels, hits in visible_hits(surface, camera, rest_normals(surface)):
+        image[pixels, :3] = (look or source_shader(surface, "base_color"))(hits).unlit()
         image[pixels, 3] = 1
     return image.reshape(camera.height, camera.width, 4)
 
@@ -86,7 +86,7 @@ def one_color(camera: Camera, color: tuple[float, ...], alpha: float = 1.0) -> A
 
 def centres(surface: Surface, camera: Camera) -> tuple[Array, Array, Array]:
     """Pixels, and rest positions and normals of what their centres see."""
-    found = list(seen_hits(surface, camera, rest_normals(surface)))
+    found = list(visible_hits(surface, camera, rest_normals(surface)))
     return tuple(
         np.concatenate([part(pixels, hits) for pixels, hits in found])
         for part in (lambda p, _: p, lambda _, h: h.rest, lambda _, h: h.normals)

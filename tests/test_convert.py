@@ -18,7 +18,7 @@ from octex.channels import (
     ChannelFormat,
     linear_to_srgb,
 )
-from octex.conversion import fill
+from octex.conversion import levels
 from octex.errors import ArgumentError, ModelError
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
@@ -58,7 +58,7 @@ def box(size: tuple[float, float, float]) -> Surface:
 def leaf_means(surface: Surface, texture: OctreeTexture) -> dict[tuple[int, ...], npt.NDArray[np.float64]]:
     """Linear colour and area of each leaf, from rational clipping and vertex colours."""
     depth = texture.tree.max_depth
-    grid = fill.on_grid(surface.rest, texture.placement)
+    grid = levels.on_grid(surface.rest, texture.placement)
     colors = surface.evaluate_all(
         np.arange(len(surface.triangles), dtype=np.int32).repeat(3),
         np.tile(np.eye(3), (len(surface.triangles), 1)),
@@ -222,7 +222,7 @@ def test_the_same_bytes_come_from_any_executor(
 ) -> None:
     with ThreadPoolExecutor(1) as alone:
         octex.convert(sphere(), depth=8, executor=alone).save(tmp_path / "alone.octex")
-    monkeypatch.setattr(fill, "TASK_PIECES", 5_000)
+    monkeypatch.setattr(levels, "TASK_PIECES", 5_000)
     octex.convert(sphere(), depth=8, executor=executor).save(tmp_path / "many.octex")
     assert (tmp_path / "alone.octex").read_bytes() == (tmp_path / "many.octex").read_bytes()
 
@@ -291,7 +291,7 @@ def test_depths_out_of_range_are_refused(depth: int) -> None:
 def test_more_cells_than_fit_into_memory_are_refused_before_the_work(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(fill, "memory_size", lambda: 2e9)
+    monkeypatch.setattr(levels, "memory_size", lambda: 2e9)
     with pytest.raises(ArgumentError, match="more than fit into memory"):
         octex.convert(tetrahedron(), depth=14)
 

@@ -22,7 +22,7 @@ from octex.channels import (
     ChannelFormat,
     decode,
 )
-from octex.conversion import fill
+from octex.conversion import levels
 from octex.errors import ArgumentError, ModelError
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
@@ -95,7 +95,7 @@ def test_the_same_bytes_of_all_channels_come_from_any_number_of_threads(
 ) -> None:
     with ThreadPoolExecutor(1) as alone:
         octex.convert(whole(), depth=7, executor=alone).save(tmp_path / "alone.octex")
-    monkeypatch.setattr(fill, "TASK_PIECES", 5_000)
+    monkeypatch.setattr(levels, "TASK_PIECES", 5_000)
     with ThreadPoolExecutor(3) as pool:
         octex.convert(whole(), depth=7, executor=pool).save(tmp_path / "many.octex")
     assert (tmp_path / "alone.octex").read_bytes() == (tmp_path / "many.octex").read_bytes()

@@ -13,7 +13,7 @@ import pytest
 import octex
 from octex.channels import linear_to_srgb
 from octex.errors import ArgumentError, ModelError
-from octex.source.surface import Samples, Surface
+from octex.source.surface import Surface, SurfaceSamples
 from octex.source.tangents import corner_frames
 from tests.command import colored_box
 from tests.conftest import needs_jit
@@ -49,7 +49,7 @@ def codes(difference: Array) -> float:
 # --- some of a surface's triangles
 
 
-def of_part(samples: Samples, numbers: Array) -> Samples:
+def of_part(samples: SurfaceSamples, numbers: Array) -> SurfaceSamples:
     """The same points of the whole, whose triangles have these numbers there."""
     return samples._replace(triangles=np.asarray(numbers, np.int32)[samples.triangles])
 

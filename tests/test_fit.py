@@ -23,7 +23,7 @@ from octex.channels import (
     linear_to_srgb,
 )
 from octex.conversion import fit
-from octex.conversion.fill import Filled, assemble, fill
+from octex.conversion.levels import CellLevels, assemble, cell_levels
 from octex.conversion.numbering import Leaves, members_of
 from octex.conversion.samples import PLACE_STEPS, SHARE_STEPS, sample_points
 from octex.conversion.solve import SHRINK
@@ -69,9 +69,11 @@ def pair(surface: Surface, depth: int, **options: object) -> tuple[OctreeTexture
     return tuple(octex.convert(surface, depth, fit=fit, **options) for fit in (False, True))  # type: ignore[return-value,arg-type]
 
 
-def filled(surface: Surface, depth: int, executor: Executor) -> tuple[Filled, Placement]:
+def filled(surface: Surface, depth: int, executor: Executor) -> tuple[CellLevels, Placement]:
     placement = Placement.around(surface.bounds, depth)
-    return fill(surface, surface.channels, placement, depth, executor, silent, has_samples=True), placement
+    return cell_levels(
+        surface, surface.channels, placement, depth, executor, silent, has_samples=True
+    ), placement
 
 
 class Pattern(FaceSource):

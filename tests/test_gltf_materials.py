@@ -14,7 +14,7 @@ from octex.errors import ImageError, ModelError
 from octex.source.images.decode import decode_image
 from octex.source.load import load_surface
 from octex.source.models import gltf_materials
-from octex.source.surface import Samples, Surface
+from octex.source.surface import Surface, SurfaceSamples
 from tests.agreement import assert_agrees
 from tests.fixtures import (
     CLAMP,
@@ -96,14 +96,14 @@ def names(surface: Surface) -> list[str]:
     return [channel.name for channel in surface.channels]
 
 
-def texels(samples: Samples, lanes: tuple[int, ...]) -> npt.NDArray[np.float64]:
+def texels(samples: SurfaceSamples, lanes: tuple[int, ...]) -> npt.NDArray[np.float64]:
     """The fractions of IMAGE at points of the square."""
     column = np.minimum(4 * samples.points[:, 0], 3).astype(int)
     row = np.minimum(4 * (1 - samples.points[:, 1]), 3).astype(int)
     return IMAGE[row, column][:, lanes] / 255
 
 
-def assert_gives(surface: Surface, channel: str, expected: npt.ArrayLike, samples: Samples) -> None:
+def assert_gives(surface: Surface, channel: str, expected: npt.ArrayLike, samples: SurfaceSamples) -> None:
     np.testing.assert_allclose(surface.evaluate(samples, channel), expected, atol=2e-5)
 
 

@@ -19,7 +19,7 @@ MODULES = sorted(path.relative_to(ROOT).with_suffix("").as_posix() for path in R
 
 # A module imports only from its own row and the rows above.
 ROWS = [
-    {"errors", "files", "checks", "functions", "ahead", "jit_cache", "jit", "parallel", "channels"},
+    {"arrays", "errors", "files", "checks", "functions", "ahead", "jit_cache", "jit", "parallel", "channels"},
     {"tree"},
     {"nearest"},
     {"field"},

@@ -18,14 +18,14 @@ from octex.channels import (
     linear_to_srgb,
     srgb_to_linear,
 )
-from octex.conversion.measure import Columns, all_near, are_near, are_near_between, encoded, subtract
+from octex.conversion.measure import ErrorColumns, all_near, are_near, are_near_between, encoded, subtract
 from octex.jit import kernel
 
 Array = npt.NDArray[np.generic]
 
 
 @kernel
-def _near(values: Array, columns: Columns, most: float, differences: Array) -> bool:
+def _near(values: Array, columns: ErrorColumns, most: float, differences: Array) -> bool:
     subtract(values, columns, 0, differences)
     return are_near(differences, 0, most)
 
@@ -36,12 +36,12 @@ def _near_between(differences: Array, count: int, most: float) -> bool:
 
 
 @kernel
-def _all_near(bounds: Array, columns: Columns, most: float) -> bool:
+def _all_near(bounds: Array, columns: ErrorColumns, most: float) -> bool:
     return all_near(bounds, columns, most)
 
 
 @kernel
-def _subtract(values: Array, columns: Columns, differences: Array) -> None:
+def _subtract(values: Array, columns: ErrorColumns, differences: Array) -> None:
     for point in range(values.shape[2]):
         subtract(values, columns, point, differences)
 
@@ -49,7 +49,7 @@ def _subtract(values: Array, columns: Columns, differences: Array) -> None:
 def far_rows(found: Array, source: Array, forms: tuple[ChannelFormat, ...], most: float) -> bool:
     """Whether rows of several channels are farther apart than ``most`` codes."""
     values = np.array([found, source], np.float32)[:, :, None]
-    return not _near(values, Columns.of(forms), float(most), np.zeros((2 * values.shape[1], 1)))
+    return not _near(values, ErrorColumns.of(forms), float(most), np.zeros((2 * values.shape[1], 1)))
 
 
 def far(form: ChannelFormat, found: float, source: float, most: float) -> bool:
@@ -113,12 +113,12 @@ def test_what_lies_between_near_bounds_is_near(seed: int):
     middle, width = random.uniform(-0.5, 1.2, 7), random.random(7) * 10 ** -random.uniform(0.5, 3)
     bounds = np.array([middle - width, middle + width], np.float32)
     most = 10 ** random.uniform(-1, 2)
-    if _all_near(bounds, Columns.of(forms), most):
+    if _all_near(bounds, ErrorColumns.of(forms), most):
         for _ in range(20):
             rows = bounds[0] + random.choice([0, 1, random.random()], (2, 7)) * (bounds[1] - bounds[0])
             assert not far_rows(*rows, forms, 1.001 * most + 1e-3)
-    assert _all_near(bounds[[0, 0]], Columns.of(forms), 0.0)
-    assert not _all_near(bounds, Columns.of(forms), -1.0)
+    assert _all_near(bounds[[0, 0]], ErrorColumns.of(forms), 0.0)
+    assert not _all_near(bounds, ErrorColumns.of(forms), -1.0)
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -158,7 +158,7 @@ def test_what_rises_between_the_points_of_a_patch_is_found():
 @given(st.integers(0, 2**32 - 1))
 def test_codes_are_as_far_apart_as_values(seed: int):
     random = np.random.default_rng(seed)
-    columns = Columns.of((BASE_COLOR, NORMAL, ROUGHNESS))
+    columns = ErrorColumns.of((BASE_COLOR, NORMAL, ROUGHNESS))
     values = random.uniform([-0.1, -1, 0], [1.5, 1, 1], (2, 20, 3))[:, :, [0, 0, 0, 1, 1, 1, 2]]
     values = (values * random.choice([0.0, 0.01, 1.0], values.shape)).astype(np.float32)
     differences = np.zeros((14, 20))

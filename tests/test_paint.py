@@ -17,9 +17,9 @@ from octex.conversion.samples import Samples
 from octex.errors import ArgumentError
 from octex.painting.balance import balanced
 from octex.painting.cells import paint_of
+from octex.painting.centres import with_centres
 from octex.painting.merge import blended
 from octex.painting.pictures import BLENDS, Blend
-from octex.painting.samples import with_centres
 from octex.painting.source import COVERAGE, PaintSource
 from octex.parallel import pool_of
 from octex.texture import OctreeTexture

@@ -16,12 +16,12 @@ from octex.preview import (
     pictures,
     render,
     render_leaves,
-    source_look,
-    texture_look,
+    source_shader,
+    texture_shader,
     write_preview,
 )
 from octex.preview.directions import best_direction, view_directions
-from octex.preview.looks import Appearance, Hits, Shown
+from octex.preview.shaders import Appearance, Hits, Shown
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
 from octex.tree.octree import Octree
@@ -61,7 +61,7 @@ def quarters():
 
 def test_a_picture_shows_colours_where_they_are():
     surface = _square(colors=np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]]))
-    picture = render(surface, _camera(), source_look(surface)) / FRONT
+    picture = render(surface, _camera(), source_shader(surface)) / FRONT
     for (row, column), color in {
         (-1, 0): (1, 0, 0),
         (-1, -1): (0, 1, 0),
@@ -76,8 +76,8 @@ def test_a_texture_shows_the_same_as_its_source(quarters):
     camera = _camera(4)
     colors = decode(np.array([[[255, 255, 255]]], np.uint8), "srgb")
     assert colors.max() == 1.0
-    from_source = render(surface, camera, source_look(surface))
-    from_texture = render(surface, camera, texture_look(texture))
+    from_source = render(surface, camera, source_shader(surface))
+    from_texture = render(surface, camera, texture_shader(texture))
     assert np.allclose(from_source[0, 0] / FRONT, [1, 0, 0], atol=0.01)
     assert np.allclose(from_source[0, 3] / FRONT, [0, 1, 0], atol=0.01)
     assert np.allclose(from_source[3, 0] / FRONT, [0, 0, 1], atol=0.01)
@@ -111,7 +111,7 @@ def _red(hits, coverage):
 
 def test_both_sides_of_a_surface_are_lit_alike():
     surface, turned = _square(), Surface.from_arrays(SQUARE, TWO[:, ::-1])
-    look = source_look(surface)
+    look = source_shader(surface)
     assert np.array_equal(render(surface, _camera(), look), render(turned, _camera(), look))
 
 
@@ -135,9 +135,9 @@ def test_a_posed_model_is_coloured_at_its_rest_positions_with_widths_in_rest_uni
 
 def test_pictures_do_not_depend_on_the_size_of_the_blocks(monkeypatch):
     surface = _square(colors=np.eye(4)[:, :3])
-    whole = render(surface, _camera(), source_look(surface))
+    whole = render(surface, _camera(), source_shader(surface))
     monkeypatch.setattr(pictures, "_BLOCK", 7)
-    assert np.allclose(render(surface, _camera(), source_look(surface)), whole, atol=1e-7)
+    assert np.allclose(render(surface, _camera(), source_shader(surface)), whole, atol=1e-7)
 
 
 def test_a_texture_is_read_with_the_footprints_and_normals_of_the_samples():
@@ -151,7 +151,7 @@ def test_a_texture_is_read_with_the_footprints_and_normals_of_the_samples():
     turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     stretched = np.array([[2.0, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, 1.0]])
     posed = Surface.from_arrays(SQUARE @ turned.T + [1.0, 0.0, 0.0], TWO, rest=SQUARE @ stretched + 3.0)
-    render(posed, _camera(5), texture_look(texture), supersample=2)
+    render(posed, _camera(5), texture_shader(texture), supersample=2)
     points, footprint = asked[0]
     assert len(asked) == 1
     assert points.shape == (100, 3)
@@ -165,7 +165,7 @@ def test_alpha_is_shown_from_both_sides():
     surface = _square(colors=np.tile([0.2, 0.4, 0.6, 0.5], (4, 1)))
     texture = octex.convert(surface, depth=3)
     expected = 0.5 * FRONT * np.array([0.2, 0.4, 0.6]) + 0.5 * background(4, 4)
-    for look in (source_look(surface), texture_look(texture)):
+    for look in (source_shader(surface), texture_shader(texture)):
         assert np.allclose(render(surface, _camera(4), look), expected, atol=0.01)
 
 
@@ -182,7 +182,7 @@ def test_what_is_translucent_ends_where_cells_do():
     rest = np.array([[0.1, 0.1, 0.1], [0.9, 0.9, 0.9]])
     none, up = np.zeros((2, 3)), np.tile([0.0, 0.0, 1.0], (2, 1))
     hits = Hits(np.zeros(2, np.int32), none, rest, np.zeros(2, np.float32), none, none, up)
-    coverage = texture_look(texture)(hits).coverage
+    coverage = texture_shader(texture)(hits).coverage
     np.testing.assert_allclose(coverage, [128 / 255, 0], atol=0.01)
 
 
@@ -335,12 +335,12 @@ def test_a_preview_of_nothing_is_refused(tmp_path):
 
 def test_a_texture_without_channels_is_refused():
     with pytest.raises(ArgumentError, match="there is no channel to draw"):
-        texture_look(SimpleNamespace(channels={}))
+        texture_shader(SimpleNamespace(channels={}))
 
 
 def test_an_unknown_channel_is_refused(quarters):
     with pytest.raises(ArgumentError, match="unknown channel 'height'; there are: base_color"):
-        source_look(quarters[0], "height")
+        source_shader(quarters[0], "height")
 
 
 def test_a_texture_without_leaves_is_refused():
@@ -371,12 +371,12 @@ def test_what_is_emitted_is_added_to_what_is_lit():
     values = {"base_color": [0.25, 0.5, 0.0], "emissive": [0.0, 0.25, 3.0]}
     floats = {name: CHANNELS[name]._replace(space="linear", dtype="float32") for name in values}
     texture = _textured(values, **floats)
-    picture = render(_square(), _camera(4), texture_look(texture))
+    picture = render(_square(), _camera(4), texture_shader(texture))
     expected = np.array([0.25, 0.5, 0.0]) * FRONT + [0.0, 0.25, 1.0]  # emission ends at white
     assert np.allclose(picture, expected, atol=1e-3)
     assert np.allclose(render_leaves(texture, _camera(4)), expected, atol=0.05)
     surface = _square().with_sources({"base_color": (0.25, 0.5, 0.0), "emissive": (0.0, 0.25, 1.0)})
-    assert np.allclose(render(surface, _camera(4), source_look(surface)), expected, atol=1e-3)
+    assert np.allclose(render(surface, _camera(4), source_shader(surface)), expected, atol=1e-3)
 
 
 NORMAL = np.array([100, 150, 200]) / 255 * 2 - 1
@@ -396,7 +396,7 @@ NORMAL = np.array([100, 150, 200]) / 255 * 2 - 1
 def test_without_base_colour_another_channel_is_shown_as_it_is(stored, shown, picture, monkeypatch):
     codes = {name: [100, 150, 200][: CHANNELS[name].components] for name in stored}
     texture = _textured(codes, **dict.fromkeys(stored))
-    assert np.allclose(render(_square(), _camera(4), texture_look(texture)), picture, atol=0.01)
+    assert np.allclose(render(_square(), _camera(4), texture_shader(texture)), picture, atol=0.01)
     assert np.allclose(render_leaves(texture, _camera(4)), picture, atol=0.01)
     said = []
     monkeypatch.setattr(panels, "captioned", lambda panel: said.append(panel[2]) or np.zeros((1, 1, 3)))
@@ -408,7 +408,7 @@ def test_a_channel_of_one_or_four_numbers_is_shown_too():
     for components, expected in ((1, [0.5, 0.5, 0.5]), (2, [0.5, 0.5, 0.5]), (4, [0.5, 0.25, 0.0])):
         form = CHANNELS["emissive"]._replace(components=components, space="linear", dtype="float32")
         texture = _textured({"emissive": [0.5, 0.25, 0.0, 1.0][:components]}, emissive=form)
-        assert np.allclose(render(_square(), _camera(2), texture_look(texture)), expected)
+        assert np.allclose(render(_square(), _camera(2), texture_shader(texture)), expected)
 
 
 def test_a_model_and_a_texture_of_fewer_channels_show_the_same_one(monkeypatch):
@@ -425,8 +425,8 @@ def test_only_what_is_drawn_is_evaluated():
     surface = _square().with_sources({"roughness": 0.5, "emissive": 0.5})
     asked = []
     surface.with_channels = lambda names: asked.append(names) or Surface.with_channels(surface, names)
-    source_look(surface)
-    source_look(surface, "roughness")
+    source_shader(surface)
+    source_shader(surface, "roughness")
     assert asked == [["base_color", "emissive"], ["roughness"]]
 
 

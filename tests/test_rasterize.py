@@ -9,7 +9,7 @@ from octex import jit
 from octex.errors import ArgumentError
 from octex.parallel import pool_of
 from octex.view.camera import Camera
-from octex.view.rasterize import rasterize
+from octex.view.zbuffer import z_buffer
 from tests import naive_view
 from tests.conftest import needs_jit
 
@@ -35,7 +35,7 @@ def _grid(columns, rows):
 
 def _assert_like_rays(positions, triangles, camera):
     """Compare with the tracer; pixels that a thousandth of a pixel's shift would change may differ."""
-    buffers = rasterize(positions, triangles, camera)
+    buffers = z_buffer(positions, triangles, camera)
     number, barycentric, depth = naive_view.render(positions, triangles, camera)
     different = np.argwhere(buffers.triangle != number)[:, ::-1] + 0.5
     shifted = [
@@ -98,7 +98,7 @@ def test_every_pixel_of_a_mesh_is_covered_exactly_once_folds_counted_with_their_
     sides = np.sign((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
     camera = _screen_camera(size + 2, size + 2)
     covered = sum(
-        side * (rasterize(positions, triangle[None], camera).triangle == 0)
+        side * (z_buffer(positions, triangle[None], camera).triangle == 0)
         for side, triangle in zip(sides, triangles, strict=True)
     )
     expected = np.zeros((size + 2, size + 2))
@@ -119,13 +119,13 @@ def test_a_floor_under_the_camera_has_no_holes_and_no_pixel_twice(offset):
     pose[:3, 3] = -offset[0], 0.0, -offset[1]
     triangles = _grid(n, n)
     camera = Camera.pinhole(SIZE, pose=pose, convention="opencv", focal=SIZE[1] / 2)
-    layers = [rasterize(floor, triangle[None], camera).triangle == 0 for triangle in triangles]
+    layers = [z_buffer(floor, triangle[None], camera).triangle == 0 for triangle in triangles]
     # The floor ends where its depth is 11.9.
     rows = np.arange(SIZE[1]) + 0.5 - SIZE[1] / 2
     reached = (rows > 0) & (camera.K[1, 1] / np.maximum(rows, 1e-9) < 11.9)
     assert np.array_equal(np.sum(layers, axis=0), np.repeat(reached[:, None], SIZE[0], axis=1))
-    own = rasterize(floor[triangles].reshape(-1, 3), np.arange(triangles.size).reshape(-1, 3), camera)
-    shared = rasterize(floor, triangles, camera)
+    own = z_buffer(floor[triangles].reshape(-1, 3), np.arange(triangles.size).reshape(-1, 3), camera)
+    shared = z_buffer(floor, triangles, camera)
     assert all(np.array_equal(a, b) for a, b in zip(own, shared, strict=True))
 
 
@@ -133,9 +133,9 @@ def test_an_edge_through_a_vertex_behind_the_camera_is_shared():
     # Two triangles side by side reach from far ahead to behind the camera.
     positions = np.array([[-4.0, 1.0, 9.0], [4.0, 1.0, 9.0], [0.3, 1.0, -5.0], [0.1, 1.0, 9.0]])
     camera = _pinhole(32, 32, 16.0)
-    left = rasterize(positions, [[0, 3, 2]], camera).triangle == 0
-    right = rasterize(positions, [[3, 1, 2]], camera).triangle == 0
-    both = rasterize(positions, [[0, 1, 2]], camera).triangle == 0
+    left = z_buffer(positions, [[0, 3, 2]], camera).triangle == 0
+    right = z_buffer(positions, [[3, 1, 2]], camera).triangle == 0
+    both = z_buffer(positions, [[0, 1, 2]], camera).triangle == 0
     assert not (left & right).any()
     assert np.array_equal(left | right, both)
 
@@ -143,7 +143,7 @@ def test_an_edge_through_a_vertex_behind_the_camera_is_shared():
 def test_barycentric_coordinates_are_perspective_correct():
     positions = np.array([[-1.0, 0.0, 1.0], [3.0, 0.0, 3.0], [-1.0, 1.0, 1.0]])
     camera = _pinhole(64, 64, 32.0)
-    buffers = rasterize(positions, [[0, 1, 2]], camera)
+    buffers = z_buffer(positions, [[0, 1, 2]], camera)
     hits = np.argwhere(buffers.triangle == 0)
     points = buffers.barycentric[tuple(hits.T)] @ positions
     pixels, depth = camera.project(points)
@@ -157,7 +157,7 @@ def test_the_first_of_triangles_at_one_depth_is_seen():
     camera = _screen_camera(8, 8)
     orders = [[0, 1, 2], [2, 1, 0], [1, 2, 0], [0, 2, 1]]
     for first in range(4):
-        buffers = rasterize(positions, orders[first:] + orders[:first], camera)
+        buffers = z_buffer(positions, orders[first:] + orders[:first], camera)
         assert set(np.unique(buffers.triangle)) == {-1, 0}
 
 
@@ -166,16 +166,16 @@ def test_the_nearer_triangle_is_seen_in_any_order():
         [[0.0, 0.0, 1.0], [8.0, 0.0, 1.0], [0.0, 8.0, 1.0], [0.0, 0.0, 2.0], [8.0, 0.0, 2.0], [0.0, 8.0, 2.0]]
     )
     camera = _screen_camera(8, 8)
-    near_first = rasterize(positions, [[0, 1, 2], [3, 4, 5]], camera)
-    far_first = rasterize(positions, [[3, 4, 5], [0, 1, 2]], camera)
+    near_first = z_buffer(positions, [[0, 1, 2], [3, 4, 5]], camera)
+    far_first = z_buffer(positions, [[3, 4, 5], [0, 1, 2]], camera)
     assert (near_first.triangle[near_first.triangle >= 0] == 0).all()
     assert (far_first.triangle[far_first.triangle >= 0] == 1).all()
 
 
 def test_both_sides_are_seen_alike():
     positions = np.array([[0.0, 0.0, 1.0], [7.0, 1.0, 2.0], [2.0, 8.0, 3.0]])
-    front = rasterize(positions, [[0, 1, 2]], _screen_camera(8, 8))
-    back = rasterize(positions, [[0, 2, 1]], _screen_camera(8, 8))
+    front = z_buffer(positions, [[0, 1, 2]], _screen_camera(8, 8))
+    back = z_buffer(positions, [[0, 2, 1]], _screen_camera(8, 8))
     assert np.array_equal(front.triangle, back.triangle)
     assert np.allclose(front.depth[front.triangle == 0], back.depth[front.triangle == 0])
     assert np.allclose(front.barycentric, back.barycentric[..., [0, 2, 1]], atol=1e-6)
@@ -185,7 +185,7 @@ def test_both_sides_are_seen_alike():
 def test_what_is_behind_the_camera_is_not_seen(projection):
     camera = _pinhole(8, 8, 4.0) if projection == "pinhole" else _screen_camera(8, 8)
     positions = np.array([[-50.0, -50.0, -1.0], [50.0, -50.0, -1.0], [0.0, 80.0, -1.0]])
-    assert (rasterize(positions, [[0, 1, 2]], camera).triangle == -1).all()
+    assert (z_buffer(positions, [[0, 1, 2]], camera).triangle == -1).all()
 
 
 @pytest.mark.parametrize(
@@ -200,30 +200,30 @@ def test_what_is_behind_the_camera_is_not_seen(projection):
     ],
 )
 def test_triangles_that_cover_no_centre_are_harmless(positions):
-    assert (rasterize(np.array(positions), [[0, 1, 2]], _screen_camera(8, 8)).triangle == -1).all()
+    assert (z_buffer(np.array(positions), [[0, 1, 2]], _screen_camera(8, 8)).triangle == -1).all()
 
 
 def test_a_huge_triangle_covers_the_picture():
     positions = np.array([[-1e7, -1e7, 5.0], [1e7, -1e7, 5.0], [0.0, 2e7, 5.0]])
     for camera in (_screen_camera(8, 8), _pinhole(8, 8, 4.0)):
-        buffers = rasterize(positions, [[0, 1, 2]], camera)
+        buffers = z_buffer(positions, [[0, 1, 2]], camera)
         assert (buffers.triangle == 0).all()
         assert np.allclose(buffers.depth, 5.0)
 
 
 def test_supersampling_is_a_larger_picture():
     positions = np.array([[0.0, 0.0, 1.0], [7.0, 1.0, 2.0], [2.0, 8.0, 3.0]])
-    fine = rasterize(positions, [[0, 1, 2]], _screen_camera(8, 8).scaled(3))
+    fine = z_buffer(positions, [[0, 1, 2]], _screen_camera(8, 8).scaled(3))
     assert fine.triangle.shape == (24, 24)
     # The middle one of nine samples is the pixel's centre.
     assert np.array_equal(
-        fine.triangle[1::3, 1::3], rasterize(positions, [[0, 1, 2]], _screen_camera(8, 8)).triangle
+        fine.triangle[1::3, 1::3], z_buffer(positions, [[0, 1, 2]], _screen_camera(8, 8)).triangle
     )
 
 
 def test_a_mesh_without_triangles_gives_an_empty_picture():
     for positions in (np.zeros((0, 3)), np.ones((3, 3))):
-        buffers = rasterize(positions, np.zeros((0, 3), np.int32), _screen_camera(4, 3))
+        buffers = z_buffer(positions, np.zeros((0, 3), np.int32), _screen_camera(4, 3))
         assert buffers.triangle.shape == (3, 4)
         assert (buffers.triangle == -1).all()
 
@@ -236,7 +236,7 @@ def test_a_closed_surface_of_many_small_triangles_shows_only_its_front():
         [(np.cos(u) * np.sin(v)).ravel(), np.cos(v).ravel(), (np.sin(u) * np.sin(v)).ravel()]
     )
     camera = Camera.fitted(sphere, [1.0, 2.0, 3.0], size=(200, 200))
-    buffers = rasterize(sphere, _grid(n, n), camera)
+    buffers = z_buffer(sphere, _grid(n, n), camera)
     origins, directions = camera.rays(naive_view.pixel_centers(camera))
     toward = -np.einsum("nc,nc->n", origins, directions)
     miss = np.linalg.norm(origins + toward[:, None] * directions, axis=1).reshape(200, 200)
@@ -246,7 +246,7 @@ def test_a_closed_surface_of_many_small_triangles_shows_only_its_front():
     depth = distance * (directions @ camera.world_to_camera[2, :3]).reshape(200, 200)
     assert np.abs(buffers.depth - depth)[miss < 0.95].max() < 1e-3
     with pool_of(3) as pool:
-        spread = rasterize(sphere, _grid(n, n), camera, pool)
+        spread = z_buffer(sphere, _grid(n, n), camera, pool)
     for of_bands, whole in zip(spread, buffers, strict=True):
         assert np.array_equal(of_bands, whole)
 
@@ -264,4 +264,4 @@ def test_a_closed_surface_of_many_small_triangles_shows_only_its_front():
 )
 def test_arrays_of_another_kind_are_refused(positions, triangles, complaint):
     with pytest.raises(ArgumentError, match=complaint):
-        rasterize(positions, triangles, _screen_camera(4, 4))
+        z_buffer(positions, triangles, _screen_camera(4, 4))

@@ -18,7 +18,7 @@ from octex.errors import ArgumentError, ImageError, ModelError
 from octex.source.base import Combined, Source, in_order
 from octex.source.corners import Corners, Frames
 from octex.source.images.filters import FILTERS
-from octex.source.surface import Samples, Surface
+from octex.source.surface import Surface, SurfaceSamples
 from tests.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV, png, random_image
 
 UV_UP = SQUARE_UV * [1, -1] + [0, 1]
@@ -272,6 +272,6 @@ def test_images_need_coordinates_and_filters_names() -> None:
 def test_sources_follow_other_rest_positions_with_the_surface() -> None:
     made = square(image=random_image(4, 4)).with_sources({"roughness": random_image(8, 8), "metallic": 0.5})
     larger = made.with_rest(SQUARE * 10.0)
-    assert isinstance(larger.scatter(1), Samples)
+    assert isinstance(larger.scatter(1), SurfaceSamples)
     for channel in ("base_color", "roughness", "metallic"):
         np.testing.assert_allclose(one(larger, channel, 3.0), one(made, channel, 0.3), atol=1e-6)

@@ -15,7 +15,7 @@ from octex.channels import srgb_to_linear
 from octex.errors import ArgumentError, ImageError, ModelError
 from octex.source.corners import Corners, Frames
 from octex.source.images.filters import FILTERS
-from octex.source.surface import Samples, Surface
+from octex.source.surface import Surface, SurfaceSamples
 from tests.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV, random_image
 
 CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
@@ -335,7 +335,7 @@ def test_surfaces_may_be_tiny_and_huge(size: float) -> None:
 
 
 def test_a_sample_is_a_point_a_rest_position_a_normal_and_a_place() -> None:
-    assert Samples._fields == ("points", "rest", "normals", "triangles", "barycentric", "rest_normals")
+    assert SurfaceSamples._fields == ("points", "rest", "normals", "triangles", "barycentric", "rest_normals")
 
 
 def test_a_surface_introduces_itself() -> None:

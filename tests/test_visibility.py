@@ -16,7 +16,7 @@ from octex.source.corners import Corners
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
 from octex.view.camera import Camera
-from octex.view.visibility import distances_to_edges, look, straight, view_of
+from octex.view.visibility import distances_to_edges, straight, view_of, visibility_of
 from tests.painted import above, ball, one_color, plain, square, together
 from tests.solids import cube
 
@@ -79,7 +79,9 @@ def test_points_are_seen_as_rays_see_them_but_beside_edges(seed: int) -> None:
     assert (found[~faces] == 0).all()
     wrong = (found > 0.5) != expected
     pixels, _ = camera.project(samples.points)
-    margins = distances_to_edges(look(surface.vertices, surface.triangles, camera)[0], view_of(camera), 9.0)
+    margins = distances_to_edges(
+        visibility_of(surface.vertices, surface.triangles, camera)[0], view_of(camera), 9.0
+    )
     near_edge = margins[pixels[:, 1].astype(int), pixels[:, 0].astype(int)] < 2.5
     assert not wrong[~near_edge].any()
     assert wrong.mean() < 0.03
@@ -244,7 +246,7 @@ def test_feathers_fade_toward_the_rim_and_toward_edges_in_depth() -> None:
 
 def test_distances_to_edges_are_those_of_the_nearest_background() -> None:
     surface, camera = ball(), above(4.0, 80, 120.0)
-    found, _ = look(surface.vertices, surface.triangles, camera)
+    found, _ = visibility_of(surface.vertices, surface.triangles, camera)
     distances = distances_to_edges(found, view_of(camera), 50.0)
     row, column = np.nonzero(found.triangle < 0)
     inside = np.argwhere(found.triangle >= 0)

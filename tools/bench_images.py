@@ -13,7 +13,7 @@ from bench_tools import Report, Setup, Spent, in_turns, pinned, timed
 import octex
 from octex.channels import decode, encode, linear_to_srgb
 from octex.source.corners import Corners
-from octex.source.surface import Samples
+from octex.source.surface import SurfaceSamples
 
 Floats = npt.NDArray[np.floating]
 
@@ -191,7 +191,7 @@ def _round_trip(surface: octex.Surface, depth: int, report: Report, folder: str)
     )
 
 
-def _frames(surface: octex.Surface, samples: Samples) -> Floats:
+def _frames(surface: octex.Surface, samples: SurfaceSamples) -> Floats:
     """Return the tangent's frames (n, 3, 3) at samples: rows tangent, bitangent, normal."""
     assert surface.frames is not None
     normal = _unit(_between(surface.frames.normals, samples))
@@ -202,7 +202,7 @@ def _frames(surface: octex.Surface, samples: Samples) -> Floats:
     return np.stack([tangent, hand * np.cross(normal, tangent), normal], axis=1)
 
 
-def _between(corners: Corners, samples: Samples) -> Floats:
+def _between(corners: Corners, samples: SurfaceSamples) -> Floats:
     return np.einsum("nk,nkc->nc", samples.barycentric, corners.values[corners.rows[samples.triangles]])
 
 

@@ -25,7 +25,7 @@ from bench_tools import (
 
 import octex
 from octex.channels import ONE, ChannelFormat
-from octex.preview.pictures import rest_normals, seen_hits
+from octex.preview.pictures import rest_normals, visible_hits
 from octex.texture import Channel
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -289,7 +289,7 @@ def mixed(setup: Setup, report: Report) -> None:
             "painted": octex.fill(even, surface, ball, (1, 0, 0), max_depth=depth + 1),
         }
         camera = octex.Camera.fitted(surface.vertices, (0.5, 0.4, 1.0), size=(side, side))
-        hits = [hit.rest for _, hit in seen_hits(surface, camera, rest_normals(surface))]
+        hits = [hit.rest for _, hit in visible_hits(surface, camera, rest_normals(surface))]
         report.title(f"mixed: {name} at depth {depth}, {even.tree.n_leaves:,} leaves, quadratic")
         orders = np.concatenate(hits).astype(np.float32), points, points[:3000]
         for (what, least), each in zip(MIXED_RATES.items(), orders, strict=True):

@@ -14,9 +14,9 @@ from bench_tools import HERE, Report, Setup, Worker
 
 import octex
 from octex.channels import linear_to_srgb
-from octex.preview.looks import source_look
-from octex.preview.pictures import rest_normals, seen_hits
-from octex.view.rasterize import rasterize
+from octex.preview.pictures import rest_normals, visible_hits
+from octex.preview.shaders import source_shader
+from octex.view.zbuffer import z_buffer
 
 Array = npt.NDArray[Any]
 
@@ -35,7 +35,9 @@ def ring(setup: Setup, report: Report) -> None:
         cameras = _ring(surface, size)
         pictures = [_picture(surface, camera) for camera in cameras]
         widths = [
-            hits.width for camera in cameras for _, hits in seen_hits(surface, camera, rest_normals(surface))
+            hits.width
+            for camera in cameras
+            for _, hits in visible_hits(surface, camera, rest_normals(surface))
         ]
         width = float(np.concatenate(widths).mean())
         depth = int(np.round(np.log2(np.ptp(surface.bounds, axis=0).max() / width)))
@@ -156,8 +158,8 @@ def _picture(surface: octex.Surface, camera: octex.Camera) -> Array:
     """Draw a surface unlit, 2 × 2 samples a pixel: linear light, and alpha where it is seen."""
     fine = camera.scaled(2)
     image = np.zeros((fine.height * fine.width, 4), np.float32)
-    look = source_look(surface, "base_color")
-    for pixels, hits in seen_hits(surface, fine, rest_normals(surface)):
+    look = source_shader(surface, "base_color")
+    for pixels, hits in visible_hits(surface, fine, rest_normals(surface)):
         image[pixels, :3], image[pixels, 3] = look(hits).unlit(), 1
     image = image.reshape(camera.height, 2, camera.width, 2, 4).sum((1, 3))
     image[..., :3] /= np.maximum(image[..., 3:], 1)
@@ -170,7 +172,7 @@ def _seen(surface: octex.Surface, cameras: list[octex.Camera], samples: Any) -> 
     found = np.zeros(len(samples.points), np.bool_)
     for camera in cameras:
         fine = camera.scaled(3)
-        triangles = rasterize(surface.vertices, surface.triangles, fine).triangle
+        triangles = z_buffer(surface.vertices, surface.triangles, fine).triangle
         places, _ = fine.project(samples.points)
         i, j = np.clip(places.astype(np.int64), 0, [fine.width - 1, fine.height - 1]).T
         toward = camera.position - samples.points

@@ -24,7 +24,7 @@ from painted_sphere import view
 
 import octex
 from octex.conversion.cells import SPREAD
-from octex.conversion.fill import assemble, fill, on_grid
+from octex.conversion.levels import assemble, cell_levels, on_grid
 from octex.conversion.pieces import bin_triangles, cut, most_pieces
 from octex.parallel import silent
 from octex.tree.octree import Octree
@@ -42,7 +42,7 @@ def tree(around: int, across: int, depth: int) -> Callable[[], Answer]:
     def build() -> Octree:
         surface = octex.Surface(vertices.astype(np.float64), triangles, NoChannels(), name="torus")
         with ThreadPoolExecutor(1) as pool:
-            filled = fill(surface, (), UNIT_CUBE, depth, pool, silent, has_samples=False)
+            filled = cell_levels(surface, (), UNIT_CUBE, depth, pool, silent, has_samples=False)
         return assemble((), filled)[0]
 
     def task() -> Answer:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Float64s, Int32s, Int64s
 from octex.baking.layout import ALIGNMENT, Layout, charts_of, neighbors
 from octex.baking.texels import draw_texels
 from octex.errors import ModelError
@@ -12,11 +12,6 @@ from octex.jit import kernel
 from octex.source.corners import Corners
 from octex.source.surface import Surface
 from octex.source.welding import first_equal
-
-Bools = npt.NDArray[np.bool_]
-Int32s = npt.NDArray[np.int32]
-Int64s = npt.NDArray[np.int64]
-Float64s = npt.NDArray[np.float64]
 
 #: The least cosine between the normals of a chart's triangles and the direction that it is projected along.
 _LEAST_COSINE = 0.7

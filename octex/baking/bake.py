@@ -8,8 +8,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int32s
 from octex.baking.atlas import atlas_layout
 from octex.baking.gutters import Gutter, fill_up, gutter_of
 from octex.baking.layout import (
@@ -34,10 +34,6 @@ from octex.source.materials import MaterialSource
 from octex.source.surface import Surface, as_surface
 from octex.source.tangents import corner_frames
 from octex.texture import OctreeTexture, as_texture
-
-Float32s = npt.NDArray[np.float32]
-Float64s = npt.NDArray[np.float64]
-Int32s = npt.NDArray[np.int32]
 
 #: The sizes of maps that are chosen by themselves, and the largest at all.
 _SMALLEST, _LARGEST, _MOST = 64, 8192, 16384

@@ -5,14 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.baking.layout import Borders, Layout
 from octex.jit import inlined, kernel
-
-Int32s = npt.NDArray[np.int32]
-Float32s = npt.NDArray[np.float32]
-Float64s = npt.NDArray[np.float64]
 
 #: Most triangles that a way across the surface crosses.
 _MOST_CROSSED = 64
@@ -35,7 +31,7 @@ class Gutter(NamedTuple):
 
 def gutter_of(
     layout: Layout, borders: Borders, rest: Float64s, faces: Int32s, others: Int32s, sides: Int32s,
-    taken: npt.NDArray[np.bool_], padding: int,
+    taken: Bools, padding: int,
 ) -> Gutter:  # fmt: skip
     """Find what the texels that are not ``taken`` (height, width) show, up to ``padding`` texels from charts.
 
@@ -68,7 +64,7 @@ def _nearest_on(ax: float, ay: float, bx: float, by: float, x: float, y: float) 
 
 @kernel
 def _find_nearest(
-    corners: Float64s, triangles: Int32s, sides: Int32s, taken: npt.NDArray[np.bool_], padding: float,
+    corners: Float64s, triangles: Int32s, sides: Int32s, taken: Bools, padding: float,
     nearest: Float32s, border: Int32s,
 ) -> None:  # fmt: skip
     """Write the border that is nearest to each texel's centre, of those within ``padding``."""

@@ -5,16 +5,13 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Float64s, Int32s
 from octex.errors import ModelError
 from octex.jit import kernel
 from octex.source.corners import Corners
 from octex.source.surface import Surface
 from octex.source.welding import first_equal
-
-Int32s = npt.NDArray[np.int32]
-Float64s = npt.NDArray[np.float64]
 
 #: Where texture coordinates come from.
 Layouts = Literal["auto", "keep", "atlas"]
@@ -123,19 +120,19 @@ def neighbors(surface: Surface) -> tuple[Int32s, Int32s]:
     return others, np.where(found < 0, -1, found % 3).astype(np.int32).reshape(-1, 3)
 
 
-def joined(surface: Surface, corners: Float64s) -> npt.NDArray[np.bool_]:
+def joined(surface: Surface, corners: Float64s) -> Bools:
     """Say beyond which sides (m, 3) the map goes on as the surface does; ``corners`` (m, 3, 2) in texels."""
     others, sides = neighbors(surface)
     there = np.maximum(others, 0), np.maximum(sides, 0)
     starts = corners[there[0], (there[1] + 1) % 3]  # run through the other way
     same = np.abs(starts - corners).max(axis=-1) < _SAME
     same &= np.abs(corners[there] - np.roll(corners, -1, axis=1)).max(axis=-1) < _SAME
-    found: npt.NDArray[np.bool_] = same & (others >= 0)
+    found: Bools = same & (others >= 0)
     return found
 
 
 @kernel
-def _join(are_joined: npt.NDArray[np.bool_], others: Int32s, parents: Int32s) -> None:
+def _join(are_joined: Bools, others: Int32s, parents: Int32s) -> None:
     """Join triangles in charts; every parent becomes its chart's least triangle."""
     for triangle in range(parents.size):
         for side in range(3):

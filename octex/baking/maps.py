@@ -7,8 +7,8 @@ from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int32s
 from octex.channels import ALPHA, CHANNELS, ColorSpace, encode
 from octex.jit import inlined, kernel
 from octex.parallel import ordered_map
@@ -16,10 +16,6 @@ from octex.source.corners import Frames
 from octex.source.images.pyramid import Texels
 from octex.source.materials import AlphaMode, Input, Material, Texture
 from octex.texture import OctreeTexture
-
-Float32s = npt.NDArray[np.float32]
-Float64s = npt.NDArray[np.float64]
-Int32s = npt.NDArray[np.int32]
 
 #: The images of a material, by the channel that names each: the channels in red, green and blue, and alpha.
 IMAGES = {

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Array, Bools, Float32s, Float64s, Int64s
 from octex.channels import ALPHA, BASE_COLOR, linear_to_srgb
 from octex.checks import as_number, as_whole
 from octex.errors import ArgumentError
@@ -15,11 +15,6 @@ from octex.source.corners import Corners
 from octex.source.materials import AlphaMode, Input, Material, MaterialSource
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
-
-Float32s = npt.NDArray[np.float32]
-Float64s = npt.NDArray[np.float64]
-Int32s = npt.NDArray[np.int32]
-Int64s = npt.NDArray[np.int64]
 
 #: Edges are not divided below this part of the finest cells ...
 _FINEST = 0.5
@@ -144,7 +139,7 @@ def _edges_of(triangles: Int64s) -> tuple[Int64s, Int64s]:
 
 def _is_off(
     points: _Points, ends: Int64s, texture: OctreeTexture, error: float, places: Sequence[Sequence[float]]
-) -> npt.NDArray[np.bool_]:
+) -> Bools:
     """Say between which ends, of edges or triangles (k, 2 or 3), colours differ by more than an error."""
     found = np.zeros(len(ends), np.bool_)
     for shares in places:
@@ -155,12 +150,12 @@ def _is_off(
     return found
 
 
-def _mixed(values: npt.NDArray[Any], ends: Int64s, shares: Sequence[float]) -> Float64s:
+def _mixed(values: Array, ends: Int64s, shares: Sequence[float]) -> Float64s:
     """Return shares (j,) of values at their ends (k, j), added up."""
     return np.asarray(sum(share * values[ends[:, n]] for n, share in enumerate(shares)), np.float64)
 
 
-def _codes(colors: npt.NDArray[Any]) -> Float64s:
+def _codes(colors: Array) -> Float64s:
     codes = linear_to_srgb(colors)
     codes[:, 3] = colors[:, 3]
     return codes

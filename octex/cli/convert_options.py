@@ -30,10 +30,10 @@ from octex.cli.arguments import (
     whole_number,
 )
 from octex.cli.bake import BAKED_ENDINGS
-from octex.cli.looking import LOOKING, LOOKING_WORDS, check_looking
 from octex.cli.models import DEFAULT_FILTER, TEXTURE_ENDING, check_elsewhere, sources_of
 from octex.cli.overlaps import SEPARATE_CELLS
 from octex.cli.parser import RUNNING, Command, Option, option, words_given
+from octex.cli.view_options import VIEW_OPTIONS, VIEW_WORDS, check_view_options
 from octex.errors import ArgumentError
 
 _OPTIONS = (
@@ -208,7 +208,7 @@ _OPTIONS = (
         type=levels,
     ),
     option("--preview", "draw the model beside the model from its octree", metavar="PNG", type=Path),
-    *LOOKING,
+    *VIEW_OPTIONS,
     *RUNNING,
     option(
         "--diff",
@@ -257,7 +257,7 @@ _OF_TEXTURES = {"--crop", "--combine", "--mix", "--blur", "--levels"}
 #: In the order in which they are done.
 _EDITS = ("--crop", "--depth", "--combine", "--mix", "--blur", "--levels", "--channels", "--dtype")
 _OF_ANYTHING = {"INPUT", "OUTPUT", "--depth", "--channels", "--dtype"}
-_OF_ANYTHING |= LOOKING_WORDS - {"--frame"} | {"--preview", "--force", "--threads", "--quiet", "--json"}
+_OF_ANYTHING |= VIEW_WORDS - {"--frame"} | {"--preview", "--force", "--threads", "--quiet", "--json"}
 _CONVERSION = "a conversion"
 _WORDS = {
     _CONVERSION: {"--cell", "--max-error", "--detail", "--no-fit", "--separate", "--parts", "--frame"}
@@ -382,7 +382,7 @@ def work_of(options: argparse.Namespace, program: str) -> str:
     if options.source is not None or not _PROJECTION.isdisjoint(given):
         sources_of(options)  # refuses what contradicts itself
     check_elsewhere(options)
-    check_looking(options)
+    check_view_options(options)
     if work in (_CONVERSION, "--mesh"):
         for word in ("INPUT", "OUTPUT"):
             if word not in given:
@@ -392,7 +392,7 @@ def work_of(options: argparse.Namespace, program: str) -> str:
     if work == _CONVERSION:
         if options.depth is not None and options.cell is not None:
             raise ArgumentError("--depth and --cell both say how fine the cells are; give one of them")
-        for word in ("--separate", "--preview", *sorted(LOOKING_WORDS)):
+        for word in ("--separate", "--preview", *sorted(VIEW_WORDS)):
             if options.parts and word in given:
                 raise ArgumentError(f"{word} has no meaning with --parts; see {program} --help")
     return work

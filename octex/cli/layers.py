@@ -103,7 +103,7 @@ def channel_of(layer: OctreeTexture) -> str:
 
 def empty_like(layer: OctreeTexture) -> OctreeTexture:
     """Return a texture without any cell, for a layer to be merged into."""
-    from octex.painting.rasterize import empty_texture
+    from octex.painting.layer import empty_texture
 
     forms = [channel.format for name, channel in layer.channels.items() if name == channel_of(layer)]
     return empty_texture(forms, layer.placement, layer.bounds)

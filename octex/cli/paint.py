@@ -22,7 +22,6 @@ from octex.cli.common import (
     say,
 )
 from octex.cli.layers import channel_of, empty_like, entries_of, merged, projected, with_entries
-from octex.cli.looking import previewing
 from octex.cli.models import (
     DEFAULT_CHANNEL,
     TEXTURE_ENDING,
@@ -38,6 +37,7 @@ from octex.cli.paint_options import PAINT, work_of
 from octex.cli.parser import Parser
 from octex.cli.shots import images_of, shots_of
 from octex.cli.view import view
+from octex.cli.view_options import previewing
 from octex.errors import ExitCode
 from octex.parallel import workers
 

@@ -16,10 +16,10 @@ from octex.cli.arguments import (
     pixels,
     whole_number,
 )
-from octex.cli.looking import LOOKING, LOOKING_WORDS, check_looking
 from octex.cli.models import DEFAULT_CHANNEL, TEXTURE_ENDING
 from octex.cli.parser import RUNNING, Command, option, words_given
 from octex.cli.view import DEFAULT_SIZE
+from octex.cli.view_options import VIEW_OPTIONS, VIEW_WORDS, check_view_options
 from octex.errors import ArgumentError
 
 _OPTIONS = (
@@ -120,14 +120,14 @@ _OPTIONS = (
         metavar="W,H",
         type=picture_size,
     ),
-    *LOOKING,
+    *VIEW_OPTIONS,
     option("--shaded", "draw that picture in studio light, to be looked at", action="store_true"),
     *RUNNING,
 )
 
 # Which options go with which work.
 _SHARED = {"MODEL", "TEXTURE", "--rest", "--force", "--quiet", "--json"}
-_MERGE = _SHARED | LOOKING_WORDS | {"--out", "--blend", "--opacity", "--preview", "--threads"}
+_MERGE = _SHARED | VIEW_WORDS | {"--out", "--blend", "--opacity", "--preview", "--threads"}
 _WORDS = {
     "painting": _MERGE
     | {"IMAGE", "--camera", "--mask", "--since", "--whole", "--channel", "--max-depth"}
@@ -142,7 +142,7 @@ _WORDS = {
     },
     "--layer": _MERGE,
     "--view": _SHARED
-    | LOOKING_WORDS
+    | VIEW_WORDS
     | {"--shaded", "--empty-layer", "--camera-out", "--camera", "--size", "--channel"},
 }
 _NEEDED = {
@@ -194,7 +194,7 @@ def work_of(options: argparse.Namespace, program: str) -> str:
     for word in _NEEDED[work]:
         if word not in given:
             raise ArgumentError(f"{word} is missing; see {program} --help")
-    check_looking(options)
+    check_view_options(options)
     is_there = options.TEXTURE is not None and options.TEXTURE.exists()
     if work == "--view" and options.camera is None and options.camera_out is None:
         raise ArgumentError(

@@ -17,9 +17,7 @@ from octex.errors import ArgumentError, ExitCode
 from octex.files import replacing
 
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
+    from octex.arrays import Uint8s
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
     from octex.view.camera import Camera
@@ -111,7 +109,7 @@ def _view_camera(options: argparse.Namespace, surface: Surface, frame: Frame | N
 
 def _draw(
     texture: OctreeTexture | None, surface: Surface, camera: Camera, channel: str, shaded: bool
-) -> npt.NDArray[np.uint8]:
+) -> Uint8s:
     """Draw a channel, or grey, at the pixels' centres, ``shaded`` or not: codes (height, width, 4).
 
     Alpha is the texture's, 0 beside the model; colours are not multiplied by it.
@@ -119,19 +117,19 @@ def _draw(
     import numpy as np
 
     from octex.channels import encode
-    from octex.preview.looks import Appearance, texture_look
-    from octex.preview.pictures import rest_normals, seen_hits
+    from octex.preview.pictures import rest_normals, visible_hits
+    from octex.preview.shaders import Appearance, texture_shader
     from octex.view.shading import corner_normals, face_normals, light
 
     look = None
     if texture is not None:
         surface = surface.placed_in(texture)
-        look = texture_look(texture, channel)
+        look = texture_shader(texture, channel)
     if shaded:
         faces, _ = face_normals(surface.vertices, surface.triangles)
         smooth = corner_normals(surface.vertices, surface.triangles)
     codes = np.zeros((camera.height * camera.width, 4), np.uint8)
-    for seen, hits in seen_hits(surface, camera, rest_normals(surface)):
+    for seen, hits in visible_hits(surface, camera, rest_normals(surface)):
         appearance = Appearance(np.full((len(seen), 3), 0.5)) if look is None else look(hits)
         if shaded and appearance.reflected is not None:
             points = surface.points_at(hits.triangles, hits.barycentric)
@@ -145,7 +143,7 @@ def _draw(
     return codes.reshape(camera.height, camera.width, 4)
 
 
-def _png(codes: npt.NDArray[np.uint8]) -> bytes:
+def _png(codes: Uint8s) -> bytes:
     from PIL import Image
 
     file = io.BytesIO()

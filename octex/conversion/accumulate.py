@@ -17,8 +17,8 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int32s, Int64s, Uint8s
 from octex.channels import LEAST_COVERAGE, ChannelFormat
 from octex.jit import inlined, kernel, popcount
 from octex.tree.layout import AREA_ONE, AREA_STEPS, POSITIVE_FACINGS
@@ -29,16 +29,16 @@ LEAST_AREA = 2.0**-40
 AREA_CODES = np.rint(AREA_STEPS * np.log2(1 + (np.arange(128) + 0.5) / 128)).astype(np.int64)
 
 
-class Columns(NamedTuple):
+class SumColumns(NamedTuple):
     """Where the components of all channels stand in a row of values."""
 
-    first: npt.NDArray[np.int64]  # (components,)   the first column of each column's channel
-    place: npt.NDArray[np.int64]  # (components,)   each column's place in its channel
-    width: npt.NDArray[np.int64]  # (components,)   the components of each column's channel
+    first: Int64s  # (components,)   the first column of each column's channel
+    place: Int64s  # (components,)   each column's place in its channel
+    width: Int64s  # (components,)   the components of each column's channel
     alpha: int  # the column that holds coverage, or −1
 
     @classmethod
-    def of(cls, channels: Sequence[ChannelFormat]) -> Columns:
+    def of(cls, channels: Sequence[ChannelFormat]) -> SumColumns:
         """Lay out channels side by side."""
         widths = [channel.components for channel in channels]
         firsts = np.cumsum([0, *widths])[:-1]
@@ -51,9 +51,9 @@ class Columns(NamedTuple):
 class Sums(NamedTuple):
     """The sums of one level's cells."""
 
-    codes: npt.NDArray[np.int64]  # (cells,)   Morton codes, ascending
-    flags: npt.NDArray[np.uint8]  # (cells,)   normal flags
-    sums: npt.NDArray[np.float64]  # (entries, components + 1)
+    codes: Int64s  # (cells,)   Morton codes, ascending
+    flags: Uint8s  # (cells,)   normal flags
+    sums: Float64s  # (entries, components + 1)
 
 
 class Means(NamedTuple):
@@ -62,16 +62,14 @@ class Means(NamedTuple):
     Values lie channel after channel: those of the channel that begins at column f at f · rows.
     """
 
-    values: npt.NDArray[np.float64]  # (cells · components,)
-    areas: npt.NDArray[np.uint8]  # (cells,)
-    two_sided: npt.NDArray[np.int64]  # (cells that show both ways,)   index into the level's cells
-    facing_values: npt.NDArray[np.float64]  # (their entries · components,)
-    facing_areas: npt.NDArray[np.uint8]  # (their entries,)
+    values: Float64s  # (cells · components,)
+    areas: Uint8s  # (cells,)
+    two_sided: Int64s  # (cells that show both ways,)   index into the level's cells
+    facing_values: Float64s  # (their entries · components,)
+    facing_areas: Uint8s  # (their entries,)
 
 
-def by_channel(
-    values: npt.NDArray[np.float64], channels: Sequence[ChannelFormat]
-) -> Iterator[npt.NDArray[np.float64]]:
+def by_channel(values: Float64s, channels: Sequence[ChannelFormat]) -> Iterator[Float64s]:
     """Yield the values (rows, components) of each channel, of such that lie channel after channel."""
     rows = values.size // max(sum(channel.components for channel in channels), 1)
     end = 0
@@ -82,12 +80,12 @@ def by_channel(
 
 @kernel
 def sum_pieces(
-    entries: npt.NDArray[np.int32],
-    areas: npt.NDArray[np.float64],
-    values: npt.NDArray[np.float32],
+    entries: Int32s,
+    areas: Float64s,
+    values: Float32s,
     alpha: int,
     n_entries: int,
-) -> npt.NDArray[np.float64]:
+) -> Float64s:
     """Add up the pieces of each entry. ``alpha`` is the column that holds coverage, or −1."""
     components = values.shape[1]
     sums = np.empty((n_entries, components + 1), np.float64)
@@ -167,11 +165,11 @@ def _coded_area(area: float) -> int:
 
 @inlined
 def _store_mean(
-    sums: npt.NDArray[np.float64],
+    sums: Float64s,
     entry: int,
-    columns: Columns,
-    starts: npt.NDArray[np.int64],
-    values: npt.NDArray[np.float64],
+    columns: SumColumns,
+    starts: Int64s,
+    values: Float64s,
     row: int,
 ) -> None:
     components = sums.shape[1] - 1
@@ -185,7 +183,7 @@ def _store_mean(
 
 
 @kernel
-def level_means(level: Sums, columns: Columns) -> Means:
+def level_means(level: Sums, columns: SumColumns) -> Means:
     """Divide the sums of a level by its areas, coverage by coverage."""
     sums = level.sums
     components = sums.shape[1] - 1
@@ -234,7 +232,7 @@ def level_means(level: Sums, columns: Columns) -> Means:
 
 
 @kernel
-def count_entries(flags: npt.NDArray[np.uint8]) -> int:
+def count_entries(flags: Uint8s) -> int:
     """Count the facings of all cells."""
     count = 0
     for i in range(flags.size):

@@ -16,12 +16,13 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Bools, Float32s, Int64s, Uint8s
 from octex.channels import decode
 from octex.conversion.distances import Looked, coverage_of, far_samples, near_alone
-from octex.conversion.measure import Columns, encoded
+from octex.conversion.measure import ErrorColumns, encoded
 from octex.conversion.nearness import Decoded, far_cells
 from octex.conversion.patches import BARE, NEAR, near_cells
-from octex.conversion.prune import Bools, Channels, Depths, Finest, Pruned, grafted, limits_of, prune
+from octex.conversion.prune import Channels, Finest, Pruned, grafted, limits_of, prune
 from octex.conversion.samples import Samples
 from octex.conversion.sides import Fit, Split
 from octex.errors import ArgumentError
@@ -30,10 +31,8 @@ from octex.texture.channel import Channel
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
 
-#: Finest cells or samples.
-Block: TypeAlias = npt.NDArray[np.int64]
 #: Says something of finest cells (n,), which ascend.
-Judge: TypeAlias = Callable[[npt.NDArray[np.int64]], npt.NDArray[np.uint8 | np.bool_]]
+Judge: TypeAlias = Callable[[Int64s], npt.NDArray[np.uint8 | np.bool_]]
 
 #: Finest cells or samples that are tested at once.
 _BLOCK = 1 << 14
@@ -61,7 +60,7 @@ def adapted(
     samples: Samples | None,
     *,
     max_error: float | None,
-    wanted: Depths | None,
+    wanted: Uint8s | None,
     fit: Fit | None,
     split: Split | None,
     executor: Executor | None,
@@ -111,7 +110,7 @@ class _Merger:
         known: Channels,
         samples: Samples,
         max_error: float,
-        limits: Depths,
+        limits: Uint8s,
         executor: Executor | None,
         progress: Progress,
     ) -> None:
@@ -119,7 +118,7 @@ class _Merger:
         self._means = means
         self._known = dict(known)
         self._samples = samples
-        self._columns = Columns.of(samples.channels)
+        self._columns = ErrorColumns.of(samples.channels)
         self._most = max_error + _ROUNDING
         self._limits = limits
         self._executor = executor
@@ -149,7 +148,7 @@ class _Merger:
         pruned = prune(self._finest, depths)
         return pruned.tree, pruned.carried(self._known)
 
-    def _fit(self, fit: Fit, depths: Depths) -> None:
+    def _fit(self, fit: Fit, depths: Uint8s) -> None:
         """Give merged leaves fitted values."""
         pruned = prune(self._finest, depths)
         cells, is_merged = pruned.leaf_cells(depths), (depths < self._limits)[pruned.starts]
@@ -161,7 +160,7 @@ class _Merger:
         for name, channel in values.items():
             self._known[name].values[pruned.cells[merged]] = channel.values[merged]
 
-    def _merge(self, level: int, depths: Depths) -> None:
+    def _merge(self, level: int, depths: Uint8s) -> None:
         """Make leaves of the nodes of a level all of whose children are, where that seems to be near enough.
 
         Either the averages of this level, as a field, are near the full tree's in the node, or the node's own
@@ -189,7 +188,7 @@ class _Merger:
             may &= ~np.logical_or.reduceat(failing, firsts)
         depths[finest.spread(level, near | may)] = level
 
-    def _settle(self, depths: Depths) -> None:
+    def _settle(self, depths: Uint8s) -> None:
         """Split merged leaves until the field is near everywhere, looked up with normals too."""
         decoded = Decoded.of(self._known, self._samples.channels)
         full = decoded.pruned(self._whole)
@@ -208,13 +207,13 @@ class _Merger:
             if not suspects.any():
                 return
 
-    def _split(self, depths: Depths) -> None:
+    def _split(self, depths: Uint8s) -> None:
         """Split merged leaves by a level where the field is not near the full tree's at samples."""
         pruned = prune(self._finest, depths)
         failing = self._far(self._looked(pruned), np.ones(depths.size, np.bool_))
         self._refined(failing, pruned, depths, 1)
 
-    def _refined(self, failing: Bools, pruned: Pruned, depths: Depths, steps: int) -> Bools:
+    def _refined(self, failing: Bools, pruned: Pruned, depths: Uint8s, steps: int) -> Bools:
         """Split leaves by some levels for cells that fail; changes ``depths``.
 
         Returns the cells that this reaches.
@@ -224,7 +223,7 @@ class _Merger:
         depths[splits] = np.minimum(depths[splits] + steps, self._limits[splits])
         return reached
 
-    def _splits(self, failing: Bools, pruned: Pruned, depths: Depths) -> Bools:
+    def _splits(self, failing: Bools, pruned: Pruned, depths: Uint8s) -> Bools:
         """Mark the finest cells in the merged leaves that are to be split where the field is too far off.
 
         Those that hold the place; where the leaf there has not merged, those whose values reach it.
@@ -243,7 +242,7 @@ class _Merger:
             splits |= _marked(firsts[merged], ends[merged], codes.size)
         return splits
 
-    def _around(self, starts: npt.NDArray[np.int64], depths: Depths) -> Bools:
+    def _around(self, starts: Int64s, depths: Uint8s) -> Bools:
         """Mark the finest cells in leaves and in the cells of their sizes around: as far as splits reach."""
         codes, depth = self._finest.codes, self._finest.tree.max_depth
         marked = np.zeros(codes.size, np.bool_)
@@ -258,7 +257,7 @@ class _Merger:
         """Return what is looked up of a pruned tree."""
         return Looked.of(pruned.tree, pruned.carried(self._known), self._samples.channels)
 
-    def _codes(self, looked: Looked, rows: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+    def _codes(self, looked: Looked, rows: Int64s) -> Float32s:
         """Return what is looked up at samples (n,), in codes (n, columns)."""
         blocks = [rows[begin : begin + _BLOCK] for begin in range(0, rows.size, _BLOCK)]
         work = partial(looked.codes, self._samples, columns=self._columns)
@@ -268,14 +267,14 @@ class _Merger:
         """Say in which of the chosen finest cells what is looked up at samples is too far off."""
         return self._judged(partial(self._far_in, looked), chosen) > 0
 
-    def _far_in(self, looked: Looked, cells: npt.NDArray[np.int64]) -> Bools:
+    def _far_in(self, looked: Looked, cells: Int64s) -> Bools:
         rows = self._samples.rows(cells)
         task = self._wanted, rows, self._coverage, self._columns.alpha, self._most
         far = far_samples(looked.codes(self._samples, rows, self._columns), *task)
         counts = self._samples.firsts[cells + 1] - self._samples.firsts[cells]
         return np.logical_or.reduceat(far, np.cumsum(counts) - counts)
 
-    def _judged(self, work: Judge, chosen: Bools) -> npt.NDArray[np.uint8]:
+    def _judged(self, work: Judge, chosen: Bools) -> Uint8s:
         """Return what ``work`` says of the chosen finest cells, 0 for the others."""
         cells = np.flatnonzero(chosen)
         blocks = [cells[begin : begin + _BLOCK] for begin in range(0, cells.size, _BLOCK)]
@@ -284,14 +283,14 @@ class _Merger:
             judged[block] = found
         return judged
 
-    def _mapped(self, work: Callable[[Block], Any], blocks: Sequence[Block]) -> Iterable[Any]:
+    def _mapped(self, work: Callable[[Int64s], Any], blocks: Sequence[Int64s]) -> Iterable[Any]:
         return map(work, blocks) if self._executor is None else ordered_map(self._executor, work, blocks)
 
 
 _OFFSETS = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), axis=-1).reshape(-1, 3)
 
 
-def _around(codes: npt.NDArray[np.int64], level: int) -> npt.NDArray[np.int64]:
+def _around(codes: Int64s, level: int) -> Int64s:
     """Return cells of a level, which ascend, and all around them, each once."""
     cells = decode_cells(_each_once(codes))
     around = (cells[:, None] + _OFFSETS).reshape(-1, 3)
@@ -300,12 +299,12 @@ def _around(codes: npt.NDArray[np.int64], level: int) -> npt.NDArray[np.int64]:
     return _each_once(around)
 
 
-def _each_once(codes: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _each_once(codes: Int64s) -> Int64s:
     """Leave out what is there twice of codes (n,) that ascend: in a tenth of the time of numpy's unique."""
     return codes[np.flatnonzero(np.diff(codes, prepend=-1))]
 
 
-def _marked(firsts: npt.NDArray[np.int64], ends: npt.NDArray[np.int64], size: int) -> Bools:
+def _marked(firsts: Int64s, ends: Int64s, size: int) -> Bools:
     """Mark all from each of ``firsts`` up to its end."""
     changes = np.zeros(size + 1, np.int32)
     np.add.at(changes, firsts, 1)

@@ -17,8 +17,8 @@ value only if d has no positive component, and its smallest only if d has no neg
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Int32s, Int64s
 from octex.jit import inlined
 
 #: Work is cut into blocks of 32³ cells: a block's masks fit the second-level cache.
@@ -41,11 +41,11 @@ COLUMN_U, COLUMN_V, COLUMN_FIRST, COLUMN_LAST, COLUMN_INSIDE = range(5)
 
 @inlined
 def load_triangle(
-    grid: npt.NDArray[np.int32],
-    triangles: npt.NDArray[np.int32],
+    grid: Int32s,
+    triangles: Int32s,
     triangle: int,
-    corners: npt.NDArray[np.int64],
-    normal: npt.NDArray[np.int64],
+    corners: Int64s,
+    normal: Int64s,
 ) -> int:
     """Load a triangle's corners and normal with their axes in the order u, v, w; return w.
 
@@ -82,7 +82,7 @@ def load_triangle(
 
 @inlined
 def _edge(
-    corners: npt.NDArray[np.int64], i: int, j: int, first: int, second: int, orientation: int, cell: int
+    corners: Int64s, i: int, j: int, first: int, second: int, orientation: int, cell: int
 ) -> tuple[int, int, int, int]:
     """Return p, q, c and span of the edge from corner i to corner j, projected onto two axes.
 
@@ -100,7 +100,7 @@ def _edge(
 
 
 @inlined
-def _sign_of_dot(normal: npt.NDArray[np.int64], u: int, v: int, w: int) -> int:
+def _sign_of_dot(normal: Int64s, u: int, v: int, w: int) -> int:
     """Return the exact sign of normal · (u, v, w): up to 93 bits, summed in two halves."""
     low_bits = (1 << 31) - 1
     high = (normal[0] >> 31) * u + (normal[1] >> 31) * v + (normal[2] >> 31) * w
@@ -112,9 +112,7 @@ def _sign_of_dot(normal: npt.NDArray[np.int64], u: int, v: int, w: int) -> int:
 
 
 @inlined
-def _meets_plane(
-    corners: npt.NDArray[np.int64], normal: npt.NDArray[np.int64], cell: int, u: int, v: int, w: int
-) -> bool:
+def _meets_plane(corners: Int64s, normal: Int64s, cell: int, u: int, v: int, w: int) -> bool:
     """Whether the triangle's plane meets the half-open cell at (u, v, w), given in grid steps."""
     du, dv, dw = u - corners[0, 0], v - corners[0, 1], w - corners[0, 2]
     up_u = cell if normal[0] > 0 else 0
@@ -131,9 +129,7 @@ def _meets_plane(
 
 
 @inlined
-def _set_sides(
-    corners: npt.NDArray[np.int64], normal: npt.NDArray[np.int64], cell: int, sides: npt.NDArray[np.int64]
-) -> None:
+def _set_sides(corners: Int64s, normal: Int64s, cell: int, sides: Int64s) -> None:
     """Fill ``sides`` (6, 3) with the edges as seen along u, then along v."""
     for i in range(3):
         j = i + 1 if i < 2 else 0
@@ -142,7 +138,7 @@ def _set_sides(
 
 
 @inlined
-def _meets_sides(sides: npt.NDArray[np.int64], u: int, v: int, w: int) -> bool:
+def _meets_sides(sides: Int64s, u: int, v: int, w: int) -> bool:
     """Whether no edge as seen along u or v separates the cell at (u, v, w), given in grid steps."""
     along_u = (
         (sides[0, 0] * v + sides[0, 1] * w + sides[0, 2])
@@ -159,14 +155,14 @@ def _meets_sides(sides: npt.NDArray[np.int64], u: int, v: int, w: int) -> bool:
 
 @inlined
 def columns_met(
-    corners: npt.NDArray[np.int64],
-    normal: npt.NDArray[np.int64],
+    corners: Int64s,
+    normal: Int64s,
     shift: int,
     block_u: int,
     block_v: int,
     block_w: int,
-    sides: npt.NDArray[np.int64],
-    columns: npt.NDArray[np.int64],
+    sides: Int64s,
+    columns: Int64s,
 ) -> int:
     """List the cells of one block that a triangle meets, column by column; return the number of columns.
 

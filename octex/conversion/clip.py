@@ -8,8 +8,8 @@ into columns along v, a column into cells along w: one cut for each piece but th
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float64s, Int64s
 from octex.conversion.cells import (
     BLOCK_EDGE,
     COLUMN_FIRST,
@@ -25,15 +25,12 @@ MAX_VERTICES = 12
 #: What a contact without area weighs, in cell faces: nothing beside any area, everything when alone.
 CONTACT = 2.0**-70
 
-#: Convex polygons, (POLYGONS, 2, MAX_VERTICES): u and v of each vertex. They are named by their row: swapping
-#: rows costs nothing, where swapping arrays counts references (a third of the time).
-Polygons = npt.NDArray[np.float64]
 POLYGONS = 6
 
 
 @inlined
 def split(
-    polygons: Polygons, row: int, count: int, a: float, b: float, c: float, below: int, above: int
+    polygons: Float64s, row: int, count: int, a: float, b: float, c: float, below: int, above: int
 ) -> tuple[int, int]:
     """Split polygon ``row`` where a·u + b·v = c into two other rows; return their numbers of vertices."""
     n_below = 0
@@ -67,7 +64,7 @@ def split(
 
 
 @inlined
-def area_and_center(polygons: Polygons, row: int, count: int) -> tuple[float, float, float]:
+def area_and_center(polygons: Float64s, row: int, count: int) -> tuple[float, float, float]:
     """Return a convex polygon's area, and its centroid's u and v (its first vertex's if without area)."""
     u0, v0 = polygons[row, 0, 0], polygons[row, 1, 0]
     doubled = 0.0
@@ -92,8 +89,8 @@ def _store_piece(
     b: float,
     c: float,
     area: float,
-    barycentric: npt.NDArray[np.float64],
-    areas: npt.NDArray[np.float64],
+    barycentric: Float64s,
+    areas: Float64s,
     piece: int,
 ) -> None:
     b = min(max(b, 0.0), 1.0)
@@ -106,17 +103,17 @@ def _store_piece(
 
 @inlined
 def clip_to_columns(
-    corners: npt.NDArray[np.int64],
-    normal: npt.NDArray[np.int64],
+    corners: Int64s,
+    normal: Int64s,
     shift: int,
     block_u: int,
     block_v: int,
     block_w: int,
-    columns: npt.NDArray[np.int64],
+    columns: Int64s,
     n_columns: int,
-    polygons: Polygons,
-    barycentric: npt.NDArray[np.float64],
-    areas: npt.NDArray[np.float64],
+    polygons: Float64s,
+    barycentric: Float64s,
+    areas: Float64s,
     piece: int,
 ) -> None:
     """Clip a triangle to the cells that `columns_met` listed, in their order.

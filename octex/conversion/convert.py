@@ -27,11 +27,11 @@ from octex.checks import (
 from octex.conversion import apart
 from octex.conversion.adapt import adapted, as_max_error
 from octex.conversion.detail import DetailFunction, channel_of, wanted_levels
-from octex.conversion.fill import assemble, fill
+from octex.conversion.formats import Dtypes, formats_as
 from octex.conversion.gaps import without_gaps, without_opaque
+from octex.conversion.levels import assemble, cell_levels
 from octex.conversion.points import convert_points
 from octex.conversion.sides import fitters
-from octex.conversion.stored import Dtypes, stored_as
 from octex.editing.split import refaced
 from octex.errors import ArgumentError, ModelError
 from octex.parallel import Progress, as_progress, workers
@@ -140,12 +140,14 @@ def convert(
         surface = whole.with_channels(names)
     if cells is not None:
         surface = apart.separate(surface, cells, depth=depth, cell=cell).surface
-    stored = stored_as(surface.channels, dtype, surface.name)
+    stored = formats_as(surface.channels, dtype, surface.name)
     placement, depth = placed(surface, depth, cell)
     wanted = None if detail is None else wanted_levels(detail, whole, depth)
     with workers(threads, executor) as pool:
         has_samples = fit or most is not None
-        filled = fill(surface, stored, placement, depth, pool, report, has_samples=has_samples, wanted=wanted)
+        filled = cell_levels(
+            surface, stored, placement, depth, pool, report, has_samples=has_samples, wanted=wanted
+        )
         report("build", 0, 1)
         tree, values = assemble(stored, filled)
         report("build", 1, 1)
@@ -154,7 +156,9 @@ def convert(
             coverage = None
             if not surface.source.alpha_is_coverage:
                 known = surface.coverage
-                coverage = fill(known, known.channels, placement, depth, pool, report, has_samples=False)
+                coverage = cell_levels(
+                    known, known.channels, placement, depth, pool, report, has_samples=False
+                )
             tree, values, samples, deepest, empty = without_gaps(tree, values, filled, placement, coverage)
             if not tree.n_leaves:
                 raise ModelError(

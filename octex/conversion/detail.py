@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int32s, Uint8s
 from octex.checks import as_choice
 from octex.conversion.pieces import Pieces
 from octex.errors import ArgumentError, ModelError
@@ -19,12 +20,10 @@ from octex.source.corners import at_corners
 from octex.source.surface import Surface
 
 #: Says how deep to go at rest positions (n, 3): levels (n,), fractions allowed.
-DetailFunction: TypeAlias = Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
+DetailFunction: TypeAlias = Callable[[Float64s], npt.ArrayLike]
 #: Gives wanted levels (n,), 0 to the tree's depth, at points of triangles with barycentric coordinates (n, 3)
 #: and footprints of given widths (n,) in rest units.
-Wanted: TypeAlias = Callable[
-    [npt.NDArray[np.int32], npt.NDArray[np.float64], npt.NDArray[np.float32]], npt.NDArray[np.float64]
-]
+Wanted: TypeAlias = Callable[[Int32s, Float64s, Float32s], Float64s]
 
 STRETCH = "stretch"
 #: Neither a channel nor a stretch makes cells wider than 2⁸ of the finest: the least that 8 bits can say.
@@ -69,20 +68,18 @@ def wanted_levels(detail: DetailFunction | str, surface: Surface, depth: int) ->
     return partial(_by_channel, surface.with_channels([detail]).source, detail, depth)
 
 
-def deepest_wanted(wanted: Wanted, pieces: Pieces, widths: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
+def deepest_wanted(wanted: Wanted, pieces: Pieces, widths: Float32s) -> Uint8s:
     """Return the whole level (cells,) that the middles of the pieces in each cell want to go to."""
     levels = wanted(pieces.triangles, pieces.barycentric, widths)
     counts = np.bitwise_count(pieces.flags).astype(np.int64)
     of_entries = np.zeros(counts.sum(), np.uint8)
     _deepen(pieces.entries, levels, of_entries)
-    deepest: npt.NDArray[np.uint8] = np.maximum.reduceat(of_entries, np.cumsum(counts) - counts)
+    deepest: Uint8s = np.maximum.reduceat(of_entries, np.cumsum(counts) - counts)
     return deepest
 
 
 @kernel
-def _deepen(
-    entries: npt.NDArray[np.int32], levels: npt.NDArray[np.float64], deepest: npt.NDArray[np.uint8]
-) -> None:
+def _deepen(entries: Int32s, levels: Float64s, deepest: Uint8s) -> None:
     for n in range(entries.size):
         level = max(int(np.ceil(levels[n] - _SLACK)), 0)
         deepest[entries[n]] = np.uint8(max(level, int(deepest[entries[n]])))
@@ -90,16 +87,16 @@ def _deepen(
 
 def _by_function(
     function: DetailFunction,
-    rest: npt.NDArray[np.float64],
-    faces: npt.NDArray[np.int32],
+    rest: Float64s,
+    faces: Int32s,
     depth: int,
-    triangles: npt.NDArray[np.int32],
-    barycentric: npt.NDArray[np.float64],
-    _widths: npt.NDArray[np.float32],
-) -> npt.NDArray[np.float64]:
+    triangles: Int32s,
+    barycentric: Float64s,
+    _widths: Float32s,
+) -> Float64s:
     points = at_corners(rest, faces[triangles], barycentric)
     levels = answer(function, [points], [(len(points),)], "detail", points.__getitem__)
-    clipped: npt.NDArray[np.float64] = np.clip(levels, 0.0, depth)
+    clipped: Float64s = np.clip(levels, 0.0, depth)
     return clipped
 
 
@@ -107,32 +104,32 @@ def _by_channel(
     source: Source,
     name: str,
     depth: int,
-    triangles: npt.NDArray[np.int32],
-    barycentric: npt.NDArray[np.float64],
-    widths: npt.NDArray[np.float32],
-) -> npt.NDArray[np.float64]:
+    triangles: Int32s,
+    barycentric: Float64s,
+    widths: Float32s,
+) -> Float64s:
     values = by_channel(source.channels, source.evaluate(triangles, barycentric, widths))
     return _levels(values[name][:, 0].astype(np.float64), depth)
 
 
 def _by_stretch(
-    resolutions: npt.NDArray[np.float64],
+    resolutions: Float64s,
     depth: int,
-    triangles: npt.NDArray[np.int32],
-    _barycentric: npt.NDArray[np.float64],
-    _widths: npt.NDArray[np.float32],
-) -> npt.NDArray[np.float64]:
+    triangles: Int32s,
+    _barycentric: Float64s,
+    _widths: Float32s,
+) -> Float64s:
     return _levels(resolutions[triangles], depth)
 
 
-def _levels(resolutions: npt.NDArray[np.float64], depth: int) -> npt.NDArray[np.float64]:
+def _levels(resolutions: Float64s, depth: int) -> Float64s:
     """Return levels for resolutions relative to the finest."""
     known = np.fmax(np.fmin(resolutions, 1.0), 2.0**-MOST_LEVELS)  # the finest for what is not a number
-    levels: npt.NDArray[np.float64] = np.maximum(depth + np.log2(known), 0.0)
+    levels: Float64s = np.maximum(depth + np.log2(known), 0.0)
     return levels
 
 
-def _resolutions(surface: Surface) -> npt.NDArray[np.float64]:
+def _resolutions(surface: Surface) -> Float64s:
     """Return the stretch of each triangle (m,), relative to what gets the full depth."""
     rest, pose = (positions[surface.triangles] for positions in (surface.rest, surface.vertices))
     along, beside = rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]
@@ -153,5 +150,5 @@ def _resolutions(surface: Surface) -> npt.NDArray[np.float64]:
     reference = stretches[order[np.searchsorted(totals, _REFERENCE_SHARE * totals[-1])]]
     if not 0.0 < reference < np.inf:
         raise ModelError(f'{surface.name}: its rest mesh has no area, which detail="stretch" needs')
-    resolutions: npt.NDArray[np.float64] = stretches / reference
+    resolutions: Float64s = stretches / reference
     return resolutions

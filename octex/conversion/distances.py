@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Float32s, Int64s
 from octex.channels import ALPHA, ChannelFormat
-from octex.conversion.measure import Columns, encoded
+from octex.conversion.measure import ErrorColumns, encoded
 from octex.conversion.samples import Samples, sample_points
 from octex.field.field import Field
 from octex.field.lookups import Query, look_up
@@ -19,10 +19,6 @@ from octex.texture.blend import stored
 from octex.texture.channel import Channel
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
-
-Float32s = npt.NDArray[np.float32]
-Int64s = npt.NDArray[np.int64]
-Bools = npt.NDArray[np.bool_]
 
 _UNIT = Placement((0.0, 0.0, 0.0), 1.0)
 
@@ -40,7 +36,7 @@ class Looked(NamedTuple):
         field.prepare(QUADRATIC)
         return cls(field, [channels[form.name].of(tree) for form in forms])
 
-    def codes(self, samples: Samples, rows: Int64s, columns: Columns) -> Float32s:
+    def codes(self, samples: Samples, rows: Int64s, columns: ErrorColumns) -> Float32s:
         """Return what the field is in codes (n, see `encoded`) at samples (n,), fastest if they ascend."""
         read = [stored(channel) for channel in self.channels]
         answers = [np.empty((rows.size, channel.format.components), np.float32) for channel in self.channels]

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Int8s, Int64s, Uint64s
 from octex.field.coefficients import SPLIT_KIND
 from octex.field.field import Field, Listed
 from octex.tree.layout import FACING_FLAGS, SPLIT
@@ -14,14 +12,11 @@ from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 
-#: Of cells: a bit for each of the 2⁶ sets of facings that a cell can have; the empty set's for split cells.
-Kinds: TypeAlias = npt.NDArray[np.uint64]
-
 #: Cells whose surroundings are looked at at once.
 _BLOCK = 1 << 16
 
 
-def kinds_around(tree: Octree) -> Kinds:
+def kinds_around(tree: Octree) -> Uint64s:
     """Return the kinds of all leaves that lookups in each leaf may read (cells,).
 
     0 where none of them face opposite ways or are split. Found from the root down: what is around a cell is
@@ -44,7 +39,7 @@ def kinds_around(tree: Octree) -> Kinds:
     return found
 
 
-def _face_opposite(kinds: Kinds) -> npt.NDArray[np.bool_]:
+def _face_opposite(kinds: Uint64s) -> Bools:
     """Say whether any of some kinds (n,) face both ways along an axis, one by itself or two."""
     found = np.zeros(kinds.size, np.bool_)
     for axis in range(3):
@@ -56,7 +51,7 @@ def _face_opposite(kinds: Kinds) -> npt.NDArray[np.bool_]:
 _HAVING = np.array([sum(1 << kind for kind in range(64) if kind >> f & 1) for f in range(6)], np.uint64)
 
 
-def _kinds_below(tree: Octree) -> Kinds:
+def _kinds_below(tree: Octree) -> Uint64s:
     """Return the kind of each leaf, and the kinds of all leaves below each node (cells,)."""
     flags, firsts = tree.arrays.flags, tree.arrays.level_cells
     facings = flags & np.uint8(FACING_FLAGS)
@@ -70,12 +65,12 @@ def _kinds_below(tree: Octree) -> Kinds:
     return kinds
 
 
-def has_opposite(normals: npt.NDArray[np.int8], kinds: Kinds) -> npt.NDArray[np.bool_]:
+def has_opposite(normals: Int8s, kinds: Uint64s) -> Bools:
     """Say whether something of some kinds (n,) is split, or faces away from what has normals (n, 3)."""
     normals = normals.astype(np.int16)
     axes = np.abs(normals).argmax(axis=1)
     facings = 2 * axes + (np.take_along_axis(normals, axes[:, None], 1)[:, 0] < 0)
-    opposite: npt.NDArray[np.bool_] = (kinds & _OPPOSITE[facings]) != 0
+    opposite: Bools = (kinds & _OPPOSITE[facings]) != 0
     return opposite
 
 
@@ -92,7 +87,7 @@ HIDDEN = np.array(
 )
 
 
-def _around(field: Field, level: int, codes: npt.NDArray[np.int64]) -> Listed:
+def _around(field: Field, level: int, codes: Int64s) -> Listed:
     """Return the taps in the middles of a level's cells, where all 3×3×3 cells around weigh."""
     centres = (decode_cells(codes) + np.float64(0.5)) / 2**level
     return field.level(level).taps(centres, Placement((0.0, 0.0, 0.0), 1.0))

@@ -11,11 +11,11 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Array, Bools, Float32s, Floats, Int32s, Int64s
 from octex.channels import CHANNELS, ChannelFormat, decode, encode
 from octex.conversion.numbering import Leaves, Outside, members_of, number
 from octex.conversion.samples import SHARE_STEPS, Samples, sample_points
@@ -82,21 +82,19 @@ class Job(NamedTuple):
 class Lookups(NamedTuple):
     """The samples of a brick and its halo, and the taps of the field there."""
 
-    samples: npt.NDArray[np.int64]  # (n,)
-    strides: npt.NDArray[np.float32]  # (n,)   how many samples each stands for
-    starts: npt.NDArray[np.int64]  # (n + 1,)   the first tap of each
-    leaves: npt.NDArray[np.int32]  # (taps,)   rows of `cells`
-    weights: npt.NDArray[np.float32]  # (taps,)
-    cells: npt.NDArray[
-        np.int64
-    ]  # (m,)   numbers of the cells in reach: the brick's own, the halo's, the rest
+    samples: Int64s  # (n,)
+    strides: Float32s  # (n,)   how many samples each stands for
+    starts: Int64s  # (n + 1,)   the first tap of each
+    leaves: Int32s  # (taps,)   rows of `cells`
+    weights: Float32s  # (taps,)
+    cells: Int64s  # (m,)   numbers of the cells in reach: the brick's own, the halo's, the rest
     unknowns: int  # how many of them are solved for
 
 
 def fitted(
     tree: Octree,
     channels: Mapping[str, Channel],
-    chosen: npt.NDArray[np.bool_] | None = None,
+    chosen: Bools | None = None,
     *,
     samples: Samples,
     placement: Placement,
@@ -181,7 +179,7 @@ def _job(
 
 def _fit_bricks(
     job: Job, executor: Executor, progress: Progress
-) -> Iterator[tuple[tuple[int, int], list[npt.NDArray[np.generic]]]]:
+) -> Iterator[tuple[tuple[int, int], list[Array]]]:
     """Yield runs of leaves, and each channel's values of them, as stored."""
     cuts = _cuts(job.leaves.firsts, BRICK_SAMPLES, LEAF_SAMPLES)
     bricks = list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
@@ -190,7 +188,7 @@ def _fit_bricks(
 
 
 @kernel
-def _cuts(firsts: npt.NDArray[np.int64], brick: int, most: int) -> npt.NDArray[np.int64]:
+def _cuts(firsts: Int64s, brick: int, most: int) -> Int64s:
     """Cut leaves into runs of about ``brick`` samples, of which a leaf has ``most`` at most."""
     cuts = np.zeros(firsts.size + 1, np.int64)
     n_cuts = 1
@@ -226,7 +224,7 @@ def _groups(channels: Sequence[ChannelFormat]) -> list[Group]:
     return sorted(groups, key=lambda group: group.format.name != "alpha")
 
 
-def _fit_brick(job: Job, brick: tuple[int, int]) -> list[npt.NDArray[np.generic]]:
+def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
     """Fit a run of leaves; return each channel's values of them, as stored."""
     lookups = _look_up(job, *brick)
     samples, starts, leaves, weights = lookups.samples, lookups.starts, lookups.leaves, lookups.weights
@@ -304,23 +302,21 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
     )
 
 
-def _with_room(array: npt.NDArray[Any], used: int, room: int) -> npt.NDArray[Any]:
+def _with_room(array: Array, used: int, room: int) -> Array:
     """Return an array of ``room`` entries that begins with the first ``used`` of another."""
     larger = np.empty(room, array.dtype)
     larger[:used] = array[:used]
     return larger
 
 
-def _four(columns: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
+def _four(columns: Floats) -> Float32s:
     """Return up to three columns as float32 rows of four."""
     rows = np.zeros((len(columns), 4), np.float32)
     rows[:, : columns.shape[1]] = columns
     return rows
 
 
-def _values(
-    channels: Sequence[Channel], rows: npt.NDArray[np.int64], n_cells: int
-) -> npt.NDArray[np.float32]:
+def _values(channels: Sequence[Channel], rows: Int64s, n_cells: int) -> Float32s:
     """Return the decoded values (rows, components) of cells, and after them of kept coefficients."""
     kept = np.flatnonzero(rows >= n_cells)
     cells = np.minimum(rows, n_cells - 1) if kept.size else rows

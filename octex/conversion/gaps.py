@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Int64s, Uint8s
 from octex.channels import ALPHA, ONE, decode
-from octex.conversion.fill import Filled
+from octex.conversion.levels import CellLevels
 from octex.conversion.samples import Samples
 from octex.editing.averages import average
 from octex.editing.carried import carried
@@ -19,29 +19,27 @@ from octex.tree.edit import cull
 from octex.tree.octree import Octree, distinct
 from octex.tree.placement import Placement
 
-Int64s = npt.NDArray[np.int64]
-
 #: The alpha of what hardly weighs more than gaps: what they add to others is lost in float32's rounding.
 _TRANSPARENT = 2.0**-20
 
 
-class Covered(NamedTuple):
+class Remaining(NamedTuple):
     """What is left of a conversion."""
 
     tree: Octree
     channels: dict[str, Channel]
     samples: Samples | None
-    wanted: npt.NDArray[np.uint8] | None  # (finest cells,)
+    wanted: Uint8s | None  # (finest cells,)
     empty: int  # leaves that were left out
 
 
 def without_gaps(
     tree: Octree,
     channels: Mapping[str, Channel],
-    filled: Filled,
+    filled: CellLevels,
     placement: Placement,
-    coverage: Filled | None = None,
-) -> Covered:
+    coverage: CellLevels | None = None,
+) -> Remaining:
     """Leave out the leaves that are gaps alone, and the nodes without any others; see ``Source.has_gaps``.
 
     Those are they whose ``alpha`` is 0; or, where it says more than that, whose ``coverage`` is, the same
@@ -65,7 +63,7 @@ def without_gaps(
         wanted = None if wanted is None else wanted[cells]
     if samples is not None:
         samples = _with_bare_as_means(samples, channels)
-    return Covered(tree, dict(channels), samples, wanted, empty)
+    return Remaining(tree, dict(channels), samples, wanted, empty)
 
 
 def _average_transparent(

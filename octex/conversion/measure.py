@@ -12,15 +12,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int64s
 from octex.channels import ChannelFormat, linear_to_srgb
 from octex.editing.codes import SLOPE
 from octex.jit import inlined, kernel
-
-Float32s = npt.NDArray[np.float32]
-Float64s = npt.NDArray[np.float64]
-Int64s = npt.NDArray[np.int64]
 
 _LIGHT, _FRACTION, _DIRECTION = 0, 1, 2
 _KINDS = {"srgb": _LIGHT, "linear": _LIGHT, "data": _FRACTION, "direction": _DIRECTION}
@@ -29,7 +25,7 @@ _STEPS = 1024
 _CURVE = 255.0 * linear_to_srgb((np.arange(_STEPS + 2) / _STEPS) ** 2)
 
 
-class Columns(NamedTuple):
+class ErrorColumns(NamedTuple):
     """How the components of channels that stand side by side are measured."""
 
     kinds: Int64s  # (components,)
@@ -38,7 +34,7 @@ class Columns(NamedTuple):
     curve: Float64s
 
     @classmethod
-    def of(cls, channels: Sequence[ChannelFormat]) -> Columns:
+    def of(cls, channels: Sequence[ChannelFormat]) -> ErrorColumns:
         """List the components of channels."""
         kinds: list[int] = []
         vectors: list[int] = []
@@ -73,7 +69,7 @@ def _code_between(low: float, high: float, kind: int, curve: Float64s) -> float:
 
 
 @kernel
-def encoded(values: Float32s, columns: Columns) -> Float32s:
+def encoded(values: Float32s, columns: ErrorColumns) -> Float32s:
     """Return values (n, components) in codes (n, columns): the components, then those of unit vectors."""
     components = columns.kinds.size
     more = 0
@@ -98,7 +94,7 @@ def encoded(values: Float32s, columns: Columns) -> Float32s:
 
 
 @inlined
-def subtract(values: Float32s, columns: Columns, point: int, differences: Float64s) -> None:
+def subtract(values: Float32s, columns: ErrorColumns, point: int, differences: Float64s) -> None:
     """Write by how many codes a field is above the full tree's at a point, to a column of ``differences``.
 
     ``values`` (2, components, points) are those of both. ``differences`` (2 · components, points) are the
@@ -156,7 +152,7 @@ def are_near_between(differences: Float64s, count: int, most: float) -> bool:
 
 
 @inlined
-def all_near(bounds: Float32s, columns: Columns, most: float) -> bool:
+def all_near(bounds: Float32s, columns: ErrorColumns, most: float) -> bool:
     """Say whether all that lies between ``bounds`` (2, components) is ``most`` codes apart or less.
 
     Unit vectors are apart by 2·√3 times as much as vectors of half their length or more.

@@ -10,11 +10,11 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Float32s, Float64s, Int8s, Int64s, Uint16s
 from octex.channels import ChannelFormat, decode
 from octex.conversion.facings import HIDDEN
-from octex.conversion.measure import Columns, all_near, are_near, are_near_between, subtract
+from octex.conversion.measure import ErrorColumns, all_near, are_near, are_near_between, subtract
 from octex.conversion.prune import Pruned
 from octex.conversion.samples import MOST_POINTS, Samples, lay_out
 from octex.field.coefficients import (
@@ -33,11 +33,6 @@ from octex.texture.channel import Channel
 from octex.tree.layout import MAX_DEPTH
 from octex.tree.morton import decode as decode_cell
 
-Float32s = npt.NDArray[np.float32]
-Float64s = npt.NDArray[np.float64]
-Int64s = npt.NDArray[np.int64]
-Bools = npt.NDArray[np.bool_]
-
 #: A finest cell, and its level.
 Place: TypeAlias = tuple[int, int, int, int]
 _ZERO = np.float32(0)
@@ -53,7 +48,7 @@ class Decoded(NamedTuple):
 
     values: Float32s  # (cells, columns)   components, a one, zeros
     split_values: Float32s  # (rows, columns)
-    columns: Columns
+    columns: ErrorColumns
 
     @classmethod
     def of(cls, channels: Mapping[str, Channel], forms: Sequence[ChannelFormat]) -> Decoded:
@@ -65,7 +60,7 @@ class Decoded(NamedTuple):
             )
             for arrays in ([each.values for each in given], [each.split_values for each in given])
         )
-        return cls(values, split_values, Columns.of(forms))
+        return cls(values, split_values, ErrorColumns.of(forms))
 
     def pruned(self, pruned: Pruned) -> Coefficients:
         """Return the field of a tree with some nodes as leaves."""
@@ -92,8 +87,8 @@ class Places(NamedTuple):
     depth: int
     codes: Int64s
     firsts: Int64s
-    places: npt.NDArray[np.uint16]
-    normals: npt.NDArray[np.int8]
+    places: Uint16s
+    normals: Int8s
 
 
 class Scratch(NamedTuple):
@@ -118,7 +113,9 @@ def far_cells(
     """
     far = np.zeros(cells.size, np.bool_)
     places = Places(samples.depth, samples.codes, samples.firsts, samples.places, samples.normals)
-    _find_far((found, full), places, Columns.of(samples.channels), cells, are_bare[cells], float(most), far)
+    _find_far(
+        (found, full), places, ErrorColumns.of(samples.channels), cells, are_bare[cells], float(most), far
+    )
     return far
 
 
@@ -126,7 +123,7 @@ def far_cells(
 def _find_far(
     fields: tuple[Coefficients, Coefficients],
     samples: Places,
-    columns: Columns,
+    columns: ErrorColumns,
     cells: Int64s,
     are_bare: Bools,
     most: float,
@@ -155,7 +152,7 @@ def _is_far(
     walks: tuple[Walk, Walk],
     windows: Windows,
     samples: Places,
-    columns: Columns,
+    columns: ErrorColumns,
     scratch: Scratch,
     cell: int,
     is_bare: bool,
@@ -240,7 +237,7 @@ def _look_up(
 
 @inlined
 def _are_made_alike(
-    windows: Windows, level: int, full: int, columns: Columns, most: float, bounds: Float32s
+    windows: Windows, level: int, full: int, columns: ErrorColumns, most: float, bounds: Float32s
 ) -> bool:
     """Say whether all that the fields are made of in a cell is near: so are they, with any normal."""
     vectors = (columns.kinds.size + 4) // 4
@@ -254,7 +251,7 @@ def _are_made_alike(
 
 
 @inlined
-def _are_all_near(values: Float32s, columns: Columns, count: int, most: float, bounds: Float32s) -> bool:
+def _are_all_near(values: Float32s, columns: ErrorColumns, count: int, most: float, bounds: Float32s) -> bool:
     """Say whether differences at the points of a patch are so small that they are near between them, too.
 
     The Bézier coefficients are three times as large at most. Of all pairs of light that differ by as much,

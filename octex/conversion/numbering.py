@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Float32s, Int32s, Int64s
 from octex.conversion.samples import Samples
 from octex.field.taps import Taps
 from octex.jit import inlined, kernel
 from octex.tree.octree import Octree
-
-Int64s = npt.NDArray[np.int64]
 
 
 class Leaves(NamedTuple):
@@ -44,7 +42,7 @@ class Leaves(NamedTuple):
         starts = np.searchsorted(samples.codes, finest[order])
         return cls(in_order, ranks, 0, samples.firsts[np.append(starts, len(samples.codes))], none)
 
-    def some(self, chosen: npt.NDArray[np.bool_], n_cells: int) -> Leaves:
+    def some(self, chosen: Bools, n_cells: int) -> Leaves:
         """Put some leaves (leaves,) in order. The samples are then those of these leaves alone."""
         cells = self.numbers(0, len(self.firsts) - 1)[chosen]
         ranks = np.full(n_cells, -1, np.int64)
@@ -52,7 +50,7 @@ class Leaves(NamedTuple):
         firsts = np.append(0, np.cumsum(np.diff(self.firsts)[chosen]))
         return self._replace(cells=cells, ranks=ranks, offset=0, firsts=firsts)
 
-    def rows_of(self, tree: Octree, chosen: npt.NDArray[np.bool_]) -> Leaves:
+    def rows_of(self, tree: Octree, chosen: Bools) -> Leaves:
         """Put the rows of some leaves (leaves,), all split, in order: after all cells, by table.
 
         The samples are then those of these leaves alone.
@@ -97,7 +95,7 @@ class Leaves(NamedTuple):
 
 
 @kernel
-def members_of(firsts: Int64s, leaves: Int64s, most: int) -> tuple[Int64s, npt.NDArray[np.float32]]:
+def members_of(firsts: Int64s, leaves: Int64s, most: int) -> tuple[Int64s, Float32s]:
     """List the samples of leaves, about ``most`` of each evenly chosen; and how many each stands for."""
     total = 0
     for leaf in leaves:
@@ -120,7 +118,7 @@ class Outside(NamedTuple):
     """The rows that lookups touch outside a run of leaves, numbered as they come: a hash table."""
 
     keys: Int64s  # (2 · room,)   a power of two; −1: free
-    numbers: npt.NDArray[np.int32]  # (2 · room,)
+    numbers: Int32s  # (2 · room,)
     rows: Int64s  # (room,)   by number
     total: Int64s  # (1,)
 
@@ -177,8 +175,8 @@ def number(
     end: int,
     outside: Outside,
     ends: Int64s,
-    numbers: npt.NDArray[np.int32],
-    weights: npt.NDArray[np.float32],
+    numbers: Int32s,
+    weights: Float32s,
 ) -> int:
     """List the taps of points that weigh anything, with weights that sum to 1; return how many.
 

@@ -7,11 +7,11 @@ coefficients anywhere in a cell.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Int64s, Uint8s, Uint64s
 from octex.conversion.distances import Looked
 from octex.conversion.facings import HIDDEN
-from octex.conversion.measure import Columns, all_near
+from octex.conversion.measure import ErrorColumns, all_near
 from octex.conversion.nearness import BETWEEN, Places, full_facings
 from octex.conversion.samples import MOST_POINTS, Samples, lay_out
 from octex.field.bricks import (
@@ -35,11 +35,6 @@ from octex.texture.blend import stored
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.morton import decode as decode_cell
 
-Float32s = npt.NDArray[np.float32]
-Int64s = npt.NDArray[np.int64]
-Uint64s = npt.NDArray[np.uint64]
-Bytes = npt.NDArray[np.uint8]
-
 #: What is found out of cells: nothing, or that fields are near looked up without normals, or in any way.
 UNSURE, BARE, NEAR = 0, 1, 2
 #: Levels that a brick goes down.
@@ -50,7 +45,7 @@ _ROOT = 1 + 4 * (1 + 4)
 _MOST_COMPONENTS = 3
 
 
-def near_cells(found: Looked, full: Looked, samples: Samples, most: float, cells: Int64s) -> Bytes:
+def near_cells(found: Looked, full: Looked, samples: Samples, most: float, cells: Int64s) -> Uint8s:
     """Say in which finest cells (n,), which ascend, two fields are surely not far apart: see `far_cells`.
 
     Returns UNSURE, BARE or NEAR for each. Between points the difference of the values, decoded, is taken for
@@ -75,7 +70,7 @@ def near_cells(found: Looked, full: Looked, samples: Samples, most: float, cells
         ]
         bricks = new_bricks(), new_bricks()
         _find_near(
-            trees, (values[0], values[1]), bricks, places, Columns.of([form]), cells, float(most), near
+            trees, (values[0], values[1]), bricks, places, ErrorColumns.of([form]), cells, float(most), near
         )
     return near
 
@@ -178,10 +173,10 @@ def _find_near(
     values: tuple[Values, Values],
     bricks: tuple[Bricks, Bricks],
     samples: Places,
-    columns: Columns,
+    columns: ErrorColumns,
     cells: Int64s,
     most: float,
-    near: Bytes,
+    near: Uint8s,
 ) -> None:
     bottom = samples.depth - _STEPS  # the level of bricks
     kinds = np.zeros((2, CELLS), np.uint64)
@@ -289,7 +284,7 @@ def _weights(t: np.float32) -> tuple[np.float32, np.float32, np.float32]:
 
 
 @inlined
-def _are_near(values: Float32s, columns: Columns, count: int, most: float, bounds: Float32s) -> bool:
+def _are_near(values: Float32s, columns: ErrorColumns, count: int, most: float, bounds: Float32s) -> bool:
     """Say whether values (2, components, points) are ``most`` codes apart or less all over a patch.
 
     It is as in `are_near_between`, with the difference of the values themselves for the polynomial. Of all

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float64s, Int32s, Int64s, Uint8s
 from octex.conversion.cells import (
     BLOCK_BITS,
     BLOCK_CELLS,
@@ -33,20 +33,20 @@ from octex.tree.morton import decode
 class Blocks(NamedTuple):
     """Blocks of 32³ cells (or less, at the root) in Morton order, and the triangles that meet each."""
 
-    codes: npt.NDArray[np.int64]  # (blocks,)   Morton codes at the blocks' level
-    starts: npt.NDArray[np.int64]  # (blocks + 1,)   each block's first row of `members`
-    members: npt.NDArray[np.int32]  # (pairs,)   triangles, ascending within a block
+    codes: Int64s  # (blocks,)   Morton codes at the blocks' level
+    starts: Int64s  # (blocks + 1,)   each block's first row of `members`
+    members: Int32s  # (pairs,)   triangles, ascending within a block
 
 
 class Pieces(NamedTuple):
     """The pieces of a run of blocks, and the cells that they lie in."""
 
-    codes: npt.NDArray[np.int64]  # (cells,)   Morton codes, ascending
-    flags: npt.NDArray[np.uint8]  # (cells,)   normal flags; a cell has one entry for each, in the bits' order
-    entries: npt.NDArray[np.int32]  # (pieces,)   the entry of each piece
-    triangles: npt.NDArray[np.int32]  # (pieces,)
-    barycentric: npt.NDArray[np.float64]  # (pieces, 3)   of the piece's centroid
-    areas: npt.NDArray[np.float64]  # (pieces,)   in cell faces
+    codes: Int64s  # (cells,)   Morton codes, ascending
+    flags: Uint8s  # (cells,)   normal flags; a cell has one entry for each, in the bits' order
+    entries: Int32s  # (pieces,)   the entry of each piece
+    triangles: Int32s  # (pieces,)
+    barycentric: Float64s  # (pieces, 3)   of the piece's centroid
+    areas: Float64s  # (pieces,)   in cell faces
 
 
 @inlined
@@ -58,21 +58,19 @@ def _block_origin(code: int) -> tuple[int, int, int]:
 @inlined
 def _block_columns(
     axis: int,
-    corners: npt.NDArray[np.int64],
-    normal: npt.NDArray[np.int64],
+    corners: Int64s,
+    normal: Int64s,
     shift: int,
-    origin: npt.NDArray[np.int64],
-    sides: npt.NDArray[np.int64],
-    columns: npt.NDArray[np.int64],
+    origin: Int64s,
+    sides: Int64s,
+    columns: Int64s,
 ) -> int:
     u, v = (axis + 1) % 3, (axis + 2) % 3
     return columns_met(corners, normal, shift, origin[u], origin[v], origin[axis], sides, columns)
 
 
 @kernel
-def most_pieces(
-    grid: npt.NDArray[np.int32], triangles: npt.NDArray[np.int32], blocks: Blocks, depth: int
-) -> npt.NDArray[np.int64]:
+def most_pieces(grid: Int32s, triangles: Int32s, blocks: Blocks, depth: int) -> Int64s:
     """Bound from above how many cells of ``depth`` the triangles of each block can meet, by their boxes.
 
     It sizes the arrays of `cut` and cuts the work into parts.
@@ -100,13 +98,13 @@ def most_pieces(
 
 @kernel
 def _bin(
-    grid: npt.NDArray[np.int32],
-    triangles: npt.NDArray[np.int32],
+    grid: Int32s,
+    triangles: Int32s,
     blocks: Blocks,
     depth: int,
     most: int,
     most_in_block: int,
-    spread: npt.NDArray[np.int64],
+    spread: Int64s,
 ) -> Blocks:
     """Cut blocks into the blocks one step deeper; ``depth`` is the level of the new ones.
 
@@ -165,7 +163,7 @@ def _bin(
     return Blocks(codes[:n_blocks].copy(), starts[: n_blocks + 1].copy(), members[:n_members].copy())
 
 
-def bin_triangles(grid: npt.NDArray[np.int32], triangles: npt.NDArray[np.int32], depth: int) -> Blocks:
+def bin_triangles(grid: Int32s, triangles: Int32s, depth: int) -> Blocks:
     """List the blocks that hold the cells of ``depth``, each with the triangles that meet it.
 
     ``grid`` are vertices (n, 3) in steps of 2⁻³⁰ of the root's edge, ``triangles`` (m, 3) index them. The
@@ -190,15 +188,15 @@ def block_levels(depth: int) -> list[int]:
 
 @kernel
 def cut(
-    grid: npt.NDArray[np.int32],
-    triangles: npt.NDArray[np.int32],
+    grid: Int32s,
+    triangles: Int32s,
     blocks: Blocks,
     first_block: int,
     last_block: int,
     depth: int,
     most: int,
     keys_only: int,
-    spread: npt.NDArray[np.int64],
+    spread: Int64s,
 ) -> Pieces:
     """Cut the triangles of blocks ``first_block`` … ``last_block`` − 1 along the cells of ``depth``.
 

@@ -6,14 +6,14 @@ import json
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 import octex
+from octex.arrays import Uint8s
 from octex.channels import ALPHA, BASE_COLOR
 from octex.checks import as_choice, as_names
-from octex.conversion.accumulate import Columns, Sums
-from octex.conversion.fill import Filled, assemble, climb
-from octex.conversion.stored import Dtypes, stored_as
+from octex.conversion.accumulate import SumColumns, Sums
+from octex.conversion.formats import Dtypes, formats_as
+from octex.conversion.levels import CellLevels, assemble, climb
 from octex.nearest.boxes import order_of, rows_in
 from octex.parallel import Progress, silent
 from octex.source.cloud import PointCloud
@@ -53,7 +53,7 @@ def convert_points(
     for name in names or ():
         as_choice(name, [form.name for form in forms], "channel")
     forms = [form for form in forms if names is None or form.name in names]
-    stored = stored_as(forms, dtype, cloud.name)
+    stored = formats_as(forms, dtype, cloud.name)
     bounds = np.array([cloud.points.min(axis=0), cloud.points.max(axis=0)])
     if cell is not None:
         placement, depth = Placement.with_cell(bounds, cell)
@@ -63,10 +63,10 @@ def convert_points(
             extent = float((bounds[1] - bounds[0]).max())
             depth = int(np.clip(np.rint(np.log2(extent / width)), 0, _DEEPEST)) if 0 < width < np.inf else 0
         placement = Placement.around(bounds, depth)
-    columns = Columns.of(stored)
+    columns = SumColumns.of(stored)
     leaves = _leaves(cloud, placement, depth, [form.name for form in stored])
     levels, _ = climb(leaves, depth, stored, columns)
-    filled = Filled(depth, leaves.codes, [[level] for level in reversed(levels)], None, None, 0)
+    filled = CellLevels(depth, leaves.codes, [[level] for level in reversed(levels)], None, None, 0)
     tree, values = assemble(stored, filled)
     if cloud.normals is None:
         flags = tree.arrays.flags & np.uint8(0xFF ^ FACING_FLAGS)
@@ -107,5 +107,5 @@ def _leaves(cloud: PointCloud, placement: Placement, depth: int, names: Sequence
     rows = np.column_stack([rows[:, columns], areas])
     entries = np.flatnonzero((np.diff(codes, prepend=-1) != 0) | (np.diff(facings, prepend=-1) != 0))
     bits = (np.uint8(1) << facings.astype(np.uint8)).astype(np.uint8)
-    flags: npt.NDArray[np.uint8] = np.bitwise_or.reduceat(bits, starts)
+    flags: Uint8s = np.bitwise_or.reduceat(bits, starts)
     return Sums(codes[starts], flags, np.add.reduceat(rows, entries))

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Int64s, Uint8s
 from octex.jit import kernel
 from octex.texture.channel import Channel
 from octex.tree.layout import SPLIT
@@ -19,22 +19,20 @@ from octex.tree.octree import Octree
 from octex.tree.split import taken
 
 Channels: TypeAlias = Mapping[str, Channel]
-Bools: TypeAlias = npt.NDArray[np.bool_]
-Depths: TypeAlias = npt.NDArray[np.uint8]
 
 
 class Finest(NamedTuple):
     """The finest cells of a full tree, and which of them the cells above hold."""
 
     tree: Octree
-    codes: npt.NDArray[np.int64]  # (n,)   Morton codes, ascending
-    firsts: list[npt.NDArray[np.int64]]  # for each level above, the first finest cell in each of its cells
+    codes: Int64s  # (n,)   Morton codes, ascending
+    firsts: list[Int64s]  # for each level above, the first finest cell in each of its cells
 
     @classmethod
     def of(cls, tree: Octree) -> Finest:
         """List the finest cells below each cell of a tree whose leaves are all of one level."""
         codes = tree.level_codes(tree.max_depth)
-        firsts: list[npt.NDArray[np.int64]] = []
+        firsts: list[Int64s] = []
         above = codes
         for _ in range(tree.max_depth):
             above = above >> 3
@@ -43,7 +41,7 @@ class Finest(NamedTuple):
             firsts.append(firsts[-1][starts] if firsts else starts)
         return cls(tree, codes, firsts[::-1])
 
-    def first(self, level: int) -> npt.NDArray[np.int64] | slice:
+    def first(self, level: int) -> Int64s | slice:
         """Return what picks the first finest cell in each cell of a level."""
         return self.firsts[level] if level < self.tree.max_depth else slice(None)
 
@@ -56,18 +54,18 @@ class Pruned(NamedTuple):
     """A tree with some nodes as leaves, and where its cells were."""
 
     tree: Octree
-    cells: npt.NDArray[np.int64]  # (cells,)   their numbers in the full tree
+    cells: Int64s  # (cells,)   their numbers in the full tree
     leaves: Bools  # (cells,)
-    starts: npt.NDArray[np.int64]  # (leaves,)   the first finest cell of each leaf, in Morton order
+    starts: Int64s  # (leaves,)   the first finest cell of each leaf, in Morton order
     split_rows: Bools  # (rows of the full tree's split table,)   those that are left
     n_finest: int  # finest cells
 
     @property
-    def sizes(self) -> npt.NDArray[np.int64]:
+    def sizes(self) -> Int64s:
         """How many finest cells each leaf (leaves,) holds, in Morton order."""
         return np.diff(self.starts, append=self.n_finest)
 
-    def leaf_cells(self, depths: Depths) -> npt.NDArray[np.int64]:
+    def leaf_cells(self, depths: Uint8s) -> Int64s:
         """Return the cell number of each leaf (leaves,) in Morton order."""
         levels = depths[self.starts]
         cells = np.empty(self.starts.size, np.int64)
@@ -86,7 +84,7 @@ class Pruned(NamedTuple):
         }
 
 
-def prune(finest: Finest, depths: Depths) -> Pruned:
+def prune(finest: Finest, depths: Uint8s) -> Pruned:
     """Make leaves of the nodes at ``depths`` (n,) above the finest cells; flags and areas are taken over."""
     tree = finest.tree
     starts, codes = _leaves_of(finest.codes, depths, tree.max_depth)
@@ -126,9 +124,7 @@ def grafted(
 
 
 @kernel
-def _leaves_of(
-    codes: npt.NDArray[np.int64], depths: Depths, depth: int
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _leaves_of(codes: Int64s, depths: Uint8s, depth: int) -> tuple[Int64s, Int64s]:
     """Return the first finest cell of each leaf, and the leaf's Morton code at its own level."""
     starts = np.empty(codes.size, np.int64)
     leaves = np.empty(codes.size, np.int64)
@@ -144,7 +140,7 @@ def _leaves_of(
     return starts[:count].copy(), leaves[:count].copy()
 
 
-def limits_of(finest: Finest, wanted: Depths | None) -> Depths:
+def limits_of(finest: Finest, wanted: Uint8s | None) -> Uint8s:
     """Return the depth that each finest cell's leaf must not go below, for the depths wanted in them.
 
     A node becomes a leaf if no cell in it wants to go deeper.

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int8s, Int32s, Int64s, Uint8s, Uint16s
 from octex.channels import ChannelFormat
 from octex.conversion.pieces import Pieces
 from octex.jit import inlined, kernel, popcount
@@ -41,20 +42,20 @@ class Samples(NamedTuple):
 
     depth: int  # of the finest cells
     channels: tuple[ChannelFormat, ...]  # what the values' columns are, as they are stored
-    codes: npt.NDArray[np.int64]  # (cells,)   Morton codes, ascending
-    firsts: npt.NDArray[np.int64]  # (cells + 1,)   the first sample of each cell
-    places: npt.NDArray[np.uint16]  # (n, 3)   in the cell, (place + ½) / 65536 of its edge
-    normals: npt.NDArray[np.int8]  # (n, 3)   of the surface at rest, in 127ths
-    shares: npt.NDArray[np.uint8]  # (n,)   of the area in the cell, in 255ths
+    codes: Int64s  # (cells,)   Morton codes, ascending
+    firsts: Int64s  # (cells + 1,)   the first sample of each cell
+    places: Uint16s  # (n, 3)   in the cell, (place + ½) / 65536 of its edge
+    normals: Int8s  # (n, 3)   of the surface at rest, in 127ths
+    shares: Uint8s  # (n,)   of the area in the cell, in 255ths
     values: npt.NDArray[np.float16 | np.float32]  # (n, components)   linear light, −1 … 1 for directions
 
-    def rows(self, cells: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    def rows(self, cells: Int64s) -> Int64s:
         """Return the numbers of the samples of some cells, cell by cell."""
         counts = self.firsts[cells + 1] - self.firsts[cells]
         ends = np.cumsum(counts)
         return np.repeat(self.firsts[cells] - ends + counts, counts) + np.arange(counts.sum())
 
-    def of(self, cells: npt.NDArray[np.int64]) -> Samples:
+    def of(self, cells: Int64s) -> Samples:
         """Return the samples of some cells, in order."""
         rows = self.rows(cells)
         return self._replace(
@@ -70,19 +71,19 @@ class Samples(NamedTuple):
 class Taken(NamedTuple):
     """The samples of a run of blocks; ``counts`` (cells,) says how many each cell has."""
 
-    counts: npt.NDArray[np.uint8]
-    places: npt.NDArray[np.uint16]
-    normals: npt.NDArray[np.int8]
-    shares: npt.NDArray[np.uint8]
+    counts: Uint8s
+    places: Uint16s
+    normals: Int8s
+    shares: Uint8s
     values: npt.NDArray[np.float16 | np.float32]
 
 
 def take_samples(
     surface: Surface,
-    grid: npt.NDArray[np.int32],
+    grid: Int32s,
     pieces: Pieces,
-    widths: npt.NDArray[np.float32],
-    values: npt.NDArray[np.float32],
+    widths: Float32s,
+    values: Float32s,
     depth: int,
     cell: float,
     channels: Sequence[ChannelFormat],
@@ -121,7 +122,7 @@ def take_samples(
 def join(
     depth: int,
     channels: tuple[ChannelFormat, ...],
-    codes: npt.NDArray[np.int64],
+    codes: Int64s,
     taken: Sequence[Taken],
 ) -> Samples:
     """Lay the samples of all runs end to end."""
@@ -131,9 +132,7 @@ def join(
     return Samples(depth, channels, codes, firsts, places, normals, shares, values)
 
 
-def sample_points(
-    samples: Samples, chosen: npt.NDArray[np.int64], placement: Placement
-) -> npt.NDArray[np.float64]:
+def sample_points(samples: Samples, chosen: Int64s, placement: Placement) -> Float64s:
     """Return the rest positions (n, 3) of ``chosen`` samples; fastest if they ascend."""
     edge = placement.size / 2**samples.depth
     return _points(samples.codes, samples.firsts, samples.places, placement.origin, edge, chosen)
@@ -141,10 +140,10 @@ def sample_points(
 
 @inlined
 def lay_out(
-    places: npt.NDArray[np.uint16],
-    normals: npt.NDArray[np.int8],
+    places: Uint16s,
+    normals: Int8s,
     sample: int,
-    points: npt.NDArray[np.float32],
+    points: Float32s,
 ) -> int:
     """Write where a sample lies in its cell, 0 … 1, and points of the patch around it; return how many.
 
@@ -166,7 +165,7 @@ def lay_out(
 
 
 @inlined
-def _cut(x: float, y: float, z: float, points: npt.NDArray[np.float32]) -> int:
+def _cut(x: float, y: float, z: float, points: Float32s) -> int:
     """Write the corners of the polygon in which a plane cuts a cell, and return how many it has.
 
     The plane goes through the first of ``points``, which lies in the cell, and has the normal x, y, z. The
@@ -200,13 +199,13 @@ def _cut(x: float, y: float, z: float, points: npt.NDArray[np.float32]) -> int:
 
 @kernel
 def _points(
-    codes: npt.NDArray[np.int64],
-    firsts: npt.NDArray[np.int64],
-    places: npt.NDArray[np.uint16],
+    codes: Int64s,
+    firsts: Int64s,
+    places: Uint16s,
     origin: Origin,
     edge: float,
-    chosen: npt.NDArray[np.int64],
-) -> npt.NDArray[np.float64]:
+    chosen: Int64s,
+) -> Float64s:
     points = np.empty((chosen.size, 3), np.float64)
     step = 1.0 / PLACE_STEPS
     cell = np.int64(0)
@@ -224,7 +223,7 @@ def _points(
 
 
 @inlined
-def _last_not_above(firsts: npt.NDArray[np.int64], sample: np.int64) -> np.int64:
+def _last_not_above(firsts: Int64s, sample: np.int64) -> np.int64:
     """Return the place of the last of ascending numbers that is not above another."""
     low, high = 0, firsts.size  # numpy's search compiles for half a second
     while low < high:
@@ -237,9 +236,7 @@ def _last_not_above(firsts: npt.NDArray[np.int64], sample: np.int64) -> np.int64
 
 
 @kernel
-def _largest(
-    flags: npt.NDArray[np.uint8], entries: npt.NDArray[np.int32], areas: npt.NDArray[np.float64]
-) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int32], npt.NDArray[np.int64], npt.NDArray[np.uint8]]:
+def _largest(flags: Uint8s, entries: Int32s, areas: Float64s) -> tuple[Uint8s, Int32s, Int64s, Uint8s]:
     """Choose the largest piece of each entry, and the next if it is not much smaller.
 
     Returns how many samples each cell has; the chosen pieces' samples and numbers, in the pieces' order; and
@@ -302,7 +299,7 @@ def _largest(
 @kernel
 def _reorder(
     rows: npt.NDArray[np.uint8 | np.uint16 | np.uint32],
-    order: npt.NDArray[np.int32],
+    order: Int32s,
     found: npt.NDArray[np.uint8 | np.uint16 | np.uint32],
 ) -> None:
     """Write row i to row order[i]."""
@@ -312,9 +309,7 @@ def _reorder(
 
 
 @kernel
-def face_normals(
-    grid: npt.NDArray[np.int32], corners: npt.NDArray[np.int32], triangles: npt.NDArray[np.int32]
-) -> npt.NDArray[np.int8]:
+def face_normals(grid: Int32s, corners: Int32s, triangles: Int32s) -> Int8s:
     """Return the unit normals (n, 3) of triangles (n,), in 127ths."""
     normals = np.zeros((triangles.size, 3), np.int8)
     edges = np.empty((2, 3), np.float64)
@@ -343,15 +338,15 @@ def _step(position: float, cell: int) -> int:
 
 @kernel
 def _place(
-    grid: npt.NDArray[np.int32],
-    corners: npt.NDArray[np.int32],
-    triangles: npt.NDArray[np.int32],
-    barycentric: npt.NDArray[np.float64],
-    order: npt.NDArray[np.int32],
-    codes: npt.NDArray[np.int64],
-    counts: npt.NDArray[np.uint8],
+    grid: Int32s,
+    corners: Int32s,
+    triangles: Int32s,
+    barycentric: Float64s,
+    order: Int32s,
+    codes: Int64s,
+    counts: Uint8s,
     depth: int,
-    places: npt.NDArray[np.uint16],
+    places: Uint16s,
 ) -> None:
     """Write where points of triangles lie in their cells; point i is sample order[i]."""
     cells = np.empty(order.size, np.int32)

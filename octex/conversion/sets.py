@@ -14,8 +14,8 @@ from octex.channels import encode
 from octex.checks import as_entries, as_names, as_path, is_path
 from octex.conversion.convert import as_fineness, convert, placed, surface_of
 from octex.conversion.detail import DetailFunction, channel_of
-from octex.conversion.fill import is_degenerate
-from octex.conversion.stored import Dtypes, stored_as
+from octex.conversion.formats import Dtypes, formats_as
+from octex.conversion.levels import is_degenerate
 from octex.errors import ArgumentError, ModelError
 from octex.parallel import Progress, as_progress, workers
 from octex.source.base import by_channel
@@ -129,7 +129,7 @@ def _single_cell(
     found = surface.evaluate_all(np.arange(count, dtype=np.int32), thirds, np.zeros(count, np.float32))
     means = by_channel(surface.channels, found.mean(axis=0, keepdims=True))
     made = {}
-    for form in stored_as(surface.channels, dtype, surface.name):
+    for form in formats_as(surface.channels, dtype, surface.name):
         values = encode(means[form.name], form.dtype, form.space)
         made[form.name] = Channel(form, values, values[:0], values[:0])
     return OctreeTexture(Octree.from_leaves([0], 0), made, placement, surface.bounds, surface.provenance)

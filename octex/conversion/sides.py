@@ -14,8 +14,8 @@ from functools import partial
 from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools
 from octex.conversion.facings import has_opposite, kinds_around
 from octex.conversion.fit import fitted, fitted_rows
 from octex.conversion.numbering import Leaves
@@ -28,8 +28,6 @@ from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 
-Bools = npt.NDArray[np.bool_]
-Int64s = npt.NDArray[np.int64]
 Channels: TypeAlias = Mapping[str, Channel]
 #: Fits the leaves of a tree whose values are means; or some of them (leaves,), beside others' fitted values.
 Fit: TypeAlias = Callable[[Octree, Channels, Bools | None], Channels]

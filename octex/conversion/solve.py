@@ -12,8 +12,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Float32s, Int32s, Int64s, Uint8s
 from octex.channels import ColorSpace, decode_table
 from octex.jit import add_to_rows, inlined, kernel, weighted_rows
 
@@ -29,25 +29,21 @@ _SAME = np.float32(2.0**-10)
 _BINS = 4096
 _ZERO = np.float32(0)
 
-Floats = npt.NDArray[np.float32]
-Int32s = npt.NDArray[np.int32]
-Int64s = npt.NDArray[np.int64]
-
 
 class Equations(NamedTuple):
     """Which samples each unknown leaf weighs in, and how much."""
 
     starts: Int64s  # (unknowns + 1,)
     samples: Int32s
-    weights: Floats
+    weights: Float32s
 
 
 class Codes(NamedTuple):
     """The stored numbers that values go to in the last sweeps."""
 
-    values: Floats  # (256,)   decoded, rising; none: values are not rounded
-    middles: Floats  # (256,)   between each and the next, infinity at the end
-    guesses: npt.NDArray[np.uint8]  # (bins + 1,)   the first of at most two codes in each bin of the range
+    values: Float32s  # (256,)   decoded, rising; none: values are not rounded
+    middles: Float32s  # (256,)   between each and the next, infinity at the end
+    guesses: Uint8s  # (bins + 1,)   the first of at most two codes in each bin of the range
 
     @classmethod
     def of_bytes(cls, space: ColorSpace) -> Codes:
@@ -64,7 +60,7 @@ class Codes(NamedTuple):
 
 
 @kernel
-def transpose(starts: Int64s, leaves: Int32s, weights: Floats, unknowns: int) -> Equations:
+def transpose(starts: Int64s, leaves: Int32s, weights: Float32s, unknowns: int) -> Equations:
     """List by unknown what ``starts`` lists by sample, without small weights and leaves not solved for."""
     kept_leaves = np.empty(leaves.size, np.int32)
     kept_samples = np.empty(leaves.size, np.int32)
@@ -108,13 +104,13 @@ def _curve(target: np.float32, found: np.float32) -> np.float32:
 def residuals(
     starts: Int64s,
     leaves: Int32s,
-    weights: Floats,
-    values: Floats,
-    targets: Floats,
-    shares: Floats,
+    weights: Float32s,
+    values: Float32s,
+    targets: Float32s,
+    shares: Float32s,
     components: int,
     is_light: int,
-) -> Floats:
+) -> Float32s:
     """Return (samples, 4): the weighted residuals of up to three components, and the weight.
 
     ``values`` (leaves, 4) and ``targets`` (samples, 4) have zeros where there is no component. The weight is
@@ -140,7 +136,7 @@ def residuals(
 
 
 @kernel
-def diagonal(equations: Equations, rows: Floats, targets: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
+def diagonal(equations: Equations, rows: Float32s, targets: Float32s) -> tuple[Float32s, Bools]:
     """Return dᵢ of each unknown, and whether all its samples have one value."""
     starts, samples, weights = equations
     sums = np.empty(starts.size - 1, np.float32)
@@ -166,7 +162,7 @@ def diagonal(equations: Equations, rows: Floats, targets: Floats) -> tuple[Float
 
 
 @kernel
-def approach(equations: Equations, rows: Floats, values: Floats) -> None:
+def approach(equations: Equations, rows: Float32s, values: Float32s) -> None:
     """Move each unknown's ``values`` (leaves, 4) by the mean of what its samples miss.
 
     Means are stored rounded. Sweeps that start with a share of that error in every leaf overshoot in the
@@ -196,16 +192,16 @@ def _rounded(
 @kernel
 def sweep(
     equations: Equations,
-    rows: Floats,
-    sums: Floats,
-    is_flat: npt.NDArray[np.bool_],
-    means: Floats,
+    rows: Float32s,
+    sums: Float32s,
+    is_flat: Bools,
+    means: Float32s,
     components: int,
     low: float,
     high: float,
     codes: Codes,
     is_backward: int,
-    values: Floats,
+    values: Float32s,
 ) -> None:
     """Improve each unknown's ``values`` (leaves, 4) in turn, and ``rows`` with them.
 
@@ -247,7 +243,7 @@ def sweep(
 
 
 @kernel
-def covered(starts: Int64s, leaves: Int32s, weights: Floats, coverage: Floats) -> Floats:
+def covered(starts: Int64s, leaves: Int32s, weights: Float32s, coverage: Float32s) -> Float32s:
     """Return the weights multiplied by the leaves' coverage, each sample's sum made 1 again.
 
     Samples without coverage keep theirs.

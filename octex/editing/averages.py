@@ -11,11 +11,11 @@ The rows of a split node are averages likewise, of what its children show the sa
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Array, Bools, ChannelValues, Float32s, Float64s, Floats, Int64s, Uint8s
 from octex.channels import (
     ALPHA,
     CHANNELS,
@@ -35,14 +35,6 @@ from octex.tree.areas import AREAS, area_codes
 from octex.tree.edit import children_of
 from octex.tree.octree import Octree
 from octex.tree.split import Rows, counts_of, find_rows, rows_of
-
-Array = npt.NDArray[np.generic]
-Bools = npt.NDArray[np.bool_]
-Int64s = npt.NDArray[np.int64]
-Uint8s = npt.NDArray[np.uint8]
-Float32s = npt.NDArray[np.float32]
-Floats = npt.NDArray[np.floating[Any]]
-Float64s = npt.NDArray[np.float64]
 
 #: What values of floats may be, light that is nowhere brighter than white; integers are clamped as they are
 #: stored.
@@ -212,7 +204,7 @@ def child_means(
     stored = values[children]
     is_coded = stored.dtype.kind == "u"
     is_plain = is_coded or (stored.dtype == np.float32 and space != "srgb")
-    codes: npt.NDArray[Any] = stored if is_plain else decode(stored, space)
+    codes: Array = stored if is_plain else decode(stored, space)
     table = decode_table(stored.dtype.name, space) if is_coded else NO_TABLE
     weights = np.empty(0, np.float32) if alpha is None else coverage(alpha[children])
     _means(starts, counts, tree.arrays.areas[children], AREAS, weights, codes, table, means)
@@ -223,10 +215,10 @@ def child_means(
 def _means(
     starts: Int64s,
     counts: Int64s,
-    areas: npt.NDArray[np.uint8],
+    areas: Uint8s,
     shares: Float64s,
     weights: Float32s,
-    codes: npt.NDArray[np.uint8 | np.uint16 | np.float32],
+    codes: ChannelValues,
     table: Float32s,
     means: Float64s,
 ) -> None:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Array
 from octex.texture import Channel, OctreeTexture
 from octex.tree.edit import Edited
 
 
 def carried(
-    texture: OctreeTexture, edited: Edited, values: Mapping[str, npt.NDArray[Any]] | None = None
+    texture: OctreeTexture, edited: Edited, values: Mapping[str, Array] | None = None
 ) -> dict[str, Channel]:
     """Return the channels of a texture for the cells, rows and kept nodes of an edited tree.
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Array, Bools, Floats
 from octex.channels import ONE, ChannelFormat, linear_to_srgb
-
-Array = npt.NDArray[np.generic]
 
 #: Difference, in 8-bit codes, from which on a facing's value is stored for itself.
 MOST = 1.0
@@ -15,7 +13,7 @@ MOST = 1.0
 SLOPE = 255.0 * 1.055 / 2.4
 
 
-def in_codes(stored: Array, form: ChannelFormat) -> npt.NDArray[np.floating]:
+def in_codes(stored: Array, form: ChannelFormat) -> Floats:
     """Return stored values on the scale of 8-bit codes: light on sRGB's curve, a logarithm from 1 on."""
     if form.space == "linear" and form.dtype.startswith("float"):
         light = stored.astype(np.float64)
@@ -26,7 +24,7 @@ def in_codes(stored: Array, form: ChannelFormat) -> npt.NDArray[np.floating]:
     return stored.astype(np.float32) * np.float32(scale)
 
 
-def differ(form: ChannelFormat, rows: Array, cells: Array) -> npt.NDArray[np.bool_]:
+def differ(form: ChannelFormat, rows: Array, cells: Array) -> Bools:
     """Say which facings' values (n, components), as stored, are to be told from those of their cells (n,)."""
     apart = np.abs(in_codes(rows, form) - in_codes(cells, form)) > MOST
     return np.asarray(apart.any(axis=1))

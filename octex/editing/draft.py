@@ -12,11 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s
 from octex.channels import ALPHA, ONE
 from octex.errors import ArgumentError
 from octex.texture import Channel, OctreeTexture
@@ -24,11 +24,6 @@ from octex.tree.edit import among, boundary, locate, with_all_above
 from octex.tree.layout import KEPT, KeptTable, SplitTable, TreeArrays
 from octex.tree.octree import Octree, distinct, rank
 from octex.tree.split import counts_of
-
-Array = npt.NDArray[Any]
-Bools = npt.NDArray[np.bool_]
-Int64s = npt.NDArray[np.int64]
-Uint8s = npt.NDArray[np.uint8]
 
 #: A tile is 2³ times as wide as the largest leaves, kept nodes and edited cells in the open tiles: an edit
 #: reads less than that around what it edits.
@@ -386,7 +381,7 @@ def _joined(
     return OctreeTexture(tree, channels, top.placement, top.bounds, top.metadata)
 
 
-def _parents_of(masks: npt.NDArray[np.uint8], arrays: TreeArrays, level: int) -> tuple[Int64s, Uint8s]:
+def _parents_of(masks: Uint8s, arrays: TreeArrays, level: int) -> tuple[Int64s, Uint8s]:
     """Return the node above each cell of a level, and the cell's octant."""
     above = slice(*arrays.level_nodes[level - 1 : level + 1].tolist())
     children = np.unpackbits((masks[0, above] | masks[1, above])[:, None], axis=1, bitorder="little")
@@ -394,7 +389,7 @@ def _parents_of(masks: npt.NDArray[np.uint8], arrays: TreeArrays, level: int) ->
     return nodes + above.start, octants.astype(np.uint8)
 
 
-def _split_runs(trees: Sequence[Octree], cells: Runs) -> tuple[npt.NDArray[np.uint32], Runs, Runs]:
+def _split_runs(trees: Sequence[Octree], cells: Runs) -> tuple[Uint32s, Runs, Runs]:
     """Return the split cells among runs of cells, by new numbers, and the runs of them and of their rows."""
     found, runs = _listed([tree.split.cells for tree in trees], cells)
     ends = [
@@ -407,7 +402,7 @@ def _split_runs(trees: Sequence[Octree], cells: Runs) -> tuple[npt.NDArray[np.ui
     return found, runs, rows
 
 
-def _listed(tables: Sequence[npt.NDArray[np.uint32]], cells: Runs) -> tuple[npt.NDArray[np.uint32], Runs]:
+def _listed(tables: Sequence[Uint32s], cells: Runs) -> tuple[Uint32s, Runs]:
     """Return which of runs of cells tables list, by their new numbers, and the runs of the tables."""
     owners, begins, ends = (np.array(column, np.int64) for column in cells)
     counts = ends - begins

@@ -7,16 +7,13 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Int64s
 from octex.jit import kernel, popcount
 from octex.tree.edit import children_of, locate
 from octex.tree.layout import TreeArrays
 from octex.tree.octree import Octree
 from octex.tree.split import Rows, rows_of
-
-Bools = npt.NDArray[np.bool_]
-Int64s = npt.NDArray[np.int64]
 
 
 class Nodes(NamedTuple):

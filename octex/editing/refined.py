@@ -8,8 +8,8 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Float32s, Int64s, Uint8s, Uint32s
 from octex.channels import ALPHA, decode, encode
 from octex.editing.codes import differ
 from octex.editing.split import with_split
@@ -19,13 +19,6 @@ from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
 from octex.tree.octree import Octree
 from octex.tree.split import bits_of, counts_of, find_rows
-
-Array = npt.NDArray[np.generic]
-Bools = npt.NDArray[np.bool_]
-Int64s = npt.NDArray[np.int64]
-Uint8s = npt.NDArray[np.uint8]
-Uint32s = npt.NDArray[np.uint32]
-Float32s = npt.NDArray[np.float32]
 
 #: Cells that are refined at once.
 _BLOCK = 1 << 14

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Array, Bools, Float32s, Int64s, Uint8s
 from octex.channels import decode
 from octex.editing.codes import differ
 from octex.texture import Channel, OctreeTexture
@@ -15,15 +14,8 @@ from octex.tree.edit import among, facings_of_nodes
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.split import find_rows, inserted, rows_of, taken
 
-Array = npt.NDArray[Any]
-Bools = npt.NDArray[np.bool_]
-Int64s = npt.NDArray[np.int64]
-Uint8s = npt.NDArray[np.uint8]
 
-
-def rows_facing(
-    texture: OctreeTexture, channel: Channel, cells: Int64s, bits: Uint8s
-) -> npt.NDArray[np.float32]:
+def rows_facing(texture: OctreeTexture, channel: Channel, cells: Int64s, bits: Uint8s) -> Float32s:
     """Decode what cells (n,) show facings (n,): a split cell's row, or the cell's value."""
     there, rows = find_rows(texture.tree.split, cells, bits)
     return decode(_stored_facing(channel, cells, there, rows), channel.format.space)

@@ -4,11 +4,11 @@ A lookup goes through this room from left to right, a block of points at a time;
 
     lookups        sources                  stages                    sinks
     what is asked  which cells, and how     areas, facings, what      blend channels,
-    of points      much each weighs         mixes, alpha (`stages`,   add levels up,
-                                            `sinks.cover`)            list taps
+    of points      much each weighs         mixes (`stages`), alpha   add levels up,
+                                            (`sinks`)                 list taps
 
     footprints     field: chooses by tree; off the surface it goes to coarser levels
-    looks at       ├── tiles · blocks · linear · spline    where all leaves have one depth
+    probe          ├── tiles · blocks · linear · spline    where all leaves have one depth
     several        ├── windows · refinement · neighborhood the walk: any tree, kept coefficients
     levels         └── order · bricks · crowded            many points at once where the walk would answer:
                                                            source and sink in one

@@ -10,16 +10,14 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Int64s, Uint8s
 from octex.field.tiles import Integer, Tiles, tile_row
 from octex.jit import inlined, kernel, prefetch, trailing_zeros
 
 #: Points placed at once: enough that all can wait for memory together, few enough to stay in the first cache.
 GROUP = 64
 
-Int64s = npt.NDArray[np.int64]
-Bytes = npt.NDArray[np.uint8]
 
 _AXIS_BITS = 20  # of a tile's coordinate plus one, in a key
 
@@ -28,7 +26,7 @@ class Near(NamedTuple):
     """The tiles around each point of a group. Octants are counted over all tiles."""
 
     keys: Int64s  # (GROUP,)   the tile of the lowest cell that is read, see `tile_key`
-    reached: Bytes  # (GROUP,)   whether cells of the next tile are read too: a bit for each axis
+    reached: Uint8s  # (GROUP,)   whether cells of the next tile are read too: a bit for each axis
     slots: Int64s  # (GROUP,)   where `octants` of the point begin
     octants: Int64s  # (8 · (GROUP + 1),)   the first of each of 2×2×2 tiles, as far as they are reached
     latest: Int64s  # (3,)   the latest key, its slot, and which of its tiles are known

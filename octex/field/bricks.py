@@ -17,17 +17,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, ChannelValues, Float32s, Floats, Int64s, Uint32s
 from octex.field.sinks import Codes
-from octex.field.taps import Float32s, Int64s, Uint32s
 from octex.jit import decoded, inlined, popcount, prefetch, refine_rows, trailing_zeros
 from octex.tree.layout import KEPT, MAX_DEPTH, TreeArrays
 from octex.tree.octree import Octree
-
-Bools = npt.NDArray[np.bool_]
-Rows = npt.NDArray[np.uint8 | np.uint16 | np.float32]
-Table = npt.NDArray[np.float32 | np.float64]
 
 # Where blocks lie in `Bricks.rows`, in cells: first a 4³ for each level, then those of the brick.
 AT_SIX = 64 * (MAX_DEPTH + 2)
@@ -107,7 +102,9 @@ def new_bricks() -> Bricks:
 
 
 @inlined
-def _four(stored: Rows, table: Table, row: int) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+def _four(
+    stored: ChannelValues, table: Floats, row: int
+) -> tuple[np.float32, np.float32, np.float32, np.float32]:
     """Return the decoded components of a row, and zeros after them."""
     components = stored.shape[1]
     at = np.uint64(row)
@@ -181,7 +178,7 @@ def _child_place(x: int, y: int, z: int, octant: int, side: int) -> int:
 
 
 @inlined
-def list_children(tree: Tree, values: Rows, bricks: Bricks, step: int, side: int) -> bool:
+def list_children(tree: Tree, values: ChannelValues, bricks: Bricks, step: int, side: int) -> bool:
     """List the coefficients below the nodes of a block, and which children of these are nodes.
 
     Returns False if there is any such after the last step.
@@ -246,7 +243,7 @@ def list_children(tree: Tree, values: Rows, bricks: Bricks, step: int, side: int
 
 
 @inlined
-def look_below(tree: Tree, values: Rows, bricks: Bricks) -> int:
+def look_below(tree: Tree, values: ChannelValues, bricks: Bricks) -> int:
     """List what is in the blocks of a brick; return the first without nodes, or −1 if none is."""
     for step in range(1, 4):
         if bricks.n_inner[step - 1] == 0:

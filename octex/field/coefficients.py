@@ -11,16 +11,13 @@ from __future__ import annotations
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Float32s, Uint32s, Uint64s
 from octex.field.splines import QUADRATIC, quadratic_weights
 from octex.field.stages import View, face_cell
 from octex.field.windows import BEGIN, CONTENT, INSIDE, UPPER, Walk, cell_at, follow, place_of
 from octex.jit import inlined, kernel, popcount, spline_rows, trailing_zeros
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT, TreeArrays
-
-Float32s = npt.NDArray[np.float32]
-Uint32s = npt.NDArray[np.uint32]
 
 Four: TypeAlias = tuple[np.float32, np.float32, np.float32, np.float32]
 
@@ -47,8 +44,8 @@ class Windows(NamedTuple):
     """What is known of the windows around the latest point, of several fields of as many vectors a row."""
 
     rows: Float32s  # (fields · vectors · levels · places, 4)   coefficients; zeros where there is none
-    known: npt.NDArray[np.bool_]  # (fields, levels)   whether the level's coefficients are written
-    kinds: npt.NDArray[np.uint64]  # (fields, levels)   the kinds of cells that they are made of
+    known: Bools  # (fields, levels)   whether the level's coefficients are written
+    kinds: Uint64s  # (fields, levels)   the kinds of cells that they are made of
     #: (fields · levels · vectors, 2, 4)   the least and the largest of what these cells hold
     ranges: Float32s
 

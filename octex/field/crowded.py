@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int32s
 from octex.field.bricks import (
     AT_SIX,
     AT_TEN,
@@ -29,7 +29,7 @@ from octex.field.bricks import (
 from octex.field.order import AHEAD, Order, cell_of, end_of_cell, sort_by_digit
 from octex.field.refinement import change_level, leave_refined, weigh
 from octex.field.splines import QUADRATIC, quadratic_weights
-from octex.field.taps import LEAST, Float32s, Float64s
+from octex.field.taps import LEAST
 from octex.field.tiles import Integer
 from octex.field.windows import (
     BEGIN,
@@ -47,8 +47,6 @@ from octex.field.windows import (
 from octex.jit import fused_kernel, inlined, prefetch, trailing_zeros, weighted_cube
 from octex.tree.layout import MAX_DEPTH
 from octex.tree.search import UNITS
-
-Int32s = npt.NDArray[np.int32]
 
 #: Points in a cell for which a brick is not worth its while.
 _FEW = 8

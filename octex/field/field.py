@@ -9,26 +9,14 @@ from typing import NamedTuple
 from weakref import ref
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, Uint32s
 from octex.field.bricks import Tree
 from octex.field.neighborhood import MOST_TAPS, Walk, new_walk, walked_taps
 from octex.field.sinks import list_taps
 from octex.field.splines import FILTERS, LINEAR, NEAREST, QUADRATIC
 from octex.field.stages import MOST_ROWS, Facings, face, facings_of
-from octex.field.taps import (
-    BLOCK,
-    MOST_TILED,
-    OFF,
-    Ahead,
-    Float32s,
-    Float64s,
-    Int64s,
-    Memory,
-    Points,
-    Taps,
-    place_points,
-)
+from octex.field.taps import BLOCK, MOST_TILED, OFF, Ahead, Taps, place_points
 from octex.field.tiled import Search, tiled_taps
 from octex.field.tiles import Tiles, build_tiles, can_be_tiled, marked, painted_depth
 from octex.parallel import built_once
@@ -39,7 +27,7 @@ from octex.tree.search import nearest_cells
 #: Taps of a point that a walk is given room for at first.
 _WALKED = 24
 _NONE = np.empty(0, np.uint8)
-_NOTHING: Memory = np.empty((1, 1), np.uint8)
+_NOTHING: Uint8s = np.empty((1, 1), np.uint8)
 
 
 class Listed(NamedTuple):
@@ -49,8 +37,8 @@ class Listed(NamedTuple):
     the kept table.
     """
 
-    starts: npt.NDArray[np.int64]  # (points + 1,)   a point's taps are those from its start to the next one's
-    rows: npt.NDArray[np.uint32]  # (taps,)
+    starts: Int64s  # (points + 1,)   a point's taps are those from its start to the next one's
+    rows: Uint32s  # (taps,)
     weights: Float32s  # (taps,)   none negative, 1 in sum for each point
     slopes: Float32s  # (taps, 3)   derivatives of the weights by rest position; (0, 3) if they are not wanted
     covers: Float32s  # (points,)   how much of the spline's weight falls on leaves; 0 off the surface
@@ -74,7 +62,7 @@ class Field:
         )  # of a level, the field that it is of; it keeps its levels, not they it
         self._lock = RLock()
         self._levels: dict[int, Field] = {}
-        self._areas: dict[int, npt.NDArray[np.uint8]] = {}
+        self._areas: dict[int, Uint8s] = {}
         #: How leaves are searched without normals, by filter and by how many tiles were searched before: made
         #: once, which is a part of a lookup of one point.
         self.plain_searches: dict[tuple[int, int], Search] = {}
@@ -92,7 +80,7 @@ class Field:
                 root._levels[level] = Field(self.tree.truncated(level), root)
             return root._levels[level]
 
-    def areas_of_averages(self, level: int) -> npt.NDArray[np.uint8]:
+    def areas_of_averages(self, level: int) -> Uint8s:
         """Return the codes of the areas of nodes down to a level (cells,), 0 for leaves: not known."""
         with self._lock:
             if level not in self._areas:
@@ -154,7 +142,7 @@ class Field:
         self.mixed  # noqa: B018
 
     def taps(
-        self, points: Points, placement: Placement, filter: str = "quadratic", *, gradient: bool = False
+        self, points: Floats, placement: Placement, filter: str = "quadratic", *, gradient: bool = False
     ) -> Listed:
         """List the taps of rest positions (n, 3), with their slopes if ``gradient``.
 
@@ -175,7 +163,7 @@ class Field:
 
     def batches(
         self,
-        points: Points,
+        points: Floats,
         placement: Placement,
         filter: str = "quadratic",
         *,
@@ -197,7 +185,7 @@ class Field:
 
     def runs(
         self,
-        points: Points,
+        points: Floats,
         placement: Placement,
         filter: str = "quadratic",
         *,
@@ -250,7 +238,7 @@ class Finder:
         self._taps: Taps | None = None
         self._all = self._next = self._empty = self._rim = np.empty(0, np.int64)
 
-    def find(self, places: Float64s, rows: Memory = _NOTHING) -> Taps:
+    def find(self, places: Float64s, rows: Uint8s = _NOTHING) -> Taps:
         """Return the taps of points (n, 3), at most BLOCK; valid until the next are found.
 
         ``rows`` are what will be read of the cells next: they are asked for.

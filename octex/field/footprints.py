@@ -13,17 +13,11 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s
 from octex.field.splines import LINEAR
-from octex.field.taps import Points
 from octex.jit import inlined, kernel
 from octex.tree.layout import MAX_DEPTH
-
-Float64s = npt.NDArray[np.float64]
-Float32s = npt.NDArray[np.float32]
-Int64s = npt.NDArray[np.int64]
-Int32s = npt.NDArray[np.int32]
 
 #: Looks made at once: few enough to stay in the processor's cache.
 _ROOM = 1 << 15
@@ -58,16 +52,16 @@ class Footprints(NamedTuple):
         return Footprints(widths, lengths, along, across, self.sharpness)
 
 
-class Looks(NamedTuple):
+class Probes(NamedTuple):
     """Looks at one level."""
 
-    points: Points  # (m, 3)
+    points: Floats  # (m, 3)
     owners: Int32s  # (m,)   whose looks these are
     shares: Float32s  # (m,)   1 in sum for each owner, over all levels
 
-    def of(self, rows: Int64s) -> Looks:
+    def of(self, rows: Int64s) -> Probes:
         """Return some of them."""
-        return Looks(self.points[rows], self.owners[rows], self.shares[rows])
+        return Probes(self.points[rows], self.owners[rows], self.shares[rows])
 
 
 def round_footprints(widths: Float64s, sharpness: float) -> Footprints:
@@ -76,7 +70,7 @@ def round_footprints(widths: Float64s, sharpness: float) -> Footprints:
 
 
 def long_footprints(
-    dPdx: Points, dPdy: Points, blur: float, anisotropy: float, sharpness: float
+    dPdx: Floats, dPdy: Floats, blur: float, anisotropy: float, sharpness: float
 ) -> Footprints:
     """Return the footprints of pixels, from how positions change from one to the next (n, 3).
 
@@ -91,8 +85,8 @@ def long_footprints(
 
 @kernel
 def _principal_axes(
-    dPdx: Points,
-    dPdy: Points,
+    dPdx: Floats,
+    dPdy: Floats,
     blur: float,
     anisotropy: float,
     widths: Float64s,
@@ -125,7 +119,7 @@ def _principal_axes(
 
 
 @kernel
-def passed_on(looks: Looks, left: Float32s, least: np.float32, more: Looks) -> Looks:
+def passed_on(looks: Probes, left: Float32s, least: np.float32, more: Probes) -> Probes:
     """Return ``more`` looks, and those of which more than ``least`` is ``left`` (m,), with that share."""
     count = n_more = more.shares.size
     for n in range(left.size):
@@ -140,7 +134,7 @@ def passed_on(looks: Looks, left: Float32s, least: np.float32, more: Looks) -> L
             points[at, 2], owners[at] = looks.points[n, 2], looks.owners[n]
             shares[at] = looks.shares[n] * left[n]
             at += 1
-    return Looks(points, owners, shares)
+    return Probes(points, owners, shares)
 
 
 @kernel
@@ -237,7 +231,7 @@ def _put(
     y: float,
     z: float,
     owner: int,
-    places: Points,
+    places: Floats,
     owners: Int32s,
     shares: Float32s,
 ) -> None:
@@ -251,7 +245,7 @@ def _put(
 
 @kernel
 def _spread(
-    points: Points,
+    points: Floats,
     shape: Footprints,
     levels: Float32s,
     first: int,
@@ -260,7 +254,7 @@ def _spread(
     rows: int,
     least: float,
     ends: Int64s,
-    places: Points,
+    places: Floats,
     owners: Int32s,
     shares: Float32s,
 ) -> None:
@@ -292,8 +286,8 @@ def _spread(
 
 
 def spread(
-    points: Points, shape: Footprints, size: float, depth: int, filter_code: int, room: int = _ROOM
-) -> Iterator[tuple[slice, dict[int, Looks]]]:
+    points: Floats, shape: Footprints, size: float, depth: int, filter_code: int, room: int = _ROOM
+) -> Iterator[tuple[slice, dict[int, Probes]]]:
     """Yield runs of points, and their looks by level, about ``room`` at a time.
 
     ``size`` is the root cell's edge. Owners are counted from the first point of the run.
@@ -321,14 +315,14 @@ def spread(
         looks = {}
         for level in np.flatnonzero(counts).tolist():
             at = slice(starts[level], starts[level + 1])
-            looks[level] = Looks(places[at], owners[at], shares[at])
+            looks[level] = Probes(places[at], owners[at], shares[at])
         yield slice(first, end), looks
         first = end
 
 
 def _alike(
-    points: Points, level: np.float32, sharpness: float, depth: int, room: int
-) -> Iterator[tuple[slice, dict[int, Looks]]]:
+    points: Floats, level: np.float32, sharpness: float, depth: int, room: int
+) -> Iterator[tuple[slice, dict[int, Probes]]]:
     """Spread round footprints of one width."""
     lower, *shares = _shares_of(level, depth, sharpness)
     if shares.count(0.0) == 2:
@@ -340,7 +334,7 @@ def _alike(
         yield (
             run,
             {
-                lower - 1 + k: Looks(points[run], owners[:n], np.full(n, share, np.float32))
+                lower - 1 + k: Probes(points[run], owners[:n], np.full(n, share, np.float32))
                 for k, share in enumerate(shares)
                 if share != 0.0
             },

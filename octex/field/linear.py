@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int32s, Int64s, Uint8s, Uint32s
 from octex.field.blocks import GROUP, Near, find_tiles, new_near, tile_key
-from octex.field.taps import Ahead, Float32s, Float64s, Int64s, Taps, Uint32s, ask_for, finish
+from octex.field.taps import Ahead, Taps, ask_for, finish
 from octex.field.tiles import Tiles, code_in_tile, is_marked
 from octex.jit import fused_kernel, inlined, popcount
 from octex.tree.layout import GRID_BITS
-
-Int32s = npt.NDArray[np.int32]
 
 
 @inlined
@@ -78,8 +76,8 @@ def _place(
     depth: int,
     near: Near,
     steps: Float32s,
-    octants: npt.NDArray[np.uint8],
-    bits: npt.NDArray[np.uint8],
+    octants: Uint8s,
+    bits: Uint8s,
 ) -> None:
     """Find each point's tile and the codes of its cells there.
 

@@ -7,12 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from octex.arrays import Float32s, Floats, Int32s, Int64s, Uint32s
 from octex.field.field import Field
-from octex.field.footprints import Footprints, Int32s, Looks, spread
-from octex.field.lookups import Query, Stored, _levels, _Lookup, _pass_on
+from octex.field.footprints import Footprints, Probes, spread
+from octex.field.lookups import ChannelRows, Query, _levels, _Lookup, _pass_on
 from octex.field.sinks import list_taps
 from octex.field.splines import FILTERS
-from octex.field.taps import BLOCK, Float32s, Int64s, Points, Taps, Uint32s
+from octex.field.taps import BLOCK, Taps
 from octex.tree.placement import Placement
 
 _NO_SLOPES = np.empty((0, 3), np.float32)
@@ -30,7 +31,12 @@ class TapList(NamedTuple):
 
 
 def list_blends(
-    field: Field, placement: Placement, points: Points, query: Query, channel: Stored, alpha: Stored | None
+    field: Field,
+    placement: Placement,
+    points: Floats,
+    query: Query,
+    channel: ChannelRows,
+    alpha: ChannelRows | None,
 ) -> tuple[TapList, int]:
     """List what `lookups.look_up` blends of a channel; also the first row that is not finite, or −1."""
     task = _Listing(field, placement, query, [channel], alpha, [], [])
@@ -40,7 +46,7 @@ def list_blends(
 
 
 def rows_read(
-    field: Field, placement: Placement, points: Points, query: Query, channel: Stored
+    field: Field, placement: Placement, points: Floats, query: Query, channel: ChannelRows
 ) -> tuple[dict[int, Uint32s], int]:
     """Return the rows that `lookups.look_up` reads of a channel, each once, by the level looked at.
 
@@ -52,7 +58,7 @@ def rows_read(
 class _Listing(_Lookup):
     """Lookups of one channel."""
 
-    def leaves_listed(self, points: Points) -> tuple[TapList, int]:
+    def leaves_listed(self, points: Floats) -> tuple[TapList, int]:
         """List the blends of leaves."""
         counts, rows, weights = [np.zeros(1, np.int64)], [np.empty(0, np.uint32)], [np.empty(0, np.float32)]
         for begin in range(0, len(points), BLOCK):
@@ -71,7 +77,7 @@ class _Listing(_Lookup):
             weights.append(shares[: starts[-1]])
         return _of(counts, rows, weights), -1
 
-    def footprints_listed(self, points: Points, footprints: Footprints) -> tuple[TapList, int]:
+    def footprints_listed(self, points: Floats, footprints: Footprints) -> tuple[TapList, int]:
         """List the blends of footprints: looks at all levels, added up."""
         counts, rows, weights = [np.zeros(1, np.int64)], [np.empty(0, np.int64)], [np.empty(0, np.float32)]
         is_finite = np.isfinite(points).all(axis=1)
@@ -108,7 +114,7 @@ class _Listing(_Lookup):
             weights.append(part.astype(np.float32))
         return _of(counts, rows, weights), -1
 
-    def rows_by_level(self, points: Points) -> tuple[dict[int, Uint32s], int]:
+    def rows_by_level(self, points: Floats) -> tuple[dict[int, Uint32s], int]:
         """List the rows that are read, each once."""
         depth, code = self._field.tree.max_depth, FILTERS.index(self._query.filter)
         found: dict[int, list[Uint32s]] = {}
@@ -129,7 +135,7 @@ class _Listing(_Lookup):
                     found.setdefault(level, []).append(np.unique(taps.rows[_each(taps)[1]]))
         return {level: np.unique(np.concatenate(rows)) for level, rows in found.items()}, -1
 
-    def _looks(self, run: slice, by_level: dict[int, Looks]) -> Iterator[tuple[int, Taps, Int32s, Float32s]]:
+    def _looks(self, run: slice, by_level: dict[int, Probes]) -> Iterator[tuple[int, Taps, Int32s, Float32s]]:
         """Yield the level, the taps, the owners and the shares of the looks of a run, in blocks."""
         normals = None if self._query.normals is None else self._query.normals[run]
         for level, looks in _levels(by_level, self._field.tree.max_depth):

@@ -8,16 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from octex.arrays import Float32s, Floats, Int64s, Uint8s
 from octex.channels import ColorSpace, decode
 from octex.field.bricks import Values, new_bricks
 from octex.field.crowded import Asked, look_up_crowded
 from octex.field.field import Field, Finder
-from octex.field.footprints import Footprints, Looks, passed_on, spread
+from octex.field.footprints import Footprints, Probes, passed_on, spread
 from octex.field.order import order_of
-from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, cover, divide
+from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, divide, weigh_by_alpha
 from octex.field.splines import FILTERS
 from octex.field.stages import Facings, leave_mixed, weigh_by_area
-from octex.field.taps import BLOCK, Bytes, Float32s, Int64s, Memory, Points, Taps, place_points
+from octex.field.taps import BLOCK, Taps, place_points
 from octex.field.tiled import Search, Weighed, add_tiled, look_up_tiled
 from octex.field.tiles import Tiles
 from octex.field.windows import new_walk
@@ -43,7 +44,7 @@ class Query(NamedTuple):
     normals: Float32s | None = None  # (n, 3)   what faces away from them is not seen
     #: For footprints without normals: which cells (cells,) of a level's field are left to the next finer
     #: level, see `stages.mark_mixed`.
-    mixed: Callable[[int], Bytes] | None = None
+    mixed: Callable[[int], Uint8s] | None = None
 
     def of(self, points: Int64s) -> Query:
         """Return what is asked of some of the points."""
@@ -53,7 +54,7 @@ class Query(NamedTuple):
         )
 
 
-class Stored(NamedTuple):
+class ChannelRows(NamedTuple):
     """A channel of a texture, as lookups read it."""
 
     codes: Codes
@@ -64,10 +65,10 @@ class Stored(NamedTuple):
 def look_up(
     field: Field,
     placement: Placement,
-    points: Points,
+    points: Floats,
     query: Query,
-    channels: Sequence[Stored],
-    alpha: Stored | None,
+    channels: Sequence[ChannelRows],
+    alpha: ChannelRows | None,
     answers: Sequence[Float32s],
     gradients: Sequence[Float32s],
 ) -> int:
@@ -98,8 +99,8 @@ class _Lookup:
         field: Field,
         placement: Placement,
         query: Query,
-        channels: Sequence[Stored],
-        alpha: Stored | None,
+        channels: Sequence[ChannelRows],
+        alpha: ChannelRows | None,
         answers: Sequence[Float32s],
         gradients: Sequence[Float32s],
     ) -> None:
@@ -126,7 +127,7 @@ class _Lookup:
         return sorted(range(len(self._channels)), key=lambda number: not self._channels[number].is_alpha)
 
     @cached_property
-    def _rows(self) -> Memory:
+    def _rows(self) -> Uint8s:
         """The first values that are read, as bytes, to be asked for ahead."""
         values = (self._alpha or self._channels[self._order[0]]).codes.values
         return values.view(np.uint8).reshape(len(values), -1)
@@ -143,16 +144,16 @@ class _Lookup:
         has_bricks = self._field.tiles is None and count >= _LEAST_SORTED
         return is_bare and has_bricks and {*spaces, self._alpha and self._alpha.space} == {None}
 
-    def at(self, points: Points) -> int:
+    def at(self, points: Floats) -> int:
         """Look up the leaves in the way that suits."""
         return self.tiled(points) if self.is_tiled(self._field) else self.untiled(points)
 
-    def untiled(self, points: Points) -> int:
+    def untiled(self, points: Floats) -> int:
         """Look up the leaves without tiles."""
         is_sorted = len(self._channels) == 1 and self.is_sortable(len(points))
         return self.sorted(points) if is_sorted else self.leaves(points)
 
-    def sorted(self, points: Points) -> int:
+    def sorted(self, points: Floats) -> int:
         """Look up one channel's leaves by bricks, in the order of space."""
         (channel,), (results,) = self._channels, self._answers
         alpha = None if channel.is_alpha or self._alpha is None else self._alpha.codes
@@ -168,7 +169,7 @@ class _Lookup:
             self._look_again(points, rows, [0], self._alpha, _Lookup.leaves)
         return -1
 
-    def tiled(self, points: Points) -> int:
+    def tiled(self, points: Floats) -> int:
         """Look up the leaves by tiles."""
         assert self._channel is not None
         channel, (answer,), normals = self._channel, self._answers, self._query.normals
@@ -237,7 +238,7 @@ class _Lookup:
         filter_code = FILTERS.index(self._query.filter)
         return Search(filter_code, tiles, tree.n_cells - 1, is_off, *weighing)
 
-    def leaves(self, points: Points) -> int:
+    def leaves(self, points: Floats) -> int:
         """Look up the leaves, in any tree."""
         scale = 1.0 / self._placement.size
         # Values of cells are asked for with their tiles; what is walked to is not, nor what faces a normal.
@@ -256,7 +257,7 @@ class _Lookup:
                     blend_slopes(used, codes, scale, results, self._gradients[number][rows])
         return -1
 
-    def footprints(self, points: Points, footprints: Footprints) -> int:
+    def footprints(self, points: Floats, footprints: Footprints) -> int:
         """Look footprints up: add the looks at all levels up."""
         is_finite = np.isfinite(points)
         if not is_finite.all():
@@ -269,7 +270,7 @@ class _Lookup:
                 self._look_again(points, run.start + bare, numbers, None, _look_up_footprints)
         return -1
 
-    def _add_looks(self, run: slice, by_level: dict[int, Looks]) -> Int64s:
+    def _add_looks(self, run: slice, by_level: dict[int, Probes]) -> Int64s:
         """Add the looks of a run of points up, and write what they show.
 
         Returns the points whose looks are all of alpha zero.
@@ -291,7 +292,7 @@ class _Lookup:
         return np.flatnonzero(bare)
 
     def _add_walked(
-        self, here: Field, looks: Looks, normals: Float32s | None, sums: Sequence[Sums]
+        self, here: Field, looks: Probes, normals: Float32s | None, sums: Sequence[Sums]
     ) -> Float32s:
         """Add looks at a level up, in any tree; return the part of each that mixes opposite facings."""
         left = self._room_for_left(here, looks)
@@ -306,7 +307,7 @@ class _Lookup:
         return left
 
     def _add_tiled(
-        self, here: Field, looks: Looks, normals: Float32s | None, sums: Sequence[Sums]
+        self, here: Field, looks: Probes, normals: Float32s | None, sums: Sequence[Sums]
     ) -> Float32s:
         """Add looks at a level up by tiles; return the part of each that mixes opposite facings."""
         assert self._channel is not None
@@ -325,18 +326,18 @@ class _Lookup:
                 left[rim] = part
         return left
 
-    def _room_for_left(self, here: Field, looks: Looks) -> Float32s:
+    def _room_for_left(self, here: Field, looks: Probes) -> Float32s:
         """Return room for what of each look mixes facings; none where nothing can."""
         is_any = self._query.normals is None and self._mixes(here)
         return np.zeros(len(looks.points) if is_any else 0, np.float32)
 
     def _look_again(
         self,
-        points: Points,
+        points: Floats,
         rows: Int64s,
         numbers: Sequence[int],
-        alpha: Stored | None,
-        look_up_points: Callable[[_Lookup, Points], int],
+        alpha: ChannelRows | None,
+        look_up_points: Callable[[_Lookup, Floats], int],
     ) -> None:
         """Look some channels of some points up anew, in another way."""
         answers = [np.empty((rows.size, self._answers[n].shape[1]), np.float32) for n in numbers]
@@ -351,7 +352,7 @@ class _Lookup:
                 self._gradients[number][rows] = gradients[at]
 
     def _taps(
-        self, here: Field, points: Points, normals: Float32s | None, left: Float32s | None = None
+        self, here: Field, points: Floats, normals: Float32s | None, left: Float32s | None = None
     ) -> tuple[Taps, int]:
         """Return the taps of a block of points in a level's field, weighed; and the first that is not finite.
 
@@ -380,24 +381,24 @@ class _Lookup:
         """Say whether a level's averages may mix opposite facings."""
         return here is not self._field and self._query.mixed is not None and here.tree.split.cells.size > 0
 
-    def _weighed(self, taps: Taps, is_asked: bool, *, always: bool) -> Iterator[tuple[int, Stored]]:
+    def _weighed(self, taps: Taps, is_asked: bool, *, always: bool) -> Iterator[tuple[int, ChannelRows]]:
         """Yield the channels by number, those that are not alpha after their taps weigh by it."""
         alpha, is_covered = self._alpha, False
         for number in self._order:
             channel = self._channels[number]
             if alpha is not None and not channel.is_alpha and not is_covered:
                 used, codes = _as_read(taps, alpha)
-                cover(used, codes, is_asked, always)
+                weigh_by_alpha(used, codes, is_asked, always)
                 is_covered = True
             yield number, channel
 
 
-def _look_up_footprints(task: _Lookup, points: Points) -> int:
+def _look_up_footprints(task: _Lookup, points: Floats) -> int:
     assert task._query.footprints is not None
     return task.footprints(points, task._query.footprints)
 
 
-def _as_read(taps: Taps, channel: Stored) -> tuple[Taps, Codes]:
+def _as_read(taps: Taps, channel: ChannelRows) -> tuple[Taps, Codes]:
     """Return taps and codes as sinks take them: float32 numbers decoded, a row for each tap."""
     if channel.space is None:
         return taps, channel.codes
@@ -411,17 +412,17 @@ def _as_read(taps: Taps, channel: Stored) -> tuple[Taps, Codes]:
     return taps._replace(rows=np.arange(end, dtype=np.uint32)), Codes(decoded, none, none, _NO_TABLE)
 
 
-def _levels(by_level: dict[int, Looks], depth: int) -> Iterator[tuple[int, Looks]]:
+def _levels(by_level: dict[int, Probes], depth: int) -> Iterator[tuple[int, Probes]]:
     """Yield the levels that have looks, coarse before fine; looks may be added below the latest."""
     for level in range(depth + 1):
         if level in by_level:
             yield level, by_level[level]
 
 
-def _pass_on(by_level: dict[int, Looks], level: int, looks: Looks, left: Float32s) -> None:
+def _pass_on(by_level: dict[int, Probes], level: int, looks: Probes, left: Float32s) -> None:
     """Look at the next level for what was not seen at this."""
     if left.size:
-        none = Looks(looks.points[:0], looks.owners[:0], looks.shares[:0])
+        none = Probes(looks.points[:0], looks.owners[:0], looks.shares[:0])
         more = passed_on(looks, left, _ROUNDED, by_level.get(level + 1, none))
         if more.shares.size:
             by_level[level + 1] = more

@@ -9,8 +9,8 @@ on leaves and kept coefficients are the taps.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint32s
 from octex.field.refinement import change_level, leave_refined, weigh
 from octex.field.splines import (
     LINEAR,
@@ -31,8 +31,6 @@ from octex.field.windows import (
     NODES,
     REFINED,
     SHARES,
-    Int64s,
-    Uint32s,
     bit_at,
     cell_at,
     follow,
@@ -44,8 +42,6 @@ from octex.field.windows import new_walk as new_walk
 from octex.jit import inlined, kernel, trailing_zeros
 from octex.tree.layout import MAX_DEPTH, TreeArrays
 from octex.tree.search import UNITS, Origin
-
-Float32s = npt.NDArray[np.float32]
 
 
 @inlined
@@ -307,7 +303,7 @@ def normalize(walk: Walk, n_taps: int, total: float, weights: Float32s, slopes: 
 def walk_all(
     arrays: TreeArrays,
     kept_cells: Uint32s,
-    points: npt.NDArray[np.float32 | np.float64],
+    points: Floats,
     first_point: int,
     origin: Origin,
     size: float,
@@ -353,7 +349,7 @@ def walked_taps(
     arrays: TreeArrays,
     kept_cells: Uint32s,
     first_kept: int,
-    places: npt.NDArray[np.float64],
+    places: Float64s,
     which: Int64s,
     begin: int,
     filter_code: int,

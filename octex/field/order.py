@@ -10,14 +10,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from octex.field.taps import Float32s, Float64s, Int64s, Points
+from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s
 from octex.jit import inlined, kernel, prefetch
 from octex.tree.morton import encode
 from octex.tree.search import UNITS, Origin
-
-Int32s = npt.NDArray[np.int32]
 
 #: Fewer points than this are sorted one by one.
 _SORTED_SINGLY = 24
@@ -50,7 +47,7 @@ def order_of(places: Float64s) -> Order:
 
 
 @kernel
-def order_in_space(points: Points, origin: Origin, size: float) -> Int32s:
+def order_in_space(points: Floats, origin: Origin, size: float) -> Int32s:
     """Return the numbers of rest positions (n, 3) by cells of the level _COARSE, in Morton order.
 
     Returns none if they come in a like order, or are not all finite.

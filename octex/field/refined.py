@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Int64s, Uint32s
 from octex.field.neighborhood import MOST_TAPS, collect, new_walk, normalize
 from octex.field.refinement import change_level
 from octex.field.splines import QUADRATIC
@@ -13,10 +13,6 @@ from octex.jit import kernel
 from octex.tree.layout import MAX_DEPTH, TreeArrays
 from octex.tree.morton import decode
 from octex.tree.octree import Octree
-
-Int64s = npt.NDArray[np.int64]
-Uint32s = npt.NDArray[np.uint32]
-Float32s = npt.NDArray[np.float32]
 
 #: Cells whose taps are found at once: most have 8 to 27.
 _BLOCK = 1 << 14

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.field.sinks import Codes, Flat, Int32s, Sums, flat_of
+from octex.arrays import Float32s, Int32s, Uint8s
+from octex.field.sinks import Codes, Flat, Sums, flat_of
 from octex.field.stages import (
     AREA_WEIGHTS,
     NEAR_ROWS,
@@ -18,7 +19,7 @@ from octex.field.stages import (
     shares_of,
     unit_of,
 )
-from octex.field.taps import OFF, Bytes, Float32s, Taps
+from octex.field.taps import OFF, Taps
 from octex.jit import decoded, fused_kernel, inlined, popcount, prefetch, trailing_zeros
 from octex.tree.layout import SPLIT
 
@@ -46,7 +47,7 @@ def _added(five: Five, flat: Flat, of_split: bool, row: int, weight: np.float32,
 
 @inlined
 def _average(
-    taps: Taps, n: int, areas: Bytes, mixed: Bytes, is_mixed: bool, flat: Flat, components: int
+    taps: Taps, n: int, areas: Uint8s, mixed: Uint8s, is_mixed: bool, flat: Flat, components: int
 ) -> tuple[Five, float]:
     """Sum the averages of a point up but for those that mix facings; return also the weight of all."""
     five, total = (0.0, 0.0, 0.0, 0.0, 0.0), 0.0
@@ -61,7 +62,7 @@ def _average(
 
 
 @inlined
-def _ask_for_split(taps: Taps, begin: int, end: int, facings: Facings, codes: Codes, split: Bytes) -> None:
+def _ask_for_split(taps: Taps, begin: int, end: int, facings: Facings, codes: Codes, split: Uint8s) -> None:
     """Ask for the rows of the split cells of a group of points, and note which points have any."""
     for n in range(begin, end):
         seen = np.uint8(0)
@@ -84,12 +85,12 @@ def _ask_for_split(taps: Taps, begin: int, end: int, facings: Facings, codes: Co
 def _facing(
     taps: Taps,
     n: int,
-    areas: Bytes,
+    areas: Uint8s,
     facings: Facings,
     normals: Float32s,
     parts: Float32s,
     shares: Float32s,
-    wanted: Bytes,
+    wanted: Uint8s,
     is_split: bool,
     flat: Flat,
     components: int,
@@ -145,8 +146,8 @@ def _add_to(sums: Sums, owner: np.uint64, factor: float, five: Five, components:
 @fused_kernel
 def add_averages(
     taps: Taps,
-    areas: Bytes,
-    mixed: Bytes,
+    areas: Uint8s,
+    mixed: Uint8s,
     codes: Codes,
     owners: Int32s,
     shares: Float32s,
@@ -180,7 +181,7 @@ def add_averages(
 @fused_kernel
 def add_facing(
     taps: Taps,
-    areas: Bytes,
+    areas: Uint8s,
     facings: Facings,
     normals: Float32s,
     codes: Codes,
@@ -217,7 +218,7 @@ def add_facing(
 
 
 @inlined
-def _to_off(taps: Taps, n: int, areas: Bytes) -> float:
+def _to_off(taps: Taps, n: int, areas: Uint8s) -> float:
     """Return what makes the weights of a point off the surface, by areas, sum to OFF."""
     total = 0.0
     for tap in range(taps.starts[n], taps.ends[n]):

@@ -5,14 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from octex.field.taps import Float32s, Float64s, Int64s, Taps, Uint32s, end_of, scale
+from octex.arrays import ChannelValues, Float32s, Float64s, Floats, Int32s, Int64s, Uint32s
+from octex.field.taps import Taps, end_of, scale
 from octex.jit import decoded, fused_kernel, inlined, kernel, prefetch
 
-Rows = npt.NDArray[np.uint8 | np.uint16 | np.float32]
-Int32s = npt.NDArray[np.int32]
-Table = npt.NDArray[np.float32 | np.float64]
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
 
@@ -23,11 +20,11 @@ _GROUP = 64
 class Codes(NamedTuple):
     """A channel as it is stored, and what its codes stand for."""
 
-    values: Rows  # (cells, components)
-    kept_values: Rows  # (kept nodes, components)
-    split_values: Rows  # (split rows, components)
+    values: ChannelValues  # (cells, components)
+    kept_values: ChannelValues  # (kept nodes, components)
+    split_values: ChannelValues  # (split rows, components)
     #: (codes,)   the decoded values, float64 for 8 bits, which saves an instruction each; empty for float32
-    table: Table
+    table: Floats
 
     @property
     def components(self) -> int:
@@ -38,10 +35,10 @@ class Codes(NamedTuple):
 class Flat(NamedTuple):
     """`Codes` as kernels read them."""
 
-    values: Rows
-    kept: Rows
-    split: Rows
-    table: Table
+    values: ChannelValues
+    kept: ChannelValues
+    split: ChannelValues
+    table: Floats
     first_kept: int
     first_row: int
 
@@ -75,7 +72,7 @@ def _ask(taps: Taps, begin: int, end: int, codes: Codes) -> None:
 
 
 @inlined
-def _four(values: Rows, table: Table, at: int, components: int) -> Four:
+def _four(values: ChannelValues, table: Floats, at: int, components: int) -> Four:
     a = np.float64(decoded(table, values[np.uint64(at)]))
     b = c = d = 0.0
     if components > 1:
@@ -299,7 +296,7 @@ def divide(sums: Sums, scale: float, results: Float32s, gradients: Float32s) -> 
 
 
 @kernel
-def cover(taps: Taps, alpha: Codes, is_asked: bool, always: bool) -> None:
+def weigh_by_alpha(taps: Taps, alpha: Codes, is_asked: bool, always: bool) -> None:
     """Multiply the weights by alpha, of one component; unless ``always``, only where any of it is left.
 
     ``is_asked`` says that alpha has been asked for.

@@ -8,19 +8,16 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int64s, Uint8s, Uint16s, Uint64s
 from octex.field.blocks import GROUP, Near, find_tiles, new_near, tile_key
 from octex.field.linear import cell_of
 from octex.field.splines import quartic_slopes, quartic_weights
-from octex.field.taps import OFF, Ahead, Bytes, Float32s, Float64s, Int64s, Taps, ask_for, finish
+from octex.field.taps import OFF, Ahead, Taps, ask_for, finish
 from octex.field.tiles import Tiles, code_in_tile, is_marked
 from octex.jit import fused_kernel, inlined, kernel, popcount, trailing_zeros
 from octex.tree.morton import encode
 from octex.tree.search import UNITS
-
-Uint16s = npt.NDArray[np.uint16]
-Uint64s = npt.NDArray[np.uint64]
 
 
 class Tables(NamedTuple):
@@ -56,8 +53,8 @@ class Group(NamedTuple):
     """Points placed, and the window of the latest."""
 
     near: Near
-    windows: Bytes  # (GROUP,)   the lowest node of each point's window in the tile: x | y << 2 | z << 4
-    parities: Bytes  # (GROUP,)   of the lowest cell read, which lies in that node: x | y << 1 | z << 2
+    windows: Uint8s  # (GROUP,)   the lowest node of each point's window in the tile: x | y << 2 | z << 4
+    parities: Uint8s  # (GROUP,)   of the lowest cell read, which lies in that node: x | y << 1 | z << 2
     along: Float32s  # (30 · GROUP,)   weights along x, then products of those along y and z
     #: (55 · GROUP,) or (0,): slopes along x, then products of slopes along y and weights along z, then of
     #: weights along y and slopes along z

@@ -11,16 +11,13 @@ from __future__ import annotations
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
-from octex.field.taps import OFF, Bytes, Float32s, Memory, Taps, Uint32s, end_of, scale
+from octex.arrays import ChannelValues, Float32s, Floats, Uint8s, Uint32s
+from octex.field.taps import OFF, Taps, end_of, scale
 from octex.jit import decoded, inlined, kernel, popcount, prefetch, trailing_zeros
 from octex.tree.areas import AREAS
 from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
 from octex.tree.octree import Octree
-
-Rows = npt.NDArray[np.uint8 | np.uint16 | np.float32]
-Table = npt.NDArray[np.float32 | np.float64]
 
 #: What averages weigh by the codes of their cells' areas: the root of the area, in cell faces; 1 if that is
 #: not known. By the area itself, cells that the surface hardly touches count for as little as they hold, but
@@ -50,7 +47,7 @@ _GROUP = 64
 class Facings(NamedTuple):
     """Which ways the cells of a tree face, and where the rows of its split cells are."""
 
-    flags: Bytes  # (cells,)
+    flags: Uint8s  # (cells,)
     rows: Uint32s  # (cells,)   a split cell's first row in the split table; or (0,) if that is empty
     kept: Uint32s  # (kept nodes,)   the cells whose coefficients are kept: they face as these do
 
@@ -67,7 +64,7 @@ def facings_of(tree: Octree) -> Facings:
 
 
 @kernel
-def _index(cells: Uint32s, facings: Bytes, rows: Uint32s) -> None:
+def _index(cells: Uint32s, facings: Uint8s, rows: Uint32s) -> None:
     row = 0
     for n in range(cells.size):
         if np.int64(cells[n]) < rows.size:
@@ -76,7 +73,9 @@ def _index(cells: Uint32s, facings: Bytes, rows: Uint32s) -> None:
 
 
 @kernel
-def spreads_of(table: Table, values: Rows, facings: Bytes, first_row: int, spreads: Float32s) -> None:
+def spreads_of(
+    table: Floats, values: ChannelValues, facings: Uint8s, first_row: int, spreads: Float32s
+) -> None:
     """Write how far the decoded values of opposite facings differ, in any component, to ``spreads`` (rows,).
 
     The rows of consecutive split cells begin at ``first_row`` of ``values`` (rows, components) and
@@ -101,7 +100,7 @@ def spreads_of(table: Table, values: Rows, facings: Bytes, first_row: int, sprea
 
 
 @kernel
-def weigh_by_area(taps: Taps, areas: Bytes) -> None:
+def weigh_by_area(taps: Taps, areas: Uint8s) -> None:
     """Multiply the weights of cells by what their areas weigh; off the surface they still sum to OFF."""
     for tap in range(end_of(taps)):
         row = taps.rows[np.uint64(tap)]
@@ -118,7 +117,7 @@ def weigh_by_area(taps: Taps, areas: Bytes) -> None:
 
 
 @kernel
-def mark_mixed(cells: Uint32s, facings: Bytes, spreads: Float32s, threshold: float, mixed: Bytes) -> None:
+def mark_mixed(cells: Uint32s, facings: Uint8s, spreads: Float32s, threshold: float, mixed: Uint8s) -> None:
     """Mark the split cells whose opposite facings differ by ``threshold`` or more in ``mixed`` (cells,).
 
     ``spreads`` (rows,) say how far they differ, at each split cell's first row.
@@ -133,7 +132,7 @@ def mark_mixed(cells: Uint32s, facings: Bytes, spreads: Float32s, threshold: flo
 
 
 @kernel
-def leave_mixed(taps: Taps, mixed: Bytes, left: Float32s) -> None:
+def leave_mixed(taps: Taps, mixed: Uint8s, left: Float32s) -> None:
     """Let cells that are marked in ``mixed`` (cells,) weigh nothing; see `mark_mixed`.
 
     Writes to ``left`` (points,) the part of the weight that is taken away.
@@ -149,7 +148,7 @@ def leave_mixed(taps: Taps, mixed: Bytes, left: Float32s) -> None:
         left[np.uint64(n)] = gone / total if gone > np.float32(0.0) else np.float32(0.0)
 
 
-def _directions() -> Bytes:
+def _directions() -> Uint8s:
     """Say which of the three facings that can see a normal a cell has, by the normal's signs and the flags.
 
     [signs · 64 + flags]: a bit for each axis; 8 for a cell without facings.
@@ -214,7 +213,7 @@ def _flags_of(facings: Facings, first_kept: int, row: np.uint32) -> np.uint8:
 
 @kernel
 def face(
-    taps: Taps, facings: Facings, first_kept: int, first_row: int, normals: Float32s, split: Memory
+    taps: Taps, facings: Facings, first_kept: int, first_row: int, normals: Float32s, split: Uint8s
 ) -> None:
     """Let what faces away from the normals (points, 3) weigh next to nothing.
 
@@ -258,8 +257,8 @@ def _take_rows(
     first_row: int,
     normals: Float32s,
     shares: Float32s,
-    wanted: Bytes,
-    split: Memory,
+    wanted: Uint8s,
+    split: Uint8s,
 ) -> int:
     """Write the taps of a point anew, from ``end`` on: those of split cells as the rows that face the normal.
 

@@ -17,18 +17,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, Uint32s
 from octex.jit import inlined, kernel, prefetch
-
-Points = npt.NDArray[np.float32 | np.float64]
-Float32s = npt.NDArray[np.float32]
-Float64s = npt.NDArray[np.float64]
-Int64s = npt.NDArray[np.int64]
-Uint32s = npt.NDArray[np.uint32]
-Bytes = npt.NDArray[np.uint8]
-#: Rows of cells as bytes (cells, bytes).
-Memory = npt.NDArray[np.uint8]
 
 #: Points whose taps are found before any is blended: enough that calls cost little, few enough that their
 #: taps stay in the processor's second cache.
@@ -45,10 +36,10 @@ LEAST = np.float32(1e-24)
 class Ahead(NamedTuple):
     """What will be read of cells next, to be asked for ahead; what is empty will not be read."""
 
-    values: Memory  # (cells, bytes)
-    alpha: Memory  # (cells, bytes) or (0, bytes)
-    flags: Bytes  # (cells,) or (0,)
-    areas: Bytes  # (cells,) or (0,)
+    values: Uint8s  # (cells, bytes)
+    alpha: Uint8s  # (cells, bytes) or (0, bytes)
+    flags: Uint8s  # (cells,) or (0,)
+    areas: Uint8s  # (cells,) or (0,)
 
 
 @inlined
@@ -153,7 +144,7 @@ def finish(
 
 
 @kernel
-def place_points(points: Points, origin: tuple[float, float, float], size: float, places: Float64s) -> int:
+def place_points(points: Floats, origin: tuple[float, float, float], size: float, places: Float64s) -> int:
     """Write where rest positions (n, 3) lie in texture space, clamped to 0 … 1.
 
     Returns the first position that is not finite, or −1.

@@ -9,31 +9,18 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s, Uint8s
 from octex.field.linear import linear_taps, nearest_rows
 from octex.field.seen import add_averages, add_facing
-from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, cover, divide, take
+from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, divide, take, weigh_by_alpha
 from octex.field.spline import nearest_around, quadratic_taps, quartic_taps
 from octex.field.splines import LINEAR, NEAREST, QUADRATIC
 from octex.field.stages import MOST_ROWS, Facings, face, leave_mixed, weigh_by_area
-from octex.field.taps import (
-    MOST_TILED,
-    Ahead,
-    Bytes,
-    Float32s,
-    Float64s,
-    Int64s,
-    Memory,
-    Points,
-    Taps,
-    place_points,
-)
+from octex.field.taps import MOST_TILED, Ahead, Taps, place_points
 from octex.field.tiles import Tiles
 from octex.jit import inlined, kernel
 from octex.tree.search import Origin
-
-Int32s = npt.NDArray[np.int32]
 
 #: Points taken from source to sink at once.
 _STEP = 256
@@ -82,12 +69,12 @@ class Search(NamedTuple):
     tiles: Tiles
     last: int  # the largest number of a cell
     is_off: bool  # points are off the surface, as deeper tiles have none of their cells
-    areas: Bytes  # (cells,) or (0,)   see `stages.weigh_by_area`
+    areas: Uint8s  # (cells,) or (0,)   see `stages.weigh_by_area`
     facings: Facings
     faces: bool  # there are normals, see `stages.face`
     first_kept: int
     first_row: int
-    mixed: Bytes  # (cells,) or (0,)   see `stages.leave_mixed`
+    mixed: Uint8s  # (cells,) or (0,)   see `stages.leave_mixed`
 
 
 class Weighed(NamedTuple):
@@ -132,7 +119,7 @@ def _weighed(
     which: Int64s,
     taps: Taps,
     ahead: Ahead,
-    split: Memory,
+    split: Uint8s,
     normals: Float32s,
     left: Float32s,
     empty: Int64s,
@@ -150,7 +137,7 @@ def _weighed(
 
 
 @kernel
-def _ahead(search: Search, channel: Weighed) -> tuple[Ahead, Memory]:
+def _ahead(search: Search, channel: Weighed) -> tuple[Ahead, Uint8s]:
     """Return what is read of cells, and of rows of the split table."""
     flags = search.facings.flags if search.faces else search.facings.flags[:0]
     alpha = channel.alpha.values if channel.has_alpha else channel.alpha.values[:0]
@@ -161,7 +148,7 @@ def _ahead(search: Search, channel: Weighed) -> tuple[Ahead, Memory]:
 @kernel
 def look_up_tiled(
     search: Search,
-    points: Points,
+    points: Floats,
     which: Int64s,
     origin: Origin,
     size: float,
@@ -225,7 +212,7 @@ def look_up_tiled(
             task = each[:count], taps, ahead, split, facing, nothing
             more, rest = _weighed(search, here, *task, empty, rim)
             if channel.has_alpha:
-                cover(taps, channel.alpha, True, False)
+                weigh_by_alpha(taps, channel.alpha, True, False)
             blend(taps, channel.codes, True, values)
             if gradient:
                 blend_slopes(taps, channel.codes, 1.0 / size, values, slopes)
@@ -244,7 +231,7 @@ def look_up_tiled(
 @kernel
 def add_tiled(
     search: Search,
-    points: Points,
+    points: Floats,
     which: Int64s,
     origin: Origin,
     size: float,
@@ -302,7 +289,7 @@ def add_tiled(
             task = each[:count], taps, ahead, split, facing[:count], mixing
             more, rest = _weighed(search, here, *task, empty, rim)
             if channel.has_alpha:
-                cover(taps, channel.alpha, True, True)
+                weigh_by_alpha(taps, channel.alpha, True, True)
             add_up(taps, channel.codes, True, *looks, sums)
         for n in range(count if own_left.size > 0 else 0):
             left[which[begin + n]] = mixing[n]
@@ -319,7 +306,7 @@ def _of_points(taps: Taps, count: int) -> Taps:
 
 
 @inlined
-def _gather(rows: Points, which: Int64s, taken: Points) -> None:
+def _gather(rows: Floats, which: Int64s, taken: Floats) -> None:
     """Take some rows (n, 3)."""
     for n in range(which.size):
         at = np.uint64(which[n])

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Array, Int32s, Int64s, Uint32s, Uint64s
 from octex.jit import inlined, kernel, popcount
 from octex.tree.morton import decode, decode_cells
 from octex.tree.octree import Octree
@@ -29,10 +30,6 @@ MOST_TOP_LEVEL = 5
 CACHE_LINE = 64
 
 Integer: TypeAlias = int | np.integer[Any]
-Groups = npt.NDArray[np.uint64]
-Masks = npt.NDArray[np.uint64]
-Firsts = npt.NDArray[np.uint32]
-Codes = npt.NDArray[np.int64]
 
 _NO_MARKS = np.empty(0, np.uint64)
 
@@ -42,11 +39,11 @@ class Tiles(NamedTuple):
 
     depth: int  # the level of the cells
     top_level: int
-    top: npt.NDArray[np.int32]  # (8 ** top_level,)   the row of the tile below each place, x fastest
-    masks: Masks  # (8 · rows,)
-    firsts: Firsts  # (8 · rows,)
+    top: Int32s  # (8 ** top_level,)   the row of the tile below each place, x fastest
+    masks: Uint64s  # (8 · rows,)
+    firsts: Uint32s  # (8 · rows,)
     #: (words,) or (0,)   a bit for each cell: whether nodes may be near, below which the tree goes on
-    marks: Masks
+    marks: Uint64s
 
 
 def can_be_tiled(tree: Octree) -> bool:
@@ -107,7 +104,7 @@ def marked(tiles: Tiles, tree: Octree) -> Tiles:
 
 
 @kernel
-def _mark(tiles: Tiles, codes: Codes, marks: Masks) -> None:
+def _mark(tiles: Tiles, codes: Int64s, marks: Uint64s) -> None:
     """Mark the cells of octants, given by their Morton codes, and of all around them."""
     for n in range(codes.size):
         i, j, k = decode(codes[n])
@@ -130,7 +127,7 @@ def _one_tile(tree: Octree) -> Tiles:
     return Tiles(depth, 0, top, _joined([masks], np.uint64), _joined([firsts], np.uint32), _NO_MARKS)
 
 
-def _joined(parts: list[npt.NDArray[Any]], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+def _joined(parts: list[Array], dtype: npt.DTypeLike) -> Array:
     """Join parts, and a row of zeros, so that no row straddles two cache lines."""
     size = sum(part.size for part in parts) + 8
     memory = np.empty(size * np.dtype(dtype).itemsize + CACHE_LINE, np.uint8)
@@ -141,7 +138,7 @@ def _joined(parts: list[npt.NDArray[Any]], dtype: npt.DTypeLike) -> npt.NDArray[
 
 
 @inlined
-def _children(groups: Groups, node: int, of_cells: bool) -> tuple[np.uint64, int]:
+def _children(groups: Uint64s, node: int, of_cells: bool) -> tuple[np.uint64, int]:
     """Say which children of a node are stored, and the first one; or likewise of those that are nodes."""
     group = min(max(node >> 3, 0), groups.shape[0] - 1)
     shift = np.uint64(8 * (node & 7))
@@ -156,7 +153,7 @@ def _children(groups: Groups, node: int, of_cells: bool) -> tuple[np.uint64, int
 
 @kernel
 def _fill_tiles(
-    groups: Groups, first_node: int, of_cells: bool, offset: int, masks: Masks, firsts: Firsts
+    groups: Uint64s, first_node: int, of_cells: bool, offset: int, masks: Uint64s, firsts: Uint32s
 ) -> None:
     """Fill in the tiles below consecutive nodes: of cells, or of nodes, whose rows are ``offset`` higher."""
     for row in range(masks.size >> 3):

@@ -20,17 +20,11 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float64s, Int64s, Uint8s, Uint32s, Uint64s
 from octex.field.splines import LINEAR
 from octex.jit import inlined, kernel, popcount, trailing_zeros
 from octex.tree.layout import KEPT, MAX_DEPTH, TreeArrays
-
-Int64s = npt.NDArray[np.int64]
-Uint64s = npt.NDArray[np.uint64]
-Float64s = npt.NDArray[np.float64]
-Uint32s = npt.NDArray[np.uint32]
-Table = npt.NDArray[np.uint8]
 
 BYTE = np.uint64(0xFF)
 
@@ -73,7 +67,7 @@ class Walk(NamedTuple):
     taps: Float64s  # (4, MOST_TAPS)   weights and slopes before they are normalized
 
 
-def _tables() -> tuple[Table, Uint64s, Table, Uint64s]:
+def _tables() -> tuple[Uint8s, Uint64s, Uint8s, Uint64s]:
     """Tabulate what is where in blocks of 2³ and of 3³ parents."""
     slot_at, parents_of = np.zeros((2, 27, 216), np.uint8), np.zeros((2, 27, 4), np.uint64)
     places, inside = np.zeros((2, 8, 216), np.uint8), np.zeros((2, 8, 4), np.uint64)

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Floats, Integers
 from octex.errors import ModelError
 from octex.files import replacing
 from octex.formats.images import ImageFormat, image_file, materials_of
@@ -78,9 +78,7 @@ class _Content:
         if self._format == "webp" and self.images:
             self.json["extensionsRequired"] = ["EXT_texture_webp"]
 
-    def _primitive(
-        self, surface: Surface, source: MaterialSource, chosen: npt.NDArray[np.integer]
-    ) -> dict[str, Any]:
+    def _primitive(self, surface: Surface, source: MaterialSource, chosen: Integers) -> dict[str, Any]:
         """Add some triangles with what is bound to their corners; corners that are alike are one vertex."""
         bound = {f"TEXCOORD_{slot}": each for slot, each in enumerate(source.coordinates)}
         if source.colors is not None:
@@ -102,7 +100,7 @@ class _Content:
         }  # fmt: skip
         return {"attributes": attributes, "indices": self._accessor(accessor)}
 
-    def _floats(self, values: npt.NDArray[np.floating], *, limits: bool = False) -> int:
+    def _floats(self, values: Floats, *, limits: bool = False) -> int:
         values = values.astype("<f4")
         accessor: dict[str, Any] = {
             "bufferView": self._view(values.tobytes(), _ARRAYS), "componentType": _FLOAT,

@@ -6,9 +6,9 @@ import io
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 import PIL.Image
 
+from octex.arrays import Array, Float32s
 from octex.errors import ModelError
 from octex.source.materials import MaterialSource
 from octex.source.surface import Surface
@@ -30,7 +30,7 @@ def materials_of(surface: Surface) -> MaterialSource:
     return surface.source
 
 
-def colors_of_vertices(surface: Surface) -> npt.NDArray[np.float32] | None:
+def colors_of_vertices(surface: Surface) -> Float32s | None:
     """Return colours of vertices (n, 4), linear light and alpha; None where a surface has none.
 
     Raises ModelError for colours that differ between the corners of a vertex.
@@ -44,7 +44,7 @@ def colors_of_vertices(surface: Surface) -> npt.NDArray[np.float32] | None:
 
 
 def image_file(
-    texels: npt.NDArray[Any], lanes: slice | tuple[int, ...], form: ImageFormat = "png"
+    texels: Array, lanes: slice | tuple[int, ...], form: ImageFormat = "png"
 ) -> tuple[bytes, ImageFormat]:
     """Return an image file of some lanes of texels (height, width, 4), and its format.
 

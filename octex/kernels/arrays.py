@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from octex.arrays import Int32s, Int64s, Uint32s, Uint64s
 from octex.channels import decode
 from octex.checks import as_choice, as_number, locked
 from octex.field.tiles import Tiles
-from octex.kernels.layout import Int32s, Int64s, LookupArrays, Uint32s, Uint64s, Values
+from octex.kernels.layout import LookupArrays, Values
 from octex.texture.blend import NO_TABLE, facing_spreads, stored
 from octex.texture.channel import Channel
 from octex.texture.lens import BLEED_THRESHOLD

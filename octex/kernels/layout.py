@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint32s, Uint64s
 from octex.field.neighborhood import MOST_TAPS, Walk, new_walk
 from octex.field.stages import MOST_ROWS
 from octex.jit import kernel
 from octex.tree.layout import TreeArrays
 from octex.tree.search import Scratch as Search
 from octex.tree.search import new_scratch as new_search
-
-Array = npt.NDArray[Any]
-Bytes = npt.NDArray[np.uint8]
-Float32s = npt.NDArray[np.float32]
-Float64s = npt.NDArray[np.float64]
-Int32s = npt.NDArray[np.int32]
-Int64s = npt.NDArray[np.int64]
-Uint32s = npt.NDArray[np.uint32]
-Uint64s = npt.NDArray[np.uint64]
 
 
 class Values(NamedTuple):
@@ -43,8 +34,8 @@ class LookupArrays(NamedTuple):
     groups: Uint64s  # what is in the tree, see `TreeArrays`; areas are those of nodes alone
     level_cells: Int64s
     level_nodes: Int64s
-    flags: Bytes
-    areas: Bytes
+    flags: Uint8s
+    areas: Uint8s
     kept: Uint32s  # (kept nodes,)
     facings: Uint32s  # (cells,)   a split cell's first facing; (0,) without any
     tile_levels: Int64s  # (22, 5)   of each level with tiles their top level, begin and end in tops and rows
@@ -76,7 +67,7 @@ class Scratch(NamedTuple):
     codes: Int32s  # (3, 3)   along each axis, the codes of cells in tiles
     along: Float32s  # (3, 3)   and their weights
     parts: Float32s  # (9,)   what cells weigh by the ways that they face; see `stages`
-    sums: npt.NDArray[np.float64]  # (10,)   four components, under alpha, and their weight; then without it
+    sums: Float64s  # (10,)   four components, under alpha, and their weight; then without it
 
 
 @kernel

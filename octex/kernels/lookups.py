@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from octex.arrays import Float32s, Uint32s
 from octex.field.footprints import ROUND_FINER, WHOLE
 from octex.field.neighborhood import Walk, collect, normalize
 from octex.field.neighborhood import _fill as fill_window
@@ -17,7 +18,7 @@ from octex.field.taps import LEAST, OFF
 from octex.field.tiles import Tiles, code_in_tile, tile_row
 from octex.field.windows import NODES, follow
 from octex.jit import decoded, inlined, popcount, step
-from octex.kernels.layout import Float32s, LookupArrays, Scratch, Uint32s, Values
+from octex.kernels.layout import LookupArrays, Scratch, Values
 from octex.tree.layout import MAX_DEPTH, POSITIVE_FACINGS, SPLIT, TreeArrays
 from octex.tree.search import fixed, nearest_cell
 

@@ -7,17 +7,13 @@ that they are measured in vectors.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Array, Float32s, Float64s, Int64s
 from octex.jit import inlined, kernel, squares_to_boxes, trailing_zeros
 from octex.tree.morton import encode
-
-Floats = npt.NDArray[np.float64]
-Float32s = npt.NDArray[np.float32]
-Int64s = npt.NDArray[np.int64]
 
 WIDTH = 8
 #: Nodes that can wait at once: seven of each level, and one.
@@ -34,7 +30,7 @@ class Boxes(NamedTuple):
 
     bounds: Float32s  # (nodes, 6, 8)   low x, y, z and high x, y, z of each child, relative to the origin
     firsts: Int64s  # (levels + 1,)   the first node of each level, from the lowest to the root's
-    origin: Floats  # (3,)
+    origin: Float64s  # (3,)
     extent: float  # the largest coordinate, relative to the origin
     things: int
 
@@ -56,8 +52,10 @@ class Kept(NamedTuple):
     nodes: Int64s  # (64,)   of the lowest level
     outer: Int64s  # (64,)   of the level above
     filled: Int64s  # (2,)   how many nodes, and how many outer ones
-    ball: Floats  # (5,)   x, y, z relative to the origin, its radius, and how much wider than asked for it is
-    outer_ball: Floats  # (5,)
+    ball: (
+        Float64s  # (5,)   x, y, z relative to the origin, its radius, and how much wider than asked for it is
+    )
+    outer_ball: Float64s  # (5,)
 
 
 @kernel
@@ -76,7 +74,7 @@ def new_kept(margin: float) -> Kept:
     return Kept(nodes[0], nodes[1], np.zeros(2, np.int64), balls[0], balls[1])
 
 
-def morton_order(positions: Floats) -> Int64s:
+def morton_order(positions: Float64s) -> Int64s:
     """Return the order (n,) of positions (n, 3) along a Morton curve; the same for the same positions."""
     if not len(positions):
         return np.empty(0, np.int64)
@@ -103,7 +101,7 @@ def _index_bits(count: int) -> int:
 
 
 @kernel
-def _keys(positions: Floats, low: Floats, scale: float) -> Int64s:
+def _keys(positions: Float64s, low: Float64s, scale: float) -> Int64s:
     keys = np.empty(len(positions), np.int64)
     for n in range(keys.size):
         i = int((positions[n, 0] - low[0]) * scale)
@@ -114,7 +112,7 @@ def _keys(positions: Floats, low: Floats, scale: float) -> Int64s:
 
 
 @kernel
-def rows_in(order: Int64s, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def rows_in(order: Int64s, rows: Array) -> Array:
     """Return rows (n, components) in an order: in a third of the time of numpy, where they lie far apart."""
     found = np.empty_like(rows)
     for n in range(order.size):
@@ -123,7 +121,7 @@ def rows_in(order: Int64s, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return found
 
 
-def boxes_of(low: Floats, high: Floats) -> Boxes:
+def boxes_of(low: Float64s, high: Float64s) -> Boxes:
     """Build the tree over things in Morton order, with corners ``low`` and ``high`` (n, 3), n > 0."""
     first, last = low.min(axis=0), high.max(axis=0)
     origin = (first + last) / 2
@@ -138,7 +136,7 @@ def boxes_of(low: Floats, high: Floats) -> Boxes:
 
 
 @kernel
-def _fill(low: Floats, high: Floats, origin: Floats, firsts: Int64s, bounds: Float32s) -> None:
+def _fill(low: Float64s, high: Float64s, origin: Float64s, firsts: Int64s, bounds: Float32s) -> None:
     for n in range(len(low)):
         for axis in range(3):
             bounds[n // 8, axis, n % 8] = low[n, axis] - origin[axis]
@@ -215,7 +213,7 @@ def next_node(
 
 
 @inlined
-def _holds(ball: Floats, x: float, y: float, z: float, radius: float) -> bool:
+def _holds(ball: Float64s, x: float, y: float, z: float, radius: float) -> bool:
     dx, dy, dz = x - ball[0], y - ball[1], z - ball[2]
     return bool(np.sqrt(dx * dx + dy * dy + dz * dz) + radius <= ball[3])
 
@@ -227,14 +225,14 @@ def is_around(kept: Kept, x: float, y: float, z: float, radius: float) -> bool:
 
 
 @inlined
-def _move(ball: Floats, x: float, y: float, z: float, radius: float) -> float:
+def _move(ball: Float64s, x: float, y: float, z: float, radius: float) -> float:
     """Put a ball around a point, wider than asked for; return its radius."""
     ball[0], ball[1], ball[2], ball[3] = x, y, z, radius + ball[4]
     return float(ball[3])
 
 
 @inlined
-def _adapt(ball: Floats, count: int, wanted: int) -> None:
+def _adapt(ball: Float64s, count: int, wanted: int) -> None:
     """Make a ball wider the next time if it holds few nodes, and narrower if many."""
     if 2 * count < wanted:
         ball[4] *= 1.5
@@ -243,7 +241,7 @@ def _adapt(ball: Floats, count: int, wanted: int) -> None:
 
 
 @inlined
-def _give_up(ball: Floats, kept: Kept) -> bool:
+def _give_up(ball: Float64s, kept: Kept) -> bool:
     ball[3], ball[4] = -1.0, 0.5 * ball[4]
     kept.ball[3] = -1.0
     kept.filled[0] = 0

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Float32s, Float64s, Int64s
 from octex.jit import inlined, kernel, squares_to_boxes, trailing_zeros
 from octex.nearest.boxes import (
     WIDTH,
@@ -25,9 +25,6 @@ from octex.nearest.boxes import (
     rows_in,
 )
 
-Floats = npt.NDArray[np.float64]
-Float32s = npt.NDArray[np.float32]
-
 _MOST_POINTS = 0.95
 
 
@@ -35,13 +32,13 @@ class Points(NamedTuple):
     """A cloud of points with values, made ready to be searched: in Morton order, in groups of eight."""
 
     boxes: Boxes  # over groups
-    positions: Floats  # (n, 3)
+    positions: Float64s  # (n, 3)
     values: Float32s  # (n, components)
     normals: Float32s  # (n, 3), of length 1; or (0, 3)
-    order: npt.NDArray[np.int64]  # (n,)   their numbers in the cloud
+    order: Int64s  # (n,)   their numbers in the cloud
 
     @classmethod
-    def of(cls, positions: Floats, values: Float32s, normals: Float32s | None = None) -> Points:
+    def of(cls, positions: Float64s, values: Float32s, normals: Float32s | None = None) -> Points:
         """Make positions (n, 3), n > 0, with values (n, components) and unit normals (n, 3) ready."""
         order = morton_order(positions)
         placed = rows_in(order, positions)
@@ -52,13 +49,13 @@ class Points(NamedTuple):
 
     def around(
         self,
-        places: Floats,
-        radii: Floats,
-        directions: Floats | None = None,
+        places: Float64s,
+        radii: Float64s,
+        directions: Float64s | None = None,
         *,
         nearest: float | None = None,
         least_cosine: float = -1.0,
-    ) -> tuple[Float32s, npt.NDArray[np.bool_]]:
+    ) -> tuple[Float32s, Bools]:
         """Return means (n, components) of the values around places (n, 3), and where there are any (n,).
 
         Points within a place's radius weigh (1 − d²/r²)², d being how far they are. Where there is none, the
@@ -81,13 +78,13 @@ class Points(NamedTuple):
 
 
 @inlined
-def _square(positions: Floats, row: int, point: tuple[float, float, float]) -> float:
+def _square(positions: Float64s, row: int, point: tuple[float, float, float]) -> float:
     dx, dy, dz = positions[row, 0] - point[0], positions[row, 1] - point[1], positions[row, 2] - point[2]
     return float(dx * dx + dy * dy + dz * dz)
 
 
 @inlined
-def _agrees(cloud: Points, row: int, directions: Floats, n: int, least_cosine: float) -> bool:
+def _agrees(cloud: Points, row: int, directions: Float64s, n: int, least_cosine: float) -> bool:
     """Say whether a point faces as is wanted at a place; one without a normal does."""
     if directions.shape[0] == 0:
         return True
@@ -102,10 +99,10 @@ def _add_group(
     group: int,
     point: tuple[float, float, float],
     square: float,
-    directions: Floats,
+    directions: Float64s,
     n: int,
     least_cosine: float,
-    sums: Floats,
+    sums: Float64s,
 ) -> float:
     """Add the values of a group's points within a squared radius; return the sum of their weights."""
     total = 0.0
@@ -121,14 +118,14 @@ def _add_group(
 @kernel
 def _around(
     cloud: Points,
-    places: Floats,
-    radii: Floats,
-    directions: Floats,
+    places: Float64s,
+    radii: Float64s,
+    directions: Float64s,
     farthest: float,
     least_cosine: float,
     width: float,
     means: Float32s,
-    found: npt.NDArray[np.bool_],
+    found: Bools,
 ) -> None:
     boxes = cloud.boxes
     search, kept = new_search(), new_kept(width)
@@ -176,7 +173,7 @@ def _nearest(
     search: Search,
     point: tuple[float, float, float],
     farthest: float,
-    directions: Floats,
+    directions: Float64s,
     n: int,
     least_cosine: float,
     guess: int,
@@ -211,7 +208,7 @@ def _nearest(
 
 
 @kernel
-def _to_others(cloud: Points, chosen: npt.NDArray[np.int64]) -> Floats:
+def _to_others(cloud: Points, chosen: Int64s) -> Float64s:
     """Return how far, squared, the nearest other point is from each of some rows; 0 for its like."""
     search = new_search()
     squares = np.empty(chosen.size)

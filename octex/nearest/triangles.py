@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int32s, Int64s
 from octex.errors import ModelError
 from octex.jit import inlined, kernel, nearest_box, squares_to_boxes, trailing_zeros
 from octex.nearest.boxes import (
@@ -25,9 +25,6 @@ from octex.nearest.boxes import (
     reach,
 )
 
-Floats = npt.NDArray[np.float64]
-Int32s = npt.NDArray[np.int32]
-
 #: Triangles whose area is less than this part of the square of their longest edge are left out.
 _THINNEST = 1e-12
 
@@ -36,21 +33,21 @@ class Nearest(NamedTuple):
     """What is nearest to each point."""
 
     triangles: Int32s  # (n,)   −1: nothing is near enough
-    barycentric: Floats  # (n, 3)   where on the triangle
-    squares: Floats  # (n,)   how far, squared; infinity for nothing
+    barycentric: Float64s  # (n, 3)   where on the triangle
+    squares: Float64s  # (n,)   how far, squared; infinity for nothing
 
 
 class Triangles(NamedTuple):
     """A mesh made ready to be searched."""
 
     boxes: Boxes
-    order: npt.NDArray[np.int64]  # (triangles,)   their numbers, in the boxes' order
-    corners: Floats  # (triangles, 9)   in the boxes' order: the first corner, and the way to the others
-    normals: npt.NDArray[np.float32]  # (triangles, 3)   of length 1, in the boxes' order
+    order: Int64s  # (triangles,)   their numbers, in the boxes' order
+    corners: Float64s  # (triangles, 9)   in the boxes' order: the first corner, and the way to the others
+    normals: Float32s  # (triangles, 3)   of length 1, in the boxes' order
     width: float  # of a triangle, about
 
     @classmethod
-    def of(cls, vertices: Floats, faces: Int32s) -> Triangles:
+    def of(cls, vertices: Float64s, faces: Int32s) -> Triangles:
         """Make triangles (m, 3) of vertices (n, 3) ready; those without area are never found.
 
         Raises ModelError if none has area.
@@ -73,8 +70,8 @@ class Triangles(NamedTuple):
 
     def nearest(
         self,
-        points: Floats,
-        directions: Floats | None = None,
+        points: Float64s,
+        directions: Float64s | None = None,
         *,
         distance: float = np.inf,
         least_cosine: float = -1.0,
@@ -91,7 +88,7 @@ class Triangles(NamedTuple):
 
 
 @inlined
-def _on_triangle(corners: Floats, row: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+def _on_triangle(corners: Float64s, row: int, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Return how far a point is from a triangle, squared, and the nearest point's second and third weight.
 
     (Ericson, Real-Time Collision Detection, 2005, 5.1.5.)
@@ -125,7 +122,7 @@ def _on_triangle(corners: Floats, row: int, x: float, y: float, z: float) -> tup
 
 
 @inlined
-def _agrees(mesh: Triangles, row: int, directions: Floats, n: int, least_cosine: float) -> bool:
+def _agrees(mesh: Triangles, row: int, directions: Float64s, n: int, least_cosine: float) -> bool:
     """Say whether a triangle faces as is wanted at a point."""
     if directions.shape[0] == 0:
         return True
@@ -144,7 +141,7 @@ def _best_in(
     node: int,
     near: np.uint64,
     point: tuple[float, float, float],
-    directions: Floats,
+    directions: Float64s,
     n: int,
     least_cosine: float,
     best: tuple[float, int, float, float],
@@ -170,7 +167,7 @@ def _best_kept(
     kept: Kept,
     local_point: tuple[float, float, float, float],
     point: tuple[float, float, float],
-    directions: Floats,
+    directions: Float64s,
     n: int,
     least_cosine: float,
     best: tuple[float, int, float, float],
@@ -200,7 +197,7 @@ def _best_of_all(
     search: Search,
     local_point: tuple[float, float, float, float],
     point: tuple[float, float, float],
-    directions: Floats,
+    directions: Float64s,
     n: int,
     least_cosine: float,
     best: tuple[float, int, float, float],
@@ -221,13 +218,13 @@ def _best_of_all(
 @kernel
 def _nearest(
     mesh: Triangles,
-    points: Floats,
-    directions: Floats,
+    points: Float64s,
+    directions: Float64s,
     distance: float,
     least_cosine: float,
     triangles: Int32s,
-    barycentric: Floats,
-    squares: Floats,
+    barycentric: Float64s,
+    squares: Float64s,
 ) -> None:
     boxes = mesh.boxes
     search, kept = new_search(), new_kept(mesh.width)

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Int64s
 from octex.channels import ChannelFormat
 from octex.editing.averages import Residuals, average, residuals_at
 from octex.editing.nodes import Nodes, nodes_at
@@ -20,9 +20,6 @@ from octex.tree.edit import among, locate, with_all_above
 from octex.tree.layout import SPLIT
 from octex.tree.octree import Octree, distinct
 from octex.tree.split import Rows
-
-Bools = npt.NDArray[np.bool_]
-Int64s = npt.NDArray[np.int64]
 
 
 class Above(NamedTuple):

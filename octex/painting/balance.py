@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Float32s, Float64s
 from octex.painting.projected import Projected
 from octex.source.surface import Surface
-
-Floats = npt.NDArray[np.float64]
 
 #: Points of the surface that pictures are compared at.
 _POINTS = 30_000
@@ -20,7 +18,7 @@ _DARKEST, _LIGHTEST = 0.004, 0.97
 _ROUNDS, _FAR = 6, 0.05
 
 
-def balanced(source: Projected, surface: Surface) -> npt.NDArray[np.float32]:
+def balanced(source: Projected, surface: Surface) -> Float32s:
     """Return gains (pictures, 3), by which pictures agree best where more than one sees the surface.
 
     Least squares of the differences of logarithms, those that are far off weighing less (Huber). The gains'
@@ -39,7 +37,7 @@ def balanced(source: Projected, surface: Surface) -> npt.NDArray[np.float32]:
     return gains
 
 
-def _solved(logs: Floats, usable: npt.NDArray[np.bool_]) -> Floats:
+def _solved(logs: Float64s, usable: Bools) -> Float64s:
     """Return what to add to each row (pictures, points) so that rows agree where both are usable."""
     count = len(logs)
     found = np.zeros(count)

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Float32s, Int64s, Uint8s
 from octex.channels import ALPHA, ChannelFormat, decode
 from octex.editing.refined import refined_values
 from octex.errors import ArgumentError
@@ -17,10 +17,6 @@ from octex.tree.layout import FACING_FLAGS
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree, distinct
 from octex.tree.split import rows_of
-
-Bools = npt.NDArray[np.bool_]
-Int64s = npt.NDArray[np.int64]
-Float32s = npt.NDArray[np.float32]
 
 _AROUND = np.array([[x, y, z] for z in (-1, 0, 1) for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y or z])
 #: The area that skirts have, the least there is: in averages they weigh next to nothing.
@@ -34,7 +30,7 @@ class Paint(NamedTuple):
     values: Float32s  # (n, components)   decoded
     coverage: Float32s  # (n,)   0 … 1
     cells: Int64s  # (n,)   the cells of the paint octree that say what each facing has
-    facings: npt.NDArray[np.uint8]  # (n,)   which of them have paint
+    facings: Uint8s  # (n,)   which of them have paint
 
 
 def paint_of(layer: OctreeTexture, opacity: float) -> tuple[ChannelFormat, list[Paint]]:
@@ -70,7 +66,7 @@ def painted_channel(layer: OctreeTexture) -> str:
     return next(name for name in layer.channels if name != ALPHA.name)
 
 
-def _painted_facings(layer: OctreeTexture) -> npt.NDArray[np.uint8]:
+def _painted_facings(layer: OctreeTexture) -> Uint8s:
     """Return the facings of a layer's cells (cells,) that have paint: all, but in split cells."""
     facings = layer.tree.arrays.flags & np.uint8(FACING_FLAGS)
     rows = rows_of(layer.tree.split)
@@ -142,7 +138,7 @@ def among_at(codes: Int64s, level: int, others: Int64s, at: int) -> Bools:
     return among(codes >> 3 * (level - at), others)
 
 
-def facings_within(codes: Int64s, paint: Sequence[Paint], level: int) -> npt.NDArray[np.uint8]:
+def facings_within(codes: Int64s, paint: Sequence[Paint], level: int) -> Uint8s:
     """Return which facings have paint in cells (n,) of a level, which may lie in larger painted ones."""
     found = np.zeros(codes.size, np.uint8)
     for above, each in enumerate(paint[: level + 1]):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int32s
 from octex.channels import ALPHA, ChannelFormat
 from octex.source.base import Source
 
@@ -19,9 +19,9 @@ class Flat(Source):
 
     def evaluate(
         self,
-        triangles: npt.NDArray[np.int32],
-        barycentric: npt.NDArray[np.float64],  # noqa: ARG002
-        widths: npt.NDArray[np.float32],  # noqa: ARG002
-    ) -> npt.NDArray[np.float32]:
+        triangles: Int32s,
+        barycentric: Float64s,  # noqa: ARG002
+        widths: Float32s,  # noqa: ARG002
+    ) -> Float32s:
         """Return ones (n, 1)."""
         return np.ones((len(triangles), 1), np.float32)

@@ -6,8 +6,8 @@ from concurrent.futures import Executor
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s
 from octex.painting.near import Near
 from octex.painting.projected import Shading, Sight, shading_of, sight_of, stretches_of
 from octex.source.surface import Surface
@@ -36,7 +36,7 @@ class Ground:
         return self._near[1]
 
     @cached_property
-    def stretches(self) -> npt.NDArray[np.float32]:
+    def stretches(self) -> Float32s:
         """How long on each triangle (m,) at rest is what is 1 long on the posed one."""
         return stretches_of(self.surface.vertices, self.surface.rest, self.surface.triangles)
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Float32s, Int64s
 from octex.painting.cells import (
     SKIRT,
     Paint,
@@ -20,10 +20,6 @@ from octex.painting.cells import (
 from octex.tree.edit import among, boundary, locate, with_all_above
 from octex.tree.layout import FACING_FLAGS
 from octex.tree.octree import Octree, distinct
-
-Bools = npt.NDArray[np.bool_]
-Int64s = npt.NDArray[np.int64]
-Float32s = npt.NDArray[np.float32]
 
 
 class OnKept(NamedTuple):

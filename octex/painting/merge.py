@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Float32s, Int64s, Uint8s
 from octex.channels import ALPHA, decode, encode
 from octex.checks import as_choice, as_number
 from octex.editing.averages import Residuals, average_rows
@@ -34,11 +34,6 @@ from octex.tree.edit import among, locate
 from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
 from octex.tree.octree import Octree
 from octex.tree.split import rows_of
-
-Int64s = npt.NDArray[np.int64]
-Float32s = npt.NDArray[np.float32]
-Float64s = npt.NDArray[np.float64]
-
 
 #: Paint of this coverage or more hides what is below: less than half a step of 8 bits shows through.
 _HIDING = 1.0 - 1.0 / 512.0
@@ -168,7 +163,7 @@ def mixed(
     old: Mapping[str, Float32s],
     paint: Float32s,
     coverage: Float32s,
-    is_fresh: npt.NDArray[np.bool_],
+    is_fresh: Bools,
 ) -> dict[str, tuple[Float32s, Float32s]]:
     """Return what paint (n, components) makes of the values of channels, and how much of each is paint (n,).
 
@@ -265,9 +260,7 @@ def _blended(
     return _settled(after, new_split, texture, raised, above, left)
 
 
-def _shown(
-    layer: OctreeTexture, sources: Int64s, bits: npt.NDArray[np.uint8], opacity: float
-) -> tuple[Float32s, Float32s]:
+def _shown(layer: OctreeTexture, sources: Int64s, bits: Uint8s, opacity: float) -> tuple[Float32s, Float32s]:
     """Return what paint, of cells ``sources`` (n,) of its octree, shows facings (n,), and its coverage."""
     values = rows_facing(layer, layer.channels[painted_channel(layer)], sources, bits)
     coverage = rows_facing(layer, layer.channels[ALPHA.name], sources, bits)[:, 0] * np.float32(opacity)

@@ -5,18 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
-from octex.conversion.fill import on_grid
+from octex.arrays import Bools, Int32s, Int64s, Uint8s
+from octex.conversion.levels import on_grid
 from octex.jit import inlined, kernel
 from octex.source.surface import Surface
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode_cells
 from octex.tree.placement import Placement
-
-Int32s = npt.NDArray[np.int32]
-Int64s = npt.NDArray[np.int64]
-Uint8s = npt.NDArray[np.uint8]
 
 #: The level of the coarse cells: 128³, whose coordinates fit a byte.
 _COARSE = 7
@@ -71,7 +67,7 @@ def _coarse(codes: Int64s, level: int, end: int) -> Int64s:
     return (cells + end) << (_COARSE - level)
 
 
-def _counts(marked: npt.NDArray[np.bool_]) -> Int32s:
+def _counts(marked: Bools) -> Int32s:
     """Count the marked cells before each along all axes: a box then has a sum of eight of them."""
     counts = np.zeros(tuple(n + 1 for n in marked.shape), np.int32)
     inner = marked.cumsum(0, np.int32)
@@ -95,7 +91,7 @@ def _boxes(grid: Int32s, triangles: Int32s, shift: int) -> Uint8s:
 
 
 @kernel
-def _mark(boxes: Uint8s, first: Int64s, marked: npt.NDArray[np.bool_]) -> None:
+def _mark(boxes: Uint8s, first: Int64s, marked: Bools) -> None:
     """Mark the coarse cells, from ``first`` on, that boxes reach."""
     for n in range(boxes.shape[0]):
         for x in range(np.int64(boxes[n, 0]) - first[0], np.int64(boxes[n, 3]) - first[0] + 1):

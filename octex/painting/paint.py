@@ -15,10 +15,10 @@ from octex.editing.draft import Change
 from octex.errors import ArgumentError
 from octex.painting.balance import balanced
 from octex.painting.ground import Ground
+from octex.painting.layer import CELLS, FINEST_CELLS, empty_texture, rasterize_paint, wanted_depth
 from octex.painting.merge import merged
 from octex.painting.pictures import Projection, check_projections, levels_of
 from octex.painting.projected import Projected, in_fixed_order, shot_of, terms_of
-from octex.painting.rasterize import CELLS, FINEST_CELLS, empty_texture, rasterize_paint, wanted_depth
 from octex.parallel import Progress, as_progress, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import PIL.Image
 
+from octex.arrays import Array, Float32s, Int64s
 from octex.channels import ChannelFormat, decode_table
 from octex.checks import as_choice, as_items, as_number, as_path, is_path
 from octex.errors import ArgumentError, ImageError
@@ -19,7 +20,6 @@ from octex.source.images.decode import as_texels, read_image_file
 from octex.source.images.pyramid import resized
 from octex.view.camera import Camera
 
-Floats = npt.NDArray[np.float32]
 Image = str | os.PathLike[str] | PIL.Image.Image | npt.ArrayLike
 
 #: How paint p of coverage a meets what is there, b, in linear light:
@@ -73,9 +73,9 @@ class Levels(NamedTuple):
     A row is a pixel: up to three components as the channel has them decoded, multiplied by alpha, and alpha.
     """
 
-    pixels: Floats  # (pixels of all levels, 4)
-    sizes: npt.NDArray[np.int64]  # (levels, 3)   first row, width, height
-    range: Floats  # (2, 3)   the least and the largest of each component where the picture has any alpha
+    pixels: Float32s  # (pixels of all levels, 4)
+    sizes: Int64s  # (levels, 3)   first row, width, height
+    range: Float32s  # (2, 3)   the least and the largest of each component where the picture has any alpha
 
 
 def levels_of(projection: Projection, form: ChannelFormat, scale: float = 1.0) -> Levels:
@@ -88,7 +88,7 @@ def levels_of(projection: Projection, form: ChannelFormat, scale: float = 1.0) -
     texels = _texels(projection.image, "the image")
     _check_size(texels, width, height, projection.name)
     pixels = _decoded(texels, form)
-    factor: np.float32 | Floats = np.float32(scale)
+    factor: np.float32 | Float32s = np.float32(scale)
     if projection.since is not None:
         before = _texels(projection.since, "the picture as it was")
         _check_size(before, width, height, _name_of(projection.since, "the picture as it was"))
@@ -126,7 +126,7 @@ def _texels(image: Image, otherwise: str) -> npt.NDArray[np.uint16 | np.float32]
     return read_image_file(as_path(image, "image"))[0]
 
 
-def _check_size(texels: npt.NDArray[np.generic], width: int, height: int, name: str) -> None:
+def _check_size(texels: Array, width: int, height: int, name: str) -> None:
     rows, columns = texels.shape[:2]
     if (columns, rows) != (width, height):
         raise ArgumentError(
@@ -135,13 +135,13 @@ def _check_size(texels: npt.NDArray[np.generic], width: int, height: int, name: 
         )
 
 
-def _as_fractions(alpha: npt.NDArray[np.uint16 | np.float32]) -> Floats:
+def _as_fractions(alpha: npt.NDArray[np.uint16 | np.float32]) -> Float32s:
     scale = np.float32(1.0 / _MOST_CODE if alpha.dtype == np.uint16 else 1.0)
-    fractions: Floats = np.clip(alpha.astype(np.float32) * scale, 0.0, 1.0)
+    fractions: Float32s = np.clip(alpha.astype(np.float32) * scale, 0.0, 1.0)
     return fractions
 
 
-def _decoded(texels: npt.NDArray[np.uint16 | np.float32], form: ChannelFormat) -> Floats:
+def _decoded(texels: npt.NDArray[np.uint16 | np.float32], form: ChannelFormat) -> Float32s:
     """Return colours as the channel has them decoded, and alpha (height, width, 4)."""
     pixels = np.empty((*texels.shape[:2], 4), np.float32)
     if texels.dtype == np.uint16:

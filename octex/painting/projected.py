@@ -9,8 +9,8 @@ from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int32s
 from octex.channels import ChannelFormat
 from octex.jit import inlined, kernel
 from octex.painting.pictures import Levels, Projection, levels_of, read_paint
@@ -21,23 +21,21 @@ from octex.source.tangents import carried
 from octex.view.camera import Camera
 from octex.view.shading import corner_normals_of, face_normals
 from octex.view.visibility import (
-    Seen,
     View,
+    Visibility,
     distances_to_edges,
-    look,
     nearness,
     plane_through,
-    seen_part,
     straight,
     tolerance,
     transformed,
     view_of,
+    visibility_of,
+    visible_part,
 )
 
-Floats = npt.NDArray[np.float64]
-Int32s = npt.NDArray[np.int32]
 #: Gives normals (k, 3, 3), of any length, at the corners of triangles (k,).
-Shading = Callable[[Int32s], npt.NDArray[np.float32]]
+Shading = Callable[[Int32s], Float32s]
 
 #: By how many degrees before the largest angle paint begins to fade.
 FADE = 10.0
@@ -56,21 +54,21 @@ class Shot(NamedTuple):
     """A picture and what its camera sees, as kernels read them."""
 
     camera: View  # without distortion
-    lens: npt.NDArray[np.float64]  # (14,)   K (9) of the picture, then k1, k2, p1, p2 and the camera's reach
+    lens: Float64s  # (14,)   K (9) of the picture, then k1, k2, p1, p2 and the camera's reach
     levels: Levels
-    seen: Seen
-    margins: npt.NDArray[np.float32]  # (height, width)   to where the surface ends, in pixels; at most so far
-    centres: npt.NDArray[np.float32]  # (height, width, 3)   barycentric coordinates of the pixels' centres
+    seen: Visibility
+    margins: Float32s  # (height, width)   to where the surface ends, in pixels; at most so far
+    centres: Float32s  # (height, width, 3)   barycentric coordinates of the pixels' centres
 
 
 class Sight(NamedTuple):
     """What a camera sees of a surface; see Shot."""
 
     camera: View
-    lens: npt.NDArray[np.float64]
-    seen: Seen
-    margins: npt.NDArray[np.float32]
-    centres: npt.NDArray[np.float32]
+    lens: Float64s
+    seen: Visibility
+    margins: Float32s
+    centres: Float32s
 
 
 class Terms(NamedTuple):
@@ -85,7 +83,7 @@ class Terms(NamedTuple):
 def take_shot(
     projection: Projection,
     form: ChannelFormat,
-    vertices: Floats,
+    vertices: Float64s,
     triangles: Int32s,
     feather: float,
     scale: float,
@@ -101,11 +99,11 @@ def take_shot(
 
 
 def sight_of(
-    vertices: Floats, triangles: Int32s, camera: Camera, feather: float, executor: Executor
+    vertices: Float64s, triangles: Int32s, camera: Camera, feather: float, executor: Executor
 ) -> Sight:
     """Find what a camera sees of triangles (m, 3) of vertices (n, 3)."""
     pinhole = straight(camera)
-    seen, centres = look(vertices, triangles, pinhole, executor)
+    seen, centres = visibility_of(vertices, triangles, pinhole, executor)
     view = view_of(pinhole)
     margins = distances_to_edges(seen, view, max(feather, _TRUSTED) + 1.0)
     lens = np.concatenate([camera.K.ravel(), camera.distortion, [camera.reach]])
@@ -176,10 +174,10 @@ class Projected(PaintSource):
         shots: Sequence[Shot],
         form: ChannelFormat,
         terms: Terms,
-        vertices: Floats,
+        vertices: Float64s,
         triangles: Int32s,
-        stretches: npt.NDArray[np.float32],
-        gains: npt.NDArray[np.float32] | None = None,
+        stretches: Float32s,
+        gains: Float32s | None = None,
         shading: Shading | None = None,
     ) -> None:
         super().__init__(form)
@@ -189,7 +187,7 @@ class Projected(PaintSource):
         self._mesh = vertices, triangles, stretches
         self._gains = np.ones((len(self._shots), 3), np.float32) if gains is None else gains
 
-    def with_gains(self, gains: npt.NDArray[np.float32]) -> Projected:
+    def with_gains(self, gains: Float32s) -> Projected:
         """Return the same paint with other gains."""
         return Projected(self._shots, self._channels[0], self._terms, *self._mesh, gains, self._shading)
 
@@ -201,7 +199,7 @@ class Projected(PaintSource):
         return Projected(shots, self._channels[0], self._terms, *self._mesh, self._gains, self._shading)
 
     @cached_property
-    def _normals(self) -> npt.NDArray[np.float32]:
+    def _normals(self) -> Float32s:
         return self._shading(np.arange(len(self._mesh[1]), dtype=np.int32))
 
     def touched(self) -> Int32s:
@@ -226,9 +224,7 @@ class Projected(PaintSource):
             lambda some: normals[some],
         )  # fmt: skip
 
-    def evaluate(
-        self, triangles: Int32s, barycentric: Floats, widths: npt.NDArray[np.float32]
-    ) -> npt.NDArray[np.float32]:
+    def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return paint, linear for colours, and coverage (n, components + 1); zeros where there is none."""
         sums, clear = np.zeros((len(triangles), 4)), np.ones(len(triangles))
         where = triangles, barycentric, widths
@@ -238,9 +234,7 @@ class Projected(PaintSource):
         _finish(sums, clear, found)
         return found
 
-    def each(
-        self, triangles: Int32s, barycentric: Floats, widths: npt.NDArray[np.float32]
-    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    def each(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> tuple[Float32s, Float32s]:
         """Return what each shot paints (shots, n, 3), and its weight (shots, n)."""
         paint = np.zeros((len(self._shots), len(triangles), 3), np.float32)
         weights = np.zeros((len(self._shots), len(triangles)), np.float32)
@@ -252,11 +246,11 @@ class Projected(PaintSource):
             paint[number] = sums[:, :3] / np.maximum(sums[:, 3:], 1e-300)
         return paint, weights
 
-    def texel_edges(self, triangles: Int32s) -> npt.NDArray[np.float32]:
+    def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of the finest pixel on triangles (n,), in rest units; infinity where none is."""
         return self.widths(triangles, np.full((len(triangles), 3), 1 / 3))
 
-    def widths(self, triangles: Int32s, barycentric: Floats) -> npt.NDArray[np.float32]:
+    def widths(self, triangles: Int32s, barycentric: Float64s) -> Float32s:
         """Return how wide the finest pixel that looks toward points is there, across the view, in rest units.
 
         Infinity for points that no camera has before it.
@@ -266,7 +260,7 @@ class Projected(PaintSource):
             _narrow(shot, *self._mesh, self._terms.back_faces, triangles, barycentric, widths)
         return widths
 
-    def centres(self) -> Iterator[tuple[Int32s, Floats]]:
+    def centres(self) -> Iterator[tuple[Int32s, Float64s]]:
         """Yield what the centres of each shot's pixels see."""
         for shot in self._shots:
             pixels = np.flatnonzero(shot.seen.triangle.ravel() >= 0)
@@ -276,7 +270,7 @@ class Projected(PaintSource):
             )
 
 
-def stretches_of(vertices: Floats, rest: Floats, triangles: Int32s) -> npt.NDArray[np.float32]:
+def stretches_of(vertices: Float64s, rest: Float64s, triangles: Int32s) -> Float32s:
     """Return how long on each triangle (m,) at rest is what is 1 long on the posed one, by their areas."""
     if rest is vertices:
         return np.ones(len(triangles), np.float32)
@@ -294,11 +288,11 @@ def shading_of(surface: Surface) -> Shading:
     return partial(_given, surface, frames)
 
 
-def _computed(vertices: Floats, triangles: Int32s, chosen: Int32s) -> npt.NDArray[np.float32]:
+def _computed(vertices: Float64s, triangles: Int32s, chosen: Int32s) -> Float32s:
     return corner_normals_of(chosen, vertices, triangles)
 
 
-def _given(surface: Surface, frames: Frames, chosen: Int32s) -> npt.NDArray[np.float32]:
+def _given(surface: Surface, frames: Frames, chosen: Int32s) -> Float32s:
     some = Frames(frames.normals.of(chosen), frames.tangents.of(chosen))
     if surface.rest is not surface.vertices:
         some = carried(some, surface.triangles[chosen], surface.rest, surface.vertices)
@@ -334,7 +328,7 @@ def _point(
     a: tuple[float, float, float],
     b: tuple[float, float, float],
     c: tuple[float, float, float],
-    barycentric: Floats,
+    barycentric: Float64s,
     n: int,
 ) -> tuple[float, float, float]:
     p, q, r = barycentric[n, 0], barycentric[n, 1], barycentric[n, 2]
@@ -360,9 +354,9 @@ def _facing(view: View, plane: tuple[float, float, float, float], x: float, y: f
 def _shaded(
     view: View,
     plane: tuple[float, float, float, float],
-    normals: npt.NDArray[np.float32],
+    normals: Float32s,
     triangle: int,
-    barycentric: Floats,
+    barycentric: Float64s,
     n: int,
     x: float,
     y: float,
@@ -400,16 +394,16 @@ def _pixel(view: View, z: float) -> float:
 def _add(
     shot: Shot,
     terms: Terms,
-    vertices: Floats,
+    vertices: Float64s,
     faces: Int32s,
-    stretches: npt.NDArray[np.float32],
-    normals: npt.NDArray[np.float32],
-    gains: npt.NDArray[np.float32],
+    stretches: Float32s,
+    normals: Float32s,
+    gains: Float32s,
     triangles: Int32s,
-    barycentric: Floats,
-    widths: npt.NDArray[np.float32],
-    sums: Floats,
-    clear: Floats,
+    barycentric: Float64s,
+    widths: Float32s,
+    sums: Float64s,
+    clear: Float64s,
 ) -> None:
     """Add a shot's paint to weighted sums (n, 4), and take its coverage from what is ``clear`` (n,)."""
     view = shot.camera
@@ -457,7 +451,7 @@ def _add(
         size = 0.5 * area * cosine / (pixel * pixel)
         near = base + right * px + down * py
         slack = tolerance(view, near, right, down, size)
-        part = seen_part(shot.seen, triangle, px, py, near, right, down, slack)
+        part = visible_part(shot.seen, triangle, px, py, near, right, down, slack)
         coverage = _smooth((part - _LEAST_SEEN) / (_WELL_SEEN - _LEAST_SEEN))
         if terms.vanishing > -1.0:
             coverage *= _smooth((shaded - terms.vanishing) / (terms.fading - terms.vanishing))
@@ -482,7 +476,7 @@ def _add(
 
 
 @kernel
-def _finish(sums: Floats, clear: Floats, found: npt.NDArray[np.float32]) -> None:
+def _finish(sums: Float64s, clear: Float64s, found: Float32s) -> None:
     components = found.shape[1] - 1
     for n in range(clear.size):
         if sums[n, 3] > 0.0:
@@ -494,13 +488,13 @@ def _finish(sums: Floats, clear: Floats, found: npt.NDArray[np.float32]) -> None
 @kernel
 def _narrow(
     shot: Shot,
-    vertices: Floats,
+    vertices: Float64s,
     faces: Int32s,
-    stretches: npt.NDArray[np.float32],
+    stretches: Float32s,
     back_faces: bool,
     triangles: Int32s,
-    barycentric: Floats,
-    widths: npt.NDArray[np.float32],
+    barycentric: Float64s,
+    widths: Float32s,
 ) -> None:
     """Lower ``widths`` (n,) to that of a shot's pixels, where it looks toward the points."""
     view = shot.camera

@@ -7,10 +7,10 @@ from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Int64s, Uint8s
 from octex.channels import encode
-from octex.conversion.fill import assemble, fill
+from octex.conversion.levels import assemble, cell_levels
 from octex.editing.averages import with_summed_areas
 from octex.editing.carried import carried
 from octex.editing.draft import coarsest_near
@@ -48,9 +48,6 @@ from octex.tree.edit import (
 from octex.tree.layout import FACING_FLAGS, KEPT
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree, distinct
-
-Int64s = npt.NDArray[np.int64]
-Bools = npt.NDArray[np.bool_]
 
 
 class Met(NamedTuple):
@@ -312,7 +309,7 @@ def _freed(
 
 def _is_beside_old(
     codes: Int64s, level: int, above: Sequence[Int64s], bare: Sequence[Int64s], coarsest: int
-) -> npt.NDArray[np.bool_]:
+) -> Bools:
     """Say which cells (n,) of a level are in or beside nodes that paint is in and whose coefficient stays.
 
     See ``kept.on_kept``: unpainted surface is in or beside them. They are of the coarsest level near paint.
@@ -357,7 +354,7 @@ def _met_cells(
     part = ground.surface.part(chosen, Flat())
     channels = part.source.channels
     try:
-        filled = fill(part, channels, texture.placement, depth, executor, progress, has_samples=False)
+        filled = cell_levels(part, channels, texture.placement, depth, executor, progress, has_samples=False)
     except ModelError:  # no triangle there has an area
         return nothing
     tree, _ = assemble(channels, filled)
@@ -372,7 +369,7 @@ def _carried(
     met: Met | None,
     layer: OctreeTexture,
     paint: Sequence[Paint],
-) -> tuple[OctreeTexture, npt.NDArray[np.bool_]]:
+) -> tuple[OctreeTexture, Bools]:
     """Give an edited tree the texture's values, and new cells what the field refines to.
 
     Cells that are added where nothing was, which are marked in the second result with new nodes above them,
@@ -430,9 +427,7 @@ def _carried(
     return made, is_fresh
 
 
-def _face(
-    flags: npt.NDArray[np.uint8], areas: npt.NDArray[np.uint8], cells: Int64s, tree: Octree, sources: Int64s
-) -> None:
+def _face(flags: Uint8s, areas: Uint8s, cells: Int64s, tree: Octree, sources: Int64s) -> None:
     """Give cells the facings and areas of cells of another tree, in place."""
     flags[cells] |= tree.arrays.flags[sources] & np.uint8(FACING_FLAGS)
     areas[cells] = tree.arrays.areas[sources]

@@ -9,15 +9,16 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.channels import ChannelFormat
 from octex.checks import as_choice, as_depth, as_number, as_points, as_positive, as_reals
 from octex.errors import ArgumentError
 from octex.functions import answer
 from octex.painting.ground import Ground
+from octex.painting.layer import empty_texture, rasterize_paint
 from octex.painting.merge import merged
 from octex.painting.paint import check_inside, format_of
 from octex.painting.pictures import BLENDS, Blend
-from octex.painting.rasterize import empty_texture, rasterize_paint
 from octex.painting.source import PaintSource
 from octex.parallel import Progress, as_progress, workers
 from octex.source.corners import at_corners
@@ -25,11 +26,8 @@ from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
 from octex.tree.placement import Placement
 
-Floats = npt.NDArray[np.float64]
-Int32s = npt.NDArray[np.int32]
-
 #: Says how much of rest positions (n, 3) a region covers: (n,), 0 … 1.
-RegionFunction: TypeAlias = Callable[[Floats], npt.ArrayLike]
+RegionFunction: TypeAlias = Callable[[Float64s], npt.ArrayLike]
 
 _DEPTH = 10
 _FARTHEST = 1e100
@@ -48,13 +46,13 @@ class Sphere(NamedTuple):
         radius = as_number(as_positive(self.radius, "radius"), "radius", 0.0, _FARTHEST)
         return Sphere((x, y, z), radius, as_number(self.soft, "soft", 0.0, np.inf))
 
-    def covers(self, points: Floats) -> Floats:
+    def covers(self, points: Float64s) -> Float64s:
         """Return how much of points (n, 3) it covers, (n,)."""
         apart = as_points(points) - np.asarray(self.center, np.float64)
         with np.errstate(over="ignore", invalid="ignore"):  # of points that are not finite, or nearly
             return _falling_off(self.radius - np.linalg.norm(apart, axis=1), self.soft)
 
-    def bounds(self) -> Floats:
+    def bounds(self) -> Float64s:
         """Return its lowest and highest corner (2, 3)."""
         center = np.asarray(self.center, np.float64)
         return np.stack([center - self.radius, center + self.radius])
@@ -78,19 +76,19 @@ class Box(NamedTuple):
         (x, y, z), (u, v, w) = low.tolist(), high.tolist()
         return Box((x, y, z), (u, v, w), as_number(self.soft, "soft", 0.0, np.inf))
 
-    def covers(self, points: Floats) -> Floats:
+    def covers(self, points: Float64s) -> Float64s:
         """Return how much of points (n, 3) it covers, (n,)."""
         low, high = self.bounds()
         points = as_points(points).astype(np.float64, copy=False)
         with np.errstate(over="ignore", invalid="ignore"):
             return _falling_off(np.minimum(points - low, high - points).min(axis=1), self.soft)
 
-    def bounds(self) -> Floats:
+    def bounds(self) -> Float64s:
         """Return its lowest and highest corner (2, 3)."""
         return np.stack([np.asarray(self.low, np.float64), np.asarray(self.high, np.float64)])
 
 
-def _falling_off(inside: Floats, soft: float) -> Floats:
+def _falling_off(inside: Float64s, soft: float) -> Float64s:
     if soft > 0.0:
         return np.clip(inside / soft, 0.0, 1.0)
     return (inside >= 0.0).astype(np.float64)
@@ -163,22 +161,22 @@ def region_layer(
     else:
         depth = _DEPTH if texture is None or not texture.tree.n_leaves else texture.tree.max_depth
     placement = Placement.around(surface.bounds, depth) if texture is None else texture.placement
-    source = Filled(form, value, surface.rest, surface.triangles, *_coverage(region, surface))
+    source = RegionSource(form, value, surface.rest, surface.triangles, *_coverage(region, surface))
     check_inside(ground.surface, placement)
     layer = rasterize_paint(ground, source, placement, depth, fit=False, executor=executor, progress=progress)
     return texture or empty_texture([form], placement, ground.surface.bounds, ground.surface), layer
 
 
-class Filled(PaintSource):
+class RegionSource(PaintSource):
     """One value; ``covers`` says where of rest positions, ``chosen`` (m,) on which triangles at all."""
 
     def __init__(
         self,
         form: ChannelFormat,
-        value: npt.NDArray[np.float32],
-        rest: Floats,
+        value: Float32s,
+        rest: Float64s,
         triangles: Int32s,
-        chosen: npt.NDArray[np.bool_],
+        chosen: Bools,
         covers: RegionFunction,
     ) -> None:
         super().__init__(form)
@@ -191,19 +189,19 @@ class Filled(PaintSource):
         """Return the triangles that may be covered."""
         return np.flatnonzero(self._chosen).astype(np.int32)
 
-    def on(self, chosen: Int32s) -> Filled:
+    def on(self, chosen: Int32s) -> RegionSource:
         """Return the same for some of the triangles."""
         rest, triangles = self._mesh
-        return Filled(
+        return RegionSource(
             self._channels[0], self._value, rest, triangles[chosen], self._chosen[chosen], self._covers
         )
 
     def evaluate(
         self,
         triangles: Int32s,
-        barycentric: Floats,
-        widths: npt.NDArray[np.float32],  # noqa: ARG002
-    ) -> npt.NDArray[np.float32]:
+        barycentric: Float64s,
+        widths: Float32s,  # noqa: ARG002
+    ) -> Float32s:
         """Return the value and its coverage (n, components + 1)."""
         rest, faces = self._mesh
         found = np.zeros((len(triangles), len(self._value) + 1), np.float32)
@@ -214,13 +212,13 @@ class Filled(PaintSource):
         return found
 
 
-def _value(form: ChannelFormat, color: npt.ArrayLike) -> npt.NDArray[np.float32]:
+def _value(form: ChannelFormat, color: npt.ArrayLike) -> Float32s:
     shapes = [(form.components,), *([()] if form.components == 1 else [])]
     most = float(np.finfo(np.float32).max)
     return np.atleast_1d(as_reals(color, f"color of {form.name!r}", *shapes, most=most)).astype(np.float32)
 
 
-def _coverage(region: Region, surface: Surface) -> tuple[npt.NDArray[np.bool_], RegionFunction]:
+def _coverage(region: Region, surface: Surface) -> tuple[Bools, RegionFunction]:
     """Return which triangles a region may cover, and what it covers of positions."""
     count = len(surface.triangles)
     if isinstance(region, (Sphere, Box)):
@@ -251,11 +249,11 @@ def _coverage(region: Region, surface: Surface) -> tuple[npt.NDArray[np.bool_], 
     )
 
 
-def _everywhere(points: Floats) -> npt.ArrayLike:
+def _everywhere(points: Float64s) -> npt.ArrayLike:
     return np.ones(len(points))
 
 
-def _checked(function: RegionFunction, points: Floats) -> npt.NDArray[np.float32]:
+def _checked(function: RegionFunction, points: Float64s) -> Float32s:
     """Call a region's function; refuse what is no coverage."""
     if not len(points):
         return np.empty(0, np.float32)

@@ -6,12 +6,10 @@ from abc import abstractmethod
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int32s
 from octex.channels import ALPHA, ChannelFormat
 from octex.source.base import Source
-
-Int32s = npt.NDArray[np.int32]
 
 #: Coverage is kept in 16 bits: 8 would change a wash by up to half a step.
 COVERAGE = ALPHA._replace(dtype="uint16")
@@ -39,11 +37,11 @@ class PaintSource(Source):
     def widths(
         self,
         triangles: Int32s,
-        barycentric: npt.NDArray[np.float64],  # noqa: ARG002
-    ) -> npt.NDArray[np.float32]:
+        barycentric: Float64s,  # noqa: ARG002
+    ) -> Float32s:
         """Return how wide the finest detail of the paint is at points (n,), in rest units; 0: any."""
         return np.zeros(len(triangles), np.float32)
 
-    def centres(self) -> Iterator[tuple[Int32s, npt.NDArray[np.float64]]]:
+    def centres(self) -> Iterator[tuple[Int32s, Float64s]]:
         """Yield points, as triangles (n,) and barycentric coordinates (n, 3), where paint is to be exact."""
         return iter(())

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
+from octex.arrays import Bools, Float32s, Float64s, Uint8s
 from octex.channels import srgb_to_linear
 from octex.compare import (
     PEAKS,
@@ -16,14 +16,13 @@ from octex.compare import (
     Differences,
     Points,
     Side,
-    cover,
     degrees_between,
     in_common,
+    inside_cells,
     placed,
     readers_of,
 )
 from octex.files import replacing
-from octex.preview.looks import Appearance, Hits, Look, source_look, texture_look
 from octex.preview.panels import (
     Panel,
     caption_height,
@@ -40,9 +39,10 @@ from octex.preview.pictures import (
     film_leaves,
     film_surface,
     rest_normals,
-    seen_hits,
+    visible_hits,
     visible_level,
 )
+from octex.preview.shaders import Appearance, Hits, Shader, source_shader, texture_shader
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.view.camera import Camera
@@ -64,7 +64,7 @@ _LEAF_PIXELS = 0.5
 class _Row(NamedTuple):
     """How a channel looks on both sides, and how it differs."""
 
-    pictures: list[npt.NDArray[np.float32]]
+    pictures: list[Float32s]
     film: Film  # of the difference (in red) and of where only one side is (in green)
     ring: tuple[float, float] | None  # pixel coordinates of the maximum, if it is in sight
 
@@ -95,7 +95,7 @@ def draw_difference(
     names: tuple[str, str] = ("A", "B"),
     size: tuple[int, int] = (1800, 640),
     supersample: int = 3,
-) -> npt.NDArray[np.uint8]:
+) -> Uint8s:
     """Draw a, b and how they differ side by side, a row for each channel, as sRGB codes (height, width, 3).
 
     found          what ``compare.difference`` found between them
@@ -137,8 +137,8 @@ def draw_difference(
     return np.vstack(rows)
 
 
-def _look(side: Side, channel: str) -> Look:
-    return source_look(side, channel) if isinstance(side, Surface) else texture_look(side, channel)
+def _look(side: Side, channel: str) -> Shader:
+    return source_shader(side, channel) if isinstance(side, Surface) else texture_shader(side, channel)
 
 
 def _caption(side: Side, channel: str) -> str:
@@ -151,7 +151,7 @@ def _caption(side: Side, channel: str) -> str:
 def _row_on_model(
     sides: tuple[Side, Side],
     model: Surface,
-    looks: list[Look],
+    looks: list[Shader],
     camera: Camera,
     found: Differences,
     channel: str,
@@ -159,7 +159,7 @@ def _row_on_model(
 ) -> _Row:
     (texture,) = (side for side in sides if isinstance(side, OctreeTexture))
     apart = _Apart(sides, channel, found)
-    covers, edge = cover(texture), texture.placement.size / 2**texture.tree.max_depth
+    covers, edge = inside_cells(texture), texture.placement.size / 2**texture.tree.max_depth
 
     def difference_look(hits: Hits) -> Appearance:
         covered = covers(hits.rest, np.full(len(hits.rest), edge))
@@ -168,7 +168,7 @@ def _row_on_model(
     *films, film = film_surface(model, camera, [*looks, difference_look], supersample)
     where = np.array((found[channel].angle or found[channel]).where)
     nearest, ring = np.inf, None
-    for pixels, hits in seen_hits(model, camera, rest_normals(model)):
+    for pixels, hits in visible_hits(model, camera, rest_normals(model)):
         distances = np.linalg.norm(hits.rest - where, axis=1)
         n = int(distances.argmin())
         if distances[n] < min(nearest, 3 * hits.width[n]):
@@ -188,7 +188,7 @@ class _TwoTrees:
         # The finer ones show the difference; of the others, those do that lie where there are no finer ones.
         order = (0, 1) if self._leaves[0].edges.min() <= self._leaves[1].edges.min() else (1, 0)
         fine, coarse = (self._leaves[n] for n in order)
-        meets_coarse, meets_fine = (cover(self._textures[n]) for n in reversed(order))
+        meets_coarse, meets_fine = (inside_cells(self._textures[n]) for n in reversed(order))
         alone = ~meets_fine(coarse.centres, coarse.edges)
         covered = meets_coarse(fine.centres, fine.edges)
         self._differing = Leaves.joined(fine, coarse.only(alone))
@@ -225,7 +225,7 @@ class _Apart:
         self._channel = channel
         self._readers = readers_of(sides, [channel], found.width or 0.0, found.filter)
 
-    def appearance(self, points: Points, covered: npt.NDArray[np.bool_]) -> Appearance:
+    def appearance(self, points: Points, covered: Bools) -> Appearance:
         a, b = (reader.read(points)[self._channel] for reader in self._readers)
         is_direction = self._readers[0].spaces[self._channel] == "direction"
         apart = degrees_between(a, b) if is_direction else np.abs(b - a).max(axis=1)
@@ -235,7 +235,7 @@ class _Apart:
         return Appearance(emitted=emitted)
 
 
-def _difference_panel(row: _Row, channel: str, shown: Difference, room: int) -> npt.NDArray[np.uint8]:
+def _difference_panel(row: _Row, channel: str, shown: Difference, room: int) -> Uint8s:
     top = _scale_top(shown)
     exposed, coverage = row.film.exposure()
     apart, alone = exposed[..., 0] / top, exposed[..., 1:2]
@@ -292,13 +292,13 @@ def _scale_top(shown: Difference) -> float:
     return float(next(step * tens for step in (1, 2, 5, 10) if step * tens >= reach * (1 - 1e-9)))
 
 
-def _scale_codes(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _scale_codes(values: Float64s) -> Float64s:
     """Return the scale's sRGB codes (…, 3) of values from 0 to 1; larger ones have its last."""
     stops = np.linspace(0.0, 1.0, len(_SCALE))
     return np.stack([np.interp(values, stops, column) for column in _SCALE.T], axis=-1)
 
 
-def _on_scale(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _on_scale(values: Float64s) -> Float64s:
     """Return the scale's linear light."""
     return srgb_to_linear(_scale_codes(values) / 255)
 

@@ -8,10 +8,9 @@ from typing import NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Float64s, Floats
 from octex.view.camera import Camera
 from octex.view.camera_files import Frame
-
-Floats = npt.NDArray[np.floating]
 
 #: From the model toward the camera: from the front (glTF's +z), a little from the right and from above.
 _THREE_QUARTER = np.array([0.56, 0.42, 1.0]) / np.linalg.norm([0.56, 0.42, 1.0])
@@ -42,7 +41,7 @@ class Viewpoint(NamedTuple):
 USUAL = Viewpoint()
 
 
-def view_directions(normals: Floats, areas: Floats) -> npt.NDArray[np.float64]:
+def view_directions(normals: Floats, areas: Floats) -> Float64s:
     """Return directions (k, 3) to look at a model from, unit vectors toward the camera; the usual one first.
 
     normals    (n, 3) unit normals of its parts, and
@@ -52,7 +51,7 @@ def view_directions(normals: Floats, areas: Floats) -> npt.NDArray[np.float64]:
     strengths, axes = np.linalg.eigh(np.einsum("n,nc,nd->cd", weights, normals, normals))
     if strengths[2] < _FLAT:
         sides = np.array([[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0], [1.0, 1.0, -1.0], [-1.0, 1.0, -1.0]])
-        return cast("npt.NDArray[np.float64]", sides * _THREE_QUARTER)
+        return cast("Float64s", sides * _THREE_QUARTER)
     # Flat: along the normal and a little aslant, from the side that more of it faces, or else from either.
     normal = axes[:, 2] * (1.0 if axes[:, 2] @ _THREE_QUARTER >= 0.0 else -1.0)
     facing = normals @ normal
@@ -60,12 +59,10 @@ def view_directions(normals: Floats, areas: Floats) -> npt.NDArray[np.float64]:
     normals = np.array([normal, -normal] if abs(excess) < 0.1 else [np.sign(excess) * normal])
     slants = _THREE_QUARTER - (normals @ _THREE_QUARTER)[:, None] * normals
     directions = normals + _SLANT * slants / np.maximum(np.linalg.norm(slants, axis=1, keepdims=True), 1e-3)
-    return cast("npt.NDArray[np.float64]", directions / np.linalg.norm(directions, axis=1, keepdims=True))
+    return cast("Float64s", directions / np.linalg.norm(directions, axis=1, keepdims=True))
 
 
-def best_direction(
-    directions: Floats, points: Floats, unlit: Callable[[Camera], Floats]
-) -> npt.NDArray[np.float64]:
+def best_direction(directions: Floats, points: Floats, unlit: Callable[[Camera], Floats]) -> Float64s:
     """Choose the direction (3,) from which a model shows most detail; not the first only if clearly so.
 
     points    (n, 3) of the model
@@ -76,5 +73,5 @@ def best_direction(
         picture = unlit(Camera.fitted(points, direction, size=(96, 96)))
         details.append(sum(float(np.nansum(np.abs(np.diff(picture, axis=axis)))) for axis in (0, 1)))
     clearly = [detail > _CLEARLY * details[0] for detail in details]
-    best: npt.NDArray[np.float64] = directions[int(np.argmax(details)) if any(clearly) else 0]
+    best: Float64s = directions[int(np.argmax(details)) if any(clearly) else 0]
     return best

@@ -8,15 +8,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
+from octex.arrays import Float32s, Floats, Uint8s
 from octex.channels import encode, linear_to_srgb
 from octex.errors import ArgumentError
 from octex.files import replacing
 from octex.preview.directions import USUAL, Viewpoint, best_direction, view_directions
-from octex.preview.looks import Floats, Look, Shown, source_look, texture_look
-from octex.preview.pictures import Leaves, film_surface, render_leaves, rest_normals, seen_hits, visible_level
+from octex.preview.pictures import (
+    Leaves,
+    film_surface,
+    render_leaves,
+    rest_normals,
+    visible_hits,
+    visible_level,
+)
+from octex.preview.shaders import Shader, Shown, source_shader, texture_shader
 from octex.view.camera import Camera
 from octex.view.shading import background, face_normals
 
@@ -50,7 +57,7 @@ def draw_preview(
     supersample: int = 3,
     note: str = "",
     view: Viewpoint = USUAL,
-) -> npt.NDArray[np.uint8]:
+) -> Uint8s:
     """Draw a picture, sRGB codes (height, width, 3), that shows at once whether a texture is right.
 
     With a surface and a texture: the model coloured by its source and, beside it, by the octree. With a
@@ -81,7 +88,7 @@ def draw_preview(
 class Panel(NamedTuple):
     """A picture with its caption."""
 
-    picture: npt.NDArray[np.float32]  # (height, width, 3)   linear light
+    picture: Float32s  # (height, width, 3)   linear light
     title: str
     subtitle: str
 
@@ -98,10 +105,10 @@ def _model_panels(
     channel = Shown.of(
         form for form in surface.channels if stored is None or form.name in stored
     ).channel.name
-    looks = [source_look(surface, channel)]
+    looks = [source_shader(surface, channel)]
     captions = [source_caption(surface, channel)]
     if texture is not None:
-        looks.append(texture_look(texture, channel))
+        looks.append(texture_shader(texture, channel))
         captions.append(texture_caption(texture, channel, note))
     camera = surface_camera(
         surface, looks[0], (size[0] // len(looks), size[1]), caption_height(size[1]), view
@@ -123,14 +130,14 @@ def _leaf_panels(
 
 
 def surface_camera(
-    surface: Surface, look: Look, size: tuple[int, int], room: int, view: Viewpoint = USUAL
+    surface: Surface, look: Shader, size: tuple[int, int], room: int, view: Viewpoint = USUAL
 ) -> Camera:
     """Make a camera that sees a model, from the side that shows most, above ``room`` for a caption."""
     normals = rest_normals(surface)
 
     def unlit(camera: Camera) -> Floats:
         picture = np.full((camera.height * camera.width, 3), np.nan)
-        for pixels, hits in seen_hits(surface, camera, normals):
+        for pixels, hits in visible_hits(surface, camera, normals):
             picture[pixels] = linear_to_srgb(look(hits).unlit())
         return picture.reshape(camera.height, camera.width, 3)
 

@@ -6,17 +6,17 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Float32s, Float64s, Floats, Int32s, Int64s
 from octex.errors import ArgumentError
-from octex.preview.looks import Appearance, Floats, Hits, Look, Shown
+from octex.preview.shaders import Appearance, Hits, Shader, Shown
 from octex.tree.morton import decode_cells
 from octex.tree.normals import estimate_normals
 from octex.tree.walk import walk_leaves
 from octex.view.camera import Camera
 from octex.view.cubes import CubeBuffers, rasterize_cubes
-from octex.view.rasterize import rasterize
 from octex.view.shading import background, corner_normals, face_normals, light
+from octex.view.zbuffer import z_buffer
 
 if TYPE_CHECKING:
     from octex.source.surface import Surface
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _BLOCK = 1 << 18
 
 
-def render(surface: Surface, camera: Camera, look: Look, supersample: int = 3) -> npt.NDArray[np.float32]:
+def render(surface: Surface, camera: Camera, look: Shader, supersample: int = 3) -> Float32s:
     """Picture a surface in studio light; return linear light (height, width, 3).
 
     supersample    samples along each side of a pixel; they are averaged in linear light
@@ -36,13 +36,13 @@ def render(surface: Surface, camera: Camera, look: Look, supersample: int = 3) -
     return film_surface(surface, camera, [look], supersample)[0].picture()
 
 
-def film_surface(surface: Surface, camera: Camera, looks: list[Look], supersample: int) -> list[Film]:
+def film_surface(surface: Surface, camera: Camera, looks: list[Shader], supersample: int) -> list[Film]:
     """Expose a film to a surface for each look."""
     faces, _ = face_normals(surface.vertices, surface.triangles)
     smooth = corner_normals(surface.vertices, surface.triangles)
     resting = rest_normals(surface) if _is_posed(surface) else smooth
     films = [Film(camera, supersample) for _ in looks]
-    for samples, hits in seen_hits(surface, camera.scaled(supersample), resting):
+    for samples, hits in visible_hits(surface, camera.scaled(supersample), resting):
         points = _between(hits.barycentric, surface.vertices[surface.triangles[hits.triangles]])
         lit = light(camera, points, faces[hits.triangles], _between(hits.barycentric, smooth[hits.triangles]))
         for film, look in zip(films, looks, strict=True):
@@ -50,7 +50,7 @@ def film_surface(surface: Surface, camera: Camera, looks: list[Look], supersampl
     return films
 
 
-def rest_normals(surface: Surface) -> npt.NDArray[np.float32]:
+def rest_normals(surface: Surface) -> Float32s:
     """Return smooth normals (m, 3, 3) at the corners of triangles at rest."""
     return corner_normals(surface.rest, surface.triangles)
 
@@ -59,14 +59,12 @@ def _is_posed(surface: Surface) -> bool:
     return not np.array_equal(surface.rest, surface.vertices)
 
 
-def seen_hits(
-    surface: Surface, camera: Camera, normals: npt.NDArray[np.float32]
-) -> Iterator[tuple[npt.NDArray[np.int64], Hits]]:
+def visible_hits(surface: Surface, camera: Camera, normals: Float32s) -> Iterator[tuple[Int64s, Hits]]:
     """Yield what the camera's pixels see, some at a time, with their numbers row by row.
 
     ``normals`` are the surface's ``rest_normals``.
     """
-    buffers = rasterize(surface.vertices, surface.triangles, camera)
+    buffers = z_buffer(surface.vertices, surface.triangles, camera)
     # What is one wide on the posed model is so wide at rest.
     faces, posed_areas = face_normals(surface.vertices, surface.triangles)
     _, rest_areas = face_normals(surface.rest, surface.triangles)
@@ -87,9 +85,7 @@ def seen_hits(
         yield pixels, Hits(triangles, barycentric, rest, width.astype(np.float32), right, down, facing)
 
 
-def _at_rest(
-    surface: Surface, triangles: npt.NDArray[np.int32], *steps: npt.NDArray[np.float64]
-) -> Iterator[npt.NDArray[np.float64]]:
+def _at_rest(surface: Surface, triangles: Int32s, *steps: Float64s) -> Iterator[Float64s]:
     """Yield what steps (n, 3) on posed triangles (n,) are at rest."""
     used, places = np.unique(triangles, return_inverse=True)
     posed, rest = (
@@ -107,7 +103,7 @@ class Film:
         self._supersample = supersample
         self._sums = np.zeros((4, camera.height * camera.width))
 
-    def add(self, samples: npt.NDArray[np.int64], appearance: Appearance, lit: Floats) -> None:
+    def add(self, samples: Int64s, appearance: Appearance, lit: Floats) -> None:
         """Add samples, numbered row by row in the supersampled picture."""
         row, column = np.divmod(samples, self._shape[1] * self._supersample)
         pixel = row // self._supersample * self._shape[1] + column // self._supersample
@@ -118,28 +114,28 @@ class Film:
                     total += np.bincount(pixel, color * weights, len(total))
         self._sums[3] += np.bincount(pixel, coverage, self._sums.shape[1])
 
-    def exposure(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def exposure(self) -> tuple[Float64s, Float64s]:
         """Return the pixels' sums (height, width, 3), already multiplied by their coverage, and that."""
         *color, coverage = (self._sums / self._supersample**2).reshape(4, *self._shape)
         return np.stack(color, axis=-1), coverage[..., None]
 
-    def picture(self) -> npt.NDArray[np.float32]:
+    def picture(self) -> Float32s:
         """Return linear light (height, width, 3) over the backdrop."""
         color, coverage = self.exposure()
         return (color + (1.0 - coverage) * background(*self._shape)).astype(np.float32)
 
 
-def _between(barycentric: Floats, corners: Floats) -> npt.NDArray[np.float64]:
+def _between(barycentric: Floats, corners: Floats) -> Float64s:
     """Interpolate corners (n, 3, 3) of triangles at barycentric coordinates (n, 3)."""
-    return cast("npt.NDArray[np.float64]", np.einsum("nk,nkc->nc", barycentric, corners))
+    return cast("Float64s", np.einsum("nk,nkc->nc", barycentric, corners))
 
 
 class Leaves(NamedTuple):
     """All leaves of a texture, in rest units."""
 
-    corners: npt.NDArray[np.float64]  # (n, 3)   least coordinates
-    edges: npt.NDArray[np.float64]  # (n,)
-    normals: npt.NDArray[np.float32]  # (n, 3)
+    corners: Float64s  # (n, 3)   least coordinates
+    edges: Float64s  # (n,)
+    normals: Float32s  # (n, 3)
 
     @classmethod
     def of(cls, texture: OctreeTexture) -> Leaves:
@@ -159,7 +155,7 @@ class Leaves(NamedTuple):
         """Return all leaves of some parts."""
         return cls(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
-    def only(self, chosen: npt.NDArray[np.bool_]) -> Leaves:
+    def only(self, chosen: Bools) -> Leaves:
         """Return some of them."""
         return Leaves(self.corners[chosen], self.edges[chosen], self.normals[chosen])
 
@@ -168,12 +164,12 @@ class Leaves(NamedTuple):
         return rasterize_cubes(self.corners, self.edges, camera)
 
     @property
-    def centres(self) -> npt.NDArray[np.float64]:
+    def centres(self) -> Float64s:
         """Where their middles are (n, 3)."""
         return self.corners + self.edges[:, None] / 2
 
     def appearance(self, texture: OctreeTexture, channel: str | None = None) -> Appearance:
-        """Return what a texture shows in their middles; ``channel`` as for ``source_look``."""
+        """Return what a texture shows in their middles; ``channel`` as for ``source_shader``."""
         shown = Shown.of((stored.format for stored in texture.channels.values()), channel)
         return shown.appearance(texture.sample(self.centres, shown.names))
 
@@ -186,12 +182,12 @@ def render_leaves(
     cubes: bool = False,
     supersample: int = 3,
     channel: str | None = None,
-) -> npt.NDArray[np.float32]:
+) -> Float32s:
     """Picture the leaves of a texture as cubes; return linear light (height, width, 3).
 
     level      the finest to draw; default: the deepest whose cells are no smaller than a pixel
     cubes      light the faces of the cubes, instead of the surface that the leaves lie on
-    channel    what to show, as for ``source_look``
+    channel    what to show, as for ``source_shader``
     """
     texture = texture.level(visible_level(texture, camera) if level is None else level)
     leaves = Leaves.of(texture)

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Float32s, Float64s, Int64s, Uint8s
 from octex.channels import ALPHA, LEAST_COVERAGE, decode, encode
 from octex.checks import as_number
 from octex.editing.averages import average_plain
@@ -19,11 +19,6 @@ from octex.tree.areas import AREAS
 from octex.tree.layout import FACING_FLAGS
 from octex.tree.octree import Octree
 from octex.tree.split import Rows, rows_of
-
-Float32s = npt.NDArray[np.float32]
-Int64s = npt.NDArray[np.int64]
-Float64s = npt.NDArray[np.float64]
-Uint8s = npt.NDArray[np.uint8]
 
 
 def blur(
@@ -132,7 +127,7 @@ class _Look:
     def _look(
         self,
         centres: Float64s,
-        chosen: npt.NDArray[np.bool_],
+        chosen: Bools,
         normals: Float32s | None,
         width: float | None,
         part: int,

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Array
 from octex.channels import ONE, ChannelFormat, decode, encode
 from octex.checks import as_choice, as_entries, as_names
 from octex.errors import ArgumentError
@@ -43,14 +42,14 @@ def cast(
         as_choice(name, names, "channel of dtype")
         if each is not None:
             as_choice(each, ONE, "dtype")
-    made = {name: stored_as(texture.channels[name], wanted.get(name)) for name in names}
+    made = {name: channel_as(texture.channels[name], wanted.get(name)) for name in names}
     metadata = noted(
         texture.metadata, "cast", channels={name: each.format.dtype for name, each in made.items()}
     )
     return OctreeTexture(texture.tree, made, texture.placement, texture.bounds, metadata)
 
 
-def stored_as(channel: Channel, dtype: str | None) -> Channel:
+def channel_as(channel: Channel, dtype: str | None) -> Channel:
     """Return a channel as another type stores it."""
     form = channel.format
     if dtype is None or dtype == form.dtype:
@@ -71,7 +70,7 @@ def in_format(channel: Channel, form: ChannelFormat) -> Channel:
     return Channel(form, *(_recoded(values, channel.format, form) for values in channel[1:]))
 
 
-def _recoded(values: npt.NDArray[Any], form: ChannelFormat, made: ChannelFormat) -> npt.NDArray[np.generic]:
+def _recoded(values: Array, form: ChannelFormat, made: ChannelFormat) -> Array:
     found = np.empty(values.shape, made.dtype)
     for begin in range(0, len(values), 1 << 14):
         here = slice(begin, begin + (1 << 14))

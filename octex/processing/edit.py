@@ -6,8 +6,8 @@ import json
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Array
 from octex.channels import ALPHA
 from octex.editing.averages import Change, average, coverage, difference, residuals
 from octex.texture import Channel, OctreeTexture
@@ -58,7 +58,7 @@ def with_values(
     return after
 
 
-def _covered(change: Change, was: npt.NDArray[np.generic], alpha: npt.NDArray[np.generic]) -> Change:
+def _covered(change: Change, was: Array, alpha: Array) -> Change:
     """Return a change that keeps of residuals what is as opaque now, by ``alpha``, as it ``was``."""
     parts = np.minimum((coverage(was) + _FAINT) / (coverage(alpha) + _FAINT), 1)
     return lambda cells, values, means: change(cells, values, means) * parts[cells, None]

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Array, Float32s, Float64s, Int64s
 from octex.channels import ALPHA, decode, encode
 from octex.checks import as_choice, as_names
 from octex.errors import ArgumentError
@@ -17,10 +18,6 @@ from octex.texture import Channel, OctreeTexture, as_texture
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree
 from octex.tree.split import rows_of
-
-Array = npt.NDArray[Any]
-Int64s = npt.NDArray[np.int64]
-Float64s = npt.NDArray[np.float64]
 
 #: Values that a function is given at once: with what it makes of them they stay in the processor's cache.
 BLOCK = 1 << 13
@@ -124,7 +121,7 @@ class _Mapped:
             apart[here] -= self._of(means[here].astype(np.float32), own)
         return apart
 
-    def _of(self, values: npt.NDArray[np.float32], cells: Int64s | range) -> Float64s:
+    def _of(self, values: Float32s, cells: Int64s | range) -> Float64s:
         arguments: list[Any] = [values]
         if self._wants_positions:
             arguments.append(self._cells.centres(cells))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Array, Float32s, Float64s, Int64s, Uint8s
 from octex.channels import ALPHA, encode
 from octex.editing.averages import Residuals, average, average_plain, with_summed_areas
 from octex.editing.nodes import Nodes, all_children, by_level, node_cells
@@ -23,13 +24,6 @@ from octex.tree.areas import shared_codes
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable
 from octex.tree.octree import Octree
 from octex.tree.split import bits_of, counts_of, rows_of
-
-Array = npt.NDArray[np.generic]
-Bools = npt.NDArray[np.bool_]
-Int64s = npt.NDArray[np.int64]
-Uint8s = npt.NDArray[np.uint8]
-Float32s = npt.NDArray[np.float32]
-Float64s = npt.NDArray[np.float64]
 
 #: How much of the second texture there is in cells that both have: a number, a function of the positions
 #: (n, 3), at rest, of the cells' centres, or a texture of one channel of one component.

@@ -7,6 +7,7 @@ from concurrent.futures import Executor
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Int64s
 from octex.channels import ALPHA, encode
 from octex.checks import as_depth, as_reals
 from octex.editing.averages import average, residuals_at, with_summed_areas
@@ -24,8 +25,6 @@ from octex.tree.layout import FACING_FLAGS, MAX_CELLS
 from octex.tree.morton import decode_cells
 from octex.tree.octree import distinct
 from octex.tree.split import rows_of
-
-Int64s = npt.NDArray[np.int64]
 
 
 def resize(

@@ -7,8 +7,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Float32s, Int64s, Uint8s
 from octex.channels import decode
 from octex.editing.averages import Residuals, residuals_at
 from octex.editing.nodes import Nodes
@@ -19,11 +19,6 @@ from octex.texture import OctreeTexture
 from octex.tree.edit import among
 from octex.tree.layout import KEPT, SPLIT
 from octex.tree.split import Rows, find_rows
-
-Bools = npt.NDArray[np.bool_]
-Int64s = npt.NDArray[np.int64]
-Uint8s = npt.NDArray[np.uint8]
-Float32s = npt.NDArray[np.float32]
 
 
 class Cells(NamedTuple):

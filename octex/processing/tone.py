@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Array, ChannelCodes, Float64s, Floats
 from octex.channels import (
     ALPHA,
     ONE,
@@ -20,16 +21,12 @@ from octex.channels import (
     srgb_to_linear,
 )
 from octex.checks import as_number, as_reals
-from octex.editing.averages import Change, Float64s
+from octex.editing.averages import Change
 from octex.errors import ArgumentError
 from octex.jit import kernel
 from octex.processing.edit import noted, with_values
 from octex.processing.mapping import names_of
 from octex.texture import Channel, OctreeTexture
-
-Array = npt.NDArray[Any]
-Codes = npt.NDArray[np.uint8 | np.uint16]
-Floats = npt.NDArray[np.floating[Any]]
 
 #: A number for all components, or one for each.
 PerComponent = float | Sequence[float]
@@ -159,14 +156,14 @@ def _stored(form: ChannelFormat, tone: Tone) -> Callable[[Array], Array]:
 
 
 @kernel
-def look_up_codes(codes: Codes, table: Codes, found: Codes) -> None:
+def look_up_codes(codes: ChannelCodes, table: ChannelCodes, found: ChannelCodes) -> None:
     """Look up codes (n,) in a table."""
     for n in range(codes.size):
         found[n] = table[codes[n]]
 
 
 @kernel
-def _look_up_each(codes: Codes, tables: Codes, found: Codes) -> None:
+def _look_up_each(codes: ChannelCodes, tables: ChannelCodes, found: ChannelCodes) -> None:
     """Look up codes (n, components) in the tables of components."""
     for n in range(codes.shape[0]):
         for k in range(codes.shape[1]):

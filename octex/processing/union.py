@@ -9,19 +9,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Float32s, Int64s, Uint8s
 from octex.errors import ArgumentError
 from octex.jit import kernel, popcount
 from octex.tree.edit import facings_of_nodes
 from octex.tree.layout import FACING_FLAGS, MAX_CELLS, MAX_DEPTH, TreeArrays
 from octex.tree.octree import Octree, rank
-
-Bools = npt.NDArray[np.bool_]
-Float32s = npt.NDArray[np.float32]
-Float64s = npt.NDArray[np.float64]
-Int64s = npt.NDArray[np.int64]
-Uint8s = npt.NDArray[np.uint8]
 
 #: Where a tree has nothing.
 NOTHING = -1

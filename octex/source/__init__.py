@@ -5,13 +5,15 @@ models/     glTF, OBJ, PLY, OFF and STL files read
 base        what a source is; sources joined
 materials   the source that model files have
 evaluate    its kernels
+mesh        triangles and their polygons, posed and at rest; points on them
 corners     what is bound to the corners of triangles
 tangents    frames of normals and tangents there
-given       channels of one's own
+given       channels of one's own: images (mapped), functions (function), numbers
+transfer    another model's nearest surface; cloud: coloured points
 surface     triangles with a source
 implicit    where a function is zero, as triangles
 parts       what hangs together, and what intersects or nearly touches
-gaps        how near two meshes come to each other
+welding     vertices at one place
 separation  such parts, moved apart at rest
 load        any model file as a surface
 alone       settings of the whole process, changed for a moment

@@ -6,8 +6,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int32s
 from octex.channels import ALPHA, CHANNELS, ChannelFormat
 
 
@@ -24,10 +24,10 @@ class Source(ABC):
     @abstractmethod
     def evaluate(
         self,
-        triangles: npt.NDArray[np.int32],
-        barycentric: npt.NDArray[np.float64],
-        widths: npt.NDArray[np.float32],
-    ) -> npt.NDArray[np.float32]:
+        triangles: Int32s,
+        barycentric: Float64s,
+        widths: Float32s,
+    ) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units.
 
         Colours are linear light. Called from any number of threads at once.
@@ -43,14 +43,14 @@ class Source(ABC):
         """Whether ``alpha`` says no more than that: 1 wherever it knows something."""
         return False
 
-    def texel_edges(self, triangles: npt.NDArray[np.int32]) -> npt.NDArray[np.float32]:
+    def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of a texel on triangles (n,), in rest units: what lies closer varies smoothly.
 
         0 where that is not known, infinity where nothing limits it but the triangles.
         """
         return np.zeros(len(triangles), np.float32)
 
-    def with_rest(self, rest: npt.NDArray[np.float64]) -> Source:  # noqa: ARG002
+    def with_rest(self, rest: Float64s) -> Source:  # noqa: ARG002
         """Return the same source with widths and directions measured on other rest positions (n, 3)."""
         return self
 
@@ -72,9 +72,7 @@ def in_order(names: Sequence[str]) -> list[str]:
     return sorted(dict.fromkeys(names), key=lambda n: known.index(n) if n in known else len(known))
 
 
-def by_channel(
-    channels: Sequence[ChannelFormat], values: npt.NDArray[np.float32]
-) -> dict[str, npt.NDArray[np.float32]]:
+def by_channel(channels: Sequence[ChannelFormat], values: Float32s) -> dict[str, Float32s]:
     """Return the columns of values (n, components) that are each channel's."""
     ends = np.cumsum([form.components for form in channels])
     parts = np.split(values, ends[:-1], axis=1)
@@ -102,10 +100,10 @@ class Combined(Source):
 
     def evaluate(
         self,
-        triangles: npt.NDArray[np.int32],
-        barycentric: npt.NDArray[np.float64],
-        widths: npt.NDArray[np.float32],
-    ) -> npt.NDArray[np.float32]:
+        triangles: Int32s,
+        barycentric: Float64s,
+        widths: Float32s,
+    ) -> Float32s:
         """Return every channel's values (n, components), each from its source."""
         found = {
             id(source): by_channel(source.channels, source.evaluate(triangles, barycentric, widths))
@@ -128,12 +126,12 @@ class Combined(Source):
         own = self._sources.get(ALPHA.name)
         return self.has_gaps and (own is None or own.alpha_is_coverage)
 
-    def texel_edges(self, triangles: npt.NDArray[np.int32]) -> npt.NDArray[np.float32]:
+    def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the finest of the sources' texels."""
         edges = [source.texel_edges(triangles) for source in self._every]
         return np.asarray(np.min(edges, axis=0), np.float32)
 
-    def with_rest(self, rest: npt.NDArray[np.float64]) -> Combined:
+    def with_rest(self, rest: Float64s) -> Combined:
         """Return the same sources on other rest positions (n, 3)."""
         return self._each(lambda source: source.with_rest(rest))
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Array, Float32s, Float64s, Floats, Int32s
 from octex.channels import ALPHA, BASE_COLOR, ChannelFormat
 from octex.checks import as_number, as_path, as_reals, as_text, locked
 from octex.errors import ArgumentError, InputError, ModelError
@@ -21,12 +22,11 @@ from octex.nearest.points import Points
 from octex.source.colors import linear_colors, screen_colors
 from octex.source.mesh import Mesh
 from octex.source.models.text import parse_numbers
-from octex.source.spatial import Floats, Placeable, SpatialSource, least_cosine
+from octex.source.spatial import Placeable, SpatialSource, least_cosine
 
 if TYPE_CHECKING:
     from octex.source.base import Source
 
-Float32s = npt.NDArray[np.float32]
 
 #: The endings of files of points; .ply too, if it has no faces.
 CLOUD_ENDINGS = (".xyz", ".npz", ".ply")
@@ -202,8 +202,8 @@ class _FromPoints(SpatialSource):
         self,
         cloud: PointCloud,
         ready: Points,
-        rest: Floats,
-        triangles: npt.NDArray[np.int32],
+        rest: Float64s,
+        triangles: Int32s,
     ) -> None:
         self._ready = ready
         self._radius = 0.0 if cloud.radius is None else cloud.radius
@@ -225,7 +225,7 @@ class _FromPoints(SpatialSource):
         """Whether all points are opaque."""
         return self.has_gaps and not self._is_translucent
 
-    def at(self, points: Floats, normals: Floats, widths: Float32s) -> Float32s:
+    def at(self, points: Float64s, normals: Float64s, widths: Float32s) -> Float32s:
         """Return colours and alpha (n, 4) of the points around places."""
         values, _ = self._ready.around(
             points,
@@ -251,7 +251,7 @@ def is_cloud(path: Path) -> bool:
     return re.search(rb"^element\s+face\s+0*[1-9]", head, re.MULTILINE) is None and b"element" in head
 
 
-def _rows(array: npt.ArrayLike, what: str) -> Floats:
+def _rows(array: npt.ArrayLike, what: str) -> Float64s:
     """Return a copy of finite rows of three, or raise ArgumentError or ModelError."""
     rows = as_reals(array, what, (-1, 3))
     if not (np.abs(rows) <= _FARTHEST).all():
@@ -259,14 +259,14 @@ def _rows(array: npt.ArrayLike, what: str) -> Floats:
     return rows
 
 
-def _first_bad(rows: npt.NDArray[np.floating]) -> int:
+def _first_bad(rows: Floats) -> int:
     return int(np.argmin((np.abs(rows.astype(np.float64)) <= _FARTHEST).all(axis=1)))
 
 
 class _Arrays(NamedTuple):
-    points: npt.NDArray[np.generic]
-    colors: npt.NDArray[np.generic]
-    normals: npt.NDArray[np.generic] | None
+    points: Array
+    colors: Array
+    normals: Array | None
 
 
 def _read_ply(path: Path) -> _Arrays:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Float32s, Floats
 from octex.channels import decode, srgb_to_linear
 from octex.errors import ArgumentError
 
 
-def linear_colors(colors: npt.ArrayLike, rows: int, name: str) -> npt.NDArray[np.float32]:
+def linear_colors(colors: npt.ArrayLike, rows: int, name: str) -> Float32s:
     """Return colours (rows, 3 or 4) as linear light and alpha (rows, 4).
 
     Unsigned integers are sRGB codes, floats are linear light already.
@@ -34,7 +35,7 @@ def linear_colors(colors: npt.ArrayLike, rows: int, name: str) -> npt.NDArray[np
     return linear
 
 
-def screen_colors(colors: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
+def screen_colors(colors: Floats) -> Float32s:
     """Return sRGB values in 0 … 1 (n, 3 or 4) as linear light and alpha (n, 4)."""
     linear = np.ones((len(colors), 4), np.float32)
     linear[:, : colors.shape[1]] = np.clip(colors, 0.0, 1.0)

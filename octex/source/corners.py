@@ -2,42 +2,39 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+
+from octex.arrays import Array, Float32s, Float64s, Int32s, Integers
 
 
 class Corners(NamedTuple):
     """An attribute of triangle corners: rows of values, and the row of each corner."""
 
-    values: npt.NDArray[np.float32]  # (rows, components)
-    rows: npt.NDArray[np.int32]  # (triangles, 3)
+    values: Float32s  # (rows, components)
+    rows: Int32s  # (triangles, 3)
 
-    def of(self, triangles: npt.NDArray[np.int32]) -> Corners:
+    def of(self, triangles: Int32s) -> Corners:
         """Return the same of some triangles (k,) alone."""
         return Corners(self.values, self.rows[triangles])
 
-    def at(
-        self, triangles: npt.NDArray[np.int32], barycentric: npt.NDArray[np.float64]
-    ) -> npt.NDArray[np.float64]:
+    def at(self, triangles: Int32s, barycentric: Float64s) -> Float64s:
         """Return the values (n, components) at points of triangles (n,)."""
         return at_corners(self.values, self.rows[triangles], barycentric)
 
 
-def at_corners(
-    values: npt.NDArray[Any], rows: npt.NDArray[np.integer[Any]], barycentric: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64]:
+def at_corners(values: Array, rows: Integers, barycentric: Float64s) -> Float64s:
     """Return values (n, components) between those in the rows (n, 3) of three corners."""
-    between: npt.NDArray[np.float64] = np.einsum("nc,ncx->nx", barycentric, values[rows])
+    between: Float64s = np.einsum("nc,ncx->nx", barycentric, values[rows])
     return between
 
 
 class Polygons(NamedTuple):
     """The polygons that triangles were cut from."""
 
-    numbers: npt.NDArray[np.int32]  # (triangles,)     the polygon of each triangle, in the file's order
-    corners: npt.NDArray[np.int32]  # (triangles, 3)   which corner of its polygon each corner is, from 0
+    numbers: Int32s  # (triangles,)     the polygon of each triangle, in the file's order
+    corners: Int32s  # (triangles, 3)   which corner of its polygon each corner is, from 0
 
     @classmethod
     def of_triangles(cls, count: int) -> Polygons:
@@ -45,7 +42,7 @@ class Polygons(NamedTuple):
         corners = np.broadcast_to(np.arange(3, dtype=np.int32), (count, 3))
         return cls(np.arange(count, dtype=np.int32), corners)
 
-    def of(self, triangles: npt.NDArray[np.int32]) -> Polygons:
+    def of(self, triangles: Int32s) -> Polygons:
         """Return the same of some triangles (k,) alone; polygons keep their numbers."""
         return Polygons(self.numbers[triangles], self.corners[triangles])
 

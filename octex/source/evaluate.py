@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int32s, Uint8s
 from octex.jit import inlined, kernel
 from octex.source.images.filters import MOST_VARIANCE, find_taps, footprint
 from octex.source.images.gather import gather
@@ -25,27 +25,27 @@ class Tables(NamedTuple):
     for each image. Each column of the values is offset + gain × lane.
     """
 
-    materials: npt.NDArray[np.int32]  # (triangles,)
-    first_stacks: npt.NDArray[np.int32]  # (materials + 1,)
-    stacks: npt.NDArray[np.int32]  # (stacks, 6)   layout, slot, wraps of u and v, flat texels, first image
-    images: npt.NDArray[np.int32]  # (images of all stacks, in order, and one more,)
-    lanes: npt.NDArray[np.int32]  # (materials, columns)
-    gains: npt.NDArray[np.float32]  # (materials, columns)
-    offsets: npt.NDArray[np.float32]  # (materials, columns)
-    alpha_modes: npt.NDArray[np.uint8]  # (materials,)
-    alpha_factors: npt.NDArray[np.float32]  # (materials,)
-    cutoffs: npt.NDArray[np.float32]  # (materials,)
-    colors: npt.NDArray[np.float32]  # (rows, 4)   linear light and alpha; no rows: no vertex colours
-    color_rows: npt.NDArray[np.int32]  # (triangles, 3)
-    coordinates: npt.NDArray[np.float32]  # (rows, 2)   v down
-    coordinate_rows: npt.NDArray[np.int32]  # (slots, triangles, 3)
-    normals: npt.NDArray[np.float32]  # (rows, 3)   at rest; no rows: no directions are asked for
-    normal_rows: npt.NDArray[np.int32]  # (triangles, 3)
-    tangents: npt.NDArray[np.float32]  # (rows, 4)
-    tangent_rows: npt.NDArray[np.int32]  # (triangles, 3)
+    materials: Int32s  # (triangles,)
+    first_stacks: Int32s  # (materials + 1,)
+    stacks: Int32s  # (stacks, 6)   layout, slot, wraps of u and v, flat texels, first image
+    images: Int32s  # (images of all stacks, in order, and one more,)
+    lanes: Int32s  # (materials, columns)
+    gains: Float32s  # (materials, columns)
+    offsets: Float32s  # (materials, columns)
+    alpha_modes: Uint8s  # (materials,)
+    alpha_factors: Float32s  # (materials,)
+    cutoffs: Float32s  # (materials,)
+    colors: Float32s  # (rows, 4)   linear light and alpha; no rows: no vertex colours
+    color_rows: Int32s  # (triangles, 3)
+    coordinates: Float32s  # (rows, 2)   v down
+    coordinate_rows: Int32s  # (slots, triangles, 3)
+    normals: Float32s  # (rows, 3)   at rest; no rows: no directions are asked for
+    normal_rows: Int32s  # (triangles, 3)
+    tangents: Float32s  # (rows, 4)
+    tangent_rows: Int32s  # (triangles, 3)
 
 
-class Columns(NamedTuple):
+class SourceColumns(NamedTuple):
     """The first column of the channels that are more than offset + gain × lane; −1 for none."""
 
     base_color: int
@@ -55,11 +55,11 @@ class Columns(NamedTuple):
 
 @kernel
 def measure(
-    coordinates: npt.NDArray[np.float32],
-    coordinate_rows: npt.NDArray[np.int32],
-    rest: npt.NDArray[np.float64],
-    triangles: npt.NDArray[np.int32],
-    footprints: npt.NDArray[np.float64],
+    coordinates: Float32s,
+    coordinate_rows: Int32s,
+    rest: Float64s,
+    triangles: Int32s,
+    footprints: Float64s,
 ) -> None:
     """Fill in the covariance (slots, triangles, 3) of a unit box on each triangle, as it looks in its images.
 
@@ -96,9 +96,7 @@ def measure(
                 footprints[slot, triangle, 2] = vv / 12.0
 
 
-def texel_edges(
-    tables: Tables, images: Images, footprints: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float32]:
+def texel_edges(tables: Tables, images: Images, footprints: Float64s) -> Float32s:
     """Return the edge (triangles,) of a texel of the finest image on each triangle; infinity without images.
 
     It is the root of a texel's area, in rest units; ``footprints`` are those of ``measure``.
@@ -118,14 +116,14 @@ def texel_edges(
 @kernel
 def evaluate(
     tables: Tables,
-    columns: Columns,
+    columns: SourceColumns,
     images: Images,
-    footprints: npt.NDArray[np.float64],
+    footprints: Float64s,
     filter: int | None,
-    triangles: npt.NDArray[np.int32],
-    barycentric: npt.NDArray[np.float64],
-    widths: npt.NDArray[np.float32],
-    values: npt.NDArray[np.float32],
+    triangles: Int32s,
+    barycentric: Float64s,
+    widths: Float32s,
+    values: Float32s,
 ) -> None:
     """Fill in the values (n, columns) at points of triangles; ``filter`` is as `filters.told`."""
     places = np.empty(TAP_ROOM, np.int64)
@@ -222,10 +220,10 @@ def evaluate(
 def _load(
     tables: Tables,
     images: Images,
-    footprints: npt.NDArray[np.float64],
+    footprints: Float64s,
     stack: int,
     triangle: int,
-    shared: npt.NDArray[np.float64],
+    shared: Float64s,
     row: int,
 ) -> None:
     """Fill in the coordinates of a triangle's corners, and a footprint of width 1 in a stack's images."""
@@ -252,7 +250,7 @@ def _turn(
     b1: float,
     b2: float,
     is_point: bool,
-    values: npt.NDArray[np.float32],
+    values: Float32s,
     i: int,
     column: int,
 ) -> None:

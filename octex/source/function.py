@@ -6,13 +6,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int32s
 from octex.channels import ChannelFormat
 from octex.errors import ArgumentError
 from octex.functions import answer, name_of, takes_both
 from octex.source.materials import MOST_IN_FLOAT16, light_format
-from octex.source.spatial import Floats, Int32s, SpatialSource
+from octex.source.spatial import SpatialSource
 
 # Values may be out of their range by so much, and are then brought into it.
 _ROUNDING = 1e-6
@@ -35,7 +35,7 @@ class FunctionSource(SpatialSource):
     """
 
     def __init__(
-        self, form: ChannelFormat, function: Callable[..., Any], rest: Floats, triangles: Int32s
+        self, form: ChannelFormat, function: Callable[..., Any], rest: Float64s, triangles: Int32s
     ) -> None:
         most = MOST_IN_FLOAT16 if form.name == "emissive" else 1.0
         super().__init__([light_format(form, most)], rest, triangles)
@@ -46,10 +46,10 @@ class FunctionSource(SpatialSource):
 
     def at(
         self,
-        points: Floats,
-        normals: Floats,
-        widths: npt.NDArray[np.float32],  # noqa: ARG002
-    ) -> npt.NDArray[np.float32]:
+        points: Float64s,
+        normals: Float64s,
+        widths: Float32s,  # noqa: ARG002
+    ) -> Float32s:
         """Return values (n, components) at rest positions (n, 3)."""
         [form] = self.channels
         if len(points) == 0:

@@ -9,15 +9,14 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Float64s, Int32s
 from octex.checks import as_number, as_points, as_positive
 from octex.errors import ArgumentError, ModelError
 from octex.functions import answer
 from octex.parallel import memory_size
 
-Floats = npt.NDArray[np.float64]
-
 #: Gives a value (n,) for each of positions (n, 3).
-ImplicitFunction: TypeAlias = Callable[[Floats], npt.ArrayLike]
+ImplicitFunction: TypeAlias = Callable[[Float64s], npt.ArrayLike]
 
 _BATCH = 1 << 18
 # Nodes of the grid in a cube of the edge length, and bytes for each.
@@ -31,7 +30,7 @@ _LARGEST = 1e30
 
 def level_set(
     f: ImplicitFunction, bounds: npt.ArrayLike, edge_length: float, level: float
-) -> tuple[Floats, npt.NDArray[np.int32]]:
+) -> tuple[Float64s, Int32s]:
     """Return the vertices and triangles of where a function has a value: ``Surface.from_function``."""
     low, high = _box(bounds)
     edge = as_positive(edge_length, "edge_length")
@@ -44,7 +43,7 @@ def level_set(
             "memory; use a larger one or smaller bounds"
         )
 
-    def inside(points: Floats) -> Floats:
+    def inside(points: Float64s) -> Float64s:
         return level - _values(f, points)
 
     vertices, triangles = _polygonized(inside, low, high, edge)
@@ -60,14 +59,14 @@ def level_set(
     return vertices, triangles
 
 
-def _box(bounds: npt.ArrayLike) -> tuple[Floats, Floats]:
+def _box(bounds: npt.ArrayLike) -> tuple[Float64s, Float64s]:
     box = as_points(bounds, "bounds").astype(np.float64)
     if box.shape != (2, 3) or not np.isfinite(box).all() or (box[0] >= box[1]).any():
         raise ArgumentError(f"bounds must be a finite lowest and highest corner, not {box.tolist()}")
     return box[0], box[1]
 
 
-def _values(f: ImplicitFunction, points: Floats) -> Floats:
+def _values(f: ImplicitFunction, points: Float64s) -> Float64s:
     """Call a function in batches; refuse what is no value."""
     found = np.empty(len(points))
     for first in range(0, len(points), _BATCH):
@@ -78,8 +77,8 @@ def _values(f: ImplicitFunction, points: Floats) -> Floats:
 
 
 def _polygonized(
-    inside: Callable[[Floats], Floats], low: Floats, high: Floats, edge: float
-) -> tuple[Floats, npt.NDArray[np.int32]]:
+    inside: Callable[[Float64s], Float64s], low: Float64s, high: Float64s, edge: float
+) -> tuple[Float64s, Int32s]:
     """Polygonize where ``inside`` is 0, by marching tetrahedra.
 
     manifold3d calls for one point at a time, in an order that does not depend on the values: once to hear the
@@ -102,7 +101,7 @@ def _polygonized(
     return np.array(mesh.vert_properties[:, :3], np.float64), np.array(mesh.tri_verts, np.int32)
 
 
-def _moved_onto(inside: Callable[[Floats], Floats], start: Floats, edge: float) -> Floats:
+def _moved_onto(inside: Callable[[Float64s], Float64s], start: Float64s, edge: float) -> Float64s:
     """Move points (n, 3) along the gradient to where ``inside`` is 0, by Newton's method.
 
     None moves by more than an edge, and none is left with a larger value than it had.

@@ -6,15 +6,12 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int32s, Int64s
 from octex.channels import ALPHA, NORMAL, ChannelFormat
 from octex.source.base import Source, by_channel, in_order
 from octex.source.materials import DEFAULTS
 from octex.source.spatial import SpatialSource
-
-Floats = npt.NDArray[np.float64]
-Int32s = npt.NDArray[np.int32]
 
 
 class Part(NamedTuple):
@@ -55,13 +52,11 @@ class Joined(Source):
         having = [source for source in sources if ALPHA.name in [form.name for form in source.channels]]
         return self.has_gaps and all(source.alpha_is_coverage for source in having)
 
-    def evaluate(
-        self, triangles: Int32s, barycentric: Floats, widths: npt.NDArray[np.float32]
-    ) -> npt.NDArray[np.float32]:
+    def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return every channel's values (n, components), each point's from its own source."""
         values = np.empty((len(triangles), sum(form.components for form in self._channels)), np.float32)
         for part, rows, own in self._by_part(triangles):
-            given: dict[str, npt.NDArray[np.float32]] = {}
+            given: dict[str, Float32s] = {}
             if part.source:
                 found = part.source.evaluate(own, barycentric[rows], widths[rows])
                 given = by_channel(part.source.channels, found)
@@ -73,20 +68,20 @@ class Joined(Source):
             )
         return values
 
-    def _by_part(self, triangles: Int32s) -> Iterator[tuple[Part, npt.NDArray[np.int64], Int32s]]:
+    def _by_part(self, triangles: Int32s) -> Iterator[tuple[Part, Int64s, Int32s]]:
         """Yield the parts that triangles (n,) are of, with their rows, and their numbers in the part."""
         owners = np.searchsorted(self._firsts, triangles, side="right") - 1
         for number in np.flatnonzero(np.bincount(owners)).tolist():
             part, rows = self._parts[number], np.flatnonzero(owners == number)
             yield part, rows, np.asarray(triangles[rows] - part.triangles.start, np.int32)
 
-    def _default(self, form: ChannelFormat, triangles: Int32s) -> npt.NDArray[np.float32]:
+    def _default(self, form: ChannelFormat, triangles: Int32s) -> Float32s:
         if form.name == NORMAL.name:
             thirds = np.full((len(triangles), 3), 1 / 3)
             return self._faces.evaluate(triangles, thirds, np.zeros(len(triangles), np.float32))
         return np.full((len(triangles), form.components), DEFAULTS.get(form.name, 1.0), np.float32)
 
-    def texel_edges(self, triangles: Int32s) -> npt.NDArray[np.float32]:
+    def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of a texel on triangles (n,), in rest units."""
         edges = np.full(len(triangles), np.inf, np.float32)
         for part, rows, own in self._by_part(triangles):
@@ -94,7 +89,7 @@ class Joined(Source):
                 edges[rows] = part.source.texel_edges(own)
         return edges
 
-    def with_rest(self, rest: Floats) -> Joined:
+    def with_rest(self, rest: Float64s) -> Joined:
         """Return the same sources with widths and directions measured on other rest positions (n, 3)."""
         faces = self._faces.with_rest(rest)
         return self._each(lambda source, part: source.with_rest(rest[part.vertices]), faces)
@@ -123,9 +118,9 @@ class FaceNormals(SpatialSource):
 
     def at(
         self,
-        points: Floats,  # noqa: ARG002
-        normals: Floats,
-        widths: npt.NDArray[np.float32],  # noqa: ARG002
-    ) -> npt.NDArray[np.float32]:
+        points: Float64s,  # noqa: ARG002
+        normals: Float64s,
+        widths: Float32s,  # noqa: ARG002
+    ) -> Float32s:
         """Return the normals themselves (n, 3)."""
         return normals.astype(np.float32)

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import PIL.Image
 
+from octex.arrays import Float32s, Float64s, Int32s
 from octex.channels import ChannelFormat
 from octex.checks import as_choice, as_number, as_reals
 from octex.errors import ArgumentError
@@ -22,7 +23,7 @@ from octex.source.images.pyramid import WRAPS, Picture, as_wraps, store
 from octex.source.mapping import BOX, KINDS, SPHERICAL, Mapping, mapped_edges, read_mapped
 from octex.source.materials import light_format, unit_directions
 from octex.source.mesh import Mesh
-from octex.source.spatial import Floats, Int32s, Placeable, SpatialSource
+from octex.source.spatial import Placeable, SpatialSource
 from octex.source.tangents import carried
 
 _X, _Y, _Z = np.eye(3)
@@ -147,7 +148,7 @@ class MappedSource(SpatialSource):
         picture: Picture,
         flat: bool,
         filter: str,
-        rest: Floats,
+        rest: Float64s,
         triangles: Int32s,
         frames: Frames | None = None,
     ) -> None:
@@ -159,9 +160,7 @@ class MappedSource(SpatialSource):
         self._filter = FILTERS.index(filter)
         self._images = store([picture], LEVELS_OF[self._filter]).images
 
-    def evaluate(
-        self, triangles: Int32s, barycentric: Floats, widths: npt.NDArray[np.float32]
-    ) -> npt.NDArray[np.float32]:
+    def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""
         points, normals = self.placed(triangles, barycentric)
         shading = normals
@@ -170,13 +169,11 @@ class MappedSource(SpatialSource):
             shading /= np.maximum(np.linalg.norm(shading, axis=1, keepdims=True), 1e-30)
         return self._read(points, normals, shading, widths)
 
-    def at(self, points: Floats, normals: Floats, widths: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def at(self, points: Float64s, normals: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at rest positions (n, 3), averaged over widths in rest units."""
         return self._read(points, normals, normals, widths)
 
-    def _read(
-        self, points: Floats, normals: Floats, shading: Floats, widths: npt.NDArray[np.float32]
-    ) -> npt.NDArray[np.float32]:
+    def _read(self, points: Float64s, normals: Float64s, shading: Float64s, widths: Float32s) -> Float32s:
         [form] = self.channels
         values = np.empty((len(points), form.components), np.float32)
         is_direction = form.space == "direction"
@@ -194,7 +191,7 @@ class MappedSource(SpatialSource):
         )
         return values
 
-    def texel_edges(self, triangles: Int32s) -> npt.NDArray[np.float32]:
+    def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the shorter edge of a texel in the middle of triangles (n,), in rest units."""
         points, normals = self.placed(triangles, np.full((len(triangles), 3), 1 / 3))
         height, width = self._picture.texels.shape[:2]
@@ -202,7 +199,7 @@ class MappedSource(SpatialSource):
         mapped_edges(self._mapping, width, height, points, normals, edges)
         return edges
 
-    def with_rest(self, rest: Floats) -> MappedSource:
+    def with_rest(self, rest: Float64s) -> MappedSource:
         """Return the same mapping of space on other rest positions (n, 3)."""
         other = copy.copy(self)
         other._rest = rest
@@ -219,7 +216,7 @@ class MappedSource(SpatialSource):
         return other
 
 
-def _three(given: float | Sequence[float], name: str, least: float) -> Floats:
+def _three(given: float | Sequence[float], name: str, least: float) -> Float64s:
     """Return a number for each direction."""
     numbers = np.broadcast_to(as_reals(given, name, (3,), *([()] if name == "size" else [])), 3)
     return np.array([as_number(number, name, least, _FARTHEST) for number in numbers])

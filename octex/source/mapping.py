@@ -10,16 +10,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s
 from octex.jit import inlined, kernel
 from octex.source.images.filters import MOST_VARIANCE, find_taps, footprint
 from octex.source.images.gather import gather
 from octex.source.images.pyramid import MIRROR, REPEAT, Images
 from octex.source.images.taps import TAP_ROOM
 from octex.source.vectors import Vector, cross_product, dot_product
-
-Floats = npt.NDArray[np.float64]
 
 #: The kinds of mappings.
 KINDS = ("planar", "box", "cylindrical", "spherical")
@@ -37,9 +35,9 @@ class Mapping(NamedTuple):
     kind: int
     wrap_u: int
     wrap_v: int
-    frame: Floats  # (3, 3)   rows: right, up and the axis, in rest space
-    center: Floats  # (3,)   in rest space
-    size: Floats  # (3,)   what a copy of the picture spans along right, up and the axis
+    frame: Float64s  # (3, 3)   rows: right, up and the axis, in rest space
+    center: Float64s  # (3,)   in rest space
+    size: Float64s  # (3,)   what a copy of the picture spans along right, up and the axis
 
 
 @inlined
@@ -98,7 +96,7 @@ def _in_frame(mapping: Mapping, vector: Vector) -> Vector:
 
 
 @inlined
-def _placed(mapping: Mapping, points: Floats, i: int) -> Vector:
+def _placed(mapping: Mapping, points: Float64s, i: int) -> Vector:
     center = mapping.center
     return _in_frame(mapping, (points[i, 0] - center[0], points[i, 1] - center[1], points[i, 2] - center[2]))
 
@@ -122,11 +120,11 @@ def read_mapped(
     filter: int | None,
     flat: bool,
     is_direction: bool,
-    points: Floats,
-    normals: Floats,
-    shading: Floats,
-    widths: npt.NDArray[np.float32],
-    values: npt.NDArray[np.float32],
+    points: Float64s,
+    normals: Float64s,
+    shading: Float64s,
+    widths: Float32s,
+    values: Float32s,
 ) -> None:
     """Fill in what the one image of ``images`` gives to points.
 
@@ -169,12 +167,12 @@ def read_mapped(
 @inlined
 def _turn(
     mapping: Mapping,
-    lanes: npt.NDArray[np.float32],
+    lanes: Float32s,
     u_slope: Vector,
     v_slope: Vector,
     shading: Vector,
     is_point: bool,
-    values: npt.NDArray[np.float32],
+    values: Float32s,
     i: int,
 ) -> None:
     """Turn a direction of a normal map into one in rest space; at a point, a unit vector.
@@ -209,7 +207,7 @@ def _turn(
 
 @kernel
 def mapped_edges(
-    mapping: Mapping, width: int, height: int, points: Floats, normals: Floats, edges: npt.NDArray[np.float32]
+    mapping: Mapping, width: int, height: int, points: Float64s, normals: Float64s, edges: Float32s
 ) -> None:
     """Fill in the shorter edge of a texel at points, in rest units; infinity where all see one texel."""
     for i in range(len(points)):

@@ -9,15 +9,15 @@ from threading import Lock
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int32s, Uint16s
 from octex.channels import CHANNELS, ONE, ChannelFormat
 from octex.checks import as_choice
 from octex.errors import ModelError
 from octex.jit import kernel
 from octex.source.base import Source, in_order
 from octex.source.corners import Corners, Frames
-from octex.source.evaluate import Columns, Tables, evaluate, measure, texel_edges
+from octex.source.evaluate import SourceColumns, Tables, evaluate, measure, texel_edges
 from octex.source.images.filters import FILTERS, LEVELS_OF, told
 from octex.source.images.pyramid import REPEAT, Images, Picture, Texels, store
 from octex.source.tangents import carried
@@ -83,9 +83,9 @@ class MaterialSource(Source):
     def __init__(
         self,
         materials: Sequence[Material],
-        triangle_materials: npt.NDArray[np.int32],
-        rest: npt.NDArray[np.float64],
-        triangles: npt.NDArray[np.int32],
+        triangle_materials: Int32s,
+        rest: Float64s,
+        triangles: Int32s,
         *,
         colors: Corners | None = None,
         coordinates: Sequence[Corners] = (),
@@ -105,7 +105,7 @@ class MaterialSource(Source):
         self._filter = FILTERS.index(as_choice(filter, FILTERS, "filter"))
         self._lock = Lock()
         self._prepared: _Prepared | None = None
-        self._footprints: npt.NDArray[np.float64] | None = None
+        self._footprints: Float64s | None = None
         self._texel_edges = np.empty(0, np.float32)
         self._check()
         stated = self._stated()
@@ -120,10 +120,10 @@ class MaterialSource(Source):
 
     def evaluate(
         self,
-        triangles: npt.NDArray[np.int32],
-        barycentric: npt.NDArray[np.float64],
-        widths: npt.NDArray[np.float32],
-    ) -> npt.NDArray[np.float32]:
+        triangles: Int32s,
+        barycentric: Float64s,
+        widths: Float32s,
+    ) -> Float32s:
         """Return values (n, components): light, not multiplied by alpha; fractions; means of directions."""
         prepared, footprints = self._prepare()
         values = np.empty((len(triangles), sum(c.components for c in self.channels)), np.float32)
@@ -140,12 +140,12 @@ class MaterialSource(Source):
         )
         return values
 
-    def texel_edges(self, triangles: npt.NDArray[np.int32]) -> npt.NDArray[np.float32]:
+    def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edges of texels, of the finest image on each triangle; infinity without images."""
         self._prepare()
         return self._texel_edges[triangles]
 
-    def with_rest(self, rest: npt.NDArray[np.float64]) -> MaterialSource:
+    def with_rest(self, rest: Float64s) -> MaterialSource:
         """Return the same source with widths and directions measured on other rest positions (n, 3)."""
         other = self._copy()
         other._rest = rest
@@ -233,7 +233,7 @@ class MaterialSource(Source):
             if not np.isfinite(corners.values[corners.rows[textured]]).all():
                 raise ModelError(f"{self._name}: texture coordinates are not all finite; repair the model")
 
-    def _prepare(self) -> tuple[_Prepared, npt.NDArray[np.float64]]:
+    def _prepare(self) -> tuple[_Prepared, Float64s]:
         """Return what the kernels read, made on the first use."""
         with self._lock:
             if self._prepared is None:
@@ -292,7 +292,7 @@ class MaterialSource(Source):
             **self._bound(),
         )
         places = (first_column.get(name, -1) for name in ("base_color", "alpha", "normal"))
-        return _Prepared(tables, Columns(*places), stored.images)
+        return _Prepared(tables, SourceColumns(*places), stored.images)
 
     def _vertex_alpha(self, number: int) -> float:
         """Return the mean alpha of the vertex colours under a material."""
@@ -326,7 +326,7 @@ class _Prepared(NamedTuple):
     """What the kernels read."""
 
     tables: Tables
-    columns: Columns
+    columns: SourceColumns
     images: Images
 
 
@@ -429,7 +429,7 @@ def _brightest(given: Input) -> float:
     return max(given.factor) * texel + max(given.offset, default=0.0)
 
 
-def unit_directions(texels: Texels, scale: tuple[float, ...]) -> npt.NDArray[np.uint16]:
+def unit_directions(texels: Texels, scale: tuple[float, ...]) -> Uint16s:
     """Return the texels of a normal map, each scaled along x, y and z and made a unit vector, as codes."""
     directions = np.empty(texels.shape, np.uint16)
     _make_unit(texels, 2.0 / ONE[texels.dtype.name], np.array(scale, np.float64), directions)
@@ -437,9 +437,7 @@ def unit_directions(texels: Texels, scale: tuple[float, ...]) -> npt.NDArray[np.
 
 
 @kernel
-def _make_unit(
-    texels: Texels, unit: float, scale: npt.NDArray[np.float64], directions: npt.NDArray[np.uint16]
-) -> None:
+def _make_unit(texels: Texels, unit: float, scale: Float64s, directions: Uint16s) -> None:
     for row in range(texels.shape[0]):
         for column in range(texels.shape[1]):
             x = (float(texels[row, column, 0]) * unit - 1.0) * scale[0]

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from functools import cached_property
 from types import NoneType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Array, Bools, Float64s, Int32s, Integers
 from octex.checks import as_whole, locked
 from octex.errors import ArgumentError, ModelError
 from octex.source.corners import Corners, Frames, Polygons, at_corners
@@ -16,22 +17,19 @@ from octex.source.parts import Overlaps, overlapping_parts, parts_of
 from octex.source.tangents import carried
 from octex.source.welding import first_equal
 
-Floats = npt.NDArray[np.float64]
-Int32s = npt.NDArray[np.int32]
-
 #: Farther positions would overflow widths in single precision.
 FARTHEST = 1e30
 
 
-class Samples(NamedTuple):
+class SurfaceSamples(NamedTuple):
     """Points of a surface."""
 
-    points: npt.NDArray[np.float64]  # (n, 3)   posed positions
-    rest: npt.NDArray[np.float64]  # (n, 3)   rest positions, the texture coordinates
-    normals: npt.NDArray[np.float64]  # (n, 3)   unit normals of the posed triangles
-    triangles: npt.NDArray[np.int32]  # (n,)
-    barycentric: npt.NDArray[np.float64]  # (n, 3)
-    rest_normals: npt.NDArray[np.float64]  # (n, 3)   of the triangles at rest; zeros without area
+    points: Float64s  # (n, 3)   posed positions
+    rest: Float64s  # (n, 3)   rest positions, the texture coordinates
+    normals: Float64s  # (n, 3)   unit normals of the posed triangles
+    triangles: Int32s  # (n,)
+    barycentric: Float64s  # (n, 3)
+    rest_normals: Float64s  # (n, 3)   of the triangles at rest; zeros without area
 
 
 class Mesh:
@@ -74,7 +72,7 @@ class Mesh:
         self.polygons = None if polygons is None else _as_polygons(polygons, len(self.triangles), name)
         self.name = name
         used = self._used(self.triangles)
-        self.bounds: Floats = locked(np.array([self.rest[used].min(axis=0), self.rest[used].max(axis=0)]))
+        self.bounds: Float64s = locked(np.array([self.rest[used].min(axis=0), self.rest[used].max(axis=0)]))
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.name!r} of {len(self.triangles):,} triangles>"
@@ -90,7 +88,7 @@ class Mesh:
             made.frames = _locked_frames(carried(self.frames, self.triangles, self.rest, positions))
         return made
 
-    def moved(self, rest: Floats) -> Mesh:
+    def moved(self, rest: Float64s) -> Mesh:
         """Return the same mesh with its parts elsewhere at rest, turned as they are: frames stay."""
         return Mesh(
             self.vertices, self.triangles, rest=rest, uv=self.uv, frames=self.frames, polygons=self.polygons,
@@ -128,13 +126,13 @@ class Mesh:
         )
         return mesh, chosen, np.flatnonzero(used).astype(np.int32)
 
-    def _used(self, triangles: Int32s) -> npt.NDArray[np.bool_]:
+    def _used(self, triangles: Int32s) -> Bools:
         used = np.zeros(len(self.vertices), np.bool_)
         used[triangles] = True
         return used
 
     @cached_property
-    def parts(self) -> npt.NDArray[np.int32]:
+    def parts(self) -> Int32s:
         """The part of each triangle (m,), numbered by their first triangles, as ``overlapping_parts`` does.
 
         Parts are what hangs together at rest, vertices at the same position being one.
@@ -166,20 +164,20 @@ class Mesh:
         """
         return overlapping_parts(self.rest, self.triangles, margin)
 
-    def points_at(self, triangles: npt.NDArray[np.integer[Any]], barycentric: Floats) -> Floats:
+    def points_at(self, triangles: Integers, barycentric: Float64s) -> Float64s:
         """Return posed positions (n, 3) of points of triangles (n,) by barycentric (n, 3); checks nothing."""
         return at_corners(self.vertices, self.triangles[triangles], barycentric)
 
-    def rest_at(self, triangles: npt.NDArray[np.integer[Any]], barycentric: Floats) -> Floats:
+    def rest_at(self, triangles: Integers, barycentric: Float64s) -> Float64s:
         """Return rest positions (n, 3) of points of triangles (n,) by barycentric (n, 3); checks nothing."""
         return at_corners(self.rest, self.triangles[triangles], barycentric)
 
-    def areas(self) -> npt.NDArray[np.float64]:
+    def areas(self) -> Float64s:
         """Return the posed area of each triangle (m,), in square model units."""
-        areas: npt.NDArray[np.float64] = np.linalg.norm(_crosses(self.vertices, self.triangles), axis=1) / 2
+        areas: Float64s = np.linalg.norm(_crosses(self.vertices, self.triangles), axis=1) / 2
         return areas
 
-    def scatter(self, n: int, seed: int = 0) -> Samples:
+    def scatter(self, n: int, seed: int = 0) -> SurfaceSamples:
         """Draw ``n`` points, uniform by posed area; the same for the same seed.
 
         Raises ModelError if the surface has no area, ArgumentError for a negative ``n``.
@@ -202,7 +200,7 @@ class Mesh:
             rest_normals = _crosses(self.rest, self.triangles[chosen])
             lengths = np.linalg.norm(rest_normals, axis=1, keepdims=True)
             rest_normals /= np.where(lengths > 0, lengths, 1)
-        return Samples(
+        return SurfaceSamples(
             points=self.points_at(chosen, barycentric),
             rest=self.rest_at(chosen, barycentric),
             normals=normals,
@@ -212,13 +210,13 @@ class Mesh:
         )
 
 
-def _crosses(positions: Floats, triangles: Int32s) -> Floats:
+def _crosses(positions: Float64s, triangles: Int32s) -> Float64s:
     """Return normals of triangles (m, 3), each twice its area long."""
     corners = positions[triangles]
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
-def as_positions(positions: npt.ArrayLike, what: str) -> Floats:
+def as_positions(positions: npt.ArrayLike, what: str) -> Float64s:
     """Return positions (n, 3) as an array of one's own, or raise ModelError that says ``what`` is wrong."""
     try:
         array = np.asarray(positions)
@@ -257,11 +255,11 @@ def as_triangles(given: npt.ArrayLike, vertices: int, name: str) -> Int32s:
     return _owned(triangles, np.int32)
 
 
-def _owned(given: npt.ArrayLike, dtype: type) -> npt.NDArray[Any]:
+def _owned(given: npt.ArrayLike, dtype: type) -> Array:
     """Return a read-only array of one's own: a copy, unless it is one already."""
     if isinstance(given, np.ndarray) and given.base is None and not given.flags.writeable:
         return np.asarray(given, dtype, order="C")
-    array: npt.NDArray[Any] = np.array(given, dtype, order="C")
+    array: Array = np.array(given, dtype, order="C")
     array.flags.writeable = False
     return array
 

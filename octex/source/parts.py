@@ -11,19 +11,16 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float64s, Int32s, Int64s
 from octex.checks import as_number
 from octex.jit import kernel
-from octex.nearest.gaps import Boxes, boxes_over, gap
+from octex.nearest.distances import Boxes, boxes_over, gap
 from octex.source.welding import first_equal
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
 
-Floats = npt.NDArray[np.float64]
-Int32s = npt.NDArray[np.int32]
-Int64s = npt.NDArray[np.int64]
 Why = Literal["open", "not manifold", "without volume"]
 
 #: Solids that share less than this part of the smaller one's volume only touch.
@@ -86,7 +83,7 @@ def _many(number: int, what: str) -> str:
     return f"{number:,} {what}{'' if number == 1 else 's'}"
 
 
-def overlapping_parts(rest: Floats, triangles: Int32s, margin: float = 0.0) -> Overlaps:
+def overlapping_parts(rest: Float64s, triangles: Int32s, margin: float = 0.0) -> Overlaps:
     """Find the parts that intersect or come nearer than ``margin``: ``Surface.overlapping_parts``."""
     margin = as_number(margin, "margin", 0.0, 1e30)
     welded = first_equal(rest)
@@ -118,7 +115,7 @@ def overlapping_parts(rest: Floats, triangles: Int32s, margin: float = 0.0) -> O
     return Overlaps(margin, parts, tuple(sorted(pairs)), tuple(unchecked))
 
 
-def boxes_of(rest: Floats, triangles: Int32s, parts: Int32s) -> tuple[Floats, Floats]:
+def boxes_of(rest: Float64s, triangles: Int32s, parts: Int32s) -> tuple[Float64s, Float64s]:
     """Return the lowest and the highest corners (parts, 3) of parts."""
     low = np.full((int(parts.max()) + 1, 3), np.inf)
     high = -low
@@ -195,7 +192,7 @@ def _join(parents: Int64s, a: Int64s, b: Int64s) -> None:
         parents[i] = parents[parents[i]]
 
 
-def _solid(rest: Floats, triangles: Int32s, welded: Int64s) -> Manifold | Why:
+def _solid(rest: Float64s, triangles: Int32s, welded: Int64s) -> Manifold | Why:
     """Return the solid that triangles enclose, turned outside out, or why they enclose none."""
     from manifold3d import Error, Manifold, Mesh64
 
@@ -212,7 +209,7 @@ def _solid(rest: Floats, triangles: Int32s, welded: Int64s) -> Manifold | Why:
     return solid if solid.volume() > 0.0 else "without volume"
 
 
-def _near_boxes(low: Floats, high: Floats, margin: float) -> Iterator[tuple[Int64s, Int64s]]:
+def _near_boxes(low: Float64s, high: Float64s, margin: float) -> Iterator[tuple[Int64s, Int64s]]:
     """Yield pairs of boxes, low and high (n, 3), that come as near as ``margin`` to each other."""
     if len(low) < 2:
         return

@@ -4,14 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-import numpy.typing as npt
-
+from octex.arrays import Float32s, Float64s, Int32s
 from octex.channels import ChannelFormat
 from octex.source.base import Source
-
-Floats = npt.NDArray[np.float64]
-Int32s = npt.NDArray[np.int32]
 
 
 class Picked(Source):
@@ -21,7 +16,7 @@ class Picked(Source):
     positions. What the source keeps ready is shared by all that is picked from it.
     """
 
-    def __init__(self, source: Source, triangles: Int32s, vertices: Int32s, rest: Floats) -> None:
+    def __init__(self, source: Source, triangles: Int32s, vertices: Int32s, rest: Float64s) -> None:
         self._source = source
         self._triangles = triangles
         self._vertices = vertices
@@ -42,17 +37,15 @@ class Picked(Source):
         """Whether the whole's ``alpha`` says no more than where it knows something."""
         return self._source.alpha_is_coverage
 
-    def evaluate(
-        self, triangles: Int32s, barycentric: Floats, widths: npt.NDArray[np.float32]
-    ) -> npt.NDArray[np.float32]:
+    def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""
         return self._source.evaluate(self._triangles[triangles], barycentric, widths)
 
-    def texel_edges(self, triangles: Int32s) -> npt.NDArray[np.float32]:
+    def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of a texel on triangles (n,), in rest units."""
         return self._source.texel_edges(self._triangles[triangles])
 
-    def with_rest(self, rest: Floats) -> Picked:
+    def with_rest(self, rest: Float64s) -> Picked:
         """Return the same source on other rest positions of the picked vertices (v, 3)."""
         whole = self._rest.copy()
         whole[self._vertices] = rest

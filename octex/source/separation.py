@@ -8,15 +8,12 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float64s, Int32s, Int64s
 from octex.checks import as_positive
 from octex.errors import ArgumentError
 from octex.source.mesh import Mesh
 from octex.source.parts import Overlaps, boxes_of
-
-Floats = npt.NDArray[np.float64]
-Int32s = npt.NDArray[np.int32]
 
 #: The entry of provenance that says which parts were moved, and how far.
 SEPARATION = "separation"
@@ -44,7 +41,7 @@ def separation_of(mesh: Mesh, margin: float, found: Overlaps | None = None) -> s
     return json.dumps({"parts": found.n_parts, "digest": _digest(found.parts), "moved": moved})
 
 
-def separated_rest(mesh: Mesh, separation: str) -> Floats:
+def separated_rest(mesh: Mesh, separation: str) -> Float64s:
     """Return the rest positions (n, 3) of a mesh whose parts are moved as an entry of provenance says.
 
     Raises ArgumentError for one of other parts.
@@ -87,7 +84,7 @@ def _read(text: str) -> tuple[int, str, dict[int, list[float]]] | None:
     return (count, digest, moved) if sound and np.isfinite(list(moved.values())).all() else None
 
 
-def _offsets(low: Floats, high: Floats, near: Iterable[tuple[int, int]], margin: float) -> Floats:
+def _offsets(low: Float64s, high: Float64s, near: Iterable[tuple[int, int]], margin: float) -> Float64s:
     """Return how far each part moves (parts, 3), so that what was too near comes to lie beside the rest."""
     classes = _colored(len(low), near, np.ptp([low, high], axis=0).max(axis=1))
     moving = np.flatnonzero(classes)
@@ -99,14 +96,14 @@ def _offsets(low: Floats, high: Floats, near: Iterable[tuple[int, int]], margin:
     if len(moving) <= _SINGLY:
         layouts.append(_packed(low, high, base, [moving[i : i + 1] for i in range(len(moving))], margin))
 
-    def size(offsets: Floats) -> tuple[float, float]:
+    def size(offsets: Float64s) -> tuple[float, float]:
         extent = np.ptp([(low + offsets).min(axis=0), (high + offsets).max(axis=0)], axis=0)
         return float(extent.max()), float(extent.sum())
 
     return min(layouts, key=size)
 
 
-def _colored(count: int, near: Iterable[tuple[int, int]], sizes: Floats) -> npt.NDArray[np.int64]:
+def _colored(count: int, near: Iterable[tuple[int, int]], sizes: Float64s) -> Int64s:
     """Return classes (parts,) without near parts in one, the largest first: class 0 is what stays."""
     neighbours: dict[int, set[int]] = {}
     for a, b in near:
@@ -122,12 +119,12 @@ def _colored(count: int, near: Iterable[tuple[int, int]], sizes: Floats) -> npt.
 
 
 def _packed(
-    low: Floats,
-    high: Floats,
-    base: tuple[Floats, Floats],
-    groups: list[npt.NDArray[np.int64]],
+    low: Float64s,
+    high: Float64s,
+    base: tuple[Float64s, Float64s],
+    groups: list[Int64s],
     margin: float,
-) -> Floats:
+) -> Float64s:
     """Return offsets (parts, 3) that put groups of parts beside a base, where the whole grows least.
 
     Each goes to a place beside one that is there already (the extreme points of Crainic et al. 2008).

@@ -7,15 +7,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int32s
 from octex.channels import ChannelFormat
 from octex.jit import kernel
 from octex.source.base import Source
 from octex.source.mesh import Mesh
-
-Floats = npt.NDArray[np.float64]
-Int32s = npt.NDArray[np.int32]
 
 #: By how much a cosine of normals in single precision may seem less than it is.
 _COSINE_ROUNDING = 1e-6
@@ -44,7 +41,7 @@ class SpatialSource(Source):
     ``rest`` (n, 3) positions and ``triangles`` (m, 3) are those of the surface.
     """
 
-    def __init__(self, channels: Sequence[ChannelFormat], rest: Floats, triangles: Int32s) -> None:
+    def __init__(self, channels: Sequence[ChannelFormat], rest: Float64s, triangles: Int32s) -> None:
         self._channels = tuple(channels)
         self._rest = rest
         self._triangles = triangles
@@ -54,25 +51,23 @@ class SpatialSource(Source):
         return self._rest is mesh.rest and self._triangles is mesh.triangles
 
     @abstractmethod
-    def at(self, points: Floats, normals: Floats, widths: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def at(self, points: Float64s, normals: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at rest positions (n, 3), averaged over widths in rest units.
 
         ``normals`` (n, 3) are those of the faces at rest, of length 1; zeros on triangles without area.
         """
 
-    def evaluate(
-        self, triangles: Int32s, barycentric: Floats, widths: npt.NDArray[np.float32]
-    ) -> npt.NDArray[np.float32]:
+    def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""
         return self.at(*self.placed(triangles, barycentric), widths)
 
-    def placed(self, triangles: Int32s, barycentric: Floats) -> tuple[Floats, Floats]:
+    def placed(self, triangles: Int32s, barycentric: Float64s) -> tuple[Float64s, Float64s]:
         """Return the rest positions (n, 3) of points of triangles, and the normals there as for ``at``."""
         points, normals = np.empty((2, len(triangles), 3))
         _place(self._rest, self._triangles, triangles, barycentric, points, normals)
         return points, normals
 
-    def with_rest(self, rest: Floats) -> SpatialSource:
+    def with_rest(self, rest: Float64s) -> SpatialSource:
         """Return the same values by position, on other rest positions (n, 3)."""
         other = copy.copy(self)
         other._rest = rest
@@ -81,12 +76,12 @@ class SpatialSource(Source):
 
 @kernel
 def _place(
-    rest: Floats,
+    rest: Float64s,
     faces: Int32s,
     triangles: Int32s,
-    barycentric: Floats,
-    points: Floats,
-    normals: Floats,
+    barycentric: Float64s,
+    points: Float64s,
+    normals: Float64s,
 ) -> None:
     """Fill in the positions and unit normals of points of triangles."""
     last = -1

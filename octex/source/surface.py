@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import PIL.Image
 
+from octex.arrays import Float32s, Float64s, Floats, Int32s
 from octex.channels import ALPHA, NORMAL, ONE, ChannelFormat
 from octex.checks import (
     as_choice,
@@ -32,7 +33,7 @@ from octex.source.images.pyramid import as_wraps
 from octex.source.implicit import ImplicitFunction, level_set
 from octex.source.joined import FaceNormals, Joined, Part
 from octex.source.materials import ALPHA_MODES, AlphaMode, Input, Material, MaterialSource, Texture
-from octex.source.mesh import FARTHEST, Mesh, Samples, as_positions, as_triangles
+from octex.source.mesh import FARTHEST, Mesh, SurfaceSamples, as_positions, as_triangles
 from octex.source.parts import Overlaps
 from octex.source.picked import Picked
 from octex.source.separation import SEPARATION, separated_rest, separation_of
@@ -50,11 +51,11 @@ class Surface(Mesh):
 
     def __init__(
         self,
-        vertices: npt.NDArray[np.float64],
-        triangles: npt.NDArray[np.int32],
+        vertices: Float64s,
+        triangles: Int32s,
         source: Source,
         *,
-        rest: npt.NDArray[np.float64] | None = None,
+        rest: Float64s | None = None,
         uv: Corners | None = None,
         frames: Frames | None = None,
         polygons: Polygons | None = None,
@@ -364,7 +365,7 @@ class Surface(Mesh):
             )
         return self._separated(separation)
 
-    def rest_positions(self, texture: OctreeTexture) -> npt.NDArray[np.float64]:
+    def rest_positions(self, texture: OctreeTexture) -> Float64s:
         """Return where a texture has the vertices (n, 3): what lookups on the surface take.
 
         These are ``rest``, unless parts were moved apart. Raises ArgumentError as ``placed_in`` does.
@@ -380,8 +381,8 @@ class Surface(Mesh):
         return made
 
     def evaluate(
-        self, samples: Samples, channel: str = "base_color", width: float | None = None
-    ) -> npt.NDArray[np.float32]:
+        self, samples: SurfaceSamples, channel: str = "base_color", width: float | None = None
+    ) -> Float32s:
         """Return the source's own values (n, components) of one channel at samples; colours in linear light.
 
         ``width``, in rest units, averages over a square of that side; None or 0 reads at the points.
@@ -389,7 +390,7 @@ class Surface(Mesh):
         a channel that is not there or samples of another surface.
         """
         as_choice(channel, [form.name for form in self.channels], "channel")
-        if not isinstance(samples, Samples):
+        if not isinstance(samples, SurfaceSamples):
             raise ArgumentError(f"samples must be what scatter returns, not {samples!r}")
         triangles = np.asarray(samples.triangles)
         if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(self.triangles):
@@ -415,10 +416,10 @@ class Surface(Mesh):
 
     def evaluate_all(
         self,
-        triangles: npt.NDArray[np.int32],
-        barycentric: npt.NDArray[np.float64],
-        widths: npt.NDArray[np.float32],
-    ) -> npt.NDArray[np.float32]:
+        triangles: Int32s,
+        barycentric: Float64s,
+        widths: Float32s,
+    ) -> Float32s:
         """Return every channel's values (n, all components), in the order of ``channels``; checks nothing.
 
         ``triangles`` (n,), ``barycentric`` (n, 3), ``widths`` (n,) in rest units, 0 to read at the points.
@@ -443,7 +444,7 @@ def _joined_polygons(meshes: Sequence[Mesh]) -> Polygons | None:
     return Polygons(np.concatenate(numbers), np.concatenate([each.corners for each in every]))
 
 
-def _corner_coordinates(uv: npt.ArrayLike, triangles: npt.NDArray[np.int32], vertices: int) -> Corners:
+def _corner_coordinates(uv: npt.ArrayLike, triangles: Int32s, vertices: int) -> Corners:
     """Bind coordinates with v up, per vertex or per corner."""
     array = as_reals(uv, "uv", (vertices, 2), (len(triangles), 3, 2))
     rows = triangles
@@ -452,7 +453,7 @@ def _corner_coordinates(uv: npt.ArrayLike, triangles: npt.NDArray[np.int32], ver
     return Corners(flip_v(array.reshape(-1, 2)), rows)
 
 
-def flip_v(uv: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
+def flip_v(uv: Floats) -> Float32s:
     """Return coordinates (n, 2) with v down of such with v up."""
     flipped = np.empty(uv.shape, np.float32)
     with np.errstate(over="ignore"):  # what becomes infinite is refused where it is used

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Floats, Int32s, Integers
 from octex.jit import inlined, kernel
 from octex.source.corners import Corners, Frames
 from octex.source.vectors import Vector, cross_product, dot_product
@@ -20,8 +20,8 @@ _Edges = tuple[Vector, Vector, Vector, float]
 
 
 def corner_frames(
-    positions: npt.NDArray[np.float64],
-    triangles: npt.NDArray[np.integer],
+    positions: Float64s,
+    triangles: Integers,
     normals: Corners | None,
     tangents: Corners | None,
     coordinates: Corners | None,
@@ -72,9 +72,9 @@ def corner_frames(
 
 def carried(
     frames: Frames,
-    triangles: npt.NDArray[np.integer],
-    before: npt.NDArray[np.float64],
-    after: npt.NDArray[np.float64],
+    triangles: Integers,
+    before: Float64s,
+    after: Float64s,
 ) -> Frames:
     """Return frames moved from one set of vertex positions (n, 3) to another, each corner by its triangle.
 
@@ -89,7 +89,7 @@ def carried(
     return Frames(Corners(normals, rows), Corners(tangents, rows))
 
 
-def transformed(frames: Frames, linear: npt.NDArray[np.float64]) -> Frames:
+def transformed(frames: Frames, linear: Float64s) -> Frames:
     """Return frames of what a linear map (3, 3) is applied to; a mirror turns the handedness.
 
     The bitangent is mapped too if the map keeps angles; otherwise it stays at right angles, as in glTF.
@@ -107,15 +107,13 @@ def transformed(frames: Frames, linear: npt.NDArray[np.float64]) -> Frames:
     return Frames(frames.normals._replace(values=normals), frames.tangents._replace(values=tangents))
 
 
-def _flat_normals(
-    positions: npt.NDArray[np.float64], triangles: npt.NDArray[np.integer]
-) -> npt.NDArray[np.float64]:
+def _flat_normals(positions: Float64s, triangles: Integers) -> Float64s:
     corners = positions[triangles]
     crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return _unit(crosses, np.broadcast_to([0.0, 0.0, 1.0], crosses.shape))
 
 
-def _unit(vectors: npt.NDArray[np.floating], fallback: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
+def _unit(vectors: Floats, fallback: Floats) -> Float64s:
     """Return vectors (…, 3) at length 1; those without a direction as in ``fallback``."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         wide = vectors.astype(np.float64)
@@ -125,14 +123,14 @@ def _unit(vectors: npt.NDArray[np.floating], fallback: npt.NDArray[np.floating])
     return np.where(np.isfinite(wide).all(axis=-1, keepdims=True), wide, fallback)
 
 
-def _perpendicular(normals: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
+def _perpendicular(normals: Floats) -> Float64s:
     """Return a unit vector at right angles to each unit normal (…, 3)."""
     # The axis that a normal leans least towards, less what it leans.
     axis = np.eye(3)[np.abs(normals).argmin(axis=-1)]
     return _unit(axis - normals * (axis * normals).sum(axis=-1, keepdims=True), axis)
 
 
-def _mended(corners: Corners, fallback: npt.NDArray[np.floating]) -> Corners:
+def _mended(corners: Corners, fallback: Floats) -> Corners:
     """Return directions (rows, 3 or 4) as unit vectors, a fourth component as 1 or −1.
 
     Rows without a direction take the ``fallback`` (m, 3, 3) of a corner that uses them.
@@ -150,7 +148,7 @@ def _mended(corners: Corners, fallback: npt.NDArray[np.floating]) -> Corners:
 
 
 @inlined
-def _row(values: npt.NDArray[np.floating], row: int) -> Vector:
+def _row(values: Floats, row: int) -> Vector:
     return float(values[row, 0]), float(values[row, 1]), float(values[row, 2])
 
 
@@ -184,13 +182,13 @@ def _in_plane(vector: Vector, normal: Vector) -> Vector:
 
 @kernel
 def _sum_tangents(
-    positions: npt.NDArray[np.float64],
-    triangles: npt.NDArray[np.int32],
+    positions: Float64s,
+    triangles: Int32s,
     normals: Corners,
     coordinates: Corners,
-    groups: npt.NDArray[np.int32],
-    sums: npt.NDArray[np.float64],
-    rows: npt.NDArray[np.int32],
+    groups: Int32s,
+    sums: Float64s,
+    rows: Int32s,
 ) -> None:
     """Add up the directions of u, one row for mirrored and one for other triangles of each group of corners.
 
@@ -240,10 +238,10 @@ def _sum_tangents(
 @kernel
 def _finish_tangents(
     normals: Corners,
-    groups: npt.NDArray[np.int32],
-    sums: npt.NDArray[np.float64],
-    rows: npt.NDArray[np.int32],
-    values: npt.NDArray[np.float32],
+    groups: Int32s,
+    sums: Float64s,
+    rows: Int32s,
+    values: Float32s,
 ) -> None:
     """Turn sums into unit tangents with handedness; give triangles without rows those of their neighbours."""
     for triangle in range(len(rows)):
@@ -273,7 +271,7 @@ def _finish_tangents(
 
 
 @inlined
-def _edges(positions: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32], triangle: int) -> _Edges:
+def _edges(positions: Float64s, triangles: Int32s, triangle: int) -> _Edges:
     """Return two edges of a triangle, their cross product, and its length, which is twice the area."""
     origin = _row(positions, triangles[triangle, 0])
     e = _minus(_row(positions, triangles[triangle, 1]), origin)
@@ -283,7 +281,7 @@ def _edges(positions: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32],
 
 
 @inlined
-def _store(values: npt.NDArray[np.float32], row: int, vector: Vector, fallback: Vector) -> None:
+def _store(values: Float32s, row: int, vector: Vector, fallback: Vector) -> None:
     """Write a vector at length 1, or ``fallback`` if it has no direction."""
     length = math.sqrt(dot_product(vector, vector))
     x, y, z = _times(vector, 1.0 / length) if 0.0 < length < math.inf else fallback
@@ -293,11 +291,11 @@ def _store(values: npt.NDArray[np.float32], row: int, vector: Vector, fallback: 
 @kernel
 def _carry(
     frames: Frames,
-    triangles: npt.NDArray[np.int32],
-    before: npt.NDArray[np.float64],
-    after: npt.NDArray[np.float64],
-    normals: npt.NDArray[np.float32],
-    tangents: npt.NDArray[np.float32],
+    triangles: Int32s,
+    before: Float64s,
+    after: Float64s,
+    normals: Float32s,
+    tangents: Float32s,
 ) -> None:
     """Write the moved normals (3m, 3) and tangents (3m, 4), corner by corner."""
     for triangle in range(len(triangles)):

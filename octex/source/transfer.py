@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int32s
 from octex.channels import ALPHA, ChannelFormat
 from octex.checks import as_choice, as_number, is_path
 from octex.errors import ModelError
@@ -17,7 +17,7 @@ from octex.nearest.triangles import Triangles
 from octex.source.base import Source
 from octex.source.load import load_surface
 from octex.source.mesh import Mesh
-from octex.source.spatial import Floats, Int32s, Placeable, SpatialSource, least_cosine
+from octex.source.spatial import Placeable, SpatialSource, least_cosine
 from octex.source.surface import Surface, as_surface
 
 
@@ -118,7 +118,7 @@ class _Transferred(SpatialSource):
     def _adds_alpha(self) -> bool:
         return self.has_gaps and ALPHA.name not in [form.name for form in self._own_channels]
 
-    def at(self, points: Floats, normals: Floats, widths: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def at(self, points: Float64s, normals: Float64s, widths: Float32s) -> Float32s:
         """Return the other's values (n, components) at the points nearest to these."""
         found = self._nearest.nearest(
             points,
@@ -136,9 +136,7 @@ class _Transferred(SpatialSource):
         values[there, own.shape[1] :] = 1.0
         return values
 
-    def _evaluated(
-        self, triangles: Int32s, barycentric: Floats, widths: npt.NDArray[np.float32]
-    ) -> npt.NDArray[np.float32]:
+    def _evaluated(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         if self._other is None:
             return np.empty((len(triangles), 0), np.float32)
         return self._other.evaluate(triangles, barycentric, widths)

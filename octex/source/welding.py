@@ -5,20 +5,21 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Floats, Int32s, Int64s, Uint32s
 from octex.jit import kernel
 
 # Odd, and without a pattern in its bits: the golden ratio's fraction (Knuth, TAOCP 3, 6.4).
 _MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
 
 
-def first_equal(rows: npt.NDArray[np.floating]) -> npt.NDArray[np.int64]:
+def first_equal(rows: Floats) -> Int64s:
     """Return for each row the first one that equals it (n,)."""
     numbers = welded(rows)
     _, first = np.unique(numbers, return_index=True)
     return first[numbers].astype(np.int64)
 
 
-def welded(rows: npt.NDArray[np.floating | np.integer]) -> npt.NDArray[np.int32]:
+def welded(rows: npt.NDArray[np.floating | np.integer]) -> Int32s:
     """Return a number for each row, the same for equal rows and counting from 0 up."""
     words = np.ascontiguousarray(rows + np.zeros((), rows.dtype)).view(np.uint32)  # −0 becomes 0
     hashes = np.zeros(len(rows), np.uint64)
@@ -34,10 +35,10 @@ def welded(rows: npt.NDArray[np.floating | np.integer]) -> npt.NDArray[np.int32]
 
 @kernel
 def _weld(
-    words: npt.NDArray[np.uint32],
-    places: npt.NDArray[np.int64],
-    table: npt.NDArray[np.int32],
-    numbers: npt.NDArray[np.int32],
+    words: Uint32s,
+    places: Int64s,
+    table: Int32s,
+    numbers: Int32s,
 ) -> None:
     """Give equal rows equal numbers: a table of rows with linear probing, its size a power of two."""
     count = 0

@@ -3,42 +3,39 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Uint8s
 from octex.channels import ColorSpace, decode, decode_table
-from octex.field.lookups import Stored
+from octex.field.lookups import ChannelRows
 from octex.field.sinks import Codes
 from octex.field.stages import mark_mixed, spreads_of
 from octex.jit import kernel
 from octex.texture.channel import Channel
 from octex.tree.octree import Octree
 
-Array = npt.NDArray[Any]
-Bytes = npt.NDArray[np.uint8]
-Floats = npt.NDArray[np.float32]
-
 NO_GRADIENTS = np.empty((0, 4, 3), np.float32)
 NO_TABLE = np.empty(0, np.float32)
 
 
-def stored(channel: Channel) -> Stored:
+def stored(channel: Channel) -> ChannelRows:
     """Return a channel as lookups read it."""
     dtype, space = channel.values.dtype, channel.format.space
     arrays = channel.values, channel.kept_values, channel.split_values
     is_alpha = channel.format.name == "alpha" and channel.format.components == 1
     if dtype == np.float32:
-        return Stored(Codes(*arrays, NO_TABLE), space if space == "srgb" else None, is_alpha)
+        return ChannelRows(Codes(*arrays, NO_TABLE), space if space == "srgb" else None, is_alpha)
     if dtype == np.float16:
         values, kept_values, split_values = (array.view(np.uint16) for array in arrays)
-        return Stored(Codes(values, kept_values, split_values, _half_table(space)), None, is_alpha)
+        return ChannelRows(Codes(values, kept_values, split_values, _half_table(space)), None, is_alpha)
     table = decode_table(dtype.name, space)
-    return Stored(Codes(*arrays, table.astype(np.float64) if table.size == 256 else table), None, is_alpha)
+    return ChannelRows(
+        Codes(*arrays, table.astype(np.float64) if table.size == 256 else table), None, is_alpha
+    )
 
 
-def facing_spreads(channel: Channel, tree: Octree) -> Floats:
+def facing_spreads(channel: Channel, tree: Octree) -> Float32s:
     """Say how far opposite facings differ in split cells of the tree's deepest level, at their first rows."""
     spreads = np.zeros(tree.split.areas.size, np.float32)
     first = int(np.searchsorted(tree.split.cells, tree.arrays.level_cells[tree.max_depth]))
@@ -49,7 +46,7 @@ def facing_spreads(channel: Channel, tree: Octree) -> Floats:
     return spreads
 
 
-def mixed_cells(channel: Channel, tree: Octree, threshold: float) -> Bytes:
+def mixed_cells(channel: Channel, tree: Octree, threshold: float) -> Uint8s:
     """Mark the cells (cells,) of a tree whose opposite facings differ by ``threshold`` or more."""
     mixed = np.zeros(tree.n_cells, np.uint8)
     cells, facings, _ = tree.split
@@ -58,14 +55,14 @@ def mixed_cells(channel: Channel, tree: Octree, threshold: float) -> Bytes:
 
 
 @cache
-def _half_table(space: ColorSpace) -> Floats:
+def _half_table(space: ColorSpace) -> Float32s:
     """Decode all bit patterns of float16."""
     with np.errstate(invalid="ignore"):  # NaNs are among them
         return decode(np.arange(1 << 16, dtype=np.uint16).view(np.float16), space)
 
 
 @kernel
-def make_unit(vectors: Floats, gradients: Floats) -> None:
+def make_unit(vectors: Float32s, gradients: Float32s) -> None:
     """Make vectors (n, components) of length 1, in place; zeros stay.
 
     ``gradients`` (n or 0, components, 3) become those of the unit vectors: what of them is across the vector,

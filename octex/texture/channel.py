@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Array
 from octex.channels import COLOR_SPACES, ONE, ChannelFormat
 from octex.checks import as_choice, locked
 from octex.errors import ArgumentError
 from octex.tree.octree import Octree
-
-Array = npt.NDArray[Any]
 
 
 class Channel(NamedTuple):

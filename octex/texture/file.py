@@ -33,9 +33,9 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from octex import container
+from octex.arrays import Array, Float64s
 from octex.channels import ChannelFormat
 from octex.errors import TextureFileError
 from octex.texture.channel import Channel
@@ -43,7 +43,6 @@ from octex.tree.layout import KeptTable, SplitTable, TreeArrays
 from octex.tree.octree import Octree, no_kept, no_split
 from octex.tree.placement import Placement
 
-Array = npt.NDArray[Any]
 Result = TypeVar("Result")
 
 FORMAT = "octex"
@@ -57,7 +56,7 @@ class Parts(NamedTuple):
     tree: Octree
     channels: Mapping[str, Channel]
     placement: Placement
-    bounds: npt.NDArray[np.float64]  # (2, 3)
+    bounds: Float64s  # (2, 3)
     metadata: Mapping[str, str]
 
 
@@ -192,7 +191,7 @@ def _placement(value: Any) -> Placement:
     return Placement((x, y, z), float(value["size"]))
 
 
-def _floats(value: Any) -> npt.NDArray[np.float64]:
+def _floats(value: Any) -> Float64s:
     return np.array(value, np.float64)
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from typing import Any, NamedTuple, Protocol, TypedDict
+from typing import NamedTuple, Protocol, TypedDict
 
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Array
 from octex.checks import as_choice, as_number, as_point_rows
 from octex.errors import ArgumentError
 from octex.field.footprints import Footprints, long_footprints, round_footprints
@@ -27,7 +28,7 @@ MOST_ANISOTROPY = 256.0
 _MOST_BLUR = float(np.finfo(np.float64).max)
 
 
-class Looks(TypedDict, total=False):
+class LookupOptions(TypedDict, total=False):
     """How points are looked at: see `OctreeTexture.sample`."""
 
     width: npt.ArrayLike | None
@@ -53,7 +54,7 @@ class SurfacePoints(Protocol):
 
 def placed(
     points: npt.ArrayLike | SurfacePoints, normals: npt.ArrayLike | None = None
-) -> tuple[npt.NDArray[Any], npt.ArrayLike | None]:
+) -> tuple[Array, npt.ArrayLike | None]:
     """Return rest positions (n, 3), and normals: those that are given, else those that points come with.
 
     Raises ArgumentError for what are no positions.
@@ -81,7 +82,7 @@ class Lens(NamedTuple):
         normals: npt.ArrayLike | None,
         gradient: bool = False,
         **more: npt.ArrayLike | None,
-    ) -> dict[str, npt.NDArray[Any]]:
+    ) -> dict[str, Array]:
         """Return what is given of points, a row for each. Raises ArgumentError for what does not fit."""
         places, normals = placed(points, normals)
         given = {"points": places}
@@ -139,7 +140,7 @@ class Lens(NamedTuple):
         return Query(self.filter, footprints, normals)
 
 
-def _as_widths(width: npt.ArrayLike, n: int) -> npt.NDArray[Any]:
+def _as_widths(width: npt.ArrayLike, n: int) -> Array:
     try:
         array = np.asarray(width)
     except ValueError:  # rows of unequal lengths

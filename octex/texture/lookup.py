@@ -8,16 +8,14 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Array, Float32s, Int32s
 from octex.checks import as_choice
 from octex.errors import ArgumentError
 from octex.field.order import order_in_space, put_rows
 from octex.parallel import ordered_map, workers
 from octex.tree.placement import Placement
 
-Array = npt.NDArray[Any]
-Floats = npt.NDArray[np.float32]
 #: What is given of points: arrays of a row each by name, "points" (n, 3) among them.
 Given = Mapping[str, Array]
 #: Looks up the points of a block, writes to arrays of as many rows, and returns the first row of points that
@@ -148,15 +146,13 @@ def block_in_space(look_up: LookUp, placement: Placement, given: Given, answers:
     return fault
 
 
-def _in_order(
-    numbers: npt.NDArray[np.int32], given: Given, answers: list[Array]
-) -> tuple[Given, list[Array]]:
+def _in_order(numbers: Int32s, given: Given, answers: list[Array]) -> tuple[Given, list[Array]]:
     """Return what is given of points in another order, and room for their answers."""
     taken = {name: np.take(array, numbers, axis=0) for name, array in given.items()}
     return taken, [np.empty(answer.shape, answer.dtype) for answer in answers]
 
 
-def _put_back(found: list[Array], numbers: npt.NDArray[np.int32], answers: list[Array]) -> None:
+def _put_back(found: list[Array], numbers: Int32s, answers: list[Array]) -> None:
     """Write the answers of points in another order where they belong."""
     for answer, each in zip(answers, found, strict=True):
         put_rows(each.reshape(len(each), -1), numbers, answer.reshape(len(answer), -1))
@@ -211,7 +207,7 @@ class Answers:
         for name in names:
             as_choice(name, components, "channel")
         shapes: dict[str, tuple[int, ...]] = {name: (count, components[name]) for name in names}
-        self._gradients: dict[str, Floats] | None = None
+        self._gradients: dict[str, Float32s] | None = None
         if gradient:
             out, out_gradients = pair_of(out)
             slopes = {name: (*shape, 3) for name, shape in shapes.items()}
@@ -239,7 +235,7 @@ class Answers:
 
 def answers_for(
     shapes: Mapping[str, tuple[int, ...]], out: Any, single: bool, name: str = "out"
-) -> dict[str, Floats]:
+) -> dict[str, Float32s]:
     """Return arrays to write to by channel: new ones, or for ``out`` what the caller gave, if it fits.
 
     ``out`` is one array if ``single``, else a dict of them. Raises ArgumentError.

@@ -13,15 +13,13 @@ from typing import Any, Literal, Unpack, overload
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Array, Bools, Float32s, Int64s
 from octex.checks import as_choice, as_entries, as_flag, as_path
 from octex.errors import ArgumentError, TextureFileError
 from octex.texture.folder import FORMAT, FORMAT_VERSION, read_index, write_folder
-from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens, Looks, SurfacePoints, placed
+from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens, LookupOptions, SurfacePoints, placed
 from octex.texture.lookup import Answers, Given, LookUp, check_apart, in_blocks
 from octex.texture.texture import OctreeTexture, as_metadata, open_texture
-
-Array = npt.NDArray[Any]
-Floats = npt.NDArray[np.float32]
 
 #: So many parts are named where a set is shown.
 _SHOWN = 5
@@ -102,9 +100,9 @@ class TextureSet(Mapping[str, OctreeTexture]):
         filter: str = "quadratic",
         *,
         gradient: Literal[False] = False,
-        out: Floats | None = None,
-        **options: Unpack[Looks],
-    ) -> Floats: ...
+        out: Float32s | None = None,
+        **options: Unpack[LookupOptions],
+    ) -> Float32s: ...
     @overload
     def sample(
         self,
@@ -114,9 +112,9 @@ class TextureSet(Mapping[str, OctreeTexture]):
         filter: str = "quadratic",
         *,
         gradient: Literal[False] = False,
-        out: Mapping[str, Floats] | None = None,
-        **options: Unpack[Looks],
-    ) -> dict[str, Floats]: ...
+        out: Mapping[str, Float32s] | None = None,
+        **options: Unpack[LookupOptions],
+    ) -> dict[str, Float32s]: ...
     @overload
     def sample(
         self,
@@ -126,9 +124,9 @@ class TextureSet(Mapping[str, OctreeTexture]):
         filter: str = "quadratic",
         *,
         gradient: Literal[True],
-        out: tuple[Floats, Floats] | None = None,
-        **options: Unpack[Looks],
-    ) -> tuple[Floats, Floats]: ...
+        out: tuple[Float32s, Float32s] | None = None,
+        **options: Unpack[LookupOptions],
+    ) -> tuple[Float32s, Float32s]: ...
     @overload
     def sample(
         self,
@@ -138,9 +136,9 @@ class TextureSet(Mapping[str, OctreeTexture]):
         filter: str = "quadratic",
         *,
         gradient: Literal[True],
-        out: tuple[Mapping[str, Floats], Mapping[str, Floats]] | None = None,
-        **options: Unpack[Looks],
-    ) -> tuple[dict[str, Floats], dict[str, Floats]]: ...
+        out: tuple[Mapping[str, Float32s], Mapping[str, Float32s]] | None = None,
+        **options: Unpack[LookupOptions],
+    ) -> tuple[dict[str, Float32s], dict[str, Float32s]]: ...
     def sample(
         self,
         points: npt.ArrayLike | SurfacePoints,
@@ -196,7 +194,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
         *,
         threads: int | None = None,
         executor: Executor | None = None,
-    ) -> npt.NDArray[np.bool_]:
+    ) -> Bools:
         """Say of each rest position (n, 3) whether a leaf of its part's texture holds it.
 
         ``parts`` are as for ``sample``.
@@ -226,7 +224,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
                 used[part]._read_for(size)
         return used
 
-    def _numbers(self, parts: npt.ArrayLike, count: int) -> npt.NDArray[np.int64]:
+    def _numbers(self, parts: npt.ArrayLike, count: int) -> Int64s:
         """Return the part of each of so many points (n,) as a number, or refuse it."""
         try:
             array = np.asarray(parts)

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import mmap
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Array, Int64s
 from octex.container import header_length
 from octex.texture.channel import Channel
 from octex.tree.octree import Octree
-
-Array = npt.NDArray[Any]
-Int64s = npt.NDArray[np.int64]
 
 
 class Spans:
@@ -33,7 +29,7 @@ class Spans:
         for more in range(int((last - first).max(initial=-1)) + 1):
             self._is_read[np.minimum(first + more, last)] = True
 
-    def rows(self, array: Array, rows: npt.NDArray[Any]) -> None:
+    def rows(self, array: Array, rows: Array) -> None:
         """Add rows of an array; what is no view of the file was read when that was opened."""
         offset = array.ctypes.data - self._first
         if array.size and 0 <= offset < self._size and rows.size:

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex import container
+from octex.arrays import Array, Bools, Float32s, Float64s, Int64s, Uint8s
 from octex.channels import decode
 from octex.checks import (
     as_choice,
@@ -29,12 +30,12 @@ from octex.checks import (
 from octex.errors import ArgumentError, InputError, TextureFileError
 from octex.field.field import Field
 from octex.field.listing import TapList, joined, list_blends, rows_read
-from octex.field.lookups import Query, Stored, look_up
+from octex.field.lookups import ChannelRows, Query, look_up
 from octex.field.splines import FILTERS
 from octex.texture.blend import NO_GRADIENTS, make_unit, mixed_cells, stored
 from octex.texture.channel import Channel
 from octex.texture.file import ENDING, File, Parts, described, taken, written
-from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens, Looks, SurfacePoints, placed
+from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens, LookupOptions, SurfacePoints, placed
 from octex.texture.lookup import (
     Answers,
     Given,
@@ -49,10 +50,6 @@ from octex.texture.spans import Spans, add_reads
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.search import in_leaves
-
-Array = npt.NDArray[Any]
-Bytes = npt.NDArray[np.uint8]
-Floats = npt.NDArray[np.float32]
 
 
 class OctreeTexture:
@@ -93,8 +90,8 @@ class OctreeTexture:
         self.bounds = _as_bounds(bounds)
         self.metadata = MappingProxyType(as_metadata(metadata))
         self._field = Field(tree)
-        self._known_mixed: dict[tuple[str, int], tuple[float, Bytes]] = {}
-        self._known_stored: dict[str, Stored] = {}
+        self._known_mixed: dict[tuple[str, int], tuple[float, Uint8s]] = {}
+        self._known_stored: dict[str, ChannelRows] = {}
         self._file: File | None = None
         given = as_entries(channels, "channels")
         for name, channel in given.items():
@@ -125,9 +122,9 @@ class OctreeTexture:
         filter: str = "quadratic",
         *,
         gradient: Literal[False] = False,
-        out: Floats | None = None,
-        **options: Unpack[Looks],
-    ) -> Floats: ...
+        out: Float32s | None = None,
+        **options: Unpack[LookupOptions],
+    ) -> Float32s: ...
     @overload
     def sample(
         self,
@@ -136,9 +133,9 @@ class OctreeTexture:
         filter: str = "quadratic",
         *,
         gradient: Literal[False] = False,
-        out: Mapping[str, Floats] | None = None,
-        **options: Unpack[Looks],
-    ) -> dict[str, Floats]: ...
+        out: Mapping[str, Float32s] | None = None,
+        **options: Unpack[LookupOptions],
+    ) -> dict[str, Float32s]: ...
     @overload
     def sample(
         self,
@@ -147,9 +144,9 @@ class OctreeTexture:
         filter: str = "quadratic",
         *,
         gradient: Literal[True],
-        out: tuple[Floats, Floats] | None = None,
-        **options: Unpack[Looks],
-    ) -> tuple[Floats, Floats]: ...
+        out: tuple[Float32s, Float32s] | None = None,
+        **options: Unpack[LookupOptions],
+    ) -> tuple[Float32s, Float32s]: ...
     @overload
     def sample(
         self,
@@ -158,9 +155,9 @@ class OctreeTexture:
         filter: str = "quadratic",
         *,
         gradient: Literal[True],
-        out: tuple[Mapping[str, Floats], Mapping[str, Floats]] | None = None,
-        **options: Unpack[Looks],
-    ) -> tuple[dict[str, Floats], dict[str, Floats]]: ...
+        out: tuple[Mapping[str, Float32s], Mapping[str, Float32s]] | None = None,
+        **options: Unpack[LookupOptions],
+    ) -> tuple[dict[str, Float32s], dict[str, Float32s]]: ...
     def sample(
         self,
         points: npt.ArrayLike | SurfacePoints,
@@ -293,17 +290,17 @@ class OctreeTexture:
             query = query._replace(mixed=partial(self._mixed, self.channels[name], lens.bleed_threshold))
         return query
 
-    def _alpha(self) -> Stored | None:
+    def _alpha(self) -> ChannelRows | None:
         """Return the channel that others weigh by, if there is one."""
         alpha = self._as_read("alpha") if "alpha" in self.channels else None
         return alpha if alpha and alpha.is_alpha else None
 
-    def _as_read(self, name: str) -> Stored:
+    def _as_read(self, name: str) -> ChannelRows:
         if name not in self._known_stored:
             self._known_stored[name] = stored(self.channels[name])
         return self._known_stored[name]
 
-    def _mixed(self, channel: Channel, threshold: float, level: int) -> Bytes:
+    def _mixed(self, channel: Channel, threshold: float, level: int) -> Uint8s:
         key = channel.format.name, level
         known = self._known_mixed.get(key)
         if known is None or known[0] != threshold:
@@ -366,7 +363,7 @@ class OctreeTexture:
         answers += taps
         return fault
 
-    def rows(self, channel: str = "base_color", numbers: npt.ArrayLike | None = None) -> Floats:
+    def rows(self, channel: str = "base_color", numbers: npt.ArrayLike | None = None) -> Float32s:
         """Return a channel's stored values (rows, components), float32, as ``sample`` returns values.
 
         First those of cells, in the order of their numbers (``tree.arrays`` says how cells are numbered),
@@ -402,7 +399,7 @@ class OctreeTexture:
         sharpness: float = 0.0,
         bleed_threshold: float = BLEED_THRESHOLD,
         block_size: int = 1 << 16,
-    ) -> npt.NDArray[np.int64]:
+    ) -> Int64s:
         """List the bytes of its file that ``sample`` needs for these points, before it reads them.
 
         Returns where runs of blocks begin and end (n, 2), int64, ascending, apart from each other; a block is
@@ -449,7 +446,7 @@ class OctreeTexture:
         *,
         threads: int | None = None,
         executor: Executor | None = None,
-    ) -> npt.NDArray[np.bool_]:
+    ) -> Bools:
         """Say of each rest position (n, 3) whether a leaf holds it.
 
         Who works in parallel: ``threads``, so many, by default all processors for large batches and the
@@ -529,7 +526,7 @@ class OctreeTexture:
         return Parts(self.tree, self.channels, self.placement, self.bounds, self.metadata)
 
 
-def _as_bounds(bounds: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def _as_bounds(bounds: npt.ArrayLike) -> Float64s:
     """Return the lowest and highest corner (2, 3), read-only, or raise ArgumentError."""
     most = float(np.finfo(np.float64).max)
     corners = as_reals(bounds, "bounds, two finite corners,", (2, 3), most=most)

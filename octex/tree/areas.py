@@ -9,10 +9,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Float64s, Uint8s
 from octex.tree.layout import AREA_ONE, AREA_STEPS
-
-Float64s = npt.NDArray[np.float64]
-Uint8s = npt.NDArray[np.uint8]
 
 #: Areas in cell faces by their codes. What the surface only touches, code 0, weighs next to nothing, so that
 #: it decides only where it is alone.

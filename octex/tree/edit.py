@@ -9,17 +9,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Array, Bools, Int64s, Uint8s, Uint64s
 from octex.jit import kernel, popcount
 from octex.tree.layout import FACING_FLAGS, KEPT, MAX_DEPTH, KeptTable, TreeArrays
 from octex.tree.morton import cells_around
 from octex.tree.octree import Octree, distinct
 from octex.tree.search import child
 from octex.tree.split import taken
-
-Int64s = npt.NDArray[np.int64]
-Bools = npt.NDArray[np.bool_]
 
 
 class Edited(NamedTuple):
@@ -30,7 +27,7 @@ class Edited(NamedTuple):
     split_rows: Bools  # (rows of the old split table,)   those that are left
     kept_rows: Bools  # (rows of the old kept table,)   those that are left
 
-    def carried(self, values: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+    def carried(self, values: Array) -> Array:
         """Return the old cells' values (cells, …) for the new cells; zeros for those that were not there."""
         found = values[np.maximum(self.old, 0)]
         found[self.old < 0] = 0
@@ -236,7 +233,7 @@ def _keeping(edited: Edited, nodes: Sequence[Int64s]) -> Edited:
     return edited._replace(tree=tree.with_cell_data(flags, tree.arrays.areas, tree.split, table))
 
 
-def facings_of_nodes(tree: Octree) -> npt.NDArray[np.uint8]:
+def facings_of_nodes(tree: Octree) -> Uint8s:
     """Return the cells' flags (cells,) with the facings of nodes made anew: those of their children."""
     flags = tree.arrays.flags.copy()
     first = tree.arrays.level_cells
@@ -271,7 +268,7 @@ def children_of(tree: Octree, nodes: Int64s) -> tuple[Int64s, Int64s]:
 
 
 @kernel
-def _children_of(groups: npt.NDArray[np.uint64], nodes: Int64s, firsts: Int64s, counts: Int64s) -> None:
+def _children_of(groups: Uint64s, nodes: Int64s, firsts: Int64s, counts: Int64s) -> None:
     for n in range(nodes.size):
         group = min(nodes[n] >> 3, groups.shape[0] - 1)
         shift = np.uint64(8 * (nodes[n] & 7))

@@ -30,8 +30,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
+from octex.arrays import Int64s, Uint8s, Uint32s, Uint64s
 
 #: Deepest level of any tree; a Morton code then has 63 bits.
 MAX_DEPTH = 21
@@ -59,15 +58,11 @@ AREA_ONE = 207
 class TreeArrays(NamedTuple):
     """An octree as kernels see it."""
 
-    groups: npt.NDArray[np.uint64]  # (⌈nodes / 8⌉, 3)   24 bytes for eight nodes
-    level_cells: npt.NDArray[
-        np.int64
-    ]  # (max_depth + 2,)   first cell of each level, then the number of cells
-    level_nodes: npt.NDArray[
-        np.int64
-    ]  # (max_depth + 2,)   first node of each level, then the number of nodes
-    flags: npt.NDArray[np.uint8]  # (cells,)
-    areas: npt.NDArray[np.uint8]  # (cells,)
+    groups: Uint64s  # (⌈nodes / 8⌉, 3)   24 bytes for eight nodes
+    level_cells: Int64s  # (max_depth + 2,)   first cell of each level, then the number of cells
+    level_nodes: Int64s  # (max_depth + 2,)   first node of each level, then the number of nodes
+    flags: Uint8s  # (cells,)
+    areas: Uint8s  # (cells,)
 
 
 class SplitTable(NamedTuple):
@@ -78,12 +73,12 @@ class SplitTable(NamedTuple):
     a leaf's what lookups with normals blend in its place.
     """
 
-    cells: npt.NDArray[np.uint32]  # (split cells,)   ascending
-    facings: npt.NDArray[np.uint8]  # (split cells,)   the cell's normal flags
-    areas: npt.NDArray[np.uint8]  # (rows,)   coded like a cell's area
+    cells: Uint32s  # (split cells,)   ascending
+    facings: Uint8s  # (split cells,)   the cell's normal flags
+    areas: Uint8s  # (rows,)   coded like a cell's area
 
 
 class KeptTable(NamedTuple):
     """The nodes flagged KEPT; their coefficients stand in the channels, row for row."""
 
-    cells: npt.NDArray[np.uint32]  # (kept nodes,)   ascending
+    cells: Uint32s  # (kept nodes,)   ascending

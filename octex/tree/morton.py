@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Int64s
 from octex.jit import kernel
 
 
@@ -45,19 +46,19 @@ def decode(code: int) -> tuple[int, int, int]:
     return gather(code), gather(code >> 1), gather(code >> 2)
 
 
-def encode_cells(cells: npt.ArrayLike) -> npt.NDArray[np.int64]:
+def encode_cells(cells: npt.ArrayLike) -> Int64s:
     """Morton codes (n,) of cell coordinates (n, 3), whole numbers of at most 21 bits."""
     i, j, k = np.asarray(cells, np.int64).T
     return _encode_all(i, j, k)
 
 
-def decode_cells(codes: npt.ArrayLike) -> npt.NDArray[np.int64]:
+def decode_cells(codes: npt.ArrayLike) -> Int64s:
     """Cell coordinates (n, 3) of Morton codes (n,)."""
     return _decode_all(np.ascontiguousarray(codes, np.int64))
 
 
 @kernel
-def cells_around(codes: npt.NDArray[np.int64], level: int) -> npt.NDArray[np.int64]:
+def cells_around(codes: Int64s, level: int) -> Int64s:
     """Morton codes of the up to 26 cells beside each of some cells of a level: in no order, repeated."""
     found = np.empty(26 * codes.size, np.int64)
     count, end = 0, (1 << level) - 1
@@ -74,9 +75,7 @@ def cells_around(codes: npt.NDArray[np.int64], level: int) -> npt.NDArray[np.int
 
 
 @kernel
-def _encode_all(
-    i: npt.NDArray[np.int64], j: npt.NDArray[np.int64], k: npt.NDArray[np.int64]
-) -> npt.NDArray[np.int64]:
+def _encode_all(i: Int64s, j: Int64s, k: Int64s) -> Int64s:
     codes = np.empty(i.size, np.int64)
     for n in range(i.size):
         codes[n] = encode(i[n], j[n], k[n])
@@ -84,7 +83,7 @@ def _encode_all(
 
 
 @kernel
-def _decode_all(codes: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _decode_all(codes: Int64s) -> Int64s:
     cells = np.empty((codes.size, 3), np.int64)
     for n in range(codes.size):
         cells[n, 0], cells[n, 1], cells[n, 2] = decode(codes[n])

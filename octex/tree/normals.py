@@ -12,8 +12,8 @@ so nearly along an axis that no step of the cells lies within reach.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int64s, Uint8s
 from octex.jit import kernel, summing_kernel
 from octex.tree.areas import AREAS
 from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, TreeArrays
@@ -34,10 +34,10 @@ _STACK = 8 * 22  # a node is replaced by at most eight children, on each of 22 l
 
 def estimate_normals(
     tree: TreeArrays,
-    cells: npt.NDArray[np.int64],
-    codes: npt.NDArray[np.int64],
-    depths: npt.NDArray[np.uint8],
-) -> npt.NDArray[np.float32]:
+    cells: Int64s,
+    codes: Int64s,
+    depths: Uint8s,
+) -> Float32s:
     """Estimate unit normals (n, 3) of cells given by number, Morton code and depth; fastest in Morton order.
 
     They point outward as the cells' flags say. Where a cell has none, the sign is arbitrary; where a sheet is
@@ -51,10 +51,10 @@ def estimate_normals(
 @kernel
 def _estimate(
     tree: TreeArrays,
-    cells: npt.NDArray[np.int64],
-    codes: npt.NDArray[np.int64],
-    depths: npt.NDArray[np.uint8],
-    normals: npt.NDArray[np.float32],
+    cells: Int64s,
+    codes: Int64s,
+    depths: Uint8s,
+    normals: Float32s,
 ) -> None:
     nodes = np.empty(_STACK, np.int64)
     places = np.empty((_STACK, 4), np.int64)
@@ -88,10 +88,10 @@ def _gather(
     tree: TreeArrays,
     block: int,
     depth: int,
-    nodes: npt.NDArray[np.int64],
-    places: npt.NDArray[np.int64],
-    around: npt.NDArray[np.float64],
-    around_flags: npt.NDArray[np.int64],
+    nodes: Int64s,
+    places: Int64s,
+    around: Float64s,
+    around_flags: Int64s,
 ) -> int:
     """List the cells around a block as (centre, area) in the edges of cells of ``depth``, and their flags.
 
@@ -141,9 +141,9 @@ def _add_up(
     code: int,
     flags: int,
     n_around: int,
-    around: npt.NDArray[np.float64],
-    around_flags: npt.NDArray[np.int64],
-    moments: npt.NDArray[np.float64],
+    around: Float64s,
+    around_flags: Int64s,
+    moments: Float64s,
 ) -> None:
     """Sum w, w·p and w·p·pᵀ over the cells around one, p from its centre.
 
@@ -174,7 +174,7 @@ def _add_up(
 
 
 @kernel
-def _flattest(moments: npt.NDArray[np.float64]) -> tuple[float, float, float]:
+def _flattest(moments: Float64s) -> tuple[float, float, float]:
     """Return the unit eigenvector of the smallest eigenvalue of the covariance, or zeros if there is none.
 
     The eigenvalue by Cardano's formula (Smith 1961), the vector as the largest cross product of two rows.

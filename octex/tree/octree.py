@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import islice
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s, Uint64s
 from octex.checks import as_depth
 from octex.errors import ArgumentError
 from octex.jit import kernel, popcount, trailing_zeros
 from octex.tree.layout import KEPT, MAX_CELLS, MAX_DEPTH, KeptTable, SplitTable, TreeArrays
 from octex.tree.validate import check_layout, check_meaning
-
-Int64s = npt.NDArray[np.int64]
-Uint8s = npt.NDArray[np.uint8]
 
 
 def no_split() -> SplitTable:
@@ -143,7 +140,7 @@ class Octree:
         nodes = np.diff(self.arrays.level_nodes)
         return list(zip((cells - nodes).tolist(), nodes.tolist(), strict=True))
 
-    def walk(self) -> Iterator[tuple[Int64s, npt.NDArray[np.bool_]]]:
+    def walk(self) -> Iterator[tuple[Int64s, Bools]]:
         """Yield for each level its cells' Morton codes and which of them are nodes, in the cells' order."""
         cells, nodes = self.arrays.level_cells, self.arrays.level_nodes
         codes = np.zeros(1, np.int64)
@@ -163,7 +160,7 @@ class Octree:
         """Morton codes of all cells of a level, in order. Raises ArgumentError if there is no such level."""
         return self._walked_to(level)[0]
 
-    def is_node(self, level: int) -> npt.NDArray[np.bool_]:
+    def is_node(self, level: int) -> Bools:
         """Say of each cell of a level whether it is a node. Raises ArgumentError like ``level_codes``."""
         return self._walked_to(level)[1]
 
@@ -176,7 +173,7 @@ class Octree:
         is_node = np.concatenate([is_node for _, is_node in self.walk()])
         return np.flatnonzero(~is_node)
 
-    def _walked_to(self, level: int) -> tuple[Int64s, npt.NDArray[np.bool_]]:
+    def _walked_to(self, level: int) -> tuple[Int64s, Bools]:
         if as_depth(level, "level") > self.max_depth:
             raise ArgumentError(f"there is no level {level}: the deepest is {self.max_depth}")
         return next(islice(self.walk(), level, None))
@@ -221,7 +218,7 @@ class Octree:
         check_meaning(self.arrays, self.split, self.kept)
 
 
-def _whole(numbers: npt.ArrayLike, name: str) -> npt.NDArray[Any]:
+def _whole(numbers: npt.ArrayLike, name: str) -> Array:
     """Return whole numbers (n,) of any type, or raise ArgumentError."""
     try:
         array = np.asarray(numbers)
@@ -234,7 +231,7 @@ def _whole(numbers: npt.ArrayLike, name: str) -> npt.NDArray[Any]:
     return array
 
 
-def _count_before(cells: npt.NDArray[np.uint32], end: int) -> int:
+def _count_before(cells: Uint32s, end: int) -> int:
     """Count the cells before ``end``, without a look at the far end of a large file."""
     bound = 1
     while bound < cells.size and cells[bound] < end:
@@ -323,7 +320,7 @@ def _parents(nodes: Int64s, leaves: Int64s) -> tuple[Int64s, Uint8s, Uint8s]:
 
 
 @kernel
-def rank(groups: npt.NDArray[np.uint64]) -> None:
+def rank(groups: Uint64s) -> None:
     """Fill in each group's first child node and first child cell; the root is node 0 and cell 0."""
     child_node = child_cell = np.int64(1)
     for g in range(groups.shape[0]):
@@ -333,7 +330,7 @@ def rank(groups: npt.NDArray[np.uint64]) -> None:
 
 
 @kernel
-def _cut(groups: npt.NDArray[np.uint64], first: int, end: int) -> None:
+def _cut(groups: Uint64s, first: int, end: int) -> None:
     """Make the child nodes of nodes first … end−1 leaves and drop the nodes from ``end`` on."""
     for node in range(first, 8 * groups.shape[0]):
         g = node >> 3
@@ -347,9 +344,7 @@ def _cut(groups: npt.NDArray[np.uint64], first: int, end: int) -> None:
 
 
 @kernel
-def _children(
-    groups: npt.NDArray[np.uint64], first: int, end: int, codes: Int64s, n_children: int
-) -> tuple[Int64s, npt.NDArray[np.bool_]]:
+def _children(groups: Uint64s, first: int, end: int, codes: Int64s, n_children: int) -> tuple[Int64s, Bools]:
     """Codes of the children of nodes first … end−1, whose codes are given, and which of them are nodes."""
     child_codes = np.zeros(n_children, np.int64)
     is_node = np.zeros(n_children, np.bool_)

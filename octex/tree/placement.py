@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Float64s
 from octex.checks import as_depth, as_points, as_positive, as_real, as_reals
 from octex.errors import ArgumentError
 from octex.tree.layout import MAX_DEPTH
@@ -73,7 +74,7 @@ class Placement(NamedTuple):
             )
 
     @classmethod
-    def _centred(cls, bounds: npt.NDArray[np.float64], size: float, depth: int) -> Placement:
+    def _centred(cls, bounds: Float64s, size: float, depth: int) -> Placement:
         cells = 1 << depth
         size = as_positive(size, "the size of the root cell")
         centre = bounds[0] + (bounds[1] - bounds[0]) / 2
@@ -82,16 +83,16 @@ class Placement(NamedTuple):
         placement.check()
         return placement
 
-    def to_texture_space(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    def to_texture_space(self, points: npt.ArrayLike) -> Float64s:
         """Map rest positions (n, 3) into texture space, in float64."""
         return np.asarray((as_points(points) - np.array(self.origin)) / self.size)
 
-    def to_rest(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    def to_rest(self, points: npt.ArrayLike) -> Float64s:
         """Map points (n, 3) of texture space to rest positions, in float64."""
         return np.asarray(as_points(points) * self.size + np.array(self.origin), np.float64)
 
 
-def _checked(bounds: npt.ArrayLike) -> tuple[npt.NDArray[np.float64], float]:
+def _checked(bounds: npt.ArrayLike) -> tuple[Float64s, float]:
     box = as_points(bounds, "bounds").astype(np.float64)
     if box.shape != (2, 3) or not np.isfinite(box).all() or (box[0] > box[1]).any():
         raise ArgumentError(f"bounds must be a finite lowest and highest corner, not {box.tolist()}")

@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Floats, Int64s
 from octex.jit import inlined, kernel, popcount
 from octex.tree.layout import GRID_BITS, MAX_DEPTH, TreeArrays
 from octex.tree.morton import encode
@@ -80,11 +80,11 @@ def find(arrays: TreeArrays, x: float, y: float, z: float, max_level: int) -> tu
 class Scratch(NamedTuple):
     """What the kernels for many points remember from one point to the next, and where they work."""
 
-    path: npt.NDArray[np.int64]  # (22,)   the node at each level above the previous point
-    previous: npt.NDArray[np.int64]  # (4,)   the previous position, and the last level of the path
-    cells: npt.NDArray[np.int64]  # (22, 8)   2×2×2 cells of each level around a position, x fastest; −1: none
-    nodes: npt.NDArray[np.int64]  # (22, 8)
-    levels: npt.NDArray[np.int64]  # (22, 8)   above the row's for a leaf that stands for its children
+    path: Int64s  # (22,)   the node at each level above the previous point
+    previous: Int64s  # (4,)   the previous position, and the last level of the path
+    cells: Int64s  # (22, 8)   2×2×2 cells of each level around a position, x fastest; −1: none
+    nodes: Int64s  # (22, 8)
+    levels: Int64s  # (22, 8)   above the row's for a leaf that stands for its children
 
 
 @kernel
@@ -236,11 +236,11 @@ def _nearest_of_27(
 @kernel
 def nearest_cells(
     arrays: TreeArrays,
-    points: npt.NDArray[np.float32 | np.float64],
+    points: Floats,
     origin: Origin,
     size: float,
-    cells: npt.NDArray[np.int64],
-    held: npt.NDArray[np.bool_],
+    cells: Int64s,
+    held: Bools,
 ) -> int:
     """Write the ``nearest_cell`` of each rest position (n, 3) to ``cells`` (n,), and whether it is held.
 
@@ -260,10 +260,10 @@ def nearest_cells(
 @kernel
 def in_leaves(
     arrays: TreeArrays,
-    points: npt.NDArray[np.float32 | np.float64],
+    points: Floats,
     origin: Origin,
     size: float,
-    inside: npt.NDArray[np.bool_],
+    inside: Bools,
 ) -> int:
     """Write to ``inside`` (n,) whether a leaf holds each rest position (n, 3).
 

@@ -5,14 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Int64s, Uint8s
 from octex.tree.areas import shared_codes
 from octex.tree.layout import FACING_FLAGS, SplitTable
-
-Bools = npt.NDArray[np.bool_]
-Int64s = npt.NDArray[np.int64]
-Uint8s = npt.NDArray[np.uint8]
 
 
 class Rows(NamedTuple):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Uint8s, Uint32s, Uint64s
 from octex.errors import ArgumentError, TextureFileError
 from octex.jit import kernel, popcount
 from octex.tree.layout import (
@@ -108,7 +108,7 @@ def _check_structure(arrays: TreeArrays) -> None:
         raise TextureFileError(f"level {level}: the masks above count other cells or nodes")
 
 
-def _check_split(flags: npt.NDArray[np.uint8], split: SplitTable) -> None:
+def _check_split(flags: Uint8s, split: SplitTable) -> None:
     if not np.array_equal(split.cells, np.flatnonzero(flags & SPLIT)):
         raise TextureFileError("split table: its cells are not those flagged as split, in order")
     if (flags[split.cells] & FACING_FLAGS != split.facings).any():
@@ -127,7 +127,7 @@ def _check_kept(arrays: TreeArrays, kept: KeptTable) -> None:
 
 
 @kernel
-def _childless_node(groups: npt.NDArray[np.uint64], n_nodes: int) -> int:
+def _childless_node(groups: Uint64s, n_nodes: int) -> int:
     for node in range(n_nodes):
         if (groups[node >> 3, 0] | groups[node >> 3, 1]) >> np.uint64(8 * (node & 7)) & np.uint64(0xFF) == 0:
             return node
@@ -135,7 +135,7 @@ def _childless_node(groups: npt.NDArray[np.uint64], n_nodes: int) -> int:
 
 
 @kernel
-def _rank_fault(groups: npt.NDArray[np.uint64]) -> int:
+def _rank_fault(groups: Uint64s) -> int:
     child_node = child_cell = np.int64(1)
     for g in range(groups.shape[0]):
         if groups[g, 2] != np.uint64(child_node) | np.uint64(child_cell) << np.uint64(32):
@@ -164,7 +164,7 @@ def _level_fault(arrays: TreeArrays) -> int:
 
 
 @kernel
-def _leaf_among(arrays: TreeArrays, cells: npt.NDArray[np.uint32]) -> int:
+def _leaf_among(arrays: TreeArrays, cells: Uint32s) -> int:
     """First row of ascending cells that is no node with children, or −1; needs a sound structure."""
     has_children = arrays.level_cells.size > 2
     row = int(has_children and cells.size > 0 and cells[0] == 0)

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Int64s, Uint8s
 from octex.jit import kernel
 from octex.tree.layout import MAX_DEPTH, TreeArrays
 from octex.tree.search import child
@@ -16,9 +16,9 @@ from octex.tree.search import child
 class Leaves(NamedTuple):
     """Some leaves: their cell numbers, their Morton codes and their depths."""
 
-    cells: npt.NDArray[np.int64]
-    codes: npt.NDArray[np.int64]
-    depths: npt.NDArray[np.uint8]
+    cells: Int64s
+    codes: Int64s
+    depths: Uint8s
 
 
 def walk_leaves(arrays: TreeArrays, block: int = 1 << 16) -> Iterator[Leaves]:
@@ -45,10 +45,10 @@ def walk_leaves(arrays: TreeArrays, block: int = 1 << 16) -> Iterator[Leaves]:
 @kernel
 def _next_leaves(
     arrays: TreeArrays,
-    path: npt.NDArray[np.int64],
-    cells: npt.NDArray[np.int64],
-    codes: npt.NDArray[np.int64],
-    depths: npt.NDArray[np.uint8],
+    path: Int64s,
+    cells: Int64s,
+    codes: Int64s,
+    depths: Uint8s,
 ) -> int:
     """Go on with a walk until ``cells`` is full; return the number found.
 

@@ -1,4 +1,11 @@
 """What a model looks like: cameras, what they see of a mesh (and of cubes), and how that is lit.
 
 Knows arrays of vertices and triangles; nothing of textures and model files.
+
+camera        pictures' sizes, lenses and poses
+camera_files  cameras read and written: records, colmap, gltf
+zbuffer       the triangle that each pixel sees
+visibility    which points a camera sees
+cubes         cells drawn as cubes
+shading       light on what is seen
 """

@@ -15,6 +15,7 @@ from typing import Literal, cast, get_args
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Float64s
 from octex.checks import (
     as_choice,
     as_number,
@@ -26,8 +27,6 @@ from octex.checks import (
     locked,
 )
 from octex.errors import ArgumentError
-
-Floats = npt.NDArray[np.float64]
 
 #: What a pose matrix means.
 #: ``opengl``: camera-to-world; the camera looks down its −z, +y is up (glTF, Blender, transforms.json).
@@ -74,8 +73,8 @@ class Camera:
 
     width: int
     height: int
-    K: Floats
-    world_to_camera: Floats
+    K: Float64s
+    world_to_camera: Float64s
     projection: Projection
     distortion: Distortion = NO_DISTORTION
 
@@ -206,12 +205,12 @@ class Camera:
         return replace(self, K=K)
 
     @property
-    def position(self) -> Floats:
+    def position(self) -> Float64s:
         """Where the camera is, in the world (3,)."""
         return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
 
     @property
-    def matrix(self) -> Floats:
+    def matrix(self) -> Float64s:
         """(4, 4): a world point (x, y, z, 1) to (i·w, j·w, w, depth), where (i, j) are pixel coordinates.
 
         Without the lens distortion, which no matrix can express: ``undistorted`` has the same matrix.
@@ -230,7 +229,7 @@ class Camera:
         """The x² + y² of normalised coordinates from which on ``distort`` would fold points back."""
         return _rising_until(*self.distortion[:2])
 
-    def distort(self, points: npt.ArrayLike) -> Floats:
+    def distort(self, points: npt.ArrayLike) -> Float64s:
         """Return where the lens moves normalised coordinates (x/z, y/z), (n, 2).
 
         NaN from where the radial polynomial r · (1 + k1 · r² + k2 · r⁴) stops rising: points farther out
@@ -250,7 +249,7 @@ class Camera:
                 ]
             )
 
-    def project(self, points: npt.ArrayLike) -> tuple[Floats, Floats]:
+    def project(self, points: npt.ArrayLike) -> tuple[Float64s, Float64s]:
         """Return the pixel coordinates (n, 2) and depths (n,) of world points (n, 3).
 
         Where a pinhole camera's depth is not above zero, and where ``distort`` gives NaN, the pixel
@@ -266,7 +265,7 @@ class Camera:
             z = np.where(depth > 0.0, depth, np.nan)
             return self.distort(np.column_stack([x / z, y / z])) @ self.K[:2, :2].T + self.K[:2, 2], depth
 
-    def rays(self, pixels: npt.ArrayLike) -> tuple[Floats, Floats]:
+    def rays(self, pixels: npt.ArrayLike) -> tuple[Float64s, Float64s]:
         """Return rays through pixel coordinates (n, 2): origins at depth 0 and unit directions, (n, 3).
 
         Directions are NaN for pixels that no point reaches through the lens.
@@ -276,7 +275,7 @@ class Camera:
         with np.errstate(over="ignore", invalid="ignore"):  # of pixels that are not finite, or nearly
             if self.projection == "pinhole":
                 if self.distortion != NO_DISTORTION:
-                    on_plane[:, :2] = self._undistort(cast(Floats, on_plane[:, :2]))
+                    on_plane[:, :2] = self._undistort(cast(Float64s, on_plane[:, :2]))
                 origins, directions = np.zeros_like(on_plane), on_plane
             else:
                 origins, directions = on_plane * [1.0, 1.0, 0.0], np.tile([0.0, 0.0, 1.0], (len(pixels), 1))
@@ -285,7 +284,7 @@ class Camera:
             lengths = np.linalg.norm(directions, axis=1, keepdims=True)
             return (origins - translation) @ rotation, directions / lengths
 
-    def differentials(self, points: npt.ArrayLike, normals: npt.ArrayLike) -> tuple[Floats, Floats]:
+    def differentials(self, points: npt.ArrayLike, normals: npt.ArrayLike) -> tuple[Float64s, Float64s]:
         """Return how seen points (n, 3) move, in the world, from a pixel to the next: to the right and down.
 
         What is seen there is taken for planes with ``normals`` (n, 3) (Igehy, "Tracing Ray Differentials",
@@ -298,7 +297,7 @@ class Camera:
         with np.errstate(all="ignore"):  # of points that are not finite, or where the camera is
             return self._differentials(points, normals)
 
-    def _differentials(self, points: Floats, normals: Floats) -> tuple[Floats, Floats]:
+    def _differentials(self, points: Float64s, normals: Float64s) -> tuple[Float64s, Float64s]:
         rotation = self.world_to_camera[:3, :3]
         steps = (np.linalg.inv(self.K)[:, :2].T * [1.0, 1.0, 0.0]) @ rotation  # at depth 1
         if self.projection == "pinhole":
@@ -313,7 +312,7 @@ class Camera:
         right, down = (scale * (step - rays * ((normals @ step) / facing)[:, None]) for step in steps)
         return right, down
 
-    def pixel_width(self, depth: npt.ArrayLike) -> Floats:
+    def pixel_width(self, depth: npt.ArrayLike) -> Float64s:
         """Return how wide a pixel is in the world, across the view, at depths of any shape.
 
         Lens distortion is left out.
@@ -332,7 +331,7 @@ class Camera:
             K=np.diag([factor, factor, 1.0]) @ self.K,
         )
 
-    def _undistort(self, seen: Floats) -> Floats:
+    def _undistort(self, seen: Float64s) -> Float64s:
         """Return the inverse of ``distort``: what the lens moves to ``seen`` (n, 2); NaN where there is none.
 
         Newton's method from the middle. A step that does not come closer, or that leaves the part where
@@ -356,7 +355,7 @@ class Camera:
         found = np.abs(missed).max(axis=1, initial=0.0) <= 1e-12 * size
         return np.where(found[:, None], points, np.nan)
 
-    def _newton_step(self, points: Floats, missed: Floats) -> Floats:
+    def _newton_step(self, points: Float64s, missed: Float64s) -> Float64s:
         """Return steps that would bring ``distort`` of points on by ``missed`` if it were linear there."""
         k1, k2, p1, p2 = self.distortion
         x, y = points.T
@@ -369,7 +368,7 @@ class Camera:
             across = np.column_stack(
                 [yy * missed[:, 0] - xy * missed[:, 1], xx * missed[:, 1] - xy * missed[:, 0]]
             )
-            return cast(Floats, across / (xx * yy - xy * xy)[:, None])
+            return cast(Float64s, across / (xx * yy - xy * xy)[:, None])
 
 
 def _rising_until(k1: float, k2: float) -> float:
@@ -383,7 +382,7 @@ def _rising_until(k1: float, k2: float) -> float:
     return 1.0 / largest if largest > 0.0 else math.inf
 
 
-def _intrinsics(focal_x: float, focal_y: float, center: tuple[float, float]) -> Floats:
+def _intrinsics(focal_x: float, focal_y: float, center: tuple[float, float]) -> Float64s:
     return np.array([[focal_x, 0.0, center[0]], [0.0, focal_y, center[1]], [0.0, 0.0, 1.0]])
 
 
@@ -402,16 +401,16 @@ def _as_center(center: npt.ArrayLike | None, width: int, height: int) -> tuple[f
     return x, y
 
 
-def _as_vector(vector: npt.ArrayLike, name: str) -> Floats:
+def _as_vector(vector: npt.ArrayLike, name: str) -> Float64s:
     array = as_reals(vector, name, (3,), most=np.finfo(np.float64).max)
     largest = np.abs(array).max()
     if not largest > 0.0:
         raise ArgumentError(f"{name} must be three finite numbers, not all zero")
     array = np.ldexp(array, -np.frexp(largest)[1])  # squares of these neither overflow nor vanish
-    return cast(Floats, array / np.linalg.norm(array))
+    return cast(Float64s, array / np.linalg.norm(array))
 
 
-def _as_intrinsics(K: npt.ArrayLike) -> Floats:
+def _as_intrinsics(K: npt.ArrayLike) -> Float64s:
     matrix = as_reals(K, "K", (3, 3), most=LARGEST)
     if not (matrix[0, 0] >= SMALLEST and matrix[1, 1] >= SMALLEST):
         raise ArgumentError(
@@ -428,7 +427,7 @@ def _as_distortion(distortion: Sequence[float]) -> Distortion:
     return k1, k2, p1, p2
 
 
-def _as_view(pose: npt.ArrayLike, convention: Convention) -> Floats:
+def _as_view(pose: npt.ArrayLike, convention: Convention) -> Float64s:
     """Return a user's pose as a world-to-camera matrix in our camera axes."""
     as_choice(convention, get_args(Convention), "camera convention")
     given = as_reals(pose, "a camera's pose", (4, 4), (3, 4), most=LARGEST)
@@ -438,10 +437,10 @@ def _as_view(pose: npt.ArrayLike, convention: Convention) -> Floats:
     left, _, right = np.linalg.svd(given[:3, :3])
     pose[:3, :3] = left @ right  # the nearest rotation: files round to a few digits
     pose[3] = [0.0, 0.0, 0.0, 1.0]
-    return cast(Floats, _FLIP_YZ @ np.linalg.inv(pose) if convention == "opengl" else pose)
+    return cast(Float64s, _FLIP_YZ @ np.linalg.inv(pose) if convention == "opengl" else pose)
 
 
-def _as_rigid(matrix: npt.ArrayLike, name: str) -> Floats:
+def _as_rigid(matrix: npt.ArrayLike, name: str) -> Float64s:
     """Return a matrix (4, 4) that rotates and moves, or raise ArgumentError."""
     given = as_reals(matrix, name, (4, 4), most=LARGEST)
     if not np.allclose(given[3], [0.0, 0.0, 0.0, 1.0]):
@@ -453,7 +452,7 @@ def _as_rigid(matrix: npt.ArrayLike, name: str) -> Floats:
     return given
 
 
-def _look_along(forward: Floats, up: Floats) -> Floats:
+def _look_along(forward: Float64s, up: Float64s) -> Float64s:
     """Return a rotation from the world to camera axes (x right, y down, z forward)."""
     if abs(forward @ up) > 0.999:
         up = -np.eye(3)[(np.argmax(np.abs(up)) + 1) % 3]
@@ -462,7 +461,7 @@ def _look_along(forward: Floats, up: Floats) -> Floats:
     return np.stack([right, np.cross(forward, right), forward])
 
 
-def _fit_wedge(across: Floats, along: Floats, slope: float) -> tuple[float, float]:
+def _fit_wedge(across: Float64s, along: Float64s, slope: float) -> tuple[float, float]:
     """Return the foremost apex (a, b) of a wedge |across − a| ≤ slope · (along − b) that holds all points."""
     right = float((across - slope * along).max())
     left = float((-across - slope * along).max())

@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from octex.arrays import Float64s
 from octex.errors import CameraError
 from octex.files import read_bytes
 from octex.view.camera import Distortion
 from octex.view.camera_records import (
     BrokenError,
-    Floats,
     Frame,
     Json,
     as_finite,
@@ -55,7 +55,7 @@ def colmap_folder(path: Path) -> tuple[Path, str] | None:
 
 class _Optics(NamedTuple):
     size: tuple[int, int]
-    K: Floats
+    K: Float64s
     distortion: Distortion
 
 

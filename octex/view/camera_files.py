@@ -20,6 +20,7 @@ from typing import Literal
 
 import numpy as np
 
+from octex.arrays import Float64s
 from octex.checks import as_entries, as_path
 from octex.errors import ArgumentError, CameraError, OutputError
 from octex.files import read_bytes, referred, replacing
@@ -29,7 +30,6 @@ from octex.view.camera_colmap import colmap_folder, read_colmap
 from octex.view.camera_gltf import read_gltf
 from octex.view.camera_records import (
     BrokenError,
-    Floats,
     Json,
     Lens,
     choice_field,
@@ -263,7 +263,7 @@ def _transforms_lens(record: Json) -> Lens:
     center_x = number_field(record, "cx") if "cx" in record else None
     center_y = number_field(record, "cy") if "cy" in record else None
 
-    def lens(width: int, height: int) -> Floats:
+    def lens(width: int, height: int) -> Float64s:
         focal_x = across * width if across is not None else x
         focal_y = y if y is not None else down * height if down is not None else focal_x
         assert focal_x is not None

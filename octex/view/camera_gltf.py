@@ -7,11 +7,11 @@ from typing import Literal
 
 import numpy as np
 
+from octex.arrays import Float64s
 from octex.source.models.gltf_file import Document
 from octex.source.models.gltf_scene import scene_nodes
 from octex.view.camera_records import (
     BrokenError,
-    Floats,
     Frame,
     Json,
     Lens,
@@ -68,7 +68,7 @@ def _gltf_lens(camera: Json) -> tuple[Lens, Literal["pinhole", "orthographic"]]:
     with within("orthographic"):
         x, y = positive_field(fields, "xmag"), positive_field(fields, "ymag")
 
-    def lens(width: int, height: int) -> Floats:
+    def lens(width: int, height: int) -> Float64s:
         across, down = width / (2 * x), height / (2 * y)
         if abs(across - down) > 0.01 * down:
             raise BrokenError(
@@ -80,11 +80,11 @@ def _gltf_lens(camera: Json) -> tuple[Lens, Literal["pinhole", "orthographic"]]:
     return lens, "orthographic"
 
 
-def _centred(focal: float, width: int, height: int) -> Floats:
+def _centred(focal: float, width: int, height: int) -> Float64s:
     return intrinsics_of(focal, focal, width / 2, height / 2)
 
 
-def _gltf_view(to_world: Floats) -> Floats:
+def _gltf_view(to_world: Float64s) -> Float64s:
     pose = to_world.copy()
     lengths = np.linalg.norm(pose[:3, :3], axis=0)
     if not (np.isfinite(pose).all() and (lengths > 0.0).all() and np.isfinite(lengths).all()):

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float64s
 from octex.errors import ArgumentError, CameraError, ModelError
 from octex.source.models.gltf_scene import rotation_matrix
 from octex.view.camera import (
@@ -26,11 +26,10 @@ from octex.view.camera import (
     Distortion,
 )
 
-Floats = npt.NDArray[np.float64]
 Json = dict[str, Any]
 
 #: The intrinsics (3, 3) for a picture's width and height.
-Lens = Callable[[int, int], Floats]
+Lens = Callable[[int, int], Float64s]
 
 _LISTED = 10
 
@@ -45,7 +44,7 @@ class Frame(NamedTuple):
     size: tuple[int, int] | None  # (width, height), if the file says
     file: Path
     lens: Lens
-    world_to_camera: Floats  # (4, 4), as Camera's
+    world_to_camera: Float64s  # (4, 4), as Camera's
     projection: Literal["pinhole", "orthographic"] = "pinhole"
     distortion: Distortion = NO_DISTORTION
     view: bytes | None = None  # a PNG file of what it saw, if a file of octex's own holds it
@@ -199,7 +198,7 @@ def pixels_field(record: Json, field: str) -> int:
     return int(number)
 
 
-def numbers_field(record: Json, field: str, count: int) -> Floats:
+def numbers_field(record: Json, field: str, count: int) -> Float64s:
     """Return a field that is a list of so many numbers."""
     found = field_of(record, field, list, f"{count} numbers")
     if len(found) != count:
@@ -207,7 +206,7 @@ def numbers_field(record: Json, field: str, count: int) -> Floats:
     return np.array([as_finite(value, field) for value in found])
 
 
-def matrix_field(record: Json, field: str, *shapes: tuple[int, int]) -> Floats:
+def matrix_field(record: Json, field: str, *shapes: tuple[int, int]) -> Float64s:
     """Return a field that is a matrix of one of some shapes."""
     what = "a matrix of " + " or ".join(f"{rows}×{columns}" for rows, columns in shapes) + " numbers"
     found = field_of(record, field, list, what)
@@ -217,19 +216,19 @@ def matrix_field(record: Json, field: str, *shapes: tuple[int, int]) -> Floats:
     return np.array([[as_finite(value, field) for value in row] for row in found])
 
 
-def view_of_pose(pose: Floats, convention: Convention) -> Floats:
+def view_of_pose(pose: Float64s, convention: Convention) -> Float64s:
     """Return a pose as a world-to-camera matrix; one that is that already, to the same bits."""
     view = Camera.pinhole((1, 1), pose=pose, convention=convention, focal=1.0).world_to_camera
     exact = convention == "opencv" and pose.shape == (4, 4) and np.allclose(view, pose, rtol=0.0, atol=1e-12)
     return pose if exact else view
 
 
-def fixed_lens(K: Floats) -> Lens:
+def fixed_lens(K: Float64s) -> Lens:
     """Return intrinsics that are the same for any size."""
     return lambda *_: K
 
 
-def intrinsics_of(x: float, y: float, center_x: float, center_y: float) -> Floats:
+def intrinsics_of(x: float, y: float, center_x: float, center_y: float) -> Float64s:
     """Return the matrix of focal lengths and a centre."""
     return np.array([[x, 0.0, center_x], [0.0, y, center_y], [0.0, 0.0, 1.0]])
 
@@ -239,7 +238,7 @@ def focal_per_size(record: Json, field: str) -> float:
     return 0.5 / math.tan(positive_field(record, field, below=math.pi) / 2)
 
 
-def rotation_of(quaternion: Floats, field: str) -> Floats:
+def rotation_of(quaternion: Float64s, field: str) -> Float64s:
     """Return the matrix (3, 3) of a quaternion w, x, y, z of any length."""
     if not quaternion.any():
         raise BrokenError(f"{field} must not be zero")

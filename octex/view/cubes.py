@@ -5,24 +5,22 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int8s, Int32s
 from octex.jit import kernel
 from octex.view.camera import Camera
-
-Floats = npt.NDArray[np.float64]
 
 
 class CubeBuffers(NamedTuple):
     """What each pixel sees; row 0 is the top of the picture."""
 
-    cube: npt.NDArray[np.int32]  # (height, width)   the nearest cube; −1: none
-    axis: npt.NDArray[np.int8]  # (height, width)   0, 1 or 2: the face seen is across x, y or z
-    border: npt.NDArray[np.float32]  # (height, width)   how far inside that face, 0 … ½ of its edge
-    depth: Floats  # (height, width)   along the camera's axis; inf where there is none
+    cube: Int32s  # (height, width)   the nearest cube; −1: none
+    axis: Int8s  # (height, width)   0, 1 or 2: the face seen is across x, y or z
+    border: Float32s  # (height, width)   how far inside that face, 0 … ½ of its edge
+    depth: Float64s  # (height, width)   along the camera's axis; inf where there is none
 
 
-def rasterize_cubes(corners: Floats, edges: Floats, camera: Camera) -> CubeBuffers:
+def rasterize_cubes(corners: Float64s, edges: Float64s, camera: Camera) -> CubeBuffers:
     """Find the cube seen at the centre of every pixel.
 
     corners    (n, 3) float64: each cube's corner of least coordinates, in the world
@@ -50,16 +48,16 @@ def rasterize_cubes(corners: Floats, edges: Floats, camera: Camera) -> CubeBuffe
 
 @kernel
 def _draw(
-    corners: Floats,
-    edges: Floats,
-    matrix: Floats,
-    position: Floats,
-    origins: Floats,
-    directions: Floats,
-    cubes: npt.NDArray[np.int32],
-    axes: npt.NDArray[np.int8],
-    borders: npt.NDArray[np.float32],
-    depths: Floats,
+    corners: Float64s,
+    edges: Float64s,
+    matrix: Float64s,
+    position: Float64s,
+    origins: Float64s,
+    directions: Float64s,
+    cubes: Int32s,
+    axes: Int8s,
+    borders: Float32s,
+    depths: Float64s,
 ) -> None:
     """Trace the ray of each pixel in a cube's bounding rectangle through the cube (slabs: Kay & Kajiya 1986).
 
@@ -100,7 +98,7 @@ def _draw(
 
 @kernel
 def _rectangle(
-    corner: Floats, edge: float, matrix: Floats, width: int, height: int
+    corner: Float64s, edge: float, matrix: Float64s, width: int, height: int
 ) -> tuple[int, int, int, int]:
     """Return the first and one past the last column, then row, whose centres a cube can cover."""
     low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf

@@ -8,11 +8,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int32s, Int64s, Integers
 from octex.jit import kernel
 from octex.source.welding import welded
 from octex.view.camera import Camera
-
-Floats = npt.NDArray[np.float64]
 
 # In camera axes: x right, y down, z away from the camera.
 _KEY_FROM, _KEY = (-0.45, -0.65, -0.61), 0.52
@@ -23,7 +22,7 @@ _FROM_ABOVE, _FROM_BELOW = 0.52, 0.30
 _MANY = 256
 
 
-def face_normals(positions: Floats, triangles: npt.NDArray[np.int32]) -> tuple[Floats, Floats]:
+def face_normals(positions: Float64s, triangles: Int32s) -> tuple[Float64s, Float64s]:
     """Return unit normals (m, 3) and areas (m,) of triangles (m, 3), counter-clockwise seen from outside.
 
     The normals of triangles without area are zeros.
@@ -33,9 +32,7 @@ def face_normals(positions: Floats, triangles: npt.NDArray[np.int32]) -> tuple[F
     return normals, areas
 
 
-def corner_normals(
-    positions: Floats, triangles: npt.NDArray[np.int32], crease: float = 40.0
-) -> npt.NDArray[np.float32]:
+def corner_normals(positions: Float64s, triangles: Int32s, crease: float = 40.0) -> Float32s:
     """Return smooth unit normals (m, 3, 3) at the corners of triangles (m, 3).
 
     A corner's normal is the mean, weighted by angle, of those triangles at its position whose normals are
@@ -57,8 +54,8 @@ def corner_normals(
 
 
 def corner_normals_of(
-    chosen: npt.NDArray[np.integer], positions: Floats, triangles: npt.NDArray[np.int32], crease: float = 40.0
-) -> npt.NDArray[np.float32]:
+    chosen: Integers, positions: Float64s, triangles: Int32s, crease: float = 40.0
+) -> Float32s:
     """Return those of `corner_normals` at the corners of ``chosen`` triangles (k,): (k, 3, 3).
 
     Measured are the triangles with a corner in the box around these: 30 ms less of a million for a brush.
@@ -81,7 +78,7 @@ def corner_normals_of(
 
 @kernel
 def _measure(
-    positions: Floats, triangles: npt.NDArray[np.int32], normals: Floats, areas: Floats, angles: Floats
+    positions: Float64s, triangles: Int32s, normals: Float64s, areas: Float64s, angles: Float64s
 ) -> None:
     """Fill in normals, areas and, if there is room for them, the angles at the corners."""
     for n in range(len(triangles)):
@@ -105,12 +102,12 @@ def _measure(
 
 @kernel
 def _smooth(
-    faces: Floats,
-    angles: Floats,
-    by_place: npt.NDArray[np.int64],
-    starts: npt.NDArray[np.int64],
+    faces: Float64s,
+    angles: Float64s,
+    by_place: Int64s,
+    starts: Int64s,
     cosines: tuple[float, float],
-    normals: npt.NDArray[np.float32],
+    normals: Float32s,
 ) -> None:
     """Fill in the normals of corners; ``cosines`` are those of the crease angle and of half of it."""
     for place in range(len(starts) - 1):
@@ -149,9 +146,7 @@ def _smooth(
             normals[corner, 2] = z * scale
 
 
-def light(
-    camera: Camera, points: npt.ArrayLike, faces: npt.ArrayLike, normals: npt.ArrayLike
-) -> npt.NDArray[np.float32]:
+def light(camera: Camera, points: npt.ArrayLike, faces: npt.ArrayLike, normals: npt.ArrayLike) -> Float32s:
     """Return the light (n,), 0.35 to 1.03, on the side that the camera sees; multiply base colours with it.
 
     points     (n, 3) in the world
@@ -167,13 +162,13 @@ def light(
 
 @kernel
 def _light(
-    points: Floats,
-    faces: Floats,
-    normals: Floats,
-    view: Floats,
-    position: Floats,
+    points: Float64s,
+    faces: Float64s,
+    normals: Float64s,
+    view: Float64s,
+    position: Float64s,
     perspective: bool,
-    lit: npt.NDArray[np.float32],
+    lit: Float32s,
 ) -> None:
     for n in range(len(points)):
         away = 0.0
@@ -194,7 +189,7 @@ def _light(
         lit[n] = ambient + _KEY * key * key + _FILL * fill * fill
 
 
-def background(height: int, width: int) -> npt.NDArray[np.float32]:
+def background(height: int, width: int) -> Float32s:
     """Return a neutral grey backdrop (height, width, 3), brightest a little below the middle.
 
     It is the same across, so that pictures side by side have no seam.

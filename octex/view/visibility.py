@@ -12,13 +12,11 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int32s
 from octex.jit import inlined, kernel
 from octex.view.camera import Camera
-from octex.view.rasterize import rasterize
-
-Floats = npt.NDArray[np.float64]
+from octex.view.zbuffer import z_buffer
 
 #: Surfaces nearer to each other than this, in pixels as they are there, are not told apart ...
 _CLOSE = 0.01
@@ -28,19 +26,19 @@ _ROUGH = 0.5
 _WIDEST = 4.0
 
 
-class Seen(NamedTuple):
+class Visibility(NamedTuple):
     """What the pixels of a camera without distortion see; row 0 is the top of the picture."""
 
-    triangle: npt.NDArray[np.int32]  # (height, width)   −1: none
-    planes: npt.NDArray[np.float32]  # (height, width, 3)   nearness, and its slopes to the right and down
+    triangle: Int32s  # (height, width)   −1: none
+    planes: Float32s  # (height, width, 3)   nearness, and its slopes to the right and down
 
 
 class View(NamedTuple):
     """A camera as kernels see it."""
 
-    world_to_camera: Floats  # (4, 4)
-    K: Floats  # (3, 3)
-    inverse_k: Floats  # (3, 3)
+    world_to_camera: Float64s  # (4, 4)
+    K: Float64s  # (3, 3)
+    inverse_k: Float64s  # (3, 3)
     is_pinhole: bool
 
 
@@ -50,20 +48,20 @@ def view_of(camera: Camera) -> View:
     return View(camera.world_to_camera, camera.K, inverse, camera.projection == "pinhole")
 
 
-def look(
-    vertices: Floats,
-    triangles: npt.NDArray[np.int32],
+def visibility_of(
+    vertices: Float64s,
+    triangles: Int32s,
     camera: Camera,
     executor: Executor | None = None,
-) -> tuple[Seen, npt.NDArray[np.float32]]:
+) -> tuple[Visibility, Float32s]:
     """Find what the pixels of a camera without distortion see of triangles (m, 3) of vertices (n, 3).
 
     Returns also where on its triangle each centre lies, (height, width, 3).
     """
-    seen, barycentric, _ = rasterize(vertices, triangles, camera, executor)
+    seen, barycentric, _ = z_buffer(vertices, triangles, camera, executor)
     planes = np.zeros((*seen.shape, 3), np.float32)
     _find_planes(vertices, triangles, view_of(camera), seen, planes)
-    return Seen(seen, planes), barycentric
+    return Visibility(seen, planes), barycentric
 
 
 def straight(camera: Camera) -> Camera:
@@ -90,7 +88,7 @@ def straight(camera: Camera) -> Camera:
 
 
 @inlined
-def transformed(view: View, points: Floats, row: int) -> tuple[float, float, float]:
+def transformed(view: View, points: Float64s, row: int) -> tuple[float, float, float]:
     """Return a point of the world in camera axes."""
     M = view.world_to_camera
     x, y, z = points[row, 0], points[row, 1], points[row, 2]
@@ -131,11 +129,11 @@ def nearness(view: View, plane: tuple[float, float, float, float]) -> tuple[floa
 
 @kernel
 def _find_planes(
-    vertices: Floats,
-    triangles: npt.NDArray[np.int32],
+    vertices: Float64s,
+    triangles: Int32s,
     view: View,
-    seen: npt.NDArray[np.int32],
-    planes: npt.NDArray[np.float32],
+    seen: Int32s,
+    planes: Float32s,
 ) -> None:
     last = -1
     base = right = down = 0.0
@@ -167,7 +165,7 @@ def tolerance(view: View, near: float, right: float, down: float, size: float) -
 
 @inlined
 def hides(
-    seen: Seen,
+    seen: Visibility,
     row: int,
     column: int,
     x: float,
@@ -193,8 +191,8 @@ def hides(
 
 
 @inlined
-def seen_part(
-    seen: Seen,
+def visible_part(
+    seen: Visibility,
     triangle: int,
     x: float,
     y: float,
@@ -219,7 +217,7 @@ def seen_part(
 
 
 @kernel
-def distances_to_edges(seen: Seen, view: View, reach: float) -> npt.NDArray[np.float32]:
+def distances_to_edges(seen: Visibility, view: View, reach: float) -> Float32s:
     """Return how far each pixel's centre is from where the surface that it sees ends: pixels, to ``reach``.
 
     It ends at the rim of the picture, at the background, and where one part of it hides another. Distances
@@ -263,7 +261,7 @@ def distances_to_edges(seen: Seen, view: View, reach: float) -> npt.NDArray[np.f
 
 
 @inlined
-def _parts(seen: Seen, view: View, row: int, column: int, other_row: int, other_column: int) -> bool:
+def _parts(seen: Visibility, view: View, row: int, column: int, other_row: int, other_column: int) -> bool:
     """Say whether two pixels beside each other see what does not hang together."""
     here, there = seen.triangle[row, column], seen.triangle[other_row, other_column]
     if here == there:
@@ -276,7 +274,9 @@ def _parts(seen: Seen, view: View, row: int, column: int, other_row: int, other_
 
 
 @inlined
-def _is_hidden(seen: Seen, view: View, row: int, column: int, other_row: int, other_column: int) -> bool:
+def _is_hidden(
+    seen: Visibility, view: View, row: int, column: int, other_row: int, other_column: int
+) -> bool:
     """Say whether what the second pixel sees goes on behind what the first one sees."""
     near = np.float64(seen.planes[other_row, other_column, 0])
     right = np.float64(seen.planes[other_row, other_column, 1])

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-import numpy.typing as npt
-
+from octex.arrays import Float64s, Int64s
 from octex.jit import inlined
 from octex.source.images.pyramid import Images
 from octex.source.images.taps import EACH, MOST_TAPS, NEVER, bilinear, wrapped
@@ -35,8 +33,8 @@ def small(
     xx: float,
     xy: float,
     yy: float,
-    places: npt.NDArray[np.int64],
-    weights: npt.NDArray[np.float64],
+    places: Int64s,
+    weights: Float64s,
 ) -> int:
     """List the texels of bilinear patches under a footprint of at most a texel.
 
@@ -101,8 +99,8 @@ def wide(
     xx: float,
     xy: float,
     yy: float,
-    places: npt.NDArray[np.int64],
-    weights: npt.NDArray[np.float64],
+    places: Int64s,
+    weights: Float64s,
 ) -> int:
     """List the texels of bilinear patches under a footprint of one to two texels, as ``small`` does."""
     first, width, height = images.levels[row, 0], images.levels[row, 1], images.levels[row, 2]
@@ -153,8 +151,8 @@ def ellipse(
     yy: float,
     least: float,
     most: float,
-    places: npt.NDArray[np.int64],
-    weights: npt.NDArray[np.float64],
+    places: Int64s,
+    weights: Float64s,
 ) -> tuple[int, int, float]:
     """List the texels in an ellipse, each with 1 − its squared distance from the middle."""
     base, coarsest = images.layouts[layout, 0], images.layouts[layout, 1] - 1

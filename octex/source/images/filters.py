@@ -22,9 +22,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-import numpy.typing as npt
-
+from octex.arrays import Float64s, Int64s
 from octex.jit import inlined
 from octex.source.images.ellipse import SKEW, ellipse, small, wide
 from octex.source.images.pyramid import AREAS, CLAMP, MIPS, REPEAT, RIPS, WHOLE, Images
@@ -62,8 +60,8 @@ def find_taps(
     yy: float,
     least: float,
     most: float,
-    places: npt.NDArray[np.int64],
-    weights: npt.NDArray[np.float64],
+    places: Int64s,
+    weights: Float64s,
 ) -> tuple[int, int, float]:
     """List the taps of a footprint at (u, v); return how many, how to cut alpha, and what to scale sums by.
 
@@ -131,8 +129,8 @@ def _levels(
     u: float,
     v: float,
     longest: float,
-    places: npt.NDArray[np.int64],
-    weights: npt.NDArray[np.float64],
+    places: Int64s,
+    weights: Float64s,
 ) -> tuple[int, int]:
     """List the texels of the two levels whose mixture has the variance of the footprint's long axis."""
     base = images.layouts[layout, 0]
@@ -169,8 +167,8 @@ def _rips(
     v: float,
     xx: float,
     yy: float,
-    places: npt.NDArray[np.int64],
-    weights: npt.NDArray[np.float64],
+    places: Int64s,
+    weights: Float64s,
 ) -> tuple[int, int]:
     """List the texels of up to four levels, chosen in u and in v like a pyramid's."""
     base, across = images.layouts[layout, 0], images.layouts[layout, 1]
@@ -198,8 +196,8 @@ def _bicubic(
     wrap_v: int,
     u: float,
     v: float,
-    places: npt.NDArray[np.int64],
-    weights: npt.NDArray[np.float64],
+    places: Int64s,
+    weights: Float64s,
 ) -> int:
     """List the sixteen texels around a point, weighted by Catmull and Rom's spline."""
     first, width, height = images.levels[row, 0], images.levels[row, 1], images.levels[row, 2]
@@ -233,8 +231,8 @@ def _areas(
     v: float,
     xx: float,
     yy: float,
-    places: npt.NDArray[np.int64],
-    weights: npt.NDArray[np.float64],
+    places: Int64s,
+    weights: Float64s,
 ) -> int:
     """List the entries of a summed-area table that give the mean over a box; weights add up to 0.
 
@@ -262,8 +260,8 @@ def _span(
     size: int,
     mode: int,
     at: int,
-    places: npt.NDArray[np.int64],
-    weights: npt.NDArray[np.float64],
+    places: Int64s,
+    weights: Float64s,
 ) -> int:
     """List, from ``at`` on, the sums that give the mean over a span, however far beyond the image."""
     count = 0

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int64s
 from octex.jit import inlined
 from octex.source.images.pyramid import DATA, FAINT, FLOAT, SRGB, Images
 from octex.source.images.taps import EACH, SUM
@@ -20,13 +20,13 @@ def gather(
     images: Images,
     image: int,
     layout: int,
-    places: npt.NDArray[np.int64],
-    weights: npt.NDArray[np.float64],
+    places: Int64s,
+    weights: Float64s,
     count: int,
     scale: float,
     cut: int,
     threshold: float,
-    lanes: npt.NDArray[np.float32],
+    lanes: Float32s,
     at: int,
 ) -> None:
     """Add up an image's texels at taps into four lanes; colours unmultiplied."""

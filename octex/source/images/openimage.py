@@ -13,9 +13,9 @@ from contextlib import closing
 from typing import Any, NoReturn
 
 import numpy as np
-import numpy.typing as npt
 import PIL.TiffImagePlugin
 
+from octex.arrays import Array
 from octex.errors import ImageError, MissingExtraError
 from octex.files import scratch_folder
 from octex.source.images.pyramid import Texels
@@ -191,7 +191,7 @@ def _integers(spec: Any, places: Sequence[int], ending: str, name: str) -> bool:
     return not floats
 
 
-def spread(values: npt.NDArray[Any]) -> Texels:
+def spread(values: Array) -> Texels:
     """Return texels (height, width, 4) of grey, grey and alpha, RGB or RGBA values.
 
     A code c of eight bits becomes 257·c, uint16 codes stay, floats become float32.
@@ -214,7 +214,7 @@ def spread(values: npt.NDArray[Any]) -> Texels:
     return texels
 
 
-def _upright(values: npt.NDArray[Any], orientation: int | None, name: str) -> npt.NDArray[Any]:
+def _upright(values: Array, orientation: int | None, name: str) -> Array:
     """Turn rows and columns that run backwards (1 to 4 as in TIFF's tag of that name)."""
     if orientation not in (None, 1, 2, 3, 4):
         raise ImageError(f"{name} is stored column by column; save it again, row by row")
@@ -235,7 +235,7 @@ def _divide_by_alpha(texels: Texels) -> None:
     np.copyto(texels[..., :3], colors, where=partial, casting="unsafe")
 
 
-def _placed(texels: npt.NDArray[Any], spec: Any, name: str) -> npt.NDArray[Any]:
+def _placed(texels: Array, spec: Any, name: str) -> Array:
     """Return the display window of an image whose texels are those of the data window."""
     down, right = spec.y - spec.full_y, spec.x - spec.full_x
     height, width = spec.full_height, spec.full_width

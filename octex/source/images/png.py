@@ -9,8 +9,8 @@ import struct
 import zlib
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Uint8s, Uint16s
 from octex.errors import ImageError
 from octex.jit import kernel
 
@@ -25,7 +25,7 @@ def is_png16(data: bytes) -> bool:
     return data[:8] == SIGNATURE and data[12:16] == b"IHDR" and data[24:25] == b"\x10"
 
 
-def decode_png16(data: bytes, name: str) -> npt.NDArray[np.uint16]:
+def decode_png16(data: bytes, name: str) -> Uint16s:
     """Return the texels (height, width, 4) of a PNG image of 16 bits a channel.
 
     Raises ImageError for damaged data.
@@ -96,7 +96,7 @@ def png_chunks(data: bytes, name: str) -> list[tuple[bytes, bytes]]:
 
 
 @kernel
-def _unfilter(rows: npt.NDArray[np.uint8], step: int) -> None:
+def _unfilter(rows: Uint8s, step: int) -> None:
     """Undo the filter of each row, named by its first byte, in place (9.2)."""
     for y in range(rows.shape[0]):
         kind = rows[y, 0]

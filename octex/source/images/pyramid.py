@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Array, Bools, Float32s, Float64s, Int64s, Uint8s, Uint64s
 from octex.channels import decode_table, encode
 from octex.checks import as_choice
 from octex.errors import ArgumentError
@@ -66,25 +67,25 @@ class Images(NamedTuple):
     ``first`` is the place of texel (0, 0) after an image's own first.
     """
 
-    kinds: npt.NDArray[np.uint8]  # (images,)   SRGB, DATA, FLOAT or SUMS
-    covered: npt.NDArray[np.bool_]  # (images,)
-    bases: npt.NDArray[np.int64]  # (images,)   first word in codes, or row in floats or sums
-    layouts: npt.NDArray[np.int64]  # (layouts, 3)   first level, levels in x, levels in y
-    levels: npt.NDArray[np.int64]  # (levels, 3)   first, width, height
-    codes: npt.NDArray[np.uint64]  # (words,)   four codes each, red in the lowest bits
-    floats: npt.NDArray[np.float32]  # (rows, 4)
-    sums: npt.NDArray[np.float64]  # (rows, 4)   premultiplied by alpha if covered
-    linear: npt.NDArray[np.float32]  # (65536,)   linear light of an sRGB code
+    kinds: Uint8s  # (images,)   SRGB, DATA, FLOAT or SUMS
+    covered: Bools  # (images,)
+    bases: Int64s  # (images,)   first word in codes, or row in floats or sums
+    layouts: Int64s  # (layouts, 3)   first level, levels in x, levels in y
+    levels: Int64s  # (levels, 3)   first, width, height
+    codes: Uint64s  # (words,)   four codes each, red in the lowest bits
+    floats: Float32s  # (rows, 4)
+    sums: Float64s  # (rows, 4)   premultiplied by alpha if covered
+    linear: Float32s  # (65536,)   linear light of an sRGB code
 
 
-class Stored(NamedTuple):
+class ImageStore(NamedTuple):
     """Images, and the layout of each."""
 
     images: Images
     layout_of: list[int]
 
 
-def store(pictures: Sequence[Picture], what: int) -> Stored:
+def store(pictures: Sequence[Picture], what: int) -> ImageStore:
     """Store images with all the levels that ``what`` (WHOLE, MIPS, RIPS or AREAS) asks for."""
     sizes = list(dict.fromkeys(picture.texels.shape[:2] for picture in pictures))
     layouts: list[tuple[int, int, int]] = []
@@ -130,7 +131,7 @@ def store(pictures: Sequence[Picture], what: int) -> Stored:
 
     with pool_of(cpu_count()) as pool:
         list(pool.map(fill, range(len(pictures))))
-    return Stored(images, layout_of)
+    return ImageStore(images, layout_of)
 
 
 def _kind(picture: Picture, what: int) -> int:
@@ -159,7 +160,7 @@ def _halved(size: int) -> list[int]:
     return sizes
 
 
-def _add_up(picture: Picture, sums: npt.NDArray[np.float64]) -> None:
+def _add_up(picture: Picture, sums: Float64s) -> None:
     """Fill in a summed-area table (rows, 4), one wider and higher than the image."""
     height, width = picture.texels.shape[:2]
     table = sums.reshape(height + 1, width + 1, 4)
@@ -178,7 +179,7 @@ def _fill(picture: Picture, what: int, rows: Texels) -> None:
     finest[:, 0], finest[:, -1] = finest[:, 1], finest[:, -2]
     if len(shapes) == 1:
         return
-    done: dict[int, npt.NDArray[np.float32]] = {}
+    done: dict[int, Float32s] = {}
     rims = {0: _Rim.of(picture)}
     first = finest.shape[0] * finest.shape[1]
     for number, (wide, high) in enumerate(shapes[1:], 1):
@@ -201,7 +202,7 @@ def _fill(picture: Picture, what: int, rows: Texels) -> None:
             done.pop(below, None)
 
 
-def _shrunk(picture: Picture, height: int, width: int) -> npt.NDArray[np.float32]:
+def _shrunk(picture: Picture, height: int, width: int) -> Float32s:
     """Return an image's values at a smaller size, decoded some rows at a time if they fall together."""
     values = np.empty((height, width, 4), np.float32)
     rows, left_over = divmod(picture.texels.shape[0], height)
@@ -218,7 +219,7 @@ def _take(rows: Texels, first: int, width: int, height: int) -> Texels:
     return rows[first : first + count].reshape(height + 2, width + 2, 4)
 
 
-def _decoded(picture: Picture) -> npt.NDArray[np.float32]:
+def _decoded(picture: Picture) -> Float32s:
     """Return an image's values (height, width, 4) for averages, premultiplied by alpha if it is covered."""
     values = np.empty(picture.texels.shape, np.float32)
     if picture.texels.dtype == np.float32:
@@ -235,8 +236,8 @@ def _decoded(picture: Picture) -> npt.NDArray[np.float32]:
 @kernel
 def _decode(
     texels: npt.NDArray[np.uint16 | np.float32],
-    table: npt.NDArray[np.float32],
-    values: npt.NDArray[np.float32],
+    table: Float32s,
+    values: Float32s,
 ) -> None:
     for y in range(texels.shape[0]):
         for x in range(texels.shape[1]):
@@ -245,7 +246,7 @@ def _decode(
             values[y, x, 3] = np.float32(texels[y, x, 3]) / np.float32(65535.0)
 
 
-def _encoded(values: npt.NDArray[np.float32], picture: Picture, as_floats: bool) -> npt.NDArray[np.generic]:
+def _encoded(values: Float32s, picture: Picture, as_floats: bool) -> Array:
     """Return a level's values as they are stored: unmultiplied, codes or floats."""
     if picture.covered:
         values = values.copy()
@@ -263,11 +264,11 @@ def _encoded(values: npt.NDArray[np.float32], picture: Picture, as_floats: bool)
 class _Rim(NamedTuple):
     """What lies beyond a level's borders."""
 
-    left: npt.NDArray[np.float32]  # (height, 1, 4)
-    right: npt.NDArray[np.float32]
-    top: npt.NDArray[np.float32]  # (1, width, 4)
-    bottom: npt.NDArray[np.float32]
-    corners: npt.NDArray[np.float32]  # (2, 2, 4)
+    left: Float32s  # (height, 1, 4)
+    right: Float32s
+    top: Float32s  # (1, width, 4)
+    bottom: Float32s
+    corners: Float32s  # (2, 2, 4)
 
     @classmethod
     def of(cls, picture: Picture) -> _Rim:
@@ -285,7 +286,7 @@ class _Rim(NamedTuple):
         )
 
 
-def resized(values: npt.NDArray[np.float32], height: int, width: int) -> npt.NDArray[np.float32]:
+def resized(values: Float32s, height: int, width: int) -> Float32s:
     """Return exact means (height, width, 4) over each texel's area, for a size that is no larger."""
     smaller = np.empty((height, width, 4), np.float32)
     _reduce(values, smaller)
@@ -293,7 +294,7 @@ def resized(values: npt.NDArray[np.float32], height: int, width: int) -> npt.NDA
 
 
 @kernel
-def _reduce(values: npt.NDArray[np.float32], smaller: npt.NDArray[np.float32]) -> None:
+def _reduce(values: Float32s, smaller: Float32s) -> None:
     height, width = smaller.shape[0], smaller.shape[1]
     step_x, step_y = values.shape[1] / width, values.shape[0] / height
     scale = 1.0 / (step_x * step_y)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float64s, Int64s
 from octex.jit import inlined
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Images
 
@@ -55,8 +55,8 @@ def bilinear(
     v: float,
     weight: float,
     count: int,
-    places: npt.NDArray[np.int64],
-    weights: npt.NDArray[np.float64],
+    places: Int64s,
+    weights: Float64s,
 ) -> int:
     """Add the four texels of a level around a point, with a weight in all."""
     first, width, height = images.levels[row, 0], images.levels[row, 1], images.levels[row, 2]
@@ -87,8 +87,8 @@ def flat_texels(
     v: float,
     xx: float,
     yy: float,
-    places: npt.NDArray[np.int64],
-    weights: npt.NDArray[np.float64],
+    places: Int64s,
+    weights: Float64s,
 ) -> int:
     """List the flat texels under a footprint of at most a texel: they meet in ramps of its own width."""
     first, width, height = images.levels[row, 0], images.levels[row, 1], images.levels[row, 2]

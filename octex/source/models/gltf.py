@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s
 from octex.errors import ModelError
 from octex.source.corners import Corners, Frames
 from octex.source.materials import MaterialSource
@@ -46,8 +46,8 @@ def load_gltf(path: Path, options: Options = EVERYTHING) -> Surface:
 class _Shape(NamedTuple):
     """The triangles of a mesh primitive, and where the file keeps the rest of it."""
 
-    positions: npt.NDArray[np.float64]
-    triangles: npt.NDArray[np.int32]
+    positions: Float64s
+    triangles: Int32s
     material: int | None
     attributes: dict[str, Any]
     name: str
@@ -58,9 +58,9 @@ class _Primitive(NamedTuple):
 
     shape: _Shape
     bound: Bound
-    colors: npt.NDArray[np.float32] | None  # (n, 4)
-    coordinates: list[npt.NDArray[np.float32]]  # (n, 2)   by slot
-    uv: npt.NDArray[np.float32] | None  # (n, 2)   TEXCOORD_0
+    colors: Float32s | None  # (n, 4)
+    coordinates: list[Float32s]  # (n, 2)   by slot
+    uv: Float32s | None  # (n, 2)   TEXCOORD_0
     frames: Frames | None
 
 
@@ -108,7 +108,7 @@ class _Scene:
                 tangents.append(turned.tangents._replace(rows=turned.tangents.rows[:, order]))
         positions, joined = np.concatenate(vertices), np.concatenate(triangles)
 
-        def corners(attributes: list[npt.NDArray[np.float32] | None], default: float) -> Corners | None:
+        def corners(attributes: list[Float32s | None], default: float) -> Corners | None:
             """Join an attribute of all primitives; those without it get the default. None if none has it."""
             width = next((given.shape[1] for given in attributes if given is not None), None)
             if width is None:
@@ -162,7 +162,7 @@ class _Scene:
             found["files"] = json.dumps(self._document.files, sort_keys=True, ensure_ascii=False)
         return found
 
-    def _instances(self) -> list[tuple[int, npt.NDArray[np.float64]]]:
+    def _instances(self) -> list[tuple[int, Float64s]]:
         """List the meshes of the scene, each with its global transform, depth first."""
         return [
             (node["mesh"], matrix @ each)
@@ -171,7 +171,7 @@ class _Scene:
             for each in self._copies(node)
         ]
 
-    def _copies(self, node: dict[str, Any]) -> list[npt.NDArray[np.float64]]:
+    def _copies(self, node: dict[str, Any]) -> list[Float64s]:
         """Return the transforms of a node's instances (EXT_mesh_gpu_instancing), else only the identity."""
         instancing = node.get("extensions", {}).get("EXT_mesh_gpu_instancing")
         if instancing is None:
@@ -211,7 +211,7 @@ class _Scene:
         number = entry.get("material") if self._options.materials else None
         return _Shape(positions, triangles, number, attributes, name)
 
-    def _indices(self, entry: dict[str, Any], count: int, name: str) -> npt.NDArray[np.int64]:
+    def _indices(self, entry: dict[str, Any], count: int, name: str) -> Int64s:
         """Return the vertices of a primitive's corners, each below ``count``."""
         if "indices" not in entry:
             return np.arange(count)
@@ -258,10 +258,10 @@ class _Scene:
             shape, bound, colors, coordinates, None if uv is None else uv.astype(np.float32), frames
         )
 
-    def _frames(self, shape: _Shape, bound: Bound, coordinates: Sequence[npt.NDArray[np.float32]]) -> Frames:
+    def _frames(self, shape: _Shape, bound: Bound, coordinates: Sequence[Float32s]) -> Frames:
         """Return a primitive's frames in its own space; tangents mean something only below a normal map."""
 
-        def corners(rows: npt.NDArray[np.floating] | None) -> Corners | None:
+        def corners(rows: Floats | None) -> Corners | None:
             return None if rows is None else Corners(rows.astype(np.float32), shape.triangles)
 
         normals = corners(self._attribute(shape, "NORMAL", (3,)))
@@ -271,9 +271,7 @@ class _Scene:
         mapped = corners(coordinates[bound.normal_slot])
         return corner_frames(shape.positions, shape.triangles, normals, tangents, mapped)
 
-    def _attribute(
-        self, shape: _Shape, name: str, components: tuple[int, ...]
-    ) -> npt.NDArray[np.float64] | None:
+    def _attribute(self, shape: _Shape, name: str, components: tuple[int, ...]) -> Float64s | None:
         """Return a vertex attribute, None if the primitive has none of this name."""
         if name not in shape.attributes:
             return None
@@ -293,7 +291,7 @@ def _joined(parts: Sequence[Corners]) -> Corners:
     return Corners(np.concatenate([part.values for part in parts]), np.concatenate(rows))
 
 
-def _triangles(indices: npt.NDArray[np.int64], mode: int) -> npt.NDArray[np.int64]:
+def _triangles(indices: Int64s, mode: int) -> Int64s:
     """Return the triangles (m, 3) of a list, a strip or a fan (3.7.2.1); what is left over is dropped."""
     if mode == _TRIANGLES:
         return indices[: len(indices) // 3 * 3].reshape(-1, 3)

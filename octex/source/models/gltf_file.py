@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Array
 from octex.errors import ImageError, ModelError
 from octex.files import read_bytes, referred
 
@@ -193,7 +193,7 @@ class Document:
             f"decode them first: {command.format(self.name)}"
         )
 
-    def accessor(self, index: int, components: tuple[int, ...]) -> npt.NDArray[Any]:
+    def accessor(self, index: int, components: tuple[int, ...]) -> Array:
         """Return an accessor (count, components); normalized integers as float64 in −1 … 1.
 
         ``components`` are those allowed.
@@ -227,9 +227,7 @@ class Document:
             rows = np.maximum(rows / np.iinfo(dtype).max, -1.0)
         return rows
 
-    def _rows(
-        self, view: int, offset: int, count: int, width: int, dtype: np.dtype[Any], what: str
-    ) -> npt.NDArray[Any]:
+    def _rows(self, view: int, offset: int, count: int, width: int, dtype: np.dtype[Any], what: str) -> Array:
         data, stride = self.view(view)
         row = width * dtype.itemsize
         stride = stride or row

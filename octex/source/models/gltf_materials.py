@@ -15,8 +15,8 @@ from concurrent.futures import Executor, Future
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float64s
 from octex.errors import ImageError, ModelError
 from octex.parallel import cpu_count, pool_of
 from octex.source.images.decode import decode_image
@@ -80,13 +80,13 @@ class Slot(NamedTuple):
     rotation: float = 0.0  # radians, counter-clockwise as seen on the image
     offset: tuple[float, ...] = (0.0, 0.0)
 
-    def applied(self, coordinates: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def applied(self, coordinates: Float64s) -> Float64s:
         """Return coordinates (n, 2) scaled, turned, then moved (KHR_texture_transform)."""
         if self == Slot(self.number):
             return coordinates
         cos, sin = math.cos(self.rotation), math.sin(self.rotation)
         turned = (coordinates * self.scale) @ np.array([[cos, -sin], [sin, cos]])
-        moved: npt.NDArray[np.float64] = turned + self.offset
+        moved: Float64s = turned + self.offset
         return moved
 
 

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Float64s
 from octex.errors import ModelError
 from octex.source.models.gltf_file import Document
 
-Floats = npt.NDArray[np.float64]
 Json = dict[str, Any]
 
 _LIMIT = float(np.finfo(np.float64).max)
 _COUNTS = {"matrix": 16, "translation": 3, "rotation": 4, "scale": 3}
 
 
-def scene_nodes(document: Document) -> Iterator[tuple[int, Json, Floats]]:
+def scene_nodes(document: Document) -> Iterator[tuple[int, Json, Float64s]]:
     """Yield the scene's nodes, depth first: number, node, and the matrix (4, 4) that takes it to the world.
 
     A file without scenes shows all its nodes. Raises ModelError for nodes that form no tree.
@@ -69,7 +69,7 @@ def _check_numbers(given: object, count: int, what: str) -> None:
         raise ModelError(f"{what} must be {count} numbers, not {reprlib.repr(given)}; export it again")
 
 
-def local_matrix(fields: Mapping[str, npt.ArrayLike]) -> Floats:
+def local_matrix(fields: Mapping[str, npt.ArrayLike]) -> Float64s:
     """Return a node's matrix (column-major in the file), or translation · rotation · scale (3.6.2)."""
     if "matrix" in fields:
         return np.array(fields["matrix"], np.float64).reshape(4, 4).T
@@ -80,7 +80,7 @@ def local_matrix(fields: Mapping[str, npt.ArrayLike]) -> Floats:
     return matrix
 
 
-def rotation_matrix(w: float, x: float, y: float, z: float) -> Floats:
+def rotation_matrix(w: float, x: float, y: float, z: float) -> Float64s:
     """Return the matrix (3, 3) of a quaternion of any length; no turn for one of length 0."""
     length = w * w + x * x + y * y + z * z
     s = 2 / length if length else 0.0

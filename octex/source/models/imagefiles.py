@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Int64s, Uint16s
 from octex.files import read_bytes
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, Texels
@@ -89,7 +90,7 @@ def is_grey(texels: Texels) -> bool:
 
 def normals_of_heights(
     heights: npt.NDArray[np.floating | np.unsignedinteger], strength: float, wrap: int
-) -> npt.NDArray[np.uint16]:
+) -> Uint16s:
     """Return the tangent-space normal map (height, width, 4) of a height map (height, width), rows down.
 
     The slopes are central differences, per texel, of ``strength`` × height; at the border the image is
@@ -110,5 +111,5 @@ def normals_of_heights(
     return texels
 
 
-def _continued(indices: npt.NDArray[np.int64], size: int, wrap: int) -> npt.NDArray[np.int64]:
+def _continued(indices: Int64s, size: int, wrap: int) -> Int64s:
     return np.clip(indices, 0, size - 1) if wrap == CLAMP else indices % size

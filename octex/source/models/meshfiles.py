@@ -10,11 +10,11 @@ import logging
 import re
 import warnings
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s
 from octex.channels import ONE
 from octex.errors import ImageError, ModelError
 from octex.files import read_bytes, referred
@@ -55,7 +55,7 @@ def load_ply(path: Path, options: Options = EVERYTHING) -> Surface:
 
 def ply_points(
     path: Path,
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float32], npt.NDArray[np.float64] | None]:
+) -> tuple[Float64s, Float32s, Float64s | None]:
     """Read the vertices of a PLY file as points (n, 3), linear colours and alpha (n, 4), and normals (n, 3).
 
     Raises ModelError for a file without vertices or without their colours.
@@ -97,15 +97,13 @@ def load_stl(path: Path, options: Options = EVERYTHING) -> Surface:
 class _Shape(NamedTuple):
     """Polygons, cut into triangles."""
 
-    positions: npt.NDArray[np.float64]
-    triangles: npt.NDArray[np.int32]
-    corners: npt.NDArray[np.int64]  # (triangles, 3)   which of all corners of polygons each corner is
-    numbers: npt.NDArray[np.int64]  # (triangles,)     the polygon of each
+    positions: Float64s
+    triangles: Int32s
+    corners: Int64s  # (triangles, 3)   which of all corners of polygons each corner is
+    numbers: Int64s  # (triangles,)     the polygon of each
     polygons: Polygons | None
 
-    def colors(
-        self, of_vertices: npt.NDArray[np.float32] | None, of_polygons: npt.NDArray[np.float32] | None
-    ) -> Corners | None:
+    def colors(self, of_vertices: Float32s | None, of_polygons: Float32s | None) -> Corners | None:
         """Bind the colours of vertices, or else of polygons."""
         if of_vertices is not None:
             return Corners(of_vertices, self.triangles)
@@ -116,9 +114,9 @@ class _Shape(NamedTuple):
 
 def _shape(
     name: str,
-    positions: npt.NDArray[np.float64],
-    indices: npt.NDArray[np.int64],
-    sizes: npt.NDArray[np.int64],
+    positions: Float64s,
+    indices: Int64s,
+    sizes: Int64s,
 ) -> _Shape:
     """Cut polygons, of so many of the vertices ``indices`` each, into triangles."""
     if len(indices) and not 0 <= indices.min() <= indices.max() < len(positions):
@@ -136,7 +134,7 @@ def _colored(
     shape: _Shape,
     colors: Corners | None,
     textures: list[Texture] | None = None,
-    numbers: npt.NDArray[np.int32] | None = None,
+    numbers: Int32s | None = None,
     coordinates: Corners | None = None,
 ) -> Surface:
     """Build a surface of colours and textures alone; any alpha of a colour below 1 counts as it is."""
@@ -176,8 +174,8 @@ class _Property(NamedTuple):
 class _Values(NamedTuple):
     """A property of all elements: values, and for a list how many belong to each."""
 
-    values: npt.NDArray[Any]
-    sizes: npt.NDArray[np.int64] | None
+    values: Array
+    sizes: Int64s | None
     type: str
 
 
@@ -266,10 +264,10 @@ class _Ply:
     def _values(
         self,
         kind: _Property,
-        numbers: npt.NDArray[np.float64],
-        raw: npt.NDArray[np.uint8],
-        starts: npt.NDArray[np.int64],
-        sizes: npt.NDArray[np.int64],
+        numbers: Float64s,
+        raw: Uint8s,
+        starts: Int64s,
+        sizes: Int64s,
     ) -> _Values:
         dtype = np.dtype(self._order + kind.type)
         width = 1 if self._ascii else dtype.itemsize
@@ -278,12 +276,12 @@ class _Ply:
             within = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
             starts = np.repeat(starts, sizes) + within * width
         if self._ascii:
-            values: npt.NDArray[Any] = numbers[starts]
+            values: Array = numbers[starts]
         else:
             values = raw[starts[:, None] + np.arange(width)].view(dtype)[:, 0].astype(kind.type)
         return _Values(values, sizes if is_list else None, kind.type)
 
-    def _positions(self) -> npt.NDArray[np.float64]:
+    def _positions(self) -> Float64s:
         vertex = self.data.get("vertex", {})
         if not all(axis in vertex for axis in "xyz"):
             raise ModelError(f"{self.name} has no vertices with x, y and z")
@@ -291,7 +289,7 @@ class _Ply:
 
     def points(
         self,
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float32], npt.NDArray[np.float64] | None]:
+    ) -> tuple[Float64s, Float32s, Float64s | None]:
         positions, vertex = self._positions(), self.data.get("vertex", {})
         colors = _ply_colors(vertex)
         if colors is None:
@@ -334,7 +332,7 @@ class _Ply:
         vertex: dict[str, _Values],
         face: dict[str, _Values],
         shape: _Shape,
-        sizes: npt.NDArray[np.int64],
+        sizes: Int64s,
     ) -> Corners | None:
         listed = face.get("texcoord")
         if listed is not None and listed.sizes is not None and np.array_equal(listed.sizes, 2 * sizes):
@@ -359,7 +357,7 @@ class _Ply:
         return texels
 
 
-def _ply_colors(element: dict[str, _Values]) -> npt.NDArray[np.float32] | None:
+def _ply_colors(element: dict[str, _Values]) -> Float32s | None:
     """Return the linear colours of an element's rows; integers are codes, floats in 0 … 1, or 0 … 255."""
     for names in _PLY_COLORS:
         if not all(name in element for name in names[:3]):
@@ -376,15 +374,15 @@ def _ply_colors(element: dict[str, _Values]) -> npt.NDArray[np.float32] | None:
 
 @kernel
 def _walk(
-    numbers: npt.NDArray[np.float64],
-    raw: npt.NDArray[np.uint8],
+    numbers: Float64s,
+    raw: Uint8s,
     at: int,
     available: int,
-    layout: npt.NDArray[np.int64],
+    layout: Int64s,
     big_endian: bool,
     ascii: bool,
-    starts: npt.NDArray[np.int64],
-    sizes: npt.NDArray[np.int64],
+    starts: Int64s,
+    sizes: Int64s,
 ) -> int:
     """Find where each property of each row starts, and the sizes of lists; return where the last row ends.
 
@@ -465,12 +463,12 @@ class _Off:
 class _Rows(NamedTuple):
     """Numbers by lines."""
 
-    values: npt.NDArray[np.float64]
-    starts: npt.NDArray[np.int64]
-    counts: npt.NDArray[np.int64]
+    values: Float64s
+    starts: Int64s
+    counts: Int64s
 
 
-def _off_colors(rows: _Rows, skip: npt.NDArray[np.int64], tail: int) -> npt.NDArray[np.float32] | None:
+def _off_colors(rows: _Rows, skip: Int64s, tail: int) -> Float32s | None:
     """Return the linear colours after ``skip`` numbers of each row; white where less than three are left.
 
     Values are 0 … 255 if any is above 1, else 0 … 1. One number alone is a place in a colour map that the

@@ -14,8 +14,8 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int32s, Int64s, Uint8s
 from octex.errors import ModelError, ModelWarning
 from octex.files import read_bytes
 from octex.jit import kernel
@@ -95,7 +95,7 @@ def load_obj(path: Path, options: Options = EVERYTHING) -> Surface:
     )
 
 
-def _vertex_colors(given: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
+def _vertex_colors(given: Float64s) -> Float32s:
     """Return linear colours of values in 0 … 1, or 0 … 255 if any is above 1; white where there are none."""
     largest = float(np.nanmax(given, initial=0.0))
     return screen_colors(np.nan_to_num(given / (255.0 if largest > 1.0 else 1.0), nan=1.0))
@@ -138,7 +138,7 @@ class _Text:
                 self.libraries.append(rest.strip())
 
 
-def _numbers(rows: list[str], least: int, name: str, key: str) -> npt.NDArray[np.float64]:
+def _numbers(rows: list[str], least: int, name: str, key: str) -> Float64s:
     """Parse rows of numbers; rows that are shorter than others end in NaN. At least ``least`` a row."""
     if not rows:
         return np.empty((0, least), np.float64)
@@ -161,7 +161,7 @@ def _numbers(rows: list[str], least: int, name: str, key: str) -> npt.NDArray[np
     return values.reshape(-1, columns)
 
 
-def _faces(text: _Text, name: str) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _faces(text: _Text, name: str) -> tuple[Int64s, Int64s]:
     """Return the vertex, the coordinates and the normal (−1 for none) of each corner; each face's corners."""
     joined = np.frombuffer("\n".join([*text.faces, ""]).encode(), np.uint8)
     runs = np.array(text.runs, np.int64).reshape(-1, 4)
@@ -178,17 +178,17 @@ def _faces(text: _Text, name: str) -> tuple[npt.NDArray[np.int64], npt.NDArray[n
     return corners, sizes
 
 
-def _check(used: npt.NDArray[np.int64], lowest: int, limit: int, name: str, what: str) -> None:
+def _check(used: Int64s, lowest: int, limit: int, name: str, what: str) -> None:
     if used.size and not lowest <= used.min() <= used.max() < limit:
         raise ModelError(f"{name}: a face uses a {what} that is not among the {limit}; export it again")
 
 
 @kernel
 def _parse_corners(
-    text: npt.NDArray[np.uint8],
-    bases: npt.NDArray[np.int64],
-    corners: npt.NDArray[np.int64],
-    sizes: npt.NDArray[np.int64],
+    text: Uint8s,
+    bases: Int64s,
+    corners: Int64s,
+    sizes: Int64s,
 ) -> int:
     """Parse ``vertex[/[coordinates][/[normal]]]`` words; return how many, or −1 − the first bad line.
 
@@ -231,8 +231,8 @@ def _parse_corners(
 
 
 def _bind(
-    text: _Text, path: Path, polygons: npt.NDArray[np.int64], faces: int, options: Options
-) -> tuple[list[Description], npt.NDArray[np.int32], dict[str, str]]:
+    text: _Text, path: Path, polygons: Int64s, faces: int, options: Options
+) -> tuple[list[Description], Int32s, dict[str, str]]:
     """Return the materials in use, the number of each triangle's, and the digests of the files read."""
     starts = [first for first, _ in text.uses]
     uses = [
@@ -270,8 +270,8 @@ def _without_materials(name: str, lost: list[str], library: Library, libraries: 
 def _coordinates(
     text: _Text,
     known: list[Description],
-    numbers: npt.NDArray[np.int32],
-    rows: npt.NDArray[np.int64],
+    numbers: Int32s,
+    rows: Int64s,
     name: str,
 ) -> list[Corners]:
     """Bind texture coordinates, as they are and then, slot by slot, as each material's maps change them."""
@@ -303,7 +303,7 @@ def _normal_slot(description: Description) -> int:
     return -1 if normal is None or normal.texture is None else normal.texture.slot
 
 
-def _chosen(coordinates: list[Corners], slots: npt.NDArray[np.int64]) -> Corners:
+def _chosen(coordinates: list[Corners], slots: Int64s) -> Corners:
     """Return one set of coordinates that holds, for each triangle, what the set ``slots`` has for it."""
     firsts = np.cumsum([0, *(len(each.values) for each in coordinates)])
     rows = np.stack([each.rows + first for each, first in zip(coordinates, firsts, strict=False)])
@@ -311,7 +311,7 @@ def _chosen(coordinates: list[Corners], slots: npt.NDArray[np.int64]) -> Corners
     return Corners(values, rows[slots, np.arange(len(slots))].astype(np.int32))
 
 
-def _normals(text: _Text, rows: npt.NDArray[np.int64], name: str) -> Corners | None:
+def _normals(text: _Text, rows: Int64s, name: str) -> Corners | None:
     """Return the normals at corners, not numbers where there are none."""
     _check(rows, -1, len(text.normals), name, "normal")
     given = _numbers(text.normals, 3, name, "vn")[:, :3]

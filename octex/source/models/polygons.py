@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Bools, Float64s, Int64s
 from octex.jit import kernel
 from octex.source.corners import Polygons
 
 
-def triangulate(
-    positions: npt.NDArray[np.float64], corners: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64]
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def triangulate(positions: Float64s, corners: Int64s, sizes: Int64s) -> tuple[Int64s, Int64s]:
     """Cut polygons into triangles.
 
     ``corners`` are rows of ``positions``, all in range, polygon after polygon, of ``sizes`` corners each.
@@ -34,9 +32,7 @@ def triangulate(
     return triangles, np.repeat(np.arange(len(sizes)), counts)
 
 
-def cut_polygons(
-    corners: npt.NDArray[np.int64], polygons: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64]
-) -> Polygons | None:
+def cut_polygons(corners: Int64s, polygons: Int64s, sizes: Int64s) -> Polygons | None:
     """Return what ``triangulate`` returned as a mesh keeps it; None where each polygon was a triangle."""
     if (sizes == 3).all():
         return None
@@ -44,7 +40,7 @@ def cut_polygons(
     return Polygons(polygons.astype(np.int32), within.astype(np.int32))
 
 
-def _ears(outline: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
+def _ears(outline: Float64s) -> Int64s:
     """Return the triangles (m, 3) of a polygon (n, 3), by its area vector; none if it has no extent."""
     from manifold3d import triangulate  # takes 6 ms
 
@@ -64,11 +60,11 @@ def _ears(outline: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
 
 @kernel
 def _fans(
-    positions: npt.NDArray[np.float64],
-    corners: npt.NDArray[np.int64],
-    sizes: npt.NDArray[np.int64],
-    triangles: npt.NDArray[np.int64],
-    lacking: npt.NDArray[np.bool_],
+    positions: Float64s,
+    corners: Int64s,
+    sizes: Int64s,
+    triangles: Int64s,
+    lacking: Bools,
 ) -> None:
     """Cut each polygon into a fan; say in ``lacking`` where that may cover what is outside of it.
 
@@ -92,7 +88,7 @@ def _fans(
 
 
 @kernel
-def _apex(positions: npt.NDArray[np.float64], corners: npt.NDArray[np.int64], first: int, size: int) -> int:
+def _apex(positions: Float64s, corners: Int64s, first: int, size: int) -> int:
     """Return the reflex corner of a polygon, 0 if it has none, −1 if it has several or turns right back.
 
     A quad with two crosses itself, however it is cut.
@@ -120,9 +116,7 @@ def _apex(positions: npt.NDArray[np.float64], corners: npt.NDArray[np.int64], fi
 
 
 @kernel
-def _edge(
-    positions: npt.NDArray[np.float64], corners: npt.NDArray[np.int64], first: int, size: int, i: int
-) -> tuple[float, float, float]:
+def _edge(positions: Float64s, corners: Int64s, first: int, size: int, i: int) -> tuple[float, float, float]:
     """Return the way from a corner of a polygon to the next."""
     a, b = corners[first + i], corners[first + (i + 1) % size]
     return (
@@ -133,9 +127,7 @@ def _edge(
 
 
 @kernel
-def _normal(
-    positions: npt.NDArray[np.float64], corners: npt.NDArray[np.int64], first: int, size: int
-) -> tuple[float, float, float]:
+def _normal(positions: Float64s, corners: Int64s, first: int, size: int) -> tuple[float, float, float]:
     """Return twice the area vector (Newell's method)."""
     x = y = z = 0.0
     for i in range(size):

@@ -5,12 +5,12 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Array, Float64s, Int64s
 from octex.source.alone import alone
 
 
-def parse_numbers(text: str) -> npt.NDArray[np.float64] | None:
+def parse_numbers(text: str) -> Float64s | None:
     """Return the numbers of a text that blanks and line ends part; None if there is anything else."""
     with alone():
         warnings.simplefilter("error", DeprecationWarning)
@@ -20,7 +20,7 @@ def parse_numbers(text: str) -> npt.NDArray[np.float64] | None:
             return None
 
 
-def whole_numbers(values: npt.NDArray[np.generic]) -> npt.NDArray[np.int64]:
+def whole_numbers(values: Array) -> Int64s:
     """Return values as indices; −1 for those that are none."""
     numbers = values.astype(np.float64)
     return np.where((np.abs(numbers) < 2**31) & (numbers == np.floor(numbers)), numbers, -1).astype(np.int64)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
-LOOKING = (
+VIEW_OPTIONS = (
     option(
         "--direction",
         "from the model toward the camera that draws it (default: the side that shows most)",
@@ -32,7 +32,7 @@ LOOKING = (
     ),
     option("--frame", "draw through a camera of a glTF model, by its name", metavar="NAME"),
 )
-LOOKING_WORDS = {each.word for each in LOOKING}
+VIEW_WORDS = {each.word for each in VIEW_OPTIONS}
 
 
 def previewing(
@@ -54,9 +54,9 @@ def previewing(
     return partial(write_preview, options.preview, view=view)
 
 
-def check_looking(options: argparse.Namespace) -> None:
+def check_view_options(options: argparse.Namespace) -> None:
     """Refuse a camera that is given and described at once, and one of no picture."""
-    given = [word for word in LOOKING_WORDS if getattr(options, word[2:]) is not None]
+    given = [word for word in VIEW_WORDS if getattr(options, word[2:]) is not None]
     if given and options.preview is None and getattr(options, "view", None) is None:
         raise ArgumentError(f"{min(given)} has no meaning without a picture to draw")
     for word, given in (("--direction", options.direction), ("--up", options.up)):

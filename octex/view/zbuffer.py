@@ -15,14 +15,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
 from octex.checks import as_points
 from octex.errors import ArgumentError
 from octex.jit import kernel
 from octex.parallel import cpu_count, ordered_map
 from octex.view.camera import Camera
 
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 Index = int | np.integer[Any]
 
 #: Snapped positions are whole multiples of 1 / _SUBPIXELS of a pixel.
@@ -39,14 +38,12 @@ _LEFT, _RIGHT, _ABOVE, _BELOW, _BEHIND = 1, 2, 4, 8, 16
 class Buffers(NamedTuple):
     """What each pixel sees; row 0 is the top of the picture."""
 
-    triangle: npt.NDArray[np.int32]  # (height, width)      the nearest triangle; −1: none
-    barycentric: npt.NDArray[
-        np.float32
-    ]  # (height, width, 3)   perspective-correct; zeros where there is none
-    depth: Floats  # (height, width)      along the camera's axis; inf where there is none
+    triangle: Int32s  # (height, width)      the nearest triangle; −1: none
+    barycentric: Float32s  # (height, width, 3)   perspective-correct; zeros where there is none
+    depth: Float64s  # (height, width)      along the camera's axis; inf where there is none
 
 
-def rasterize(
+def z_buffer(
     positions: npt.ArrayLike, triangles: npt.ArrayLike, camera: Camera, executor: Executor | None = None
 ) -> Buffers:
     """Find the triangle seen at the centre of every pixel.
@@ -86,10 +83,10 @@ def rasterize(
 
 
 def _band(
-    screen: Floats,
-    snapped: Flags,
-    outside: npt.NDArray[np.uint8],
-    triangles: npt.NDArray[np.int32],
+    screen: Float64s,
+    snapped: Bools,
+    outside: Uint8s,
+    triangles: Int32s,
     same_depth: float,
     width: int,
     rows: tuple[int, int],
@@ -103,8 +100,8 @@ def _band(
 
 @kernel
 def _to_screen(
-    positions: Floats, matrix: Floats, width: int, height: int
-) -> tuple[Floats, Flags, npt.NDArray[np.uint8]]:
+    positions: Float64s, matrix: Float64s, width: int, height: int
+) -> tuple[Float64s, Bools, Uint8s]:
     """Return rows (x, y, w, depth) of the vertices, whether x and y are snapped pixel coordinates, and where.
 
     Other vertices, behind the camera or far outside the picture, have pixel coordinates times w.
@@ -138,7 +135,7 @@ def _to_screen(
 
 @kernel
 def _edge(
-    screen: Floats, snapped: Flags, p: Index, q: Index
+    screen: Float64s, snapped: Bools, p: Index, q: Index
 ) -> tuple[float, float, float, float, float, float]:
     """Return x0, y0, across, down, constant and scale of the edge function from vertex p to q.
 
@@ -163,7 +160,7 @@ def _edge(
 
 
 @kernel
-def _orientation(screen: Floats, snapped: Flags, a: Index, b: Index, c: Index) -> float:
+def _orientation(screen: Float64s, snapped: Bools, a: Index, b: Index, c: Index) -> float:
     """Return 1 or −1 for the two sides of a triangle, 0 for one without area in the picture."""
     if snapped[a] and snapped[b] and snapped[c]:
         abx, aby = screen[b, 0] - screen[a, 0], screen[b, 1] - screen[a, 1]
@@ -176,7 +173,7 @@ def _orientation(screen: Floats, snapped: Flags, a: Index, b: Index, c: Index) -
 
 
 @kernel
-def _homogeneous(screen: Floats, snapped: Flags, vertex: Index) -> tuple[float, float, float]:
+def _homogeneous(screen: Float64s, snapped: Bools, vertex: Index) -> tuple[float, float, float]:
     x, y, w = screen[vertex, 0], screen[vertex, 1], screen[vertex, 2]
     if snapped[vertex]:
         return x * w, y * w, w
@@ -185,8 +182,8 @@ def _homogeneous(screen: Floats, snapped: Flags, vertex: Index) -> tuple[float, 
 
 @kernel
 def _pixel_range(
-    screen: Floats,
-    snapped: Flags,
+    screen: Float64s,
+    snapped: Bools,
     corners: tuple[Index, Index, Index],
     axis: int,
     first: int,
@@ -210,15 +207,15 @@ def _covers(value: float, across: float, down: float) -> bool:
 
 @kernel
 def _draw(
-    screen: Floats,
-    snapped: Flags,
-    outside: npt.NDArray[np.uint8],
-    triangles: npt.NDArray[np.int32],
+    screen: Float64s,
+    snapped: Bools,
+    outside: Uint8s,
+    triangles: Int32s,
     same_depth: float,
     top: int,
-    seen: npt.NDArray[np.int32],
-    barycentric: npt.NDArray[np.float32],
-    depths: Floats,
+    seen: Int32s,
+    barycentric: Float32s,
+    depths: Float64s,
 ) -> None:
     height, width = seen.shape
     edges = np.empty((3, 6))

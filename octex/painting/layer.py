@@ -9,14 +9,15 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Int32s
 from octex.channels import ALPHA, ChannelFormat
 from octex.conversion.adapt import adapted
-from octex.conversion.fill import assemble, fill
 from octex.conversion.gaps import without_gaps
+from octex.conversion.levels import assemble, cell_levels
 from octex.conversion.sides import fitters
 from octex.editing.split import refaced
+from octex.painting.centres import with_centres
 from octex.painting.ground import Ground
-from octex.painting.samples import with_centres
 from octex.painting.source import PaintSource
 from octex.parallel import Progress
 from octex.source.separation import SEPARATION
@@ -26,8 +27,6 @@ from octex.texture.channel import Channel
 from octex.tree.layout import MAX_DEPTH
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
-
-Int32s = npt.NDArray[np.int32]
 
 #: Cells in the width of the finest detail, a pixel: at least so many, and fewer than twice that. With one,
 #: pictures come back in a fourth of the leaves, with 1.3 to 3 times the error (RMS), than with two.
@@ -77,7 +76,7 @@ def rasterize_paint(
     chosen = ground.near(placement).around(touched, depth)
     here = source.on(chosen)
     part = surface.part(chosen, here)
-    filled = fill(
+    filled = cell_levels(
         part, here.channels, placement, depth, executor, progress,
         has_samples=fit, wanted=partial(_wanted, here, placement.size, cells, depth),
     )  # fmt: skip
@@ -120,11 +119,11 @@ def _wanted(
     cells: float,
     depth: int,
     triangles: Int32s,
-    barycentric: npt.NDArray[np.float64],
-    _widths: npt.NDArray[np.float32],
-) -> npt.NDArray[np.float64]:
+    barycentric: Float64s,
+    _widths: Float32s,
+) -> Float64s:
     widths = source.widths(triangles, barycentric).astype(np.float64)
     with np.errstate(divide="ignore"):
         levels = np.log2(cells * size / widths) - _SLACK
-    clipped: npt.NDArray[np.float64] = np.clip(levels, 0.0, depth)
+    clipped: Float64s = np.clip(levels, 0.0, depth)
     return clipped

@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float32s, Float64s, Floats, Int32s
 from octex.channels import ALPHA, ChannelFormat, srgb_to_linear
 from octex.checks import as_choice
-from octex.compare import cover
+from octex.compare import inside_cells
 from octex.errors import ArgumentError
 from octex.source.base import by_channel
 
@@ -18,19 +18,17 @@ if TYPE_CHECKING:
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
-Floats = npt.NDArray[np.floating]
-
 
 class Hits(NamedTuple):
     """Points of a surface that a picture's samples see."""
 
-    triangles: npt.NDArray[np.int32]  # (n,)
-    barycentric: npt.NDArray[np.float64]  # (n, 3)
-    rest: npt.NDArray[np.float64]  # (n, 3)   rest positions
-    width: npt.NDArray[np.float32]  # (n,)   what a sample covers there, in rest units
-    dPdx: npt.NDArray[np.float64]  # (n, 3)   how rest positions change to the sample at its right
-    dPdy: npt.NDArray[np.float64]  # (n, 3)   and to the one below
-    normals: npt.NDArray[np.float64]  # (n, 3)   of the surface at rest
+    triangles: Int32s  # (n,)
+    barycentric: Float64s  # (n, 3)
+    rest: Float64s  # (n, 3)   rest positions
+    width: Float32s  # (n,)   what a sample covers there, in rest units
+    dPdx: Float64s  # (n, 3)   how rest positions change to the sample at its right
+    dPdy: Float64s  # (n, 3)   and to the one below
+    normals: Float64s  # (n, 3)   of the surface at rest
 
 
 class Appearance(NamedTuple):
@@ -47,7 +45,7 @@ class Appearance(NamedTuple):
 
 
 #: Gives hits their appearance.
-Look = Callable[[Hits], Appearance]
+Shader = Callable[[Hits], Appearance]
 
 
 class Shown(NamedTuple):
@@ -98,7 +96,7 @@ class Shown(NamedTuple):
         return Appearance(emitted=np.clip(shown, 0.0, 1.0), coverage=coverage)
 
 
-def source_look(surface: Surface, channel: str | None = None) -> Look:
+def source_shader(surface: Surface, channel: str | None = None) -> Shader:
     """Show a surface by its source, averaged over what each sample covers.
 
     ``channel`` is shown as it is; by default base colour in the light, with what the surface emits, or else
@@ -114,14 +112,14 @@ def source_look(surface: Surface, channel: str | None = None) -> Look:
     return look
 
 
-def texture_look(texture: OctreeTexture, channel: str | None = None) -> Look:
+def texture_shader(texture: OctreeTexture, channel: str | None = None) -> Shader:
     """Show a surface by the field of a texture, averaged over what each sample covers, on the side it sees.
 
     What is translucent is not shown where the texture has no cell, though coarse averages reach there.
-    ``channel`` as for ``source_look``. Raises ArgumentError for a channel that is not there.
+    ``channel`` as for ``source_shader``. Raises ArgumentError for a channel that is not there.
     """
     shown = Shown.of((stored.format for stored in texture.channels.values()), channel)
-    lies_on = cover(texture) if ALPHA.name in shown.names else None
+    lies_on = inside_cells(texture) if ALPHA.name in shown.names else None
 
     def look(hits: Hits) -> Appearance:
         values = texture.sample(hits.rest, shown.names, dPdx=hits.dPdx, dPdy=hits.dPdy, normals=hits.normals)

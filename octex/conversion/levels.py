@@ -8,11 +8,11 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Array, Float64s, Int32s, Int64s, Uint8s
 from octex.channels import ChannelFormat, encode
 from octex.conversion.accumulate import (
-    Columns,
+    SumColumns,
     Sums,
     by_channel,
     count_entries,
@@ -45,36 +45,36 @@ TASK_PIECES = 400_000
 _TASKS, _LEAST_PIECES = 8, 20_000
 
 
-class Stored(NamedTuple):
+class LevelCells(NamedTuple):
     """What is kept of one level's cells: means, encoded."""
 
-    flags: npt.NDArray[np.uint8]  # normal flags, and SPLIT
-    areas: npt.NDArray[np.uint8]
-    values: list[npt.NDArray[np.generic]]  # one array (cells, components) for each channel
-    split_cells: npt.NDArray[np.int64]  # index into these cells
-    split_facings: npt.NDArray[np.uint8]
-    split_areas: npt.NDArray[np.uint8]  # a row for each facing
-    split_values: list[npt.NDArray[np.generic]]
+    flags: Uint8s  # normal flags, and SPLIT
+    areas: Uint8s
+    values: list[Array]  # one array (cells, components) for each channel
+    split_cells: Int64s  # index into these cells
+    split_facings: Uint8s
+    split_areas: Uint8s  # a row for each facing
+    split_values: list[Array]
 
 
 class Part(NamedTuple):
     """A run of blocks, converted."""
 
-    codes: npt.NDArray[np.int64]  # of the leaves
-    levels: list[Stored]  # from the leaves' level up to below the blocks' own
+    codes: Int64s  # of the leaves
+    levels: list[LevelCells]  # from the leaves' level up to below the blocks' own
     top: Sums  # of the blocks themselves
     taken: Taken | None
-    wanted: npt.NDArray[np.uint8] | None  # (leaves,)   the levels wanted there
+    wanted: Uint8s | None  # (leaves,)   the levels wanted there
 
 
-class Filled(NamedTuple):
+class CellLevels(NamedTuple):
     """A surface, converted level by level."""
 
     depth: int
-    codes: npt.NDArray[np.int64]  # of the finest cells
-    levels: list[list[Stored]]  # from the root down, each in parts
+    codes: Int64s  # of the finest cells
+    levels: list[list[LevelCells]]  # from the root down, each in parts
     samples: Samples | None
-    wanted: npt.NDArray[np.uint8] | None  # (finest cells,)   the levels wanted there
+    wanted: Uint8s | None  # (finest cells,)   the levels wanted there
     degenerate: int  # triangles without area
 
 
@@ -83,8 +83,8 @@ class Job(NamedTuple):
 
     surface: Surface
     channels: tuple[ChannelFormat, ...]  # as they are stored
-    columns: Columns
-    grid: npt.NDArray[np.int32]
+    columns: SumColumns
+    grid: Int32s
     blocks: Blocks
     depth: int
     block_level: int
@@ -93,7 +93,7 @@ class Job(NamedTuple):
     wanted: Wanted | None
 
 
-def on_grid(rest: npt.NDArray[np.float64], placement: Placement) -> npt.NDArray[np.int32]:
+def on_grid(rest: Float64s, placement: Placement) -> Int32s:
     """Round rest positions (n, 3) to steps of 2⁻³⁰ of the root's edge."""
     steps = placement.to_texture_space(rest)
     steps *= 1 << GRID_BITS
@@ -102,7 +102,7 @@ def on_grid(rest: npt.NDArray[np.float64], placement: Placement) -> npt.NDArray[
     return steps.astype(np.int32)
 
 
-def fill(
+def cell_levels(
     surface: Surface,
     channels: tuple[ChannelFormat, ...],
     placement: Placement,
@@ -112,7 +112,7 @@ def fill(
     *,
     has_samples: bool,
     wanted: Wanted | None = None,
-) -> Filled:
+) -> CellLevels:
     """Convert a surface into the means of all cells down to ``depth``, and samples if it ``has_samples``.
 
     Raises ModelError for a surface without area, ArgumentError for more cells than memory can hold.
@@ -139,7 +139,7 @@ def fill(
     blocks = bin_triangles(grid, surface.triangles, depth)
     report("sort", 1, 1)
     block_level = max(depth - BLOCK_BITS, 0)
-    columns = Columns.of(channels)
+    columns = SumColumns.of(channels)
     cell = placement.size / 2**depth
     job = Job(surface, channels, columns, grid, blocks, depth, block_level, cell, has_samples, wanted)
     runs = _even_runs(most_pieces(grid, surface.triangles, blocks, depth))
@@ -154,7 +154,7 @@ def fill(
     samples = join(depth, channels, codes, taken) if has_samples else None
     levels_wanted = [part.wanted for part in parts if part.wanted is not None]
     deepest = np.concatenate(levels_wanted) if wanted is not None else None
-    return Filled(depth, codes, levels, samples, deepest, degenerate)
+    return CellLevels(depth, codes, levels, samples, deepest, degenerate)
 
 
 class Run(NamedTuple):
@@ -165,7 +165,7 @@ class Run(NamedTuple):
     most: int
 
 
-def _even_runs(bounds: npt.NDArray[np.int64]) -> list[Run]:
+def _even_runs(bounds: Int64s) -> list[Run]:
     """Cut blocks into runs of about TASK_PIECES or less, by the bounds of their pieces."""
     totals = np.cumsum(bounds)
     size = min(max(int(totals[-1]) // _TASKS, _LEAST_PIECES), TASK_PIECES)
@@ -206,8 +206,8 @@ def _convert_run(job: Job, run: Run) -> Part:
 
 
 def climb(
-    sums: Sums, steps: int, channels: Sequence[ChannelFormat], columns: Columns
-) -> tuple[list[Stored], Sums]:
+    sums: Sums, steps: int, channels: Sequence[ChannelFormat], columns: SumColumns
+) -> tuple[list[LevelCells], Sums]:
     """Store a level and the ``steps`` levels above it; return them, and the sums of the last."""
     levels = [_stored(sums, channels, columns)]
     for _ in range(steps):
@@ -216,7 +216,7 @@ def climb(
     return levels, sums
 
 
-def _stored(level: Sums, channels: Sequence[ChannelFormat], columns: Columns) -> Stored:
+def _stored(level: Sums, channels: Sequence[ChannelFormat], columns: SumColumns) -> LevelCells:
     """Encode a level's means; split the cells whose facings show something else than the whole."""
     means = level_means(level, columns)
     cells, facing_areas = means.two_sided, means.facing_areas
@@ -241,10 +241,10 @@ def _stored(level: Sums, channels: Sequence[ChannelFormat], columns: Columns) ->
         facing_values = [each[rows] for each in facing_values]
         flags = flags.copy()
         flags[cells] |= SPLIT
-    return Stored(flags, means.areas, values, cells, level.flags[cells], facing_areas, facing_values)
+    return LevelCells(flags, means.areas, values, cells, level.flags[cells], facing_areas, facing_values)
 
 
-def assemble(channels: Sequence[ChannelFormat], filled: Filled) -> tuple[Octree, dict[str, Channel]]:
+def assemble(channels: Sequence[ChannelFormat], filled: CellLevels) -> tuple[Octree, dict[str, Channel]]:
     """Build the tree, and lay the parts of each level end to end."""
     tree = Octree.from_leaves(filled.codes, filled.depth)
     parts = [part for level in filled.levels for part in level]
@@ -278,7 +278,7 @@ def is_degenerate(surface: Surface, placement: Placement) -> bool:
 
 
 @kernel
-def _count_degenerate(grid: npt.NDArray[np.int32], triangles: npt.NDArray[np.int32]) -> tuple[int, float]:
+def _count_degenerate(grid: Int32s, triangles: Int32s) -> tuple[int, float]:
     """Count the triangles that are degenerate on the grid; also add up all areas, in square grid steps."""
     corners = np.empty((3, 3), np.int64)
     normal = np.empty(3, np.int64)

@@ -6,12 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from octex.arrays import Float64s
 from octex.jit import inlined, kernel
 from octex.nearest.boxes import morton_order
-
-Floats = npt.NDArray[np.float64]
 
 
 class Boxes(NamedTuple):
@@ -20,12 +18,12 @@ class Boxes(NamedTuple):
     Box k holds the boxes 2k and 2k + 1; the root is box 1, the last half are the triangles'.
     """
 
-    corners: Floats  # (m, 3, 3)   along a Morton curve
-    low: Floats  # (2·leaves, 3)   infinite where there is no triangle
-    high: Floats
+    corners: Float64s  # (m, 3, 3)   along a Morton curve
+    low: Float64s  # (2·leaves, 3)   infinite where there is no triangle
+    high: Float64s
 
 
-def boxes_over(corners: Floats) -> Boxes:
+def boxes_over(corners: Float64s) -> Boxes:
     """Build the tree over triangles (m, 3, 3)."""
     corners = np.ascontiguousarray(corners[morton_order(corners.mean(axis=1))])
     leaves = 1 << (len(corners) - 1).bit_length()
@@ -52,7 +50,7 @@ def gap(a: Boxes, b: Boxes, most: float) -> float:
 
 
 @kernel
-def _gap(few: Floats, many: Floats, low: Floats, high: Floats, most: float, stride: int) -> float:
+def _gap(few: Float64s, many: Float64s, low: Float64s, high: Float64s, most: float, stride: int) -> float:
     leaves = low.shape[0] // 2
     stack = np.empty(64, np.int64)
     best = most * most
@@ -84,7 +82,7 @@ def _gap(few: Floats, many: Floats, low: Floats, high: Floats, most: float, stri
 
 
 @inlined
-def _box_distance(corners: Floats, i: int, low: Floats, high: Floats, node: int) -> float:
+def _box_distance(corners: Float64s, i: int, low: Float64s, high: Float64s, node: int) -> float:
     """Return the squared distance of a triangle's box and a node's."""
     total = 0.0
     for axis in range(3):
@@ -95,7 +93,7 @@ def _box_distance(corners: Floats, i: int, low: Floats, high: Floats, node: int)
 
 
 @kernel
-def _triangle_distance(a: Floats, i: int, b: Floats, j: int) -> float:
+def _triangle_distance(a: Float64s, i: int, b: Float64s, j: int) -> float:
     """Return the squared distance of two triangles: that of two edges or a corner and a face, or 0."""
     best = np.inf
     for m in range(3):
@@ -115,7 +113,7 @@ def _triangle_distance(a: Floats, i: int, b: Floats, j: int) -> float:
 
 
 @inlined
-def _dot(a: Floats, b: Floats, c: Floats, d: Floats) -> float:
+def _dot(a: Float64s, b: Float64s, c: Float64s, d: Float64s) -> float:
     """Return (b − a) · (d − c)."""
     product: float = (b[0] - a[0]) * (d[0] - c[0])
     product += (b[1] - a[1]) * (d[1] - c[1])
@@ -124,7 +122,7 @@ def _dot(a: Floats, b: Floats, c: Floats, d: Floats) -> float:
 
 
 @kernel
-def _segment_distance(p: Floats, q: Floats, r: Floats, s: Floats) -> float:
+def _segment_distance(p: Float64s, q: Float64s, r: Float64s, s: Float64s) -> float:
     """Return the squared distance of two segments (Ericson, Real-Time Collision Detection, 5.1.9)."""
     a, e = _dot(p, q, p, q), _dot(r, s, r, s)
     b, c, f = _dot(p, q, r, s), _dot(p, q, r, p), _dot(r, s, r, p)
@@ -144,7 +142,7 @@ def _segment_distance(p: Floats, q: Floats, r: Floats, s: Floats) -> float:
 
 
 @kernel
-def _point_distance(p: Floats, a: Floats, b: Floats, c: Floats) -> float:
+def _point_distance(p: Float64s, a: Float64s, b: Float64s, c: Float64s) -> float:
     """Return the squared distance of a point and a triangle's inside; infinite where an edge is nearer."""
     aa, ab, bb = _dot(a, b, a, b), _dot(a, b, a, c), _dot(a, c, a, c)
     ap, bp = _dot(a, b, a, p), _dot(a, c, a, p)
@@ -160,7 +158,7 @@ def _point_distance(p: Floats, a: Floats, b: Floats, c: Floats) -> float:
 
 
 @kernel
-def _pierces(p: Floats, q: Floats, a: Floats, b: Floats, c: Floats) -> bool:
+def _pierces(p: Float64s, q: Float64s, a: Float64s, b: Float64s, c: Float64s) -> bool:
     """Whether a segment goes through a triangle."""
     nx = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
     ny = (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.conversion.fill import on_grid
+from octex.conversion.levels import on_grid
 from octex.conversion.samples import PLACE_STEPS, SHARE_STEPS, Samples, face_normals
 from octex.painting.source import PaintSource
 from octex.source.corners import at_corners

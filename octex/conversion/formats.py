@@ -13,7 +13,7 @@ from octex.errors import ArgumentError
 Dtypes: TypeAlias = str | Mapping[str, str] | None
 
 
-def stored_as(channels: Sequence[ChannelFormat], dtype: Dtypes, name: str) -> tuple[ChannelFormat, ...]:
+def formats_as(channels: Sequence[ChannelFormat], dtype: Dtypes, name: str) -> tuple[ChannelFormat, ...]:
     """Return how the channels of a source, which messages call ``name``, are stored.
 
     ``dtype`` is a type for all or some by name; None, and others, stay as they are. Raises ArgumentError for
