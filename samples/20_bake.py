@@ -24,7 +24,7 @@ MODEL = Path(__file__).with_name("droid.glb")
 def main(folder: Path) -> None:
     model = octex.load_surface(MODEL, channels=["base_color"])
     texture = octex.convert(model, DEPTH)
-    baked = octex.bake(texture, model, uv="atlas", texture_size=1024 if DEPTH > 7 else 256)
+    baked = octex.bake(texture, model, uv="atlas", texture_size=1024)
     folder.mkdir(parents=True, exist_ok=True)
     octex.write_model(baked, folder / "baked.glb")
     octex.write_model(baked, folder / "baked.gltf")  # whose images are files of their own

@@ -121,6 +121,7 @@ def calls() -> list[Call]:
     tree = {"tree": w.texture.tree, "channels": w.texture.channels, "placement": w.texture.placement}
     painted = {"texture": w.texture, "surface": w.surface}
     pictures = {"surface": w.surface, "projections": w.picture, "max_depth": 2, "fit": False}
+    painter = octex.Painter(w.texture, w.surface)
     one, two = {"texture": w.texture}, {"first": w.texture, "second": w.texture}
     listed: list[tuple[Callable[..., Any], dict[str, Any]]] = [
         (octex.Box, {"low": (0.1, 0.1, 0.1), "high": (0.5, 0.5, 0.5)}),
@@ -183,6 +184,14 @@ def calls() -> list[Call]:
         (w.parts.validate, {}),
         (w.parts.info, {}),
         (octex.Transfer, {"model": w.surface}),
+        (octex.bake, {**painted, "texture_size": 64, "padding": 1}),
+        (octex.bake_vertices, {**painted, "most_triangles": 99}),
+        (octex.Painter, painted),
+        (painter.paint, {"projections": w.picture, "max_depth": 2, "fit": False}),
+        (painter.fill, {"region": sphere, "color": (1, 0, 0)}),
+        (painter.undo, {}),
+        (painter.redo, {}),
+        (painter.texture, {}),
         (octex.blur, {**one, "width": 0.1}),
         (octex.cast, one),
         (octex.combine, two),
@@ -203,6 +212,7 @@ def calls() -> list[Call]:
         (octex.read_cameras, {"path": at / "cameras.json"}),
         (octex.resize, {**one, "depth": 1}),
         (octex.separate, {"surface": w.surface, **DEPTH}),
+        (octex.write_model, {"surface": w.surface, "path": at / "written.obj"}),
         (octex.write_cameras, {"path": at / "written.json", "cameras": {"one": w.camera}}),
     ]
     return [Call(function, arguments) for function, arguments in listed]

@@ -477,6 +477,7 @@ def test_all_that_works_in_parallel_says_so_in_the_same_words() -> None:
     functions = parallel_functions()
     assert {name.split(".")[-1] for name in functions} == {
         *[
+            "bake",
             "blur",
             "combine",
             "contains",

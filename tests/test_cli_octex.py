@@ -93,7 +93,8 @@ def test_each_page_is_there(name: str, capsys: pytest.CaptureFixture[str]) -> No
     assert text.startswith("# ")
     assert said(capsys, "help", name) == text + "\n"
     for command, word in re.findall(r"(octex [a-z]+|octree-[a-z]+) [^\n]*?(--[a-z-]+)", text):
-        family = "paint" if command.endswith("paint") else "convert"
+        name = command.split()[-1].removeprefix("octree-")
+        family = name if name in ("paint", "bake") else "convert"
         assert f"  {word}" in said(capsys, family, "--help-all"), (command, word)
 
 
@@ -102,7 +103,7 @@ def test_help_of_a_command_is_all_its_help(capsys: pytest.CaptureFixture[str]) -
 
 
 def test_what_is_no_command_is_refused_with_those_that_there_are(capsys: pytest.CaptureFixture[str]) -> None:
-    known = "the commands are convert, paint, edit, info, diff, validate, overlaps, warm-up, help"
+    known = "the commands are convert, paint, bake, edit, info, diff, validate, overlaps, warm-up, help"
     end = f"{known}; see octex --help"
     assert refused(capsys) == f"octex: error: a command is missing: {end}"
     assert refused(capsys, "convrt", "a") == f"octex: error: 'convrt' is no command, 'convert' is: {end}"

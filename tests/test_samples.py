@@ -160,6 +160,11 @@ def test_make_droid_writes_the_droid(
         ("17_processing.py", ["processing.png"], "levels, blurred, mixed, cropped and combined"),
         ("18_elsewhere.py", ["elsewhere.png"], "points alone, on another mesh"),
         ("19_path_trace.py", ["path_trace.png"], "a lookup a bounce"),
+        (
+            "20_bake.py",
+            ["baked-0.png", "baked.bin", "baked.glb", "baked.gltf", "baked.png"],
+            "for any viewer",
+        ),
     ],
 )
 def test_the_numbered_scripts_run_from_anywhere(
@@ -183,7 +188,7 @@ def test_the_numbered_scripts_run_from_anywhere(
 def test_every_numbered_script_is_tested_short_and_says_what_it_shows() -> None:
     scripts = sorted(SAMPLES.glob("[0-9]*.py"))
     assert [path.name[:2] for path in scripts] == [f"{i:02}" for i in range(1, len(scripts) + 1)]
-    assert len(scripts) == 19
+    assert len(scripts) == 20
     for path in scripts:
         text = path.read_text(encoding="utf-8")
         assert text.startswith('"""')

@@ -431,7 +431,9 @@ def test_bad_words_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str
     model = written(tmp_path, cube([0, 0, 0]))
     said = refusal(capsys, "--separate=far", model, tmp_path / "a.octex")
     assert "'far' is no number" in said
-    assert "0.5 is not from 1 to a million" in refusal(capsys, model, "a.octex", "--separate", 0.5)
+    assert "0.5 is not a number of cells from 1 to a million" in refusal(
+        capsys, model, "a.octex", "--separate", 0.5
+    )
     assert "--margin has no meaning with a conversion" in refusal(capsys, model, "a.octex", "--margin", 1)
     assert "--separate has no meaning with --overlaps" in refusal(capsys, "--overlaps", model, "--separate")
     octex.convert(pair(), 3).save(tmp_path / "b.octex")

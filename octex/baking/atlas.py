@@ -33,7 +33,7 @@ def atlas_layout(surface: Surface, size: int, padding: int) -> Layout:
     """
     flat = _unwrapped(surface)
     if flat is None:
-        flat = _projected(surface)
+        flat = projected(surface)
     charts = charts_of(surface, flat)
     flat = _upright(flat, charts)
     area = _area(flat)
@@ -77,7 +77,7 @@ def _unwrapped(surface: Surface) -> Float64s | None:
     return corners
 
 
-def _projected(surface: Surface) -> Float64s:
+def projected(surface: Surface) -> Float64s:
     """Return flattened corners (m, 3, 2) in rest units, of charts that face about one way."""
     rest = surface.rest[surface.triangles]
     crosses = np.cross(rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0])

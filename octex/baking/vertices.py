@@ -9,7 +9,7 @@ import numpy as np
 
 from octex.arrays import Array, Bools, Float32s, Float64s, Int64s
 from octex.channels import ALPHA, BASE_COLOR, linear_to_srgb
-from octex.checks import as_number, as_whole
+from octex.checks import as_choice, as_number, as_whole
 from octex.errors import ArgumentError
 from octex.source.corners import Corners
 from octex.source.materials import AlphaMode, Input, Material, MaterialSource
@@ -67,7 +67,9 @@ def bake_vertices(
         names = ", ".join(texture.channels)
         raise ArgumentError(f"vertex colours are of base_color; the texture has {names}")
     longest = None
-    if subdivide is not None and subdivide != "auto":
+    if isinstance(subdivide, str):
+        as_choice(subdivide, ("auto",), "subdivide")
+    elif subdivide is not None:
         longest = as_number(subdivide, "subdivide", 0.0, np.inf)
     error = as_number(max_error, "max_error", 0.0, 255.0) / 255.0
     most = as_whole(most_triangles, "most_triangles", 1, 2**31 - 1)

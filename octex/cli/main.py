@@ -72,7 +72,8 @@ def _overview() -> str:
         *(f"  {name:9} {_SUMMARIES[name]}" for name in _ORDER),
         "",
         f"{PROGRAM} COMMAND --help shows a command's usual options and examples, --help-all every option;",
-        f"{PROGRAM} help TOPIC tells of {', '.join(TOPICS[:-1])} and {TOPICS[-1]}.",
+        f"{PROGRAM} help TOPIC prints a page on one of these:",
+        f"  {', '.join(TOPICS)}.",
     ]
     return "\n".join(lines)
 

@@ -66,6 +66,7 @@ def warm_up(progress: Progress) -> None:
         _take(surfaces[0])
         _separate(surfaces[0])
         _paint(surfaces[0], folder)
+        _bake(surfaces[0], folder)
         progress("compile", stages, stages)
 
 
@@ -159,6 +160,16 @@ def _paint(surface: octex.Surface, folder: Path) -> None:
         octex.paint(texture, surface, picture)
     _process(octex.open(folder / "coarse.octex"), surface)
     octex.fill(texture, surface, octex.Sphere((0.0, 0.0, 0.0), 0.1), (1.0, 0.0, 0.0))
+
+
+def _bake(surface: octex.Surface, folder: Path) -> None:
+    """Bake to images in atlases of both kinds, and write them."""
+    from octex.baking import atlas
+
+    texture = octex.convert(surface, 3)
+    atlas.projected(surface)
+    octex.write_model(octex.bake(texture, surface, uv="atlas", texture_size=64), folder / "baked.glb")
+    octex.bake_vertices(texture, surface, subdivide="auto")
 
 
 def _process(texture: octex.OctreeTexture, surface: octex.Surface) -> None:
