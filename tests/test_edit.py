@@ -15,6 +15,7 @@ from octex.errors import ArgumentError
 from octex.tree.edit import (
     Edited,
     among,
+    boundary,
     cull,
     facings_of_nodes,
     first_children,
@@ -24,6 +25,7 @@ from octex.tree.edit import (
     rebuilt,
 )
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
+from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
 from tests.conftest import needs_jit
 from tests.strategies import Leaves, leaf_sets, with_random_data
@@ -435,3 +437,16 @@ def test_a_large_tree_is_raised_and_culled_back() -> None:
     whole = np.setdiff1d(codes, fine >> 6)
     assert np.array_equal(back.tree.level_codes(8), whole)
     assert back.tree.kept.cells.size == 0
+
+
+def test_cells_beside_others_are_those_that_share_a_corner() -> None:
+    random = np.random.default_rng(5)
+    for _ in range(100):
+        level = int(random.integers(0, 7))
+        codes = np.unique(random.integers(0, 8**level, int(random.integers(1, 60))))
+        cells = {tuple(cell) for cell in decode_cells(codes).tolist()}
+        steps = [step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)]
+        near = {tuple(x + d - 1 for x, d in zip(cell, step, strict=True)) for cell in cells for step in steps}
+        inside = sorted(cell for cell in near - cells if min(cell) >= 0 and max(cell) < 2**level)
+        expected = encode_cells(np.array(inside, np.int64).reshape(-1, 3))
+        np.testing.assert_array_equal(boundary(codes, level), np.sort(expected))

@@ -13,7 +13,7 @@ import numpy as np
 from octex.arrays import Array, Bools, Int64s, Uint8s, Uint64s
 from octex.jit import kernel, popcount
 from octex.tree.layout import FACING_FLAGS, KEPT, MAX_DEPTH, KeptTable, TreeArrays
-from octex.tree.morton import cells_around
+from octex.tree.morton import cells_beside
 from octex.tree.octree import Octree, distinct
 from octex.tree.search import child
 from octex.tree.split import taken
@@ -169,10 +169,7 @@ def boundary(codes: Int64s, level: int) -> Int64s:
 
     These are the cells beside them, at faces, edges and corners, without themselves.
     """
-    if not codes.size:
-        return codes
-    around = distinct(cells_around(codes, level))
-    return around[~among(around, codes)]
+    return cells_beside(codes, level) if codes.size else codes
 
 
 def with_all_above(codes: Sequence[Int64s]) -> list[Int64s]:
