@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,9 @@ from octex.baking.texels import draw_texels, texel_points
 from octex.channels import encode, linear_to_srgb
 from octex.cli import main as cli
 from octex.errors import ArgumentError, ModelError
+from octex.source.corners import Corners
 from octex.source.surface import Surface
+from octex.source.tangents import corner_frames
 from tests import solids
 from tests.small_surfaces import whole
 
@@ -131,7 +134,7 @@ def test_beyond_an_edge_the_surface_goes_on_as_if_unfolded() -> None:
     assert (others >= 0).all()
     taken = drawn.areas > 0
     gutter = gutter_of(
-        layout, borders(surface, layout), surface.rest, surface.triangles, others, sides, taken, 6
+        layout, borders(layout, others, sides), surface.rest, surface.triangles, others, sides, taken, 6
     )
     assert gutter.rows.size > 6 * 4 * 50
     rest = surface.rest_at(gutter.triangles, gutter.barycentric)
@@ -155,7 +158,7 @@ def test_where_the_surface_ends_gutters_show_its_edge() -> None:
     layout = kept_layout(surface, 64)
     drawn = draw_texels(layout.corners, layout.charts, 64, 0, 64)
     gutter = gutter_of(
-        layout, borders(surface, layout), surface.rest, surface.triangles, *neighbors(surface),
+        layout, borders(layout, *neighbors(surface)), surface.rest, surface.triangles, *neighbors(surface),
         drawn.areas > 0, 4,
     )  # fmt: skip
     rest = surface.rest_at(gutter.triangles, gutter.barycentric)
@@ -181,7 +184,7 @@ def test_an_atlas_has_room_for_every_triangle_once(
     unwrapper: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if unwrapper is None:
-        monkeypatch.setitem(__import__("sys").modules, "xatlas", None)
+        monkeypatch.setitem(sys.modules, "xatlas", None)
     else:
         pytest.importorskip("xatlas", reason="the extra octex[atlas] is not installed")
     points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 24)
@@ -194,6 +197,39 @@ def test_an_atlas_has_room_for_every_triangle_once(
     assert layout.corners.max() <= 252.0
     own = np.unique(drawn.triangles[drawn.triangles >= 0])
     assert own.size > 0.99 * len(triangles)
+
+
+@pytest.mark.parametrize("scale", [2.0**-13, 2.0**17])
+@pytest.mark.parametrize("unwrapper", ["xatlas", None])
+def test_charts_do_not_depend_on_the_units_of_a_model(
+    unwrapper: str | None, scale: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if unwrapper is None:
+        monkeypatch.setitem(sys.modules, "xatlas", None)
+    else:
+        pytest.importorskip("xatlas", reason="the extra octex[atlas] is not installed")
+    points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 24)
+    charts = [
+        np.unique(atlas.atlas_layout(Surface.from_arrays(points * each, triangles), 256, 4).charts).size
+        for each in (1.0, scale)
+    ]
+    assert charts[0] == charts[1] > 1
+
+
+@pytest.mark.parametrize("ending", [".glb", ".obj"])
+def test_shading_normals_are_kept_and_posed(ending: str, tmp_path: Path) -> None:
+    points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 12)
+    normals = points / np.linalg.norm(points, axis=1, keepdims=True)
+    frames = corner_frames(points, triangles, Corners(normals.astype(np.float32), triangles), None, None)
+    turned = points @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    source = Surface.from_arrays(points, triangles).source
+    surface = Surface(turned, triangles, source, rest=points, frames=frames)
+    baked = octex.bake(octex.convert(surface, 3), surface, texture_size=256)
+    octex.write_model(baked, tmp_path / f"ball{ending}")
+    read = octex.load_surface(tmp_path / f"ball{ending}", normals=True)
+    assert read.frames is not None
+    found = read.frames.normals.values[read.frames.normals.rows]
+    np.testing.assert_allclose(found, read.vertices[read.triangles], atol=1e-5)
 
 
 def test_an_atlas_without_room_says_so() -> None:

@@ -15,6 +15,8 @@ from octex.source.welding import first_equal
 
 #: The least cosine between the normals of a chart's triangles and the direction that it is projected along.
 _LEAST_COSINE = 0.7
+#: Charts are told apart where the model's longest side is so many texels.
+_SIDE = 1024.0
 #: Charts are tried at scales each so much smaller than the one before, until they fit.
 _SMALLER = 0.97
 #: How much of a map charts fill at best.
@@ -56,30 +58,27 @@ def atlas_layout(surface: Surface, size: int, padding: int) -> Layout:
 
 
 def _unwrapped(surface: Surface) -> Float64s | None:
-    """Return flattened corners (m, 3, 2) in rest units, as xatlas makes them; None without it."""
+    """Return flattened corners (m, 3, 2) by xatlas, 1024 for the longest side; None without it."""
     try:
         import xatlas
     except ImportError:
         return None
-    low, high = surface.bounds
-    edge = float((high - low).max()) or 1.0
-    positions = ((surface.rest - low) / edge).astype(np.float32)
+    positions = _unit_positions(surface).astype(np.float32)
     used, faces = np.unique(first_equal(surface.rest)[surface.triangles], return_inverse=True)
     atlas = xatlas.Atlas()
     atlas.add_mesh(positions[used], faces.reshape(-1, 3).astype(np.uint32))
     options = xatlas.PackOptions()
-    options.texels_per_unit = 1024.0
+    options.texels_per_unit = _SIDE
     options.bruteForce = False
     atlas.generate(xatlas.ChartOptions(), options)
     _, rows, coordinates = atlas[0]
-    flat = coordinates.astype(np.float64) * (atlas.width, atlas.height) * (edge / atlas.texels_per_unit)
-    corners: Float64s = flat[rows]
+    corners: Float64s = coordinates[rows].astype(np.float64) * (atlas.width, atlas.height)
     return corners
 
 
 def projected(surface: Surface) -> Float64s:
-    """Return flattened corners (m, 3, 2) in rest units, of charts that face about one way."""
-    rest = surface.rest[surface.triangles]
+    """Return flattened corners (m, 3, 2) of charts that face about one way, 1024 for the longest side."""
+    rest = (_SIDE * _unit_positions(surface))[surface.triangles]
     crosses = np.cross(rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0])
     areas = np.linalg.norm(crosses, axis=1)
     normals = crosses / np.where(areas > 0, areas, 1.0)[:, None]
@@ -89,8 +88,7 @@ def projected(surface: Surface) -> Float64s:
     order = np.argsort(-areas, kind="stable")
     _grow(others, normals, order, _LEAST_COSINE, charts, axes)
     flat = _project(rest, axes[charts])
-    spread = flat + charts[:, None, None] * 0.0
-    for chart in _overlapping(spread, charts).tolist():
+    for chart in _overlapping(flat, charts).tolist():
         own = np.flatnonzero(charts == chart)  # each triangle by itself
         charts[own[1:]] = int(charts.max()) + 1 + np.arange(own.size - 1)
         flat[own] = _project(rest[own], normals[own])
@@ -98,6 +96,13 @@ def projected(surface: Surface) -> Float64s:
     across = float(np.ptp(flat, axis=(0, 1)).max()) + 1.0
     moved: Float64s = flat + (charts * across * 2.0)[:, None, None] * (1.0, 0.0)
     return moved
+
+
+def _unit_positions(surface: Surface) -> Float64s:
+    """Return rest positions (n, 3) of which the longest side is 1: charts do not depend on units."""
+    low, high = surface.bounds
+    positions: Float64s = (surface.rest - low) / (float((high - low).max()) or 1.0)
+    return positions
 
 
 @kernel
@@ -190,7 +195,6 @@ def _packed(flat: Float64s, charts: Int32s, size: int, padding: int) -> Float64s
     if (reaches + 2 * padding > size).any():
         return None
     free = np.ones((blocks, blocks), np.bool_)
-    starts = np.zeros(blocks + 1, np.int64)
     placed = np.empty_like(flat)
     for group in np.argsort(-reaches.max(axis=1), kind="stable").tolist():
         own = groups[group]
@@ -199,7 +203,7 @@ def _packed(flat: Float64s, charts: Int32s, size: int, padding: int) -> Float64s
             return None
         mask = np.zeros((int(shape[1]), int(shape[0])), np.bool_)
         _mark((flat[own] + padding) / ALIGNMENT, padding / ALIGNMENT, mask)
-        at = _place(free, mask, starts)
+        at = _place(free, mask)
         if at < 0:
             return None
         row, column = divmod(at, blocks)
@@ -232,15 +236,11 @@ def _mark(corners: Float64s, around: float, mask: Bools) -> None:
 
 
 @kernel
-def _place(free: Bools, mask: Bools, starts: Int64s) -> int:
-    """Put a mask where all blocks are free, in the first such place row by row; return it, or −1.
-
-    ``starts`` (blocks + 1,) remembers from which place on masks as large as one may be free.
-    """
+def _place(free: Bools, mask: Bools) -> int:
+    """Put a mask where all blocks are free, in the first such place row by row; return it, or −1."""
     height, width = mask.shape
     blocks = free.shape[0]
-    size = max(height, width)
-    for at in range(starts[size], blocks * blocks):
+    for at in range(blocks * blocks):
         row, column = at // blocks, at % blocks
         if row + height > blocks:
             break

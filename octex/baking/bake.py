@@ -65,10 +65,10 @@ def bake(
     ``padding`` texels, and smoothly from there, so that no smaller level of the maps shows a seam.
 
     uv           "keep": the surface's own texture coordinates; "atlas": new ones (of the extra ``atlas``,
-                 xatlas, where it is installed); "auto": its own if they lie in the unit square and hardly
-                 overlap, else new ones
-    texture_size  texels a side of the square maps, 64 to 16384; by default the power of two, up to 8192, of
-                 which no texel is larger than the texture's finest cells
+                 xatlas, where it is installed); "auto": its own if they hardly overlap,
+                 else new ones
+    texture_size  texels a side of the square maps, 64 to 16384; by default the power of two, up to 8192,
+                 whose texels are about as large as the texture's finest cells, or smaller
     padding      texels between charts, 0 to 64
     channels     those that are baked, by name; by default all that materials have
 
@@ -115,8 +115,8 @@ def bake(
         coordinates=[layout.uv], frames=job.frames, name=surface.name,
     )  # fmt: skip
     return Surface(
-        surface.vertices, surface.triangles, source, rest=surface.rest, uv=layout.uv, frames=job.frames,
-        name=surface.name, provenance=surface.provenance,
+        surface.vertices, surface.triangles, source, rest=surface.rest, uv=layout.uv,
+        frames=job.frames or surface.frames, name=surface.name, provenance=surface.provenance,
     )  # fmt: skip
 
 
@@ -180,7 +180,7 @@ def _shared(layout: Layout) -> float:
 
 
 def _size_for(texture: OctreeTexture, surface: Surface, part: float) -> int:
-    """Return the size of maps of which a ``part`` shows the surface with texels no larger than cells."""
+    """Return the size of maps of which a ``part`` shows the surface with texels about as large as cells."""
     corners = surface.rest[surface.triangles]
     crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = float(np.linalg.norm(crosses, axis=1).sum() / 2)
@@ -250,8 +250,8 @@ def _bake_gutter(job: _Job, drawn: Texels, padding: int, maps: dict[str, Float32
     """Write the channels around the charts, and count these texels as covered, in place."""
     others, sides = neighbors(job.surface)
     gutter = gutter_of(
-        job.layout, borders(job.surface, job.layout), job.surface.rest, job.surface.triangles, others, sides,
-        drawn.areas > 0, padding,
+        job.layout, borders(job.layout, others, sides), job.surface.rest, job.surface.triangles,
+        others, sides, drawn.areas > 0, padding,
     )  # fmt: skip
     sizes = np.linalg.norm(np.cross(job.dPdx, job.dPdy), axis=1) ** 0.5
     firsts = range(0, gutter.rows.size, _GUTTER)

@@ -91,15 +91,16 @@ def kept_layout(surface: Surface, size: int) -> Layout:
 def charts_of(surface: Surface, corners: Float64s) -> Int32s:
     """Return the chart of each triangle (m,): those that share an edge both on the surface and in the map."""
     parents = np.arange(len(corners), dtype=np.int32)
-    _join(joined(surface, corners), neighbors(surface)[0], parents)
+    beside = neighbors(surface)
+    _join(joined(corners, *beside), beside[0], parents)
     return np.unique(parents, return_inverse=True)[1].astype(np.int32)
 
 
-def borders(surface: Surface, layout: Layout) -> Borders:
-    """Return the edges of the charts of a layout."""
+def borders(layout: Layout, others: Int32s, sides: Int32s) -> Borders:
+    """Return the edges of the charts of a layout; for ``others`` and ``sides`` (m, 3) see ``neighbors``."""
     uv = layout.uv.values[layout.uv.rows].astype(np.float64) * (layout.width, layout.height)
-    drawn, sides = np.nonzero(~joined(surface, uv)[layout.faces])
-    return Borders(drawn.astype(np.int32), sides.astype(np.int32))
+    drawn, edges = np.nonzero(~joined(uv, others, sides)[layout.faces])
+    return Borders(drawn.astype(np.int32), edges.astype(np.int32))
 
 
 def neighbors(surface: Surface) -> tuple[Int32s, Int32s]:
@@ -120,9 +121,8 @@ def neighbors(surface: Surface) -> tuple[Int32s, Int32s]:
     return others, np.where(found < 0, -1, found % 3).astype(np.int32).reshape(-1, 3)
 
 
-def joined(surface: Surface, corners: Float64s) -> Bools:
+def joined(corners: Float64s, others: Int32s, sides: Int32s) -> Bools:
     """Say beyond which sides (m, 3) the map goes on as the surface does; ``corners`` (m, 3, 2) in texels."""
-    others, sides = neighbors(surface)
     there = np.maximum(others, 0), np.maximum(sides, 0)
     starts = corners[there[0], (there[1] + 1) % 3]  # run through the other way
     same = np.abs(starts - corners).max(axis=-1) < _SAME

@@ -56,7 +56,9 @@ def bake_vertices(
     subdivide    None: the triangles as they are. A length, in the units of rest positions: edges are halved
                  until none is longer. "auto": edges are halved where colours between their ends are off by
                  more than ``max_error`` codes of 255 in sRGB, down to half of the texture's finest cells
-    most_triangles  no edge is halved that would make more
+    most_triangles  the halving ends before there would be more
+
+    It has no shading normals: viewers shade it flat.
 
     Neighbours divide a shared edge alike: there are no cracks. Raises ArgumentError for numbers out of range,
     and for a texture without base_color.
@@ -111,7 +113,7 @@ def bake_vertices(
 
 
 def _vertex_normals(surface: Surface) -> Float64s:
-    """Return unit normals at rest of the vertices (n, 3), the means of their triangles' by area."""
+    """Return normals at rest of the vertices (n, 3), of any length: the sums of their triangles' by area."""
     corners = surface.rest[surface.triangles]
     crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     sums = np.zeros_like(surface.rest)

@@ -9,10 +9,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import octex
-from octex.cli.arguments import channel_names, count, edge_length, error_codes, whole_number
+from octex.cli.arguments import channel_names, edge_length, error_codes, whole_number
 from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
 from octex.cli.models import TEXTURE_ENDING, open_sound
-from octex.cli.parser import Command, Parser, option, words_given
+from octex.cli.parser import RUNNING, Command, Parser, option, words_given
 from octex.errors import ArgumentError, ExitCode
 
 _OF_IMAGES = ("--uv", "--texture-size", "--padding", "--channels", "--images")
@@ -65,10 +65,7 @@ BAKE = Command(
             type=error_codes,
         ),
         option("--rest", "the undeformed model, of the same topology", metavar="MODEL", type=Path),
-        option("--force", "overwrite OUTPUT", action="store_true"),
-        option("--threads", "threads to work on (default: all processors)", metavar="N", type=count),
-        option("--quiet", "print nothing but errors (and what --json asks for)", action="store_true"),
-        option("--json", "print the result as one JSON object", action="store_true"),
+        *RUNNING,
     ],
     ["droid.octex droid.glb baked.glb", "droid.octex droid.glb web.glb --texture-size 1024 --images webp"],
 )

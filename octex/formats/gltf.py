@@ -13,7 +13,7 @@ import numpy as np
 from octex.arrays import Floats, Integers
 from octex.errors import ModelError
 from octex.files import replacing
-from octex.formats.images import ImageFormat, image_file, materials_of
+from octex.formats.images import ImageFormat, image_file, materials_of, posed_frames
 from octex.parallel import ordered_map, workers
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Input, Material, MaterialSource, Texture
@@ -62,6 +62,7 @@ class _Content:
 
     def add(self, surface: Surface, source: MaterialSource) -> None:
         """Add a surface as the one mesh."""
+        self._frames = posed_frames(surface)
         materials, owners = source.materials, source.triangle_materials
         primitives = []
         used = np.unique(owners).tolist()
@@ -83,10 +84,10 @@ class _Content:
         bound = {f"TEXCOORD_{slot}": each for slot, each in enumerate(source.coordinates)}
         if source.colors is not None:
             bound["COLOR_0"] = source.colors
-        if surface.frames is not None:
-            bound["NORMAL"] = surface.frames.normals
+        if self._frames is not None:
+            bound["NORMAL"] = self._frames.normals
             if "normal" in [form.name for form in surface.channels]:
-                bound["TANGENT"] = surface.frames.tangents
+                bound["TANGENT"] = self._frames.tangents
         corners = np.stack(
             [surface.triangles[chosen], *(each.rows[chosen] for each in bound.values())], axis=-1
         )

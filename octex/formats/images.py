@@ -10,8 +10,10 @@ import PIL.Image
 
 from octex.arrays import Array, Float32s
 from octex.errors import ModelError
+from octex.source.corners import Frames
 from octex.source.materials import MaterialSource
 from octex.source.surface import Surface
+from octex.source.tangents import carried
 
 ImageFormat = Literal["png", "jpeg", "webp"]
 IMAGE_FORMATS: tuple[ImageFormat, ...] = ("png", "jpeg", "webp")
@@ -28,6 +30,13 @@ def materials_of(surface: Surface) -> MaterialSource:
     if not isinstance(surface.source, MaterialSource):
         raise ModelError(f"{surface.name}: its values do not come from materials; bake it first")
     return surface.source
+
+
+def posed_frames(surface: Surface) -> Frames | None:
+    """Return a surface's normals and tangents where it is posed; None if it has none."""
+    if surface.frames is None or surface.rest is surface.vertices:
+        return surface.frames
+    return carried(surface.frames, surface.triangles, surface.rest, surface.vertices)
 
 
 def colors_of_vertices(surface: Surface) -> Float32s | None:
