@@ -68,23 +68,26 @@ def as_reals(given: npt.ArrayLike, name: str, *shapes: tuple[int, ...], most: fl
     Raises ArgumentError for another shape, for what are no real numbers, and for those beyond ±``most``,
     infinity not among them, unless it is infinite.
     """
-    wanted = " or ".join(str(shape).replace("-1", "n") for shape in shapes)
-    kind = "finite numbers" if most < np.inf else "numbers"
-    refusal = ArgumentError(f"{name} must be {kind} of shape {wanted}, not {reprlib.repr(given)}")
+
+    def refusal() -> ArgumentError:
+        wanted = " or ".join(str(shape).replace("-1", "n") for shape in shapes)
+        kind = "finite numbers" if most < np.inf else "numbers"
+        return ArgumentError(f"{name} must be {kind} of shape {wanted}, not {reprlib.repr(given)}")
+
     try:
         array = np.asarray(given)
     except ValueError:  # rows of unequal lengths
-        raise refusal from None
+        raise refusal() from None
     is_shape = any(
         len(shape) == array.ndim and all(n in (-1, m) for n, m in zip(shape, array.shape, strict=True))
         for shape in shapes
     )
     if not is_shape or array.dtype.kind not in "fiu":
-        raise refusal
+        raise refusal()
     with np.errstate(over="ignore"):  # of longer floats
         array = array.astype(np.float64)
     if most < np.inf and not (np.abs(array) <= most).all():
-        raise ArgumentError(f"{refusal}, all from {-most:g} to {most:g}")
+        raise ArgumentError(f"{refusal()}, all from {-most:g} to {most:g}")
     return array
 
 

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Int64s, Uint8s
+from octex.arrays import Bools, Float32s, Float64s, Int64s, Uint8s
 from octex.channels import ALPHA, ChannelFormat, decode
 from octex.editing.refined import refined_values
 from octex.errors import ArgumentError
+from octex.jit import kernel
 from octex.texture import OctreeTexture
-from octex.tree.edit import among, boundary, locate
+from octex.tree import morton
+from octex.tree.edit import among, boundary, first_not_below, locate, places
 from octex.tree.layout import FACING_FLAGS
-from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree, distinct
 from octex.tree.split import rows_of
 
-_AROUND = np.array([[x, y, z] for z in (-1, 0, 1) for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y or z])
 #: The area that skirts have, the least there is: in averages they weigh next to nothing.
 SKIRT = np.uint8(1)
 
@@ -116,7 +116,8 @@ def is_within(codes: Int64s, cells: Sequence[Int64s], level: int) -> Bools:
     """Say which cells of a level are among others, given level by level, or lie in larger ones of them."""
     found = np.zeros(codes.size, np.bool_)
     for above, own in enumerate(cells[: level + 1]):
-        found |= among(codes >> 3 * (level - above), own)
+        if own.size:
+            found |= among(codes >> 3 * (level - above), own)
     return found
 
 
@@ -142,35 +143,24 @@ def facings_within(codes: Int64s, paint: Sequence[Paint], level: int) -> Uint8s:
     """Return which facings have paint in cells (n,) of a level, which may lie in larger painted ones."""
     found = np.zeros(codes.size, np.uint8)
     for above, each in enumerate(paint[: level + 1]):
-        own = codes >> 3 * (level - above)
-        inside = among(own, each.codes)
-        found[inside] |= each.facings[np.searchsorted(each.codes, own[inside])]
+        at = places(codes >> 3 * (level - above), each.codes)
+        found[at >= 0] |= each.facings[at[at >= 0]]
     return found
-
-
-def _each_beside(codes: Int64s, level: int) -> Iterator[tuple[Bools, Int64s]]:
-    """Yield, for each of 26 directions, whether a cell is beside cells (n,) of a level, and its code."""
-    for step in _AROUND if codes.size else ():
-        cells = decode_cells(codes) + step
-        inside = ((cells >= 0) & (cells < 1 << level)).all(axis=1)
-        yield inside, encode_cells(np.where(inside[:, None], cells, 0))
 
 
 def beside_larger(codes: Int64s, tree: Octree, level: int) -> Bools:
-    """Say which cells (n,) of a level are beside leaves of a tree that are larger."""
-    found = np.zeros(codes.size, np.bool_)
-    for inside, beside in _each_beside(codes, level):
-        where = locate(tree, beside, level)
-        found |= inside & where.is_leaf & (where.levels < level)
-    return found
+    """Say which cells (n,) of a level, in no leaf of a tree, are beside leaves that are larger."""
+    around = boundary(codes, level)
+    where = locate(tree, around, level)
+    return among(codes, boundary(around[where.is_leaf & (where.levels < level)], level))
 
 
 def skirt_of(outer: Int64s, painted: Sequence[Int64s], ring: Int64s, met: Int64s, level: int) -> Int64s:
     """Return those cells beside paint, off the surface, that nothing but paint and its boundary is beside."""
-    free = np.ones(outer.size, np.bool_)
-    for inside, codes in _each_beside(outer, level):
-        free &= ~inside | among(codes, ring) | is_within(codes, painted, level) | ~among(codes, met)
-    return outer[free]
+    bare = met[among(met, boundary(outer, level))]
+    bare = bare[~among(bare, ring)]
+    bare = bare[~is_within(bare, painted, level)]
+    return outer[~among(outer, boundary(bare, level))]
 
 
 def skirt_on_nothing(
@@ -200,23 +190,11 @@ def skirt_on_nothing(
 
 def paint_at(paint: Sequence[Paint], codes: Int64s, level: int) -> Paint:
     """Return the paint in cells of a level, ascending: of larger ones and the mean of smaller ones too."""
-    components = paint[0].values.shape[1]
-    sums = np.zeros((codes.size, components + 2))
+    sums = np.zeros((codes.size, paint[0].values.shape[1] + 2))
     cells, facings = np.zeros(codes.size, np.int64), np.zeros(codes.size, np.uint8)
     for at, each in enumerate(paint):
-        if at <= level:
-            own = codes >> 3 * (level - at)
-            rows = np.flatnonzero(among(own, each.codes))
-            there = np.searchsorted(each.codes, own[rows])
-        else:
-            inside = each.codes >> 3 * (at - level)
-            there = np.flatnonzero(among(inside, codes))
-            rows = np.searchsorted(codes, inside[there])
-        coverage = each.coverage[there, None]
-        parts = np.hstack([each.values[there] * coverage, coverage, np.ones_like(coverage)])
-        np.add.at(sums, rows, parts * 4.0 ** min(level - at, 0))
-        cells[rows] = each.cells[there]
-        np.bitwise_or.at(facings, rows, each.facings[there])
+        if each.codes.size:
+            _add_within(codes, level - at, each, sums, cells, facings)
     has = sums[:, -1] > 0
     sums = sums[has]
     values = (sums[:, :-2] / np.maximum(sums[:, -2:-1], 1e-30)).astype(np.float32)
@@ -224,27 +202,72 @@ def paint_at(paint: Sequence[Paint], codes: Int64s, level: int) -> Paint:
     return Paint(codes[has], values, coverage, cells[has], facings[has])
 
 
+@kernel
+def _add_within(
+    codes: Int64s, steps: int, paint: Paint, sums: Float64s, cells: Int64s, facings: Uint8s
+) -> None:
+    """Add paint on cells of a level so many ``steps`` above that of ``codes``, or below, by area."""
+    finer, coarser = (codes, paint.codes) if steps >= 0 else (paint.codes, codes)
+    components = paint.values.shape[1]
+    weight = 4.0 ** min(steps, 0)
+    above = 0
+    for below in range(finer.size):
+        code = finer[below] >> 3 * abs(steps)
+        above = first_not_below(coarser, code, above)
+        if above == coarser.size or coarser[above] != code:
+            continue
+        n, own = (below, above) if steps >= 0 else (above, below)
+        for component in range(components):
+            sums[n, component] += weight * (paint.values[own, component] * paint.coverage[own])
+        sums[n, components] += weight * paint.coverage[own]
+        sums[n, components + 1] += weight
+        cells[n] = paint.cells[own]
+        facings[n] |= paint.facings[own]
+
+
 def with_skirt(paint: Paint, skirt: Int64s, level: int, beside: Paint | None = None) -> Paint:
     """Add a skirt: its paint is the mean of the paint beside it, of this paint unless another is given."""
     if not skirt.size:
         return paint
-    beside = paint if beside is None else beside
-    values = np.zeros((skirt.size, paint.values.shape[1]))
-    coverage, count = np.zeros(skirt.size), np.zeros(skirt.size)
-    cells = np.zeros(skirt.size, np.int64)
-    facings = np.zeros(skirt.size, np.uint8)
-    for inside, codes in _each_beside(skirt, level):
-        at = np.minimum(np.searchsorted(beside.codes, codes), beside.codes.size - 1)
-        hit = inside & (beside.codes[at] == codes)
-        values[hit] += (beside.values * beside.coverage[:, None])[at[hit]]
-        coverage[hit] += beside.coverage[at[hit]]
-        count[hit] += 1
-        cells[hit] = beside.cells[at[hit]]
-        facings[hit] |= beside.facings[at[hit]]
-    values /= np.maximum(coverage, 1e-30)[:, None]
-    coverage /= np.maximum(count, 1)
-    extra = Paint(skirt, values.astype(np.float32), coverage.astype(np.float32), cells, facings)
+    extra = Paint(
+        skirt,
+        np.zeros((skirt.size, paint.values.shape[1]), np.float32),
+        np.zeros(skirt.size, np.float32),
+        np.zeros(skirt.size, np.int64),
+        np.zeros(skirt.size, np.uint8),
+    )
+    _average_beside(extra, level, paint if beside is None else beside)
     return _joined(paint, extra)
+
+
+@kernel
+def _average_beside(skirt: Paint, level: int, paint: Paint) -> None:
+    """Fill in the mean of the paint beside cells."""
+    components = paint.values.shape[1]
+    sums = np.empty(components, np.float64)
+    nearest = np.zeros(27, np.int64)  # in each direction, where the paint beside the cell before was
+    for n in range(skirt.codes.size):
+        i, j, k = morton.decode(skirt.codes[n])
+        sums[:] = 0.0
+        coverage, count = 0.0, 0
+        for side in range(27):
+            x, y, z = i + side % 3 - 1, j + side // 3 % 3 - 1, k + side // 9 - 1
+            if side == 13 or min(x, y, z) < 0 or max(x, y, z) >> level != 0:
+                continue
+            code = morton.encode(x, y, z)
+            at = first_not_below(paint.codes, code, nearest[side])
+            nearest[side] = at
+            if at == paint.codes.size or paint.codes[at] != code:
+                continue
+            for component in range(components):
+                sums[component] += np.float64(paint.values[at, component] * paint.coverage[at])
+            coverage += np.float64(paint.coverage[at])
+            count += 1
+            skirt.cells[n] = paint.cells[at]
+            skirt.facings[n] |= paint.facings[at]
+        for component in range(components):
+            skirt.values[n, component] = sums[component] / max(coverage, 1e-30)
+        skirt.coverage[n] = coverage / max(count, 1)
 
 
 def some(paint: Paint, chosen: Bools | slice) -> Paint:

@@ -242,7 +242,9 @@ def _count_before(cells: Uint32s, end: int) -> int:
 def distinct(codes: Int64s) -> Int64s:
     """Return codes in ascending order, each once: in a seventieth of np.unique's time."""
     codes = np.sort(codes)
-    return codes[np.flatnonzero(np.diff(codes, prepend=-1))]
+    is_first = np.ones(codes.size, np.bool_)
+    np.not_equal(codes[1:], codes[:-1], out=is_first[1:])
+    return codes[is_first]
 
 
 def _build(leaves_of: dict[int, Int64s], deepest: int) -> TreeArrays:
