@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from octex.arrays import Array, Float64s, Int32s, Int64s, Uint8s
+from octex.arrays import Array, Bools, Float64s, Int32s, Int64s, Uint8s
 from octex.channels import ChannelFormat, encode
 from octex.conversion.accumulate import (
     SumColumns,
@@ -43,6 +43,9 @@ SAMPLE_MEMORY, SAMPLE_VALUE_MEMORY = 28, 2
 TASK_PIECES = 400_000
 #: Little work is cut into so many tasks, of no fewer pieces than this.
 _TASKS, _LEAST_PIECES = 8, 20_000
+
+#: Says which blocks of a level are to be converted.
+Reached: TypeAlias = Callable[[Blocks, int], Bools]
 
 
 class LevelCells(NamedTuple):
@@ -112,8 +115,12 @@ def cell_levels(
     *,
     has_samples: bool,
     wanted: Wanted | None = None,
+    reached: Reached | None = None,
 ) -> CellLevels:
     """Convert a surface into the means of all cells down to ``depth``, and samples if it ``has_samples``.
+
+    What lies in blocks that are not ``reached`` is left out, and does not count for cells above these; but
+    one block there always is.
 
     Raises ModelError for a surface without area, ArgumentError for more cells than memory can hold.
     """
@@ -139,6 +146,8 @@ def cell_levels(
     blocks = bin_triangles(grid, surface.triangles, depth)
     report("sort", 1, 1)
     block_level = max(depth - BLOCK_BITS, 0)
+    if reached is not None:
+        blocks = _some(blocks, reached(blocks, block_level))
     columns = SumColumns.of(channels)
     cell = placement.size / 2**depth
     job = Job(surface, channels, columns, grid, blocks, depth, block_level, cell, has_samples, wanted)
@@ -155,6 +164,14 @@ def cell_levels(
     levels_wanted = [part.wanted for part in parts if part.wanted is not None]
     deepest = np.concatenate(levels_wanted) if wanted is not None else None
     return CellLevels(depth, codes, levels, samples, deepest, degenerate)
+
+
+def _some(blocks: Blocks, chosen: Bools) -> Blocks:
+    """Return some of blocks, the first one if none is chosen."""
+    chosen[0] |= not chosen.any()
+    counts = np.diff(blocks.starts)
+    starts = np.concatenate([[0], np.cumsum(counts[chosen])])
+    return Blocks(blocks.codes[chosen], starts, blocks.members[np.repeat(chosen, counts)])
 
 
 class Run(NamedTuple):

@@ -9,11 +9,12 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Float32s, Float64s, Int32s
+from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.channels import ALPHA, ChannelFormat
 from octex.conversion.adapt import adapted
 from octex.conversion.gaps import without_gaps
 from octex.conversion.levels import assemble, cell_levels
+from octex.conversion.pieces import Blocks
 from octex.conversion.sides import fitters
 from octex.editing.split import refaced
 from octex.painting.centres import with_centres
@@ -25,6 +26,7 @@ from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.texture.channel import Channel
 from octex.tree.layout import MAX_DEPTH
+from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 
@@ -79,6 +81,7 @@ def rasterize_paint(
     filled = cell_levels(
         part, here.channels, placement, depth, executor, progress,
         has_samples=fit, wanted=partial(_wanted, here, placement.size, cells, depth),
+        reached=partial(_reached, here, surface.rest, placement),
     )  # fmt: skip
     tree, values = assemble(here.channels, filled)
     covered = without_gaps(tree, values, filled, placement)
@@ -111,6 +114,12 @@ def empty_texture(
         none = np.empty((0, form.components), form.dtype)
         channels[form.name] = Channel(form, np.zeros((1, form.components), form.dtype), none, none)
     return OctreeTexture(Octree.from_leaves(np.empty(0, np.int64), 0), channels, placement, bounds, metadata)
+
+
+def _reached(source: PaintSource, rest: Float64s, placement: Placement, blocks: Blocks, level: int) -> Bools:
+    """Say which blocks of a level paint may lie in."""
+    corners = placement.to_rest(decode_cells(blocks.codes) / 2**level)
+    return source.reaches(blocks, corners, placement.size / 2**level, rest)
 
 
 def _wanted(

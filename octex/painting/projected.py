@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int32s
+from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.channels import ChannelFormat
+from octex.conversion.pieces import Blocks
 from octex.jit import inlined, kernel
 from octex.painting.pictures import Levels, Projection, levels_of, read_paint
 from octex.painting.source import PaintSource
@@ -223,6 +224,15 @@ class Projected(PaintSource):
             shots, self._channels[0], self._terms, vertices, faces, stretches[chosen], self._gains,
             lambda some: normals[some],
         )  # fmt: skip
+
+    def reaches(self, blocks: Blocks, corners: Float64s, edge: float, rest: Float64s) -> Bools:
+        """Say of which blocks a shot may see something: what is not seen is not painted."""
+        found = np.zeros(blocks.codes.size, np.bool_)
+        for shot in self._shots:
+            counts = np.zeros(np.add(shot.seen.triangle.shape, 1), np.int32)
+            np.cumsum(np.cumsum(shot.seen.triangle >= 0, 0, np.int32), 1, out=counts[1:, 1:])
+            _reach(shot.camera, counts, *self._mesh[:2], rest, blocks, corners, edge, found)
+        return found
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return paint, linear for colours, and coverage (n, components + 1); zeros where there is none."""
@@ -473,6 +483,79 @@ def _add(
         sums[n, 2] += weight * blue * gains[2]
         sums[n, 3] += weight * alpha
         clear[n] *= max(1.0 - coverage * np.float64(alpha), 0.0)
+
+
+@kernel
+def _reach(
+    view: View,
+    counts: Int32s,
+    vertices: Float64s,
+    faces: Int32s,
+    rest: Float64s,
+    blocks: Blocks,
+    corners: Float64s,
+    edge: float,
+    found: Bools,
+) -> None:
+    """Mark the blocks with triangles that may be seen.
+
+    ``counts`` (height + 1, width + 1) are those of the pixels above and to the left that see anything. What
+    lies of a triangle in a block lies, seen along an axis, in a rectangle: that is looked for in the picture.
+    """
+    height, width = counts.shape[0] - 1, counts.shape[1] - 1
+    for block in range(found.size):
+        for row in range(blocks.starts[block], blocks.starts[block + 1]):
+            if found[block]:
+                break
+            triangle = blocks.members[row]
+            p, q, r = faces[triangle, 0], faces[triangle, 1], faces[triangle, 2]
+            axis, area = 0, 0.0  # along which the triangle at rest is the largest
+            for each in range(3):
+                u, v = (each + 1) % 3, (each + 2) % 3
+                own = (rest[q, u] - rest[p, u]) * (rest[r, v] - rest[p, v])
+                own -= (rest[q, v] - rest[p, v]) * (rest[r, u] - rest[p, u])
+                if abs(own) > abs(area):
+                    axis, area = each, own
+            u, v = (axis + 1) % 3, (axis + 2) % 3
+            a, b, c = (
+                transformed(view, vertices, p),
+                transformed(view, vertices, q),
+                transformed(view, vertices, r),
+            )
+            left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
+            is_known = area != 0.0
+            for corner in range(4):
+                across = corners[block, u] + (edge if corner & 1 else 0.0)
+                along = corners[block, v] + (edge if corner & 2 else 0.0)
+                across = min(
+                    max(across, min(rest[p, u], rest[q, u], rest[r, u])),
+                    max(rest[p, u], rest[q, u], rest[r, u]),
+                )
+                along = min(
+                    max(along, min(rest[p, v], rest[q, v], rest[r, v])),
+                    max(rest[p, v], rest[q, v], rest[r, v]),
+                )
+                across, along = across - rest[p, u], along - rest[p, v]
+                second = (across * (rest[r, v] - rest[p, v]) - along * (rest[r, u] - rest[p, u])) / area
+                third = (along * (rest[q, u] - rest[p, u]) - across * (rest[q, v] - rest[p, v])) / area
+                first = 1.0 - second - third
+                x = first * a[0] + second * b[0] + third * c[0]
+                y = first * a[1] + second * b[1] + third * c[1]
+                z = first * a[2] + second * b[2] + third * c[2]
+                x, y = view.K[0, 0] * x + view.K[0, 1] * y, view.K[1, 1] * y
+                if view.is_pinhole:
+                    is_known &= z > 0.0
+                    x, y = x / z, y / z
+                x, y = x + view.K[0, 2], y + view.K[1, 2]
+                left, right = min(left, x), max(right, x)
+                top, bottom = min(top, y), max(bottom, y)
+            if not (is_known and left > -1e9 and right < 1e9 and top > -1e9 and bottom < 1e9):
+                found[block] = True
+                break
+            # What is painted is seen by some of the four pixels around it.
+            i, j = min(max(int(left) - 2, 0), width), min(max(int(top) - 2, 0), height)
+            k, m = min(max(int(right) + 3, i), width), min(max(int(bottom) + 3, j), height)
+            found[block] = counts[m, k] - counts[j, k] - counts[m, i] + counts[j, i] > 0
 
 
 @kernel

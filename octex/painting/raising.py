@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from octex.arrays import Bools, Int64s, Uint8s
 from octex.channels import encode
 from octex.conversion.levels import assemble, cell_levels
+from octex.conversion.pieces import Blocks
 from octex.editing.averages import with_summed_areas
 from octex.editing.carried import carried
 from octex.editing.draft import coarsest_near
@@ -21,6 +23,7 @@ from octex.errors import ModelError, own_making
 from octex.painting.cells import (
     SKIRT,
     Paint,
+    among_at,
     are_beside,
     beside_larger,
     facings_within,
@@ -354,11 +357,23 @@ def _met_cells(
     part = ground.surface.part(chosen, Flat())
     channels = part.source.channels
     try:
-        filled = cell_levels(part, channels, texture.placement, depth, executor, progress, has_samples=False)
+        filled = cell_levels(
+            part, channels, texture.placement, depth, executor, progress,
+            has_samples=False, reached=partial(_are_near, tops),
+        )  # fmt: skip
     except ModelError:  # no triangle there has an area
         return nothing
     tree, _ = assemble(channels, filled)
     return Met(tree, [codes for codes, _ in tree.walk()])
+
+
+def _are_near(cells: Sequence[tuple[int, Int64s]], blocks: Blocks, level: int) -> Bools:
+    """Say which blocks of a level meet cells, given by level, or cells beside these."""
+    found = np.zeros(blocks.codes.size, np.bool_)
+    for at, codes in cells:
+        near = np.concatenate([codes, boundary(codes, at)])
+        found |= among_at(blocks.codes, level, np.sort(near), at)
+    return found
 
 
 def _carried(

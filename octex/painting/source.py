@@ -7,8 +7,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int32s
+from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.channels import ALPHA, ChannelFormat
+from octex.conversion.pieces import Blocks
 from octex.source.base import Source
 
 #: Coverage is kept in 16 bits: 8 would change a wash by up to half a step.
@@ -33,6 +34,16 @@ class PaintSource(Source):
     @abstractmethod
     def on(self, chosen: Int32s) -> PaintSource:
         """Return the same paint for a surface of some of the triangles, in that order."""
+
+    def reaches(
+        self,
+        blocks: Blocks,
+        corners: Float64s,  # noqa: ARG002
+        edge: float,  # noqa: ARG002
+        rest: Float64s,  # noqa: ARG002
+    ) -> Bools:
+        """Say in which of blocks paint may lie, given their lowest corners (n, 3) and their edge at rest."""
+        return np.ones(blocks.codes.size, np.bool_)
 
     def widths(
         self,
