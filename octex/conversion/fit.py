@@ -29,6 +29,8 @@ from octex.tree.placement import Placement
 
 #: Samples in a brick, whose lists take some 400 bytes for each. Half as many take up to 8 % longer.
 BRICK_SAMPLES = 100_000
+#: Little work is cut into so many bricks, of no fewer samples than this.
+_BRICKS, _LEAST_SAMPLES = 4, 20_000
 #: Rings of leaves around a brick that are solved with it. Two are not nearer to the source (0.00 dB).
 RINGS = 1
 #: Samples that one leaf is fitted to at most, of those in it. 64 are not nearer.
@@ -181,7 +183,8 @@ def _fit_bricks(
     job: Job, executor: Executor, progress: Progress
 ) -> Iterator[tuple[tuple[int, int], list[Array]]]:
     """Yield runs of leaves, and each channel's values of them, as stored."""
-    cuts = _cuts(job.leaves.firsts, BRICK_SAMPLES, LEAF_SAMPLES)
+    size = max(len(job.samples.places) // _BRICKS, _LEAST_SAMPLES)
+    cuts = _cuts(job.leaves.firsts, min(size, BRICK_SAMPLES), LEAF_SAMPLES)
     bricks = list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
     found = ordered_map(executor, partial(_fit_brick, job), bricks, stage="fit", progress=progress)
     yield from zip(bricks, found, strict=True)

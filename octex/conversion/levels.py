@@ -22,7 +22,7 @@ from octex.conversion.accumulate import (
 )
 from octex.conversion.cells import BLOCK_BITS, SPREAD, load_triangle
 from octex.conversion.detail import Wanted, deepest_wanted
-from octex.conversion.pieces import Blocks, bin_triangles, cut, most_pieces
+from octex.conversion.pieces import Blocks, Pieces, bin_triangles, cut, most_pieces
 from octex.conversion.samples import Samples, Taken, join, take_samples
 from octex.editing.codes import differ
 from octex.errors import ArgumentError, ModelError
@@ -93,6 +93,7 @@ class Job(NamedTuple):
     block_level: int
     cell: float  # edge of a leaf in rest units
     has_samples: bool
+    has_gaps: bool
     wanted: Wanted | None
 
 
@@ -114,13 +115,15 @@ def cell_levels(
     report: Progress,
     *,
     has_samples: bool,
+    has_gaps: bool = False,
     wanted: Wanted | None = None,
     reached: Reached | None = None,
 ) -> CellLevels:
     """Convert a surface into the means of all cells down to ``depth``, and samples if it ``has_samples``.
 
     What lies in blocks that are not ``reached`` is left out, and does not count for cells above these; but
-    one block there always is.
+    one block there always is. If it ``has_gaps``, which are what an ``alpha`` of 0 says, cells that are gaps
+    alone have no samples.
 
     Raises ModelError for a surface without area, ArgumentError for more cells than memory can hold.
     """
@@ -150,7 +153,9 @@ def cell_levels(
         blocks = _some(blocks, reached(blocks, block_level))
     columns = SumColumns.of(channels)
     cell = placement.size / 2**depth
-    job = Job(surface, channels, columns, grid, blocks, depth, block_level, cell, has_samples, wanted)
+    job = Job(
+        surface, channels, columns, grid, blocks, depth, block_level, cell, has_samples, has_gaps, wanted
+    )
     runs = _even_runs(most_pieces(grid, surface.triangles, blocks, depth))
     converted = ordered_map(executor, partial(_convert_run, job), runs, stage="convert", progress=report)
     parts = list(converted)
@@ -218,8 +223,27 @@ def _convert_run(job: Job, run: Run) -> Part:
     wanted = None if job.wanted is None else deepest_wanted(job.wanted, pieces, widths)
     taken = None
     if job.has_samples:
-        taken = take_samples(surface, job.grid, pieces, widths, values, job.depth, job.cell, job.channels)
-    return Part(pieces.codes, levels, top, taken, wanted)
+        counts = np.zeros(pieces.codes.size, np.uint8)
+        cells, chosen = slice(None), slice(None)
+        if job.has_gaps:
+            pieces, cells, chosen = _covered(pieces, values[:, job.columns.alpha] > 0)
+        read = widths[chosen], values[chosen]
+        taken = take_samples(surface, job.grid, pieces, *read, job.depth, job.cell, job.channels)
+        counts[cells] = taken.counts
+        taken = taken._replace(counts=counts)
+    return Part(leaves.codes, levels, top, taken, wanted)
+
+
+def _covered(pieces: Pieces, is_covered: Bools) -> tuple[Pieces, Bools, Bools]:
+    """Return the pieces of cells that have a covered one; and which cells, and which pieces, these are."""
+    owners = np.repeat(np.arange(pieces.codes.size), np.bitwise_count(pieces.flags))
+    cells = np.zeros(pieces.codes.size, np.bool_)
+    cells[owners[pieces.entries[is_covered]]] = True
+    chosen = cells[owners[pieces.entries]]
+    entries = (np.cumsum(cells[owners]) - 1)[pieces.entries[chosen]].astype(np.int32)
+    columns = pieces.triangles, pieces.barycentric, pieces.areas
+    some = Pieces(pieces.codes[cells], pieces.flags[cells], entries, *(each[chosen] for each in columns))
+    return some, cells, chosen
 
 
 def climb(

@@ -201,14 +201,29 @@ def child_means(
         starts = np.cumsum(counts) - counts
         children = np.repeat(firsts - starts, counts) + np.arange(counts.sum())
         children = np.clip(children, 0, tree.n_cells - 1)
-    stored = values[children]
-    is_coded = stored.dtype.kind == "u"
-    is_plain = is_coded or (stored.dtype == np.float32 and space != "srgb")
-    codes: Array = stored if is_plain else decode(stored, space)
-    table = decode_table(stored.dtype.name, space) if is_coded else NO_TABLE
     weights = np.empty(0, np.float32) if alpha is None else coverage(alpha[children])
-    _means(starts, counts, tree.arrays.areas[children], AREAS, weights, codes, table, means)
+    areas = tree.arrays.areas[children], AREAS
+    _means(starts, counts, *areas, weights, *_as_codes(values[children], space), means)
     return means
+
+
+def weighted_means(starts: Int64s, weights: Float32s, stored: Array, space: ColorSpace) -> Float32s:
+    """Return the means of runs of stored values (m, components), decoded; zeros where nothing weighs.
+
+    Run n begins at ``starts`` (n + 1,); ``weights`` are (m,).
+    """
+    means = np.zeros((starts.size - 1, stored.shape[1]))
+    alike = np.zeros(weights.size, np.uint8), np.ones(1)
+    _means(starts[:-1], np.diff(starts), *alike, weights, *_as_codes(stored, space), means)
+    return means.astype(np.float32)
+
+
+def _as_codes(stored: Array, space: ColorSpace) -> tuple[Array, Float32s]:
+    """Return stored values as `_means` takes them, and their table."""
+    if stored.dtype.kind == "u":
+        return stored, decode_table(stored.dtype.name, space)
+    is_plain = stored.dtype == np.float32 and space != "srgb"
+    return stored if is_plain else decode(stored, space), NO_TABLE
 
 
 @kernel

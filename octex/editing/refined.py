@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Int64s, Uint8s, Uint32s
+from octex.arrays import Array, Bools, Float32s, Int64s, Uint8s, Uint32s
 from octex.channels import ALPHA, decode, encode
+from octex.editing.averages import weighted_means
 from octex.editing.codes import differ
 from octex.editing.split import with_split
 from octex.field.refined import refined_taps
@@ -146,32 +147,24 @@ def _blended(
 ) -> dict[str, Float32s]:
     """Blend channels, decoded; where taps are ``there`` their ``own`` rows of the split table."""
 
-    def shown(channel: Channel) -> Float32s:
+    def shown(channel: Channel) -> Array:
         n_cells, kept = len(channel.values), taps.rows >= len(channel.values)
         stored = channel.values[np.minimum(taps.rows, n_cells - 1)]
         if kept.any():
             stored[kept] = channel.kept_values[taps.rows[kept] - n_cells]
         if there is not None:
             stored[there] = channel.split_values[own]
-        return decode(stored, channel.format.space)
+        return stored
 
     found = {}
     alpha = channels.get(ALPHA.name)
-    opaque = None if alpha is None else np.maximum(shown(alpha), _FAINT)
+    weights = taps.weights
+    if alpha is not None:
+        weights = weights * np.maximum(decode(shown(alpha), alpha.format.space)[:, 0], _FAINT)
     for name, channel in channels.items():
-        weights = taps.weights[:, None]
-        if opaque is not None and name != ALPHA.name:
-            weights = weights * opaque
-        sums = _sum_runs(np.hstack([shown(channel) * weights, weights]), taps.starts)
-        found[name] = np.asarray(sums[:, :-1] / np.maximum(sums[:, -1:], np.float32(1e-30)), np.float32)
+        own_weights = taps.weights if name == ALPHA.name else weights
+        found[name] = weighted_means(taps.starts, own_weights, shown(channel), channel.format.space)
     return found
-
-
-def _sum_runs(values: Float32s, starts: Int64s) -> Float32s:
-    """Add up rows from each start to the next; zeros where there are none."""
-    sums = np.add.reduceat(np.vstack([values, np.zeros_like(values[:1])]), starts[:-1], axis=0)
-    sums[starts[1:] == starts[:-1]] = 0
-    return np.asarray(sums, np.float32)
 
 
 def _any_in_runs(values: Bools, starts: Int64s) -> Bools:

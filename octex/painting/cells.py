@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from octex.channels import ALPHA, ChannelFormat, decode
 from octex.editing.refined import refined_values
 from octex.errors import ArgumentError
 from octex.jit import kernel
+from octex.parallel import ordered_map
 from octex.texture import OctreeTexture
 from octex.tree import morton
 from octex.tree.edit import among, boundary, first_not_below, locate, places
@@ -21,6 +23,8 @@ from octex.tree.split import rows_of
 
 #: The area that skirts have, the least there is: in averages they weigh next to nothing.
 SKIRT = np.uint8(1)
+#: Cells of a skirt that are painted at once.
+_BLOCK = 1 << 13
 
 
 class Paint(NamedTuple):
@@ -225,10 +229,13 @@ def _add_within(
         facings[n] |= paint.facings[own]
 
 
-def with_skirt(paint: Paint, skirt: Int64s, level: int, beside: Paint | None = None) -> Paint:
+def with_skirt(
+    paint: Paint, skirt: Int64s, level: int, executor: Executor, beside: Paint | None = None
+) -> Paint:
     """Add a skirt: its paint is the mean of the paint beside it, of this paint unless another is given."""
     if not skirt.size:
         return paint
+    beside = paint if beside is None else beside
     extra = Paint(
         skirt,
         np.zeros((skirt.size, paint.values.shape[1]), np.float32),
@@ -236,7 +243,8 @@ def with_skirt(paint: Paint, skirt: Int64s, level: int, beside: Paint | None = N
         np.zeros(skirt.size, np.int64),
         np.zeros(skirt.size, np.uint8),
     )
-    _average_beside(extra, level, paint if beside is None else beside)
+    parts = [some(extra, slice(begin, begin + _BLOCK)) for begin in range(0, skirt.size, _BLOCK)]
+    list(ordered_map(executor, lambda part: _average_beside(part, level, beside), parts))
     return _joined(paint, extra)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
@@ -54,7 +55,7 @@ def on_kept(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> OnKept:
     return OnKept(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
-def with_old_skirts(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[Paint]:
+def with_old_skirts(tree: Octree, paint: Sequence[Paint], is_skirt: Bools, executor: Executor) -> list[Paint]:
     """Add the skirts of a tree, ``is_skirt`` (cells,), that are beside paint, which lies on leaves.
 
     Beside them is no surface but what is painted, or beside paint itself.
@@ -78,7 +79,7 @@ def with_old_skirts(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> li
             far = [own[among_at(own, at, around, level)] for at, own in enumerate(bare)]
             far = [own[~_touch(own, painted, at)] for at, own in enumerate(far)]
             skirt = skirt[~are_beside(skirt, far, level)]
-            found[level] = with_skirt(found[level], skirt, level, paint_at(paint, around, level))
+            found[level] = with_skirt(found[level], skirt, level, executor, paint_at(paint, around, level))
     return found
 
 

@@ -80,7 +80,7 @@ def rasterize_paint(
     part = surface.part(chosen, here)
     filled = cell_levels(
         part, here.channels, placement, depth, executor, progress,
-        has_samples=fit, wanted=partial(_wanted, here, placement.size, cells, depth),
+        has_samples=fit, has_gaps=True, wanted=partial(_wanted, here, placement.size, cells, depth),
         reached=partial(_reached, here, surface.rest, placement),
     )  # fmt: skip
     tree, values = assemble(here.channels, filled)

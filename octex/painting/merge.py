@@ -128,7 +128,7 @@ def merged(
         return None
     with own_making():
         paint = refine_paint(raised.paint, layer, raised.texture.tree, opacity)
-        paint = with_old_skirts(raised.texture.tree, paint, raised.is_skirt)
+        paint = with_old_skirts(raised.texture.tree, paint, raised.is_skirt, executor)
         made = _blended(part, raised, paint, layer, target, blend, opacity)
     return Change(tiles, with_channels_of(part, given), made)
 

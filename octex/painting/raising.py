@@ -104,7 +104,7 @@ def raise_texture(
     if is_empty:
         edited = edited._replace(old=np.full_like(edited.old, -1))
     with own_making():
-        made, is_fresh = _carried(texture, whole, edited, edited.tree, met, layer, paint)
+        made, is_fresh = _carried(texture, whole, edited, edited.tree, met, layer, paint, executor)
     is_skirt = edited.carried(is_skirt) | (made.tree.arrays.areas == SKIRT)
     return Raised(made, edited.old, is_fresh, paint, is_skirt)
 
@@ -235,7 +235,7 @@ def _raised(
         skirts.append(skirt)
         is_free = ~is_within(skirt, painted, level)  # others are painted with the larger cells around them
         is_new = where.levels < level
-        with_skirts.append(with_skirt(each, skirt[is_free], level))
+        with_skirts.append(with_skirt(each, skirt[is_free], level, executor))
         added[level] = np.sort(np.concatenate([added[level], skirt[is_free & is_new & ~where.is_leaf]]))
         wanted.append(distinct(np.concatenate([below[level], raised_ring, skirt[is_new & where.is_leaf]])))
     kinds = met.codes, new, with_all_above(skirts)
@@ -384,6 +384,7 @@ def _carried(
     met: Met | None,
     layer: OctreeTexture,
     paint: Sequence[Paint],
+    executor: Executor,
 ) -> tuple[OctreeTexture, Bools]:
     """Give an edited tree the texture's values, and new cells what the field refines to.
 
@@ -421,7 +422,7 @@ def _carried(
         is_kept = texture.tree.arrays.flags[where.cells] & KEPT != 0
         is_refined = where.is_leaf | is_kept | is_bare & ~is_node[new]
         facings = np.where(where.is_leaf, flags[cells] & np.uint8(FACING_FLAGS), np.uint8(0))
-        below = refined_below(texture, new_codes[is_refined], level, facings[is_refined])
+        below = refined_below(texture, new_codes[is_refined], level, facings[is_refined], executor)
         rows.append((cells[is_refined], below))
         found = [(is_refined, below.values)]
         if texture.tree.n_leaves and not is_refined.all():
