@@ -75,29 +75,28 @@ class Change(NamedTuple):
 class Runs(NamedTuple):
     """Cells, or nodes, of several textures, end to end."""
 
-    owners: list[int]
-    begins: list[int]
-    ends: list[int]
-
-    def add(self, owner: int, begin: int, end: int) -> None:
-        """Add a run, to the last one if it follows that."""
-        if begin == end:
-            return
-        if self.owners and self.owners[-1] == owner and self.ends[-1] == begin:
-            self.ends[-1] = end
-            return
-        self.owners.append(owner)
-        self.begins.append(begin)
-        self.ends.append(end)
+    owners: Int64s
+    begins: Int64s
+    ends: Int64s
 
     @classmethod
-    def none(cls) -> Runs:
-        """Return no runs."""
-        return cls([], [], [])
+    def joined(cls, *parts: tuple[Int64s, Int64s, Int64s]) -> Runs:
+        """Put runs one after the other; those that follow on each other become one."""
+        owners, begins, ends = (np.concatenate(column) for column in zip(*parts, strict=True))
+        some = begins < ends
+        owners, begins, ends = owners[some], begins[some], ends[some]
+        follows = np.zeros(owners.size + 1, np.bool_)
+        follows[1:-1] = (owners[1:] == owners[:-1]) & (begins[1:] == ends[:-1])
+        return cls(owners[~follows[:-1]], begins[~follows[:-1]], ends[~follows[1:]])
+
+    @classmethod
+    def one(cls, owner: int, end: int) -> Runs:
+        """Return the first run of a texture, up to ``end``."""
+        return cls(*(np.array([number], np.int64) for number in (owner, 0, end)))
 
     def of(self, arrays: Sequence[Array]) -> Array:
         """Join the runs of an array of each texture."""
-        runs = zip(self.owners, self.begins, self.ends, strict=True)
+        runs = zip(*(column.tolist() for column in self), strict=True)
         return np.concatenate([arrays[owner][begin:end] for owner, begin, end in runs] or [arrays[0][:0]])
 
 
@@ -194,11 +193,10 @@ def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
     codes, is_node = next(islice(tree.walk(), level, None))
     is_open = is_node & among(codes, tiles.codes)
     is_closed = is_node & ~is_open
-    cells, nodes = Runs.none(), Runs.none()
-    cells.add(0, 0, int(tree.arrays.level_cells[level + 1]))
-    nodes.add(0, 0, int(tree.arrays.level_nodes[level]))
     numbers = int(tree.arrays.level_nodes[level]) + np.flatnonzero(is_open[is_node])
-    levels = _add_below([tree], *_runs(np.zeros_like(numbers), numbers), cells, nodes)
+    levels, cells, nodes = _below([tree], _runs(np.zeros_like(numbers), numbers))
+    cells = Runs.joined(Runs.one(0, int(tree.arrays.level_cells[level + 1])), *cells)
+    nodes = Runs.joined(Runs.one(0, int(tree.arrays.level_nodes[level])), *nodes)
     made = _joined([texture], texture, level, levels, (cells, nodes), is_closed)
     return _forgetting(made, int(tree.arrays.level_cells[level]) + np.flatnonzero(is_closed))
 
@@ -226,19 +224,17 @@ def put_back(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> Octr
     (old_codes, was_node), (codes, is_node) = (next(islice(tree.walk(), level, None)) for tree in trees)
     is_closed = among(codes, old_codes[was_node & ~among(old_codes, tiles.codes)])
     owners = np.where(is_closed, 0, 1)
-    cells, nodes = Runs.none(), Runs.none()
-    cells.add(1, 0, int(draft.tree.arrays.level_cells[level]))
-    nodes.add(1, 0, int(draft.tree.arrays.level_nodes[level]))
     old, own = (int(tree.arrays.level_cells[level]) for tree in trees)
     at = np.minimum(np.searchsorted(old_codes, codes), old_codes.size - 1)
     # The level itself: closed cells as they were, with what they keep.
-    for run in zip(*_runs(owners, np.where(is_closed, old + at, own + np.arange(codes.size))), strict=True):
-        cells.add(*(int(number) for number in run))
+    here = _runs(owners, np.where(is_closed, old + at, own + np.arange(codes.size)))
     # Its nodes, with all below them.
     old, own = (int(tree.arrays.level_nodes[level]) for tree in trees)
     numbers = np.where(is_closed, old + np.cumsum(was_node)[at] - 1, own + np.cumsum(is_node) - 1)
     has_below = is_closed | is_node
-    levels = _add_below(trees, *_runs(owners[has_below], numbers[has_below]), cells, nodes)
+    levels, cells, nodes = _below(trees, _runs(owners[has_below], numbers[has_below]))
+    cells = Runs.joined(Runs.one(1, int(draft.tree.arrays.level_cells[level])), here, *cells)
+    nodes = Runs.joined(Runs.one(1, int(draft.tree.arrays.level_nodes[level])), *nodes)
     return _joined([texture, draft], draft, level, levels, (cells, nodes), is_closed)
 
 
@@ -290,39 +286,31 @@ def _arrays(texture: OctreeTexture) -> list[Array]:
     return [*tree.arrays, *tree.split, *tree.kept, *channels]
 
 
-def _runs(owners: Int64s, numbers: Int64s) -> tuple[Int64s, Int64s, Int64s]:
-    """Return runs of consecutive numbers of one owner: owners, begins, ends."""
-    if not numbers.size:
-        return owners, numbers, numbers
-    breaks = np.flatnonzero((np.diff(numbers) != 1) | (np.diff(owners) != 0)) + 1
-    begins = np.concatenate([[0], breaks])
-    ends = np.concatenate([breaks, [numbers.size]]) - 1
-    return owners[begins], numbers[begins], numbers[ends] + 1
+def _runs(owners: Int64s, numbers: Int64s) -> Runs:
+    """Return the runs of consecutive numbers of one owner."""
+    return Runs.joined((owners, numbers, numbers + 1))
 
 
-def _add_below(
-    trees: Sequence[Octree], owners: Int64s, begins: Int64s, ends: Int64s, cells: Runs, nodes: Runs
-) -> list[tuple[int, int]]:
-    """Add runs of nodes of a level with all below them.
+def _below(trees: Sequence[Octree], runs: Runs) -> tuple[list[tuple[int, int]], list[Runs], list[Runs]]:
+    """Return all below runs of nodes of a level: level by level the runs of cells, and of nodes, these first.
 
-    Returns how many cells each deeper level has, and how many nodes are above these.
+    The first are how many cells each deeper level has, and how many nodes are above these.
     """
-    found = []
+    counts: list[tuple[int, int]] = []
+    cells: list[Runs] = []
+    nodes = [runs]
     while True:
-        for run in zip(owners.tolist(), begins.tolist(), ends.tolist(), strict=True):
-            nodes.add(*run)
-        first, last = np.zeros((2, 2, owners.size), np.int64)
+        first, last = np.zeros((2, 2, runs.owners.size), np.int64)
         for number, tree in enumerate(trees):
-            own = owners == number
-            first[:, own] = _children_before(tree, begins[own])
-            last[:, own] = _children_before(tree, ends[own])
-        count = int((last[0] - first[0]).sum())
-        found.append((count, int((ends - begins).sum())))
-        if not count:
-            return found
-        for run in zip(owners.tolist(), first[0].tolist(), last[0].tolist(), strict=True):
-            cells.add(*run)
-        begins, ends = first[1], last[1]
+            own = runs.owners == number
+            first[:, own] = _children_before(tree, runs.begins[own])
+            last[:, own] = _children_before(tree, runs.ends[own])
+        counts.append((int((last[0] - first[0]).sum()), int((runs.ends - runs.begins).sum())))
+        if not counts[-1][0]:
+            return counts, cells, nodes
+        cells.append(Runs(runs.owners, first[0], last[0]))
+        runs = Runs(runs.owners, first[1], last[1])
+        nodes.append(runs)
 
 
 def _joined(
@@ -396,15 +384,15 @@ def _split_runs(trees: Sequence[Octree], cells: Runs) -> tuple[Uint32s, Runs, Ru
         np.concatenate([[0], np.cumsum(np.bitwise_count(tree.split.facings), dtype=np.int64)])
         for tree in trees
     ]
-    rows = Runs.none()
-    for owner, begin, end in zip(runs.owners, runs.begins, runs.ends, strict=True):
-        rows.add(owner, int(ends[owner][begin]), int(ends[owner][end]))
+    firsts = np.cumsum([0, *map(len, ends)])[runs.owners]
+    every = np.concatenate(ends)
+    rows = Runs(runs.owners, every[firsts + runs.begins], every[firsts + runs.ends])
     return found, runs, rows
 
 
 def _listed(tables: Sequence[Uint32s], cells: Runs) -> tuple[Uint32s, Runs]:
     """Return which of runs of cells tables list, by their new numbers, and the runs of the tables."""
-    owners, begins, ends = (np.array(column, np.int64) for column in cells)
+    owners, begins, ends = cells
     counts = ends - begins
     shifts = np.cumsum(counts) - counts - begins
     first, last = np.zeros((2, owners.size), np.int64)
@@ -412,9 +400,7 @@ def _listed(tables: Sequence[Uint32s], cells: Runs) -> tuple[Uint32s, Runs]:
         own = owners == number
         first[own] = np.searchsorted(table, begins[own].astype(np.uint32))
         last[own] = np.searchsorted(table, ends[own].astype(np.uint32))
-    runs = Runs.none()
-    found = [np.empty(0, np.int64)]
-    for n in np.flatnonzero(last > first).tolist():
-        runs.add(int(owners[n]), int(first[n]), int(last[n]))
-        found.append(tables[owners[n]][first[n] : last[n]] + shifts[n])
-    return np.concatenate(found).astype(np.uint32), runs
+    has = last > first
+    runs = Runs(owners[has], first[has], last[has])
+    found = runs.of(tables).astype(np.int64) + np.repeat(shifts[has], (last - first)[has])
+    return found.astype(np.uint32), runs
