@@ -21,6 +21,7 @@ from octex.tree.edit import (
     first_children,
     locate,
     nodes_by_level,
+    places,
     raised,
     rebuilt,
 )
@@ -34,6 +35,14 @@ Key = tuple[int, int]  # level, Morton code
 ROOT = (0, 0)
 NONE = np.empty(0, np.int64)
 seeds = st.integers(0, 2**32 - 1)
+
+
+@given(st.lists(st.integers(-3, 40)), st.sets(st.integers(0, 40)), st.booleans())
+def test_places_are_those_of_a_dictionary(codes: list[int], known: set[int], ascend: bool) -> None:
+    places_of = {code: place for place, code in enumerate(sorted(known))}
+    asked = sorted(codes) if ascend else codes
+    found = places(np.array(asked, np.int64), np.array(sorted(known), np.int64))
+    assert found.tolist() == [places_of.get(code, -1) for code in asked]
 
 
 def keys_of(tree: Octree) -> dict[Key, bool]:

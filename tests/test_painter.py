@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
+from typing import Any
 from unittest import mock
 
 import numpy as np
 import pytest
 
 import octex
+from octex.conversion.levels import CellLevels, cell_levels
 from octex.errors import ArgumentError
 from octex.painting.pictures import BLENDS, Blend
 from octex.painting.projected import sight_of
 from tests import random_edits
+from tests.painted import ball
 from tests.test_draft import assert_same, case
 
 DIRECTIONS = (0.3, 0.5, 1.0), (-1.0, 0.2, 0.1)
@@ -99,6 +103,43 @@ def test_a_camera_that_stays_looks_once() -> None:
         assert look.call_count == 1
         painter.paint(octex.Projection(brush(surface, 1).image, brush(surface, 1).camera), edge_feather=2.0)
         assert look.call_count == 2
+
+
+@pytest.mark.parametrize("kind", ["pinhole", "lens", "orthographic"])
+def test_what_no_picture_sees_is_left_out_without_a_difference(kind: str) -> None:
+    sphere = ball(12)
+    x, y, z = sphere.vertices.T
+    rest = np.column_stack([1.7 * x + 0.3 * y**2, y - 0.5 * z, 0.6 * z + 0.2 * x * y])
+    surface = octex.Surface.from_arrays(sphere.vertices, sphere.triangles, rest=rest, factor=(0.5, 0.5, 0.5))
+    texture = octex.convert(surface, 8)
+    camera = octex.Camera.fitted(sphere.vertices, (0.4, 0.3, 1.0), size=(160, 160))
+    if kind == "lens":
+        camera = replace(camera, distortion=(0.2, 0.05, 0.01, -0.01))
+    elif kind == "orthographic":
+        camera = replace(
+            camera, projection="orthographic", K=np.array([[60.0, 0, 80], [0, 60, 80], [0, 0, 1]])
+        )
+    rows, columns = np.mgrid[:160, :160]
+    image = np.full((160, 160, 4), (200, 40, 90, 255), np.uint8)
+    image[..., 3] = np.clip(20 * (16 - np.hypot(columns - 60, rows - 90)), 0, 255)
+    cells: list[int] = []
+
+    def counted(*given: Any, **options: Any) -> CellLevels:
+        found = cell_levels(*given, **options)
+        cells.append(found.codes.size)
+        return found
+
+    def whole(*given: Any, reached: Any, has_gaps: bool, **options: Any) -> CellLevels:
+        assert reached and has_gaps
+        return counted(*given, **options)
+
+    made = []
+    for own in (counted, whole):
+        with mock.patch("octex.painting.layer.cell_levels", own):
+            made.append(octex.paint(texture, surface, octex.Projection(image, camera), max_depth=8))
+    assert_same(*made)
+    assert not np.array_equal(made[0].channels["base_color"].values, texture.channels["base_color"].values)
+    assert kind == "lens" or cells[0] < 0.75 * cells[1]  # what a lens bends is looked for in all the picture
 
 
 def test_a_stroke_beside_the_surface_is_none() -> None:

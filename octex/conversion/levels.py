@@ -9,7 +9,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Float64s, Int32s, Int64s, Uint8s
+from octex.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 from octex.channels import ChannelFormat, encode
 from octex.conversion.accumulate import (
     SumColumns,
@@ -223,27 +223,31 @@ def _convert_run(job: Job, run: Run) -> Part:
     wanted = None if job.wanted is None else deepest_wanted(job.wanted, pieces, widths)
     taken = None
     if job.has_samples:
-        counts = np.zeros(pieces.codes.size, np.uint8)
-        cells, chosen = slice(None), slice(None)
-        if job.has_gaps:
-            pieces, cells, chosen = _covered(pieces, values[:, job.columns.alpha] > 0)
-        read = widths[chosen], values[chosen]
-        taken = take_samples(surface, job.grid, pieces, *read, job.depth, job.cell, job.channels)
-        counts[cells] = taken.counts
-        taken = taken._replace(counts=counts)
-    return Part(leaves.codes, levels, top, taken, wanted)
+        taken = _taken(job, pieces, widths, values)
+    return Part(pieces.codes, levels, top, taken, wanted)
 
 
-def _covered(pieces: Pieces, is_covered: Bools) -> tuple[Pieces, Bools, Bools]:
-    """Return the pieces of cells that have a covered one; and which cells, and which pieces, these are."""
+def _taken(job: Job, pieces: Pieces, widths: Float32s, values: Float32s) -> Taken:
+    """Take the samples of pieces, but none in cells that are gaps alone."""
+    task = job.depth, job.cell, job.channels
+    if not job.has_gaps:
+        return take_samples(job.surface, job.grid, pieces, widths, values, *task)
     owners = np.repeat(np.arange(pieces.codes.size), np.bitwise_count(pieces.flags))
     cells = np.zeros(pieces.codes.size, np.bool_)
-    cells[owners[pieces.entries[is_covered]]] = True
+    cells[owners[pieces.entries[values[:, job.columns.alpha] > 0]]] = True
     chosen = cells[owners[pieces.entries]]
-    entries = (np.cumsum(cells[owners]) - 1)[pieces.entries[chosen]].astype(np.int32)
-    columns = pieces.triangles, pieces.barycentric, pieces.areas
-    some = Pieces(pieces.codes[cells], pieces.flags[cells], entries, *(each[chosen] for each in columns))
-    return some, cells, chosen
+    some = Pieces(
+        pieces.codes[cells],
+        pieces.flags[cells],
+        (np.cumsum(cells[owners]) - 1)[pieces.entries[chosen]].astype(np.int32),
+        pieces.triangles[chosen],
+        pieces.barycentric[chosen],
+        pieces.areas[chosen],
+    )
+    taken = take_samples(job.surface, job.grid, some, widths[chosen], values[chosen], *task)
+    counts = np.zeros(pieces.codes.size, np.uint8)
+    counts[cells] = taken.counts
+    return taken._replace(counts=counts)
 
 
 def climb(

@@ -195,9 +195,11 @@ def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
     is_closed = is_node & ~is_open
     numbers = int(tree.arrays.level_nodes[level]) + np.flatnonzero(is_open[is_node])
     levels, cells, nodes = _below([tree], _runs(np.zeros_like(numbers), numbers))
-    cells = Runs.joined(Runs.one(0, int(tree.arrays.level_cells[level + 1])), *cells)
-    nodes = Runs.joined(Runs.one(0, int(tree.arrays.level_nodes[level])), *nodes)
-    made = _joined([texture], texture, level, levels, (cells, nodes), is_closed)
+    runs = (
+        Runs.joined(Runs.one(0, int(tree.arrays.level_cells[level + 1])), *cells),
+        Runs.joined(Runs.one(0, int(tree.arrays.level_nodes[level])), *nodes),
+    )
+    made = _joined([texture], texture, level, levels, runs, is_closed)
     return _forgetting(made, int(tree.arrays.level_cells[level]) + np.flatnonzero(is_closed))
 
 
@@ -233,9 +235,11 @@ def put_back(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> Octr
     numbers = np.where(is_closed, old + np.cumsum(was_node)[at] - 1, own + np.cumsum(is_node) - 1)
     has_below = is_closed | is_node
     levels, cells, nodes = _below(trees, _runs(owners[has_below], numbers[has_below]))
-    cells = Runs.joined(Runs.one(1, int(draft.tree.arrays.level_cells[level])), here, *cells)
-    nodes = Runs.joined(Runs.one(1, int(draft.tree.arrays.level_nodes[level])), *nodes)
-    return _joined([texture, draft], draft, level, levels, (cells, nodes), is_closed)
+    runs = (
+        Runs.joined(Runs.one(1, int(draft.tree.arrays.level_cells[level])), here, *cells),
+        Runs.joined(Runs.one(1, int(draft.tree.arrays.level_nodes[level])), *nodes),
+    )
+    return _joined([texture, draft], draft, level, levels, runs, is_closed)
 
 
 def _with_channels(texture: OctreeTexture, draft: OctreeTexture) -> OctreeTexture:

@@ -127,11 +127,14 @@ def is_within(codes: Int64s, cells: Sequence[Int64s], level: int) -> Bools:
 
 def are_beside(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
     """Say which cells (n,) of a level have some of leaves, given by level, in or beside them."""
+    if not codes.size:
+        return np.zeros(0, np.bool_)
     near = distinct(np.concatenate([codes, boundary(codes, level)]))
     below = np.empty(0, np.int64)
     for deeper in range(len(leaves) - 1, level - 1, -1):
-        own = leaves[deeper] >> 3 * (deeper - level)
-        below = np.concatenate([below, own[among(own, near)]])
+        if leaves[deeper].size:
+            own = leaves[deeper] >> 3 * (deeper - level)
+            below = np.concatenate([below, own[among(own, near)]])
     taken = near[is_within(near, [*leaves[:level], distinct(below)], level)]
     return among(codes, taken) | among(codes, boundary(taken, level))
 
@@ -161,6 +164,8 @@ def beside_larger(codes: Int64s, tree: Octree, level: int) -> Bools:
 
 def skirt_of(outer: Int64s, painted: Sequence[Int64s], ring: Int64s, met: Int64s, level: int) -> Int64s:
     """Return those cells beside paint, off the surface, that nothing but paint and its boundary is beside."""
+    if not outer.size:
+        return outer
     bare = met[among(met, boundary(outer, level))]
     bare = bare[~among(bare, ring)]
     bare = bare[~is_within(bare, painted, level)]

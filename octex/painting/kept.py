@@ -69,10 +69,14 @@ def with_old_skirts(tree: Octree, paint: Sequence[Paint], is_skirt: Bools, execu
     for level, (codes, is_node) in enumerate(tree.walk()):
         here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
         skirt = codes[~is_node & is_skirt[here]]
+        if not skirt.size:
+            continue
         skirt = skirt[_are_near(skirt, painted, level) & ~among(skirt, paint[level].codes)]
         is_own = tree.arrays.areas[here][np.searchsorted(codes, skirt)] == SKIRT  # there for paint alone
-        reaches = is_own & _touch(skirt, painted, level, half=True)
-        skirt = skirt[reaches | _touch(skirt, painted, level)]
+        reaches = is_own.copy()
+        reaches[is_own] = _touch(skirt[is_own], painted, level, half=True)
+        reaches[~reaches] = _touch(skirt[~reaches], painted, level)
+        skirt = skirt[reaches]
         if skirt.size:
             bare = bare or bare_leaves(tree, paint, is_skirt)
             around = boundary(skirt, level)
@@ -85,8 +89,6 @@ def with_old_skirts(tree: Octree, paint: Sequence[Paint], is_skirt: Bools, execu
 
 def _are_near(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
     """Say at a glance which cells (n,) of a level may reach leaves, given by level: by cells four as wide."""
-    if not codes.size:
-        return np.zeros(0, np.bool_)
     top = max(level - 2, 0)
     inside = [own >> 3 * (at - top) for at, own in enumerate(leaves) if at >= top]
     coarse = [*leaves[:top], distinct(np.concatenate(inside))]
@@ -99,10 +101,14 @@ def _touch(codes: Int64s, leaves: Sequence[Int64s], level: int, *, half: bool = 
 
     With ``half`` also those that are refined to beside some: to half a cell beyond themselves.
     """
+    if not codes.size:
+        return np.zeros(0, np.bool_)
     around = boundary(codes, level)
     found = among(codes, boundary(around[is_within(around, leaves[: level + 1], level)], level))
     for at in range(level + 1, len(leaves)):
         own = leaves[at][among_at(leaves[at], at, around, level)]
+        if not own.size:
+            continue
         near = distinct(np.concatenate([own, boundary(own, at)]))
         if half:
             near = distinct(near >> 3 * (at - level - 1))

@@ -211,6 +211,11 @@ def _raised(
     skirts: list[Int64s] = []  # none lies in another
     with_skirts: list[Paint] = []
     for level, each in enumerate(paint[: depth + 1]):
+        if not each.codes.size:
+            with_skirts.append(each)
+            skirts.append(none)
+            wanted.append(none)
+            continue
         surface_cells = distinct(np.concatenate([met.codes[level], new[level]]))
         is_met = among(virtual[level], surface_cells)
         raised_ring, outer = virtual[level][is_met], virtual[level][~is_met]
