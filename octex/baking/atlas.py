@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from octex.arrays import Bools, Float64s, Int32s, Int64s
@@ -27,11 +29,12 @@ _PROBE = 256
 _OVERLAPPING = 0.01
 
 
-def atlas_layout(surface: Surface, size: int, padding: int) -> Layout:
+def atlas_layout(surface: Surface, sizes: Sequence[int], padding: int, texel: float) -> Layout:
     """Lay a surface out in a square map of charts, ``padding`` texels and more apart.
 
     Charts are those of the extra ``atlas`` (xatlas) if it is installed; else parts that face about one way,
-    projected along it. Raises ModelError for a map that is too small for so many charts.
+    projected along it. The map has the first of ``sizes`` whose texels are at most ``texel`` wide, in rest
+    units, or the last. Raises ModelError if that is too small for so many charts.
     """
     flat = _unwrapped(surface)
     if flat is None:
@@ -39,9 +42,11 @@ def atlas_layout(surface: Surface, size: int, padding: int) -> Layout:
     charts = charts_of(surface, flat)
     flat = _upright(flat, charts)
     area = _area(flat)
-    scale = size * np.sqrt(_FULL / area) if area > 0.0 else 1.0
-    while True:
-        placed = _packed(flat * scale, charts, size, padding)
+    low, high = surface.bounds
+    wanted = float((high - low).max()) / (_SIDE * texel)
+    for size in sizes:
+        least = wanted if size != sizes[-1] else area**-0.5 if area > 0.0 else 1.0
+        placed = _fitted(flat, charts, area, size, padding, least)
         if placed is not None:
             faces = np.arange(len(charts), dtype=np.int32)
             values, rows = np.unique(
@@ -49,12 +54,23 @@ def atlas_layout(surface: Surface, size: int, padding: int) -> Layout:
             )
             uv = Corners(values, rows.reshape(-1, 3).astype(np.int32))
             return Layout(uv, placed, faces, charts, size, size)
+    raise ModelError(
+        f"{surface.name}: {int(charts.max()) + 1:,} charts do not fit in a map of {size} × {size} texels; "
+        "make it larger, or the padding smaller"
+    )
+
+
+def _fitted(
+    flat: Float64s, charts: Int32s, area: float, size: int, padding: int, least: float
+) -> Float64s | None:
+    """Place charts in a square map, as large as they fit; None if they do not at the ``least`` scale."""
+    scale = size * np.sqrt(_FULL / area) if area > 0.0 else 1.0
+    while scale >= least:
+        placed = _packed(flat * scale, charts, size, padding)
+        if placed is not None:
+            return placed
         scale *= _SMALLER
-        if scale * scale * area < 1.0:
-            raise ModelError(
-                f"{surface.name}: {int(charts.max()) + 1:,} charts do not fit in a map of {size} × {size} "
-                "texels; make it larger"
-            )
+    return None
 
 
 def _unwrapped(surface: Surface) -> Float64s | None:
