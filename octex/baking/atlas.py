@@ -19,8 +19,8 @@ from octex.source.welding import first_equal
 _LEAST_COSINE = 0.7
 #: Charts are told apart where the model's longest side is so many texels.
 _SIDE = 1024.0
-#: Charts are tried at scales each so much smaller than the one before, until they fit.
-_SMALLER = 0.97
+#: Charts fit at their scale, and not at one that is more than so much larger.
+_CLOSE = 1.03
 #: How much of a map charts fill at best.
 _FULL = 0.92
 #: Overlaps of a projected chart are looked for in a map of so many texels a side ...
@@ -63,14 +63,22 @@ def atlas_layout(surface: Surface, sizes: Sequence[int], padding: int, texel: fl
 def _fitted(
     flat: Float64s, charts: Int32s, area: float, size: int, padding: int, least: float
 ) -> Float64s | None:
-    """Place charts in a square map, as large as they fit; None if they do not at the ``least`` scale."""
-    scale = size * np.sqrt(_FULL / area) if area > 0.0 else 1.0
-    while scale >= least:
-        placed = _packed(flat * scale, charts, size, padding)
-        if placed is not None:
-            return placed
-        scale *= _SMALLER
-    return None
+    """Place charts in a square map, nearly as large as they fit; None if they do not at the ``least`` scale."""
+    most = size * np.sqrt(_FULL / area) if area > 0.0 else least
+    low, placed = most, _packed(flat * most, charts, size, padding)
+    while placed is None:
+        if low <= least:
+            return None
+        most, low = low, max(low / 2.0, least)
+        placed = _packed(flat * low, charts, size, padding)
+    while most > low * _CLOSE:
+        middle = np.sqrt(low * most)
+        tried = _packed(flat * middle, charts, size, padding)
+        if tried is None:
+            most = middle
+        else:
+            low, placed = middle, tried
+    return placed
 
 
 def _unwrapped(surface: Surface) -> Float64s | None:
@@ -211,6 +219,7 @@ def _packed(flat: Float64s, charts: Int32s, size: int, padding: int) -> Float64s
     if (reaches + 2 * padding > size).any():
         return None
     free = np.ones((blocks, blocks), np.bool_)
+    tried: dict[tuple[int, ...], tuple[int, Bools]] = {}  # where masks are that were placed last, by shape
     placed = np.empty_like(flat)
     for group in np.argsort(-reaches.max(axis=1), kind="stable").tolist():
         own = groups[group]
@@ -219,9 +228,11 @@ def _packed(flat: Float64s, charts: Int32s, size: int, padding: int) -> Float64s
             return None
         mask = np.zeros((int(shape[1]), int(shape[0])), np.bool_)
         _mark((flat[own] + padding) / ALIGNMENT, padding / ALIGNMENT, mask)
-        at = _place(free, mask)
+        last, before = tried.get(mask.shape, (-1, mask))
+        at = _place(free, mask, last + 1 if mask[before].all() else 0)
         if at < 0:
             return None
+        tried[mask.shape] = at, mask
         row, column = divmod(at, blocks)
         placed[own] = flat[own] + (column * ALIGNMENT + padding, row * ALIGNMENT + padding)
     return placed
@@ -252,11 +263,11 @@ def _mark(corners: Float64s, around: float, mask: Bools) -> None:
 
 
 @kernel
-def _place(free: Bools, mask: Bools) -> int:
-    """Put a mask where all blocks are free, in the first such place row by row; return it, or −1."""
+def _place(free: Bools, mask: Bools, start: int) -> int:
+    """Put a mask where all blocks are free, in the first such place from ``start`` on; return it, or −1."""
     height, width = mask.shape
     blocks = free.shape[0]
-    for at in range(blocks * blocks):
+    for at in range(start, blocks * blocks):
         row, column = at // blocks, at % blocks
         if row + height > blocks:
             break
