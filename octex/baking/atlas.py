@@ -63,7 +63,7 @@ def atlas_layout(surface: Surface, sizes: Sequence[int], padding: int, texel: fl
 def _fitted(
     flat: Float64s, charts: Int32s, area: float, size: int, padding: int, least: float
 ) -> Float64s | None:
-    """Place charts in a square map, nearly as large as they fit; None if they do not at the ``least`` scale."""
+    """Place charts in a square map, about as large as they fit; None if not at the ``least`` scale."""
     most = size * np.sqrt(_FULL / area) if area > 0.0 else least
     low, placed = most, _packed(flat * most, charts, size, padding)
     while placed is None:
