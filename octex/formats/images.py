@@ -8,7 +8,8 @@ from typing import Any, Literal
 import numpy as np
 import PIL.Image
 
-from octex.arrays import Array, Float32s
+from octex.arrays import Array, Float32s, Uint8s
+from octex.channels import encode
 from octex.errors import ModelError
 from octex.source.corners import Frames
 from octex.source.materials import MaterialSource
@@ -39,6 +40,18 @@ def posed_frames(surface: Surface) -> Frames | None:
     return carried(surface.frames, surface.triangles, surface.rest, surface.vertices)
 
 
+def normals_of_vertices(surface: Surface) -> Float32s | None:
+    """Return shading normals of posed vertices (n, 3), the mean of their corners'; None if there are none."""
+    frames = posed_frames(surface)
+    if frames is None:
+        return None
+    sums = np.zeros(surface.vertices.shape)
+    for corner in range(3):
+        np.add.at(sums, surface.triangles[:, corner], frames.normals.values[frames.normals.rows[:, corner]])
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.asarray(sums / np.where(lengths > 0.0, lengths, 1.0), np.float32)
+
+
 def colors_of_vertices(surface: Surface) -> Float32s | None:
     """Return colours of vertices (n, 4), linear light and alpha; None where a surface has none.
 
@@ -50,6 +63,12 @@ def colors_of_vertices(surface: Surface) -> Float32s | None:
     if colors.rows is not surface.triangles and not np.array_equal(colors.rows, surface.triangles):
         raise ModelError(f"{surface.name}: its colours belong to corners, not to vertices; bake it first")
     return colors.values
+
+
+def codes_of(colors: Float32s) -> Uint8s:
+    """Return colours (n, 4), linear light and alpha, as codes of 8 bits: sRGB and coverage."""
+    codes = [encode(colors[:, :3], "uint8", "srgb"), encode(colors[:, 3:], "uint8", "data")]
+    return np.concatenate(codes, axis=1)
 
 
 def image_file(
