@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Float64s
 from octex.channels import ColorSpace, encode
 from octex.errors import ModelError, TextureFileError
 from octex.files import replacing
@@ -122,10 +123,15 @@ def _header(texture: OctreeTexture, vertex: np.dtype[np.void]) -> bytes:
     return "\n".join([*lines, *_properties(vertex), "end_header", ""]).encode("ascii")
 
 
+def leaf_centres(texture: OctreeTexture, leaves: Leaves) -> Float64s:
+    """Return the centres of leaves (n, 3), in rest units."""
+    edges = np.ldexp(1.0, -leaves.depths.astype(np.int32))[:, None]
+    return texture.placement.to_rest((decode_cells(leaves.codes) + 0.5) * edges)
+
+
 def _vertices(texture: OctreeTexture, leaves: Leaves, vertex: np.dtype[np.void]) -> npt.NDArray[np.void]:
     vertices = np.empty(len(leaves.cells), vertex)
-    edges = np.ldexp(1.0, -leaves.depths.astype(np.int32))[:, None]
-    centres = texture.placement.to_rest((decode_cells(leaves.codes) + 0.5) * edges)
+    centres = leaf_centres(texture, leaves)
     normals = estimate_normals(texture.tree.arrays, *leaves)
     for axis, name in enumerate("xyz"):
         vertices[name] = centres[:, axis]
