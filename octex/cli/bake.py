@@ -123,8 +123,9 @@ def bake(options: argparse.Namespace, program: str) -> int:
         if options.vertex_colors:
             with progress.stage("divide"):
                 error = 8.0 if options.max_error is None else options.max_error
-                subdivide = "auto" if ending == ".3mf" and options.subdivide is None else options.subdivide
-                baked = octex.bake_vertices(texture, surface, subdivide=subdivide, max_error=error)
+                if ending == ".3mf" and options.subdivide is None:
+                    options.subdivide = "auto"
+                baked = octex.bake_vertices(texture, surface, subdivide=options.subdivide, max_error=error)
         else:
             baked = octex.bake(
                 texture,
@@ -136,8 +137,9 @@ def bake(options: argparse.Namespace, program: str) -> int:
                 progress=progress,
             )
         with progress.stage("write"):
-            unit = options.unit or "meter"
-            octex.write_model(baked, options.OUTPUT, images=options.images or "png", unit=unit)
+            octex.write_model(
+                baked, options.OUTPUT, images=options.images or "png", unit=options.unit or "meter"
+            )
     size = max(_sizes(baked), default=0)
     made = {
         "output": str(options.OUTPUT),
