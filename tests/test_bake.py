@@ -23,6 +23,7 @@ from octex.channels import encode, linear_to_srgb
 from octex.cli import main as cli
 from octex.errors import ArgumentError, ModelError
 from octex.source.corners import Corners
+from octex.source.materials import MaterialSource
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
 from tests import solids
@@ -189,7 +190,7 @@ def test_an_atlas_has_room_for_every_triangle_once(
         pytest.importorskip("xatlas", reason="the extra octex[atlas] is not installed")
     points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 24)
     surface = Surface.from_arrays(points, triangles)
-    layout = atlas.atlas_layout(surface, 256, 4)
+    layout = atlas.atlas_layout(surface, [256], 4, 1.0)
     drawn = draw_texels(layout.corners, layout.charts, 256, 0, 256)
     assert float(drawn.areas.sum()) / 256**2 == pytest.approx(unit_area(layout), rel=2e-3)
     assert unit_area(layout) > 0.3
@@ -210,7 +211,9 @@ def test_charts_do_not_depend_on_the_units_of_a_model(
         pytest.importorskip("xatlas", reason="the extra octex[atlas] is not installed")
     points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 24)
     charts = [
-        np.unique(atlas.atlas_layout(Surface.from_arrays(points * each, triangles), 256, 4).charts).size
+        np.unique(
+            atlas.atlas_layout(Surface.from_arrays(points * each, triangles), [256], 4, 1.0).charts
+        ).size
         for each in (1.0, scale)
     ]
     assert charts[0] == charts[1] > 1
@@ -237,7 +240,25 @@ def test_an_atlas_without_room_says_so() -> None:
     vertices = random.random((3000, 3))
     surface = Surface.from_arrays(vertices, np.arange(3000).reshape(-1, 3))
     with pytest.raises(ModelError, match=r"charts do not fit in a map of 64 × 64 texels; make it larger"):
-        atlas.atlas_layout(surface, 64, 8)
+        atlas.atlas_layout(surface, [64], 8, 1.0)
+
+
+def test_a_map_grows_until_charts_fit_and_texels_are_as_small_as_cells() -> None:
+    random = np.random.default_rng(0)
+    vertices = np.repeat(random.random((300, 3)), 3, axis=0) + 0.05 * random.random((900, 3))
+    surface = Surface.from_arrays(vertices, np.arange(900).reshape(-1, 3))
+    texture = octex.convert(surface, 6)
+    baked = octex.bake(texture, surface)
+    assert isinstance(baked.source, MaterialSource)
+    image = baked.source.materials[0].inputs["base_color"].texture
+    assert baked.uv is not None
+    assert image is not None
+    side = image.texels.shape[0]
+    rest, flat = surface.rest[surface.triangles], side * baked.uv.values[baked.uv.rows].astype(np.float64)
+    area = np.linalg.norm(np.cross(rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]), axis=1).sum()
+    texels = np.abs(np.linalg.det(flat[:, 1:] - flat[:, :1])).sum()
+    assert np.sqrt(area / texels) <= 1.15 * texture.placement.size / 2**6
+    assert side > 2 * np.sqrt(area / 2) / (texture.placement.size / 2**6)  # what the area alone would need
 
 
 @pytest.mark.parametrize("uv", ["keep", "atlas"])

@@ -37,6 +37,8 @@ from octex.texture import OctreeTexture, as_texture
 
 #: The sizes of maps that are chosen by themselves, and the largest at all.
 _SMALLEST, _LARGEST, _MOST = 64, 8192, 16384
+#: Texels are about as large as cells if they are at most so much wider.
+_ABOUT = 1.15
 #: Rows of texels in one task.
 _BAND = 32
 #: Texels of gutters in one task.
@@ -167,8 +169,11 @@ def _layout(texture: OctreeTexture, surface: Surface, uv: Layouts, size: int | N
                 if size is not None:
                     return kept
                 return kept.sized(_size_for(texture, surface, unit_area(kept)))
-    wanted = size or _size_for(texture, surface, 0.6)
-    return atlas_layout(surface, wanted, padding)
+    if size is not None:
+        return atlas_layout(surface, [size], padding, _cell(texture))
+    first = _size_for(texture, surface, 0.6)
+    sizes = [2**n for n in range(first.bit_length() - 1, _LARGEST.bit_length())]
+    return atlas_layout(surface, sizes, padding, _ABOUT * _cell(texture))
 
 
 def _shared(layout: Layout) -> float:
@@ -184,9 +189,13 @@ def _size_for(texture: OctreeTexture, surface: Surface, part: float) -> int:
     corners = surface.rest[surface.triangles]
     crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = float(np.linalg.norm(crosses, axis=1).sum() / 2)
-    cell = texture.placement.size / 2**texture.tree.max_depth
-    side = np.sqrt(area / max(part, 1e-6)) / cell
-    return int(np.clip(2 ** np.ceil(np.log2(max(side, 1.0)) - 0.2), _SMALLEST, _LARGEST))
+    side = np.sqrt(area / max(part, 1e-6)) / (_ABOUT * _cell(texture))
+    return int(np.clip(2 ** np.ceil(np.log2(max(side, 1.0))), _SMALLEST, _LARGEST))
+
+
+def _cell(texture: OctreeTexture) -> float:
+    """Return the width of a texture's finest cells."""
+    return float(texture.placement.size / 2**texture.tree.max_depth)
 
 
 def _job(texture: OctreeTexture, surface: Surface, layout: Layout, names: list[str]) -> _Job:
