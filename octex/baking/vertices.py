@@ -13,6 +13,7 @@ from octex.channels import ALPHA, BASE_COLOR, encode
 from octex.checks import as_choice, as_number, as_whole
 from octex.errors import ArgumentError
 from octex.source.corners import Corners, Frames
+from octex.source.distinct import distinct_rows
 from octex.source.materials import AlphaMode, Input, Material, MaterialSource
 from octex.source.surface import Surface, as_surface
 from octex.source.welding import welded
@@ -140,7 +141,7 @@ def _undivided(texture: OctreeTexture, surface: Surface) -> tuple[_Points, Int64
     if surface.frames is not None:
         normals = surface.frames.normals
         corners[:, 1] = welded(normals.values)[normals.rows].reshape(-1)
-    vertices, triangles = _distinct(corners)
+    vertices, triangles = distinct_rows(corners)
     triangles = triangles.reshape(-1, 3)
     posed, rest = surface.vertices[vertices[:, 0]], surface.rest[vertices[:, 0]]
     places = welded(np.concatenate([posed, rest], axis=1)).astype(np.int64)
@@ -164,14 +165,6 @@ def _frames(points: _Points, faces: Int32s) -> Frames:
     return Frames(Corners(normals.astype(np.float32), faces), Corners(tangents, faces))
 
 
-def _distinct(rows: Int64s) -> tuple[Int64s, Int64s]:
-    """Return the distinct rows, in the order in which they come first, and the number of each row's (n,)."""
-    numbers = welded(rows)
-    distinct = np.empty((int(numbers.max(initial=-1)) + 1, rows.shape[1]), np.int64)
-    distinct[numbers] = rows
-    return distinct, numbers.astype(np.int64)
-
-
 def _colors(texture: OctreeTexture, rest: Float64s, normals: Float64s) -> Float32s:
     names = [name for name in (BASE_COLOR.name, ALPHA.name) if name in texture.channels]
     found = texture.sample(rest, names, normals=normals)
@@ -185,7 +178,7 @@ def _colors(texture: OctreeTexture, rest: Float64s, normals: Float64s) -> Float3
 def _edges_of(triangles: Int64s) -> tuple[Int64s, Int64s]:
     """Return the edges (k, 2) of triangles, each once, and which of them are each triangle's sides (m, 3)."""
     ends = np.stack([triangles, triangles[:, [1, 2, 0]]], axis=-1).reshape(-1, 2)
-    edges, sides = _distinct(_in_order(ends))
+    edges, sides = distinct_rows(_in_order(ends))
     return edges, sides.reshape(-1, 3)
 
 

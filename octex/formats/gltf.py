@@ -14,6 +14,7 @@ from octex.arrays import Floats, Integers
 from octex.errors import ModelError
 from octex.files import replacing
 from octex.formats.images import ImageFormat, encoded_images, materials_of, posed_frames
+from octex.source.distinct import distinct_rows
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Input, Material, MaterialSource
 from octex.source.surface import Surface
@@ -91,7 +92,7 @@ class _Content:
         corners = np.stack(
             [surface.triangles[chosen], *(each.rows[chosen] for each in bound.values())], axis=-1
         )
-        distinct, indices = np.unique(corners.reshape(-1, corners.shape[-1]), axis=0, return_inverse=True)
+        distinct, indices = distinct_rows(corners.reshape(-1, corners.shape[-1]))
         attributes = {"POSITION": self._floats(surface.vertices[distinct[:, 0]], limits=True)}
         for number, (name, each) in enumerate(bound.items(), 1):
             attributes[name] = self._floats(each.values[distinct[:, number]])
