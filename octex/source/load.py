@@ -11,13 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.checks import as_choice, as_entries, as_flag, as_names, as_path, is_path
-from octex.errors import InputError, ModelError, ModelWarning
+from octex.errors import ModelError, ModelWarning, OctexError
 from octex.files import read_bytes
 from octex.source.images.filters import FILTERS
 from octex.source.models.gltf import load_gltf
 from octex.source.models.meshfiles import load_off, load_ply, load_stl
 from octex.source.models.obj import load_obj
 from octex.source.models.options import Options
+from octex.source.models.usd import load_usd
 from octex.source.surface import Surface
 
 _READERS: dict[str, Callable[[Path, Options], Surface]] = {
@@ -27,6 +28,10 @@ _READERS: dict[str, Callable[[Path, Options], Surface]] = {
     ".ply": load_ply,
     ".off": load_off,
     ".stl": load_stl,
+    ".usd": load_usd,
+    ".usda": load_usd,
+    ".usdc": load_usd,
+    ".usdz": load_usd,
 }
 
 #: The endings of model files that octex reads.
@@ -101,7 +106,7 @@ def _read(path: Path, options: Options) -> Surface:
         digest = hashlib.sha256(data)
         del data
         surface = reader(path, options)
-    except (InputError, ModelWarning):  # warnings may be errors
+    except (OctexError, ModelWarning):  # warnings may be errors
         raise
     except OSError as error:
         raise ModelError(f"{path} cannot be read: {error.strerror or error}") from None
