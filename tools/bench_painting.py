@@ -91,7 +91,45 @@ def painting(setup: Setup, report: Report) -> None:
     spent = _median(setup, lambda: octex.paint(texture, surface, brush, max_depth=depth))
     report.line("leaves of the texture", f"{texture.tree.n_leaves:,}")
     report.at_most("painting: a brush of 256² pixels", spent, 0.25, "s")
+    _strokes(setup, report)
     _beside_open3d(setup, report, depth)
+
+
+def _strokes(setup: Setup, report: Report) -> None:
+    """Strokes of a session, on cells as wide as the texture's and finer."""
+    around, across, depth = (24, 12, 6) if setup.quick else (103, 52, 9)
+    surface = painted_torus(around, across, 256)
+    texture = octex.convert(surface, depth)
+    report.line(f"strokes on {len(surface.triangles):,} triangles, leaves", f"{texture.tree.n_leaves:,}")
+    for what, finer, target in (
+        ("at its own depth", 0, 0.05),
+        ("one finer", 1, 0.10),
+        ("two finer", 2, 0.25),
+    ):
+        brush = _brush(surface, 1.1 * texture.placement.size / 2 ** (depth + finer))
+        painter = octex.Painter(texture, surface)
+        spent = _median(setup, lambda painter=painter, brush=brush: (painter.paint(brush), painter.undo()))
+        report.at_most(f"painting: a brush of 128² pixels, {what}", spent, target, "s")
+        painter.paint(brush)
+        more = painter.texture().tree.n_leaves - texture.tree.n_leaves
+        pixels = np.count_nonzero(np.asarray(brush.image)[..., 3])
+        report.at_most(f"painting: leaves a pixel, {what}", more / pixels, 6.0 if finer else 2.0, "")
+    spent = _median(setup, lambda: (painter.paint(brush), painter.undo()))
+    report.at_most("painting: a brush of 128² pixels, two finer, again", spent, 0.05, "s")
+
+
+def _brush(surface: octex.Surface, pixel: float) -> octex.Projection:
+    """Return a soft disc of 128² pixels, each so wide, on the part of a surface nearest to a camera."""
+    toward = np.array([0.3, 0.5, 1.0]) / np.linalg.norm([0.3, 0.5, 1.0])
+    middle = surface.vertices[np.argmax(surface.vertices @ toward)]
+    across = np.cross(toward, [0.0, 1.0, 0.0])
+    across /= np.linalg.norm(across)
+    along = np.cross(toward, across)
+    corners = [middle + 64 * pixel * (x * across + y * along) for x in (-1, 1) for y in (-1, 1)]
+    y, x = np.mgrid[:128, :128] - 63.5
+    image = np.full((128, 128, 4), (200, 40, 90, 255), np.uint8)
+    image[..., 3] = np.clip(25.5 * (60 - np.hypot(x, y)), 0, 255)
+    return octex.Projection(image, octex.Camera.fitted(np.array(corners), tuple(toward), size=(128, 128)))
 
 
 def _beside_open3d(setup: Setup, report: Report, depth: int) -> None:
