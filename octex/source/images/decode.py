@@ -192,6 +192,9 @@ def _ktx2_texels(data: bytes, name: str) -> Texels:
         raise MissingExtraError.needed(f"{name}: to decode KTX2 textures", "opengl-basisu", "ktx2") from None
     texture = opengl_basisu.open(data)
     check_size(texture.width, texture.height, len(data), name, _MOST_PER_BYTE_DENSEST)
+    blocks = -(-texture.width // 4) * -(-texture.height // 4) * texture.faces * texture.layers
+    if int.from_bytes(data[96:104], "little") > 16 * blocks:  # of the largest image, unpacked
+        raise ImageError(f"{name} is damaged: its texels take more bytes than they can; save it again")
     return spread(texture.transcode("rgba8").data)
 
 
