@@ -246,7 +246,7 @@ def test_an_atlas_without_room_says_so() -> None:
 def test_a_map_grows_until_charts_fit_and_texels_are_as_small_as_cells() -> None:
     random = np.random.default_rng(0)
     vertices = np.repeat(random.random((300, 3)), 3, axis=0) + 0.05 * random.random((900, 3))
-    surface = Surface.from_arrays(vertices, np.arange(900).reshape(-1, 3))
+    surface = Surface.from_arrays(vertices, np.arange(900).reshape(-1, 3)).with_sources({"base_color": waves})
     texture = octex.convert(surface, 6)
     baked = octex.bake(texture, surface)
     assert isinstance(baked.source, MaterialSource)

@@ -12,8 +12,8 @@ from octex.baking.texels import draw_texels
 from octex.errors import ModelError
 from octex.jit import kernel
 from octex.source.corners import Corners
-from octex.source.surface import Surface
-from octex.source.welding import first_equal
+from octex.source.mesh import Mesh
+from octex.source.welding import first_equal, welded
 
 #: The least cosine between the normals of a chart's triangles and the direction that it is projected along.
 _LEAST_COSINE = 0.7
@@ -29,33 +29,34 @@ _PROBE = 256
 _OVERLAPPING = 0.01
 
 
-def atlas_layout(surface: Surface, sizes: Sequence[int], padding: int, texel: float) -> Layout:
+def atlas_layout(mesh: Mesh, sizes: Sequence[int], padding: int, texel: float) -> Layout:
     """Lay a surface out in a square map of charts, ``padding`` texels and more apart.
 
     Charts are those of the extra ``atlas`` (xatlas) if it is installed; else parts that face about one way,
     projected along it. The map has the first of ``sizes`` whose texels are at most ``texel`` wide, in rest
     units, or the last. Raises ModelError if that is too small for so many charts.
     """
-    flat = _unwrapped(surface)
+    flat = _unwrapped(mesh)
     if flat is None:
-        flat = projected(surface)
-    charts = charts_of(surface, flat)
+        flat = projected(mesh)
+    charts = charts_of(mesh, flat)
     flat = _upright(flat, charts)
     area = _area(flat)
-    low, high = surface.bounds
+    low, high = mesh.bounds
     wanted = float((high - low).max()) / (_SIDE * texel)
     for size in sizes:
         least = wanted if size != sizes[-1] else area**-0.5 if area > 0.0 else 1.0
         placed = _fitted(flat, charts, area, size, padding, least)
         if placed is not None:
             faces = np.arange(len(charts), dtype=np.int32)
-            values, rows = np.unique(
-                (placed / size).reshape(-1, 2).astype(np.float32), axis=0, return_inverse=True
-            )
-            uv = Corners(values, rows.reshape(-1, 3).astype(np.int32))
+            points = (placed / size).reshape(-1, 2).astype(np.float32)
+            rows = welded(points)
+            values = np.empty((int(rows.max()) + 1, 2), np.float32)
+            values[rows] = points
+            uv = Corners(values, rows.reshape(-1, 3))
             return Layout(uv, placed, faces, charts, size, size)
     raise ModelError(
-        f"{surface.name}: {int(charts.max()) + 1:,} charts do not fit in a map of {size} × {size} texels; "
+        f"{mesh.name}: {int(charts.max()) + 1:,} charts do not fit in a map of {size} × {size} texels; "
         "make it larger, or the padding smaller"
     )
 
@@ -81,14 +82,14 @@ def _fitted(
     return placed
 
 
-def _unwrapped(surface: Surface) -> Float64s | None:
+def _unwrapped(mesh: Mesh) -> Float64s | None:
     """Return flattened corners (m, 3, 2) by xatlas, 1024 for the longest side; None without it."""
     try:
         import xatlas
     except ImportError:
         return None
-    positions = _unit_positions(surface).astype(np.float32)
-    used, faces = np.unique(first_equal(surface.rest)[surface.triangles], return_inverse=True)
+    positions = _unit_positions(mesh).astype(np.float32)
+    used, faces = np.unique(first_equal(mesh.rest)[mesh.triangles], return_inverse=True)
     atlas = xatlas.Atlas()
     atlas.add_mesh(positions[used], faces.reshape(-1, 3).astype(np.uint32))
     options = xatlas.PackOptions()
@@ -100,13 +101,13 @@ def _unwrapped(surface: Surface) -> Float64s | None:
     return corners
 
 
-def projected(surface: Surface) -> Float64s:
+def projected(mesh: Mesh) -> Float64s:
     """Return flattened corners (m, 3, 2) of charts that face about one way, 1024 for the longest side."""
-    rest = (_SIDE * _unit_positions(surface))[surface.triangles]
+    rest = (_SIDE * _unit_positions(mesh))[mesh.triangles]
     crosses = np.cross(rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0])
     areas = np.linalg.norm(crosses, axis=1)
     normals = crosses / np.where(areas > 0, areas, 1.0)[:, None]
-    others, _ = neighbors(surface)
+    others, _ = neighbors(mesh)
     charts = np.full(len(rest), -1, np.int32)
     axes = np.zeros((len(rest), 3))
     order = np.argsort(-areas, kind="stable")
@@ -122,10 +123,10 @@ def projected(surface: Surface) -> Float64s:
     return moved
 
 
-def _unit_positions(surface: Surface) -> Float64s:
+def _unit_positions(mesh: Mesh) -> Float64s:
     """Return rest positions (n, 3) of which the longest side is 1: charts do not depend on units."""
-    low, high = surface.bounds
-    positions: Float64s = (surface.rest - low) / (float((high - low).max()) or 1.0)
+    low, high = mesh.bounds
+    positions: Float64s = (mesh.rest - low) / (float((high - low).max()) or 1.0)
     return positions
 
 

@@ -174,6 +174,10 @@ class _Content:
             if name in inputs and inputs[name].texture is not None:
                 pbr["metallicRoughnessTexture"] = self._texture(inputs[name])
         made: dict[str, Any] = {"pbrMetallicRoughness": pbr}
+        if material.name:
+            made["name"] = material.name
+        if material.double_sided:
+            made["doubleSided"] = True
         if material.alpha_mode != "opaque":
             made["alphaMode"] = material.alpha_mode.upper()
         if material.alpha_mode == "mask":
