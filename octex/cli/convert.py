@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from octex.texture import OctreeTexture
 
 COMMAND = "octree-convert"
-OUTPUT_ENDINGS = (TEXTURE_ENDING, ".ply")
+OUTPUT_ENDINGS = (TEXTURE_ENDING, ".ply", ".npz")
 
 
 def main(arguments: Sequence[str] | None = None, program: str = COMMAND, command: str = "convert") -> int:
@@ -105,6 +105,10 @@ def _convert(options: argparse.Namespace, program: str) -> int:
         if options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
             with progress.stage("write"):
                 texture.save(options.OUTPUT)
+        elif options.OUTPUT.suffix.lower() == ".npz":
+            from octex.formats.npz import write_arrays
+
+            write_arrays(texture, options.OUTPUT, progress)
         else:
             from octex.formats.ply import write_points
 

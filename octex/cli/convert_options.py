@@ -46,7 +46,8 @@ _OPTIONS = (
     ),
     option(
         "OUTPUT",
-        "NAME.octex, or NAME.ply: a coloured point a leaf, with normal; with --parts a folder",
+        "NAME.octex, or a coloured point a leaf, with normal: NAME.ply, or NAME.npz for numpy; with --parts "
+        "a folder",
         nargs="?",
         type=Path,
     ),
@@ -74,8 +75,8 @@ _OPTIONS = (
     option("--no-fit", "store plain averages; lookups are then softer", action="store_true"),
     option(
         "--mesh",
-        "the model that INPUT is a texture of: OUTPUT is it with images, .glb, .gltf or .obj (octex bake has "
-        "more options)",
+        "the model that INPUT is a texture of: OUTPUT is it with images, .glb, .gltf, .obj or .usdz, or "
+        "with vertex colours, .3mf (octex bake has more options)",
         metavar="MODEL",
         type=Path,
     ),
@@ -326,7 +327,7 @@ COMMANDS = {
         "Make a texture from a texture; what is asked for is done in the order listed here.",
         [
             option("INPUT", "an .octex file", metavar="TEXTURE", type=Path),
-            option("OUTPUT", "NAME.octex, or NAME.ply: a coloured point a leaf, with normal", type=Path),
+            option("OUTPUT", "NAME.octex, or a coloured point a leaf: NAME.ply, or NAME.npz", type=Path),
         ],
         _those(
             [*_EDITS, *(word for word in _BY_WORD if word in _OF_ANYTHING.difference(_EDITS))],

@@ -18,6 +18,7 @@ from octex.source.models.gltf import load_gltf
 from octex.source.models.meshfiles import load_off, load_ply, load_stl
 from octex.source.models.obj import load_obj
 from octex.source.models.options import Options
+from octex.source.models.usd import load_usd
 from octex.source.surface import Surface
 
 _READERS: dict[str, Callable[[Path, Options], Surface]] = {
@@ -27,6 +28,10 @@ _READERS: dict[str, Callable[[Path, Options], Surface]] = {
     ".ply": load_ply,
     ".off": load_off,
     ".stl": load_stl,
+    ".usd": load_usd,
+    ".usda": load_usd,
+    ".usdc": load_usd,
+    ".usdz": load_usd,
 }
 
 #: The endings of model files that octex reads.

@@ -187,7 +187,14 @@ def _described(document: Document, number: int | None) -> tuple[Material, dict[s
     state("base_color", color[:3], pbr, texture)
     if mode != "OPAQUE":
         state("alpha", color[3:], pbr, texture, (3,))
-    material = Material(inputs, _ALPHA_MODES[mode], given.number("alphaCutoff", 0.5))
+    name = given.entry.get("name")
+    material = Material(
+        inputs,
+        _ALPHA_MODES[mode],
+        given.number("alphaCutoff", 0.5),
+        name if isinstance(name, str) else "",
+        given.entry.get("doubleSided") is True,
+    )
     if is_unlit:
         return material, uses
     if is_older:
