@@ -41,7 +41,7 @@ class Heads(NamedTuple):
     @classmethod
     def of(cls, tiles: Tiles, codes: Int64s) -> Heads:
         """List the cubes of finest cells (n,), which ascend."""
-        firsts = np.flatnonzero(np.diff(codes >> _BITS, prepend=-1, append=-1))
+        firsts = _firsts(codes)
         return cls(tiles, tiles.masks.size // 8 - firsts.size, firsts)
 
 
@@ -115,6 +115,18 @@ class CubeLookups(NamedTuple):
         return self._replace(coverage=coverage)
 
 
+@kernel
+def _firsts(codes: Int64s) -> Int64s:
+    """Return where cells of another cube begin, and the end."""
+    firsts = np.empty(codes.size + 1, np.int64)
+    count = 0
+    for n in range(codes.size):
+        firsts[count] = n
+        count += n == 0 or codes[n] >> _BITS != codes[n - 1] >> _BITS
+    firsts[count] = codes.size
+    return firsts[: count + 1].copy()
+
+
 def _cubes(samples: Samples, heads: Heads, cells: Int64s) -> Cubes:
     """List the cubes of finest cells, which ascend."""
     count = np.count_nonzero(np.diff(samples.codes[cells] >> _BITS, prepend=-1))
@@ -174,14 +186,14 @@ def _count_outside(cells: Int32s, first: int, end: int) -> int:
 def _collect(cells: Int32s, first: int, end: int, outside: Outside) -> None:
     for n in range(cells.size):
         if not first <= cells[n] < end:
-            number_of(outside, np.int64(cells[n]))
+            number_of(outside, int(cells[n]))
 
 
 @kernel
 def _number(cells: Int32s, first: int, end: int, outside: Outside) -> None:
     """Replace cells by their numbers: ``first`` … ``end`` − 1 from 0 on, then the rest as they came."""
     for n in range(cells.size):
-        cell = np.int64(cells[n])
+        cell = int(cells[n])
         is_own = first <= cell < end
         cells[n] = cell - first if is_own else end - first + number_of(outside, cell)
 
@@ -223,10 +235,10 @@ def _residuals(
     for cube in range(cubes.owns.size):
         begin, end = cubes.starts[cube], cubes.starts[cube + 1]
         for entry in range(begin, end):
-            cell, at = np.uint64(cubes.cells[entry]), np.uint64(4) * np.uint64(cubes.places[entry])
-            covered = coverage[cell]
-            grid[at], grid[at + np.uint64(1)] = covered * values[cell, 0], covered * values[cell, 1]
-            grid[at + np.uint64(2)], grid[at + np.uint64(3)] = covered * values[cell, 2], covered
+            number, to = np.uint64(cubes.cells[entry]), np.uint64(4) * np.uint64(cubes.places[entry])
+            covered = coverage[number]
+            grid[to], grid[to + np.uint64(1)] = covered * values[number, 0], covered * values[number, 1]
+            grid[to + np.uint64(2)], grid[to + np.uint64(3)] = covered * values[number, 2], covered
         for entry in range(begin, begin + cubes.owns[cube]):
             cell, at = cubes.cells[entry], int(cubes.places[entry]) - _CENTRE
             for sample in range(firsts[cell], firsts[cell + 1]):
@@ -241,9 +253,9 @@ def _residuals(
                 found = x * inverse, y * inverse, z * inverse
                 write_residual(found, targets, share, components, is_light, sample, rows)
         for entry in range(begin, end):
-            at = np.uint64(4) * np.uint64(cubes.places[entry])
+            to = np.uint64(4) * np.uint64(cubes.places[entry])
             for part in range(4):
-                grid[at + np.uint64(part)] = zero
+                grid[to + np.uint64(part)] = zero
 
 
 @kernel

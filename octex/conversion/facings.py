@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from octex.arrays import Bools, Int8s, Int64s, Uint8s, Uint32s, Uint64s
 from octex.field.coefficients import SPLIT_KIND
 from octex.field.field import Field, Listed
-from octex.jit import kernel
+from octex.jit import kernel, trailing_zeros
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree
@@ -15,6 +17,8 @@ from octex.tree.placement import Placement
 
 #: Cells whose surroundings are looked at at once.
 _BLOCK = 1 << 16
+#: Bit of nodes beside their octants.
+_NODE = 8
 
 
 def kinds_around(tree: Octree) -> Uint64s:
@@ -23,22 +27,22 @@ def kinds_around(tree: Octree) -> Uint64s:
     0 where none of them face opposite ways or are split. Found from the root down: what is around a cell is
     around what lies in it.
     """
-    n_cells, firsts = tree.n_cells, tree.arrays.level_cells
+    n_cells, firsts = tree.n_cells, tree.arrays.level_cells.tolist()
     kinds, parents = np.empty(n_cells, np.uint64), np.zeros(n_cells, np.uint32)
-    _gather_kinds(tree.arrays.groups, tree.arrays.flags, n_cells - tree.n_leaves, kinds, parents)
+    octants = np.zeros(n_cells, np.uint8)
+    _gather_kinds(tree.arrays.groups, tree.arrays.flags, n_cells - tree.n_leaves, kinds, parents, octants)
     field = Field(tree)
     found = np.zeros(n_cells, np.uint64)
-    meets = np.zeros(n_cells, np.bool_)
-    for level, (codes, is_node) in enumerate(tree.walk()):
-        first, end = firsts[level : level + 2].tolist()
-        chosen = np.flatnonzero(meets[parents[first:end]]) if level else np.arange(1)
+    meets, codes = np.zeros(n_cells, np.bool_), np.zeros(n_cells, np.int64)  # codes of those looked at
+    for level, (first, end) in enumerate(pairwise(firsts)):
+        chosen = np.flatnonzero(meets[parents[first:end]]) + first if level else np.arange(1)
         for begin in range(0, len(chosen), _BLOCK):
             some = chosen[begin : begin + _BLOCK]
+            codes[some] = codes[parents[some]] << 3 | octants[some] & 7
             taps = _around(field, level, codes[some])
             around = np.bitwise_or.reduceat(kinds[taps.rows], taps.starts[:-1])
-            meet = _face_opposite(around) | (around & SPLIT_KIND > 0)
-            meets[first + some] = meet
-            found[first + some] = np.where(meet & ~is_node[some], around, 0)
+            meets[some] = _face_opposite(around) | (around & SPLIT_KIND > 0)
+            found[some] = np.where(meets[some] & (octants[some] < _NODE), around, 0)
     return found
 
 
@@ -55,18 +59,23 @@ _HAVING = np.array([sum(1 << kind for kind in range(64) if kind >> f & 1) for f 
 
 
 @kernel
-def _gather_kinds(groups: Uint64s, flags: Uint8s, n_nodes: int, kinds: Uint64s, parents: Uint32s) -> None:
-    """Write the kind of each leaf, the kinds of all leaves below each node, and each cell's parent."""
+def _gather_kinds(
+    groups: Uint64s, flags: Uint8s, n_nodes: int, kinds: Uint64s, parents: Uint32s, octants: Uint8s
+) -> None:
+    """Write the kind of each leaf, the kinds of all leaves below each node; each cell's parent and octant."""
     cells = np.zeros(n_nodes, np.uint32)  # of each node
     one, byte = np.uint64(1), np.uint64(0xFF)
     child, child_node = 1, 1
+    octants[0] = _NODE if n_nodes > 0 else 0
     for node in range(n_nodes):
         shift = np.uint64(8 * (node & 7))
         nodes = groups[node >> 3, 0] >> shift & byte
         left = nodes | groups[node >> 3, 1] >> shift & byte
         while left != 0:
             parents[child] = cells[node]
+            octants[child] = trailing_zeros(left)
             if nodes & left & (~left + one) != 0:
+                octants[child] |= np.uint8(_NODE)
                 cells[child_node] = child
                 child_node += 1
             left &= left - one

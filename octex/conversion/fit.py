@@ -253,8 +253,8 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
     equations = None
     is_fixed = job.leaves.ranks_of(lookups.cells[: lookups.unknowns]) < 0
     values = _values(job.channels, lookups.cells, job.field.tree.n_cells)
-    targets = job.samples.values[lookups.samples]
-    shares = job.samples.shares[lookups.samples] * (lookups.strides * np.float32(1 / SHARE_STEPS))
+    targets = job.samples.values.take(lookups.samples, axis=0)
+    shares = job.samples.shares.take(lookups.samples) * (lookups.strides * np.float32(1 / SHARE_STEPS))
     for group, limits in zip(job.groups, job.ranges, strict=True):
         components = len(group.columns)
         is_light = int(group.format.space in ("srgb", "linear"))
@@ -346,6 +346,6 @@ def _values(channels: Sequence[Channel], rows: Int64s, n_cells: int) -> Float32s
     end = 0
     for channel in channels:
         start, end = end, end + channel.format.components
-        found[:, start:end] = decode(channel.values[cells], channel.format.space)
+        found[:, start:end] = decode(channel.values.take(cells, axis=0), channel.format.space)
         found[kept, start:end] = decode(channel.kept_values[rows[kept] - n_cells], channel.format.space)
     return found
