@@ -167,7 +167,7 @@ def linear_taps(
                 stored |= int(is_stored) << tap
                 end += is_stored
             if end > start and is_marked(tiles, int(taps.rows[start])):
-                total = np.float32(0.0)  # the walk answers
+                total = np.float32(0.0)  # others answer
             if gradient:
                 _slope(steps, n, tiles.depth, stored, taps.slopes, start)
             point = int(which[np.uint64(begin + n)])
