@@ -107,8 +107,13 @@ class Field:
     def painted(self) -> tuple[Tiles, ...] | None:
         """Return the tiles of a tree of one depth that was painted more finely, marked; None for others."""
         levels = [] if self.tiles is not None else painted_levels(self.tree)
-        trees = (self.level(level).tree for level in levels)
-        return tuple(marked(build_tiles(tree), self.tree) for tree in trees) or None
+        found: list[Tiles] = []
+        for level in levels:
+            tiles = marked(build_tiles(self.level(level).tree), self.tree)
+            n_marked, n_cells = np.bitwise_count(tiles.marks).sum(), sum(self.tree.cells_by_depth()[level])
+            if not found or 2 * n_marked < n_cells:  # they serve the most
+                found.append(tiles)
+        return tuple(found) or None
 
     @built_once
     def mixed(self) -> Tree:

@@ -249,7 +249,7 @@ class OctreeTexture:
         code = FILTERS.index(filter)
         if given.keys() <= {"points", "normals"} and self._field.tiles is None:
             self._field.prepare(code)
-        if given.keys() <= {"points", "normals"} and self._field.tiles_for(code) is None:
+        if given.keys() <= {"points", "normals"} and self._field.tiles is None:
             in_space(*task, self.placement)
         else:
             in_blocks(*task)
