@@ -124,7 +124,7 @@ class Field:
         """Return the tiles that serve a filter: all of the points, or the most of them."""
         tiles: Tiles | None = self.tiles
         if tiles is None and filter_code in (LINEAR, QUADRATIC) and self.painted:
-            return self.painted[0]
+            tiles = self.painted[0]
         return tiles
 
     @property
