@@ -12,8 +12,8 @@ A lookup goes through this room from left to right, a block of points at a time;
     several        ├── windows · refinement · neighborhood the walk: any tree, kept coefficients
     levels         └── order · bricks · crowded            many points at once where the walk would answer:
                                                            source and sink in one
-                   `tiled` takes one channel by tiles through all of that in one call, step by step: leaves, but
-                   not `quartic`; looks of `quadratic` that neither alpha nor gradients are wanted of
+                   `tiled` takes one channel by tiles through all of that in one call, step by step: leaves,
+                   but not `quartic`; looks of `quadratic`, but not with alpha or gradients
    `seen` weighs by areas and facings while it sums up, where nothing else changes the weights
 
 Trees of one depth that were painted more finely have tiles too, of both levels: marked where the walk, or
