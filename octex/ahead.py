@@ -1,8 +1,8 @@
-"""Compile ahead: while a command compiles and runs its first stages, another process compiles its last.
+"""Compile ahead: while a command compiles and runs, other processes compile what it needs later.
 
-Both keep what they compile in the same folders (`jit_cache`). `signatures.txt` lists what Python calls
+All keep what they compile in the same folders (`jit_cache`). `signatures.txt` lists what Python calls
 kernels with, in the order of need, in sections; `tools/signatures.py` writes it. A line that no longer fits
-is passed over: the command compiles what it misses.
+is passed over: the command compiles what it misses, and waits for what a helper has in work.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ WRITING = threading.Lock()
 
 _wanted: tuple[str, ...] = ()
 _helpers: list[subprocess.Popen[bytes]] = []
+_in_work: dict[int, str] = {}  # the line that each helper compiles, by its number of a process
+_moved = threading.Condition()
 
 
 @contextmanager
@@ -68,12 +70,31 @@ def begin() -> None:
             helper = subprocess.Popen(
                 [sys.executable, *_CALL, str(number), str(count), *sections],
                 stdin=subprocess.PIPE,  # whose end tells the helper that this process has ended
-                stdout=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,  # the lines that it begins
                 stderr=subprocess.DEVNULL,
                 env=environment,
             )
             _helpers.append(helper)
-            threading.Thread(target=helper.wait, name="octex ahead", daemon=True).start()
+            threading.Thread(target=_follow, args=[helper], name="octex ahead", daemon=True).start()
+
+
+def _follow(helper: subprocess.Popen[bytes]) -> None:
+    assert helper.stdout is not None
+    with helper.stdout:
+        for line in helper.stdout:
+            with _moved:
+                _in_work[helper.pid] = line.decode().rstrip("\n")
+                _moved.notify_all()
+    with _moved:
+        _in_work.pop(helper.pid, None)
+        _moved.notify_all()
+    helper.wait()
+
+
+def wait_for(line: str) -> None:
+    """Wait while a helper compiles what a line names: it began first, and so it ends first."""
+    with _moved:
+        _moved.wait_for(lambda: line not in _in_work.values())
 
 
 def _end(helper: subprocess.Popen[bytes]) -> None:
@@ -88,16 +109,51 @@ def _end(helper: subprocess.Popen[bytes]) -> None:
 
 
 def main() -> None:
-    """Be a helper: compile its share of some sections, the last first, while standard input lasts."""
+    """Be a helper: compile its share of some sections while standard input lasts; print each line before."""
     number, count = map(int, sys.argv[1:3])
     threading.Thread(target=_watch, daemon=True).start()
-    from octex.jit import MANY_OBJECTS
-
-    gc.set_threshold(MANY_OBJECTS)
-    for line in lines(*sys.argv[3:])[::-1][number::count]:
+    gc.disable()  # 6 % faster; 3 MB more for each second of it
+    for line in shared(lines(*sys.argv[3:]), count)[number::count]:
         with suppress(Exception):
+            print(line, flush=True)
             kernel, arguments = read(line)
             kernel.compile(arguments)
+
+
+def shared(needed: list[str], helpers: int) -> list[str]:
+    """Return lines in the order in which helpers compile them.
+
+    First come the largest of those that helpers end before the command, which compiles the rest, needs them;
+    then the rest, the last first.
+    """
+    sizes = [_size_of(line) for line in needed]
+    early: set[int] = set()
+    for place in sorted(range(len(needed)), key=lambda place: -sizes[place]):
+        chosen, done, of_command = early | {place}, 0, 0
+        for at, size in enumerate(sizes):
+            if at not in chosen:
+                of_command += size
+                continue
+            done += size
+            if done > helpers * of_command:
+                break
+        else:
+            early = chosen
+    late = [at for at in reversed(range(len(needed))) if at not in early]
+    return [needed[at] for at in (*sorted(early), *late)]
+
+
+def _size_of(line: str) -> int:
+    """Return how much bytecode is compiled for a line, to which time is in proportion: some 0.6 ms a byte."""
+    with suppress(Exception):
+        found, waiting = set(), [read(line)[0].py_func]
+        while waiting:
+            function = waiting.pop()
+            found.add(function)
+            named = map(function.__globals__.get, function.__code__.co_names)
+            waiting += {each.py_func for each in named if hasattr(each, "py_func")} - found
+        return sum(len(function.__code__.co_code) for function in found)
+    return 0
 
 
 def _watch() -> None:

@@ -23,7 +23,7 @@ import numba
 from numba import types
 from numba.core.serialize import dumps
 
-from octex.ahead import WRITING, begin
+from octex.ahead import WRITING, begin, wait_for
 
 #: Imports of octex, of whole modules or of names in them.
 _IMPORT = re.compile(r"^(?:from|import) (octex[\w.]*)(?: import (\([^)]*\)|.*))?", re.MULTILINE)
@@ -46,6 +46,7 @@ class CodeFiles:
     def __init__(self, folder: str, function: Any, stamp: object = None) -> None:
         code, python = function.__code__, f"py{sys.version_info[0]}{sys.version_info[1]}"
         name = re.sub("[<>]", "", f"{function.__module__}.{function.__qualname__}")
+        self._line = f"{function.__module__}:{function.__qualname__} "
         self._folder = Path(folder)
         self._name = f"{name}-{code.co_firstlineno}.{python}{getattr(sys, 'abiflags', '')}"
         self._state = f"numba {numba.__version__}, {stamp!r}, {digest_behind(function.__module__)}"
@@ -61,6 +62,8 @@ class CodeFiles:
             found = self._load(SHIPPED, (signature, (triple, *PORTABLE), bytecode))
         if found is None:
             begin()
+            wait_for(self._line + types_text(key[0]))
+            found = self._load(self._folder, key)
         return found
 
     def _load(self, folder: Path, key: Any) -> Any:
@@ -100,7 +103,12 @@ def _can_run_shipped(key: Any) -> bool:
 def key_text(key: tuple[Any, tuple[str, ...], tuple[str, ...]]) -> str:
     """Return the same words for the same types, machine and bytecode."""
     signature, machine, bytecode = key
-    return "\n".join([", ".join(map(type_text, getattr(signature, "args", signature))), *machine, *bytecode])
+    return "\n".join([types_text(signature), *machine, *bytecode])
+
+
+def types_text(signature: Any) -> str:
+    """Return the names of the types of arguments."""
+    return ", ".join(map(type_text, getattr(signature, "args", signature)))
 
 
 def type_text(kind: Any) -> str:

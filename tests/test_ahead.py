@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from numba import types
 
 from octex import ahead, jit_cache
 from octex.cli.convert import main
@@ -152,6 +153,68 @@ print("late")
     assert done.stdout == b""
 
 
+def test_a_command_waits_for_what_a_helper_has_in_work(
+    helpers: list[Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    over, line = tmp_path / "over", "octex.jit:low_bits int64"
+    script = f"""
+import pathlib, sys, time
+print({line!r}, flush=True)
+time.sleep(0.5)
+pathlib.Path({str(over)!r}).touch()
+print("another", flush=True)
+sys.stdin.read()
+"""
+    monkeypatch.setattr(ahead, "_CALL", ("-c", script))
+    monkeypatch.setattr(ahead, "cpu_count", lambda: 2)
+    with ahead.ahead("convert"):
+        ahead.begin()
+        ahead.wait_for("octex.jit:low_bits int32")  # nobody's
+        while line not in ahead._in_work.values():
+            time.sleep(0.01)
+        assert not over.exists()
+        ahead.wait_for(line)
+        assert over.exists()
+        assert list(ahead._in_work.values()) == ["another"]
+    assert [helper.returncode for helper in helpers] == [0]
+    ahead.wait_for("another")  # nobody's any more
+
+
+@needs_jit
+def test_what_is_not_there_is_looked_for_again_after_a_helper_had_it_in_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = jit_cache.CodeFiles(str(tmp_path), jit_cache.key_text)
+    key = (types.int64,), ("x86_64-linux", "any", ""), ("bytecode",)
+    waited = []
+
+    def wait_for(line: str) -> None:
+        waited.append(line)
+        files.save(key, [1, 2])
+
+    monkeypatch.setattr(jit_cache, "wait_for", wait_for)
+    assert [files.load(key), files.load(key)] == [[1, 2], [1, 2]]
+    assert waited == ["octex.jit_cache:key_text int64"]
+
+
+def test_helpers_begin_with_the_largest_that_they_end_in_time_and_go_on_from_the_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sizes = {"a": 3, "b": 1, "c": 4, "d": 9, "e": 2, "f": 1, "g": 12, "h": 1}
+    monkeypatch.setattr(ahead, "_size_of", sizes.__getitem__)
+    # One helper cannot end d before the command, which compiles 8 until then; c and g it can.
+    assert "".join(ahead.shared(list(sizes), 1)) == "cghfedba"
+    assert "".join(ahead.shared(list(sizes), 2)) == "dghfecba"
+    assert ahead.shared([], 1) == []
+
+
+@needs_jit
+def test_what_calls_more_is_larger() -> None:
+    (first,) = (line for line in ahead.lines("convert") if "evaluate:evaluate" in line)
+    assert ahead._size_of(first) > 5 * ahead._size_of("octex.jit:low_bits int64") > 0
+    assert ahead._size_of("octex.jit:gone int64") == 0
+
+
 @needs_jit
 def test_a_helper_compiles_what_is_listed_and_passes_over_what_does_not_fit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -170,7 +233,8 @@ def test_a_helper_compiles_what_is_listed_and_passes_over_what_does_not_fit(
     ) as helper:
         assert helper.wait() == 0
         assert helper.stdout is not None
-        assert helper.stdout.read() == b""
+        begun = helper.stdout.read().decode().splitlines()
+    assert sorted(begun) == sorted(listed.read_text().splitlines()[2:8])
     (kept,) = (tmp_path / "cache").glob("*/*")
     assert kept.name.startswith("octex.jit.low_bits-")
 
@@ -185,7 +249,7 @@ def test_what_is_listed_are_kernels_and_types_of_their_arguments(section: str) -
             kernel, arguments = ahead.read(line)
         except (AttributeError, ImportError, ValueError):
             continue
-        assert ", ".join(map(jit_cache.type_text, arguments)) == line.split(" ", 1)[1]
+        assert jit_cache.types_text(arguments) == line.split(" ", 1)[1]
         fitting += len(inspect.signature(kernel.py_func).parameters) == len(arguments)
     assert len(listed) > 10
     assert fitting > 0.8 * len(listed)
