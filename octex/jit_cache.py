@@ -12,19 +12,29 @@ import hashlib
 import pickle
 import re
 import sys
+import threading
+import time
 import uuid
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numba
 from numba import types
 from numba.core.serialize import dumps
 
-from octex.ahead import WRITING, begin, wait_for
+from octex.ahead import WRITING, begin
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+#: Seconds that a process waits, at most, while another compiles the same.
+LONGEST = 120.0
 #: Imports of octex, of whole modules or of names in them.
 _IMPORT = re.compile(r"^(?:from|import) (octex[\w.]*)(?: import (\([^)]*\)|.*))?", re.MULTILINE)
 
@@ -46,7 +56,7 @@ class CodeFiles:
     def __init__(self, folder: str, function: Any, stamp: object = None) -> None:
         code, python = function.__code__, f"py{sys.version_info[0]}{sys.version_info[1]}"
         name = re.sub("[<>]", "", f"{function.__module__}.{function.__qualname__}")
-        self._line = f"{function.__module__}:{function.__qualname__} "
+        self._own = threading.local()
         self._folder = Path(folder)
         self._name = f"{name}-{code.co_firstlineno}.{python}{getattr(sys, 'abiflags', '')}"
         self._state = f"numba {numba.__version__}, {stamp!r}, {digest_behind(function.__module__)}"
@@ -62,9 +72,29 @@ class CodeFiles:
             found = self._load(SHIPPED, (signature, (triple, *PORTABLE), bytecode))
         if found is None:
             begin()
-            wait_for(self._line + types_text(key[0]))
-            found = self._load(self._folder, key)
+            turns = getattr(self._own, "turns", None)
+            if turns is not None and fcntl is not None:
+                turns.append(_turn(self._path(self._folder, key_text(key))))
+                found = self._load(self._folder, key)
         return found
+
+    @contextmanager
+    def turns(self) -> Iterator[None]:
+        """While the block lasts, be alone in compiling what is not there, among processes.
+
+        Functions wait for those that they call alone: no two processes wait for each other.
+        """
+        if hasattr(self._own, "turns"):
+            yield
+            return
+        turns = self._own.turns = list[IO[bytes] | None]()
+        try:
+            yield
+        finally:
+            del self._own.turns
+            for turn in filter(None, turns):
+                with turn:
+                    Path(turn.name).unlink(missing_ok=True)
 
     def _load(self, folder: Path, key: Any) -> Any:
         text = key_text(key)
@@ -92,6 +122,22 @@ class CodeFiles:
         """Remove all versions."""
         for path in self._folder.glob(f"{self._name}.*.nbc"):
             path.unlink(missing_ok=True)
+
+
+def _turn(path: Path) -> IO[bytes] | None:
+    """Wait while another process compiles a version; return the file that makes others wait for this one."""
+    turn = None
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        turn = path.with_name(f"{path.name}.lock").open("wb")
+        end = time.monotonic() + LONGEST
+        while time.monotonic() < end:
+            try:
+                fcntl.flock(turn, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                time.sleep(0.02)
+    return turn
 
 
 def _can_run_shipped(key: Any) -> bool:

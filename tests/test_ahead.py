@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from numba import types
 
 from octex import ahead, jit_cache
 from octex.cli.convert import main
@@ -153,50 +152,6 @@ print("late")
     assert done.stdout == b""
 
 
-def test_a_command_waits_for_what_a_helper_has_in_work(
-    helpers: list[Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    over, line = tmp_path / "over", "octex.jit:low_bits int64"
-    script = f"""
-import pathlib, sys, time
-print({line!r}, flush=True)
-time.sleep(0.5)
-pathlib.Path({str(over)!r}).touch()
-print("another", flush=True)
-sys.stdin.read()
-"""
-    monkeypatch.setattr(ahead, "_CALL", ("-c", script))
-    monkeypatch.setattr(ahead, "cpu_count", lambda: 2)
-    with ahead.ahead("convert"):
-        ahead.begin()
-        ahead.wait_for("octex.jit:low_bits int32")  # nobody's
-        while line not in ahead._in_work.values():
-            time.sleep(0.01)
-        assert not over.exists()
-        ahead.wait_for(line)
-        assert over.exists()
-        assert list(ahead._in_work.values()) == ["another"]
-    assert [helper.returncode for helper in helpers] == [0]
-    ahead.wait_for("another")  # nobody's any more
-
-
-@needs_jit
-def test_what_is_not_there_is_looked_for_again_after_a_helper_had_it_in_work(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    files = jit_cache.CodeFiles(str(tmp_path), jit_cache.key_text)
-    key = (types.int64,), ("x86_64-linux", "any", ""), ("bytecode",)
-    waited = []
-
-    def wait_for(line: str) -> None:
-        waited.append(line)
-        files.save(key, [1, 2])
-
-    monkeypatch.setattr(jit_cache, "wait_for", wait_for)
-    assert [files.load(key), files.load(key)] == [[1, 2], [1, 2]]
-    assert waited == ["octex.jit_cache:key_text int64"]
-
-
 def test_helpers_begin_with_the_largest_that_they_end_in_time_and_go_on_from_the_end(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -233,8 +188,7 @@ def test_a_helper_compiles_what_is_listed_and_passes_over_what_does_not_fit(
     ) as helper:
         assert helper.wait() == 0
         assert helper.stdout is not None
-        begun = helper.stdout.read().decode().splitlines()
-    assert sorted(begun) == sorted(listed.read_text().splitlines()[2:8])
+        assert helper.stdout.read() == b""
     (kept,) = (tmp_path / "cache").glob("*/*")
     assert kept.name.startswith("octex.jit.low_bits-")
 

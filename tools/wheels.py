@@ -67,7 +67,6 @@ def compiled_wheel(plain: Path, python: str, folder: Path) -> Path:
     with subprocess.Popen(
         [programs / "python", "-P", "-c", _COMPILE, "0", "1", *_SECTIONS],
         stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
         env=_VARIABLES | settings | {"NUMBA_CACHE_DIR": str(folder / "portable")},
         cwd=folder,
     ) as compiler:
