@@ -2,6 +2,7 @@
 
 layout      where triangles lie in a map: at coordinates of their own, and the edges of charts
 atlas       coordinates for any surface: charts, flattened and packed
+sheets      which triangles share maps: those of a material, or all
 texels      which point of the surface a texel shows
 gutters     what stands around charts
 maps        the channels at these points, as images of a material

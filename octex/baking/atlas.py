@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from octex.arrays import Bools, Float64s, Int32s, Int64s
@@ -10,15 +12,15 @@ from octex.baking.texels import draw_texels
 from octex.errors import ModelError
 from octex.jit import kernel
 from octex.source.corners import Corners
-from octex.source.surface import Surface
-from octex.source.welding import first_equal
+from octex.source.mesh import Mesh
+from octex.source.welding import first_equal, welded
 
 #: The least cosine between the normals of a chart's triangles and the direction that it is projected along.
 _LEAST_COSINE = 0.7
 #: Charts are told apart where the model's longest side is so many texels.
 _SIDE = 1024.0
-#: Charts are tried at scales each so much smaller than the one before, until they fit.
-_SMALLER = 0.97
+#: Charts fit at their scale, and not at one that is more than so much larger.
+_CLOSE = 1.03
 #: How much of a map charts fill at best.
 _FULL = 0.92
 #: Overlaps of a projected chart are looked for in a map of so many texels a side ...
@@ -27,44 +29,67 @@ _PROBE = 256
 _OVERLAPPING = 0.01
 
 
-def atlas_layout(surface: Surface, size: int, padding: int) -> Layout:
+def atlas_layout(mesh: Mesh, sizes: Sequence[int], padding: int, texel: float) -> Layout:
     """Lay a surface out in a square map of charts, ``padding`` texels and more apart.
 
     Charts are those of the extra ``atlas`` (xatlas) if it is installed; else parts that face about one way,
-    projected along it. Raises ModelError for a map that is too small for so many charts.
+    projected along it. The map has the first of ``sizes`` whose texels are at most ``texel`` wide, in rest
+    units, or the last. Raises ModelError if that is too small for so many charts.
     """
-    flat = _unwrapped(surface)
+    flat = _unwrapped(mesh)
     if flat is None:
-        flat = projected(surface)
-    charts = charts_of(surface, flat)
+        flat = projected(mesh)
+    charts = charts_of(mesh, flat)
     flat = _upright(flat, charts)
     area = _area(flat)
-    scale = size * np.sqrt(_FULL / area) if area > 0.0 else 1.0
-    while True:
-        placed = _packed(flat * scale, charts, size, padding)
+    low, high = mesh.bounds
+    wanted = float((high - low).max()) / (_SIDE * texel)
+    for size in sizes:
+        least = wanted if size != sizes[-1] else area**-0.5 if area > 0.0 else 1.0
+        placed = _fitted(flat, charts, area, size, padding, least)
         if placed is not None:
             faces = np.arange(len(charts), dtype=np.int32)
-            values, rows = np.unique(
-                (placed / size).reshape(-1, 2).astype(np.float32), axis=0, return_inverse=True
-            )
-            uv = Corners(values, rows.reshape(-1, 3).astype(np.int32))
+            points = (placed / size).reshape(-1, 2).astype(np.float32)
+            rows = welded(points)
+            values = np.empty((int(rows.max()) + 1, 2), np.float32)
+            values[rows] = points
+            uv = Corners(values, rows.reshape(-1, 3))
             return Layout(uv, placed, faces, charts, size, size)
-        scale *= _SMALLER
-        if scale * scale * area < 1.0:
-            raise ModelError(
-                f"{surface.name}: {int(charts.max()) + 1:,} charts do not fit in a map of {size} × {size} "
-                "texels; make it larger"
-            )
+    raise ModelError(
+        f"{mesh.name}: {int(charts.max()) + 1:,} charts do not fit in a map of {size} × {size} texels; "
+        "make it larger, or the padding smaller"
+    )
 
 
-def _unwrapped(surface: Surface) -> Float64s | None:
+def _fitted(
+    flat: Float64s, charts: Int32s, area: float, size: int, padding: int, least: float
+) -> Float64s | None:
+    """Place charts in a square map, about as large as they fit; None if not at the ``least`` scale."""
+    most = size * np.sqrt(_FULL / area) if area > 0.0 else least
+    low, placed = most, _packed(flat * most, charts, size, padding)
+    while placed is None:
+        if low <= least:
+            return None
+        most, low = low, max(low / 2.0, least)
+        placed = _packed(flat * low, charts, size, padding)
+    while most > low * _CLOSE:
+        middle = np.sqrt(low * most)
+        tried = _packed(flat * middle, charts, size, padding)
+        if tried is None:
+            most = middle
+        else:
+            low, placed = middle, tried
+    return placed
+
+
+def _unwrapped(mesh: Mesh) -> Float64s | None:
     """Return flattened corners (m, 3, 2) by xatlas, 1024 for the longest side; None without it."""
     try:
         import xatlas
     except ImportError:
         return None
-    positions = _unit_positions(surface).astype(np.float32)
-    used, faces = np.unique(first_equal(surface.rest)[surface.triangles], return_inverse=True)
+    positions = _unit_positions(mesh).astype(np.float32)
+    used, faces = np.unique(first_equal(mesh.rest)[mesh.triangles], return_inverse=True)
     atlas = xatlas.Atlas()
     atlas.add_mesh(positions[used], faces.reshape(-1, 3).astype(np.uint32))
     options = xatlas.PackOptions()
@@ -76,13 +101,13 @@ def _unwrapped(surface: Surface) -> Float64s | None:
     return corners
 
 
-def projected(surface: Surface) -> Float64s:
+def projected(mesh: Mesh) -> Float64s:
     """Return flattened corners (m, 3, 2) of charts that face about one way, 1024 for the longest side."""
-    rest = (_SIDE * _unit_positions(surface))[surface.triangles]
+    rest = (_SIDE * _unit_positions(mesh))[mesh.triangles]
     crosses = np.cross(rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0])
     areas = np.linalg.norm(crosses, axis=1)
     normals = crosses / np.where(areas > 0, areas, 1.0)[:, None]
-    others, _ = neighbors(surface)
+    others, _ = neighbors(mesh)
     charts = np.full(len(rest), -1, np.int32)
     axes = np.zeros((len(rest), 3))
     order = np.argsort(-areas, kind="stable")
@@ -98,10 +123,10 @@ def projected(surface: Surface) -> Float64s:
     return moved
 
 
-def _unit_positions(surface: Surface) -> Float64s:
+def _unit_positions(mesh: Mesh) -> Float64s:
     """Return rest positions (n, 3) of which the longest side is 1: charts do not depend on units."""
-    low, high = surface.bounds
-    positions: Float64s = (surface.rest - low) / (float((high - low).max()) or 1.0)
+    low, high = mesh.bounds
+    positions: Float64s = (mesh.rest - low) / (float((high - low).max()) or 1.0)
     return positions
 
 
@@ -195,6 +220,7 @@ def _packed(flat: Float64s, charts: Int32s, size: int, padding: int) -> Float64s
     if (reaches + 2 * padding > size).any():
         return None
     free = np.ones((blocks, blocks), np.bool_)
+    tried: dict[tuple[int, ...], tuple[int, Bools]] = {}  # where masks are that were placed last, by shape
     placed = np.empty_like(flat)
     for group in np.argsort(-reaches.max(axis=1), kind="stable").tolist():
         own = groups[group]
@@ -203,9 +229,11 @@ def _packed(flat: Float64s, charts: Int32s, size: int, padding: int) -> Float64s
             return None
         mask = np.zeros((int(shape[1]), int(shape[0])), np.bool_)
         _mark((flat[own] + padding) / ALIGNMENT, padding / ALIGNMENT, mask)
-        at = _place(free, mask)
+        last, before = tried.get(mask.shape, (-1, mask))
+        at = _place(free, mask, last + 1 if mask[before].all() else 0)
         if at < 0:
             return None
+        tried[mask.shape] = at, mask
         row, column = divmod(at, blocks)
         placed[own] = flat[own] + (column * ALIGNMENT + padding, row * ALIGNMENT + padding)
     return placed
@@ -236,11 +264,11 @@ def _mark(corners: Float64s, around: float, mask: Bools) -> None:
 
 
 @kernel
-def _place(free: Bools, mask: Bools) -> int:
-    """Put a mask where all blocks are free, in the first such place row by row; return it, or −1."""
+def _place(free: Bools, mask: Bools, start: int) -> int:
+    """Put a mask where all blocks are free, in the first such place from ``start`` on; return it, or −1."""
     height, width = mask.shape
     blocks = free.shape[0]
-    for at in range(blocks * blocks):
+    for at in range(start, blocks * blocks):
         row, column = at // blocks, at % blocks
         if row + height > blocks:
             break

@@ -9,46 +9,38 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int32s
-from octex.baking.atlas import atlas_layout
+from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.baking.gutters import Gutter, fill_up, gutter_of
-from octex.baking.layout import (
-    ALIGNMENT,
-    LAYOUTS,
-    Layout,
-    Layouts,
-    borders,
-    kept_layout,
-    neighbors,
-    unit_area,
-)
-from octex.baking.maps import Points, in_tangent_space, material_of, sampled, turned, unit
-from octex.baking.texels import Texels, draw_texels, texel_points
-from octex.channels import CHANNELS, NORMAL
-from octex.checks import as_choice, as_names, as_whole
+from octex.baking.layout import ALIGNMENT, LAYOUTS, Borders, Layout, Layouts, borders, neighbors
+from octex.baking.maps import Points, alpha_mode, in_tangent_space, inputs_of, sampled, turned, unit
+from octex.baking.sheets import Sheet, coordinates_of, drawn_texels, sheets_of
+from octex.baking.texels import Texels, texel_points
+from octex.channels import ALPHA, CHANNELS, NORMAL
+from octex.checks import as_choice, as_names, as_number, as_whole
 from octex.errors import ArgumentError, ModelError
+from octex.nearest.triangles import Triangles
 from octex.parallel import Progress, as_progress, ordered_map, workers
-from octex.source.corners import Frames
+from octex.source.corners import Corners, Frames
 from octex.source.images.pyramid import CLAMP, REPEAT
-from octex.source.materials import MaterialSource
+from octex.source.materials import Material, MaterialSource
 from octex.source.surface import Surface, as_surface
 from octex.source.tangents import corner_frames
 from octex.texture import OctreeTexture, as_texture
 
-#: The sizes of maps that are chosen by themselves, and the largest at all.
-_SMALLEST, _LARGEST, _MOST = 64, 8192, 16384
+#: The smallest and the largest maps.
+_SMALLEST, _MOST = 64, 16384
 #: Rows of texels in one task.
 _BAND = 32
 #: Texels of gutters in one task.
 _GUTTER = 1 << 16
-#: Coordinates of which so much is covered twice are not kept unless that is asked for.
-_OVERLAPPING = 0.01
 
 
 def bake(
     texture: OctreeTexture,
     surface: Surface,
     *,
+    source: Surface | None = None,
+    max_distance: float | None = None,
     uv: Layouts = "auto",
     texture_size: int | None = None,
     padding: int = 8,
@@ -64,13 +56,23 @@ def bake(
     glTF has it. Around the charts the maps go on with what lies across their edges on the surface, for
     ``padding`` texels, and smoothly from there, so that no smaller level of the maps shows a seam.
 
-    uv           "keep": the surface's own texture coordinates; "atlas": new ones (of the extra ``atlas``,
-                 xatlas, where it is installed); "auto": its own if they hardly overlap,
-                 else new ones
+    source       the surface that the texture was made of, where ``surface`` is another one of the same
+                 object, like a simpler one: lookups are made at the nearest points of ``source``, at rest,
+                 that face the same way
+    max_distance  how far away these may be, in the model's units; None: as far as it takes. Texels without
+                 such a point are filled from those around
+    uv           "keep": the surface's own texture coordinates, with maps for each material (those that read
+                 one image share them; those without coordinates get an atlas; UDIM tiles become materials);
+                 "atlas": new ones for all (of the extra ``atlas``, xatlas, where it is installed); "auto":
+                 its own if those of no material overlap by more than 1 %, else new ones
     texture_size  texels a side of the square maps, 64 to 16384; by default the power of two, up to 8192,
                  whose texels are about as large as the texture's finest cells, or smaller
     padding      texels between charts, 0 to 64
     channels     those that are baked, by name; by default all that materials have
+
+    Materials keep their names, whether they show both sides, and their alpha modes; in an atlas those that
+    agree in the latter two become one. Opaque ones are masks, or blend, where the texture has alpha below 1.
+    Maps without variation become numbers.
 
     Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
     thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
@@ -89,35 +91,77 @@ def bake(
         texture_size = as_whole(texture_size, "texture_size", _SMALLEST, _MOST)
         if texture_size % ALIGNMENT:
             raise ArgumentError(f"texture_size must be a multiple of {ALIGNMENT}, not {texture_size}")
+    distance = np.inf if max_distance is None else as_number(max_distance, "max_distance", 0.0, np.inf)
+    if source is None and max_distance is not None:
+        raise ArgumentError("max_distance says how far away source may be; give source too")
     report = as_progress(progress)
-    surface = surface.placed_in(texture)
+    other = None
+    if source is None:
+        surface = surface.placed_in(texture)
+    else:
+        other = _Other.of(as_surface(source, "source"), texture, distance)
     with workers(threads, executor) as pool:
         report("unwrap", 0, 1)
-        layout = _layout(texture, surface, uv, texture_size, padding)
+        sheets = sheets_of(texture, surface, uv, texture_size, padding, pool)
+        coordinates = coordinates_of(sheets, len(surface.triangles))
         report("unwrap", 1, 1)
-        job = _job(texture, surface, layout, names)
-        drawn = _draw(layout, pool)
-        maps = {name: _new_map(layout, name) for name in names}
-        ends = [*range(0, layout.height, _BAND), layout.height]
-        bands = [slice(*each) for each in pairwise(ends)]
-        tasks = [(job, drawn, band, maps) for band in bands]
-        for _ in ordered_map(pool, _bake_band, tasks, stage="bake", progress=report):
-            pass
-        if padding:
-            _bake_gutter(job, drawn, padding, maps, pool)
-        weights = (drawn.areas > 0).astype(np.float32)
-        list(ordered_map(pool, lambda each: fill_up(each, weights), list(maps.values())))
-        used = layout.uv.values[layout.uv.rows]
-        repeats = bool((used < 0.0).any() or (used > 1.0).any())
-        material = material_of(maps, REPEAT if repeats else CLAMP, pool)
-    source = MaterialSource(
-        [material], np.zeros(len(surface.triangles), np.int32), surface.rest, surface.triangles,
-        coordinates=[layout.uv], frames=job.frames, name=surface.name,
+        job = _job(texture, surface, other, sheets, coordinates, names)
+        done, total = 0, sum(sheet.layout.height for sheet in sheets)
+        materials: list[Material] = []
+        owners = np.empty(len(surface.triangles), np.int32)
+        for sheet in sheets:
+            owners[sheet.triangles] = len(materials) + sheet.owners
+            materials += _bake_sheet(job, sheet, padding, pool, _part_of(report, done, total))
+            done += sheet.layout.height
+    baked = MaterialSource(
+        materials, owners, surface.rest, surface.triangles,
+        coordinates=[coordinates], frames=job.frames, name=surface.name,
     )  # fmt: skip
     return Surface(
-        surface.vertices, surface.triangles, source, rest=surface.rest, uv=layout.uv,
+        surface.vertices, surface.triangles, baked, rest=surface.rest, uv=coordinates,
         frames=job.frames or surface.frames, name=surface.name, provenance=surface.provenance,
     )  # fmt: skip
+
+
+def _part_of(report: Progress, before: int, whole: int) -> Progress:
+    """Return what reports bands of a sheet as rows of all sheets."""
+
+    def advance(stage: str, done: int, total: int) -> None:  # noqa: ARG001
+        report(stage, min(before + done * _BAND, whole), whole)
+
+    return advance
+
+
+def _bake_sheet(job: _Job, sheet: Sheet, padding: int, pool: Executor, progress: Progress) -> list[Material]:
+    """Return the materials of a sheet, with its maps."""
+    layout = sheet.layout
+    drawn = drawn_texels(layout, pool)
+    shown = layout._replace(faces=sheet.triangles[layout.faces])
+    shape = layout.height, layout.width
+    maps = {name: np.zeros((*shape, CHANNELS[name].components), np.float32) for name in job.names}
+    ends = [*range(0, layout.height, _BAND), layout.height]
+    faces = job.surface.triangles[shown.faces]
+    tasks = [(job, shown, faces, drawn, slice(*each), maps) for each in pairwise(ends)]
+    for _ in ordered_map(pool, _bake_band, tasks, stage="bake", progress=progress):
+        pass
+    if padding and not drawn.areas.all():
+        _bake_gutter(job, shown, borders(layout, *neighbors(sheet.mesh)), drawn, padding, maps, pool)
+    weights = (drawn.areas > 0).astype(np.float32)
+    if not weights.all():
+        list(ordered_map(pool, lambda each: fill_up(each, weights), list(maps.values())))
+    used = layout.uv.values[layout.uv.rows]
+    repeats = bool((used < 0.0).any() or (used > 1.0).any())
+    inputs = inputs_of(maps, REPEAT if repeats else CLAMP, pool)
+    owners = sheet.owners[layout.faces]
+    made = []
+    for number, known in enumerate(sheet.materials):
+        alpha = None
+        if ALPHA.name in maps:
+            own_texels = (drawn.triangles >= 0) & (owners[drawn.triangles] == number)
+            alpha = maps[ALPHA.name][own_texels]
+        mode = alpha_mode(known.alpha_mode, alpha)
+        made.append(Material(inputs, mode, name=known.name, double_sided=known.double_sided))
+    return made
 
 
 def _channels_of(texture: OctreeTexture, channels: Sequence[str] | None) -> list[str]:
@@ -134,133 +178,131 @@ def _channels_of(texture: OctreeTexture, channels: Sequence[str] | None) -> list
     return names
 
 
+class _Other(NamedTuple):
+    """Another surface of the same object, which the texture was made of."""
+
+    surface: Surface  # at rest where the texture has it
+    nearest: Triangles  # at rest where the baked surface is
+    normals: Float64s  # (m, 3)   of its triangles where the texture has them
+    distance: float
+
+    @classmethod
+    def of(cls, surface: Surface, texture: OctreeTexture, distance: float) -> _Other:
+        """Make a surface ready."""
+        try:
+            nearest = Triangles.of(surface.rest, surface.triangles)
+        except ModelError as error:
+            raise ModelError(f"{surface.name}: {error}") from None
+        placed = surface.placed_in(texture)
+        corners = placed.rest[placed.triangles]
+        crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        return cls(placed, nearest, unit(crosses), distance)
+
+    def beside(self, points: Points) -> tuple[Points, Bools]:
+        """Return the points nearest to others, and which of these have one."""
+        found = self.nearest.nearest(points.rest, points.normals, distance=self.distance, least_cosine=0.0)
+        there = found.triangles >= 0
+        triangles = found.triangles[there]
+        rest = self.surface.rest_at(triangles, found.barycentric[there])
+        return points.of(there)._replace(rest=rest, normals=self.normals[triangles]), there
+
+
 class _Job(NamedTuple):
     """What is the same for all texels."""
 
     texture: OctreeTexture
     surface: Surface
-    layout: Layout
-    faces: Int32s  # (k, 3)   of what is drawn
+    other: _Other | None
+    others: Int32s  # (m, 3)   the triangles beyond the sides of each, and which side it is there
+    sides: Int32s  # (m, 3)
     names: list[str]
     dPdx: Float64s  # (m, 3)
     dPdy: Float64s  # (m, 3)
     normals: Float64s  # (m, 3)
+    is_fine: Bools  # (m,)   texels show no more than a leaf
     frames: Frames | None
 
-
-def _layout(texture: OctreeTexture, surface: Surface, uv: Layouts, size: int | None, padding: int) -> Layout:
-    """Lay the surface out in maps of a size, or of one that keeps the texture's cells."""
-    if uv != "atlas":
-        try:
-            kept = kept_layout(surface, size or 1024)
-        except ModelError:
-            if uv == "keep":
-                raise
-        else:
-            shared = _shared(kept)
-            if uv == "keep" and shared > _OVERLAPPING:
-                raise ModelError(
-                    f"{surface.name}: {100 * shared:.3g} % of its texture coordinates overlap, so that one "
-                    "texel would show several places; have an atlas made"
-                )
-            if shared <= _OVERLAPPING:
-                if size is not None:
-                    return kept
-                return kept.sized(_size_for(texture, surface, unit_area(kept)))
-    wanted = size or _size_for(texture, surface, 0.6)
-    return atlas_layout(surface, wanted, padding)
+    def values(self, points: Points) -> tuple[dict[str, Float32s], Bools | None]:
+        """Return the channels at points, those that are there at all; and which are, None for all."""
+        if self.other is None:
+            return sampled(self.texture, self.names, points), None
+        points, there = self.other.beside(points)
+        return sampled(self.texture, self.names, points), there
 
 
-def _shared(layout: Layout) -> float:
-    """Return how much of what triangles cover in a map others cover too, as a part."""
-    whole = unit_area(layout)
-    drawn = draw_texels(layout.corners, np.zeros_like(layout.charts), layout.width, 0, layout.height)
-    covered = float(drawn.areas.sum(dtype=np.float64)) / (layout.width * layout.height)
-    return max(whole - covered, 0.0) / whole if whole > 0.0 else 0.0
-
-
-def _size_for(texture: OctreeTexture, surface: Surface, part: float) -> int:
-    """Return the size of maps of which a ``part`` shows the surface with texels about as large as cells."""
-    corners = surface.rest[surface.triangles]
-    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = float(np.linalg.norm(crosses, axis=1).sum() / 2)
-    cell = texture.placement.size / 2**texture.tree.max_depth
-    side = np.sqrt(area / max(part, 1e-6)) / cell
-    return int(np.clip(2 ** np.ceil(np.log2(max(side, 1.0)) - 0.2), _SMALLEST, _LARGEST))
-
-
-def _job(texture: OctreeTexture, surface: Surface, layout: Layout, names: list[str]) -> _Job:
-    rest, flat = surface.rest[surface.triangles], layout.uv.values[layout.uv.rows].astype(np.float64)
-    flat *= layout.width, layout.height
+def _job(
+    texture: OctreeTexture, surface: Surface, other: _Other | None, sheets: list[Sheet], coordinates: Corners,
+    names: list[str],
+) -> _Job:  # fmt: skip
+    rest, flat = surface.rest[surface.triangles], coordinates.values[coordinates.rows].astype(np.float64)
+    for sheet in sheets:
+        flat[sheet.triangles] *= sheet.layout.width, sheet.layout.height
     first, second = rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]
     one, two = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
     doubled = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]
     scale = np.where(doubled != 0, 1.0 / np.where(doubled != 0, doubled, 1.0), 0.0)[:, None]
-    crosses = np.cross(first, second)
-    lengths = np.linalg.norm(crosses, axis=1, keepdims=True)
     frames = None
     if NORMAL.name in names:
         normals = None if surface.frames is None else surface.frames.normals
-        frames = corner_frames(surface.rest, surface.triangles, normals, None, layout.uv)
+        frames = corner_frames(surface.rest, surface.triangles, normals, None, coordinates)
+    dPdx = (first * two[:, 1:] - second * one[:, 1:]) * scale
+    dPdy = (second * one[:, :1] - first * two[:, :1]) * scale
+    leaf = texture.placement.size / 2**texture.tree.max_depth
+    is_fine = (dPdx**2).sum(axis=1) + (dPdy**2).sum(axis=1) <= leaf**2
+    others, sides = neighbors(surface)
     return _Job(
-        texture, surface, layout, surface.triangles[layout.faces], names,
-        dPdx=(first * two[:, 1:] - second * one[:, 1:]) * scale,
-        dPdy=(second * one[:, :1] - first * two[:, :1]) * scale,
-        normals=crosses / np.where(lengths > 0, lengths, 1.0),
-        frames=frames,
+        texture, surface, other, others, sides, names, dPdx, dPdy, unit(np.cross(first, second)), is_fine,
+        frames,
     )  # fmt: skip
 
 
-def _draw(layout: Layout, pool: Executor) -> Texels:
-    ends = [*range(0, layout.height, 4 * _BAND), layout.height]
-    parts = list(
-        ordered_map(
-            pool,
-            lambda rows: draw_texels(layout.corners, layout.charts, layout.width, *rows),
-            list(pairwise(ends)),
-        )
-    )
-    return Texels(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
-
-
-def _new_map(layout: Layout, name: str) -> Float32s:
-    return np.zeros((layout.height, layout.width, CHANNELS[name].components), np.float32)
-
-
-def _bake_band(task: tuple[_Job, Texels, slice, dict[str, Float32s]]) -> None:
-    """Write the channels at the texels of some rows."""
-    job, whole, band, maps = task
-    layout, surface = job.layout, job.surface
+def _bake_band(task: tuple[_Job, Layout, Int32s, Texels, slice, dict[str, Float32s]]) -> None:
+    """Write the channels at the texels of some rows; of those that show nothing the area becomes 0."""
+    job, layout, faces, whole, band, maps = task
     drawn = Texels(whole.triangles[band], whole.centroids[band], whole.areas[band])
     rows, columns, barycentric, rest = texel_points(
-        layout.corners, drawn, band.start, surface.rest, job.faces
+        layout.corners, drawn, band.start, job.surface.rest, faces
     )
     if not rows.size:
         return
     triangles = layout.faces[whole.triangles[rows, columns]]
-    points = Points(rest, job.dPdx[triangles], job.dPdy[triangles], job.normals[triangles])
-    found = sampled(job.texture, job.names, points)
+    derivatives = None
+    if not job.is_fine[triangles].all():
+        derivatives = job.dPdx[triangles], job.dPdy[triangles]
+    found, there = job.values(Points(rest, job.normals[triangles], derivatives))
+    places = rows * layout.width + columns
+    if there is not None:
+        whole.areas.reshape(-1)[places[~there]] = 0.0
+        places, triangles, barycentric = places[there], triangles[there], barycentric[there]
     if job.frames is not None:
         found[NORMAL.name] = in_tangent_space(found[NORMAL.name], job.frames, triangles, barycentric)
+    _put(found, places, maps)
+
+
+def _put(found: dict[str, Float32s], places: Int64s, maps: dict[str, Float32s]) -> None:
+    """Write values to maps, at places counted row by row."""
     for name, values in found.items():
-        maps[name][rows, columns] = values
+        maps[name].reshape(-1, values.shape[1])[places] = values
 
 
-def _bake_gutter(job: _Job, drawn: Texels, padding: int, maps: dict[str, Float32s], pool: Executor) -> None:
+def _bake_gutter(
+    job: _Job, layout: Layout, edges: Borders, drawn: Texels, padding: int, maps: dict[str, Float32s],
+    pool: Executor,
+) -> None:  # fmt: skip
     """Write the channels around the charts, and count these texels as covered, in place."""
-    others, sides = neighbors(job.surface)
     gutter = gutter_of(
-        job.layout, borders(job.layout, others, sides), job.surface.rest, job.surface.triangles,
-        others, sides, drawn.areas > 0, padding,
+        layout, edges, job.surface.rest, job.surface.triangles, job.others, job.sides, drawn.triangles >= 0,
+        padding,
     )  # fmt: skip
     sizes = np.linalg.norm(np.cross(job.dPdx, job.dPdy), axis=1) ** 0.5
     firsts = range(0, gutter.rows.size, _GUTTER)
     parts = [gutter.part(first, first + _GUTTER) for first in firsts]
-    list(ordered_map(pool, lambda some: _bake_beside(job, sizes, some, maps), parts))
-    drawn.areas[gutter.rows, gutter.columns] = 1.0
+    list(ordered_map(pool, lambda some: _bake_beside(job, sizes, some, drawn.areas, maps), parts))
 
 
-def _bake_beside(job: _Job, sizes: Float64s, gutter: Gutter, maps: dict[str, Float32s]) -> None:
+def _bake_beside(
+    job: _Job, sizes: Float64s, gutter: Gutter, areas: Float32s, maps: dict[str, Float32s]
+) -> None:
     """Write the channels at some texels of gutters; ``sizes`` (m,) are the edges of texels on triangles.
 
     They are as large as the texels of the chart beside them, in the plane of the triangle that they show.
@@ -269,11 +311,13 @@ def _bake_beside(job: _Job, sizes: Float64s, gutter: Gutter, maps: dict[str, Flo
     helper = np.where(np.abs(normals[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     wide = unit(np.cross(normals, helper)) * sizes[gutter.beside][:, None]
     rest = job.surface.rest_at(gutter.triangles, gutter.barycentric)
-    found = sampled(job.texture, job.names, Points(rest, wide, np.cross(normals, wide), normals))
+    found, there = job.values(Points(rest, normals, (wide, np.cross(normals, wide))))
+    if there is not None:
+        gutter = Gutter._make(each[there] for each in gutter)
     if job.frames is not None:
         ends = ((gutter.triangles, gutter.barycentric), (gutter.beside, gutter.edges))
         shading = [unit(job.frames.normals.at(*each)) for each in ends]
         directions = turned(found[NORMAL.name], *shading)
         found[NORMAL.name] = in_tangent_space(directions, job.frames, gutter.beside, gutter.edges)
-    for name, values in found.items():
-        maps[name][gutter.rows, gutter.columns] = values
+    _put(found, gutter.rows.astype(np.int64) * areas.shape[1] + gutter.columns, maps)
+    areas[gutter.rows, gutter.columns] = 1.0

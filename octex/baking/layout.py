@@ -10,14 +10,14 @@ from octex.arrays import Bools, Float64s, Int32s
 from octex.errors import ModelError
 from octex.jit import kernel
 from octex.source.corners import Corners
-from octex.source.surface import Surface
+from octex.source.mesh import Mesh
 from octex.source.welding import first_equal
 
 #: Where texture coordinates come from.
 Layouts = Literal["auto", "keep", "atlas"]
 LAYOUTS: tuple[Layouts, ...] = ("auto", "keep", "atlas")
 #: Coordinates nearer to whole numbers than this are these.
-_BEYOND = 1e-4
+BEYOND = 1e-4
 #: Charts start at multiples of so many texels, so that no texel of three smaller levels has parts of two.
 ALIGNMENT = 8
 #: A triangle may repeat the map so often.
@@ -57,23 +57,23 @@ def unit_area(layout: Layout) -> float:
     return float(np.abs(_doubled(corners)).sum() / 2)
 
 
-def kept_layout(surface: Surface, size: int) -> Layout:
+def kept_layout(mesh: Mesh, size: int) -> Layout:
     """Lay a surface out by its own texture coordinates in a square map.
 
     Raises ModelError if it has none, or if they repeat the map many times.
     """
-    if surface.uv is None:
-        raise ModelError(f"{surface.name} has no texture coordinates to keep; have an atlas made")
-    uv = surface.uv.values[surface.uv.rows].astype(np.float64)
+    if mesh.uv is None:
+        raise ModelError(f"{mesh.name} has no texture coordinates to keep; have an atlas made")
+    uv = mesh.uv.values[mesh.uv.rows].astype(np.float64)
     if not np.isfinite(uv).all():
-        raise ModelError(f"{surface.name}: texture coordinates are not all finite; have an atlas made")
-    whole = np.abs(uv - np.rint(uv)) < _BEYOND
+        raise ModelError(f"{mesh.name}: texture coordinates are not all finite; have an atlas made")
+    whole = np.abs(uv - np.rint(uv)) < BEYOND
     uv = np.where(whole, np.rint(uv), uv)
     low, high = np.floor(uv.min(axis=1)), np.maximum(np.ceil(uv.max(axis=1)), np.floor(uv.min(axis=1)) + 1)
     repeats = (high - low).astype(np.int64)
     if (repeats.prod(axis=1) > _MOST_REPEATS).any():
         raise ModelError(
-            f"{surface.name}: texture coordinates of a triangle reach over "
+            f"{mesh.name}: texture coordinates of a triangle reach over "
             f"{int(repeats.prod(axis=1).max()):,} squares; have an atlas made"
         )
     faces: Int32s = np.repeat(np.arange(len(uv), dtype=np.int32), repeats.prod(axis=1))
@@ -81,17 +81,17 @@ def kept_layout(surface: Surface, size: int) -> Layout:
     number = np.arange(faces.size) - starts[faces]
     across, down = number % repeats[faces, 0], number // repeats[faces, 0]
     moved = low[faces] + np.stack([across, down], axis=1)
-    charts = charts_of(surface, uv * size)[faces]
+    charts = charts_of(mesh, uv * size)[faces]
     squares = np.column_stack([charts, moved])
     _, numbers = np.unique(squares, axis=0, return_inverse=True)
     corners = (uv[faces] - moved[:, None]) * size
-    return Layout(surface.uv, corners, faces, numbers.astype(np.int32), size, size)
+    return Layout(mesh.uv, corners, faces, numbers.astype(np.int32), size, size)
 
 
-def charts_of(surface: Surface, corners: Float64s) -> Int32s:
+def charts_of(mesh: Mesh, corners: Float64s) -> Int32s:
     """Return the chart of each triangle (m,): those that share an edge both on the surface and in the map."""
     parents = np.arange(len(corners), dtype=np.int32)
-    beside = neighbors(surface)
+    beside = neighbors(mesh)
     _join(joined(corners, *beside), beside[0], parents)
     return np.unique(parents, return_inverse=True)[1].astype(np.int32)
 
@@ -103,9 +103,9 @@ def borders(layout: Layout, others: Int32s, sides: Int32s) -> Borders:
     return Borders(drawn.astype(np.int32), edges.astype(np.int32))
 
 
-def neighbors(surface: Surface) -> tuple[Int32s, Int32s]:
+def neighbors(mesh: Mesh) -> tuple[Int32s, Int32s]:
     """Return the triangle beyond each side (m, 3), −1 for none or several, and which side it is there."""
-    faces = first_equal(surface.rest)[surface.triangles]
+    faces = first_equal(mesh.rest)[mesh.triangles]
     ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     low, high = ends.min(axis=1), ends.max(axis=1)
     keys = low * (int(faces.max()) + 1) + high

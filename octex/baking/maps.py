@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int32s
-from octex.channels import ALPHA, CHANNELS, ColorSpace, encode
+from octex.arrays import Bools, Float32s, Float64s, Int32s
+from octex.channels import ALPHA, CHANNELS, ColorSpace, decode, encode
 from octex.jit import inlined, kernel
 from octex.parallel import ordered_map
 from octex.source.corners import Frames
 from octex.source.images.pyramid import Texels
-from octex.source.materials import AlphaMode, Input, Material, Texture
+from octex.source.materials import AlphaMode, Input, Texture
 from octex.texture import OctreeTexture
 
 #: The images of a material, by the channel that names each: the channels in red, green and blue, and alpha.
@@ -27,6 +27,10 @@ IMAGES = {
 }
 #: Alpha that is hardly anywhere between these is a mask.
 _CLEAR, _SOLID, _MOST_BETWEEN = 0.05, 0.95, 0.1
+#: First channels of images that may give way to numbers: glTF has none for occlusion and for normals.
+_NUMBERS = ("base_color", "alpha", "roughness", "metallic", "emissive", "specular")
+#: Rows of texels that are encoded at once.
+_ENCODED = 64
 #: Directions shorter than this point nowhere; squared.
 _NOWHERE = 1e-12
 
@@ -35,17 +39,23 @@ class Points(NamedTuple):
     """Points of a surface that texels show."""
 
     rest: Float64s  # (n, 3)
-    dPdx: Float64s  # (n, 3)   how rest positions change to the texel at the right
-    dPdy: Float64s  # (n, 3)   and to the one below
     normals: Float64s  # (n, 3)   of the triangles at rest
+    #: How rest positions change to the texel at the right, and to the one below, (n, 3) each; None where no
+    #: texel shows more than a leaf.
+    derivatives: tuple[Float64s, Float64s] | None
+
+    def of(self, rows: Bools) -> Points:
+        """Return some of the points."""
+        derivatives = self.derivatives
+        if derivatives is not None:
+            derivatives = derivatives[0][rows], derivatives[1][rows]
+        return Points(self.rest[rows], self.normals[rows], derivatives)
 
 
 def sampled(texture: OctreeTexture, names: list[str], points: Points) -> dict[str, Float32s]:
     """Return channels (n, components) at points, averaged over their texels; linear light."""
-    found = texture.sample(
-        points.rest, names, dPdx=points.dPdx, dPdy=points.dPdy, normals=points.normals, threads=1
-    )
-    return dict(found)
+    dPdx, dPdy = points.derivatives or (None, None)
+    return texture.sample(points.rest, names, dPdx=dPdx, dPdy=dPdy, normals=points.normals, threads=1)
 
 
 def in_tangent_space(
@@ -116,37 +126,65 @@ def unit(vectors: Float64s) -> Float64s:
     return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0), np.float64)
 
 
-def material_of(maps: Mapping[str, Float32s], wrap: int, executor: Executor) -> Material:
-    """Return a material whose images are maps (height, width, components) of channels, linear light.
+def inputs_of(maps: Mapping[str, Float32s], wrap: int, executor: Executor) -> dict[str, Input]:
+    """Return the inputs of materials whose images are maps (height, width, components) of channels, linear.
 
-    Alpha is a mask if hardly any texel is translucent. ``wrap`` is how coordinates beyond the unit square
-    meet the images.
+    ``wrap`` is how coordinates beyond the unit square meet the images. What does not vary is a number.
     """
     inputs: dict[str, Input] = {}
-    encoding: list[tuple[Texels, Float32s, ColorSpace]] = []
+    images: list[tuple[Texels, list[str]]] = []
+    encoding: list[tuple[Texels, Float32s, float, ColorSpace]] = []
     for channels in IMAGES.values():
         given = [name for name in channels if name in maps]
         if not given:
             continue
-        texels = np.full((*maps[given[0]].shape[:2], 4), 65535, np.uint16)
+        texels = np.empty((*maps[given[0]].shape[:2], 4), np.uint16)
+        texels[..., [lane for lane in range(4) if lane not in _lanes_of(channels, given)]] = 65535
+        images.append((texels, given))
         for name in given:
             form = CHANNELS[name]
-            lane = 3 if name == ALPHA.name else channels.index(name)
+            lanes = _lanes_of(channels, [name])
             strength = max(1.0, float(maps[name].max(initial=1.0))) if form.space == "srgb" else 1.0
-            encoding.append((texels[..., lane : lane + form.components], maps[name] / strength, form.space))
-            lanes = tuple(range(lane, lane + form.components))
+            for first in range(0, len(texels), _ENCODED):
+                rows = slice(first, first + _ENCODED)
+                to = texels[rows, :, lanes[0] : lanes[-1] + 1]
+                encoding.append((to, maps[name][rows], strength, form.space))
             inputs[name] = Input((strength,) * form.components, Texture(texels, wrap, wrap), lanes)
     list(ordered_map(executor, lambda each: _encode(*each), encoding))
-    return Material(inputs, _mode_of(maps[ALPHA.name]) if ALPHA.name in maps else "opaque")
+    for texels, given in images:
+        if given[0] in _NUMBERS and (texels == texels[0, 0]).all():
+            inputs |= {name: _number(inputs[name], texels, CHANNELS[name].space) for name in given}
+    return inputs
 
 
-def _encode(texels: Texels, values: Float32s, space: ColorSpace) -> None:
+def _lanes_of(channels: tuple[str, ...], names: list[str]) -> tuple[int, ...]:
+    """Return where some of the channels of an image stand in it."""
+    lanes: list[int] = []
+    for name in names:
+        first = 3 if name == ALPHA.name else channels.index(name)
+        lanes += range(first, first + CHANNELS[name].components)
+    return tuple(lanes)
+
+
+def _number(given: Input, texels: Texels, space: ColorSpace) -> Input:
+    """Return an input without its image, all of whose texels are alike."""
+    values = decode(texels[0, 0, list(given.lanes)], space)
+    return Input(tuple((values * given.factor).tolist()))
+
+
+def _encode(texels: Texels, values: Float32s, strength: float, space: ColorSpace) -> None:
     """Write values to lanes of texels, as codes of 8 bits."""
-    np.multiply(encode(values, "uint8", space), np.uint16(257), out=texels, casting="unsafe")
+    scaled = values / np.float32(strength) if strength > 1.0 else values
+    np.multiply(encode(scaled, "uint8", space), np.uint16(257), out=texels, casting="unsafe")
 
 
-def _mode_of(alpha: Float32s) -> AlphaMode:
-    """Return how alpha counts: not at all if it is 1 all over."""
+def alpha_mode(known: AlphaMode, alpha: Float32s | None) -> AlphaMode:
+    """Return how the alpha of a material's texels counts; None: it has none.
+
+    That is as is ``known``; where it is to be opaque, but is not, it is a mask if hardly any is between.
+    """
+    if alpha is None or known != "opaque":
+        return "opaque" if alpha is None else known
     if float(alpha.min(initial=1.0)) > 254 / 255:
         return "opaque"
     translucent = alpha < 1.0

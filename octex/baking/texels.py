@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int32s, Int64s
+from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.jit import inlined, kernel
 
 #: Texels of which charts cover less than this part count as gutter.
@@ -30,10 +30,10 @@ def draw_texels(corners: Float64s, charts: Int32s, width: int, first: int, end: 
     """
     shape = end - first, width
     triangles, areas = np.full(shape, -1, np.int32), np.zeros(shape, np.float32)
-    _find_owners(corners, first, triangles, areas)
-    centroids = np.zeros((*shape, 2), np.float32)
-    _find_centroids(corners, charts, first, triangles, areas, centroids)
-    _find_triangles(corners, charts, first, triangles, centroids)
+    centroids, whole = np.zeros((*shape, 2), np.float32), np.zeros(shape, np.bool_)
+    _find_owners(corners, first, triangles, areas, centroids, whole)
+    _find_centroids(corners, charts, first, triangles, areas, centroids, whole)
+    _find_triangles(corners, charts, first, triangles, centroids, whole)
     return Texels(triangles, centroids, areas)
 
 
@@ -64,28 +64,56 @@ def _cut(polygon: Float64s, count: int, axis: int, limit: float, sign: float, fo
 
 
 @inlined
+def _lines(corners: Float64s, triangle: int, lines: Float64s) -> bool:
+    """Write a triangle's sides (3, 3) as a x + b y + c, above 0 inside; say whether it has area."""
+    ax, ay = corners[triangle, 0, 0], corners[triangle, 0, 1]
+    doubled = (corners[triangle, 1, 0] - ax) * (corners[triangle, 2, 1] - ay)
+    doubled -= (corners[triangle, 1, 1] - ay) * (corners[triangle, 2, 0] - ax)
+    sign = 1.0 if doubled > 0.0 else -1.0
+    for k in range(3):
+        m = k + 1 if k < 2 else 0
+        x, y = corners[triangle, k, 0], corners[triangle, k, 1]
+        across, down = sign * (y - corners[triangle, m, 1]), sign * (corners[triangle, m, 0] - x)
+        lines[k, 0], lines[k, 1], lines[k, 2] = across, down, -across * x - down * y
+    return bool(doubled != 0.0)
+
+
+@inlined
+def _span(lines: Float64s, row: int, left: int, right: int) -> tuple[int, int]:
+    """Narrow the texels of a row to those that a triangle may meet."""
+    low, high = float(left), float(right)
+    for k in range(3):
+        across, down = lines[k, 0], lines[k, 1]
+        most = down * row + lines[k, 2] + max(across, 0.0) + max(down, 0.0)
+        if across > 0.0:
+            low = min(max(low, np.floor(-most / across)), high)
+        elif across < 0.0:
+            high = max(min(high, np.ceil(-most / across) + 1.0), low)
+    return int(low), int(high)
+
+
+@inlined
+def _meets(lines: Float64s, column: int, row: int) -> tuple[bool, bool]:
+    """Say whether a triangle meets a texel, and whether it covers all of it."""
+    meets = covers = True
+    for k in range(3):
+        across, down = lines[k, 0], lines[k, 1]
+        at = across * column + down * row + lines[k, 2]
+        meets &= at + max(across, 0.0) + max(down, 0.0) > 0.0
+        covers &= at + min(across, 0.0) + min(down, 0.0) >= 0.0
+    return meets, covers
+
+
+@inlined
 def _covered(
     corners: Float64s, triangle: int, column: int, row: int, one: Float64s, two: Float64s
 ) -> tuple[float, float, float]:
     """Return the area of a triangle in a texel, and that times its centroid relative to the texel."""
-    inside = True
-    doubled = 0.0
     for k in range(3):
         one[k, 0], one[k, 1] = corners[triangle, k, 0] - column, corners[triangle, k, 1] - row
     doubled = (one[1, 0] - one[0, 0]) * (one[2, 1] - one[0, 1])
     doubled -= (one[1, 1] - one[0, 1]) * (one[2, 0] - one[0, 0])
-    if doubled == 0.0:
-        return 0.0, 0.0, 0.0
     sign = 1.0 if doubled > 0.0 else -1.0
-    for k in range(3):
-        m = k + 1 if k < 2 else 0
-        across, down = sign * (one[k, 1] - one[m, 1]), sign * (one[m, 0] - one[k, 0])
-        at = -across * one[k, 0] - down * one[k, 1]  # at the texel's corner
-        if at + max(across, 0.0) + max(down, 0.0) <= 0.0:
-            return 0.0, 0.0, 0.0
-        inside &= at + min(across, 0.0) + min(down, 0.0) >= 0.0
-    if inside:
-        return 1.0, 0.5, 0.5
     count = _cut(one, 3, 0, 0.0, 1.0, two)
     count = _cut(two, count, 0, 1.0, -1.0, one)
     count = _cut(one, count, 1, 0.0, 1.0, two)
@@ -102,32 +130,57 @@ def _covered(
 
 
 @kernel
-def _find_owners(corners: Float64s, first: int, triangles: Int32s, areas: Float32s) -> None:
-    """Write the triangle that covers most of each texel, and how much."""
-    one, two = np.empty((8, 2)), np.empty((8, 2))
+def _find_owners(
+    corners: Float64s, first: int, triangles: Int32s, areas: Float32s, centroids: Float32s, whole: Bools
+) -> None:
+    """Write the triangle that covers most of each texel, how much, and which texels one covers ``whole``.
+
+    These have their centroid in the middle.
+    """
+    one, two, lines = np.empty((8, 2)), np.empty((8, 2)), np.empty((3, 3))
     for triangle in range(corners.shape[0]):
         top, bottom = _reach(corners, triangle, 1, first, first + triangles.shape[0])
         left, right = _reach(corners, triangle, 0, 0, triangles.shape[1])
+        if top >= bottom or left >= right or not _lines(corners, triangle, lines):
+            continue
         for row in range(top, bottom):
-            for column in range(left, right):
-                area, _, _ = _covered(corners, triangle, column, row, one, two)
-                if area > np.float64(areas[row - first, column]) and area > _LEAST:
-                    areas[row - first, column] = area
+            low, high = _span(lines, row, left, right)
+            for column in range(low, high):
+                if whole[row - first, column]:
+                    continue
+                meets, covers = _meets(lines, column, row)
+                if covers:
+                    whole[row - first, column], areas[row - first, column] = True, 1.0
                     triangles[row - first, column] = triangle
+                    centroids[row - first, column, 0] = centroids[row - first, column, 1] = 0.5
+                elif meets:
+                    area, _, _ = _covered(corners, triangle, column, row, one, two)
+                    if area > np.float64(areas[row - first, column]) and area > _LEAST:
+                        areas[row - first, column] = area
+                        triangles[row - first, column] = triangle
 
 
 @kernel
 def _find_centroids(
-    corners: Float64s, charts: Int32s, first: int, triangles: Int32s, areas: Float32s, centroids: Float32s
-) -> None:
-    """Write how much of each texel the chart of its triangle covers, and the centroid of that."""
-    one, two = np.empty((8, 2)), np.empty((8, 2))
-    areas[:] = 0.0
+    corners: Float64s, charts: Int32s, first: int, triangles: Int32s, areas: Float32s, centroids: Float32s,
+    whole: Bools,
+) -> None:  # fmt: skip
+    """Write how much of each texel, but for ``whole`` ones, its triangle's chart covers, and the centroid."""
+    one, two, lines = np.empty((8, 2)), np.empty((8, 2)), np.empty((3, 3))
+    for row in range(areas.shape[0]):
+        for column in range(areas.shape[1]):
+            if not whole[row, column]:
+                areas[row, column] = 0.0
     for triangle in range(corners.shape[0]):
         top, bottom = _reach(corners, triangle, 1, first, first + triangles.shape[0])
         left, right = _reach(corners, triangle, 0, 0, triangles.shape[1])
+        if top >= bottom or left >= right or not _lines(corners, triangle, lines):
+            continue
         for row in range(top, bottom):
-            for column in range(left, right):
+            low, high = _span(lines, row, left, right)
+            for column in range(low, high):
+                if whole[row - first, column]:
+                    continue
                 owner = triangles[row - first, column]
                 if owner >= 0 and charts[owner] == charts[triangle]:
                     area, x, y = _covered(corners, triangle, column, row, one, two)
@@ -136,7 +189,7 @@ def _find_centroids(
                     centroids[row - first, column, 1] += np.float32(y)
     for row in range(areas.shape[0]):
         for column in range(areas.shape[1]):
-            if areas[row, column] > 0.0:
+            if areas[row, column] > 0.0 and not whole[row, column]:
                 for axis in range(2):
                     middle = centroids[row, column, axis] / areas[row, column]
                     centroids[row, column, axis] = min(max(middle, np.float32(0.0)), np.float32(1.0))
@@ -159,13 +212,14 @@ def barycentric_of(corners: Float64s, triangle: int, x: float, y: float) -> tupl
 
 @kernel
 def _find_triangles(
-    corners: Float64s, charts: Int32s, first: int, triangles: Int32s, centroids: Float32s
+    corners: Float64s, charts: Int32s, first: int, triangles: Int32s, centroids: Float32s, whole: Bools
 ) -> None:
     """Write the triangle that each texel's centroid lies on, of those of its chart, or comes nearest to."""
-    nearest = np.full(triangles.shape, -np.inf, np.float32)
+    nearest = np.full(triangles.shape, np.inf, np.float32)
+    lines = np.empty((3, 3))
     for row in range(triangles.shape[0]):
         for column in range(triangles.shape[1]):
-            if triangles[row, column] >= 0:
+            if triangles[row, column] >= 0 and not whole[row, column]:
                 x, y = (
                     column + np.float64(centroids[row, column, 0]),
                     first + row + np.float64(centroids[row, column, 1]),
@@ -175,10 +229,15 @@ def _find_triangles(
     for triangle in range(corners.shape[0]):
         top, bottom = _reach(corners, triangle, 1, first, first + triangles.shape[0])
         left, right = _reach(corners, triangle, 0, 0, triangles.shape[1])
+        if top >= bottom or left >= right or not _lines(corners, triangle, lines):
+            continue
         for row in range(top, bottom):
-            for column in range(left, right):
+            low, high = _span(lines, row, left, right)
+            for column in range(low, high):
+                if nearest[row - first, column] >= 0.0:
+                    continue
                 owner = triangles[row - first, column]
-                if nearest[row - first, column] >= 0.0 or owner < 0 or charts[owner] != charts[triangle]:
+                if charts[owner] != charts[triangle]:
                     continue
                 x = column + np.float64(centroids[row - first, column, 0])
                 y = row + np.float64(centroids[row - first, column, 1])

@@ -56,6 +56,8 @@ class Material(NamedTuple):
     inputs: Mapping[str, Input] = {}
     alpha_mode: AlphaMode = "opaque"
     cutoff: float = 0.5  # of "mask": the least alpha that covers
+    name: str = ""
+    double_sided: bool = False
 
 
 #: The largest number that a half-precision float holds.

@@ -177,6 +177,7 @@ class _Describer:
         self, entries: dict[str, str], name: str, path: Path, images: ImageFiles, options: Options
     ) -> None:
         self._entries = entries
+        self._name = name
         self._where = f"{path.name}: material {name}"
         self._path = path
         self._images = images
@@ -203,7 +204,7 @@ class _Describer:
             assumed.add("roughness")
         if found["specular"] is not None and self._map("map_Ks") is None:
             assumed.add("specular")
-        material = Material(inputs, "opaque" if alpha is None else "blend")
+        material = Material(inputs, "opaque" if alpha is None else "blend", name=self._name)
         return Description(material, tuple(self._transforms), frozenset(assumed))
 
     def _color(self, channel: str, key: str, *maps: str) -> Input | None:
