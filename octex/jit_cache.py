@@ -33,8 +33,8 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-#: Seconds that a process waits, at most, while another compiles the same.
-LONGEST = 120.0
+#: Seconds that a process waits, at most, for another, which may have been stopped, to compile the same.
+LONGEST = 600.0
 #: Imports of octex, of whole modules or of names in them.
 _IMPORT = re.compile(r"^(?:from|import) (octex[\w.]*)(?: import (\([^)]*\)|.*))?", re.MULTILINE)
 
@@ -93,8 +93,9 @@ class CodeFiles:
         finally:
             del self._own.turns
             for turn in filter(None, turns):
-                with turn:
+                with turn, suppress(OSError):
                     Path(turn.name).unlink(missing_ok=True)
+                    fcntl.flock(turn, fcntl.LOCK_UN)  # also where a child of this process has the file open
 
     def _load(self, folder: Path, key: Any) -> Any:
         text = key_text(key)
