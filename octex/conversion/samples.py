@@ -245,14 +245,16 @@ def _largest(flags: Uint8s, entries: Int32s, areas: Float64s) -> tuple[Uint8s, I
     Returns how many samples each cell has; the chosen pieces' samples and numbers, in the pieces' order; and
     each sample's share of its cell's area.
     """
-    counts = np.zeros(flags.size, np.uint8)
+    counts = np.empty(flags.size, np.uint8)
     n_entries = 0
     for cell in range(flags.size):
         n_entries += popcount(np.uint64(flags[cell]))
     largest = np.empty((n_entries, 2), np.int64)
     for entry in range(n_entries):
         largest[entry, 0] = largest[entry, 1] = -1
-    totals = np.zeros(n_entries, np.float64)
+    totals = np.empty(n_entries, np.float64)
+    for entry in range(n_entries):  # numpy's zeros compile for a quarter of a second a type
+        totals[entry] = 0.0
     for piece in range(entries.size):
         entry = entries[piece]
         totals[entry] += areas[piece]
@@ -314,7 +316,7 @@ def _reorder(
 @kernel
 def face_normals(grid: Int32s, corners: Int32s, triangles: Int32s) -> Int8s:
     """Return the unit normals (n, 3) of triangles (n,), in 127ths."""
-    normals = np.zeros((triangles.size, 3), np.int8)
+    normals = np.empty((triangles.size, 3), np.int8)
     edges = np.empty((2, 3), np.float64)
     for n in range(triangles.size):
         if n > 0 and triangles[n] == triangles[n - 1]:
@@ -335,6 +337,8 @@ def face_normals(grid: Int32s, corners: Int32s, triangles: Int32s) -> Int8s:
             normals[n, 0] = np.int8(np.rint(x * scale))
             normals[n, 1] = np.int8(np.rint(y * scale))
             normals[n, 2] = np.int8(np.rint(z * scale))
+        else:
+            normals[n, 0] = normals[n, 1] = normals[n, 2] = np.int8(0)
     return normals
 
 
