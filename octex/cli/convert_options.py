@@ -39,7 +39,7 @@ from octex.errors import ArgumentError
 _OPTIONS = (
     option(
         "INPUT",
-        "the model, a cloud of points, an .octex file made before, or FILE.py:NAME, "
+        "the model, a cloud of points, voxels, an .octex file made before, or FILE.py:NAME, "
         "a function of positions (n, 3), below 0 inside",
         nargs="?",
         type=Path,
@@ -400,7 +400,7 @@ def work_of(options: argparse.Namespace, program: str) -> str:
 
 
 def check_input(options: argparse.Namespace, kind: str, program: str) -> None:
-    """Refuse options that make no sense for what INPUT is: "texture", "cloud" or "model"."""
+    """Refuse options that make no sense for what INPUT is: "texture", "cloud", "voxels" or "model"."""
     given = words_given(options)
     for word in given:
         if kind != "texture" and word in _OF_TEXTURES:
@@ -411,6 +411,8 @@ def check_input(options: argparse.Namespace, kind: str, program: str) -> None:
             )
         if kind == "cloud" and word not in _OF_ANYTHING | {"--cell"}:
             raise ArgumentError(f"{word} needs a surface, and {options.INPUT} is points")
+        if kind == "voxels" and word not in _OF_ANYTHING - {"--depth"}:
+            raise ArgumentError(f"{options.INPUT}: {word} is not for voxels, which have their own depth")
     is_same = not {"--depth", "--channels", "--dtype", *_OF_TEXTURES} & {*given}
     if kind == "texture" and is_same and options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
         raise ArgumentError(

@@ -10,6 +10,7 @@ corners     what is bound to the corners of triangles
 tangents    frames of normals and tangents there
 given       channels of one's own: images (mapped), functions (function), numbers
 transfer    another model's nearest surface; cloud: coloured points
+voxels      values in cells of a grid, a texture by themselves; vxz: O-Voxel's files
 surface     triangles with a source
 implicit    where a function is zero, as triangles
 parts       what hangs together, and what intersects or nearly touches

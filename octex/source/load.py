@@ -56,8 +56,9 @@ def load_surface(
     filters.FILTERS, is how images are averaged over footprints. With ``normals`` the model's own shading
     normals are kept, if it has any: ``Surface.frames``, on which ``octex.paint`` fades.
 
-    Raises ModelError or ImageError, with one line that names the file, the cause and the remedy, and
-    ArgumentError for names and values that do not fit. Warns with ModelWarning where a model is read without
+    Raises ModelError or ImageError, with one line that names the file, the cause and the remedy;
+    MissingExtraError for content that an extra decodes which is not installed; and ArgumentError for names
+    and values that do not fit. Warns with ModelWarning where a model is read without
     something that it refers to: the material file of an OBJ model, or a material.
     """
     as_choice(filter, FILTERS, "filter")
