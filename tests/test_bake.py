@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 import octex
 from octex.baking import atlas
+from octex.baking.fit import sharpen
 from octex.baking.gutters import fill_up, gutter_of
 from octex.baking.layout import kept_layout, neighbors, unit_area
 from octex.baking.texels import draw_texels, texel_points
@@ -164,6 +165,34 @@ def test_where_the_surface_ends_gutters_show_its_edge() -> None:
     rest = surface.rest_at(gutter.triangles, gutter.barycentric)
     on_edge = np.isclose(rest[:, :2], 0.0) | np.isclose(rest[:, :2], 1.0)
     assert on_edge.any(axis=1).all()
+
+
+def test_maps_are_nearer_to_the_field_when_read_bilinearly() -> None:
+    def curved(x: Array, y: Array) -> Array:
+        return np.stack([0.01 * x * x + 0.02 * y * y + 0.1 * x, 0.3 * x - 0.2 * y], axis=-1)
+
+    grid = np.arange(12) + 0.5
+    values = curved(*np.meshgrid(grid, grid)).astype(np.float32)
+    fitted = values.copy()
+    sharpen(fitted, np.ones((12, 12), np.float32))
+    np.testing.assert_allclose(fitted[..., 1], values[..., 1], atol=1e-5)  # what is straight stays
+    random = np.random.default_rng(0).random((5000, 2)) * 8 + 2
+    errors = [bilinear(each, random) - curved(*random.T) for each in (values, fitted)]
+    assert np.sqrt((errors[1][:, 0] ** 2).mean()) < 0.5 * np.sqrt((errors[0][:, 0] ** 2).mean())
+    holes = np.ones((12, 12), np.float32)
+    holes[5, 5] = 0.0
+    beside = values.copy()
+    sharpen(beside, holes)
+    np.testing.assert_array_equal(beside[5, 4:7], values[5, 4:7])
+
+
+def bilinear(values: Array, places: Array) -> Array:
+    """Read a map (height, width, components) at places (n, 2) to the right and down, in texels."""
+    low = np.floor(places - 0.5).astype(int)
+    x, y = (places - 0.5 - low).T[:, :, None]
+    upper = (1 - x) * values[low[:, 1], low[:, 0]] + x * values[low[:, 1], low[:, 0] + 1]
+    lower = (1 - x) * values[low[:, 1] + 1, low[:, 0]] + x * values[low[:, 1] + 1, low[:, 0] + 1]
+    return (1 - y) * upper + y * lower
 
 
 def test_what_is_empty_is_filled_from_around_it() -> None:

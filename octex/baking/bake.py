@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s
+from octex.baking.fit import sharpen
 from octex.baking.gutters import Gutter, fill_up, gutter_of
 from octex.baking.layout import ALIGNMENT, LAYOUTS, Layout, Layouts, neighbors
 from octex.baking.maps import Points, alpha_mode, in_tangent_space, inputs_of, sampled, turned, unit
@@ -58,7 +59,8 @@ def bake(
     Each texel is one lookup of each channel, averaged over the texel as the surface shows it, on the side
     that the surface faces, at the centroid of what its chart covers. Normals are in the tangent's frame, as
     glTF has it. Around the charts the maps go on with what lies across their edges on the surface, for
-    ``padding`` texels, and smoothly from there, so that no smaller level of the maps shows a seam.
+    ``padding`` texels and half as far again, and smoothly from there, so that no smaller level of the maps
+    shows a seam. Texels are fitted to bilinear reading.
 
     source       the surface that the texture was made of, where ``surface`` is another one of the same
                  object, like a simpler one: lookups are made at the nearest points of ``source``, at rest,
@@ -150,6 +152,7 @@ def _bake_sheet(job: _Job, sheet: Sheet, padding: int, pool: Executor, progress:
         pass
     if padding and not drawn.areas.all():
         _bake_gutter(job, shown, drawn, padding, maps, pool)
+    list(ordered_map(pool, lambda each: sharpen(each, drawn.areas), list(maps.values())))
     weights = (drawn.areas > 0).astype(np.float32)
     if not weights.all():
         list(ordered_map(pool, lambda each: fill_up(each, weights), list(maps.values())))
