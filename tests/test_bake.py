@@ -577,6 +577,9 @@ def test_the_command_bakes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert made["texture_size"] == 64
     assert made["channels"] == ["base_color"]
     assert made["bytes"] == (tmp_path / "baked.glb").stat().st_size
+    simple = [given[0], given[1], str(tmp_path / "simple.glb"), "--source", given[1], "--texture-size", "64"]
+    assert cli.main(["bake", *simple, "--max-distance", "0.1", "--json", "--quiet"]) == 0
+    assert json.loads(capsys.readouterr().out)["texture_size"] == 64
     assert cli.main(["bake", *given[:2], str(tmp_path / "b.ply"), "--subdivide", "auto", "--json", "-q"]) == 2
     assert "-q is no option" in capsys.readouterr().err
     assert cli.main(["bake", *given[:2], str(tmp_path / "b.ply"), "--subdivide", "auto", "--json"]) == 0

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from bench_inputs import painted_torus
 from bench_texture import DROID
-from bench_tools import Report, Setup
+from bench_tools import HERE, Report, Setup, Spent, Worker, in_turns, pinned, timed
 
 import octex
 from octex.baking.layout import Layout, charts_of
@@ -199,3 +199,31 @@ def _speed(setup: Setup, report: Report) -> None:
         f"{size}², five channels, {len(surface.triangles):,} triangles", f"{wall:.2f} s (CPU {cpu:.2f} s)"
     )
     report.at_most("baking: five channels of 4096²", wall, 6.0, "s")
+    _beside_open3d(setup, report, texture, surface, size)
+
+
+def _beside_open3d(
+    setup: Setup, report: Report, texture: octex.OctreeTexture, surface: octex.Surface, size: int
+) -> None:
+    """Bake one channel on one core, and colours of vertices by Open3D."""
+    if setup.peer_python is None:
+        report.note("left out: Open3D (--peer-python)")
+        return
+    assert surface.uv is not None
+    path = setup.folder / "bake.npz"
+    uv = np.empty((len(surface.vertices), 2), np.float32)
+    uv[surface.triangles] = surface.uv.values[surface.uv.rows]
+    np.savez(path, vertices=surface.vertices.astype(np.float32), triangles=surface.triangles, uv=uv)
+
+    def own() -> Spent:
+        options = {"uv": "keep", "texture_size": size, "channels": ["base_color"], "threads": 1}
+        return timed(lambda: octex.bake(texture, surface, **options))[0]
+
+    command = [setup.peer_python, str(HERE / "bench_open3d_bake.py"), str(path), str(size)]
+    with Worker(command, setup.core) as worker, pinned({setup.core}):
+        own()
+        worker.run()
+        found = in_turns({"octex": own, "Open3D": worker.spent}, setup.repeats)
+    for name, each in found.items():
+        report.line(f"{name}, {size}², three components, one core", str(each))
+    report.at_least("baking: of Open3D's rate", found["Open3D"].cpu / found["octex"].cpu, 2)

@@ -76,8 +76,9 @@ def kept_layout(mesh: Mesh, size: int) -> Layout:
     across, down = number % repeats[faces, 0], number // repeats[faces, 0]
     moved = low[faces] + np.stack([across, down], axis=1)
     charts, edges = charts_of(mesh, uv * size)
-    squares = np.column_stack([charts[faces], moved])
-    _, numbers = np.unique(squares, axis=0, return_inverse=True)
+    row, column = (moved - moved.min(axis=0)).astype(np.int64).T
+    squares = (charts[faces] * (row.max() + 1) + row) * (column.max() + 1) + column
+    _, numbers = np.unique(squares, return_inverse=True)
     corners = (uv[faces] - moved[:, None]) * size
     return Layout(mesh.uv, corners, faces, numbers.astype(np.int32), edges[faces], size, size)
 
