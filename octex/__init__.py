@@ -73,6 +73,7 @@ if TYPE_CHECKING:
     from octex.source.mapped import MappedImage as MappedImage
     from octex.source.surface import Surface as Surface
     from octex.source.transfer import Transfer as Transfer
+    from octex.source.voxels import Voxels as Voxels
     from octex.texture import OctreeTexture as OctreeTexture
     from octex.texture import TextureSet as TextureSet
     from octex.texture import open_texture
@@ -99,6 +100,7 @@ _HOMES = {
     "Surface": ("octex.source.surface", "Surface"),
     "TextureSet": ("octex.texture", "TextureSet"),
     "Transfer": ("octex.source.transfer", "Transfer"),
+    "Voxels": ("octex.source.voxels", "Voxels"),
     "bake": ("octex.baking.bake", "bake"),
     "bake_vertices": ("octex.baking.vertices", "bake_vertices"),
     "blur": ("octex.processing.blur", "blur"),

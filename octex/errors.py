@@ -78,6 +78,11 @@ class OutputError(OctexError):
 class MissingExtraError(OctexError, ImportError):
     """An optional dependency is needed; the message names the extra to install."""
 
+    @classmethod
+    def needed(cls, what: str, package: str, extra: str) -> Self:
+        """Return the error for ``what`` takes a package that is not installed."""
+        return cls(f"{what}, {package} is needed; install it: pip install 'octex[{extra}]'")
+
 
 class ModelWarning(UserWarning):
     """A model was read without something that it refers to."""

@@ -212,7 +212,7 @@ def calls() -> list[Call]:
         (octex.read_cameras, {"path": at / "cameras.json"}),
         (octex.resize, {**one, "depth": 1}),
         (octex.separate, {"surface": w.surface, **DEPTH}),
-        (octex.write_model, {"surface": w.surface, "path": at / "written.obj"}),
+        (octex.write_model, {"surface": w.surface, "path": at / "written.obj", "unit": "foot"}),
         (octex.write_cameras, {"path": at / "written.json", "cameras": {"one": w.camera}}),
     ]
     return [Call(function, arguments) for function, arguments in listed]

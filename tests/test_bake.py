@@ -218,7 +218,7 @@ def test_an_atlas_has_room_for_every_triangle_once(
         pytest.importorskip("xatlas", reason="the extra octex[atlas] is not installed")
     points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 24)
     surface = Surface.from_arrays(points, triangles)
-    layout = atlas.atlas_layout(surface, 256, 4)
+    layout = atlas.atlas_layout(surface, [256], 4, 1.0)
     drawn = draw_texels(layout.corners, layout.charts, layout.edges, 256, 0, 256)
     assert float(drawn.areas.sum()) / 256**2 == pytest.approx(unit_area(layout), rel=2e-3)
     assert unit_area(layout) > 0.3
@@ -239,7 +239,9 @@ def test_charts_do_not_depend_on_the_units_of_a_model(
         pytest.importorskip("xatlas", reason="the extra octex[atlas] is not installed")
     points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 24)
     charts = [
-        np.unique(atlas.atlas_layout(Surface.from_arrays(points * each, triangles), 256, 4).charts).size
+        np.unique(
+            atlas.atlas_layout(Surface.from_arrays(points * each, triangles), [256], 4, 1.0).charts
+        ).size
         for each in (1.0, scale)
     ]
     assert charts[0] == charts[1] > 1
@@ -266,7 +268,25 @@ def test_an_atlas_without_room_says_so() -> None:
     vertices = random.random((3000, 3))
     surface = Surface.from_arrays(vertices, np.arange(3000).reshape(-1, 3))
     with pytest.raises(ModelError, match=r"charts do not fit in a map of 64 × 64 texels; make it larger"):
-        atlas.atlas_layout(surface, 64, 8)
+        atlas.atlas_layout(surface, [64], 8, 1.0)
+
+
+def test_a_map_grows_until_charts_fit_and_texels_are_as_small_as_cells() -> None:
+    random = np.random.default_rng(0)
+    vertices = np.repeat(random.random((300, 3)), 3, axis=0) + 0.05 * random.random((900, 3))
+    surface = Surface.from_arrays(vertices, np.arange(900).reshape(-1, 3)).with_sources({"base_color": waves})
+    texture = octex.convert(surface, 6)
+    baked = octex.bake(texture, surface)
+    assert isinstance(baked.source, MaterialSource)
+    image = baked.source.materials[0].inputs["base_color"].texture
+    assert baked.uv is not None
+    assert image is not None
+    side = image.texels.shape[0]
+    rest, flat = surface.rest[surface.triangles], side * baked.uv.values[baked.uv.rows].astype(np.float64)
+    area = np.linalg.norm(np.cross(rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]), axis=1).sum()
+    texels = np.abs(np.linalg.det(flat[:, 1:] - flat[:, :1])).sum()
+    assert np.sqrt(area / texels) <= 1.15 * texture.placement.size / 2**6
+    assert side > 2 * np.sqrt(area / 2) / (texture.placement.size / 2**6)  # what the area alone would need
 
 
 @pytest.mark.parametrize("uv", ["keep", "atlas"])
@@ -418,7 +438,7 @@ def test_tiles_become_materials_and_what_overlaps_and_looks_otherwise_is_refused
     for moved, words in (
         ((1.0, 0.0), None),
         ((0.0, 1.0), None),
-        ((0.0, 0.0), "overlap where the texture differs"),
+        ((0.0, 0.0), "texture coordinates overlap"),
     ):
         surface = Surface.from_arrays(points, triangles, uv=np.concatenate([flat, flat + moved]))
         texture = painted(surface)
@@ -518,7 +538,7 @@ def test_what_cannot_be_written_is_said(tmp_path: Path) -> None:
     surface = whole()
     with pytest.raises(ModelError, match="bake it first"):
         octex.write_model(surface, tmp_path / "a.glb")
-    with pytest.raises(ArgumentError, match=r"a.fbx must end in .glb, .gltf, .obj or .ply"):
+    with pytest.raises(ArgumentError, match=r"a.fbx must end in .glb, .gltf, .*, .ply or .3mf"):
         octex.write_model(surface, tmp_path / "a.fbx")
 
 
@@ -539,6 +559,52 @@ def test_vertex_colours_follow_the_field_and_neighbours_divide_alike() -> None:
     assert fine.areas().sum() == pytest.approx(surface.areas().sum(), rel=1e-9)
 
 
+@pytest.mark.parametrize("subdivide", ["auto", 0.07])
+def test_where_vertices_are_apart_at_one_place_edges_are_divided_alike(subdivide: Any) -> None:
+    surface = cube_with_charts()  # no two of its triangles share a vertex
+    flat = corner_frames(surface.rest, surface.triangles, None, None, None)
+    surface = Surface(surface.vertices, surface.triangles, surface.source, frames=flat)
+    texture = octex.convert(surface.with_sources({"base_color": waves}), 5)
+    made = octex.bake_vertices(texture, surface, subdivide=subdivide, max_error=2.0)
+    _, places = np.unique(made.vertices, axis=0, return_inverse=True)
+    triangles = places[made.triangles]
+    ends = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
+    _, counts = np.unique(np.sort(ends, axis=1), axis=0, return_counts=True)
+    assert len(triangles) > 100
+    assert (counts == 2).all()
+    # And the cube's edges stay sharp.
+    sides = made.vertices[made.triangles]
+    crosses = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0])
+    crosses /= np.linalg.norm(crosses, axis=1, keepdims=True)
+    assert made.frames is not None
+    found = made.frames.normals.values[made.frames.normals.rows]
+    np.testing.assert_allclose(found, np.broadcast_to(crosses[:, None], found.shape), atol=1e-6)
+
+
+@pytest.mark.parametrize("ending", [".ply", ".glb", ".obj"])
+def test_divided_triangles_are_shaded_as_the_whole_was(ending: str, tmp_path: Path) -> None:
+    points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 8)
+    normals = Corners((points / np.linalg.norm(points, axis=1, keepdims=True)).astype(np.float32), triangles)
+    frames = corner_frames(points, triangles, normals, None, None)
+    turned = points @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    source = Surface.from_arrays(points, triangles).source
+    surface = Surface(turned, triangles, source, rest=points, frames=frames)
+    made = octex.bake_vertices(octex.convert(surface, 3), surface, subdivide=0.2)
+    assert len(made.triangles) > 4 * len(triangles)
+    octex.write_model(made, tmp_path / f"ball{ending}")
+    if ending == ".ply":
+        mesh = trimesh.load(tmp_path / "ball.ply", process=False)
+        assert "vertex_normals" in mesh._cache  # those of the file
+        found, places = mesh.vertex_normals[mesh.faces], mesh.vertices[mesh.faces]
+    else:
+        read = octex.load_surface(tmp_path / f"ball{ending}", normals=True)
+        assert read.frames is not None
+        found, places = read.frames.normals.values[read.frames.normals.rows], read.vertices[read.triangles]
+    # On a sphere what lies between the corners' normals points as positions do.
+    expected = places / np.linalg.norm(places, axis=2, keepdims=True)
+    assert np.einsum("tcx,tcx->tc", found, expected).min() > np.cos(np.radians(2.0))
+
+
 def test_edges_are_halved_until_none_is_longer() -> None:
     surface = whole()
     texture = octex.convert(surface, 6)
@@ -546,8 +612,9 @@ def test_edges_are_halved_until_none_is_longer() -> None:
     sides = made.vertices[np.roll(made.triangles, -1, axis=1)] - made.vertices[made.triangles]
     assert np.linalg.norm(sides, axis=2).max() <= 0.1
     assert made.areas().sum() == pytest.approx(surface.areas().sum(), rel=1e-9)
-    few = octex.bake_vertices(texture, surface, subdivide=0.1, most_triangles=20)
-    assert len(few.triangles) <= 20
+    for most in (20, 200):
+        few = octex.bake_vertices(texture, surface, subdivide=0.1, most_triangles=most)
+        assert most / 6 < len(few.triangles) <= most
 
 
 @pytest.mark.parametrize("ending", [".ply", ".glb", ".obj"])

@@ -214,7 +214,7 @@ def test_a_missing_extra_is_named_with_the_command_that_installs_it(
 ) -> None:
     monkeypatch.setitem(sys.modules, "OpenImageIO", None)
     assert deep_format(DEEP[ending]) == ending
-    with pytest.raises(MissingExtraError, match=r"wood needs OpenImageIO .* pip install 'octex\[images\]'"):
+    with pytest.raises(MissingExtraError, match=r"wood: .* OpenImageIO is needed; .*octex\[images\]'"):
         decode_image(DEEP[ending], "wood")
 
 

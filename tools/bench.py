@@ -31,6 +31,7 @@ from bench_processing import processing
 from bench_sources import cloud, transfer
 from bench_texture import paper, psnr
 from bench_tools import Report, Setup
+from bench_whole import whole
 
 BENCHMARKS = {
     each.__name__: each
@@ -54,6 +55,7 @@ BENCHMARKS = {
         stretched,
         pages,
         ring,
+        whole,
         painting,
         transfer,
         cloud,

@@ -32,8 +32,8 @@ def ring(setup: Setup, report: Report) -> None:
         f"ring: 12 pictures of {size}² pixels, unlit, painted onto the bare mesh; cells as wide as pixels"
     )
     for name, surface in _models(setup, report):
-        cameras = _ring(surface, size)
-        pictures = [_picture(surface, camera) for camera in cameras]
+        cameras = ring_around(surface, size)
+        pictures = [picture_of(surface, camera) for camera in cameras]
         widths = [
             hits.width
             for camera in cameras
@@ -42,7 +42,7 @@ def ring(setup: Setup, report: Report) -> None:
         width = float(np.concatenate(widths).mean())
         depth = int(np.round(np.log2(np.ptp(surface.bounds, axis=0).max() / width)))
         samples = surface.scatter(points, seed=3)
-        seen = _seen(surface, cameras, samples)
+        seen = seen_by(surface, cameras, samples)
         truth = _codes(octex.convert(surface, depth).sample(samples.rest, normals=samples.normals))
         found = {}
         gains = np.random.default_rng(0).uniform(0.8, 1.2, (12, 3)).astype(np.float32)
@@ -78,7 +78,7 @@ def painting(setup: Setup, report: Report) -> None:
     report.title(f"painting: {count:,} triangles, depth {depth}, two threads, wall time")
     texture = octex.convert(surface, depth)
     camera = octex.Camera.fitted(surface.vertices, (0.3, 0.5, 1.0), size=(1920, 1080))
-    image = _picture(surface, camera)
+    image = picture_of(surface, camera)
     shot = octex.Projection(image, camera)
     for what, fit, target in (("1920×1080, as means", False, 1.5), ("1920×1080, fitted", True, 1.5)):
         spent = _median(setup, lambda fit=fit: octex.paint(texture, surface, shot, max_depth=depth, fit=fit))
@@ -142,7 +142,7 @@ def _models(setup: Setup, report: Report) -> Iterator[tuple[str, octex.Surface]]
         yield name, octex.load_surface(setup.models / path, channels=["base_color"])
 
 
-def _ring(surface: octex.Surface, size: int) -> list[octex.Camera]:
+def ring_around(surface: octex.Surface, size: int) -> list[octex.Camera]:
     turns = 2 * np.pi * np.arange(12) / 12
     return [
         octex.Camera.fitted(
@@ -154,7 +154,7 @@ def _ring(surface: octex.Surface, size: int) -> list[octex.Camera]:
     ]
 
 
-def _picture(surface: octex.Surface, camera: octex.Camera) -> Array:
+def picture_of(surface: octex.Surface, camera: octex.Camera) -> Array:
     """Draw a surface unlit, 2 × 2 samples a pixel: linear light, and alpha where it is seen."""
     fine = camera.scaled(2)
     image = np.zeros((fine.height * fine.width, 4), np.float32)
@@ -167,7 +167,7 @@ def _picture(surface: octex.Surface, camera: octex.Camera) -> Array:
     return image
 
 
-def _seen(surface: octex.Surface, cameras: list[octex.Camera], samples: Any) -> npt.NDArray[np.bool_]:
+def seen_by(surface: octex.Surface, cameras: list[octex.Camera], samples: Any) -> npt.NDArray[np.bool_]:
     """Say which samples a camera sees, by the triangles in a picture of three times its size."""
     found = np.zeros(len(samples.points), np.bool_)
     for camera in cameras:

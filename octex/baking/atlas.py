@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from octex.arrays import Bools, Float64s, Int32s, Int64s
@@ -17,8 +19,8 @@ from octex.source.welding import first_equal, welded
 _LEAST_COSINE = 0.7
 #: Charts are told apart where the model's longest side is so many texels.
 _SIDE = 1024.0
-#: Charts are tried at scales each so much smaller than the one before, until they fit.
-_SMALLER = 0.97
+#: Charts fit at their scale, and not at one that is more than so much larger.
+_CLOSE = 1.03
 #: How much of a map charts fill at best.
 _FULL = 0.92
 #: Overlaps of a projected chart are looked for in a map of so many texels a side ...
@@ -27,11 +29,12 @@ _PROBE = 256
 _OVERLAPPING = 0.01
 
 
-def atlas_layout(mesh: Mesh, size: int, padding: int) -> Layout:
+def atlas_layout(mesh: Mesh, sizes: Sequence[int], padding: int, texel: float) -> Layout:
     """Lay a surface out in a square map of charts, ``padding`` texels and more apart.
 
     Charts are those of the extra ``atlas`` (xatlas) if it is installed; else parts that face about one way,
-    projected along it. Raises ModelError for a map that is too small for so many charts.
+    projected along it. The map has the first of ``sizes`` whose texels are at most ``texel`` wide, in rest
+    units, or the last. Raises ModelError if that is too small for so many charts.
     """
     flat = _unwrapped(mesh)
     if flat is None:
@@ -39,9 +42,11 @@ def atlas_layout(mesh: Mesh, size: int, padding: int) -> Layout:
     charts, edges = charts_of(mesh, flat)
     flat = _upright(flat, charts)
     area = _area(flat)
-    scale = size * np.sqrt(_FULL / area) if area > 0.0 else 1.0
-    while True:
-        placed = _packed(flat * scale, charts, size, padding)
+    low, high = mesh.bounds
+    wanted = float((high - low).max()) / (_SIDE * texel)
+    for size in sizes:
+        least = wanted if size != sizes[-1] else area**-0.5 if area > 0.0 else 1.0
+        placed = _fitted(flat, charts, area, size, padding, least)
         if placed is not None:
             faces = np.arange(len(charts), dtype=np.int32)
             points = (placed / size).reshape(-1, 2).astype(np.float32)
@@ -50,12 +55,31 @@ def atlas_layout(mesh: Mesh, size: int, padding: int) -> Layout:
             values[rows] = points
             uv = Corners(values, rows.reshape(-1, 3))
             return Layout(uv, placed, faces, charts, edges, size, size)
-        scale *= _SMALLER
-        if scale * scale * area < 1.0:
-            raise ModelError(
-                f"{mesh.name}: {int(charts.max()) + 1:,} charts do not fit in a map of {size} × {size} "
-                "texels; make it larger"
-            )
+    raise ModelError(
+        f"{mesh.name}: {int(charts.max()) + 1:,} charts do not fit in a map of {size} × {size} texels; "
+        "make it larger, or the padding smaller"
+    )
+
+
+def _fitted(
+    flat: Float64s, charts: Int32s, area: float, size: int, padding: int, least: float
+) -> Float64s | None:
+    """Place charts in a square map, about as large as they fit; None if not at the ``least`` scale."""
+    most = size * np.sqrt(_FULL / area) if area > 0.0 else least
+    low, placed = most, _packed(flat * most, charts, size, padding)
+    while placed is None:
+        if low <= least:
+            return None
+        most, low = low, max(low / 2.0, least)
+        placed = _packed(flat * low, charts, size, padding)
+    while most > low * _CLOSE:
+        middle = np.sqrt(low * most)
+        tried = _packed(flat * middle, charts, size, padding)
+        if tried is None:
+            most = middle
+        else:
+            low, placed = middle, tried
+    return placed
 
 
 def _unwrapped(mesh: Mesh) -> Float64s | None:
@@ -197,6 +221,7 @@ def _packed(flat: Float64s, charts: Int32s, size: int, padding: int) -> Float64s
     if (reaches + 2 * padding > size).any():
         return None
     free = np.ones((blocks, blocks), np.bool_)
+    tried: dict[tuple[int, ...], tuple[int, Bools]] = {}  # where masks are that were placed last, by shape
     placed = np.empty_like(flat)
     for group in np.argsort(-reaches.max(axis=1), kind="stable").tolist():
         own = groups[group]
@@ -205,9 +230,11 @@ def _packed(flat: Float64s, charts: Int32s, size: int, padding: int) -> Float64s
             return None
         mask = np.zeros((int(shape[1]), int(shape[0])), np.bool_)
         _mark((flat[own] + padding) / ALIGNMENT, padding / ALIGNMENT, mask)
-        at = _place(free, mask)
+        last, before = tried.get(mask.shape, (-1, mask))
+        at = _place(free, mask, last + 1 if mask[before].all() else 0)
         if at < 0:
             return None
+        tried[mask.shape] = at, mask
         row, column = divmod(at, blocks)
         placed[own] = flat[own] + (column * ALIGNMENT + padding, row * ALIGNMENT + padding)
     return placed
@@ -238,11 +265,11 @@ def _mark(corners: Float64s, around: float, mask: Bools) -> None:
 
 
 @kernel
-def _place(free: Bools, mask: Bools) -> int:
-    """Put a mask where all blocks are free, in the first such place row by row; return it, or −1."""
+def _place(free: Bools, mask: Bools, start: int) -> int:
+    """Put a mask where all blocks are free, in the first such place from ``start`` on; return it, or −1."""
     height, width = mask.shape
     blocks = free.shape[0]
-    for at in range(blocks * blocks):
+    for at in range(start, blocks * blocks):
         row, column = at // blocks, at % blocks
         if row + height > blocks:
             break

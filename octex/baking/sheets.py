@@ -24,11 +24,15 @@ from octex.texture import OctreeTexture
 
 #: The sizes of maps that are chosen by themselves.
 _SMALLEST, _LARGEST = 64, 8192
+#: Texels are about as large as cells if they are at most so much wider.
+_ABOUT = 1.15
 #: Coordinates of which more than this part is covered twice, by what looks otherwise, are not kept.
 _OVERLAPPING = 0.01
 #: Texels a side of the maps in which that is looked for, at most; places where it is; and what looks alike,
 #: of 1, as stored.
 _PROBE, _TRIED, _LOOKS_ALIKE = 1024, 20_000, 0.1
+#: Coordinates that cover more maps than this look otherwise somewhere.
+_MOST_DRAWN = 8.0
 #: Rows of texels in one task.
 _ROWS = 128
 #: Most UDIM tiles that a material may have.
@@ -62,7 +66,7 @@ def sheets_of(
         except ModelError:
             if uv == "keep":
                 raise
-    layout = atlas_layout(surface, size or _size_for(texture, surface, 0.6), padding)
+    layout = _atlas(texture, surface, size, padding)
     every = np.arange(len(surface.triangles), dtype=np.int32)
     kinds: dict[tuple[str, bool], list[int]] = {}
     for number in np.unique(owners).tolist():
@@ -102,8 +106,7 @@ def _kept(
         numbers = np.searchsorted(alike, owners[chosen]).astype(np.int32)
         mesh = surface.picked(chosen)[0]
         if own is None:
-            layout = atlas_layout(mesh, size or _size_for(texture, mesh, 0.6), padding)
-            yield Sheet(mesh, chosen, layout, shown, numbers)
+            yield Sheet(mesh, chosen, _atlas(texture, mesh, size, padding), shown, numbers)
             continue
         mesh.uv = own.of(chosen)
         layout = kept_layout(mesh, size or _PROBE)
@@ -120,8 +123,8 @@ def _kept(
             yield Sheet(tile, chosen[there], _fitted(texture, tile, layout, size), named, numbers[there])
         if shared > _OVERLAPPING:
             raise ModelError(
-                f"{surface.name}: {100 * shared:.3g} % of its texture coordinates overlap where the texture "
-                "differs, so that one texel would show several places; have an atlas made"
+                f"{surface.name}: at least {100 * shared:.3g} % of its texture coordinates overlap, so that "
+                "one texel would show several places that differ; have an atlas made"
             )
 
 
@@ -157,6 +160,17 @@ def _tiles(mesh: Mesh) -> list[tuple[int, Mesh, Int32s]]:
     return tiles
 
 
+def _atlas(texture: OctreeTexture, mesh: Mesh, size: int | None, padding: int) -> Layout:
+    """Return an atlas of a size, or of the first that keeps the texture's cells."""
+    texel = _ABOUT * _cell(texture)
+    if size is not None:
+        return atlas_layout(mesh, [size], padding, texel)
+    first = _size_for(texture, mesh, 0.6)
+    return atlas_layout(
+        mesh, [2**n for n in range(first.bit_length() - 1, _LARGEST.bit_length())], padding, texel
+    )
+
+
 def _fitted(texture: OctreeTexture, mesh: Mesh, layout: Layout, size: int | None) -> Layout:
     """Return a layout of a size, or of one that keeps the texture's cells."""
     return layout.sized(size or _size_for(texture, mesh, unit_area(layout)))
@@ -164,8 +178,10 @@ def _fitted(texture: OctreeTexture, mesh: Mesh, layout: Layout, size: int | None
 
 def _shared(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, pool: Executor) -> float:
     """Return how much of what triangles cover in a map others cover too that look otherwise, as a part."""
-    layout = layout.sized(min(layout.width, _PROBE))
     whole = unit_area(layout)
+    if whole > _MOST_DRAWN:
+        return 1.0 - 1.0 / whole
+    layout = layout.sized(min(layout.width, _PROBE))
     drawn = drawn_texels(layout, pool)
     covered = float(drawn.areas.sum(dtype=np.float64)) / (layout.width * layout.height)
     shared = max(whole - covered, 0.0) / whole if whole > 0.0 else 0.0
@@ -232,9 +248,8 @@ def drawn_texels(layout: Layout, pool: Executor) -> Texels:
 
 def _size_for(texture: OctreeTexture, mesh: Mesh, part: float) -> int:
     """Return the size of maps of which a ``part`` shows the mesh with texels about as large as cells."""
-    cell = texture.placement.size / 2**texture.tree.max_depth
-    side = np.sqrt(_area(mesh) / max(part, 1e-6)) / cell
-    return int(np.clip(2 ** np.ceil(np.log2(max(side, 1.0)) - 0.2), _SMALLEST, _LARGEST))
+    side = np.sqrt(_area(mesh) / max(part, 1e-6)) / (_ABOUT * _cell(texture))
+    return int(np.clip(2 ** np.ceil(np.log2(max(side, 1.0))), _SMALLEST, _LARGEST))
 
 
 def _area(mesh: Mesh) -> float:
@@ -242,6 +257,11 @@ def _area(mesh: Mesh) -> float:
     corners = mesh.rest[mesh.triangles]
     crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return float(np.linalg.norm(crosses, axis=1).sum() / 2)
+
+
+def _cell(texture: OctreeTexture) -> float:
+    """Return the width of a texture's finest cells."""
+    return float(texture.placement.size / 2**texture.tree.max_depth)
 
 
 def coordinates_of(sheets: list[Sheet], count: int) -> Corners:

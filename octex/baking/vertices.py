@@ -7,21 +7,28 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Float32s, Float64s, Int64s
-from octex.channels import ALPHA, BASE_COLOR, linear_to_srgb
+from octex.arrays import Array, Bools, Float32s, Float64s, Floats, Int32s, Int64s
+from octex.baking.maps import unit
+from octex.channels import ALPHA, BASE_COLOR, encode
 from octex.checks import as_choice, as_number, as_whole
 from octex.errors import ArgumentError
-from octex.source.corners import Corners
+from octex.source.corners import Corners, Frames
+from octex.source.distinct import distinct_rows
 from octex.source.materials import AlphaMode, Input, Material, MaterialSource
 from octex.source.surface import Surface, as_surface
+from octex.source.welding import welded
 from octex.texture import OctreeTexture, as_texture
 
 #: Edges are not divided below this part of the finest cells ...
 _FINEST = 0.5
 #: ... nor oftener than so.
 _MOST_ROUNDS = 16
-#: Where on an edge, and on a triangle, colours are compared: shares of the corners.
-_ON_EDGES = ((0.75, 0.25), (0.5, 0.5), (0.25, 0.75))
+#: Shading normals between two that are opposite have no direction; squared.
+_NOWHERE = 1e-12
+#: Where colours are compared: shares of the corners. On edges first in the middle. The field is a quadratic
+#: spline over the cells: the middle alone tells how far an edge of one of them is off.
+_MIDDLE = (0.5, 0.5)
+_ON_EDGES = ((0.75, 0.25), (0.25, 0.75))
 _ON_TRIANGLES = ((1 / 3, 1 / 3, 1 / 3), (0.6, 0.2, 0.2), (0.2, 0.6, 0.2), (0.2, 0.2, 0.6))
 
 
@@ -30,17 +37,21 @@ class _Points(NamedTuple):
 
     posed: Float64s  # (n, 3)
     rest: Float64s  # (n, 3)
-    normals: Float64s  # (n, 3)   at rest
+    facing: Float64s  # (n, 3)   of the triangles there, at rest: what lookups take
+    shading: Float64s  # (n, 3)   the surface's own normals at rest; of length 0 without
     colors: Float32s  # (n, 4)   linear light, and alpha
+    places: Int64s  # (n,)     the same number for vertices at one place
 
-    def with_others(self, others: _Points) -> _Points:
-        """Return these points and others after them."""
-        return _Points._make(np.concatenate([a, b]) for a, b in zip(self, others, strict=True))
+    def between(self, ends: Int64s, texture: OctreeTexture, shares: Sequence[float]) -> Float32s:
+        """Return the colours between vertices, given by their numbers (k, 2 or 3), with shares of each."""
+        return _colors(texture, _mixed(self.rest, ends, shares), _mixed(self.facing, ends, shares))
 
-    def between(self, ends: Int64s, texture: OctreeTexture, shares: Sequence[float]) -> _Points:
-        """Return points between others, given by their numbers (k, 2 or 3), with shares of each."""
-        posed, rest, normals = (_mixed(each, ends, shares) for each in self[:3])
-        return _Points(posed, rest, normals, _colors(texture, rest, normals))
+    def with_middles(self, ends: Int64s, texture: OctreeTexture) -> _Points:
+        """Return these points, and after them those in the middles of edges (k, 2)."""
+        made = [_mixed(each, ends, _MIDDLE) for each in self[:4]]
+        numbers = welded(_in_order(self.places[ends])) + int(self.places.max()) + 1
+        added = (*made, self.between(ends, texture, _MIDDLE), numbers)
+        return _Points._make(np.concatenate([a, b]) for a, b in zip(self, added, strict=True))
 
 
 def bake_vertices(
@@ -58,10 +69,10 @@ def bake_vertices(
                  more than ``max_error`` codes of 255 in sRGB, down to half of the texture's finest cells
     most_triangles  the halving ends before there would be more
 
-    It has no shading normals: viewers shade it flat.
+    It has shading normals, ``frames``, if the surface has them: in between, what viewers shade by there.
+    Neighbours divide a shared edge alike, whatever else differs there: no cracks come in.
 
-    Neighbours divide a shared edge alike: there are no cracks. Raises ArgumentError for numbers out of range,
-    and for a texture without base_color.
+    Raises ArgumentError for numbers out of range, and for a texture without base_color.
     """
     as_texture(texture)
     as_surface(surface)
@@ -76,31 +87,41 @@ def bake_vertices(
     error = as_number(max_error, "max_error", 0.0, 255.0) / 255.0
     most = as_whole(most_triangles, "most_triangles", 1, 2**31 - 1)
     surface = surface.placed_in(texture)
-    triangles = surface.triangles.astype(np.int64)
-    normals = _vertex_normals(surface)
-    points = _Points(surface.vertices, surface.rest, normals, _colors(texture, surface.rest, normals))
-    shortest = _FINEST * texture.placement.size / 2**texture.tree.max_depth
+    points, triangles = _undivided(texture, surface)
+    cell = texture.placement.size / 2**texture.tree.max_depth
+    shortest = _FINEST * cell
+    first = 0  # the first place that was made last: edges without one there are divided no more of themselves
+    settled = np.empty((0, 3), np.int64)
     for _ in range(0 if subdivide is None else _MOST_ROUNDS):
         edges, sides = _edges_of(triangles)
-        lengths = np.linalg.norm(points.rest[edges[:, 0]] - points.rest[edges[:, 1]], axis=1)
+        lengths = np.linalg.norm(points.rest.take(edges[:, 0], 0) - points.rest.take(edges[:, 1], 0), axis=1)
+        is_new = _any(points.places[edges] >= first)
         if longest is not None:
-            halved = lengths > max(longest, shortest)
+            halved = is_new & (lengths > max(longest, shortest))
         else:
-            halved = lengths > shortest
-            chosen = halved[sides].any(axis=1)
-            chosen[chosen] = _is_off(points, triangles[chosen], texture, error, _ON_TRIANGLES)
-            within = np.zeros(len(edges), np.bool_)
-            within[sides[chosen]] = True
-            undecided = halved & ~within
-            halved[undecided] = _is_off(points, edges[undecided], texture, error, _ON_EDGES)
-        if not halved.any() or len(triangles) + int(halved[sides].sum()) > most:
+            halved = is_new & (lengths > shortest)
+            halved[halved] = _is_off(points, edges[halved], texture, error, [_MIDDLE])
+            wide = lengths > cell
+            left = is_new & wide & ~halved
+            halved[left] = _is_off(points, edges[left], texture, error, _ON_EDGES)
+            inside = _any(wide[sides]) & _any(~halved[sides])
+            inside[inside] = _is_off(points, triangles[inside], texture, error, _ON_TRIANGLES)
+            chosen = sides[inside].reshape(-1)
+            halved[chosen] |= lengths[chosen] > shortest
+        places = _in_order(points.places[edges[halved]])
+        near = _have_two(settled, points.places, places[places[:, 1] < first])
+        ends, cut, others = _cut_at(np.concatenate([triangles, settled[near]]), points.places, places)
+        if not len(ends) or len(triangles) + len(settled) + int((cut.middles >= 0).sum()) > most:
             break
-        made = points.between(edges[halved], texture, _ON_EDGES[1])
-        numbers = np.full(len(edges), -1, np.int64)
-        numbers[halved] = len(points.rest) + np.arange(len(made.rest))
-        points = points.with_others(made)
-        triangles = _divided(triangles, numbers[sides], points.rest)
+        first = int(points.places.max()) + 1
+        points = points.with_middles(ends, texture)
+        settled = np.concatenate([settled[~near], others])
+        triangles = _divided(*cut, points.rest)
+    triangles = np.concatenate([settled, triangles])
     faces = triangles.astype(np.int32)
+    frames = None
+    if surface.frames is not None:
+        frames = _frames(points, faces)
     mode: AlphaMode = "blend" if ALPHA.name in texture.channels else "opaque"
     material = Material({"base_color": Input((1.0, 1.0, 1.0)), "alpha": Input((1.0,))}, mode)
     source = MaterialSource(
@@ -108,18 +129,40 @@ def bake_vertices(
         colors=Corners(points.colors, faces), name=surface.name,
     )  # fmt: skip
     return Surface(
-        points.posed, faces, source, rest=points.rest, name=surface.name, provenance=surface.provenance
-    )
+        points.posed, faces, source, rest=None if surface.rest is surface.vertices else points.rest,
+        frames=frames, name=surface.name, provenance=surface.provenance,
+    )  # fmt: skip
 
 
-def _vertex_normals(surface: Surface) -> Float64s:
-    """Return normals at rest of the vertices (n, 3), of any length: the sums of their triangles' by area."""
-    corners = surface.rest[surface.triangles]
-    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    sums = np.zeros_like(surface.rest)
+def _undivided(texture: OctreeTexture, surface: Surface) -> tuple[_Points, Int64s]:
+    """Return a surface's vertices, apart where their shading normals differ, and its triangles (m, 3)."""
+    corners = np.zeros((3 * len(surface.triangles), 2), np.int64)
+    corners[:, 0] = surface.triangles.reshape(-1)
+    if surface.frames is not None:
+        normals = surface.frames.normals
+        corners[:, 1] = welded(normals.values)[normals.rows].reshape(-1)
+    vertices, triangles = distinct_rows(corners)
+    triangles = triangles.reshape(-1, 3)
+    posed, rest = surface.vertices[vertices[:, 0]], surface.rest[vertices[:, 0]]
+    places = welded(np.concatenate([posed, rest], axis=1)).astype(np.int64)
+    ends = rest[triangles]
+    crosses = np.cross(ends[:, 1] - ends[:, 0], ends[:, 2] - ends[:, 0])
+    facing, shading = np.zeros_like(rest), np.zeros_like(rest)
     for corner in range(3):
-        np.add.at(sums, surface.triangles[:, corner], crosses)
-    return sums
+        np.add.at(facing, triangles[:, corner], crosses)
+        if surface.frames is not None:
+            shading[triangles[:, corner]] = normals.values[normals.rows[:, corner]]
+    return _Points(posed, rest, facing, shading, _colors(texture, rest, facing), places), triangles
+
+
+def _frames(points: _Points, faces: Int32s) -> Frames:
+    """Return the shading normals as unit vectors, and tangents that mean nothing."""
+    known = (points.shading**2) @ np.ones(3) > _NOWHERE
+    normals = unit(np.where(known[:, None], points.shading, points.facing))
+    axes = np.where(np.abs(normals[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    tangents = np.ones((len(normals), 4), np.float32)
+    tangents[:, :3] = unit(np.cross(normals, axes))
+    return Frames(Corners(normals.astype(np.float32), faces), Corners(tangents, faces))
 
 
 def _colors(texture: OctreeTexture, rest: Float64s, normals: Float64s) -> Float32s:
@@ -134,11 +177,14 @@ def _colors(texture: OctreeTexture, rest: Float64s, normals: Float64s) -> Float3
 
 def _edges_of(triangles: Int64s) -> tuple[Int64s, Int64s]:
     """Return the edges (k, 2) of triangles, each once, and which of them are each triangle's sides (m, 3)."""
-    ends = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
-    ends.sort(axis=1)
-    keys = ends[:, 0] << 32 | ends[:, 1]
-    distinct, sides = np.unique(keys, return_inverse=True)
-    return np.stack([distinct >> 32, distinct & 0xFFFFFFFF], axis=1), sides.reshape(-1, 3)
+    ends = np.stack([triangles, triangles[:, [1, 2, 0]]], axis=-1).reshape(-1, 2)
+    edges, sides = distinct_rows(_in_order(ends))
+    return edges, sides.reshape(-1, 3)
+
+
+def _in_order(pairs: Int64s) -> Int64s:
+    """Return pairs (k, 2) with the lower number first; a sort takes ten times as long."""
+    return np.stack([np.minimum(pairs[:, 0], pairs[:, 1]), np.maximum(pairs[:, 0], pairs[:, 1])], axis=1)
 
 
 def _is_off(
@@ -148,21 +194,62 @@ def _is_off(
     found = np.zeros(len(ends), np.bool_)
     for shares in places:
         left = np.flatnonzero(~found)
-        own = points.between(ends[left], texture, shares).colors
+        own = points.between(ends[left], texture, shares)
         mixed = _mixed(points.colors, ends[left], shares)
-        found[left] = (np.abs(_codes(own) - _codes(mixed)) > error).any(axis=1)
+        found[left] = _any(np.abs(_codes(own) - _codes(mixed)) > 65535.0 * error)
     return found
 
 
 def _mixed(values: Array, ends: Int64s, shares: Sequence[float]) -> Float64s:
-    """Return shares (j,) of values at their ends (k, j), added up."""
-    return np.asarray(sum(share * values[ends[:, n]] for n, share in enumerate(shares)), np.float64)
+    """Return shares (j,) of values (n, components) at their ends (k, j), added up."""
+    parts = [share * values.take(ends[:, n], 0) for n, share in enumerate(shares)]
+    return np.asarray(sum(parts[1:], start=parts[0]), np.float64)
 
 
-def _codes(colors: Array) -> Float64s:
-    codes = linear_to_srgb(colors)
-    codes[:, 3] = colors[:, 3]
-    return codes
+def _codes(colors: Floats) -> Int32s:
+    """Return colours (n, 4) as codes of 16 bits, sRGB and coverage."""
+    alpha = encode(colors[:, 3:], "uint16", "data")
+    return np.concatenate([encode(colors[:, :3], "uint16", "srgb"), alpha], axis=1).astype(np.int32)
+
+
+class _Cut(NamedTuple):
+    """Triangles some of whose sides are halved."""
+
+    triangles: Int64s  # (m, 3)
+    middles: Int64s  # (m, 3)   the vertex in the middle of each side; −1 for none
+
+
+def _cut_at(triangles: Int64s, places: Int64s, halved: Int64s) -> tuple[Int64s, _Cut, Int64s]:
+    """Return the edges (k, 2) between ``halved`` places (j, 2), the triangles that they cut, and the others.
+
+    Vertices in their middles are numbered on from those there are.
+    """
+    near = _have_two(triangles, places, halved)
+    some = triangles[near]
+    edges, sides = _edges_of(some)
+    own = _in_order(places[edges])
+    is_cut = np.isin(own[:, 0] << 32 | own[:, 1], halved[:, 0] << 32 | halved[:, 1])
+    numbers = np.full(len(edges), -1, np.int64)
+    numbers[is_cut] = len(places) + np.arange(int(is_cut.sum()))
+    middles = numbers[sides]
+    divided = _any(middles >= 0)
+    cut = _Cut(some[divided], middles[divided])
+    return edges[is_cut], cut, np.concatenate([triangles[~near], some[~divided]])
+
+
+def _have_two(triangles: Int64s, places: Int64s, ends: Int64s) -> Bools:
+    """Say which triangles (m, 3) have two corners or more where edges between places (j, 2) end."""
+    if not len(ends):
+        return np.zeros(len(triangles), np.bool_)
+    is_end = np.zeros(int(places.max()) + 1, np.bool_)
+    is_end[ends] = True
+    a, b, c = is_end[places][triangles.T]
+    return np.asarray((a & b) | (b & c) | (c & a))
+
+
+def _any(flags: Bools) -> Bools:
+    """Say in which rows (m, k) any is set; numpy's own takes ten times as long for few columns."""
+    return np.asarray(np.logical_or.reduce(list(flags.T)))
 
 
 def _divided(triangles: Int64s, middles: Int64s, rest: Float64s) -> Int64s:

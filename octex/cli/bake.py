@@ -20,9 +20,14 @@ _OF_IMAGES = (
     *("--source", "--max-distance"),
 )
 _OF_VERTICES = ("--subdivide", "--max-error")
-#: As formats.models.WRITTEN_ENDINGS, without an import: with images, and with colours at vertices.
-BAKED_ENDINGS = (".glb", ".gltf", ".obj")
+#: As formats.models.WRITTEN_ENDINGS, without an import; and those that have colours at vertices alone, and
+#: those that state a unit.
+_USD = (".usdz", ".usd", ".usda", ".usdc")
+BAKED_ENDINGS = (".glb", ".gltf", ".obj", *_USD, ".3mf")
 _ENDINGS = (*BAKED_ENDINGS, ".ply")
+_ALWAYS_VERTICES = (".ply", ".3mf")
+_WITH_UNIT = (*_USD, ".3mf")
+_UNITS = ("meter", "centimeter", "millimeter", "inch", "foot")
 
 BAKE = Command(
     "Bake a texture to images, or to vertex colours, for tools that show models.",
@@ -63,13 +68,13 @@ BAKE = Command(
         ),
         option(
             "--vertex-colors",
-            "colours at the vertices instead of images; always so in a .ply",
+            "colours at the vertices instead of images; always so in a .ply or .3mf",
             action="store_true",
         ),
         option(
             "--subdivide",
             "divide triangles until edges are no longer than SIZE, or with auto until vertex colours are "
-            "within --max-error (default: as they are)",
+            "within --max-error (default: as they are; for a .3mf auto)",
             metavar="SIZE",
             type=edge_length,
         ),
@@ -78,6 +83,12 @@ BAKE = Command(
             "what vertex colours may be off by, in codes of 255 (default 8)",
             metavar="CODES",
             type=error_codes,
+        ),
+        option(
+            "--unit",
+            f"what a length of 1 stands for in a .3mf or USD: {', '.join(_UNITS)} (default meter)",
+            metavar="UNIT",
+            choices=_UNITS,
         ),
         option("--rest", "the undeformed model, of the same topology", metavar="MODEL", type=Path),
         *RUNNING,
@@ -107,14 +118,20 @@ def bake(options: argparse.Namespace, program: str) -> int:
         raise ArgumentError(
             f"{options.TEXTURE}: is no {TEXTURE_ENDING} file; octex convert makes one of a model"
         )
-    options.vertex_colors |= options.OUTPUT.suffix.lower() == ".ply"
+    ending = options.OUTPUT.suffix.lower()
+    options.vertex_colors |= ending in _ALWAYS_VERTICES
     work, others = ("vertex colours", _OF_IMAGES) if options.vertex_colors else ("images", _OF_VERTICES)
     for word in words_given(options):
         if word in others:
             raise ArgumentError(f"{word} has no meaning with {work}; see {program} --help")
+    if options.unit is not None and ending not in _WITH_UNIT:
+        raise ArgumentError(f"--unit has no meaning for {options.OUTPUT}: such files state none")
     given = options.TEXTURE, options.MODEL, options.rest, options.source
     inputs = [path for path in given if path is not None]
     check_outputs([(options.OUTPUT, _ENDINGS, "OUTPUT")], inputs, force=options.force)
+    from octex.formats.models import check_extra
+
+    check_extra(options.OUTPUT)
     with limited(options.threads), Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
             texture = open_sound(options.TEXTURE)
@@ -123,6 +140,8 @@ def bake(options: argparse.Namespace, program: str) -> int:
         if options.vertex_colors:
             with progress.stage("divide"):
                 error = 8.0 if options.max_error is None else options.max_error
+                if ending == ".3mf" and options.subdivide is None:
+                    options.subdivide = "auto"
                 baked = octex.bake_vertices(texture, surface, subdivide=options.subdivide, max_error=error)
         else:
             baked = octex.bake(
@@ -137,7 +156,9 @@ def bake(options: argparse.Namespace, program: str) -> int:
                 progress=progress,
             )
         with progress.stage("write"):
-            octex.write_model(baked, options.OUTPUT, images=options.images or "png")
+            octex.write_model(
+                baked, options.OUTPUT, images=options.images or "png", unit=options.unit or "meter"
+            )
     size = max(_sizes(baked), default=0)
     made = {
         "output": str(options.OUTPUT),

@@ -30,10 +30,11 @@ if TYPE_CHECKING:
     from octex.source.cloud import PointCloud
     from octex.source.parts import Overlaps
     from octex.source.surface import Surface
+    from octex.source.voxels import Voxels
     from octex.texture import OctreeTexture
 
 COMMAND = "octree-convert"
-OUTPUT_ENDINGS = (TEXTURE_ENDING, ".ply")
+OUTPUT_ENDINGS = (TEXTURE_ENDING, ".ply", ".npz")
 
 
 def main(arguments: Sequence[str] | None = None, program: str = COMMAND, command: str = "convert") -> int:
@@ -71,7 +72,7 @@ def _convert(options: argparse.Namespace, program: str) -> int:
     if options.preview is not None:
         outputs.append((options.preview, (".png",), "--preview"))
     inputs = [options.INPUT, *input_files(options), *others_of(options)]
-    model: PointCloud | Surface
+    model: PointCloud | Voxels | Surface
     surface: Surface | None = None
     check_outputs(outputs, inputs, force=options.force)
     kind = kind_of(options.INPUT)
@@ -87,6 +88,8 @@ def _convert(options: argparse.Namespace, program: str) -> int:
             with progress.stage("read"):
                 if kind == "cloud":
                     model = octex.PointCloud.load(options.INPUT)
+                elif kind == "voxels":
+                    model = octex.Voxels.load(options.INPUT)
                 else:
                     model = surface = read_model(options.INPUT, options)
             if options.separate is not None and surface is not None:
@@ -102,6 +105,10 @@ def _convert(options: argparse.Namespace, program: str) -> int:
         if options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
             with progress.stage("write"):
                 texture.save(options.OUTPUT)
+        elif options.OUTPUT.suffix.lower() == ".npz":
+            from octex.formats.npz import write_arrays
+
+            write_arrays(texture, options.OUTPUT, progress)
         else:
             from octex.formats.ply import write_points
 

@@ -39,14 +39,15 @@ from octex.errors import ArgumentError
 _OPTIONS = (
     option(
         "INPUT",
-        "the model, a cloud of points, an .octex file made before, or FILE.py:NAME, "
+        "the model, a cloud of points, voxels, an .octex file made before, or FILE.py:NAME, "
         "a function of positions (n, 3), below 0 inside",
         nargs="?",
         type=Path,
     ),
     option(
         "OUTPUT",
-        "NAME.octex, or NAME.ply: a coloured point a leaf, with normal; with --parts a folder",
+        "NAME.octex, or a coloured point a leaf, with normal: NAME.ply, or NAME.npz for numpy; with --parts "
+        "a folder",
         nargs="?",
         type=Path,
     ),
@@ -74,8 +75,8 @@ _OPTIONS = (
     option("--no-fit", "store plain averages; lookups are then softer", action="store_true"),
     option(
         "--mesh",
-        "the model that INPUT is a texture of: OUTPUT is it with images, .glb, .gltf or .obj (octex bake has "
-        "more options)",
+        "the model that INPUT is a texture of: OUTPUT is it with images, .glb, .gltf, .obj or .usdz, or "
+        "with vertex colours, .3mf (octex bake has more options)",
         metavar="MODEL",
         type=Path,
     ),
@@ -326,7 +327,7 @@ COMMANDS = {
         "Make a texture from a texture; what is asked for is done in the order listed here.",
         [
             option("INPUT", "an .octex file", metavar="TEXTURE", type=Path),
-            option("OUTPUT", "NAME.octex, or NAME.ply: a coloured point a leaf, with normal", type=Path),
+            option("OUTPUT", "NAME.octex, or a coloured point a leaf: NAME.ply, or NAME.npz", type=Path),
         ],
         _those(
             [*_EDITS, *(word for word in _BY_WORD if word in _OF_ANYTHING.difference(_EDITS))],
@@ -399,7 +400,7 @@ def work_of(options: argparse.Namespace, program: str) -> str:
 
 
 def check_input(options: argparse.Namespace, kind: str, program: str) -> None:
-    """Refuse options that make no sense for what INPUT is: "texture", "cloud" or "model"."""
+    """Refuse options that make no sense for what INPUT is: "texture", "cloud", "voxels" or "model"."""
     given = words_given(options)
     for word in given:
         if kind != "texture" and word in _OF_TEXTURES:
@@ -410,6 +411,8 @@ def check_input(options: argparse.Namespace, kind: str, program: str) -> None:
             )
         if kind == "cloud" and word not in _OF_ANYTHING | {"--cell"}:
             raise ArgumentError(f"{word} needs a surface, and {options.INPUT} is points")
+        if kind == "voxels" and word not in _OF_ANYTHING - {"--depth"}:
+            raise ArgumentError(f"{options.INPUT}: {word} is not for voxels, which have their own depth")
     is_same = not {"--depth", "--channels", "--dtype", *_OF_TEXTURES} & {*given}
     if kind == "texture" and is_same and options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
         raise ArgumentError(

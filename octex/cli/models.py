@@ -102,11 +102,14 @@ def _elsewhere(options: argparse.Namespace) -> dict[str, object]:
 
 
 def kind_of(path: Path) -> str:
-    """Return what a file holds: "texture", "cloud" for points without a surface, or "model"."""
+    """Return what a file holds: "texture", "cloud" for points without a surface, "voxels" or "model"."""
     ending = path.suffix.lower()
-    if ending in (".ply", ".xyz", ".npz"):  # else it is known without an import
+    if ending in (".ply", ".xyz", ".npz", ".vxz"):  # else it is known without an import
         from octex.source.cloud import is_cloud
+        from octex.source.voxels import is_voxels
 
+        if is_voxels(path):
+            return "voxels"
         return "cloud" if is_cloud(path) else "model"
     return "texture" if ending == TEXTURE_ENDING else "model"
 

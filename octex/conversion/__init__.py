@@ -1,6 +1,7 @@
 """From a surface to an octree texture: the cells that it meets, and what it shows in each of them.
 
-convert     all of it; sets: textures of a model's parts; points: clouds without a surface; apart: moved parts
+convert     all of it; sets: textures of a model's parts; points, voxels: without a surface
+apart       parts moved off each other
 numbering   which blocks of cells triangles reach
 cells       which cells they meet, exactly; pieces, clip: what of them lies in each cell
 accumulate  sums over the pieces: means, areas, facings

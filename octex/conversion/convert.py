@@ -32,12 +32,14 @@ from octex.conversion.gaps import without_gaps, without_opaque
 from octex.conversion.levels import assemble, cell_levels
 from octex.conversion.points import convert_points
 from octex.conversion.sides import fitters
+from octex.conversion.voxels import convert_voxels
 from octex.editing.split import refaced
 from octex.errors import ArgumentError, ModelError
 from octex.parallel import Progress, as_progress, workers
 from octex.source.cloud import PointCloud, is_cloud
 from octex.source.load import at_rest, load_surface
 from octex.source.surface import Surface
+from octex.source.voxels import Voxels, is_voxels
 from octex.texture import OctreeTexture
 from octex.tree.placement import Placement
 
@@ -46,7 +48,12 @@ DEFAULT_FILTER = "ewa"
 
 
 def convert(
-    model: str | os.PathLike[str] | Surface | PointCloud | Sequence[str | os.PathLike[str] | Surface],
+    model: str
+    | os.PathLike[str]
+    | Surface
+    | PointCloud
+    | Voxels
+    | Sequence[str | os.PathLike[str] | Surface],
     depth: int | None = None,
     *,
     cell: float | None = None,
@@ -66,10 +73,10 @@ def convert(
     """Convert a model into an octree texture.
 
     ``model`` is a file or a Surface; or several, which share the texture (Benson & Davis 2002, 5; see
-    ``Surface.joined``); or a PointCloud, or a file of one: see ``convert_points``. The finest cells are
-    2⁻ᵈᵉᵖᵗʰ of the root cell (10 by default), or have the edge ``cell`` in model units. ``rest`` gives rest
-    positions, as for ``load_surface``. ``progress`` is called with the stage's name, the units done and the
-    units in all.
+    ``Surface.joined``); or a PointCloud or Voxels, or a file of these: see ``convert_points`` and
+    ``convert_voxels``. The finest cells are 2⁻ᵈᵉᵖᵗʰ of the root cell (10 by default), or have the edge
+    ``cell`` in model units. ``rest`` gives rest positions, as for ``load_surface``. ``progress`` is called
+    with the stage's name, the units done and the units in all.
 
     Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
     thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
@@ -99,7 +106,8 @@ def convert(
     surface: see ``detail.wanted_levels``. A channel that only steers is not stored if ``channels`` do not
     name it.
 
-    Points know only ``depth``, ``cell``, ``channels``, ``dtype`` and ``progress``.
+    Points know only ``depth``, ``cell``, ``channels``, ``dtype`` and ``progress``; voxels of these neither
+    ``depth`` nor ``cell``.
 
     ``separate`` moves parts apart at rest that come nearer to each other than so many finest cells (True: 3),
     so that they share none: see ``apart.separate``. Lookups then take ``Surface.rest_positions``.
@@ -120,9 +128,11 @@ def convert(
         cells = apart.CELLS if separate else None
     elif separate is not None:
         cells = as_number(separate, "separate", *apart.RANGE)
-    if is_path(model) and is_cloud(as_path(model, "model")):
+    if is_path(model) and is_voxels(as_path(model, "model")):
+        model = Voxels.load(model)
+    elif is_path(model) and is_cloud(as_path(model, "model")):
         model = PointCloud.load(model)
-    if isinstance(model, PointCloud):
+    if isinstance(model, (PointCloud, Voxels)):
         of_surfaces = {
             "rest": rest, "sources": sources, "filter": filter, "max_error": max_error, "detail": detail,
             "separate": cells, "threads": threads, "executor": executor, "fit": None if fit else fit,
@@ -130,6 +140,10 @@ def convert(
         for name, given in of_surfaces.items():
             if given is not None:
                 raise ArgumentError(f"{name} needs a surface, which {model.name} is not; leave it out")
+        if isinstance(model, Voxels):
+            if depth is not None or cell is not None:
+                raise ArgumentError(f"{model.name}: voxels have their own depth; leave depth and cell out")
+            return convert_voxels(model, channels=channels, dtype=dtype, progress=report)
         return convert_points(model, depth, cell=cell, channels=channels, dtype=dtype, progress=report)
     names = None if channels is None else as_names(channels, "channels")
     steering = channel_of(detail)
@@ -223,8 +237,8 @@ def surface_of(
         for each in given:
             if not is_path(each) and not isinstance(each, Surface):
                 raise ArgumentError(
-                    "a model must be a file, a Surface or a PointCloud, or a list of files and Surfaces; not "
-                    f"{'a list with ' if is_several(model) else ''}{each!r}"
+                    "a model must be a file, a Surface, a PointCloud or Voxels, or a list of files and "
+                    f"Surfaces; not {'a list with ' if is_several(model) else ''}{each!r}"
                 )
         surfaces = [each if isinstance(each, Surface) else load_surface(as_path(each)) for each in given]
         model = Surface.joined(surfaces)

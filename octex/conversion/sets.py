@@ -21,6 +21,7 @@ from octex.parallel import Progress, as_progress, workers
 from octex.source.base import by_channel
 from octex.source.cloud import PointCloud, is_cloud
 from octex.source.surface import Surface
+from octex.source.voxels import Voxels, is_voxels
 from octex.texture import Channel, OctreeTexture, TextureSet
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -104,7 +105,9 @@ def convert_set(
 
 
 def _is_points(model: object) -> bool:
-    return isinstance(model, PointCloud) or (is_path(model) and is_cloud(as_path(model)))
+    if is_path(model):
+        return is_cloud(as_path(model)) or is_voxels(as_path(model))
+    return isinstance(model, (PointCloud, Voxels))
 
 
 def _taken_apart(surface: Surface) -> Iterator[tuple[str, Surface]]:

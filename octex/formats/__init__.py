@@ -1,1 +1,8 @@
-"""Files that are not our own: what other tools read."""
+"""Files that are not our own: what other tools read.
+
+models      surfaces with images or vertex colours, by the endings of their files
+gltf, obj, usd, threemf  each of them; ply: also a texture as points
+npz         a texture as arrays
+images      images of materials, and what is bound to vertices, as files have them
+units       units of length that files state
+"""

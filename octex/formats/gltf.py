@@ -13,10 +13,10 @@ import numpy as np
 from octex.arrays import Floats, Integers
 from octex.errors import ModelError
 from octex.files import replacing
-from octex.formats.images import ImageFormat, image_file, materials_of, posed_frames
-from octex.parallel import ordered_map, workers
+from octex.formats.images import ImageFormat, encoded_images, materials_of, posed_frames
+from octex.source.distinct import distinct_rows
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
-from octex.source.materials import Input, Material, MaterialSource, Texture
+from octex.source.materials import Input, Material, MaterialSource
 from octex.source.surface import Surface
 
 _FLOAT, _UINT = 5126, 5125
@@ -57,7 +57,7 @@ class _Content:
         }
         self.arrays: list[bytes] = []  # of buffer views
         self._views: list[dict[str, Any]] = []
-        self.images: list[tuple[bytes, str]] = []  # files, and their names
+        self.images: list[tuple[bytes, ImageFormat]] = []  # files
         self._extensions: set[str] = set()
 
     def add(self, surface: Surface, source: MaterialSource) -> None:
@@ -66,7 +66,8 @@ class _Content:
         materials, owners = source.materials, source.triangle_materials
         primitives = []
         used = np.unique(owners).tolist()
-        self._encode(materials, used)
+        self.images, self._numbers = encoded_images([materials[n] for n in used], self._format)
+        self._textures: dict[tuple[object, ...], int] = {}
         self.json["materials"] = [self._material(materials[n]) for n in used]
         for number, material in enumerate(used):
             chosen = np.flatnonzero(owners == material)
@@ -91,7 +92,7 @@ class _Content:
         corners = np.stack(
             [surface.triangles[chosen], *(each.rows[chosen] for each in bound.values())], axis=-1
         )
-        distinct, indices = np.unique(corners.reshape(-1, corners.shape[-1]), axis=0, return_inverse=True)
+        distinct, indices = distinct_rows(corners.reshape(-1, corners.shape[-1]))
         attributes = {"POSITION": self._floats(surface.vertices[distinct[:, 0]], limits=True)}
         for number, (name, each) in enumerate(bound.items(), 1):
             attributes[name] = self._floats(each.values[distinct[:, number]])
@@ -124,25 +125,6 @@ class _Content:
         self._views.append(view if target is None else {**view, "target": target})
         self.arrays.append(data + bytes(-len(data) % 4))
         return len(self._views) - 1
-
-    def _encode(self, materials: list[Material], used: list[int]) -> None:
-        """Encode all images that materials read, side by side."""
-        self._textures: dict[tuple[object, ...], int] = {}
-        texels: dict[int, tuple[Texture, bool]] = {}
-        for number in used:
-            for name, given in materials[number].inputs.items():
-                if given.texture is not None:
-                    is_covered = name == "alpha" and materials[number].alpha_mode != "opaque"
-                    known = texels.get(id(given.texture.texels), (given.texture, False))
-                    texels[id(given.texture.texels)] = known[0], known[1] or is_covered
-        with workers(None, None, len(texels)) as pool:
-            made = ordered_map(
-                pool,
-                lambda each: image_file(each[0].texels, slice(4 if each[1] else 3), self._format),
-                list(texels.values()),
-            )
-            self.images = list(made)
-        self._numbers = {key: number for number, key in enumerate(texels)}
 
     def _texture(self, given: Input) -> dict[str, Any]:
         """Return what names a texture, which is added if it is new."""

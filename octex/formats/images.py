@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
 import PIL.Image
 
-from octex.arrays import Array, Float32s
+from octex.arrays import Array, Float32s, Uint8s
+from octex.channels import encode
 from octex.errors import ModelError
+from octex.parallel import ordered_map, workers
 from octex.source.corners import Frames
-from octex.source.materials import MaterialSource
+from octex.source.materials import Material, MaterialSource
 from octex.source.surface import Surface
 from octex.source.tangents import carried
 
@@ -39,6 +42,18 @@ def posed_frames(surface: Surface) -> Frames | None:
     return carried(surface.frames, surface.triangles, surface.rest, surface.vertices)
 
 
+def normals_of_vertices(surface: Surface) -> Float32s | None:
+    """Return shading normals of posed vertices (n, 3), the mean of their corners'; None if there are none."""
+    frames = posed_frames(surface)
+    if frames is None:
+        return None
+    sums = np.zeros(surface.vertices.shape)
+    for corner in range(3):
+        np.add.at(sums, surface.triangles[:, corner], frames.normals.values[frames.normals.rows[:, corner]])
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.asarray(sums / np.where(lengths > 0.0, lengths, 1.0), np.float32)
+
+
 def colors_of_vertices(surface: Surface) -> Float32s | None:
     """Return colours of vertices (n, 4), linear light and alpha; None where a surface has none.
 
@@ -50,6 +65,34 @@ def colors_of_vertices(surface: Surface) -> Float32s | None:
     if colors.rows is not surface.triangles and not np.array_equal(colors.rows, surface.triangles):
         raise ModelError(f"{surface.name}: its colours belong to corners, not to vertices; bake it first")
     return colors.values
+
+
+def codes_of(colors: Float32s) -> Uint8s:
+    """Return colours (n, 4), linear light and alpha, as codes of 8 bits: sRGB and coverage."""
+    codes = [encode(colors[:, :3], "uint8", "srgb"), encode(colors[:, 3:], "uint8", "data")]
+    return np.concatenate(codes, axis=1)
+
+
+def encoded_images(
+    materials: Sequence[Material], form: ImageFormat
+) -> tuple[list[tuple[bytes, ImageFormat]], dict[int, int]]:
+    """Return the files of all images that materials read, each once, and their numbers by the ids of texels.
+
+    Alpha is in a file if a material that is not opaque reads it.
+    """
+    texels: dict[int, tuple[Array, bool]] = {}
+    for material in materials:
+        for name, given in material.inputs.items():
+            if given.texture is not None:
+                key = id(given.texture.texels)
+                _, is_covered = texels.get(key, (None, False))
+                is_covered |= name == "alpha" and material.alpha_mode != "opaque"
+                texels[key] = given.texture.texels, is_covered
+    with workers(None, None, len(texels)) as pool:
+        files = ordered_map(
+            pool, lambda each: image_file(each[0], slice(4 if each[1] else 3), form), list(texels.values())
+        )
+        return list(files), {key: number for number, key in enumerate(texels)}
 
 
 def image_file(

@@ -4,44 +4,76 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 
 from octex.checks import as_choice, as_path
-from octex.errors import ArgumentError
+from octex.errors import ArgumentError, MissingExtraError
 from octex.formats.gltf import write_gltf
 from octex.formats.images import IMAGE_FORMATS, ImageFormat
 from octex.formats.obj import write_obj
 from octex.formats.ply import write_mesh
+from octex.formats.threemf import write_3mf
+from octex.formats.units import METERS, Unit
+from octex.formats.usd import write_usd
 from octex.source.surface import Surface, as_surface
 
-_WRITERS: dict[str, Callable[[Surface, Path, ImageFormat], None]] = {
-    ".glb": write_gltf,
-    ".gltf": write_gltf,
-    ".obj": write_obj,
-    ".ply": lambda surface, path, _: write_mesh(surface, path),
+_WRITERS: dict[str, Callable[[Surface, Path, ImageFormat, Unit], None]] = {
+    ".glb": lambda surface, path, images, _: write_gltf(surface, path, images),
+    ".gltf": lambda surface, path, images, _: write_gltf(surface, path, images),
+    ".obj": lambda surface, path, images, _: write_obj(surface, path, images),
+    ".usdz": write_usd,
+    ".usd": write_usd,
+    ".usda": write_usd,
+    ".usdc": write_usd,
+    ".ply": lambda surface, path, *_: write_mesh(surface, path),
+    ".3mf": lambda surface, path, _, unit: write_3mf(surface, path, unit),
+}
+
+#: What some endings need: a module, its package, and the extra of it.
+_EXTRAS = {
+    ".3mf": ("lib3mf", "lib3mf", "3mf"),
+    **dict.fromkeys((".usdz", ".usd", ".usda", ".usdc"), ("pxr", "usd-core", "usd")),
 }
 
 #: The endings of model files that octex writes.
 WRITTEN_ENDINGS = tuple(_WRITERS)
 
 
-def write_model(surface: Surface, path: str | os.PathLike[str], *, images: ImageFormat = "png") -> None:
+def check_extra(path: Path) -> None:
+    """Raise MissingExtraError if a package is not installed that writes files of this ending."""
+    module, package, extra = _EXTRAS.get(path.suffix.lower(), ("", "", ""))
+    if module and find_spec(module) is None:
+        raise MissingExtraError.needed(f"to write {path.name}", package, extra)
+
+
+def write_model(
+    surface: Surface,
+    path: str | os.PathLike[str],
+    *,
+    images: ImageFormat = "png",
+    unit: Unit = "meter",
+) -> None:
     """Write a surface with images, as ``bake`` makes it, or vertex colours, as ``bake_vertices`` does.
 
     ``path`` ends in .glb (one file), .gltf (a .bin and images are written beside it), .obj (a .mtl and
-    images) or .ply (vertex colours alone). ``images`` is how maps are stored: "png"; "webp", smaller,
-    which fewer tools read; or with loss "jpeg" (those without alpha). Positions are the posed ones; normals
-    are the surface's ``frames``, without which viewers shade it flat.
+    images), .usdz (one file; of the extra ``usd``) or .usd, .usda, .usdc (images beside them); with vertex
+    colours also in .ply, or .3mf for printing (of the extra ``3mf``). ``images`` is how maps are stored:
+    "png"; "webp", smaller, which fewer tools read, and none of USD; or with loss "jpeg" (those without
+    alpha). ``unit`` is what a length of 1 stands for, where a file states it: .3mf and USD. Positions are the
+    posed ones; normals are the surface's ``frames``, without which viewers shade it flat.
 
     Each file is replaced whole or not at all. Raises ArgumentError for another ending, ModelError for values
-    that the format cannot say, and OutputError if a file cannot be written.
+    that the format cannot say, MissingExtraError, and OutputError if a file cannot be written.
     """
     as_surface(surface)
     path = as_path(path, "path")
     as_choice(images, IMAGE_FORMATS, "images")
+    as_choice(unit, METERS, "unit")
     writer = _WRITERS.get(path.suffix.lower())
     if writer is None:
         raise ArgumentError(
             f"{path.name} must end in {', '.join(WRITTEN_ENDINGS[:-1])} or {WRITTEN_ENDINGS[-1]}"
         )
-    writer(surface, path, images)
+    check_extra(path)
+    writer(surface, path, images, unit)

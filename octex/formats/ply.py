@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Float64s
 from octex.channels import ColorSpace, encode
 from octex.errors import ModelError, TextureFileError
 from octex.files import replacing
-from octex.formats.images import colors_of_vertices
+from octex.formats.images import codes_of, colors_of_vertices, normals_of_vertices
 from octex.parallel import Progress, silent
 from octex.tree.morton import decode_cells
 from octex.tree.normals import estimate_normals
@@ -59,16 +60,23 @@ def write_points(texture: OctreeTexture, path: str | Path, progress: Progress = 
 def write_mesh(surface: Surface, path: Path) -> None:
     """Write a surface with vertex colours, as ``bake_vertices`` makes it, as a binary PLY mesh.
 
-    ``x y z`` are posed positions, double; ``red green blue alpha`` are sRGB and coverage, 0 … 255. Raises
-    ModelError for a surface whose values come from images.
+    ``x y z`` are posed positions, double; ``nx ny nz`` shading normals, float, if it has any; ``red green
+    blue alpha`` are sRGB and coverage, 0 … 255. Raises ModelError for a surface whose values come from
+    images.
     """
     colors = colors_of_vertices(surface)
     if colors is None:
         raise ModelError(f"{surface.name}: .ply files hold colours at vertices; bake these, or write a .glb")
-    fields = [(axis, "<f8") for axis in "xyz"] + [(name, "u1") for names in _SHOWN.values() for name in names]
+    normals = normals_of_vertices(surface)
+    columns = [*surface.vertices.T]
+    fields = [(axis, "<f8") for axis in "xyz"]
+    if normals is not None:
+        columns += [*normals.T]
+        fields += [(f"n{axis}", "<f4") for axis in "xyz"]
+    columns += [*codes_of(colors).T]
+    fields += [(name, "u1") for names in _SHOWN.values() for name in names]
     vertices = np.empty(len(surface.vertices), np.dtype(fields))
-    codes = np.column_stack([encode(colors[:, :3], "uint8", "srgb"), encode(colors[:, 3:], "uint8", "data")])
-    for name, column in zip(vertices.dtype.names or (), [*surface.vertices.T, *codes.T], strict=True):
+    for name, column in zip(vertices.dtype.names or (), columns, strict=True):
         vertices[name] = column
     faces = np.empty(len(surface.triangles), np.dtype([("count", "u1"), ("vertices", "<i4", 3)]))
     faces["count"], faces["vertices"] = 3, surface.triangles
@@ -115,10 +123,15 @@ def _header(texture: OctreeTexture, vertex: np.dtype[np.void]) -> bytes:
     return "\n".join([*lines, *_properties(vertex), "end_header", ""]).encode("ascii")
 
 
+def leaf_centres(texture: OctreeTexture, leaves: Leaves) -> Float64s:
+    """Return the centres of leaves (n, 3), in rest units."""
+    edges = np.ldexp(1.0, -leaves.depths.astype(np.int32))[:, None]
+    return texture.placement.to_rest((decode_cells(leaves.codes) + 0.5) * edges)
+
+
 def _vertices(texture: OctreeTexture, leaves: Leaves, vertex: np.dtype[np.void]) -> npt.NDArray[np.void]:
     vertices = np.empty(len(leaves.cells), vertex)
-    edges = np.ldexp(1.0, -leaves.depths.astype(np.int32))[:, None]
-    centres = texture.placement.to_rest((decode_cells(leaves.codes) + 0.5) * edges)
+    centres = leaf_centres(texture, leaves)
     normals = estimate_normals(texture.tree.arrays, *leaves)
     for axis, name in enumerate("xyz"):
         vertices[name] = centres[:, axis]

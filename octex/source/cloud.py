@@ -39,7 +39,7 @@ _FARTHEST = 1e100
 _ROUNDING = 1e-5
 _NAMES = {
     "points": ("points", "positions", "xyz"),
-    "colors": ("colors", "rgb"),
+    "colors": ("colors", "rgb", "base_color"),
     "normals": ("normals",),
 }
 
@@ -116,8 +116,8 @@ class PointCloud(Placeable):
 
         ``.ply``: vertices with colours, and normals ``nx ny nz`` if there are any; faces are not looked at.
         ``.xyz``: a line for each point, ``x y z r g b`` or ``x y z nx ny nz r g b``; colours up to 255 if one
-        is above 1, else up to 1, sRGB both. ``.npz``: arrays ``points``, ``colors``, and perhaps ``normals``,
-        as the class takes them.
+        is above 1, else up to 1, sRGB both. ``.npz``: arrays ``points``, ``colors`` (or ``base_color``), and
+        perhaps ``normals``, as the class takes them.
 
         Raises ModelError, with the file's name, for what cannot be read, is not there or does not fit.
         """

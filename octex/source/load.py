@@ -11,13 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.checks import as_choice, as_entries, as_flag, as_names, as_path, is_path
-from octex.errors import InputError, ModelError, ModelWarning
+from octex.errors import ModelError, ModelWarning, OctexError
 from octex.files import read_bytes
 from octex.source.images.filters import FILTERS
 from octex.source.models.gltf import load_gltf
 from octex.source.models.meshfiles import load_off, load_ply, load_stl
 from octex.source.models.obj import load_obj
 from octex.source.models.options import Options
+from octex.source.models.usd import load_usd
 from octex.source.surface import Surface
 
 _READERS: dict[str, Callable[[Path, Options], Surface]] = {
@@ -27,6 +28,10 @@ _READERS: dict[str, Callable[[Path, Options], Surface]] = {
     ".ply": load_ply,
     ".off": load_off,
     ".stl": load_stl,
+    ".usd": load_usd,
+    ".usda": load_usd,
+    ".usdc": load_usd,
+    ".usdz": load_usd,
 }
 
 #: The endings of model files that octex reads.
@@ -51,8 +56,9 @@ def load_surface(
     filters.FILTERS, is how images are averaged over footprints. With ``normals`` the model's own shading
     normals are kept, if it has any: ``Surface.frames``, on which ``octex.paint`` fades.
 
-    Raises ModelError or ImageError, with one line that names the file, the cause and the remedy, and
-    ArgumentError for names and values that do not fit. Warns with ModelWarning where a model is read without
+    Raises ModelError or ImageError, with one line that names the file, the cause and the remedy;
+    MissingExtraError for content that an extra decodes which is not installed; and ArgumentError for names
+    and values that do not fit. Warns with ModelWarning where a model is read without
     something that it refers to: the material file of an OBJ model, or a material.
     """
     as_choice(filter, FILTERS, "filter")
@@ -101,7 +107,7 @@ def _read(path: Path, options: Options) -> Surface:
         digest = hashlib.sha256(data)
         del data
         surface = reader(path, options)
-    except (InputError, ModelWarning):  # warnings may be errors
+    except (OctexError, ModelWarning):  # warnings may be errors
         raise
     except OSError as error:
         raise ModelError(f"{path} cannot be read: {error.strerror or error}") from None

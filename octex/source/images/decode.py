@@ -64,9 +64,9 @@ def decode_image(data: bytes, name: str) -> Texels:
     16384 × 16384 or than the file can hold, or one that is not finite; MissingExtraError where the extra is
     needed and not installed.
     """
-    if data.startswith(_KTX2):
-        raise ImageError(f"{name} is a KTX2 texture, which octex does not decode; convert it to PNG first")
     try:
+        if data.startswith(_KTX2):
+            return _ktx2_texels(data, name)
         with alone():
             warnings.simplefilter("ignore")
             image = deep_format(data) or _open(io.BytesIO(data))
@@ -182,6 +182,20 @@ def _silent_libtiff() -> Iterator[None]:
             yield
         finally:
             set_handler(before)
+
+
+def _ktx2_texels(data: bytes, name: str) -> Texels:
+    """Return the largest image of a KTX2 texture of Basis Universal's codes, ETC1S or UASTC."""
+    try:
+        import opengl_basisu
+    except ImportError:
+        raise MissingExtraError.needed(f"{name}: to decode KTX2 textures", "opengl-basisu", "ktx2") from None
+    texture = opengl_basisu.open(data)
+    check_size(texture.width, texture.height, len(data), name, _MOST_PER_BYTE_DENSEST)
+    blocks = -(-texture.width // 4) * -(-texture.height // 4) * texture.faces * texture.layers
+    if int.from_bytes(data[96:104], "little") > 16 * blocks:  # of the largest image, unpacked
+        raise ImageError(f"{name} is damaged: its texels take more bytes than they can; save it again")
+    return spread(texture.transcode("rgba8").data)
 
 
 def _texels(image: PIL.Image.Image, data: bytes, name: str) -> Texels:

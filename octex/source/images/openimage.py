@@ -99,9 +99,8 @@ def decode_deep(data: bytes, ending: str, name: str) -> Texels:
     try:
         import OpenImageIO
     except ImportError:
-        raise MissingExtraError(
-            f"{name} needs OpenImageIO to be read without loss; install it: pip install 'octex[images]'"
-        ) from None
+        what = f"{name}: to be read without loss"
+        raise MissingExtraError.needed(what, "OpenImageIO", "images") from None
     if ending == "jp2":
         check_size(*jpeg2000_size(data), len(data), name, _MOST_PER_BYTE_JPEG2000)
     with scratch_folder() as folder:  # the library reads paths only

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s
+from octex.arrays import Array, Float32s, Float64s, Floats, Int32s, Int64s
 from octex.errors import ModelError
 from octex.source.corners import Corners, Frames
 from octex.source.materials import MaterialSource
@@ -50,6 +50,7 @@ class _Shape(NamedTuple):
     triangles: Int32s
     material: int | None
     attributes: dict[str, Any]
+    decoded: dict[str, Array]  # what of them an extension has
     name: str
 
 
@@ -201,22 +202,28 @@ class _Scene:
 
     def _shape(self, entry: dict[str, Any], name: str) -> _Shape:
         document = self._document
-        document.refuse_compression(entry)
         attributes = entry["attributes"]
-        positions = document.accessor(attributes["POSITION"], (3,)).astype(np.float64)
+        triangles, decoded = document.draco(entry, f"{document.name}: {name}") or (None, {})
+        positions = document.accessor(attributes["POSITION"], (3,), decoded.get("POSITION"))
+        positions = positions.astype(np.float64)
         if not np.isfinite(positions).all():
             raise ModelError(f"{document.name}: {name} has vertices that are not finite; repair the model")
-        indices = self._indices(entry, len(positions), name)
-        triangles = _triangles(indices, entry.get("mode", _TRIANGLES)).astype(np.int32)
+        indices = self._indices(entry, triangles, len(positions), name)
+        mode = entry.get("mode", _TRIANGLES) if triangles is None else _TRIANGLES
         number = entry.get("material") if self._options.materials else None
-        return _Shape(positions, triangles, number, attributes, name)
+        return _Shape(
+            positions, _triangles(indices, mode).astype(np.int32), number, attributes, decoded, name
+        )
 
-    def _indices(self, entry: dict[str, Any], count: int, name: str) -> Int64s:
-        """Return the vertices of a primitive's corners, each below ``count``."""
-        if "indices" not in entry:
-            return np.arange(count)
+    def _indices(self, entry: dict[str, Any], triangles: Array | None, count: int, name: str) -> Int64s:
+        """Return the vertices of the corners of a primitive, or of its decoded triangles: below ``count``."""
         document = self._document
-        indices = document.accessor(entry["indices"], (1,))[:, 0]
+        if triangles is not None:
+            indices = triangles.reshape(-1)
+        elif "indices" in entry:
+            indices = document.accessor(entry["indices"], (1,))[:, 0]
+        else:
+            return np.arange(count)
         if indices.dtype.kind == "f":
             raise ModelError(f"{document.name}: the indices of {name} are not integers; export it again")
         low, high = indices.min(initial=0), indices.max(initial=0)
@@ -275,7 +282,8 @@ class _Scene:
         """Return a vertex attribute, None if the primitive has none of this name."""
         if name not in shape.attributes:
             return None
-        rows = self._document.accessor(shape.attributes[name], components).astype(np.float64)
+        rows = self._document.accessor(shape.attributes[name], components, shape.decoded.get(name))
+        rows = rows.astype(np.float64)
         if len(rows) != len(shape.positions):
             raise ModelError(
                 f"{self._document.name}: {shape.name} {name} has {len(rows)} rows "

@@ -21,29 +21,26 @@ import numpy as np
 from octex.arrays import Array
 from octex.errors import ImageError, ModelError
 from octex.files import read_bytes, referred
+from octex.source.models.gltf_coded import DRACO, MESHOPT, decode_draco, decode_meshopt
 
 _COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 # An accessor may stand for zeros that the file does not hold; more than this is taken for damage.
 _MOST_ZEROS = 2**24
 
-# Extensions that a file may require: those read here, and those that change nothing octex reads.
+# Extensions that a file may require: those that are read, and those that change nothing octex reads.
 _KNOWN_EXTENSIONS = {
+    DRACO,
+    *MESHOPT,
     "EXT_mesh_gpu_instancing",
     "EXT_texture_avif",
     "EXT_texture_webp",
     "KHR_animation_pointer",
     "KHR_lights_punctual",
     "KHR_mesh_quantization",
+    "KHR_texture_basisu",
     "KHR_texture_transform",
     "KHR_xmp_json_ld",
-}
-#: What octex leaves to others to decode, and the command that does.
-CODED = {
-    "KHR_draco_mesh_compression": ("Draco-compressed meshes", "gltf-transform copy {0} decoded.glb"),
-    "EXT_meshopt_compression": ("meshopt-compressed buffers", "gltfpack -i {0} -o decoded.glb"),
-    "KHR_meshopt_compression": ("meshopt-compressed buffers", "gltfpack -i {0} -o decoded.glb"),
-    "KHR_texture_basisu": ("KTX2 textures", "gltf-transform ktxdecompress {0} decoded.glb"),
 }
 
 
@@ -58,6 +55,7 @@ class Document:
         self.name = path.name
         self.files: dict[str, str] = {}  # SHA-256 of the other files read, by their names in this one
         self._buffers: dict[int, bytes] = {}
+        self._decoded: dict[int, bytes] = {}
         data = read_bytes(path) if content is None else content
         self._binary: bytes | None = None
         if data[:4] == b"glTF":
@@ -78,11 +76,15 @@ class Document:
             is_kind = f"is glTF {version}" if needed <= "2.0" else f"needs glTF {needed}"
             raise ModelError(f"{self.name} {is_kind}; octex reads glTF 2.0: convert it first")
 
+    @property
+    def _required(self) -> list[Any]:
+        return self.items("extensionsRequired")
+
     def refuse_extensions(self) -> None:
         """Raise ModelError for a file that requires what octex does not read."""
-        for extension in self.json.get("extensionsRequired", []):
+        for extension in self._required:
             known = extension in _KNOWN_EXTENSIONS or str(extension).startswith("KHR_materials_")
-            if not known and extension not in CODED:
+            if not known:
                 raise ModelError(
                     f"{self.name} requires the glTF extension {extension}, which octex does not read; "
                     "export it without"
@@ -173,30 +175,59 @@ class Document:
         return self._buffers[index]
 
     def view(self, index: int) -> tuple[memoryview, int | None]:
-        """Return the bytes of a buffer view, and its stride."""
+        """Return the bytes of a buffer view, and its stride; of one that meshopt codes, decoded."""
         entry = self.item("bufferViews", index)
-        for extension in entry.get("extensions", {}):
-            fallback = self.item("buffers", entry["buffer"])
-            if extension in CODED and "uri" not in fallback:
-                raise self.coded(extension)
+        what = f"{self.name}: bufferViews[{index}]"
+        coded = self._meshopt(entry, what)
+        if coded is None:
+            return self._range(entry, what), entry.get("byteStride")
+        if index not in self._decoded:
+            self._decoded[index] = decode_meshopt(bytes(self._range(coded, what)), coded, what)
+        return memoryview(self._decoded[index]), entry.get("byteStride")
+
+    def _range(self, entry: dict[str, Any], what: str) -> memoryview:
         start, length = entry.get("byteOffset", 0), entry["byteLength"]
         data = self._buffer(entry["buffer"])
         if start < 0 or length < 0 or start + length > len(data):
-            raise ModelError(f"{self.name}: bufferViews[{index}] reaches outside its buffer; export it again")
-        return memoryview(data)[start : start + length], entry.get("byteStride")
+            raise ModelError(f"{what} reaches outside its buffer; export it again")
+        return memoryview(data)[start : start + length]
 
-    def coded(self, extension: str) -> ModelError:
-        """Return the error for content in a coding that octex does not decode."""
-        what, command = CODED[extension]
-        return ModelError(
-            f"{self.name} holds {what} ({extension}), which octex does not decode; "
-            f"decode them first: {command.format(self.name)}"
-        )
+    def _meshopt(self, entry: dict[str, Any], what: str) -> dict[str, Any] | None:
+        """Return where a buffer view's coded bytes are; None where there are plain ones that may be read."""
+        extensions = as_object(entry.get("extensions", {}), f"{what}.extensions")
+        name = next((name for name in MESHOPT if name in extensions), None)
+        if name is None:
+            return None
+        is_plain = "uri" in self.item("buffers", entry["buffer"])
+        is_plain |= entry["buffer"] == 0 and self._binary is not None
+        if is_plain and name not in self._required:
+            return None
+        return as_object(extensions[name], f"{what}.extensions.{name}")
 
-    def accessor(self, index: int, components: tuple[int, ...]) -> Array:
+    def draco(self, primitive: dict[str, Any], what: str) -> tuple[Array, dict[str, Array]] | None:
+        """Return the triangles (m, 3) of a primitive that Draco codes, and its attributes by their names.
+
+        None where there are plain ones that may be read. Raises ModelError for damaged content.
+        """
+        extensions = as_object(primitive.get("extensions", {}), f"{what}.extensions")
+        if DRACO not in extensions:
+            return None
+        position = self.item("accessors", primitive["attributes"]["POSITION"])
+        if DRACO not in self._required and ("bufferView" in position or "sparse" in position):
+            return None
+        coded = as_object(extensions[DRACO], f"{what}.extensions.{DRACO}")
+        mesh = decode_draco(bytes(self.view(coded["bufferView"])[0]), what)
+        attributes = {}
+        for name, number in as_object(coded["attributes"], f"{what}.extensions.{DRACO}.attributes").items():
+            if number not in mesh.attributes:
+                raise ModelError(f"{what}: its Draco content has no attribute {number}, for {name}")
+            attributes[name] = mesh.attributes[number]
+        return mesh.triangles, attributes
+
+    def accessor(self, index: int, components: tuple[int, ...], decoded: Array | None = None) -> Array:
         """Return an accessor (count, components); normalized integers as float64 in −1 … 1.
 
-        ``components`` are those allowed.
+        ``components`` are those allowed. ``decoded`` are the accessor's rows, where an extension has them.
         """
         entry = self.item("accessors", index)
         what = f"{self.name}: accessors[{index}]"
@@ -205,13 +236,18 @@ class Document:
         if width not in components:
             raise ModelError(f"{what} has type {entry['type']}, which does not fit its use; export it again")
         count = entry["count"]
-        if "bufferView" in entry:
+        if decoded is not None:
+            if decoded.shape[1:] != (width,) or (decoded.dtype.kind == "f") != (dtype.kind == "f"):
+                found = f"{decoded.dtype} {decoded.shape}"
+                raise ModelError(f"{what} does not fit what was decoded for it, {found}; export it again")
+            rows = decoded.astype(dtype)
+        elif "bufferView" in entry:
             rows = self._rows(entry["bufferView"], entry.get("byteOffset", 0), count, width, dtype, what)
         elif 0 <= count * width <= _MOST_ZEROS:
             rows = np.zeros((count, width), dtype)
         else:
             raise ModelError(f"{what} has {count} elements without data; export the model again")
-        if "sparse" in entry:
+        if "sparse" in entry and decoded is None:
             sparse = entry["sparse"]
             where = sparse["indices"]
             kind = np.dtype(_COMPONENT_TYPES[where["componentType"]])
@@ -241,13 +277,6 @@ class Document:
         if count == 0:
             return np.empty((0, width), dtype)
         return np.ndarray((count, width), dtype, data, offset, (stride, dtype.itemsize))
-
-    def refuse_compression(self, primitive: dict[str, Any]) -> None:
-        """Raise ModelError for a primitive whose vertices are only there in Draco's coding."""
-        position = self.item("accessors", primitive["attributes"]["POSITION"])
-        for extension in primitive.get("extensions", {}):
-            if extension in CODED and "bufferView" not in position and "sparse" not in position:
-                raise self.coded(extension)
 
 
 def as_object(value: Any, what: str) -> dict[str, Any]:

@@ -22,12 +22,13 @@ from octex.parallel import cpu_count, pool_of
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Texels
 from octex.source.materials import AlphaMode, Input, Material, Texture
-from octex.source.models.gltf_file import CODED, Document, as_object
+from octex.source.models.gltf_file import Document, as_object
 from octex.source.models.options import Options
 
 _ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
 _WRAPS = {10497: REPEAT, 33648: MIRROR, 33071: CLAMP}
 _NEAREST = 9728
+_IMAGE_EXTENSIONS = ("EXT_texture_avif", "EXT_texture_webp", "KHR_texture_basisu")
 # Larger numbers are damage; products of two stay finite in single precision.
 _FARTHEST = 1e18
 
@@ -249,10 +250,8 @@ class _Images:
         entry = document.item("textures", number)
         source = entry.get("source")
         for name, extension in entry.get("extensions", {}).items():
-            if source is None and name in ("EXT_texture_webp", "EXT_texture_avif"):
+            if source is None and name in _IMAGE_EXTENSIONS:
                 source = extension.get("source")
-            elif source is None and name in CODED:
-                raise document.coded(name)
         if source is None:
             raise ModelError(f"{document.name}: textures[{number}] names no image that octex reads")
         sampler = document.item("samplers", entry["sampler"]) if "sampler" in entry else {}

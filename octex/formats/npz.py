@@ -1,0 +1,62 @@
+"""NPZ: the leaves of a texture as plain arrays of numpy's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from octex.arrays import Array
+from octex.errors import TextureFileError
+from octex.files import replacing
+from octex.formats.ply import leaf_centres
+from octex.parallel import Progress, silent
+from octex.tree.areas import AREAS
+from octex.tree.morton import decode_cells
+from octex.tree.normals import estimate_normals
+from octex.tree.walk import Leaves, walk_leaves
+
+if TYPE_CHECKING:
+    from octex.texture import OctreeTexture
+
+
+def write_arrays(texture: OctreeTexture, path: str | Path, progress: Progress = silent) -> None:
+    """Write the leaves of a texture, in Morton order, as arrays that ``numpy.load`` reads.
+
+    coords      (n, 3) int32     which cell of its depth a leaf is, along x, y and z, from 0
+    depths      (n,) uint8       cells have 2⁻ᵈ of the root cell's edge
+    points      (n, 3) float64   the leaf's centre, in rest units
+    normals     (n, 3) float32   the surface's, estimated from the tree (octex.tree.normals)
+    areas       (n,) float32     how much surface is in the leaf, rest units squared, to 5 %
+    origin      (3,) float64     the root cell's lowest corner, in rest units
+    size        () float64       its edge
+    NAME        (n, components) float32   for each channel what ``sample`` gives at the centre; linear light
+
+    ``octex.PointCloud.load`` reads such a file. What stood at ``path`` before is replaced when everything is
+    written, or not at all: raises OutputError if it cannot be written, and TextureFileError if the tree is
+    damaged so that it holds fewer leaves than it says.
+    """
+    progress("write", 0, 1)
+    none = Leaves(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, np.uint8))
+    every = [none, *walk_leaves(texture.tree.arrays)]
+    leaves = Leaves(*(np.concatenate(arrays) for arrays in zip(*every, strict=True)))
+    found, told = len(leaves.cells), texture.tree.n_leaves
+    if found != told:
+        raise TextureFileError(f"{path}: not written: the octree is damaged, with {found} of {told} leaves")
+    points = leaf_centres(texture, leaves)
+    codes = texture.tree.arrays.areas[leaves.cells]
+    faces = np.ldexp(texture.placement.size, -leaves.depths.astype(np.int32)) ** 2
+    arrays: dict[str, Array] = {
+        "coords": decode_cells(leaves.codes).astype(np.int32),
+        "depths": leaves.depths,
+        "points": points,
+        "normals": estimate_normals(texture.tree.arrays, *leaves),
+        "areas": np.where(codes > 0, AREAS[codes] * faces, 0.0).astype(np.float32),
+        "origin": np.array(texture.placement.origin, np.float64),
+        "size": np.array(texture.placement.size, np.float64),
+        **texture.sample(points, list(texture.channels)),
+    }
+    with replacing(path) as file:
+        np.savez(file, allow_pickle=False, **arrays)
+    progress("write", 1, 1)

@@ -1,0 +1,74 @@
+"""3MF: a surface with coloured vertices, for printing (3MF Core 1.3; Materials and Properties 1.2)."""
+
+from __future__ import annotations
+
+import ctypes
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from octex.arrays import Array
+from octex.errors import ModelError
+from octex.files import replacing, scratch_folder
+from octex.formats.images import codes_of, colors_of_vertices
+from octex.formats.units import Unit
+from octex.source.surface import Surface
+from octex.source.welding import welded
+
+#: What lib3mf calls units.
+_UNITS: dict[Unit, str] = {
+    "meter": "Meter", "centimeter": "CentiMeter", "millimeter": "MilliMeter", "inch": "Inch", "foot": "Foot",
+}  # fmt: skip
+
+
+def write_3mf(surface: Surface, path: Path, unit: Unit) -> None:
+    """Write a surface with vertex colours, as ``bake_vertices`` makes it, as a 3MF mesh with a colour group.
+
+    Positions are the posed ones, in float32, ``unit`` is what 1 stands for. Vertices at one place are one, so
+    that what is closed is closed for slicers too; triangles that this leaves without area are left out. Each
+    corner has a colour of the group, sRGB with alpha, of 8 bits.
+
+    Raises ModelError for a surface whose values come from images.
+    """
+    import lib3mf
+
+    colors = colors_of_vertices(surface)
+    if colors is None:
+        raise ModelError(f"{surface.name}: .3mf files hold colours at vertices; bake these, or write a .glb")
+    points = surface.vertices.astype(np.float32)
+    places = welded(points)
+    triangles = places[surface.triangles]
+    solid = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
+    if not solid.any():
+        raise ModelError(f"{surface.name} has no triangles with an area; there is nothing to print")
+    positions = np.empty((int(places.max()) + 1, 3), np.float32)
+    positions[places] = points
+    codes, numbers = np.unique(codes_of(colors).view(np.uint32), return_inverse=True)
+    wrapper = lib3mf.get_wrapper()
+    model = wrapper.CreateModel()
+    model.SetUnit(getattr(lib3mf.ModelUnit, _UNITS[unit]))
+    group = model.AddColorGroup()
+    distinct = codes.view(np.uint8).reshape(-1, 4).tolist()
+    added = [group.AddColor(wrapper.RGBAToColor(*each)) for each in distinct]
+    mesh = model.AddMeshObject()
+    mesh.SetName(Path(surface.name).stem)
+    mesh.SetGeometry(_items(lib3mf.Position, positions), _items(lib3mf.Triangle, triangles[solid]))
+    properties = np.empty((int(solid.sum()), 4), np.uint32)
+    properties[:, 0] = group.GetResourceID()
+    properties[:, 1:] = np.array(added, np.uint32)[numbers.reshape(-1)][surface.triangles[solid]]
+    mesh.SetAllTriangleProperties(_items(lib3mf.TriangleProperties, properties))
+    mesh.SetObjectLevelProperty(group.GetResourceID(), added[0])
+    model.AddBuildItem(mesh, wrapper.GetIdentityTransform())
+    with scratch_folder() as folder:  # the library writes to paths only
+        made = folder / "model.3mf"
+        model.QueryWriter("3mf").WriteToFile(str(made))
+        with replacing(path) as file:
+            file.write(made.read_bytes())
+
+
+def _items(kind: Any, rows: Array) -> Any:
+    """Return rows of numbers of 4 bytes as an array of the library's structures."""
+    data = np.ascontiguousarray(rows, np.float32 if rows.dtype.kind == "f" else np.uint32)
+    assert ctypes.sizeof(kind) == data.dtype.itemsize * data.shape[1]
+    return (kind * len(data)).from_buffer_copy(data)

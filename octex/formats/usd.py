@@ -1,0 +1,268 @@
+"""USD: a surface with images or vertex colours as .usdz, one file, or .usd, .usda or .usdc, images beside it.
+
+Materials are UsdPreviewSurface (specification 2.6); usdz packages are made by OpenUSD itself.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from octex.errors import ModelError
+from octex.files import replacing, scratch_folder
+from octex.formats.images import ImageFormat, encoded_images, materials_of, posed_frames
+from octex.formats.units import METERS, Unit
+from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
+from octex.source.materials import Input, MaterialSource
+from octex.source.surface import Surface
+
+_WRAPS = {REPEAT: "repeat", MIRROR: "mirror", CLAMP: "clamp"}
+#: What UsdPreviewSurface calls channels; and in what space their images are.
+_INPUTS = {
+    "base_color": ("diffuseColor", "Color3f", "sRGB"),
+    "emissive": ("emissiveColor", "Color3f", "sRGB"),
+    "specular": ("specularColor", "Color3f", "sRGB"),
+    "alpha": ("opacity", "Float", "sRGB"),  # of the base colour's image; alpha itself is never encoded
+    "normal": ("normal", "Normal3f", "raw"),
+    "roughness": ("roughness", "Float", "raw"),
+    "metallic": ("metallic", "Float", "raw"),
+    "occlusion": ("occlusion", "Float", "raw"),
+}
+#: The primvars of vertex colours, and the shaders that read them.
+_OF_VERTICES = {"base_color": ("displayColor", "float3"), "alpha": ("displayOpacity", "float")}
+
+
+def write_usd(surface: Surface, path: Path, images: ImageFormat, unit: Unit) -> None:
+    """Write a surface with images, as ``bake`` makes it, or vertex colours, as one mesh below ``/model``.
+
+    The stage's up axis is y, as in glTF, and ``unit`` is what 1 stands for. Texture coordinates are the
+    primvar ``st``, normals stand at corners, and triangles are seen from both sides. Vertex colours are
+    ``displayColor`` and ``displayOpacity``, which the material reads.
+
+    UsdPreviewSurface has either metals or specular colours: these are written where nothing is metallic.
+    Raises ModelError for values that it cannot say.
+    """
+    from pxr import Sdf, Usd, UsdGeom, UsdUtils
+
+    if images == "webp":
+        raise ModelError(f"{path.name}: USD holds no webp images; write png or jpeg")
+    source = materials_of(surface)
+    used = np.unique(source.triangle_materials).tolist()
+    files, numbers = encoded_images([source.materials[n] for n in used], images)
+    is_package = path.suffix.lower() == ".usdz"
+    names = [f"{path.stem}-{number}.{ending}" for number, (_, ending) in enumerate(files)]
+    with scratch_folder() as folder:  # the library writes to paths only
+        places = [f"./textures/{number}.{ending}" for number, (_, ending) in enumerate(files)]
+        if is_package:
+            (folder / "textures").mkdir()
+            for place, (data, _) in zip(places, files, strict=True):
+                (folder / place).write_bytes(data)
+        made = folder / ("model.usdc" if is_package else f"model{path.suffix.lower()}")
+        stage = Usd.Stage.CreateNew(str(made))
+        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+        UsdGeom.SetStageMetersPerUnit(stage, METERS[unit])
+        root = UsdGeom.Xform.Define(stage, "/model").GetPrim()
+        stage.SetDefaultPrim(root)
+        Usd.ModelAPI(root).SetKind("component")
+        mesh = _mesh(stage, surface, source)
+        writer = _Materials(stage, numbers, places if is_package else [f"./{name}" for name in names], source)
+        for number in used:
+            faces = None if len(used) == 1 else np.flatnonzero(source.triangle_materials == number)
+            writer.bind(mesh, writer.material(number), number, faces)
+        stage.GetRootLayer().Save()
+        if is_package:
+            made = folder / "model.usdz"
+            if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(folder / "model.usdc")), str(made)):
+                raise ModelError(f"{path.name}: OpenUSD cannot package it; write a .usdc")
+        else:
+            for name, (data, _) in zip(names, files, strict=True):
+                with replacing(path.with_name(name)) as file:
+                    file.write(data)
+        with replacing(path) as file:
+            file.write(made.read_bytes())
+
+
+def _mesh(stage: Any, surface: Surface, source: MaterialSource) -> Any:
+    """Define the mesh, with what is bound to its corners."""
+    from pxr import Sdf, UsdGeom, Vt
+
+    name = re.sub(r"\W", "_", Path(surface.name).stem)
+    mesh = UsdGeom.Mesh.Define(stage, f"/model/{name if re.match('[A-Za-z_]', name) else f'_{name}'}")
+    points = surface.vertices.astype(np.float32)
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
+    mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(axis=0), points.max(axis=0)])))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(surface.triangles), 3, np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(surface.triangles.reshape(-1)))
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateDoubleSidedAttr(True)
+    frames = posed_frames(surface)
+    if frames is not None:
+        normals = frames.normals.values[frames.normals.rows.reshape(-1)]
+        mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(normals)))
+        mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
+    primvars = UsdGeom.PrimvarsAPI(mesh)
+    types = Sdf.ValueTypeNames
+    for slot, corners in enumerate(source.coordinates):
+        up = np.stack([corners.values[:, 0], 1.0 - corners.values[:, 1]], axis=1)
+        st = primvars.CreatePrimvar(_set_name(slot), types.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
+        st.Set(Vt.Vec2fArray.FromNumpy(up))
+        st.SetIndices(Vt.IntArray.FromNumpy(corners.rows.reshape(-1)))
+    if source.colors is not None:
+        rows = Vt.IntArray.FromNumpy(source.colors.rows.reshape(-1))
+        values = source.colors.values
+        color = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.faceVarying)
+        color.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values[:, :3])))
+        opacity = mesh.CreateDisplayOpacityPrimvar(UsdGeom.Tokens.faceVarying)
+        opacity.Set(Vt.FloatArray.FromNumpy(np.ascontiguousarray(values[:, 3])))
+        for primvar in (color, opacity):
+            primvar.SetIndices(rows)
+    return mesh
+
+
+def _set_name(slot: int) -> str:
+    return f"st{slot}" if slot else "st"
+
+
+class _Materials:
+    """The materials of a stage, with their networks of shaders."""
+
+    def __init__(
+        self, stage: Any, numbers: dict[int, int], places: list[str], source: MaterialSource
+    ) -> None:
+        self._stage, self._numbers, self._places, self._source = stage, numbers, places, source
+        self._shaders: dict[tuple[object, ...], Any] = {}
+
+    def bind(self, mesh: Any, material: Any, number: int, faces: Any) -> None:
+        """Bind a material to a mesh, or to some of its faces."""
+        from pxr import UsdGeom, UsdShade, Vt
+
+        prim = mesh.GetPrim()
+        if faces is not None:
+            indices = Vt.IntArray.FromNumpy(faces.astype(np.int32))
+            subset = UsdGeom.Subset.CreateGeomSubset(
+                mesh, f"material{number}", UsdGeom.Tokens.face, indices, UsdShade.Tokens.materialBind
+            )
+            prim = subset.GetPrim()
+        UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
+
+    def material(self, number: int) -> Any:
+        """Define the material with a number."""
+        from pxr import Sdf, UsdShade
+
+        types = Sdf.ValueTypeNames
+        material = self._source.materials[number]
+        at = f"/model/materials/material{number}"
+        made = UsdShade.Material.Define(self._stage, at)
+        surface = self._shader(f"{at}/surface", "UsdPreviewSurface")
+        made.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
+        inputs = dict(material.inputs)
+        if "specular" in inputs and "metallic" in inputs and _most(inputs["metallic"]) > 0.0:
+            del inputs["specular"]
+        elif "specular" in inputs:
+            inputs.pop("metallic", None)
+            surface.CreateInput("useSpecularWorkflow", types.Int).Set(1)
+        if material.alpha_mode == "opaque":
+            inputs.pop("alpha", None)
+        elif material.alpha_mode == "mask":
+            surface.CreateInput("opacityThreshold", types.Float).Set(material.cutoff)
+            surface.CreateInput("opacityMode", types.Token).Set("presence")
+        for name in inputs:
+            self._feed(at, surface, name, inputs)
+        return made
+
+    def _shader(self, at: str, kind: str) -> Any:
+        from pxr import UsdShade
+
+        shader = UsdShade.Shader.Define(self._stage, at)
+        shader.CreateIdAttr(kind)
+        return shader
+
+    def _feed(self, at: str, surface: Any, name: str, inputs: Mapping[str, Input]) -> None:
+        """Give a material's surface what one channel is made of."""
+        from pxr import Gf, Sdf
+
+        types = Sdf.ValueTypeNames
+        word, kind, _ = _INPUTS[name]
+        given, is_scalar = inputs[name], kind == "Float"
+        entry = surface.CreateInput(word, getattr(types, kind))
+        shader, output = None, "result"
+        if name in _OF_VERTICES and self._source.colors is not None:
+            if given.texture is not None or set(given.factor) != {1.0}:
+                raise ModelError("a USD material has vertex colours or an image, not both; bake it first")
+            shader = self._reader(at, *_OF_VERTICES[name])
+        elif given.texture is not None:
+            shader = self._texture(at, name, inputs)
+            output = "rgba"[given.lanes[0]] if is_scalar else "rgb"
+        if shader is not None:
+            outlet = shader.CreateOutput(output, types.Float if is_scalar else types.Float3)
+            entry.ConnectToSource(outlet)
+        elif name == "normal":
+            entry.Set(Gf.Vec3f(0.0, 0.0, 1.0))
+        else:
+            values = [sum(each) for each in zip_longest(given.factor, given.offset, fillvalue=0.0)]
+            entry.Set(values[0] if is_scalar else Gf.Vec3f(*values))
+
+    def _reader(self, at: str, primvar: str, kind: str) -> Any:
+        """Return the shader of a material that reads a primvar."""
+        from pxr import Sdf
+
+        key = (at, primvar)
+        if key not in self._shaders:
+            shader = self._shader(f"{at}/{primvar}", f"UsdPrimvarReader_{kind}")
+            shader.CreateInput("varname", Sdf.ValueTypeNames.String).Set(primvar)
+            self._shaders[key] = shader
+        return self._shaders[key]
+
+    def _texture(self, at: str, name: str, inputs: Mapping[str, Input]) -> Any:
+        """Return the shader of a material that reads a channel's image."""
+        from pxr import Gf, Sdf
+
+        types = Sdf.ValueTypeNames
+        texture = inputs[name].texture
+        assert texture is not None
+        scale, bias = _affine(name, inputs)
+        number = self._numbers[id(texture.texels)]
+        space = _INPUTS[name][2]
+        key = (at, number, space, *texture[1:], scale, bias)
+        if key not in self._shaders:
+            shader = self._shader(f"{at}/{name}", "UsdUVTexture")
+            shader.CreateInput("file", types.Asset).Set(Sdf.AssetPath(self._places[number]))
+            shader.CreateInput("sourceColorSpace", types.Token).Set(space)
+            shader.CreateInput("wrapS", types.Token).Set(_WRAPS[texture.wrap_u])
+            shader.CreateInput("wrapT", types.Token).Set(_WRAPS[texture.wrap_v])
+            if scale != (1.0,) * 4:
+                shader.CreateInput("scale", types.Float4).Set(Gf.Vec4f(*scale))
+            if any(bias):
+                shader.CreateInput("bias", types.Float4).Set(Gf.Vec4f(*bias))
+            reader = self._reader(at, _set_name(texture.slot), "float2")
+            outlet = reader.CreateOutput("result", types.Float2)
+            shader.CreateInput("st", types.Float2).ConnectToSource(outlet)
+            self._shaders[key] = shader
+        return self._shaders[key]
+
+
+def _affine(name: str, inputs: Mapping[str, Input]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return by what the four components of a channel's texel are multiplied, and what is added."""
+    if name == "normal":
+        x, y, z = inputs[name].factor
+        return (2.0 * x, 2.0 * y, 2.0 * z, 1.0), (-x, -y, -z, 0.0)
+    scale, bias = np.ones(4), np.zeros(4)
+    for each in ("base_color", "alpha") if name in ("base_color", "alpha") else (name,):
+        given = inputs.get(each)
+        if given is not None and given.texture is not None:
+            lanes = list(given.lanes[: len(given.factor)])
+            scale[lanes], bias[lanes] = given.factor, given.offset or 0.0
+    return tuple(scale.tolist()), tuple(bias.tolist())
+
+
+def _most(given: Input) -> float:
+    """Return the most that an input of one component gives."""
+    texel = 1.0
+    if given.texture is not None:
+        texel = float(given.texture.texels[..., given.lanes[0]].max())
+    return given.factor[0] * texel + sum(given.offset)

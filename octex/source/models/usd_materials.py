@@ -1,0 +1,242 @@
+"""UsdPreviewSurface materials of USD stages, and the images that they read (specification 2.6).
+
+An image's colour space is that of the channel which it is read for, unless the file says the other one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import warnings
+from pathlib import PurePosixPath, PureWindowsPath
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from octex.arrays import Float64s
+from octex.channels import CHANNELS, encode, srgb_to_linear
+from octex.errors import ImageError, ModelWarning
+from octex.source.images.decode import decode_image
+from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Texels
+from octex.source.materials import AlphaMode, Input, Material, Texture
+from octex.source.models.options import Options
+
+_WRAPS = {"repeat": REPEAT, "mirror": MIRROR}
+_LANES = {"r": (0,), "g": (1,), "b": (2,), "a": (3,), "rgb": (0, 1, 2)}
+#: What UsdPreviewSurface calls channels.
+_CHANNELS = {
+    "base_color": "diffuseColor", "emissive": "emissiveColor", "specular": "specularColor",
+    "metallic": "metallic", "roughness": "roughness", "occlusion": "occlusion", "normal": "normal",
+    "alpha": "opacity",
+}  # fmt: skip
+_GREY = (0.18, 0.18, 0.18)
+
+
+class Slot(NamedTuple):
+    """A primvar of texture coordinates, and what is done to it before an image is read (UsdTransform2d)."""
+
+    name: str
+    scale: tuple[float, ...] = (1.0, 1.0)
+    rotation: float = 0.0  # degrees, counter-clockwise
+    translation: tuple[float, ...] = (0.0, 0.0)
+
+    def applied(self, coordinates: Any) -> Float64s:
+        """Return coordinates (n, 2), v up, scaled, turned, then moved."""
+        cos, sin = math.cos(math.radians(self.rotation)), math.sin(math.radians(self.rotation))
+        turned = (coordinates * np.array(self.scale)) @ np.array([[cos, sin], [-sin, cos]])
+        return np.asarray(turned + np.array(self.translation), np.float64)
+
+
+class Bound(NamedTuple):
+    """A material, the coordinates that its textures' slots stand for, and whether it reads vertex colours."""
+
+    material: Material
+    slots: tuple[Slot, ...] = ()
+    reads_color: bool = False
+    reads_opacity: bool = False
+
+    @property
+    def normal_slot(self) -> int | None:
+        """The slot of the normal map, if there is one that is wanted."""
+        given = self.material.inputs.get("normal")
+        return None if given is None or given.texture is None else given.texture.slot
+
+
+class Materials:
+    """The materials of a stage, numbered as they are met; each image is decoded once."""
+
+    def __init__(self, name: str, options: Options) -> None:
+        self._name, self._options = name, options
+        self._numbers: dict[str, int] = {}
+        self._texels: dict[tuple[str, str], Texels] = {}
+        self.bound: list[Bound] = []
+        self.files: dict[str, str] = {}
+
+    @property
+    def every(self) -> list[Material]:
+        """All materials met."""
+        return [each.material for each in self.bound]
+
+    def number(self, material: Any) -> int:
+        """Return the number of a material of the stage, of none the same: what it has is displayColor."""
+        place = str(material.GetPath()) if material and self._options.materials else ""
+        if place not in self._numbers:
+            self._numbers[place] = len(self.bound)
+            self.bound.append(self._read(material) if place else _plain())
+        return self._numbers[place]
+
+    def _read(self, material: Any) -> Bound:
+        shader = material.ComputeSurfaceSource()[0]
+        if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
+            place = material.GetPath()
+            text = f"{self._name}: the material {place} is no UsdPreviewSurface, so it is white; convert it"
+            warnings.warn(text, ModelWarning, stacklevel=2)
+            return _plain()
+        return self._described(shader)
+
+    def _described(self, shader: Any) -> Bound:
+        inputs: dict[str, Input] = {"base_color": Input(_GREY)}
+        slots: dict[Slot, int] = {}
+        vertex: set[str] = set()
+        has_specular = bool(_value(shader, "useSpecularWorkflow", 0))
+        left_out = "metallic" if has_specular else "specular"
+        for channel, word in _CHANNELS.items():
+            found = None if channel == left_out else _producer(shader, word)
+            if found is None:
+                continue
+            node, output, value = found
+            kind = None if node is None else node.GetIdAttr().Get()
+            if kind == "UsdUVTexture":
+                inputs[channel] = self._textured(channel, node, output, slots)
+            elif kind is not None and kind.startswith("UsdPrimvarReader"):
+                vertex.add(f"{channel} {_value(node, 'varname', '')}")
+                inputs[channel] = Input((1.0,) * CHANNELS[channel].components)
+            elif value is not None and channel != "normal":
+                inputs[channel] = Input(tuple(np.atleast_1d(np.array(value, np.float64)).tolist()))
+        cutoff = float(_value(shader, "opacityThreshold", 0.0))
+        reads_opacity = "alpha displayOpacity" in vertex
+        mode: AlphaMode = "mask" if cutoff > 0.0 else "blend"
+        alpha = inputs.get("alpha")
+        if alpha is None or (alpha.texture is None and alpha.factor == (1.0,) and not reads_opacity):
+            mode = "opaque"
+            inputs.pop("alpha", None)
+        material = Material(inputs, mode, cutoff if mode == "mask" else 0.5)
+        return Bound(material, tuple(slots), "base_color displayColor" in vertex, reads_opacity)
+
+    def _textured(self, channel: str, node: Any, output: str, slots: dict[Slot, int]) -> Input:
+        """Return what a channel that reads an image is made of."""
+        scale = np.array(_value(node, "scale", (1.0,) * 4), np.float64)
+        bias = np.array(_value(node, "bias", (0.0,) * 4), np.float64)
+        lanes = _LANES.get(output, (0, 1, 2))
+        if CHANNELS[channel].components == 1:
+            lanes = lanes[:1]
+        elif len(lanes) == 1:
+            lanes *= 3
+        factor, offset = tuple(scale[list(lanes)].tolist()), tuple(bias[list(lanes)].tolist())
+        if channel == "normal":  # 2t − 1 of the texel t is what the factor scales
+            plain = (scale == 1.0).all() and (bias == 0.0).all()
+            factor, offset = (1.0,) * 3 if plain else tuple((scale[:3] / 2.0).tolist()), ()
+        made = Input(factor, None, lanes, offset if any(offset) else ())
+        pair = ("base_color", "alpha")
+        wanted = any(map(self._options.wants, pair)) if channel in pair else self._options.wants(channel)
+        if not wanted:
+            return made
+        texels = self._image(node, _value(node, "sourceColorSpace", "auto"), channel)
+        wraps = [_WRAPS.get(_value(node, axis, "useMetadata"), CLAMP) for axis in ("wrapS", "wrapT")]
+        place = slots.setdefault(_slot(node), len(slots))
+        return made._replace(texture=Texture(texels, wraps[0], wraps[1], False, place))
+
+    def _image(self, node: Any, space: str, channel: str) -> Texels:
+        """Return an image as codes in the space of a channel."""
+        from pxr import Ar
+
+        asset = _value(node, "file", None)
+        what = f"{self._name}: {node.GetPath()}"
+        if asset is None or not asset.path:
+            raise ImageError(f"{what} names no image; export the model again")
+        if is_absolute(asset.path):
+            raise ImageError(
+                f"{what} names {asset.path}; absolute paths are not followed; name it from the model's folder"
+            )
+        place = asset.resolvedPath
+        is_light = CHANNELS[channel].space == "srgb" or channel == "alpha"
+        change = {"raw": "to sRGB" if is_light else "", "sRGB": "" if is_light else "to linear"}.get(
+            space, ""
+        )
+        if (place, "") not in self._texels:
+            found = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(place)) if place else None
+            if found is None:
+                raise ImageError(f"{what}: its image {asset.path} is not there; put it beside the model")
+            data = bytes(found.GetBuffer())
+            self.files[asset.path] = hashlib.sha256(data).hexdigest()
+            self._texels[place, ""] = decode_image(data, f"{what} ({asset.path})")
+        if (place, change) not in self._texels:
+            self._texels[place, change] = _changed(self._texels[place, ""], change)
+        return self._texels[place, change]
+
+
+def is_absolute(path: str) -> bool:
+    """Say whether a path is absolute, on this system or another."""
+    windows = PureWindowsPath(path)
+    return PurePosixPath(path).is_absolute() or bool(windows.drive or windows.root)
+
+
+def _plain() -> Bound:
+    """Return the material of what has none: its displayColor, or white."""
+    material = Material({"base_color": Input((1.0, 1.0, 1.0)), "alpha": Input((1.0,))})
+    return Bound(material, (), True, False)
+
+
+def _changed(texels: Texels, change: str) -> Texels:
+    """Return an image with its colours encoded as sRGB, or decoded; light of floats stays."""
+    if texels.dtype.kind == "f":
+        return texels
+    codes = np.arange(65536) / 65535.0
+    if change == "to sRGB":
+        table = encode(codes, "uint16", "srgb")
+    else:
+        table = encode(srgb_to_linear(codes), "uint16", "data")
+    made = table[texels]
+    made[..., 3] = texels[..., 3]
+    return np.asarray(made, np.uint16)
+
+
+def _producer(shader: Any, name: str) -> tuple[Any, str, Any] | None:
+    """Return the shader and the output that an input is connected to, or None, "" and its value.
+
+    None for an input that is not there, or has neither.
+    """
+    from pxr import UsdShade
+
+    entry = shader.GetInput(name)
+    if not entry:
+        return None
+    for attribute in UsdShade.Utils.GetValueProducingAttributes(entry):
+        if UsdShade.Output.IsOutput(attribute):
+            return UsdShade.Shader(attribute.GetPrim()), UsdShade.Output(attribute).GetBaseName(), None
+        value = attribute.Get()
+        if value is not None:
+            return None, "", value
+    return None
+
+
+def _value(shader: Any, name: str, default: Any) -> Any:
+    """Return the value of an input, the default where none is given."""
+    found = _producer(shader, name)
+    return default if found is None or found[2] is None else found[2]
+
+
+def _slot(node: Any) -> Slot:
+    """Return the coordinates that an image is read at."""
+    found = _producer(node, "st")
+    scale: tuple[float, ...] = (1.0, 1.0)
+    translation: tuple[float, ...] = (0.0, 0.0)
+    rotation = 0.0
+    if found is not None and found[0] is not None and found[0].GetIdAttr().Get() == "UsdTransform2d":
+        turn = found[0]
+        scale = tuple(map(float, _value(turn, "scale", scale)))
+        rotation = float(_value(turn, "rotation", rotation))
+        translation = tuple(map(float, _value(turn, "translation", translation)))
+        found = _producer(turn, "in")
+    name = "st" if found is None or found[0] is None else str(_value(found[0], "varname", "st"))
+    return Slot(name, scale, rotation, translation)

@@ -1,0 +1,225 @@
+"""Sparse voxels: values in the cells of a grid, which are a texture by themselves."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.arrays import Array, Int64s, Uint8s
+from octex.channels import ALPHA, BASE_COLOR, CHANNELS, ChannelFormat
+from octex.checks import as_entries, as_path, as_positive, as_reals, as_text, locked
+from octex.errors import ArgumentError, InputError, ModelError
+from octex.files import open_file, read_bytes
+from octex.source.vxz import ENDING, unpack_vxz
+
+#: The endings of files of voxels; a .npz may be one of points instead.
+VOXEL_ENDINGS = (".npz", ENDING)
+_DEEPEST = 21
+_COORDS = ("coords", "coord", "coordinates", "ijk", "voxels", "indices")
+_DEPTHS = ("depths", "depth")
+_COLORS = ("base_color", "colors", "color", "rgb", "rgba", "values")
+# What files have beside values, octex's own and O-Voxel's.
+_OTHERS = {"points", "normals", "areas", "origin", "size", "voxel_size", "dual_vertices", "intersected"}
+# Colours may be above 1 by so much, and are then 1.
+_ROUNDING = 1e-5
+
+
+class Values(NamedTuple):
+    """A channel's values, one row a voxel."""
+
+    form: ChannelFormat  # how it is stored by default
+    rows: Array  # (n, components)   uint8 or uint16 codes as the form has them, or floats, linear light
+
+
+class Voxels:
+    """Values in cells of a grid of 2ᵈ cells a side, or of several such grids of the same edge.
+
+    coords     (n, 3) whole numbers, 0 … 2ᵈ − 1: the place of a cell in its grid along x, y and z; or (n, 4),
+               the first column the same for all
+    channels   by name (n, components), 1 to 4, or (n,): uint8 or uint16 codes, sRGB for colours; or floats,
+               linear light. A fourth column of ``base_color`` is alpha. Other names than materials' channels
+               are data
+    depth      d, one or (n,); by default the least with room for all
+    origin     the grid's lowest corner, in rest units
+    size       the edge of the whole grid; by default cells are 1 wide, those of the finest grid
+
+    Raises ArgumentError for arrays of another shape or type, and ModelError for cells outside of the grid and
+    for values that are not finite.
+    """
+
+    def __init__(
+        self,
+        coords: npt.ArrayLike,
+        channels: Mapping[str, npt.ArrayLike],
+        *,
+        depth: int | npt.ArrayLike | None = None,
+        origin: npt.ArrayLike = (0.0, 0.0, 0.0),
+        size: float | None = None,
+        name: str = "voxels",
+    ) -> None:
+        self.name = as_text(name, "name")
+        self.coords: Int64s = locked(self._coords(coords))
+        self.depths: Uint8s = locked(self._depths(depth))
+        outside = (self.coords < 0) | (self.coords >= np.int64(1) << self.depths[:, None].astype(np.int64))
+        if outside.any():
+            bad = int(np.argmax(outside.any(axis=1)))
+            raise ModelError(
+                f"{self.name}: voxel {bad} at {self.coords[bad].tolist()} is outside of a grid of depth "
+                f"{self.depths[bad]}; coords go from 0 to 2ᵈ − 1"
+            )
+        x, y, z = as_reals(origin, f"{self.name}: origin", (3,), most=1e30).tolist()
+        self.origin = x, y, z
+        deepest = int(self.depths.max())
+        self.size = float(1 << deepest) if size is None else as_positive(size, f"{self.name}: size")
+        self.values: dict[str, Values] = {}
+        for each, rows in as_entries(channels, "channels").items():
+            self._add(each, rows)
+        if not self.values:
+            raise ArgumentError(f"{self.name} has no channel")
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Voxels:
+        """Read voxels from a file.
+
+        ``.npz``: arrays ``coords``, perhaps ``depths`` (or ``depth``), ``origin`` and ``size`` (or
+        ``voxel_size``, of the finest cells), and one a channel by its name, as the class takes them: the
+        arrays that octex writes. ``coord``, ``ijk``, ``indices`` and ``voxels`` are coords as well;
+        ``colors``, ``rgb`` and ``values`` of three or four columns are base_color.
+        ``.vxz``: O-Voxel's, of the cube from −0.5 to 0.5, without its dual grid.
+
+        Raises ModelError, with the file's name, for what cannot be read, is not there or does not fit.
+        """
+        path = as_path(path)
+        try:
+            if path.suffix.lower() == ENDING:
+                coords, found = unpack_vxz(read_bytes(path), path.name)
+                arrays: dict[str, Array] = {"coords": coords, **found, "origin": np.full(3, -0.5)}
+                arrays["size"] = np.array(1.0)
+            else:
+                arrays = _read_npz(path)
+        except InputError:
+            raise
+        except OSError as error:
+            raise ModelError(f"{path} cannot be read: {error.strerror or error}") from None
+        except MemoryError:
+            raise ModelError(f"{path.name} needs more memory than there is") from None
+        place = next((each for each in _COORDS if each in arrays), None)
+        if place is None:
+            raise ModelError(f"{path.name} has no array 'coords'; save it with np.savez(…, coords=…)")
+        coords = arrays[place]
+        depth = next((arrays[each] for each in _DEPTHS if each in arrays), None)
+        size = arrays.get("size")
+        channels = {
+            each: rows
+            for each, rows in arrays.items()
+            if each not in {place, *_DEPTHS, *_OTHERS} and rows.ndim in (1, 2) and len(rows) == len(coords)
+        }
+        color = next((each for each in _COLORS if each in channels and channels[each].ndim == 2), None)
+        if color is not None and channels[color].shape[1] in (3, 4):
+            channels["base_color"] = channels.pop(color)
+        try:
+            voxels = cls(
+                coords,
+                channels,
+                depth=depth,
+                origin=arrays.get("origin", np.zeros(3)),
+                size=None if size is None else size.item() if size.size == 1 else size,  # type: ignore[arg-type]
+                name=path.name,
+            )
+            if size is None and "voxel_size" in arrays:
+                edge = as_reals(arrays["voxel_size"].reshape(-1)[:1], f"{path.name}: voxel_size", (1,))[0]
+                voxels.size = as_positive(float(edge), f"{path.name}: voxel_size") * voxels.size
+        except ArgumentError as error:
+            raise ModelError(str(error)) from None
+        return voxels
+
+    def __len__(self) -> int:
+        return len(self.coords)
+
+    def __repr__(self) -> str:
+        return f"<Voxels {self.name!r}: {len(self):,} of depth {self.depths.max()}, {', '.join(self.values)}>"
+
+    def _coords(self, coords: npt.ArrayLike) -> Int64s:
+        try:
+            array = np.asarray(coords)
+        except ValueError:  # rows of unequal lengths
+            array = np.empty(0)
+        if array.ndim == 2 and array.shape[1] == 4 and array.dtype.kind in "iu":  # a batch of one
+            array = array[:, 1:] if (array[:1, 0] == array[:, 0]).all() else array
+        if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "iu":
+            what = f"{array.dtype} {array.shape}"
+            raise ArgumentError(f"{self.name}: coords must be whole numbers of shape (n, 3), not {what}")
+        if not len(array):
+            raise ModelError(f"{self.name} has no voxels")
+        low, high = int(array.min()), int(array.max())
+        if low < 0 or high >= 1 << _DEEPEST:
+            raise ModelError(
+                f"{self.name}: coords from {low} to {high} are in no grid of 2²¹ cells a side from 0 on; "
+                "subtract their least, and say where that lies by origin"
+            )
+        return array.astype(np.int64)
+
+    def _depths(self, depth: int | npt.ArrayLike | None) -> Uint8s:
+        count = len(self.coords)
+        least = int(self.coords.max()).bit_length()
+        array = np.asarray(least if depth is None else depth)
+        if array.dtype.kind not in "iu" or array.size not in (1, count):
+            what = f"{array.dtype} {array.shape}"
+            raise ArgumentError(f"{self.name}: depth must be a whole number, or one a voxel, not {what}")
+        if not 0 <= array.min() <= array.max() <= _DEEPEST:
+            raise ArgumentError(f"{self.name}: depth must be from 0 to {_DEEPEST}, not {array.max()}")
+        return np.broadcast_to(array.reshape(-1), count).astype(np.uint8)
+
+    def _add(self, name: str, values: npt.ArrayLike) -> None:
+        what, known = f"{self.name}: {name}", CHANNELS.get(name)
+        rows = np.asarray(values)
+        rows = rows[:, None] if rows.ndim == 1 else rows
+        widths = (3, 4) if known == BASE_COLOR else range(1, 5) if known is None else (known.components,)
+        if rows.ndim != 2 or len(rows) != len(self) or rows.shape[1] not in widths:
+            columns = " or ".join(map(str, widths))
+            raise ArgumentError(f"{what} must have shape ({len(self)}, {columns}), not {rows.shape}")
+        if rows.dtype not in (np.uint8, np.uint16) and rows.dtype.kind != "f":
+            raise ArgumentError(f"{what} must be uint8 or uint16 codes, or floats, not {rows.dtype}")
+        if known == BASE_COLOR and rows.shape[1] == 4:
+            self._add(ALPHA.name, rows[:, 3:])
+            rows = rows[:, :3]
+        form = ChannelFormat(name, rows.shape[1], "data") if known is None else known
+        if rows.dtype.kind == "u":
+            form = form._replace(dtype=rows.dtype.name)
+        else:
+            if not np.isfinite(rows).all():
+                raise ModelError(
+                    f"{what}: voxel {int(np.argmin(np.isfinite(rows).all(axis=1)))} is not finite"
+                )
+            low = -1.0 if form.space == "direction" else 0.0
+            if rows.min() < low or rows.max() > 1.0 + _ROUNDING:  # codes cannot hold it
+                space = "linear" if form.space == "srgb" else form.space
+                form = form._replace(space=space, dtype="float16" if known is not None else "float32")
+        self.values[name] = Values(form, locked(np.ascontiguousarray(rows)))
+
+
+def is_voxels(path: Path) -> bool:
+    """Say whether a file is one of voxels: ``.vxz``, or ``.npz`` with an array of coords."""
+    if path.suffix.lower() != ".npz":
+        return path.suffix.lower() == ENDING
+    try:
+        with open_file(path) as file, zipfile.ZipFile(file) as archive:
+            return not {f"{each}.npy" for each in _COORDS}.isdisjoint(archive.namelist())
+    except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):
+        return False
+
+
+def _read_npz(path: Path) -> dict[str, Array]:
+    try:
+        with open_file(path) as file, np.load(file, allow_pickle=False) as arrays:
+            return dict(arrays)
+    except Exception as error:  # zipfile and zlib have errors of their own
+        if isinstance(error, (OSError, MemoryError)):
+            raise
+        raise ModelError(f"{path.name} is no .npz file of arrays ({error}); save it again") from None

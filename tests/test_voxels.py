@@ -1,0 +1,266 @@
+"""Sparse voxels: what they are read from, and that they are the texture's leaves as they are."""
+
+from __future__ import annotations
+
+import json
+import lzma
+import struct
+import zlib
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import octex
+from octex.channels import decode, encode
+from octex.cli import convert as command
+from octex.errors import ArgumentError, ModelError
+from octex.source.voxels import is_voxels
+from octex.tree.walk import walk_leaves
+
+RNG = np.random.default_rng(3)
+COORDS = np.unique(RNG.integers(0, 13, (200, 3)), axis=0)[RNG.permutation(150)]
+COLORS = RNG.integers(0, 256, (150, 3), dtype=np.uint8)
+ALPHA = RNG.integers(0, 256, (150, 1), dtype=np.uint8)
+ROUGHNESS = RNG.random(150).astype(np.float32)
+
+
+def stored(texture: octex.OctreeTexture, name: str) -> dict[tuple[int, ...], list[Any]]:
+    """What leaves hold, by the centres of their cells in texture space."""
+    found = {}
+    for leaves in walk_leaves(texture.tree.arrays):
+        for code, depth, cell in zip(leaves.codes, leaves.depths, leaves.cells, strict=True):
+            place = [
+                sum((int(code) >> 3 * bit + axis & 1) << bit for bit in range(depth)) for axis in range(3)
+            ]
+            centre = tuple((np.array(place) + 0.5) / 2.0**depth)
+            found[centre] = texture.channels[name].values[cell].tolist()
+    return found
+
+
+def test_each_voxel_is_a_leaf_with_its_value() -> None:
+    channels = {"base_color": COLORS, "alpha": ALPHA, "roughness": ROUGHNESS, "label": ALPHA[:, 0]}
+    texture = octex.convert(octex.Voxels(COORDS, channels, origin=(1, 2, 3), size=8.0))
+    texture.validate()
+    assert (texture.tree.max_depth, texture.tree.n_leaves) == (4, 150)
+    assert texture.placement == ((1.0, 2.0, 3.0), 8.0)
+    np.testing.assert_array_equal(
+        texture.bounds, [COORDS.min(axis=0) / 2 + [1, 2, 3], (COORDS.max(axis=0) + 1) / 2 + [1, 2, 3]]
+    )
+    for name, codes in (
+        ("base_color", COLORS),
+        ("alpha", ALPHA),
+        ("label", ALPHA),
+        ("roughness", np.rint(ROUGHNESS[:, None] * 255)),
+    ):
+        centres = [tuple((place + 0.5) / 16) for place in COORDS]
+        assert stored(texture, name) == dict(zip(centres, codes.tolist(), strict=True))
+
+
+def test_nodes_are_means_in_linear_light_that_alpha_weighs() -> None:
+    coords = np.array(list(product(range(2), repeat=3)))
+    colors = RNG.integers(0, 256, (8, 4), dtype=np.uint8)
+    texture = octex.convert(octex.Voxels(coords, {"base_color": colors}))
+    light, alpha = decode(colors[:, :3], "srgb").astype(float), colors[:, 3:] / 255
+    expected = encode((light * alpha).sum(axis=0) / alpha.sum(), "uint8", "srgb")
+    np.testing.assert_allclose(texture.channels["base_color"].values[0].astype(int), expected, atol=1)
+    np.testing.assert_allclose(texture.channels["alpha"].values[0] / 255, alpha.mean(), atol=1 / 255)
+
+
+def test_voxels_of_several_depths_share_a_grid_and_weigh_as_their_faces() -> None:
+    texture = octex.convert(
+        octex.Voxels([[0, 0, 0], [2, 0, 0], [3, 1, 1]], {"x": np.array([0.0, 1.0, 1.0])}, depth=[1, 2, 2])
+    )
+    texture.validate()
+    assert stored(texture, "x") == {
+        (0.25,) * 3: [0],
+        (0.625, 0.125, 0.125): [255],
+        (0.875, 0.375, 0.375): [255],
+    }
+    np.testing.assert_allclose(texture.channels["x"].values[0] / 255, 0.5 / (1 + 0.5), atol=0.02)
+
+
+def test_floats_are_linear_light_and_stay_so_above_1() -> None:
+    light = RNG.random((150, 3)) * [1, 1, 5]
+    texture = octex.convert(octex.Voxels(COORDS, {"base_color": light, "emissive": light / 5}))
+    assert texture.channels["base_color"].format[2:] == ("linear", "float16")
+    assert texture.channels["emissive"].format[2:] == ("srgb", "uint8")
+    found = octex.convert(octex.Voxels(COORDS, {"emissive": light / 5}), dtype="float32")
+    leaves = stored(found, "emissive")
+    for place, value in zip(COORDS, light / 5, strict=True):
+        np.testing.assert_allclose(leaves[tuple((place + 0.5) / 16)], value, rtol=1e-6)
+
+
+def test_arrays_of_files_have_usual_names_too(tmp_path: Path) -> None:
+    np.savez(
+        tmp_path / "a.npz",
+        ijk=np.c_[np.zeros(150, int), COORDS], rgb=COLORS, voxel_size=0.5, depth=5, points=COORDS, note="a",
+    )  # fmt: skip
+    assert is_voxels(tmp_path / "a.npz")
+    voxels = octex.Voxels.load(tmp_path / "a.npz")
+    assert (voxels.size, set(voxels.depths.tolist()), list(voxels.values)) == (16.0, {5}, ["base_color"])
+    texture = octex.convert(tmp_path / "a.npz")
+    assert texture.metadata["source"] == "a.npz"
+    np.testing.assert_array_equal(voxels.values["base_color"].rows, COLORS)
+
+
+def test_points_in_a_npz_are_no_voxels(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", points=COORDS, colors=COLORS)
+    assert not is_voxels(tmp_path / "a.npz")
+    assert not is_voxels(tmp_path / "none.npz")
+
+
+def test_the_command_converts_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.savez(tmp_path / "a.npz", coords=COORDS, base_color=COLORS)
+    done = command.main([str(tmp_path / "a.npz"), str(tmp_path / "a.octex"), "--json", "--quiet"])
+    assert done == 0
+    assert json.loads(capsys.readouterr().out)["leaves"] == 150
+    assert octex.open(tmp_path / "a.octex").tree.max_depth == 4
+    refused = command.main([str(tmp_path / "a.npz"), str(tmp_path / "b.octex"), "--depth", "3"])
+    assert refused == 2
+    assert "--depth is not for voxels" in capsys.readouterr().err
+
+
+def octree(coords: np.ndarray, depth: int) -> tuple[bytes, list[int]]:
+    """Child masks of an octree, depth first, and its leaves' order, by the layout's text."""
+    masks, order = bytearray(), []
+
+    def visit(corner: tuple[int, ...], level: int, inside: list[int]) -> None:
+        half = 1 << (depth - level - 1)
+        at = len(masks)
+        masks.append(0)
+        for octant in range(8):
+            low = [c + half * (octant >> (2 - axis) & 1) for axis, c in enumerate(corner)]
+            own = [i for i in inside if all(0 <= coords[i][a] - low[a] < half for a in range(3))]
+            if own:
+                masks[at] |= 1 << octant
+                if half == 1:
+                    order.extend(own)
+                else:
+                    visit(tuple(low), level + 1, own)
+
+    visit((0, 0, 0), 0, list(range(len(coords))))
+    return bytes(masks), order
+
+
+def vxz(compression: str = "lzma", style: str = "as_is", **changes: Any) -> bytes:
+    """A .vxz file of chunks of 8 cells, and some of its header changed."""
+    pack = {
+        "none": bytes,
+        "deflate": lambda data: zlib.compress(data, 9)[2:-4],
+        "lzma": lambda data: lzma.compress(
+            data, lzma.FORMAT_RAW, filters=[{"id": lzma.FILTER_LZMA2, "preset": 9}]
+        ),
+    }[compression]
+    values = {"base_color": COLORS, "alpha": ALPHA, "intersected": ALPHA}
+    chunks, binary = [], b""
+    for place in np.unique(COORDS // 8, axis=0).tolist():
+        chosen = np.flatnonzero((place == COORDS // 8).all(axis=1))
+        masks, order = octree(COORDS[chosen] % 8, 3)
+        rows = {name: each[chosen][order] for name, each in values.items()}
+        if style == "all":
+            parts = {"attr": np.hstack(list(rows.values()))}
+        elif style == "none":
+            parts = {f"{name}_{i}": each[:, i] for name, each in rows.items() for i in range(each.shape[1])}
+        else:
+            parts = rows
+        chunk, body = {"idx": place}, b""
+        for key, data in (("svo", masks), *((key, each.tobytes()) for key, each in parts.items())):
+            packed = pack(data)
+            chunk[key] = [len(body), len(packed)]
+            body += packed
+        chunk["ptr"] = [len(binary), len(body)]
+        binary += body
+        chunks.append(chunk)
+    header = {"num_voxel": 150, "chunk_size": 8, "filter": "none", "compression": compression}
+    header |= {"attr_interleave": style, "attr": [[name, each.shape[1]] for name, each in values.items()]}
+    text = json.dumps({**header, "chunks": chunks, **changes}).encode()
+    return b"VXZ\0" + struct.pack(">I", len(text) + 8) + text + binary
+
+
+@pytest.mark.parametrize("compression", ["none", "deflate", "lzma"])
+@pytest.mark.parametrize("style", ["none", "as_is", "all"])
+def test_o_voxels_files_are_read(tmp_path: Path, compression: str, style: str) -> None:
+    (tmp_path / "a.vxz").write_bytes(vxz(compression, style))
+    texture = octex.convert(tmp_path / "a.vxz")
+    assert texture.placement == ((-0.5,) * 3, 1.0)
+    assert set(texture.channels) == {"base_color", "alpha"}
+    for name, codes in (("base_color", COLORS), ("alpha", ALPHA)):
+        centres = [tuple((place + 0.5) / 16) for place in COORDS]
+        assert stored(texture, name) == dict(zip(centres, codes.tolist(), strict=True))
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "is empty|is no .vxz file"),
+        (b"VXZ\1" + bytes(20), "version 1"),
+        (vxz()[:60], "is damaged"),
+        (vxz()[:-20], "is damaged"),
+        (vxz(chunk_size=16), "is damaged"),
+        (vxz(chunk_size=7), "a chunk size of 7"),
+        (vxz(chunks=[]), "has no voxels"),
+        (vxz(chunks=[{"ptr": [0, 9]}]), "is damaged .*svo"),
+        (vxz(attr=[["base_color", 2]]), "is damaged"),
+        (vxz(filter="parent"), "filter 'parent', which octex does not read; write it with filter='none'"),
+        (vxz("none", style="all").replace(b'"compression": "none"', b'"compression": "zstd"'), "'zstd'"),
+    ],
+)
+def test_damaged_o_voxels_are_refused_in_one_line(tmp_path: Path, data: bytes, message: str) -> None:
+    (tmp_path / "bad.vxz").write_bytes(data)
+    with pytest.raises(ModelError, match=message) as caught:
+        octex.convert(tmp_path / "bad.vxz")
+    assert "bad.vxz" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "message"),
+    [
+        ({"coords": COORDS - 1, "rgb": COLORS}, "coords from -1 to 11 are in no grid"),
+        ({"coords": COORDS * 0.5, "rgb": COLORS}, "coords must be whole numbers"),
+        ({"coords": COORDS[:, :2], "rgb": COLORS}, r"of shape \(n, 3\)"),
+        ({"coords": COORDS[:0], "rgb": COLORS[:0]}, "has no voxels"),
+        ({"coords": COORDS, "rgb": COLORS, "depth": 3}, "is outside of a grid of depth 3"),
+        ({"coords": COORDS, "rgb": COLORS, "depth": 22}, "depth must be from 0 to 21"),
+        ({"coords": COORDS, "rgb": COLORS, "depth": 4.5}, "depth must be a whole number"),
+        ({"coords": COORDS, "rgb": COLORS, "origin": [0, np.nan, 0]}, "origin must be finite"),
+        ({"coords": COORDS, "rgb": COLORS, "size": -1.0}, "size must be finite and above zero"),
+        ({"coords": COORDS, "rgb": COLORS, "voxel_size": 0.0}, "voxel_size must be"),
+        ({"coords": COORDS}, "has no channel"),
+        ({"coords": COORDS[:9], "rgb": COLORS}, "has no channel"),
+        ({"coords": COORDS, "roughness": COLORS}, r"roughness must have shape \(150, 1\)"),
+        ({"coords": COORDS, "label": ROUGHNESS.astype(np.int64)}, "must be uint8 or uint16 codes, or floats"),
+        ({"coords": COORDS, "label": np.full(150, np.nan)}, "label: voxel 0 is not finite"),
+        ({"coords": COORDS[[0, 0]], "rgb": COLORS[:2]}, "overlap"),
+        ({"coords": np.array([[0, 0, 0], [1, 1, 1]]), "rgb": COLORS[:2], "depths": [1, 2]}, "overlap"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_line_that_names_it(
+    tmp_path: Path, arrays: dict[str, Any], message: str
+) -> None:
+    np.savez(tmp_path / "bad.npz", **arrays)
+    with pytest.raises(ModelError, match=message) as caught:
+        octex.convert(tmp_path / "bad.npz")
+    assert "bad.npz" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_needs_a_surface_or_another_grid_is_refused() -> None:
+    voxels = octex.Voxels(COORDS, {"base_color": COLORS})
+    with pytest.raises(ArgumentError, match="voxels have their own depth"):
+        octex.convert(voxels, 7)
+    with pytest.raises(ArgumentError, match="max_error needs a surface"):
+        octex.convert(voxels, max_error=2)
+    with pytest.raises(ArgumentError, match="unknown channel 'alpha'"):
+        octex.convert(voxels, channels=["alpha"])
+
+
+def test_a_damaged_npz_is_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", coords=COORDS, rgb=COLORS)
+    data = (tmp_path / "a.npz").read_bytes()
+    (tmp_path / "bad.npz").write_bytes(data[:100] + bytes(40) + data[140:])
+    with pytest.raises(ModelError, match=r"bad\.npz"):
+        octex.convert(tmp_path / "bad.npz")

@@ -1,0 +1,89 @@
+"""What blender.py has Blender do, run by a Python that has bpy: draw a model unlit, and bake it."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+
+import bpy  # type: ignore[import-not-found]
+import mathutils  # type: ignore[import-not-found]
+
+
+def main() -> None:
+    job = json.loads(sys.argv[1])
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.import_scene.gltf(filepath=job["model"])
+    for material in bpy.data.materials:
+        glow(material)
+    scene = bpy.context.scene
+    scene.render.engine = "CYCLES"
+    scene.cycles.device = "CPU"
+    scene.cycles.use_denoising = scene.cycles.use_adaptive_sampling = False
+    draw(scene, job)
+    print(json.dumps(bake(scene, job)))
+
+
+def glow(material: bpy.types.Material) -> None:
+    """Have a material send out its base colour, and nothing else."""
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    shader = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    output = next(node for node in nodes if node.type == "OUTPUT_MATERIAL")
+    emission = nodes.new("ShaderNodeEmission")
+    color = shader.inputs["Base Color"]
+    if color.is_linked:
+        links.new(color.links[0].from_socket, emission.inputs["Color"])
+    else:
+        emission.inputs["Color"].default_value = color.default_value
+    links.new(emission.outputs["Emission"], output.inputs["Surface"])
+
+
+def draw(scene: bpy.types.Scene, job: dict) -> None:
+    """Draw the scene from a camera; rays go through the middles of a pixel's parts."""
+    data = bpy.data.cameras.new("camera")
+    data.sensor_fit, data.sensor_width = "HORIZONTAL", 36.0
+    data.lens = 36.0 * job["focal"]
+    data.clip_start, data.clip_end = 1e-3, 1e6
+    camera = bpy.data.objects.new("camera", data)
+    camera.matrix_world = mathutils.Matrix(job["pose"])
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    settings = scene.render
+    settings.resolution_x, settings.resolution_y = job["pixels"]
+    settings.resolution_percentage = 100
+    settings.film_transparent = True
+    settings.dither_intensity = 0.0
+    settings.filepath = job["picture"]
+    settings.image_settings.file_format = "PNG"
+    settings.image_settings.color_mode, settings.image_settings.color_depth = "RGBA", "8"
+    scene.view_settings.view_transform, scene.view_settings.look = "Standard", "None"
+    scene.cycles.samples = job["samples"] ** 2
+    scene.cycles.pixel_filter_type = "BOX"
+    scene.cycles.filter_width = 0.01 if job["samples"] == 1 else 1.0
+    bpy.ops.render.render(write_still=True)
+
+
+def bake(scene: bpy.types.Scene, job: dict) -> dict:
+    """Bake what the meshes send out, at their own coordinates; return how long that takes."""
+    size = job["texture_size"]
+    image = bpy.data.images.new("baked", size, size)
+    for material in bpy.data.materials:
+        node = material.node_tree.nodes.new("ShaderNodeTexImage")
+        node.image = image
+        material.node_tree.nodes.active = node
+    meshes = [each for each in scene.objects if each.type == "MESH"]
+    for each in meshes:
+        each.select_set(True)
+    bpy.context.view_layer.objects.active = meshes[0]
+    scene.cycles.samples = 1
+    began = time.process_time(), time.perf_counter()
+    bpy.ops.object.bake(type="EMIT", margin=8, use_clear=True)
+    return {
+        "cpu": time.process_time() - began[0],
+        "wall": time.perf_counter() - began[1],
+        "texels": size * size,
+        "version": bpy.app.version_string,
+    }
+
+
+main()
