@@ -179,6 +179,9 @@ def test_maps_are_nearer_to_the_field_when_read_bilinearly() -> None:
     random = np.random.default_rng(0).random((5000, 2)) * 8 + 2
     errors = [bilinear(each, random) - curved(*random.T) for each in (values, fitted)]
     assert np.sqrt((errors[1][:, 0] ** 2).mean()) < 0.5 * np.sqrt((errors[0][:, 0] ** 2).mean())
+    step = (values > 3.0).astype(np.float32)
+    sharpen(step, np.ones((12, 12), np.float32))
+    assert (step.min(), step.max()) == (0.0, 1.0)
     holes = np.ones((12, 12), np.float32)
     holes[5, 5] = 0.0
     beside = values.copy()

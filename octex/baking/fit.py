@@ -15,13 +15,15 @@ _LACKING = 1.0 / 12.0
 def sharpen(values: Float32s, areas: Float32s) -> None:
     """Fit a map (height, width, components) of values at the middles of texels to bilinear reading, in place.
 
-    Texels stay that lie at its rim, or beside one of area 0.
+    Texels stay that lie at its rim, or beside one of area 0; none leaves the range that values had.
     """
-    _sharpen(values, areas, values[0].copy(), values[0].copy())
+    _sharpen(values, areas, values.min(), values.max(), values[0].copy(), values[0].copy())
 
 
 @kernel
-def _sharpen(values: Float32s, areas: Float32s, above: Float32s, here: Float32s) -> None:
+def _sharpen(
+    values: Float32s, areas: Float32s, least: np.float32, most: np.float32, above: Float32s, here: Float32s
+) -> None:
     """``above`` and ``here``, (width, components), are room for rows as they were."""
     height, width, components = values.shape
     part, four = np.float32(_LACKING), np.float32(4.0)
@@ -34,5 +36,6 @@ def _sharpen(values: Float32s, areas: Float32s, above: Float32s, here: Float32s)
                 continue
             for k in range(components):
                 around = here[x - 1, k] + here[x + 1, k] + above[x, k] + values[row + 1, x, k]
-                values[row, x, k] -= part * (around - four * here[x, k])
+                fitted = here[x, k] - part * (around - four * here[x, k])
+                values[row, x, k] = min(max(fitted, least), most)
         above[:] = here
