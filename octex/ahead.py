@@ -1,6 +1,6 @@
-"""Compile ahead: while a command compiles and runs its first stages, another process compiles its last.
+"""Compile ahead: while a command compiles and runs, other processes compile what it needs later.
 
-Both keep what they compile in the same folders (`jit_cache`). `signatures.txt` lists what Python calls
+All keep what they compile in the same folders (`jit_cache`). `signatures.txt` lists what Python calls
 kernels with, in the order of need, in sections; `tools/signatures.py` writes it. A line that no longer fits
 is passed over: the command compiles what it misses.
 """
@@ -88,16 +88,50 @@ def _end(helper: subprocess.Popen[bytes]) -> None:
 
 
 def main() -> None:
-    """Be a helper: compile its share of some sections, the last first, while standard input lasts."""
+    """Be a helper: compile its share of some sections while standard input lasts."""
     number, count = map(int, sys.argv[1:3])
     threading.Thread(target=_watch, daemon=True).start()
-    from octex.jit import MANY_OBJECTS
-
-    gc.set_threshold(MANY_OBJECTS)
-    for line in lines(*sys.argv[3:])[::-1][number::count]:
+    gc.disable()  # 6 % faster; 3 MB more for each second of it
+    for line in shared(lines(*sys.argv[3:]), count)[number::count]:
         with suppress(Exception):
             kernel, arguments = read(line)
             kernel.compile(arguments)
+
+
+def shared(needed: list[str], helpers: int) -> list[str]:
+    """Return lines in the order in which helpers compile them.
+
+    First come the largest of those that helpers end before the command, which compiles the rest, needs them;
+    then the rest, the last first.
+    """
+    sizes = [_size_of(line) for line in needed]
+    early: set[int] = set()
+    for place in sorted(range(len(needed)), key=lambda place: -sizes[place]):
+        chosen, done, of_command = early | {place}, 0, 0
+        for at, size in enumerate(sizes):
+            if at not in chosen:
+                of_command += size
+                continue
+            done += size
+            if done > helpers * of_command:
+                break
+        else:
+            early = chosen
+    late = [at for at in reversed(range(len(needed))) if at not in early]
+    return [needed[at] for at in (*sorted(early), *late)]
+
+
+def _size_of(line: str) -> int:
+    """Return how much bytecode is compiled for a line, to which time is in proportion: some 0.6 ms a byte."""
+    with suppress(Exception):
+        found, waiting = set(), [read(line)[0].py_func]
+        while waiting:
+            function = waiting.pop()
+            found.add(function)
+            named = map(function.__globals__.get, function.__code__.co_names)
+            waiting += {each.py_func for each in named if hasattr(each, "py_func")} - found
+        return sum(len(function.__code__.co_code) for function in found)
+    return 0
 
 
 def _watch() -> None:

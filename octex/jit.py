@@ -118,7 +118,13 @@ def _compiled(function: Function, **options: Any) -> Function:
         kept = compiled._cache
         kept._cache_file = CodeFiles(kept.cache_path, function, kept._cache_file._source_stamp)
         kept.save_overload = partial(_keep, kept.save_overload)
+        compiled.compile = partial(_compile, compiled.compile, kept._cache_file)
     return compiled  # type: ignore[no-any-return]
+
+
+def _compile(compile: Callable[..., Any], files: Any, signature: Any) -> Any:
+    with files.turns():
+        return compile(signature)
 
 
 def _keep(save: Callable[..., None], signature: Any, result: Any) -> None:

@@ -12,12 +12,15 @@ import hashlib
 import pickle
 import re
 import sys
+import threading
+import time
 import uuid
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numba
 from numba import types
@@ -25,6 +28,13 @@ from numba.core.serialize import dumps
 
 from octex.ahead import WRITING, begin
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+#: Seconds that a process waits, at most, for another, which may have been stopped, to compile the same.
+LONGEST = 600.0
 #: Imports of octex, of whole modules or of names in them.
 _IMPORT = re.compile(r"^(?:from|import) (octex[\w.]*)(?: import (\([^)]*\)|.*))?", re.MULTILINE)
 
@@ -46,6 +56,7 @@ class CodeFiles:
     def __init__(self, folder: str, function: Any, stamp: object = None) -> None:
         code, python = function.__code__, f"py{sys.version_info[0]}{sys.version_info[1]}"
         name = re.sub("[<>]", "", f"{function.__module__}.{function.__qualname__}")
+        self._own = threading.local()
         self._folder = Path(folder)
         self._name = f"{name}-{code.co_firstlineno}.{python}{getattr(sys, 'abiflags', '')}"
         self._state = f"numba {numba.__version__}, {stamp!r}, {digest_behind(function.__module__)}"
@@ -61,7 +72,30 @@ class CodeFiles:
             found = self._load(SHIPPED, (signature, (triple, *PORTABLE), bytecode))
         if found is None:
             begin()
+            turns = getattr(self._own, "turns", None)
+            if turns is not None and fcntl is not None:
+                turns.append(_turn(self._path(self._folder, key_text(key))))
+                found = self._load(self._folder, key)
         return found
+
+    @contextmanager
+    def turns(self) -> Iterator[None]:
+        """While the block lasts, be alone in compiling what is not there, among processes.
+
+        Functions wait for those that they call alone: no two processes wait for each other.
+        """
+        if hasattr(self._own, "turns"):
+            yield
+            return
+        turns = self._own.turns = list[IO[bytes] | None]()
+        try:
+            yield
+        finally:
+            del self._own.turns
+            for turn in filter(None, turns):
+                with turn, suppress(OSError):
+                    Path(turn.name).unlink(missing_ok=True)
+                    fcntl.flock(turn, fcntl.LOCK_UN)  # also where a child of this process has the file open
 
     def _load(self, folder: Path, key: Any) -> Any:
         text = key_text(key)
@@ -91,6 +125,22 @@ class CodeFiles:
             path.unlink(missing_ok=True)
 
 
+def _turn(path: Path) -> IO[bytes] | None:
+    """Wait while another process compiles a version; return the file that makes others wait for this one."""
+    turn = None
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        turn = path.with_name(f"{path.name}.lock").open("wb")
+        end = time.monotonic() + LONGEST
+        while time.monotonic() < end:
+            try:
+                fcntl.flock(turn, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                time.sleep(0.02)
+    return turn
+
+
 def _can_run_shipped(key: Any) -> bool:
     """Tell whether this processor has all that the shipped code may use, and nobody asks for other code."""
     _, (_, _, features), _ = key
@@ -100,7 +150,12 @@ def _can_run_shipped(key: Any) -> bool:
 def key_text(key: tuple[Any, tuple[str, ...], tuple[str, ...]]) -> str:
     """Return the same words for the same types, machine and bytecode."""
     signature, machine, bytecode = key
-    return "\n".join([", ".join(map(type_text, getattr(signature, "args", signature))), *machine, *bytecode])
+    return "\n".join([types_text(signature), *machine, *bytecode])
+
+
+def types_text(signature: Any) -> str:
+    """Return the names of the types of arguments."""
+    return ", ".join(map(type_text, getattr(signature, "args", signature)))
 
 
 def type_text(kind: Any) -> str:

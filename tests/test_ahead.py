@@ -152,6 +152,24 @@ print("late")
     assert done.stdout == b""
 
 
+def test_helpers_begin_with_the_largest_that_they_end_in_time_and_go_on_from_the_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sizes = {"a": 3, "b": 1, "c": 4, "d": 9, "e": 2, "f": 1, "g": 12, "h": 1}
+    monkeypatch.setattr(ahead, "_size_of", sizes.__getitem__)
+    # One helper cannot end d before the command, which compiles 8 until then; c and g it can.
+    assert "".join(ahead.shared(list(sizes), 1)) == "cghfedba"
+    assert "".join(ahead.shared(list(sizes), 2)) == "dghfecba"
+    assert ahead.shared([], 1) == []
+
+
+@needs_jit
+def test_what_calls_more_is_larger() -> None:
+    (first,) = (line for line in ahead.lines("convert") if "evaluate:evaluate" in line)
+    assert ahead._size_of(first) > 5 * ahead._size_of("octex.jit:low_bits int64") > 0
+    assert ahead._size_of("octex.jit:gone int64") == 0
+
+
 @needs_jit
 def test_a_helper_compiles_what_is_listed_and_passes_over_what_does_not_fit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -185,7 +203,7 @@ def test_what_is_listed_are_kernels_and_types_of_their_arguments(section: str) -
             kernel, arguments = ahead.read(line)
         except (AttributeError, ImportError, ValueError):
             continue
-        assert ", ".join(map(jit_cache.type_text, arguments)) == line.split(" ", 1)[1]
+        assert jit_cache.types_text(arguments) == line.split(" ", 1)[1]
         fitting += len(inspect.signature(kernel.py_func).parameters) == len(arguments)
     assert len(listed) > 10
     assert fitting > 0.8 * len(listed)

@@ -76,6 +76,26 @@ def test_the_table_ends_with_a_count_of_each_result(tmp_path: Path) -> None:
     assert "1 files: 1 refused" in text
 
 
+def test_damaged_copies_are_tried_too_and_are_the_same_each_time(tool: ModuleType, tmp_path: Path) -> None:
+    data = png(random_image(8, 8))
+    (tmp_path / "a.png").write_bytes(data)
+    obj(tmp_path / "a.obj", OBJ_SQUARE)
+    textured_square(tmp_path / "a.glb", data)
+
+    def copies(name: str) -> list[bytes]:
+        return [path.read_bytes() for _, path in tool.damaged(name, tmp_path / name, tmp_path, 5)]
+
+    assert copies("a.obj") == []
+    assert copies("a.png") == copies("a.png")
+    assert len({*copies("a.png"), data}) == 6
+    whole = (tmp_path / "a.glb").read_bytes()
+    length = int.from_bytes(whole[12:16], "little")
+    assert {copy[: 20 + length] for copy in copies("a.glb")} == {whole[: 20 + length]}
+    code, text = fragile(tmp_path, "--damage", "2", "--json")
+    assert code == 0
+    assert "a.png damaged 1" in by_file(text)
+
+
 def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
     arguments = [sys.executable, str(TOOL), str(tmp_path / "nowhere")]
     done = subprocess.run(arguments, capture_output=True, text=True, check=False)

@@ -43,6 +43,9 @@ def broken(change: str, tmp_path: Path) -> Path:
         entry["indices"] = gltf.accessor(np.array([0, 100, 255], np.uint8))
     elif change == "not finite":
         attributes["POSITION"] = gltf.accessor(np.where(SQUARE == 1, np.float32(np.nan), SQUARE))
+    elif change == "signalling":
+        bits = np.where(SQUARE == 1, np.uint32(0x7FA00000), SQUARE.view(np.uint32))
+        attributes["POSITION"] = gltf.accessor(bits.view(np.float32))
     elif change == "colours not finite":
         attributes["COLOR_0"] = gltf.accessor(np.full((4, 3), np.nan, np.float32))
     elif change == "factor not finite":
@@ -165,6 +168,7 @@ def broken(change: str, tmp_path: Path) -> Path:
         ("fractional index", r"the indices of meshes\[0\].* are not integers"),
         ("restart", "uses vertex 255, but uint8 indices keep this number"),
         ("not finite", "vertices that are not finite"),
+        ("signalling", "vertices that are not finite"),
         ("colours not finite", "colours are not all finite"),
         ("factor not finite", "Infinity is not JSON|colours are not all finite"),
         ("beyond all bounds", "not all finite"),

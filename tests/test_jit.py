@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -60,6 +61,36 @@ print([key for key in {[of(name) for name in names[0] + names[1]]} if load(key) 
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
     assert len(list(folder.iterdir())) == 200
+
+
+@needs_jit
+@pytest.mark.skipif(sys.platform == "win32", reason="without locks, each compiles for itself")
+def test_of_processes_that_miss_the_same_one_compiles_it_and_the_others_wait(tmp_path: Path) -> None:
+    module = tmp_path / "slow.py"
+    module.write_text(
+        "import sys, time\n"
+        "from numba.core import event\n"
+        "from octex import jit\n"
+        "@jit.inlined\n"
+        "def part(a):\n    return a * a\n"
+        "@jit.kernel\n"
+        "def whole(a, b):\n    return part(a) + part(b) * part(a + b)\n"
+        "class Counter(event.Listener):\n"
+        "    count = 0\n"
+        "    def on_start(self, _):\n        Counter.count += 1\n        time.sleep(0.3)\n"
+        "    def on_end(self, _):\n        pass\n"
+        "event.register('numba:compile', Counter())\n"
+        "assert whole(1, 2) == 37 and whole(1.0, 2.0) == 37\n"
+        "print(Counter.count)\n",
+        encoding="utf-8",
+    )
+    call = [sys.executable, "-c", "import slow"]
+    variables = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    variables["PYTHONPATH"] = os.pathsep.join([str(tmp_path), *sys.path])
+    processes = [subprocess.Popen(call, stdout=subprocess.PIPE, text=True, env=variables) for _ in range(3)]
+    counts = [int(process.communicate()[0]) for process in processes]
+    assert sum(counts) == 4
+    assert all(path.suffix == ".nbc" for path in (tmp_path / "cache").glob("*/*"))
 
 
 def test_what_is_kept_serves_this_numba_this_source_and_this_key_only(

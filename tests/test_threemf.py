@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import locale
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -36,8 +38,10 @@ def ball() -> tuple[octex.OctreeTexture, Surface]:
 
 
 @pytest.fixture
-def lib3mf() -> Any:
-    return pytest.importorskip("lib3mf", reason="the extra octex[3mf] is not installed")
+def lib3mf() -> Iterator[Any]:
+    before = locale.setlocale(locale.LC_ALL)
+    yield pytest.importorskip("lib3mf", reason="the extra octex[3mf] is not installed")
+    locale.setlocale(locale.LC_ALL, before)  # reading changes it
 
 
 def test_lib3mf_reads_a_closed_mesh_in_the_fields_colours(
@@ -45,7 +49,9 @@ def test_lib3mf_reads_a_closed_mesh_in_the_fields_colours(
 ) -> None:
     texture, surface = ball
     made = octex.bake_vertices(texture, surface, subdivide="auto", max_error=4.0)
+    before = locale.setlocale(locale.LC_ALL)
     octex.write_model(made, tmp_path / "ball.3mf", unit="inch")
+    assert locale.setlocale(locale.LC_ALL) == before
     wrapper = lib3mf.get_wrapper()
     model = wrapper.CreateModel()
     reader = model.QueryReader("3mf")

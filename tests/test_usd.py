@@ -17,6 +17,7 @@ import pytest
 import octex
 from octex.channels import srgb_to_linear
 from octex.errors import ImageError, MissingExtraError, ModelError, ModelWarning
+from octex.source.materials import Input, Material, MaterialSource
 from octex.source.mesh import SurfaceSamples
 from octex.source.surface import Surface
 from tests import solids
@@ -71,7 +72,7 @@ def test_materials_say_what_the_specification_asks_for(baked: Surface, tmp_path:
     assert UsdGeom.GetStageMetersPerUnit(stage) == 0.01
     (mesh,) = [UsdGeom.Mesh(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
     assert mesh.GetSubdivisionSchemeAttr().Get() == "none"
-    assert mesh.GetDoubleSidedAttr().Get()
+    assert not mesh.GetDoubleSidedAttr().Get()
     st = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st")
     assert st.GetInterpolation() == "faceVarying"
     assert st.GetTypeName() == Sdf.ValueTypeNames.TexCoord2fArray
@@ -131,7 +132,25 @@ def test_alpha_and_its_mode_are_kept(mode: Any, tmp_path: Path) -> None:
         )
 
 
-def test_several_materials_and_vertex_colours_are_kept(tmp_path: Path) -> None:
+def test_several_materials_their_names_and_sides_are_kept(tmp_path: Path) -> None:
+    base = Surface.from_arrays(SQUARE, [[0, 1, 2], [0, 2, 3]])
+    colors = [(0.1, 0.2, 0.3), (0.7, 0.5, 0.3)]
+    materials = [
+        Material({"base_color": Input(color)}, name="worn steel", double_sided=True) for color in colors
+    ]
+    numbers = np.array([1, 0], np.int32)
+    source = MaterialSource(materials, numbers, base.rest, base.triangles)
+    octex.write_model(Surface(base.vertices, base.triangles, source), tmp_path / "a.usda")
+    assert validated(Usd.Stage.Open(str(tmp_path / "a.usda"))) == []
+    read = octex.load_surface(tmp_path / "a.usda")
+    found = [read.source.materials[number] for number in read.source.triangle_materials]  # type: ignore[attr-defined]
+    assert [each.name.rstrip("_") for each in found] == ["worn_steel"] * 2
+    assert found[0].name != found[1].name
+    assert all(each.double_sided for each in found)
+    np.testing.assert_allclose([each.inputs["base_color"].factor for each in found], colors[::-1], atol=1e-6)
+
+
+def test_vertex_colours_are_kept(tmp_path: Path) -> None:
     points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 6)
     colors = np.random.default_rng(2).random((len(points), 4))
     surface = Surface.from_arrays(points, triangles, colors=colors)

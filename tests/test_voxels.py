@@ -17,6 +17,7 @@ import octex
 from octex.channels import decode, encode
 from octex.cli import convert as command
 from octex.errors import ArgumentError, ModelError
+from octex.formats.npz import write_arrays
 from octex.source.voxels import is_voxels
 from octex.tree.walk import walk_leaves
 
@@ -110,6 +111,22 @@ def test_points_in_a_npz_are_no_voxels(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", points=COORDS, colors=COLORS)
     assert not is_voxels(tmp_path / "a.npz")
     assert not is_voxels(tmp_path / "none.npz")
+
+
+def test_what_octex_writes_of_leaves_of_several_depths_it_reads(tmp_path: Path) -> None:
+    coords = np.array([[0, 0, 0], [2, 0, 0], [3, 1, 1], [2, 2, 2]])
+    colors, light = RNG.random((4, 3)), RNG.random((4, 3)) * 4
+    given = octex.Voxels(
+        coords, {"base_color": colors, "emissive": light}, depth=[1, 2, 2, 2], origin=(1, 2, 3), size=3.0
+    )
+    texture = octex.convert(given)
+    write_arrays(texture, tmp_path / "a.npz")
+    found = octex.convert(tmp_path / "a.npz", dtype="float32")
+    assert found.placement == texture.placement
+    assert found.tree.cells_by_depth() == texture.tree.cells_by_depth()
+    centres = np.array([*stored(texture, "emissive")])
+    for name, values in texture.sample(centres * 3 + [1, 2, 3], ["base_color", "emissive"]).items():
+        np.testing.assert_allclose([*stored(found, name).values()], values, rtol=1e-6)
 
 
 def test_the_command_converts_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

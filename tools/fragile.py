@@ -1,13 +1,15 @@
 #!/usr/bin/env python
 """Try every model and image below a folder as a user would, and list what becomes of each.
 
-usage: tools/fragile.py FOLDER... [--depth 5] [--seconds 10] [--json]
+usage: tools/fragile.py FOLDER... [--depth 5] [--seconds 10] [--damage N] [--json]
 
-Each file is tried in a process of its own, forked from one that is warm: a model is converted, an image is
-decoded. Good results are "converted" and "refused" (in one line); bad ones are TRACEBACK (an error that is
-not octex's own), HANG (more than --seconds), MEMORY (more than 50 times the bytes of the file and of what it
-refers to, and more than 256 MB) and CRASH (ended by a signal, or something was said besides one line).
-Beside models that convert although a .report.json of the glTF validator names errors, those errors stand.
+Each file is tried in a process of its own, forked from one that is warm: models and voxels are converted,
+images are decoded. With --damage so many copies of each file that needs no other are tried as well, a few
+bytes of each overwritten, in a .glb those behind its JSON. Good results are "converted" and "refused" (in one
+line); bad ones are TRACEBACK (an error that is not octex's own), HANG (more than --seconds), MEMORY (more
+than 50 times the bytes of the file and of what it refers to, and more than 256 MB) and CRASH (ended by a
+signal, or something was said besides one line). Beside models that convert although a .report.json of the
+glTF validator names errors, those errors stand.
 Exit code 1 if anything is bad. Linux only.
 """
 
@@ -16,6 +18,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import random
 import resource
 import signal
 import sys
@@ -23,6 +26,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -37,9 +41,11 @@ from octex.errors import ExitCode, ImageError
 from octex.parallel import silent
 from octex.source.images.decode import decode_image
 from octex.source.load import MODEL_ENDINGS
+from octex.source.voxels import VOXEL_ENDINGS
 
 IMAGE_ENDINGS = {".png", ".jpg", ".jpeg", ".webp", ".bmp", ".gif", ".tga", ".tif", ".tiff", ".exr", ".hdr"}
 IMAGE_ENDINGS |= {".ktx2", ".avif", ".jp2"}
+ALONE = {".glb", ".stl", ".off", ".ply", *VOXEL_ENDINGS, *IMAGE_ENDINGS}  # files that need no other
 GOOD = ("converted", "refused")
 MOST_PER_BYTE = 50
 MOST_ANYWAY = 256 << 20
@@ -107,10 +113,10 @@ def forked(work: Callable[[], int], scratch: Path, seconds: int, memory: int) ->
 
 
 def attempt(path: Path, scratch: Path, depth: int) -> int:
-    """Convert a model or decode an image; say why not on stderr; return an exit code."""
-    if path.suffix.lower() in MODEL_ENDINGS:
-        output = scratch / "out.octex"
-        return convert.main([str(path), str(output), "--depth", str(depth), "--quiet", "--force"])
+    """Convert a model or voxels, or decode an image; say why not on stderr; return an exit code."""
+    if path.suffix.lower() in {*MODEL_ENDINGS, *VOXEL_ENDINGS}:
+        options = [] if path.suffix.lower() in VOXEL_ENDINGS else ["--depth", str(depth)]
+        return convert.main([str(path), str(scratch / "out.octex"), *options, "--quiet", "--force"])
     try:
         texels = decode_image(path.read_bytes(), path.name)
     except ImageError as error:
@@ -174,12 +180,30 @@ def files(folders: Iterable[Path]) -> Iterator[tuple[str, Path]]:
     """Yield the models and images below some folders, with the names to list them by."""
     for folder in folders:
         for path in sorted(folder.rglob("*")):
-            if path.is_file() and path.suffix.lower() in {*MODEL_ENDINGS, *IMAGE_ENDINGS}:
+            if path.is_file() and path.suffix.lower() in {*MODEL_ENDINGS, *VOXEL_ENDINGS, *IMAGE_ENDINGS}:
                 yield path.relative_to(folder).as_posix(), path
 
 
-def tried(folders: Iterable[Path], depth: int, seconds: int) -> Iterator[Trial]:
-    """Try all models and images below some folders."""
+def damaged(name: str, path: Path, scratch: Path, copies: int) -> Iterator[tuple[str, Path]]:
+    """Yield copies of a file with some bytes overwritten, each time the same ones."""
+    if path.suffix.lower() not in ALONE:
+        return
+    data = path.read_bytes()
+    first = 20 + int.from_bytes(data[12:16], "little") if path.suffix.lower() == ".glb" else 0
+    copy = scratch / f"damaged{path.suffix}"
+    for number in range(copies if first < len(data) else 0):
+        chance = random.Random(f"{name} {number}")
+        changed = bytearray(data)
+        for _ in range(chance.randint(1, 12)):
+            at = chance.randrange(first, len(data))
+            run = chance.choice((1, 1, 1, 4, 40))
+            changed[at : at + run] = chance.randbytes(len(changed[at : at + run]))
+        copy.write_bytes(changed)
+        yield f"{name} damaged {number}", copy
+
+
+def tried(folders: Iterable[Path], depth: int, seconds: int, copies: int) -> Iterator[Trial]:
+    """Try all models, voxels and images below some folders, and damaged copies of each."""
     with TemporaryDirectory(prefix="octex-fragile-") as name_of_scratch:
         scratch = Path(name_of_scratch)
         warm_up(silent)
@@ -189,7 +213,12 @@ def tried(folders: Iterable[Path], depth: int, seconds: int) -> Iterator[Trial]:
         if plainly[-1].status != ExitCode.DONE:
             raise RuntimeError(f"a plain triangle does not convert: {plainly[-1].said}")
         base = min(ended.peak for ended in plainly)  # the first may still have compiled something
-        for name, path in files(folders):
+        each = (
+            trial
+            for name, path in files(folders)
+            for trial in chain([(name, path)], damaged(name, path, scratch, copies))
+        )
+        for name, path in each:
             limit = max(MOST_PER_BYTE * bytes_with_references(path), MOST_ANYWAY)
             ended = forked(
                 lambda path=path: attempt(path, scratch, depth), scratch, seconds, limit + RESERVED
@@ -214,6 +243,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("folders", type=Path, nargs="+", metavar="FOLDER", help="a folder")
     parser.add_argument("--depth", type=int, default=5, help="of conversions (5)")
     parser.add_argument("--seconds", type=int, default=10, help="after which a file counts as hanging (10)")
+    parser.add_argument("--damage", type=int, default=0, metavar="N", help="damaged copies of each file (0)")
     parser.add_argument("--json", action="store_true", help="print a list of JSON objects")
     options = parser.parse_args(arguments)
     for path in options.folders:
@@ -221,7 +251,7 @@ def main(arguments: list[str] | None = None) -> int:
             parser.error(f"there is no folder {path}")
 
     trials = []
-    for trial in tried(options.folders, options.depth, options.seconds):
+    for trial in tried(options.folders, options.depth, options.seconds, options.damage):
         trials.append(trial)
         if not options.json:
             print(row(trial), flush=True)

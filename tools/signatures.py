@@ -23,8 +23,7 @@ calls = []
 def recorded(compiled, *others):
     kinds = tuple(map(jit._unlocked, map(compiled.typeof_pyval, others[2:])))
     function = compiled.py_func
-    text = ", ".join(map(jit_cache.type_text, kinds))
-    calls.append(f"{function.__module__}:{function.__qualname__} {text}")
+    calls.append(f"{function.__module__}:{function.__qualname__} {jit_cache.types_text(kinds)}")
     return compile_for_args(compiled, *others)
 
 compile_for_args, jit._compile_for_args = jit._compile_for_args, recorded

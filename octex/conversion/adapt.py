@@ -41,6 +41,8 @@ _ROUNDING = 1 / 16
 #: Leaves that fail are split by a level; by one more after each so many rounds, since neighbours may fail in
 #: turn.
 _PATIENCE = 2
+#: Each so many finest cells are tested before all are.
+_SPARSE = 8
 
 
 def as_max_error(max_error: float) -> float:
@@ -189,23 +191,28 @@ class _Merger:
         depths[finest.spread(level, near | may)] = level
 
     def _settle(self, depths: Uint8s) -> None:
-        """Split merged leaves until the field is near everywhere, looked up with normals too."""
+        """Split merged leaves until the field is near everywhere, looked up with normals too.
+
+        Where it is not, it mostly is not in many cells: some of them find most leaves, before all are tested.
+        """
         decoded = Decoded.of(self._known, self._samples.channels)
         full = decoded.pruned(self._whole)
-        suspects = np.ones(depths.size, np.bool_)
         self._split(depths)
-        for attempt in count():
-            pruned = prune(self._finest, depths)
-            work: Judge = partial(near_cells, self._looked(pruned), self._full, self._samples, self._most)
-            near = self._judged(work, suspects)
-            suspects &= near < NEAR
-            if suspects.any():
-                fields = decoded.pruned(pruned), full
-                work = partial(far_cells, *fields, self._samples, self._most, near == BARE)
-                suspects = self._judged(work, suspects) > 0
-            suspects = self._refined(suspects, pruned, depths, 1 + attempt // _PATIENCE)
-            if not suspects.any():
-                return
+        for step in (_SPARSE, 1):
+            tested = np.arange(depths.size) % step == 0
+            suspects = tested
+            for attempt in count():
+                pruned = prune(self._finest, depths)
+                work: Judge = partial(near_cells, self._looked(pruned), self._full, self._samples, self._most)
+                near = self._judged(work, suspects)
+                suspects = suspects & (near < NEAR)
+                if suspects.any():
+                    fields = decoded.pruned(pruned), full
+                    work = partial(far_cells, *fields, self._samples, self._most, near == BARE)
+                    suspects = self._judged(work, suspects) > 0
+                suspects = self._refined(suspects, pruned, depths, 1 + attempt // _PATIENCE) & tested
+                if not suspects.any():
+                    break
 
     def _split(self, depths: Uint8s) -> None:
         """Split merged leaves by a level where the field is not near the full tree's at samples."""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
-from octex.arrays import Bools, Int8s, Int64s, Uint64s
+from octex.arrays import Bools, Int8s, Int64s, Uint8s, Uint32s, Uint64s
 from octex.field.coefficients import SPLIT_KIND
 from octex.field.field import Field, Listed
+from octex.jit import kernel, trailing_zeros
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree
@@ -14,6 +17,8 @@ from octex.tree.placement import Placement
 
 #: Cells whose surroundings are looked at at once.
 _BLOCK = 1 << 16
+#: Bit of nodes beside their octants.
+_NODE = 8
 
 
 def kinds_around(tree: Octree) -> Uint64s:
@@ -22,20 +27,22 @@ def kinds_around(tree: Octree) -> Uint64s:
     0 where none of them face opposite ways or are split. Found from the root down: what is around a cell is
     around what lies in it.
     """
-    kinds = _kinds_below(tree)
+    n_cells, firsts = tree.n_cells, tree.arrays.level_cells.tolist()
+    kinds, parents = np.empty(n_cells, np.uint64), np.zeros(n_cells, np.uint32)
+    octants = np.zeros(n_cells, np.uint8)
+    _gather_kinds(tree.arrays.groups, tree.arrays.flags, n_cells - tree.n_leaves, kinds, parents, octants)
     field = Field(tree)
-    found = np.zeros(tree.n_cells, np.uint64)
-    meets, codes_above = np.ones(1, np.bool_), np.zeros(1, np.int64)
-    for level, (codes, is_node) in enumerate(tree.walk()):
-        chosen = np.flatnonzero(meets[np.searchsorted(codes_above, codes >> 3)]) if level else np.arange(1)
-        meets, codes_above = np.zeros(len(codes), np.bool_), codes
-        first = int(tree.arrays.level_cells[level])
+    found = np.zeros(n_cells, np.uint64)
+    meets, codes = np.zeros(n_cells, np.bool_), np.zeros(n_cells, np.int64)  # codes of those looked at
+    for level, (first, end) in enumerate(pairwise(firsts)):
+        chosen = np.flatnonzero(meets[parents[first:end]]) + first if level else np.arange(1)
         for begin in range(0, len(chosen), _BLOCK):
             some = chosen[begin : begin + _BLOCK]
+            codes[some] = codes[parents[some]] << 3 | octants[some] & 7
             taps = _around(field, level, codes[some])
             around = np.bitwise_or.reduceat(kinds[taps.rows], taps.starts[:-1])
             meets[some] = _face_opposite(around) | (around & SPLIT_KIND > 0)
-            found[first + some] = np.where(meets[some] & ~is_node[some], around, 0)
+            found[some] = np.where(meets[some] & (octants[some] < _NODE), around, 0)
     return found
 
 
@@ -51,18 +58,37 @@ def _face_opposite(kinds: Uint64s) -> Bools:
 _HAVING = np.array([sum(1 << kind for kind in range(64) if kind >> f & 1) for f in range(6)], np.uint64)
 
 
-def _kinds_below(tree: Octree) -> Uint64s:
-    """Return the kind of each leaf, and the kinds of all leaves below each node (cells,)."""
-    flags, firsts = tree.arrays.flags, tree.arrays.level_cells
-    facings = flags & np.uint8(FACING_FLAGS)
-    kinds = np.where(facings > 0, np.uint64(1) << facings.astype(np.uint64), np.uint64(0))
-    kinds[flags & SPLIT > 0] = SPLIT_KIND
-    levels = list(tree.walk())
-    for level in range(len(levels) - 1, 0, -1):
-        starts = np.flatnonzero(np.diff(levels[level][0] >> 3, prepend=-1))
-        nodes = np.flatnonzero(levels[level - 1][1]) + int(firsts[level - 1])
-        kinds[nodes] = np.bitwise_or.reduceat(kinds[firsts[level] : firsts[level + 1]], starts)
-    return kinds
+@kernel
+def _gather_kinds(
+    groups: Uint64s, flags: Uint8s, n_nodes: int, kinds: Uint64s, parents: Uint32s, octants: Uint8s
+) -> None:
+    """Write the kind of each leaf, the kinds of all leaves below each node; each cell's parent and octant."""
+    cells = np.zeros(n_nodes, np.uint32)  # of each node
+    one, byte = np.uint64(1), np.uint64(0xFF)
+    child, child_node = 1, 1
+    octants[0] = _NODE if n_nodes > 0 else 0
+    for node in range(n_nodes):
+        shift = np.uint64(8 * (node & 7))
+        nodes = groups[node >> 3, 0] >> shift & byte
+        left = nodes | groups[node >> 3, 1] >> shift & byte
+        while left != 0:
+            parents[child] = cells[node]
+            octants[child] = trailing_zeros(left)
+            if nodes & left & (~left + one) != 0:
+                octants[child] |= np.uint8(_NODE)
+                cells[child_node] = child
+                child_node += 1
+            left &= left - one
+            child += 1
+    for cell in range(flags.size):
+        facings = flags[cell] & np.uint8(FACING_FLAGS)
+        kinds[cell] = one << np.uint64(facings) if facings != 0 else np.uint64(0)
+        if flags[cell] & np.uint8(SPLIT) != 0:
+            kinds[cell] = SPLIT_KIND
+    for node in range(n_nodes):
+        kinds[cells[node]] = np.uint64(0)
+    for cell in range(flags.size - 1, 0, -1):
+        kinds[parents[cell]] |= kinds[cell]
 
 
 def has_opposite(normals: Int8s, kinds: Uint64s) -> Bools:

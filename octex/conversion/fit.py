@@ -17,9 +17,10 @@ import numpy as np
 
 from octex.arrays import Array, Bools, Float32s, Floats, Int32s, Int64s
 from octex.channels import CHANNELS, ChannelFormat, decode, encode
+from octex.conversion.cubes import CubeLookups, Heads
 from octex.conversion.numbering import Leaves, Outside, members_of, number
 from octex.conversion.samples import SHARE_STEPS, Samples, sample_points
-from octex.conversion.solve import Codes, approach, covered, diagonal, residuals, sweep, transpose
+from octex.conversion.solve import Codes, Equations, approach, covered, diagonal, residuals, sweep, transpose
 from octex.field.field import Field
 from octex.jit import kernel
 from octex.parallel import Progress, ordered_map
@@ -74,6 +75,7 @@ class Job(NamedTuple):
     samples: Samples
     placement: Placement
     leaves: Leaves
+    heads: Heads | None  # if the leaves are all finest cells
     groups: list[Group]
     ranges: list[tuple[float, float]]  # of each group
     is_facing: bool  # whether lookups are those with the samples' normals
@@ -89,6 +91,21 @@ class Lookups(NamedTuple):
     weights: Float32s  # (taps,)
     cells: Int64s  # (m,)   numbers of the cells in reach: the brick's own, the halo's, the rest
     unknowns: int  # how many of them are solved for
+
+    def residuals(
+        self, values: Float32s, targets: Float32s, shares: Float32s, components: int, is_light: int
+    ) -> Float32s:
+        """Return the residuals of values. See `solve.residuals`."""
+        task = values, targets, shares, components, is_light
+        return residuals(self.starts, self.leaves, self.weights, *task)
+
+    def equations(self) -> Equations:
+        """List by unknown what lookups blend."""
+        return transpose(self.starts, self.leaves, self.weights, self.unknowns)
+
+    def covered(self, coverage: Float32s) -> Lookups:
+        """Return the same with cells (m,) that weigh by their coverage."""
+        return self._replace(weights=covered(self.starts, self.leaves, self.weights, coverage))
 
 
 def fitted(
@@ -168,13 +185,15 @@ def _job(
     *,
     is_facing: bool,
 ) -> Job:
-    field = Field(tree)
-    field.tiles  # noqa: B018 (built before threads share them)
+    field, heads = Field(tree), None
     if is_facing:
-        field.facings  # noqa: B018
+        field.facings  # noqa: B018 (built before threads share it)
+    tiles = field.tiles
+    if tiles is not None and not leaves.cells.size:
+        heads = Heads.of(tiles, samples.codes)
     groups = _groups(samples.channels)
     ranges = [group.range(samples) for group in groups]
-    return Job(field, channels, samples, placement, leaves, groups, ranges, is_facing)
+    return Job(field, channels, samples, placement, leaves, heads, groups, ranges, is_facing)
 
 
 def _fit_bricks(
@@ -226,22 +245,26 @@ def _groups(channels: Sequence[ChannelFormat]) -> list[Group]:
 
 def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
     """Fit a run of leaves; return each channel's values of them, as stored."""
-    lookups = _look_up(job, *brick)
-    samples, starts, leaves, weights = lookups.samples, lookups.starts, lookups.leaves, lookups.weights
-    equations = transpose(starts, leaves, weights, lookups.unknowns)
+    lookups: Lookups | CubeLookups
+    if job.heads is None:
+        lookups = _look_up(job, *brick)
+    else:
+        lookups = CubeLookups.of(job.samples, job.heads, job.leaves, *brick)
+    equations = None
     is_fixed = job.leaves.ranks_of(lookups.cells[: lookups.unknowns]) < 0
     values = _values(job.channels, lookups.cells, job.field.tree.n_cells)
-    targets = job.samples.values[samples]
-    shares = job.samples.shares[samples] * (lookups.strides * np.float32(1 / SHARE_STEPS))
+    targets = job.samples.values.take(lookups.samples, axis=0)
+    shares = job.samples.shares.take(lookups.samples) * (lookups.strides * np.float32(1 / SHARE_STEPS))
     for group, limits in zip(job.groups, job.ranges, strict=True):
         components = len(group.columns)
         is_light = int(group.format.space in ("srgb", "linear"))
         means, wanted = _four(values[:, group.columns]), _four(targets[:, group.columns])
         found = means.copy()
-        rows = residuals(starts, leaves, weights, found, wanted, shares, components, is_light)
+        rows = lookups.residuals(found, wanted, shares, components, is_light)
+        equations = equations or lookups.equations()
         approach(equations, rows, found)
         found[: lookups.unknowns][is_fixed] = means[: lookups.unknowns][is_fixed]
-        rows = residuals(starts, leaves, weights, found, wanted, shares, components, is_light)
+        rows = lookups.residuals(found, wanted, shares, components, is_light)
         sums, is_flat = diagonal(equations, rows, wanted)
         sums[is_fixed] = 0.0
         is_rounded = group.format.dtype == "uint8"
@@ -251,8 +274,7 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
             sweep(equations, rows, sums, is_flat, means, components, *limits, codes, turn % 2, found)
         values[:, group.columns] = found[:, :components]
         if group.format.name == "alpha":
-            weights = covered(starts, leaves, weights, found[:, 0].copy())
-            equations = transpose(starts, leaves, weights, lookups.unknowns)
+            lookups, equations = lookups.covered(found[:, 0].copy()), None
             shares = shares * np.maximum(wanted[:, 0], np.float32(LEAST_COVERAGE))
     own = values[: brick[1] - brick[0]]
     ends = np.cumsum([channel.format.components for channel in job.channels])
@@ -324,6 +346,6 @@ def _values(channels: Sequence[Channel], rows: Int64s, n_cells: int) -> Float32s
     end = 0
     for channel in channels:
         start, end = end, end + channel.format.components
-        found[:, start:end] = decode(channel.values[cells], channel.format.space)
+        found[:, start:end] = decode(channel.values.take(cells, axis=0), channel.format.space)
         found[kept, start:end] = decode(channel.kept_values[rows[kept] - n_cells], channel.format.space)
     return found

@@ -138,7 +138,7 @@ class Outside(NamedTuple):
         if self.total[0] + room <= self.rows.size:
             return self
         larger = Outside.of(2 * (int(self.total[0]) + room))
-        _extend(larger, self.found())
+        extend(larger, self.found())
         return larger
 
     def found(self) -> Int64s:
@@ -147,7 +147,7 @@ class Outside(NamedTuple):
 
 
 @inlined
-def _number(outside: Outside, row: int) -> int:
+def number_of(outside: Outside, row: int) -> int:
     """Return a row's number (Knuth's multiplicative hashing)."""
     slot = row * 0x9E3779B1 & outside.keys.size - 1
     while outside.keys[slot] != row:
@@ -162,9 +162,10 @@ def _number(outside: Outside, row: int) -> int:
 
 
 @kernel
-def _extend(outside: Outside, rows: Int64s) -> None:
+def extend(outside: Outside, rows: Int64s) -> None:
+    """Give rows their numbers, in turn."""
     for i in range(rows.size):
-        _number(outside, int(rows[i]))
+        number_of(outside, int(rows[i]))
 
 
 @kernel
@@ -197,7 +198,7 @@ def number(
             rank = row - leaves.offset
             if leaves.ranks.size > 0:
                 rank = int(leaves.ranks[row]) if row < leaves.ranks.size else -1
-            numbers[count] = rank - first if first <= rank < end else end - first + _number(outside, row)
+            numbers[count] = rank - first if first <= rank < end else end - first + number_of(outside, row)
             weights[count] = weight
             count += 1
         ends[n] = count

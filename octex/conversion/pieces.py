@@ -76,10 +76,11 @@ def most_pieces(grid: Int32s, triangles: Int32s, blocks: Blocks, depth: int) -> 
     It sizes the arrays of `cut` and cuts the work into parts.
     """
     shift = GRID_BITS - depth
-    bounds = np.zeros(blocks.codes.size, np.int64)
+    bounds = np.empty(blocks.codes.size, np.int64)
     corners = np.empty((3, 3), np.int64)
     normal = np.empty(3, np.int64)
     for block in range(blocks.codes.size):
+        bounds[block] = 0
         origin = _block_origin(blocks.codes[block])
         for row in range(blocks.starts[block], blocks.starts[block + 1]):
             axis = load_triangle(grid, triangles, blocks.members[row], corners, normal)
@@ -116,7 +117,9 @@ def _bin(
     sides = np.empty((6, 3), np.int64)
     columns = np.empty((BLOCK_EDGE * BLOCK_EDGE, 5), np.int64)
     origin = np.empty(3, np.int64)
-    counts = np.zeros(BLOCK_CELLS, np.int64)
+    counts = np.empty(BLOCK_CELLS, np.int64)
+    for cell in range(BLOCK_CELLS):
+        counts[cell] = 0
     codes = np.empty(min(most, blocks.codes.size * BLOCK_CELLS), np.int64)
     starts = np.empty(codes.size + 1, np.int64)
     n_blocks = 0
@@ -210,7 +213,9 @@ def cut(
     columns = np.empty((BLOCK_EDGE * BLOCK_EDGE, 5), np.int64)
     origin = np.empty(3, np.int64)
     polygons = np.empty((POLYGONS, 2, MAX_VERTICES), np.float64)
-    mask = np.zeros(BLOCK_CELLS // 8, np.uint64)
+    mask = np.empty(BLOCK_CELLS // 8, np.uint64)
+    for word in range(mask.size):
+        mask[word] = np.uint64(0)
     ranks = np.empty(BLOCK_CELLS // 8, np.int32)
     used = np.empty(BLOCK_CELLS // 8, np.int32)
     codes = np.empty(min(most, (last_block - first_block) * BLOCK_CELLS), np.int64)

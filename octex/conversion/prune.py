@@ -96,9 +96,8 @@ def prune(finest: Finest, depths: Uint8s) -> Pruned:
         cells.append(stored + first)
         leaves.append(depths_there[stored] == level)
     numbers = np.concatenate(cells)
-    is_left = np.zeros(tree.n_cells, np.bool_)
-    is_left[numbers] = True
-    split, rows = taken(tree.split, np.where(is_left, np.cumsum(is_left) - 1, -1)[tree.split.cells])
+    places = np.minimum(np.searchsorted(numbers, tree.split.cells), numbers.size - 1)
+    split, rows = taken(tree.split, np.where(numbers[places] == tree.split.cells, places, -1))
     pruned = Octree.from_leaves(codes, depths[starts])
     pruned = pruned.with_cell_data(full.flags[numbers], full.areas[numbers], split)
     return Pruned(pruned, numbers, np.concatenate(leaves), starts, rows, depths.size)

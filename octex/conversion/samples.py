@@ -34,7 +34,7 @@ LEAST_WIDTH = 0.5
 #: A second piece is a sample if its area is at least this part of the largest's.
 LEAST_PART = 0.1
 #: Widths that differ by less than this factor count as one.
-SAME_WIDTH = 1.25
+SAME_WIDTH = 1.2
 
 
 class Samples(NamedTuple):
@@ -93,17 +93,20 @@ def take_samples(
     ``cell`` is the edge of a cell of ``depth`` in rest units, ``channels`` are as they are stored.
 
     A sample is read over a width w with w² = cell² − texel², but half a cell at least: the field is as wide
-    as a cell, and the source already as wide as a texel. What a piece was read over will do if it is nearly
-    that.
+    as a cell, and the source already as wide as a texel. What a piece was read over will do if it, and the
+    texel with it, is nearly as wide.
     """
     counts, order, chosen, shares = _largest(pieces.flags, pieces.entries, pieces.areas)
-    triangles, barycentric = pieces.triangles[chosen], pieces.barycentric[chosen]
-    texels = surface.source.texel_edges(triangles).astype(np.float64)
-    wanted = np.sqrt(np.maximum(cell * cell - texels * texels, (LEAST_WIDTH * cell) ** 2))
-    found, given = values[chosen], widths[chosen]
-    differ = np.flatnonzero((given * SAME_WIDTH < wanted) | (given > SAME_WIDTH * wanted))
+    triangles = pieces.triangles.take(chosen)
+    texels = surface.source.texel_edges(triangles).astype(np.float64) ** 2
+    wanted = np.maximum(cell * cell - texels, (LEAST_WIDTH * cell) ** 2)
+    found, given = values.take(chosen, axis=0), widths.take(chosen).astype(np.float64) ** 2
+    same, one, other = SAME_WIDTH**2, given + texels, wanted + texels
+    differ = np.flatnonzero((one * same < other) | (one > same * other))
     found[differ] = surface.evaluate_all(
-        triangles[differ], barycentric[differ], wanted[differ].astype(np.float32)
+        triangles[differ],
+        pieces.barycentric.take(chosen[differ], axis=0),
+        np.sqrt(wanted[differ]).astype(np.float32),
     )
     is_fine = any(channel.dtype in ("uint16", "float32") for channel in channels)
     rows = np.empty(found.shape, np.float32 if is_fine else np.float16)
@@ -113,7 +116,7 @@ def take_samples(
     bits = np.uint32 if is_fine else np.uint16
     _reorder(found.astype(rows.dtype).view(bits), order, rows.view(bits))
     places = np.empty((len(order), 3), np.uint16)
-    _place(grid, surface.triangles, triangles, barycentric, order, pieces.codes, counts, depth, places)
+    _place(grid, surface.triangles, pieces, chosen, order, counts, depth, places)
     normals = np.empty((len(order), 3), np.int8)
     _reorder(face_normals(grid, surface.triangles, triangles).view(np.uint8), order, normals.view(np.uint8))
     return Taken(counts, places, normals, shares, rows)
@@ -242,14 +245,16 @@ def _largest(flags: Uint8s, entries: Int32s, areas: Float64s) -> tuple[Uint8s, I
     Returns how many samples each cell has; the chosen pieces' samples and numbers, in the pieces' order; and
     each sample's share of its cell's area.
     """
-    counts = np.zeros(flags.size, np.uint8)
+    counts = np.empty(flags.size, np.uint8)
     n_entries = 0
     for cell in range(flags.size):
         n_entries += popcount(np.uint64(flags[cell]))
     largest = np.empty((n_entries, 2), np.int64)
     for entry in range(n_entries):
         largest[entry, 0] = largest[entry, 1] = -1
-    totals = np.zeros(n_entries, np.float64)
+    totals = np.empty(n_entries, np.float64)
+    for entry in range(n_entries):  # numpy's zeros compile for a quarter of a second a type
+        totals[entry] = 0.0
     for piece in range(entries.size):
         entry = entries[piece]
         totals[entry] += areas[piece]
@@ -311,9 +316,13 @@ def _reorder(
 @kernel
 def face_normals(grid: Int32s, corners: Int32s, triangles: Int32s) -> Int8s:
     """Return the unit normals (n, 3) of triangles (n,), in 127ths."""
-    normals = np.zeros((triangles.size, 3), np.int8)
+    normals = np.empty((triangles.size, 3), np.int8)
     edges = np.empty((2, 3), np.float64)
     for n in range(triangles.size):
+        if n > 0 and triangles[n] == triangles[n - 1]:
+            for axis in range(3):
+                normals[n, axis] = normals[n - 1, axis]
+            continue
         for side in range(2):
             for axis in range(3):
                 edges[side, axis] = np.float64(grid[corners[triangles[n], side + 1], axis]) - np.float64(
@@ -328,6 +337,8 @@ def face_normals(grid: Int32s, corners: Int32s, triangles: Int32s) -> Int8s:
             normals[n, 0] = np.int8(np.rint(x * scale))
             normals[n, 1] = np.int8(np.rint(y * scale))
             normals[n, 2] = np.int8(np.rint(z * scale))
+        else:
+            normals[n, 0] = normals[n, 1] = normals[n, 2] = np.int8(0)
     return normals
 
 
@@ -340,15 +351,14 @@ def _step(position: float, cell: int) -> int:
 def _place(
     grid: Int32s,
     corners: Int32s,
-    triangles: Int32s,
-    barycentric: Float64s,
+    pieces: Pieces,
+    chosen: Int64s,
     order: Int32s,
-    codes: Int64s,
     counts: Uint8s,
     depth: int,
     places: Uint16s,
 ) -> None:
-    """Write where points of triangles lie in their cells; point i is sample order[i]."""
+    """Write where chosen pieces lie in their cells; the middle of piece chosen[i] is sample order[i]."""
     cells = np.empty(order.size, np.int32)
     n = 0
     for cell in range(counts.size):
@@ -357,10 +367,15 @@ def _place(
             n += 1
     scale = 1.0 / (1 << (GRID_BITS - depth))
     for i in range(order.size):
-        row = order[i]
-        a, b, c = corners[triangles[i], 0], corners[triangles[i], 1], corners[triangles[i], 2]
-        p, q, r = barycentric[i, 0] * scale, barycentric[i, 1] * scale, barycentric[i, 2] * scale
-        u, v, w = decode(codes[cells[row]])
+        row, piece = order[i], np.uint64(chosen[i])
+        triangle = pieces.triangles[piece]
+        a, b, c = corners[triangle, 0], corners[triangle, 1], corners[triangle, 2]
+        p, q, r = (
+            pieces.barycentric[piece, 0] * scale,
+            pieces.barycentric[piece, 1] * scale,
+            pieces.barycentric[piece, 2] * scale,
+        )
+        u, v, w = decode(pieces.codes[cells[row]])
         places[row, 0] = _step(p * grid[a, 0] + q * grid[b, 0] + r * grid[c, 0], u)
         places[row, 1] = _step(p * grid[a, 1] + q * grid[b, 1] + r * grid[c, 1], v)
         places[row, 2] = _step(p * grid[a, 2] + q * grid[b, 2] + r * grid[c, 2], w)

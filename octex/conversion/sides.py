@@ -100,9 +100,10 @@ def _in_sight(tree: Octree, leaves: Leaves, samples: Samples) -> Bools:
     """Say which leaves, in order, weigh where lookups with normals find something else than others."""
     counts = np.diff(leaves.firsts)
     order = leaves.numbers(0, len(counts))
-    kinds = np.repeat(kinds_around(tree)[order], counts)
-    mixed = np.flatnonzero(kinds)
-    mixed = mixed[has_opposite(samples.normals[mixed], kinds[mixed])]
+    kinds = kinds_around(tree)[order]
+    beside = kinds > 0
+    mixed = np.flatnonzero(np.repeat(beside, counts))
+    mixed = mixed[has_opposite(samples.normals[mixed], np.repeat(kinds[beside], counts[beside]))]
     field = Field(tree)
     owners = np.repeat(tree.split.cells, np.bitwise_count(tree.split.facings)).astype(np.int64)
     reached = np.zeros(tree.n_cells, np.bool_)

@@ -62,28 +62,36 @@ class Codes(NamedTuple):
 @kernel
 def transpose(starts: Int64s, leaves: Int32s, weights: Float32s, unknowns: int) -> Equations:
     """List by unknown what ``starts`` lists by sample, without small weights and leaves not solved for."""
+    kept_starts = np.zeros(starts.size, np.int64)
     kept_leaves = np.empty(leaves.size, np.int32)
-    kept_samples = np.empty(leaves.size, np.int32)
     kept_weights = np.empty(leaves.size, np.float32)
     kept = 0
     for sample in range(starts.size - 1):
         for i in range(starts[sample], starts[sample + 1]):
             kept_leaves[kept] = leaves[i]
-            kept_samples[kept] = sample
             kept_weights[kept] = weights[i]
             kept += (leaves[i] < unknowns) & (weights[i] >= LEAST_WEIGHT)
+        kept_starts[sample + 1] = kept
+    return by_unknown(kept_starts, kept_leaves[:kept], kept_weights[:kept], unknowns)
+
+
+@kernel
+def by_unknown(starts: Int64s, leaves: Int32s, weights: Float32s, unknowns: int) -> Equations:
+    """List by unknown what ``starts`` lists by sample, in the samples' order."""
     firsts = np.zeros(unknowns + 2, np.int64)
-    for i in range(kept):
-        firsts[kept_leaves[i] + 2] += 1
+    for i in range(leaves.size):
+        firsts[np.uint64(leaves[np.uint64(i)]) + np.uint64(2)] += 1
     for i in range(unknowns):
         firsts[i + 2] += firsts[i + 1]
-    samples = np.empty(kept, np.int32)
-    found = np.empty(kept, np.float32)
-    for i in range(kept):
-        place = firsts[kept_leaves[i] + 1]
-        firsts[kept_leaves[i] + 1] = place + 1
-        samples[place] = kept_samples[i]
-        found[place] = kept_weights[i]
+    samples = np.empty(leaves.size, np.int32)
+    found = np.empty(leaves.size, np.float32)
+    for sample in range(starts.size - 1):
+        for i in range(np.uint64(starts[sample]), np.uint64(starts[sample + 1])):
+            after = np.uint64(leaves[i]) + np.uint64(1)
+            place = np.uint64(firsts[after])
+            firsts[after] += 1
+            samples[place] = sample
+            found[place] = weights[i]
     return Equations(firsts[: unknowns + 1], samples, found)
 
 
@@ -98,6 +106,32 @@ def _curve(target: np.float32, found: np.float32) -> np.float32:
     root = np.sqrt(found + _DARK)
     slopes = np.float32(0.5) / (root * (root + np.sqrt(target + _DARK)))
     return np.float32(slopes * min(np.float32(1), np.float32(4) * slopes))
+
+
+@inlined
+def write_residual(
+    found: tuple[np.float32, np.float32, np.float32],
+    targets: Float32s,
+    weight: np.float32,
+    components: int,
+    is_light: int,
+    sample: int,
+    rows: Float32s,
+) -> None:
+    """Write a sample's row of `residuals`, of whose share ``weight`` is."""
+    x, y, z = found
+    a, b, c = targets[sample, 0], targets[sample, 1], targets[sample, 2]
+    if is_light:
+        slope = _curve(a, x)
+        if components > 1:
+            slope += _curve(b, y)
+        if components > 2:
+            slope += _curve(c, z)
+        weight *= slope
+    rows[sample, 0] = weight * (x - a)
+    rows[sample, 1] = weight * (y - b)
+    rows[sample, 2] = weight * (z - c)
+    rows[sample, 3] = weight
 
 
 @kernel
@@ -119,19 +153,7 @@ def residuals(
     rows = np.empty((starts.size - 1, 4), np.float32)
     for sample in range(starts.size - 1):
         x, y, z, _ = weighted_rows(values, leaves, weights, starts[sample], starts[sample + 1])
-        a, b, c = targets[sample, 0], targets[sample, 1], targets[sample, 2]
-        weight = shares[sample]
-        if is_light:
-            slope = _curve(a, x)
-            if components > 1:
-                slope += _curve(b, y)
-            if components > 2:
-                slope += _curve(c, z)
-            weight *= slope
-        rows[sample, 0] = weight * (x - a)
-        rows[sample, 1] = weight * (y - b)
-        rows[sample, 2] = weight * (z - c)
-        rows[sample, 3] = weight
+        write_residual((x, y, z), targets, shares[sample], components, is_light, sample, rows)
     return rows
 
 

@@ -48,8 +48,8 @@ from octex.jit import fused_kernel, inlined, prefetch, trailing_zeros, weighted_
 from octex.tree.layout import MAX_DEPTH
 from octex.tree.search import UNITS
 
-#: Points in a cell for which a brick is not worth its while.
-_FEW = 8
+#: Points in a cell for which a brick is not worth its while: a walk takes longer where coefficients are kept.
+_FEW, _FEW_KEPT = 8, 2
 
 
 class Asked(NamedTuple):
@@ -200,7 +200,7 @@ def look_up_crowded(
     """
     ends, split, order = bricks.ends, bricks.split, asked.order
     codes, numbers = order.codes, order.numbers
-    planes = 1
+    planes, few = 1, _FEW_KEPT if tree.kept_cells.size > 0 else _FEW
     if values.codes.values.shape[1] > 3 or (values.alpha.values.shape[0] > 0 and tree.kept_cells.size > 0):
         planes = 2
     enter(tree, values, bricks, planes)
@@ -213,7 +213,7 @@ def look_up_crowded(
         end = ends[level]
         i, j, k, octant = path[level, 0], path[level, 1], path[level, 2], path[level, 3]
         if not split[level]:
-            is_done = end - begin <= _FEW
+            is_done = end - begin <= few
             if not is_done:
                 corner = 64 * level + (octant & 1) + 4 * (octant >> 1 & 1) + 16 * (octant >> 2)
                 list_around(bricks, corner)

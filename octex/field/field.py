@@ -17,8 +17,8 @@ from octex.field.sinks import list_taps
 from octex.field.splines import FILTERS, LINEAR, NEAREST, QUADRATIC
 from octex.field.stages import MOST_ROWS, Facings, face, facings_of
 from octex.field.taps import BLOCK, MOST_TILED, OFF, Ahead, Taps, place_points
-from octex.field.tiled import Search, tiled_taps
-from octex.field.tiles import Tiles, build_tiles, can_be_tiled, marked, painted_depth
+from octex.field.tiled import SOURCES, Search
+from octex.field.tiles import Tiles, build_tiles, can_be_tiled, marked, painted_levels
 from octex.parallel import built_once
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -104,13 +104,16 @@ class Field:
         return build_tiles(self.tree) if can_be_tiled(self.tree) else None
 
     @built_once
-    def painted(self) -> Tiles | None:
-        """Return the tiles of a tree of one depth painted more finely, marked where; None for others."""
-        depth = painted_depth(self.tree)
-        if depth < 0 or self.tiles is not None:
-            return None
-        tiles = self.level(depth).tiles
-        return None if tiles is None else marked(tiles, self.tree)
+    def painted(self) -> tuple[Tiles, ...] | None:
+        """Return the tiles of a tree of one depth that was painted more finely, marked; None for others."""
+        levels = [] if self.tiles is not None else painted_levels(self.tree)
+        found: list[Tiles] = []
+        for level in levels:
+            tiles = marked(build_tiles(self.level(level).tree), self.tree)
+            n_marked, n_cells = np.bitwise_count(tiles.marks).sum(), sum(self.tree.cells_by_depth()[level])
+            if not found or 2 * n_marked < n_cells:  # they serve the most
+                found.append(tiles)
+        return tuple(found) or None
 
     @built_once
     def mixed(self) -> Tree:
@@ -120,7 +123,14 @@ class Field:
     def tiles_for(self, filter_code: int) -> Tiles | None:
         """Return the tiles that serve a filter: all of the points, or the most of them."""
         tiles: Tiles | None = self.tiles
-        return self.painted if tiles is None and filter_code in (LINEAR, QUADRATIC) else tiles
+        if tiles is None and filter_code in (LINEAR, QUADRATIC) and self.painted:
+            tiles = self.painted[0]
+        return tiles
+
+    @property
+    def finer(self) -> tuple[Tiles, ...]:
+        """Return the tiles that are searched for what `tiles_for` a filter do not answer; most have none."""
+        return self.painted[1:] if self.tiles is None and self.painted else ()
 
     def searched(self, filter_code: int) -> Iterator[Tiles]:
         """Yield the tiles that lookups search, one after the other, for what those before do not have.
@@ -258,13 +268,14 @@ class Finder:
             if self.filter == NEAREST:
                 return self._nearest(places, taps)
             return self._walked(places, taps, 0, self._all[:n])
+        source = SOURCES[self.filter]
         empty, rim = self._empty, self._rim
         end = n_rim = 0
         which, last = self._all[:n], self.field.tree.n_cells - 1
         for number, above in enumerate(self.field.searched(self.filter)):
             taps = taps.with_room(end, end + MOST_TILED[self.filter] * which.size + 8)
-            end, n_empty, more = tiled_taps(
-                *(self.filter, above, places if number == 0 else places[which], which, number > 0, last),
+            end, n_empty, more = source(
+                *(above, places if number == 0 else places[which], which, number > 0, last),
                 *(taps, end, empty, rim[n_rim:], self._ahead),
             )
             n_rim += more

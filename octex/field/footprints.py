@@ -120,21 +120,52 @@ def _principal_axes(
 
 @kernel
 def passed_on(looks: Probes, left: Float32s, least: np.float32, more: Probes) -> Probes:
-    """Return ``more`` looks, and those of which more than ``least`` is ``left`` (m,), with that share."""
+    """Return ``more`` looks, and those of which more than ``least`` is ``left`` (m,), with that share.
+
+    Where there is a look of the same owner at the same point, the share is added to its own. Owners ascend,
+    in what is given and returned.
+    """
     count = n_more = more.shares.size
     for n in range(left.size):
         count += left[n] > least
     points, owners = np.empty((count, 3), looks.points.dtype), np.empty(count, np.int32)
     shares = np.empty(count, np.float32)
-    points[:n_more], owners[:n_more], shares[:n_more] = more.points, more.owners, more.shares
-    at = n_more
-    for n in range(left.size):
-        if left[n] > least:
-            points[at, 0], points[at, 1] = looks.points[n, 0], looks.points[n, 1]
-            points[at, 2], owners[at] = looks.points[n, 2], looks.owners[n]
-            shares[at] = looks.shares[n] * left[n]
-            at += 1
-    return Probes(points, owners, shares)
+    at = m = 0
+    for n in range(left.size + 1):
+        is_last = n == left.size
+        if not is_last and not left[n] > least:
+            continue
+        while m < n_more and (is_last or more.owners[m] < looks.owners[n]):
+            at = _write_look(more, m, more.shares[m], points, owners, shares, at)
+            m += 1
+        if is_last:
+            break
+        share, same = looks.shares[n] * left[n], m
+        while same < n_more and more.owners[same] == looks.owners[n] and not _is_same(more, same, looks, n):
+            same += 1
+        if same < n_more and more.owners[same] == looks.owners[n]:
+            more.shares[same] += share
+        else:
+            at = _write_look(looks, n, share, points, owners, shares, at)
+    return Probes(points[:at], owners[:at], shares[:at])
+
+
+@inlined
+def _is_same(looks: Probes, n: int, others: Probes, m: int) -> bool:
+    """Say whether two looks are at the same point."""
+    a, b = looks.points, others.points
+    return bool((a[n, 0] == b[m, 0]) & (a[n, 1] == b[m, 1]) & (a[n, 2] == b[m, 2]))
+
+
+@inlined
+def _write_look(
+    looks: Probes, n: int, share: np.float32, points: Floats, owners: Int32s, shares: Float32s, at: int
+) -> int:
+    """Write a look with a share; return the end of what is written."""
+    for axis in range(3):
+        points[at, axis] = looks.points[n, axis]
+    owners[at], shares[at] = looks.owners[n], share
+    return at + 1
 
 
 @kernel

@@ -8,7 +8,7 @@ from octex.arrays import Float32s, Float64s, Int32s, Int64s, Uint8s, Uint32s
 from octex.field.blocks import GROUP, Near, find_tiles, new_near, tile_key
 from octex.field.taps import Ahead, Taps, ask_for, finish
 from octex.field.tiles import Tiles, code_in_tile, is_marked
-from octex.jit import fused_kernel, inlined, popcount
+from octex.jit import fused_kernel, inlined, popcount, prefetch
 from octex.tree.layout import GRID_BITS
 
 
@@ -144,6 +144,8 @@ def linear_taps(
     flat = places.reshape(-1)
     gradient, one = taps.slopes.shape[0] > 0, np.float32(1.0)
     n_empty = n_rim = 0
+    # What is seldom wanted stands outside the loop over eight cells, which takes a fifth longer with it.
+    asks_more = ahead.alpha.shape[0] + ahead.flags.size + ahead.areas.size > 0
     for begin in range(0, places.shape[0], GROUP):
         count = min(GROUP, places.shape[0] - begin)
         _place(flat, begin, count, tiles.depth, near, steps, octants, bits)
@@ -161,15 +163,21 @@ def linear_taps(
                     (s if tap & 2 else one - s) * (t if tap & 4 else one - t)
                 )
                 if 0b01101001 >> tap & 1:  # the others mostly lie beside these
-                    ask_for(ahead, cell)
+                    prefetch(ahead.values, cell)
                 taps.rows[np.uint64(end)], taps.weights[np.uint64(end)] = min(cell, last), weight
                 total += weight * np.float32(is_stored)
                 stored |= int(is_stored) << tap
                 end += is_stored
-            if end > start and is_marked(tiles, int(taps.rows[start])):
-                total = np.float32(0.0)  # the walk answers
+            for tap in range(start, end if asks_more else start, 2):
+                ask_for(ahead, int(taps.rows[np.uint64(tap)]))
             if gradient:
                 _slope(steps, n, tiles.depth, stored, taps.slopes, start)
             point = int(which[np.uint64(begin + n)])
             end, n_empty, n_rim = finish(taps, point, start, end, total, is_off, empty, n_empty, rim, n_rim)
+        for n in range(count if tiles.marks.size > 0 else 0):
+            at = np.uint64(which[np.uint64(begin + n)])
+            if taps.ends[at] > taps.starts[at] and is_marked(tiles, int(taps.rows[taps.starts[at]])):
+                taps.ends[at] = taps.starts[at]
+                rim[n_rim] = at
+                n_rim += 1
     return end, n_empty, n_rim

@@ -16,7 +16,7 @@ from octex.field.field import Field, Finder
 from octex.field.footprints import Footprints, Probes, passed_on, spread
 from octex.field.order import order_of
 from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, divide, weigh_by_alpha
-from octex.field.splines import FILTERS
+from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
 from octex.field.stages import Facings, leave_mixed, weigh_by_area
 from octex.field.taps import BLOCK, Taps, place_points
 from octex.field.tiled import Search, Weighed, add_tiled, look_up_tiled
@@ -132,10 +132,17 @@ class _Lookup:
         values = (self._alpha or self._channels[self._order[0]]).codes.values
         return values.view(np.uint8).reshape(len(values), -1)
 
-    def is_tiled(self, here: Field) -> bool:
-        """Say whether a level's field is looked up by tiles, from source to sink at once."""
+    @property
+    def is_tiled(self) -> bool:
+        """Say whether leaves are looked up by tiles, from source to sink at once."""
         code = FILTERS.index(self._query.filter)
-        return self._channel is not None and here.tiles_for(code) is not None
+        return self._channel is not None and code != QUARTIC and self._field.tiles_for(code) is not None
+
+    def adds_tiled(self, here: Field) -> bool:
+        """Say whether looks at a level are added up by tiles, from source to sink at once."""
+        is_plain = self._query.filter == "quadratic" and not self._gradients
+        has_alpha = self._channel is None or self._channel.has_alpha
+        return is_plain and not has_alpha and here.tiles_for(QUADRATIC) is not None
 
     def is_sortable(self, count: int) -> bool:
         """Say whether so many points are looked up by bricks, a channel after the other."""
@@ -146,7 +153,7 @@ class _Lookup:
 
     def at(self, points: Floats) -> int:
         """Look up the leaves in the way that suits."""
-        return self.tiled(points) if self.is_tiled(self._field) else self.untiled(points)
+        return self.tiled(points) if self.is_tiled else self.untiled(points)
 
     def untiled(self, points: Floats) -> int:
         """Look up the leaves without tiles."""
@@ -194,7 +201,7 @@ class _Lookup:
     ) -> tuple[Int64s, int]:
         """Look points up by a level's tiles, and those that they do not have by coarser ones.
 
-        ``look_up_some`` takes the numbers of points that are off the surface, and lists what is lost, like
+        ``look_up_some`` takes the numbers of some points, or none for all, and lists what is lost, like
         `look_up_tiled`. Returns the points for the walk, and the first that is not finite or −1.
         """
         which = _NO_NUMBERS
@@ -209,7 +216,12 @@ class _Lookup:
             if not n_empty:
                 break
             which = lost[0, :n_empty]
-        return np.concatenate(rims) if rims else _NO_NUMBERS, -1
+        rim = np.concatenate(rims) if rims else _NO_NUMBERS
+        for tiles in here.finer if rim.size else ():
+            lost = np.empty((2, rim.size), np.int64)
+            n_empty, n_rim, _ = look_up_some(self._search_by(here, tiles, False), rim, lost)
+            rim = np.concatenate([lost[0, :n_empty], lost[1, :n_rim]])
+        return rim, -1
 
     def _searches(self, here: Field) -> Iterator[Search]:
         """Yield how a level's field is searched by tiles, its own and then coarser ones."""
@@ -281,7 +293,7 @@ class _Lookup:
         normals = None if self._query.normals is None else self._query.normals[run]
         for level, looks in _levels(by_level, self._field.tree.max_depth):
             here = self._field.level(level)
-            add = self._add_tiled if self.is_tiled(here) else self._add_walked
+            add = self._add_tiled if self.adds_tiled(here) else self._add_walked
             _pass_on(by_level, level, looks, add(here, looks, normals, sums))
         bare = np.zeros(n_points, np.bool_)
         for number, channel in enumerate(self._channels):
@@ -310,14 +322,19 @@ class _Lookup:
         self, here: Field, looks: Probes, normals: Float32s | None, sums: Sequence[Sums]
     ) -> Float32s:
         """Add looks at a level up by tiles; return the part of each that mixes opposite facings."""
-        assert self._channel is not None
-        channel, left = self._channel, self._room_for_left(here, looks)
+        codes, left = self._channels[0].codes, self._room_for_left(here, looks)
         facing = _NO_VECTORS if normals is None else normals
 
         def add_some(search: Search, which: Int64s, lost: Int64s) -> tuple[int, int, int]:
-            given = looks.points, which, *self._placement, facing
-            listed = add_tiled(search, *given, looks.owners, looks.shares, left, channel, sums[0], lost)
-            return *listed, -1
+            some, rest = (looks.of(which), left[: which.size]) if which.size else (looks, left)
+            given = some.points, *self._placement, facing, some.owners, some.shares
+            parts = np.zeros_like(rest) if which.size else rest
+            counts = add_tiled(search, *given, parts, codes, sums[0], lost)
+            if which.size:
+                left[which[: parts.size]] = parts
+                for numbers, count in zip(lost, counts, strict=True):
+                    numbers[:count] = which[numbers[:count]]
+            return *counts, -1
 
         rim, _ = self._search(here, len(looks.points), add_some)
         if rim.size:

@@ -53,7 +53,9 @@ def _average(
     five, total = (0.0, 0.0, 0.0, 0.0, 0.0), 0.0
     for tap in range(taps.starts[n], taps.ends[n]):
         row = np.uint64(taps.rows[np.uint64(tap)])
-        weight = taps.weights[np.uint64(tap)] * AREA_WEIGHTS[np.uint64(areas[row])]
+        weight = taps.weights[np.uint64(tap)]
+        if areas.size > 0:
+            weight *= AREA_WEIGHTS[np.uint64(areas[row])]
         total += np.float64(weight)
         if is_mixed:
             weight *= np.float32(np.uint8(1) - mixed[row])
@@ -156,8 +158,8 @@ def add_averages(
 ) -> None:
     """Add the averages that looks show, times their shares, to the sums of the points that own them.
 
-    The taps are cells. They weigh by their ``areas`` (cells,); those in ``mixed``, (cells,) or (0,), weigh
-    nothing, and ``left`` (looks,) takes the part of the weight that is taken away.
+    The taps are cells, which weigh by their ``areas`` if there are any. Those in ``mixed``, (cells,) or (0,),
+    weigh nothing, and ``left`` (looks,) takes the part of the weight that is taken away.
     """
     flat, components = flat_of(codes), codes.values.shape[1]
     is_mixed = mixed.size > 0
@@ -173,7 +175,7 @@ def add_averages(
         factor = np.float64(shares[at])
         if is_mixed:
             left[at] = (total - five[4]) / total if total > five[4] else 0.0
-        if taps.covers[at] == np.float32(0.0) and total > 0.0:
+        if areas.size > 0 and taps.covers[at] == np.float32(0.0) and total > 0.0:
             factor *= np.float64(OFF) / total
         _add_to(sums, np.uint64(owners[at]), factor, five, components)
 

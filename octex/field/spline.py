@@ -216,6 +216,13 @@ def _find_window(tiles: Tiles, group: Group, n: int, reach: int, ahead: Ahead) -
 
 
 @inlined
+def _is_marked(tiles: Tiles, group: Group) -> bool:
+    """Say whether the first cell of the latest window, of 2×2×2 nodes, is marked."""
+    mask = group.masks[0]
+    return mask != np.uint64(0) and is_marked(tiles, int(group.firsts[trailing_zeros(mask) >> 3]))
+
+
+@inlined
 def _take_word(
     group: Group,
     n: int,
@@ -287,10 +294,11 @@ def quadratic_taps(
         find_tiles(tiles, group.near, count)
         for n in range(count):
             _find_window(tiles, group, n, 1, ahead)
-            start = end
-            end, total = _take_word(group, n, 0, _QUADRATIC, 1, last, taps, end, np.float32(0.0))
-            if end > start and is_marked(tiles, int(taps.rows[start])):
-                total = np.float32(0.0)  # the walk answers
+            start, total = end, np.float32(0.0)
+            if tiles.marks.size > 0 and _is_marked(tiles, group):
+                end += 1  # others answer: that one weighs nothing
+            else:
+                end, total = _take_word(group, n, 0, _QUADRATIC, 1, last, taps, end, total)
             point = int(which[np.uint64(begin + n)])
             end, n_empty, n_rim = finish(taps, point, start, end, total, is_off, empty, n_empty, rim, n_rim)
     return end, n_empty, n_rim

@@ -13,10 +13,10 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s, Uint8s
 from octex.field.linear import linear_taps, nearest_rows
 from octex.field.seen import add_averages, add_facing
-from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, divide, take, weigh_by_alpha
+from octex.field.sinks import Codes, Sums, blend, blend_slopes, divide, take, weigh_by_alpha
 from octex.field.spline import nearest_around, quadratic_taps, quartic_taps
 from octex.field.splines import LINEAR, NEAREST, QUADRATIC
-from octex.field.stages import MOST_ROWS, Facings, face, leave_mixed, weigh_by_area
+from octex.field.stages import MOST_ROWS, Facings, face
 from octex.field.taps import MOST_TILED, Ahead, Taps, place_points
 from octex.field.tiles import Tiles
 from octex.jit import inlined, kernel
@@ -27,8 +27,7 @@ _STEP = 256
 
 
 @kernel
-def tiled_taps(
-    filter_code: int,
+def nearest_taps(
     tiles: Tiles,
     places: Float64s,
     which: Int64s,
@@ -37,19 +36,13 @@ def tiled_taps(
     taps: Taps,
     end: int,
     empty: Int64s,
-    rim: Int64s,
+    _rim: Int64s,
     ahead: Ahead,
 ) -> tuple[int, int, int]:
-    """Find the taps of a filter at points of texture space: see `spline.quadratic_taps`.
+    """Find the cells that hold points; see `spline.quadratic_taps`. Off the surface, those nearest to them.
 
-    `nearest` that is not off the surface takes all points there are, and begins at 0.
+    On the surface it takes all points there are, and begins at 0. None is listed in ``_rim``.
     """
-    if filter_code == LINEAR:
-        return linear_taps(tiles, places, which, is_off, last, taps, end, empty, rim, ahead)
-    if filter_code == QUADRATIC:
-        return quadratic_taps(tiles, places, which, is_off, last, taps, end, empty, rim, ahead)
-    if filter_code != NEAREST:
-        return quartic_taps(tiles, places, which, is_off, last, taps, end, empty, rim, ahead)
     if is_off:
         end, n_empty = nearest_around(tiles, places, which, last, taps, end, empty, ahead)
         return end, n_empty, 0
@@ -62,10 +55,14 @@ def tiled_taps(
     return places.shape[0], n_empty, 0
 
 
+#: What finds the taps of points of texture space by tiles, by filter.
+SOURCES = nearest_taps, linear_taps, quadratic_taps, quartic_taps
+
+
 class Search(NamedTuple):
     """Where taps are found, and what changes their weights; what is not wanted is empty."""
 
-    filter_code: int
+    filter_code: int  # NEAREST, LINEAR or QUADRATIC
     tiles: Tiles
     last: int  # the largest number of a cell
     is_off: bool  # points are off the surface, as deeper tiles have none of their cells
@@ -86,10 +83,10 @@ class Weighed(NamedTuple):
 
 
 @kernel
-def _room(search: Search, points: int, gradient: bool) -> tuple[Taps, Float64s, Int64s]:
-    """Return room for the taps of points at once, for their places, and their numbers."""
+def _room(search: Search, points: int, is_split: bool, gradient: bool) -> tuple[Taps, Float64s, Int64s]:
+    """Return room for the taps of points at once, of split cells too, for their places, and their numbers."""
     room = points * MOST_TILED[search.filter_code] + 8
-    if search.facings.rows.size > 0 and search.faces:
+    if is_split:
         room *= 1 + MOST_ROWS
     taps = Taps(
         np.empty(room, np.uint32),
@@ -108,41 +105,20 @@ def _found(
 ) -> tuple[int, int]:
     """Find the taps of some points."""
     task = which, search.is_off, search.last, taps, 0, empty, rim, ahead
-    _, n_empty, n_rim = tiled_taps(search.filter_code, search.tiles, places, *task)
+    if search.filter_code == QUADRATIC:
+        _, n_empty, n_rim = quadratic_taps(search.tiles, places, *task)
+    elif search.filter_code == LINEAR:
+        _, n_empty, n_rim = linear_taps(search.tiles, places, *task)
+    else:
+        _, n_empty, n_rim = nearest_taps(search.tiles, places, *task)
     return n_empty, n_rim
 
 
 @kernel
-def _weighed(
-    search: Search,
-    places: Float64s,
-    which: Int64s,
-    taps: Taps,
-    ahead: Ahead,
-    split: Uint8s,
-    normals: Float32s,
-    left: Float32s,
-    empty: Int64s,
-    rim: Int64s,
-) -> tuple[int, int]:
-    """Find the taps of some points, and let the stages change their weights."""
-    n_empty, n_rim = _found(search, places, which, taps, empty, rim, ahead)
-    if search.areas.size > 0:
-        weigh_by_area(taps, search.areas)
-    if search.faces:
-        face(taps, search.facings, search.first_kept, search.first_row, normals, split)
-    elif search.mixed.size > 0:
-        leave_mixed(taps, search.mixed, left)
-    return n_empty, n_rim
-
-
-@kernel
-def _ahead(search: Search, channel: Weighed) -> tuple[Ahead, Uint8s]:
-    """Return what is read of cells, and of rows of the split table."""
+def _ahead(search: Search, codes: Codes, alpha: Uint8s) -> Ahead:
+    """Return what is read of cells."""
     flags = search.facings.flags if search.faces else search.facings.flags[:0]
-    alpha = channel.alpha.values if channel.has_alpha else channel.alpha.values[:0]
-    ahead = Ahead(channel.codes.values.view(np.uint8), alpha.view(np.uint8), flags, search.areas)
-    return ahead, channel.codes.split_values.view(np.uint8)
+    return Ahead(codes.values.view(np.uint8), alpha, flags, search.areas)
 
 
 @kernel
@@ -160,34 +136,35 @@ def look_up_tiled(
 ) -> tuple[int, int, int]:
     """Write the mean (n, components) of a channel at rest positions (n, 3), and its gradient.
 
-    Off the surface only points ``which`` (m,) are looked up. ``gradients`` (n, components, 3) or
+    If ``which`` (m,) is not empty, only these points are looked up. ``gradients`` (n, components, 3) or
     (0, components, 3). In ``lost`` (2, n) are listed the points that have no cells around them, and those at
     the rim, for the walk. Returns how many they are, and the first that is not finite, where all stopped, or
     −1.
     """
-    gradient, is_off = gradients.shape[0] > 0, search.is_off
-    all_points = which.size if is_off else points.shape[0]
+    gradient, is_some = gradients.shape[0] > 0, which.size > 0
+    all_points = which.size if is_some else points.shape[0]
     step = max(min(_STEP, all_points), 1)
-    room, places, each = _room(search, step, gradient)
-    some = step if is_off else 0
+    is_seen = search.faces and not (gradient or channel.has_alpha)
+    is_split = search.facings.rows.size > 0 and search.faces and not is_seen
+    room, places, each = _room(search, step, is_split, gradient)
+    some = step if is_some else 0
     own_points, own_normals = np.empty((some, 3), points.dtype), np.empty((some, 3), np.float32)
     own_values = np.empty((some, results.shape[1]), np.float32)
     own_slopes = np.empty((some, gradients.shape[1], 3), np.float32)
-    ahead, split = _ahead(search, channel)
-    is_seen = search.faces and not (gradient or channel.has_alpha)
+    alpha = channel.alpha.values if channel.has_alpha else channel.alpha.values[:0]
+    ahead = _ahead(search, channel.codes, alpha.view(np.uint8))
     components = channel.codes.values.shape[1]
     seen = step if is_seen else 0
     sums = Sums(np.empty((seen, components)), np.empty(seen), np.empty((0, components, 3)), np.empty((0, 3)))
     owners, shares = np.arange(seen, dtype=np.int32), np.ones(seen, np.float32)
     only_cells = search.filter_code == NEAREST and not (channel.has_alpha or search.faces or search.is_off)
-    nothing = np.empty(0, np.float32)
     n_empty = n_rim = 0
     for begin in range(0, all_points, step):
         count = min(step, all_points - begin)
         end = begin + count
         here, given, facing = places[:count], points[begin:end], normals[begin:end]
         values, slopes = results[begin:end], gradients[begin:end]
-        if is_off:
+        if is_some:
             _gather(points, which[begin:end], own_points)
             given, values, slopes = own_points[:count], own_values[:count], own_slopes[:count]
             if search.faces:
@@ -200,31 +177,32 @@ def look_up_tiled(
         if only_cells:
             more, rest = nearest_rows(search.tiles, here, search.last, room.rows, empty, ahead), 0
             take(room.rows[:count], channel.codes, values)
-        elif is_seen:
-            taps = _of_points(room, count)
-            more, rest = _found(search, here, each[:count], taps, empty, rim, ahead)
-            sums.values[:], sums.totals[:] = 0.0, 0.0
-            add_facing(taps, search.areas, search.facings, facing, channel.codes, owners, shares, sums)
-            mean = Sums(sums.values[:count], sums.totals[:count], sums.slopes, sums.total_slopes)
-            divide(mean, 1.0, values, slopes)
         else:
             taps = _of_points(room, count)
-            task = each[:count], taps, ahead, split, facing, nothing
-            more, rest = _weighed(search, here, *task, empty, rim)
-            if channel.has_alpha:
-                weigh_by_alpha(taps, channel.alpha, True, False)
-            blend(taps, channel.codes, True, values)
-            if gradient:
-                blend_slopes(taps, channel.codes, 1.0 / size, values, slopes)
-        if is_off:
+            more, rest = _found(search, here, each[:count], taps, empty, rim, ahead)
+            if is_seen:
+                sums.values[:], sums.totals[:] = 0.0, 0.0
+                add_facing(taps, search.areas, search.facings, facing, channel.codes, owners, shares, sums)
+                mean = Sums(sums.values[:count], sums.totals[:count], sums.slopes, sums.total_slopes)
+                divide(mean, 1.0, values, slopes)
+            else:
+                if search.faces:
+                    split = channel.codes.split_values.view(np.uint8)
+                    face(taps, search.facings, search.first_kept, search.first_row, facing, split)
+                if channel.has_alpha:
+                    weigh_by_alpha(taps, channel.alpha, True, False)
+                blend(taps, channel.codes, True, values)
+                if gradient:
+                    blend_slopes(taps, channel.codes, 1.0 / size, values, slopes)
+        if is_some:
             for n in range(count):
                 at = which[begin + n]
                 for component in range(results.shape[1]):
                     results[at, component] = values[n, component]
                     for axis in range(3 if gradient else 0):
                         gradients[at, component, axis] = slopes[n, component, axis]
-        n_empty += _number(search, which, begin, empty, more)
-        n_rim += _number(search, which, begin, rim, rest)
+        n_empty += _number(which, begin, empty, more)
+        n_rim += _number(which, begin, rim, rest)
     return n_empty, n_rim, -1
 
 
@@ -232,69 +210,43 @@ def look_up_tiled(
 def add_tiled(
     search: Search,
     points: Floats,
-    which: Int64s,
     origin: Origin,
     size: float,
     normals: Float32s,
     owners: Int32s,
     shares: Float32s,
     left: Float32s,
-    channel: Weighed,
+    codes: Codes,
     sums: Sums,
     lost: Int64s,
 ) -> tuple[int, int]:
-    """Add what looks at rest positions (n, 3) show, times their shares, to the sums of their owners.
+    """Add what looks of `quadratic` at rest positions (n, 3) show, times their shares, to the owners' sums.
 
     Normals are those of the owners. ``left`` (n,) takes what mixes facings. Else as `look_up_tiled`.
     """
-    gradient, is_off = sums.total_slopes.shape[0] > 0, search.is_off
-    all_looks = which.size if is_off else points.shape[0]
-    step = max(min(_STEP, all_looks), 1)
-    room, places, each = _room(search, step, gradient)
-    some = step if is_off else 0
-    own_points, own_left = np.empty((some, 3), points.dtype), np.empty(some, np.float32)
-    if left.size == 0:
-        own_left = own_left[:0]
-    own_owners, own_shares = np.empty(some, np.int32), np.empty(some, np.float32)
-    ahead, split = _ahead(search, channel)
-    is_seen = not (gradient or channel.has_alpha)
+    step = max(min(_STEP, points.shape[0]), 1)
+    room, places, each = _room(search, step, False, False)
     facing = np.empty((step if search.faces else 0, 3), np.float32)
+    ahead = _ahead(search, codes, search.areas[:0].reshape(0, 1))
     n_empty = n_rim = 0
-    for begin in range(0, all_looks, step):
-        count = min(step, all_looks - begin)
-        end = begin + count
-        here, given, mixing = places[:count], points[begin:end], left[begin:end]
-        owned, parts = owners[begin:end], shares[begin:end]
-        if is_off:
-            _gather(points, which[begin:end], own_points)
+    for begin in range(0, points.shape[0], step):
+        end = min(begin + step, points.shape[0])
+        count = end - begin
+        here, taps, empty, rim = places[:count], _of_points(room, count), lost[0, n_empty:], lost[1, n_rim:]
+        place_points(points[begin:end], origin, size, here)
+        task = each[:count], search.is_off, search.last, taps, 0, empty, rim, ahead
+        _, more, rest = quadratic_taps(search.tiles, here, *task)
+        looks = codes, owners[begin:end], shares[begin:end]
+        if search.faces:
             for n in range(count):
-                at = which[begin + n]
-                own_owners[n], own_shares[n] = owners[at], shares[at]
-            given, mixing = own_points[:count], own_left[:count]
-            owned, parts = own_owners[:count], own_shares[:count]
-        place_points(given, origin, size, here)
-        for n in range(count if search.faces else 0):
-            owner = np.uint64(owned[n])
-            for axis in range(3):
-                facing[n, axis] = normals[owner, axis]
-        taps, empty, rim = _of_points(room, count), lost[0, n_empty:], lost[1, n_rim:]
-        looks = owned, parts
-        if is_seen and (search.faces or search.areas.size > 0):
-            more, rest = _found(search, here, each[:count], taps, empty, rim, ahead)
-            if search.faces:
-                add_facing(taps, search.areas, search.facings, facing[:count], channel.codes, *looks, sums)
-            else:
-                add_averages(taps, search.areas, search.mixed, channel.codes, *looks, mixing, sums)
+                owner = np.uint64(owners[begin + n])
+                for axis in range(3):
+                    facing[n, axis] = normals[owner, axis]
+            add_facing(taps, search.areas, search.facings, facing[:count], *looks, sums)
         else:
-            task = each[:count], taps, ahead, split, facing[:count], mixing
-            more, rest = _weighed(search, here, *task, empty, rim)
-            if channel.has_alpha:
-                weigh_by_alpha(taps, channel.alpha, True, True)
-            add_up(taps, channel.codes, True, *looks, sums)
-        for n in range(count if own_left.size > 0 else 0):
-            left[which[begin + n]] = mixing[n]
-        n_empty += _number(search, which, begin, empty, more)
-        n_rim += _number(search, which, begin, rim, rest)
+            add_averages(taps, search.areas, search.mixed, *looks, left[begin:end], sums)
+        n_empty += _number(each[:0], begin, empty, more)
+        n_rim += _number(each[:0], begin, rim, rest)
     return n_empty, n_rim
 
 
@@ -315,8 +267,8 @@ def _gather(rows: Floats, which: Int64s, taken: Floats) -> None:
 
 
 @inlined
-def _number(search: Search, which: Int64s, begin: int, points: Int64s, count: int) -> int:
+def _number(which: Int64s, begin: int, points: Int64s, count: int) -> int:
     """Count listed points of a step as they are counted in all; return how many are listed."""
     for n in range(count):
-        points[n] = which[begin + points[n]] if search.is_off else begin + points[n]
+        points[n] = which[begin + points[n]] if which.size > 0 else begin + points[n]
     return count

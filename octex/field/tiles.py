@@ -6,9 +6,10 @@ octants are a word each, 4×4×4 cells in Morton order, a bit for each that is s
     cell = first of the octant + popcount(mask of the octant & below)        where its bit is set
 
 Tiles of the deepest level name cells. Those three, six … levels above name, in the same way, the rows of the
-tiles below them, and a dense grid of the rows of some level is where every search begins. They are derived
-from trees whose leaves all lie at the deepest level, and take 1.5 bytes a leaf. A tree of less than three
-levels is one tile, filled in part.
+tiles below them, and a dense grid of the rows of some level is where every search begins. They have the cells
+of a tree's deepest level, and take 1.5 bytes each. A tree of less than three levels is one tile, filled in
+part. Where a part of a tree of one depth was painted more finely, the cells of both levels have tiles; those
+near which the other's count, too, are marked.
 """
 
 from __future__ import annotations
@@ -20,11 +21,14 @@ import numpy.typing as npt
 
 from octex.arrays import Array, Int32s, Int64s, Uint32s, Uint64s
 from octex.jit import inlined, kernel, popcount
-from octex.tree.morton import decode, decode_cells
+from octex.tree.morton import cells_beside, decode, decode_cells
 from octex.tree.octree import Octree
 
 #: Deepest level of the dense grid, which then takes 128 kB.
 MOST_TOP_LEVEL = 5
+
+#: Least part of the surface that the leaves of a level take, whose cells have tiles beside another level's.
+_LEAST_PART = 1 / 16
 
 #: Bytes that memory is read in.
 CACHE_LINE = 64
@@ -42,7 +46,7 @@ class Tiles(NamedTuple):
     top: Int32s  # (8 ** top_level,)   the row of the tile below each place, x fastest
     masks: Uint64s  # (8 · rows,)
     firsts: Uint32s  # (8 · rows,)
-    #: (words,) or (0,)   a bit for each cell: whether nodes may be near, below which the tree goes on
+    #: (words,) or (0,)   a bit for each cell: whether cells of other levels count near it
     marks: Uint64s
 
 
@@ -53,7 +57,7 @@ def can_be_tiled(tree: Octree) -> bool:
 
 
 def build_tiles(tree: Octree) -> Tiles:
-    """Derive the tiles of a tree that can be tiled."""
+    """Derive the tiles of a tree's deepest level."""
     if tree.max_depth < 3:
         return _one_tile(tree)
     depth, groups, level_nodes = tree.max_depth, tree.arrays.groups, tree.arrays.level_nodes.tolist()
@@ -82,34 +86,63 @@ def build_tiles(tree: Octree) -> Tiles:
     )
 
 
-def painted_depth(tree: Octree) -> int:
-    """Return the first level with leaves of a tree of one depth that was painted more finely, −1 for others.
+def painted_levels(tree: Octree) -> list[int]:
+    """Return the levels that have most leaves of a tree of one depth that was painted more finely.
 
-    Most cells of that level are leaves, and no node above keeps a coefficient.
+    There are one or two, the first of them the first with leaves, and no node above keeps a coefficient;
+    else none is returned.
     """
-    for level, (leaves, nodes) in enumerate(tree.cells_by_depth()):
-        if leaves:
-            kept = tree.kept.cells
-            is_bare = not kept.size or kept[0] >= tree.arrays.level_cells[level]
-            return level if level >= 3 and nodes < leaves and is_bare else -1
-    return -1
+    leaves = np.array([leaves for leaves, _ in tree.cells_by_depth()])
+    parts = leaves * 0.25 ** np.arange(leaves.size)
+    levels: list[int] = np.flatnonzero(parts >= _LEAST_PART * parts.sum()).tolist()
+    first, kept = int(np.argmax(leaves > 0)), tree.kept.cells
+    is_bare = not kept.size or kept[0] >= tree.arrays.level_cells[first]
+    return levels if first >= 3 and levels[:1] == [first] and len(levels) <= 2 and is_bare else []
 
 
 def marked(tiles: Tiles, tree: Octree) -> Tiles:
-    """Mark the cells of a tree's tiles within two of a node, and some beyond."""
-    codes = tree.level_codes(tiles.depth)[tree.is_node(tiles.depth)] >> 6  # of octants
-    marks = np.zeros(int(tree.arrays.level_cells[tiles.depth + 1]) + 63 >> 6, np.uint64)
-    _mark(tiles, codes[np.flatnonzero(np.diff(codes, prepend=-1))], marks)
+    """Mark the cells of tiles in whose fields others count: nodes, coarser leaves, kept coefficients.
+
+    These count within one of their own cells. Marks reach two cells farther, as a window is known by any of
+    its own, and cover whole octants, 4³ cells.
+    """
+    depth, firsts = tiles.depth, tree.arrays.level_cells
+    marks = np.zeros(int(firsts[depth + 1]) + 63 >> 6, np.uint64)
+    _mark(tiles, _distinct(tree.level_codes(depth)[tree.is_node(depth)] >> 6), 0, 1, marks)
+    octants = _distinct(tree.level_codes(depth) >> 6)
+    for level in range(depth):
+        counts, kept = ~tree.is_node(level), tree.kept.cells.astype(np.int64) - int(firsts[level])
+        counts[kept[(kept >= 0) & (kept < counts.size)]] = True
+        if not counts.any():
+            continue
+        up = max(depth - 2 - level, 0)
+        reach = (1 << up) + (level <= depth - 2)
+        blocks = _distinct(tree.level_codes(level)[counts] >> 3 * max(level - depth + 2, 0))
+        near = _distinct(octants >> 3 * up)
+        for _ in range(2):
+            near = np.union1d(near, cells_beside(near, depth - 2 - up))
+        _mark(tiles, np.intersect1d(blocks, near, assume_unique=True), up, reach, marks)
     return tiles._replace(marks=marks)
 
 
+def _distinct(codes: Int64s) -> Int64s:
+    """Return each of some codes, which ascend, once."""
+    return codes[np.flatnonzero(np.diff(codes, prepend=-1))]
+
+
 @kernel
-def _mark(tiles: Tiles, codes: Int64s, marks: Uint64s) -> None:
-    """Mark the cells of octants, given by their Morton codes, and of all around them."""
+def _mark(tiles: Tiles, codes: Int64s, up: int, reach: int, marks: Uint64s) -> None:
+    """Mark the cells of the octants in blocks, of 2ᵘᵖ octants along an edge, and around them.
+
+    Blocks are given by their Morton codes; ``reach`` is counted in octants.
+    """
+    side = (1 << up) + 2 * reach
     for n in range(codes.size):
         i, j, k = decode(codes[n])
-        for around in range(27):
-            a, b, c = i + around % 3 - 1, j + around // 3 % 3 - 1, k + around // 9 - 1
+        for around in range(side * side * side):
+            a = (i << up) - reach + around % side
+            b = (j << up) - reach + around // side % side
+            c = (k << up) - reach + around // (side * side)
             row = tile_row(tiles, a >> 1, b >> 1, c >> 1)
             octant = 8 * row + (a & 1 | (b & 1) << 1 | (c & 1) << 2)
             first = int(np.int64(tiles.firsts[octant]))
@@ -195,7 +228,7 @@ def code_in_tile(i: Integer, j: Integer, k: Integer) -> Any:
 
 @inlined
 def is_marked(tiles: Tiles, cell: int) -> bool:
-    """Say whether nodes may be near a cell."""
+    """Say whether cells of other levels count near a cell."""
     word = cell >> 6
     if word >= tiles.marks.size:
         return False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import locale
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +63,11 @@ def write_3mf(surface: Surface, path: Path, unit: Unit) -> None:
     model.AddBuildItem(mesh, wrapper.GetIdentityTransform())
     with scratch_folder() as folder:  # the library writes to paths only
         made = folder / "model.3mf"
-        model.QueryWriter("3mf").WriteToFile(str(made))
+        before = locale.setlocale(locale.LC_ALL)
+        try:
+            model.QueryWriter("3mf").WriteToFile(str(made))
+        finally:  # the library leaves the process with another, whose texts are ASCII
+            locale.setlocale(locale.LC_ALL, before)
         with replacing(path) as file:
             file.write(made.read_bytes())
 

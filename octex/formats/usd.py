@@ -41,8 +41,8 @@ def write_usd(surface: Surface, path: Path, images: ImageFormat, unit: Unit) -> 
     """Write a surface with images, as ``bake`` makes it, or vertex colours, as one mesh below ``/model``.
 
     The stage's up axis is y, as in glTF, and ``unit`` is what 1 stands for. Texture coordinates are the
-    primvar ``st``, normals stand at corners, and triangles are seen from both sides. Vertex colours are
-    ``displayColor`` and ``displayOpacity``, which the material reads.
+    primvar ``st``, normals stand at corners, and triangles are seen from both sides if a material says so.
+    Vertex colours are ``displayColor`` and ``displayOpacity``, which the material reads.
 
     UsdPreviewSurface has either metals or specular colours: these are written where nothing is metallic.
     Raises ModelError for values that it cannot say.
@@ -73,7 +73,7 @@ def write_usd(surface: Surface, path: Path, images: ImageFormat, unit: Unit) -> 
         writer = _Materials(stage, numbers, places if is_package else [f"./{name}" for name in names], source)
         for number in used:
             faces = None if len(used) == 1 else np.flatnonzero(source.triangle_materials == number)
-            writer.bind(mesh, writer.material(number), number, faces)
+            writer.bind(mesh, writer.material(number), faces)
         stage.GetRootLayer().Save()
         if is_package:
             made = folder / "model.usdz"
@@ -99,7 +99,8 @@ def _mesh(stage: Any, surface: Surface, source: MaterialSource) -> Any:
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(surface.triangles), 3, np.int32)))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(surface.triangles.reshape(-1)))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    mesh.CreateDoubleSidedAttr(True)
+    used = np.unique(source.triangle_materials).tolist()
+    mesh.CreateDoubleSidedAttr(any(source.materials[number].double_sided for number in used))
     frames = posed_frames(surface)
     if frames is not None:
         normals = frames.normals.values[frames.normals.rows.reshape(-1)]
@@ -137,7 +138,7 @@ class _Materials:
         self._stage, self._numbers, self._places, self._source = stage, numbers, places, source
         self._shaders: dict[tuple[object, ...], Any] = {}
 
-    def bind(self, mesh: Any, material: Any, number: int, faces: Any) -> None:
+    def bind(self, mesh: Any, material: Any, faces: Any) -> None:
         """Bind a material to a mesh, or to some of its faces."""
         from pxr import UsdGeom, UsdShade, Vt
 
@@ -145,18 +146,23 @@ class _Materials:
         if faces is not None:
             indices = Vt.IntArray.FromNumpy(faces.astype(np.int32))
             subset = UsdGeom.Subset.CreateGeomSubset(
-                mesh, f"material{number}", UsdGeom.Tokens.face, indices, UsdShade.Tokens.materialBind
+                mesh, material.GetPrim().GetName(), UsdGeom.Tokens.face, indices, UsdShade.Tokens.materialBind
             )
+            api = UsdShade.MaterialBindingAPI(prim)
+            api.SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition)
             prim = subset.GetPrim()
         UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
 
     def material(self, number: int) -> Any:
-        """Define the material with a number."""
-        from pxr import Sdf, UsdShade
+        """Define the material with a number, under its name."""
+        from pxr import Sdf, Tf, UsdShade
 
         types = Sdf.ValueTypeNames
         material = self._source.materials[number]
-        at = f"/model/materials/material{number}"
+        name = Tf.MakeValidIdentifier(material.name) if material.name else f"material{number}"
+        while self._stage.GetPrimAtPath(f"/model/materials/{name}"):
+            name += "_"
+        at = f"/model/materials/{name}"
         made = UsdShade.Material.Define(self._stage, at)
         surface = self._shader(f"{at}/surface", "UsdPreviewSurface")
         made.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")

@@ -246,8 +246,10 @@ class OctreeTexture:
         if len(answers.channels) > 2 or filter == "quartic":  # most of the time is waiting for memory
             look_up_block = partial(block_in_space, look_up_block, self.placement)
         task = given, answers.arrays, look_up_block, threads, executor
+        code = FILTERS.index(filter)
         if given.keys() <= {"points", "normals"} and self._field.tiles is None:
-            self._field.prepare(FILTERS.index(filter))
+            self._field.prepare(code)
+        if given.keys() <= {"points", "normals"} and self._field.tiles is None:
             in_space(*task, self.placement)
         else:
             in_blocks(*task)

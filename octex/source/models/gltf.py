@@ -205,7 +205,8 @@ class _Scene:
         attributes = entry["attributes"]
         triangles, decoded = document.draco(entry, f"{document.name}: {name}") or (None, {})
         positions = document.accessor(attributes["POSITION"], (3,), decoded.get("POSITION"))
-        positions = positions.astype(np.float64)
+        with np.errstate(invalid="ignore"):  # of signalling NaNs
+            positions = positions.astype(np.float64)
         if not np.isfinite(positions).all():
             raise ModelError(f"{document.name}: {name} has vertices that are not finite; repair the model")
         indices = self._indices(entry, triangles, len(positions), name)
@@ -283,7 +284,8 @@ class _Scene:
         if name not in shape.attributes:
             return None
         rows = self._document.accessor(shape.attributes[name], components, shape.decoded.get(name))
-        rows = rows.astype(np.float64)
+        with np.errstate(invalid="ignore"):
+            rows = rows.astype(np.float64)
         if len(rows) != len(shape.positions):
             raise ModelError(
                 f"{self._document.name}: {shape.name} {name} has {len(rows)} rows "

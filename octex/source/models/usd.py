@@ -193,14 +193,15 @@ class _Scene:
 
         These are by number; the mesh's own comes first.
         """
-        from pxr import UsdShade
+        from pxr import UsdGeom, UsdShade
 
         api = UsdShade.MaterialBindingAPI(prim)
-        own = self._materials.number(api.ComputeBoundMaterial()[0])
+        both = bool(UsdGeom.Mesh(prim).GetDoubleSidedAttr().Get(self._time))
+        own = self._materials.number(api.ComputeBoundMaterial()[0], both)
         faces: dict[int, Int64s] = {own: np.empty(0, np.int64)}
         for subset in api.GetMaterialBindSubsets():
             material, _ = UsdShade.MaterialBindingAPI(subset.GetPrim()).ComputeBoundMaterial()
-            number = self._materials.number(material)
+            number = self._materials.number(material, both)
             chosen = np.array(subset.GetIndicesAttr().Get(self._time) or [], np.int64)
             faces[number] = np.concatenate([faces.get(number, chosen[:0]), chosen])
         return faces, {number: self._materials.bound[number] for number in faces}

@@ -67,7 +67,7 @@ class Materials:
 
     def __init__(self, name: str, options: Options) -> None:
         self._name, self._options = name, options
-        self._numbers: dict[str, int] = {}
+        self._numbers: dict[tuple[str, bool], int] = {}
         self._texels: dict[tuple[str, str], Texels] = {}
         self.bound: list[Bound] = []
         self.files: dict[str, str] = {}
@@ -77,13 +77,17 @@ class Materials:
         """All materials met."""
         return [each.material for each in self.bound]
 
-    def number(self, material: Any) -> int:
+    def number(self, material: Any, double_sided: bool) -> int:
         """Return the number of a material of the stage, of none the same: what it has is displayColor."""
         place = str(material.GetPath()) if material and self._options.materials else ""
-        if place not in self._numbers:
-            self._numbers[place] = len(self.bound)
-            self.bound.append(self._read(material) if place else _plain())
-        return self._numbers[place]
+        key = place, double_sided
+        if key not in self._numbers:
+            bound = self._read(material) if place else _plain()
+            name = material.GetPrim().GetName() if place else ""
+            made = bound.material._replace(name=name, double_sided=double_sided)
+            self._numbers[key] = len(self.bound)
+            self.bound.append(bound._replace(material=made))
+        return self._numbers[key]
 
     def _read(self, material: Any) -> Bound:
         shader = material.ComputeSurfaceSource()[0]
