@@ -16,14 +16,15 @@ from hypothesis import strategies as st
 
 import octex
 from octex.baking import atlas
+from octex.baking.fit import sharpen
 from octex.baking.gutters import fill_up, gutter_of
-from octex.baking.layout import borders, kept_layout, neighbors, unit_area
+from octex.baking.layout import kept_layout, neighbors, unit_area
 from octex.baking.texels import draw_texels, texel_points
 from octex.channels import encode, linear_to_srgb
 from octex.cli import main as cli
 from octex.errors import ArgumentError, ModelError
 from octex.source.corners import Corners
-from octex.source.materials import MaterialSource
+from octex.source.materials import Input, Material, MaterialSource, Texture
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
 from tests import solids
@@ -76,7 +77,7 @@ coordinates = st.floats(-2.0, 10.0, width=32)
 @settings(max_examples=60, deadline=None)
 def test_a_triangle_covers_as_much_of_the_texels_as_points_in_it_say(numbers: list[float]) -> None:
     corners = np.array(numbers).reshape(1, 3, 2)
-    drawn = draw_texels(corners, np.zeros(1, np.int32), 8, 0, 8)
+    drawn = draw_texels(corners, np.zeros(1, np.int32), np.ones((1, 3), np.bool_), 8, 0, 8)
     steps = (np.arange(8 * 32) + 0.5) / 32
     points = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     a, b, c = corners[0]
@@ -100,7 +101,8 @@ def test_triangles_of_a_chart_share_texels_and_charts_do_not() -> None:
     corners = np.array(
         [[[0.0, 0], [4, 0], [0, 4]], [[4.0, 0], [4, 4], [0, 4]], [[4.0, 0], [4.4, 0], [4.0, 4]]]
     )
-    drawn = draw_texels(corners, np.array([0, 0, 1], np.int32), 6, 0, 4)
+    edges = np.array([[True, False, True], [True, True, False], [True, True, True]])
+    drawn = draw_texels(corners, np.array([0, 0, 1], np.int32), edges, 6, 0, 4)
     np.testing.assert_allclose(drawn.areas[:, :4], 1.0, atol=1e-6)
     np.testing.assert_allclose(drawn.centroids[:, :4], 0.5, atol=1e-6)
     assert (drawn.triangles[:, 4][:3] == 2).all()
@@ -121,8 +123,9 @@ def test_triangles_of_a_chart_share_texels_and_charts_do_not() -> None:
 def test_rows_drawn_apart_are_those_drawn_together() -> None:
     corners = np.random.default_rng(3).random((40, 3, 2)) * 20 - 2
     charts = np.arange(40, dtype=np.int32) // 4
-    together = draw_texels(corners, charts, 16, 0, 16)
-    apart = [draw_texels(corners, charts, 16, first, first + 4) for first in range(0, 16, 4)]
+    edges = np.ones((40, 3), np.bool_)
+    together = draw_texels(corners, charts, edges, 16, 0, 16)
+    apart = [draw_texels(corners, charts, edges, 16, first, first + 4) for first in range(0, 16, 4)]
     for whole_map, parts in zip(together, zip(*apart, strict=True), strict=True):
         np.testing.assert_array_equal(whole_map, np.concatenate(parts))
 
@@ -130,13 +133,11 @@ def test_rows_drawn_apart_are_those_drawn_together() -> None:
 def test_beyond_an_edge_the_surface_goes_on_as_if_unfolded() -> None:
     surface = cube_with_charts()
     layout = kept_layout(surface, 256)
-    drawn = draw_texels(layout.corners, layout.charts, 256, 0, 256)
+    drawn = draw_texels(layout.corners, layout.charts, layout.edges, 256, 0, 256)
     others, sides = neighbors(surface)
     assert (others >= 0).all()
     taken = drawn.areas > 0
-    gutter = gutter_of(
-        layout, borders(layout, others, sides), surface.rest, surface.triangles, others, sides, taken, 6
-    )
+    gutter = gutter_of(layout, surface.rest, surface.triangles, others, sides, taken, 6)
     assert gutter.rows.size > 6 * 4 * 50
     rest = surface.rest_at(gutter.triangles, gutter.barycentric)
     edges = surface.rest_at(gutter.beside, gutter.edges)
@@ -157,14 +158,44 @@ def test_where_the_surface_ends_gutters_show_its_edge() -> None:
     square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     surface = Surface.from_arrays(square, [[0, 1, 2], [0, 2, 3]], uv=square[:, :2] * 0.5 + 0.25)
     layout = kept_layout(surface, 64)
-    drawn = draw_texels(layout.corners, layout.charts, 64, 0, 64)
+    drawn = draw_texels(layout.corners, layout.charts, layout.edges, 64, 0, 64)
     gutter = gutter_of(
-        layout, borders(layout, *neighbors(surface)), surface.rest, surface.triangles, *neighbors(surface),
-        drawn.areas > 0, 4,
+        layout, surface.rest, surface.triangles, *neighbors(surface), drawn.areas > 0, 4
     )  # fmt: skip
     rest = surface.rest_at(gutter.triangles, gutter.barycentric)
     on_edge = np.isclose(rest[:, :2], 0.0) | np.isclose(rest[:, :2], 1.0)
     assert on_edge.any(axis=1).all()
+
+
+def test_maps_are_nearer_to_the_field_when_read_bilinearly() -> None:
+    def curved(x: Array, y: Array) -> Array:
+        return np.stack([0.01 * x * x + 0.02 * y * y + 0.1 * x, 0.3 * x - 0.2 * y], axis=-1)
+
+    grid = np.arange(12) + 0.5
+    values = curved(*np.meshgrid(grid, grid)).astype(np.float32)
+    fitted = values.copy()
+    sharpen(fitted, np.ones((12, 12), np.float32))
+    np.testing.assert_allclose(fitted[..., 1], values[..., 1], atol=1e-5)  # what is straight stays
+    random = np.random.default_rng(0).random((5000, 2)) * 8 + 2
+    errors = [bilinear(each, random) - curved(*random.T) for each in (values, fitted)]
+    assert np.sqrt((errors[1][:, 0] ** 2).mean()) < 0.5 * np.sqrt((errors[0][:, 0] ** 2).mean())
+    step = (values > 3.0).astype(np.float32)
+    sharpen(step, np.ones((12, 12), np.float32))
+    assert (step.min(), step.max()) == (0.0, 1.0)
+    holes = np.ones((12, 12), np.float32)
+    holes[5, 5] = 0.0
+    beside = values.copy()
+    sharpen(beside, holes)
+    np.testing.assert_array_equal(beside[5, 4:7], values[5, 4:7])
+
+
+def bilinear(values: Array, places: Array) -> Array:
+    """Read a map (height, width, components) at places (n, 2) to the right and down, in texels."""
+    low = np.floor(places - 0.5).astype(int)
+    x, y = (places - 0.5 - low).T[:, :, None]
+    upper = (1 - x) * values[low[:, 1], low[:, 0]] + x * values[low[:, 1], low[:, 0] + 1]
+    lower = (1 - x) * values[low[:, 1] + 1, low[:, 0]] + x * values[low[:, 1] + 1, low[:, 0] + 1]
+    return (1 - y) * upper + y * lower
 
 
 def test_what_is_empty_is_filled_from_around_it() -> None:
@@ -191,7 +222,7 @@ def test_an_atlas_has_room_for_every_triangle_once(
     points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 24)
     surface = Surface.from_arrays(points, triangles)
     layout = atlas.atlas_layout(surface, [256], 4, 1.0)
-    drawn = draw_texels(layout.corners, layout.charts, 256, 0, 256)
+    drawn = draw_texels(layout.corners, layout.charts, layout.edges, 256, 0, 256)
     assert float(drawn.areas.sum()) / 256**2 == pytest.approx(unit_area(layout), rel=2e-3)
     assert unit_area(layout) > 0.3
     assert layout.corners.min() >= 4.0
@@ -317,12 +348,148 @@ def test_coordinates_that_cannot_be_kept_are_refused_or_made_anew(uv: list[float
     points, triangles = whole().vertices, whole().triangles
     own = None if uv is None else np.tile(uv, 4).reshape(4, 3, 2)  # all triangles in one place
     surface = Surface.from_arrays(points, triangles, uv=own)
-    texture = octex.convert(surface, 4)
+    texture = octex.convert(surface.with_sources({"base_color": waves}), 4)
     with pytest.raises(ModelError, match=words):
         octex.bake(texture, surface, uv="keep")
     baked = octex.bake(texture, surface, texture_size=64)
     assert baked.uv is not None
     assert 0.0 <= baked.uv.values.min() <= baked.uv.values.max() <= 1.0
+
+
+def two_squares() -> Surface:
+    """Two squares side by side, each with all of the unit square, of two materials."""
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0], [2, 1, 0]])
+    triangles = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]], np.int32)
+    square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+    uv = Corners(square, np.array([[0, 1, 2], [0, 2, 3]] * 2, np.int32))
+    images = [Texture(np.full((4, 4, 4), 65535 - n, np.uint16)) for n in range(2)]
+    materials = [
+        Material({"base_color": Input((1.0,) * 3, images[0])}, name="left", double_sided=True),
+        Material(
+            {"base_color": Input((1.0,) * 3, images[1]), "alpha": Input((0.5,), None, (3,))},
+            "blend",
+            name="right",
+        ),
+    ]
+    source = MaterialSource(
+        materials, np.array([0, 0, 1, 1], np.int32), vertices, triangles, coordinates=[uv]
+    )
+    return Surface(vertices, triangles, source, uv=uv)
+
+
+def as_source(surface: Surface) -> MaterialSource:
+    assert isinstance(surface.source, MaterialSource)
+    return surface.source
+
+
+def painted(surface: Surface) -> octex.OctreeTexture:
+    return octex.convert(surface.with_sources({"base_color": waves}), 6)
+
+
+@pytest.mark.parametrize("ending", [".glb", ".obj"])
+def test_each_material_gets_maps_and_keeps_what_it_is(ending: str, tmp_path: Path) -> None:
+    surface = two_squares()
+    texture = painted(surface)
+    baked = octex.bake(texture, surface, texture_size=128)
+    points = baked.scatter(5000)
+    field = texture.sample(points, "base_color")
+    assert psnr(baked.evaluate(points), field) > 45.0
+    left, right = as_source(baked).materials
+    assert (left.name, left.double_sided, left.alpha_mode) == ("left", True, "opaque")
+    assert (right.name, right.double_sided, right.alpha_mode) == ("right", False, "blend")
+    octex.write_model(baked, tmp_path / f"two{ending}")
+    read = octex.load_surface(tmp_path / f"two{ending}")
+    assert psnr(read.evaluate(points), field) > 40.0  # images of .obj files repeat
+    if ending == ".glb":
+        known = [each[2:] for each in as_source(read).materials]
+        assert known == [(0.5, "left", True), (0.5, "right", False)]
+
+
+def test_materials_that_read_one_image_share_maps_and_an_atlas_joins_those_alike() -> None:
+    surface = two_squares()
+    own = as_source(surface)
+    first = own.materials[0]
+    uv = np.concatenate(
+        [own.coordinates[0].values * (0.5, 1.0), own.coordinates[0].values * (0.5, 1.0) + (0.5, 0)]
+    )
+    rows = own.coordinates[0].rows.copy()
+    rows[2:] += 4
+    corners = Corners(uv.astype(np.float32), rows)
+    materials = [first, first._replace(name="other")]
+    source = MaterialSource(
+        materials, own.triangle_materials, surface.rest, surface.triangles, coordinates=[corners]
+    )
+    shared = Surface(surface.vertices, surface.triangles, source, uv=corners)
+    texture = painted(shared)
+    kept = as_source(octex.bake(texture, shared, uv="keep", texture_size=64))
+    one, two = (each.inputs["base_color"].texture for each in kept.materials)
+    assert one is not None
+    assert two is not None
+    assert one.texels is two.texels
+    assert [each.name for each in kept.materials] == ["left", "other"]
+    joined = as_source(octex.bake(texture, shared, uv="atlas", texture_size=64))
+    assert [(each.name, each.double_sided) for each in joined.materials] == [("", True)]
+    apart = as_source(octex.bake(painted(surface), surface, uv="atlas", texture_size=64))
+    assert [each.name for each in apart.materials] == ["left", "right"]
+
+
+def test_tiles_become_materials_and_what_overlaps_and_looks_otherwise_is_refused() -> None:
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    points = np.concatenate([square, square + np.array([1.5, 0.0, 0.0])])
+    triangles = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]
+    flat = square[:, :2]
+    for moved, words in (
+        ((1.0, 0.0), None),
+        ((0.0, 1.0), None),
+        ((0.0, 0.0), "texture coordinates overlap"),
+    ):
+        surface = Surface.from_arrays(points, triangles, uv=np.concatenate([flat, flat + moved]))
+        texture = painted(surface)
+        if words is not None:
+            with pytest.raises(ModelError, match=words):
+                octex.bake(texture, surface, uv="keep")
+            continue
+        baked = octex.bake(texture, surface, uv="keep", texture_size=128)
+        names = [each.name for each in as_source(baked).materials]
+        assert names == ([".1001", ".1002"] if moved[0] else [".1001", ".1011"])
+        seen = baked.scatter(5000)
+        assert psnr(baked.evaluate(seen), texture.sample(seen, "base_color")) > 45.0
+    # What overlaps but looks alike may stay.
+    plain = octex.convert(surface, 5)
+    assert octex.bake(plain, surface, uv="keep", texture_size=64).uv is not None
+
+
+def test_another_mesh_of_the_object_shows_its_nearest_points() -> None:
+    texture, fine = painted_sphere()
+    points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 10)
+    simple = Surface.from_arrays(points, triangles)
+    baked = octex.bake(texture, simple, source=fine, max_distance=0.2, texture_size=256)
+    seen = baked.scatter(5000)
+    outward = seen.rest / np.linalg.norm(seen.rest, axis=1, keepdims=True)
+    expected = texture.sample(outward, "base_color", normals=outward)
+    assert psnr(baked.evaluate(seen), expected) > 40.0
+    # Too far away: filled from around.
+    square = np.array([[-1.0, -1, 0.999], [1, -1, 0.999], [1, 1, 0.999], [-1, 1, 0.999]])
+    plane = Surface.from_arrays(square, [[0, 1, 2], [0, 2, 3]], uv=(square[:, :2] + 1) / 2)
+    near = octex.bake(texture, plane, source=fine, max_distance=0.01, texture_size=64)
+    middle = np.array([[0.0, 0.0, 1.0]])
+    texels = as_source(near).materials[0].inputs["base_color"].texture
+    assert texels is not None
+    codes = encode(texture.sample(middle, "base_color", normals=middle), "uint8", "srgb")[0].astype(int)
+    assert abs((texels.texels[..., :3] // 257).astype(int) - codes).max() < 30
+    with pytest.raises(ArgumentError, match="give source too"):
+        octex.bake(texture, simple, max_distance=0.1)
+
+
+def test_texels_no_larger_than_leaves_need_no_footprint() -> None:
+    texture, surface = painted_sphere()
+    points = surface.scatter(2000)
+    leaf = texture.placement.size / 2**texture.tree.max_depth
+    across = np.cross(points.normals, (0.3, 0.5, 0.8))
+    across *= leaf / np.linalg.norm(across, axis=1, keepdims=True)
+    sides = 0.6 * across, 0.8 * np.cross(points.normals, across)
+    given = texture.sample(points.rest, normals=points.normals, dPdx=sides[0], dPdy=sides[1])
+    np.testing.assert_array_equal(given, texture.sample(points.rest, normals=points.normals))
 
 
 def test_what_bake_cannot_do_is_said() -> None:
@@ -480,6 +647,9 @@ def test_the_command_bakes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert made["texture_size"] == 64
     assert made["channels"] == ["base_color"]
     assert made["bytes"] == (tmp_path / "baked.glb").stat().st_size
+    simple = [given[0], given[1], str(tmp_path / "simple.glb"), "--source", given[1], "--texture-size", "64"]
+    assert cli.main(["bake", *simple, "--max-distance", "0.1", "--json", "--quiet"]) == 0
+    assert json.loads(capsys.readouterr().out)["texture_size"] == 64
     assert cli.main(["bake", *given[:2], str(tmp_path / "b.ply"), "--subdivide", "auto", "--json", "-q"]) == 2
     assert "-q is no option" in capsys.readouterr().err
     assert cli.main(["bake", *given[:2], str(tmp_path / "b.ply"), "--subdivide", "auto", "--json"]) == 0

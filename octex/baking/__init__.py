@@ -5,6 +5,7 @@ atlas       coordinates for any surface: charts, flattened and packed
 sheets      which triangles share maps: those of a material, or all
 texels      which point of the surface a texel shows
 gutters     what stands around charts
+fit         texels that read like the field between them
 maps        the channels at these points, as images of a material
 vertices    colours at vertices instead
 bake        all of it: a texture and a surface in, a surface with images out

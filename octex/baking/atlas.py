@@ -39,7 +39,7 @@ def atlas_layout(mesh: Mesh, sizes: Sequence[int], padding: int, texel: float) -
     flat = _unwrapped(mesh)
     if flat is None:
         flat = projected(mesh)
-    charts = charts_of(mesh, flat)
+    charts, edges = charts_of(mesh, flat)
     flat = _upright(flat, charts)
     area = _area(flat)
     low, high = mesh.bounds
@@ -54,7 +54,7 @@ def atlas_layout(mesh: Mesh, sizes: Sequence[int], padding: int, texel: float) -
             values = np.empty((int(rows.max()) + 1, 2), np.float32)
             values[rows] = points
             uv = Corners(values, rows.reshape(-1, 3))
-            return Layout(uv, placed, faces, charts, size, size)
+            return Layout(uv, placed, faces, charts, edges, size, size)
     raise ModelError(
         f"{mesh.name}: {int(charts.max()) + 1:,} charts do not fit in a map of {size} × {size} texels; "
         "make it larger, or the padding smaller"
@@ -180,7 +180,8 @@ def _overlapping(flat: Float64s, charts: Int32s) -> Int64s:
             continue
         corners = flat[own] - flat[own].min(axis=(0, 1))
         corners *= _PROBE / max(float(corners.max()), 1e-300)
-        drawn = draw_texels(corners, np.zeros(own.size, np.int32), _PROBE + 1, 0, _PROBE + 1)
+        every = np.ones((own.size, 3), np.bool_)
+        drawn = draw_texels(corners, np.zeros(own.size, np.int32), every, _PROBE + 1, 0, _PROBE + 1)
         area = _area(corners)
         if area - float(drawn.areas.sum()) > _OVERLAPPING * area:
             found.append(int(charts[own[0]]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from itertools import pairwise
@@ -9,20 +10,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from octex.arrays import Bools, Float32s, Float64s, Int32s
+from octex.baking.fit import sharpen
 from octex.baking.gutters import Gutter, fill_up, gutter_of
-from octex.baking.layout import ALIGNMENT, LAYOUTS, Borders, Layout, Layouts, borders, neighbors
+from octex.baking.layout import ALIGNMENT, LAYOUTS, Layout, Layouts, neighbors
 from octex.baking.maps import Points, alpha_mode, in_tangent_space, inputs_of, sampled, turned, unit
 from octex.baking.sheets import Sheet, coordinates_of, drawn_texels, sheets_of
 from octex.baking.texels import Texels, texel_points
 from octex.channels import ALPHA, CHANNELS, NORMAL
 from octex.checks import as_choice, as_names, as_number, as_whole
 from octex.errors import ArgumentError, ModelError
+from octex.field.order import put_rows
 from octex.nearest.triangles import Triangles
 from octex.parallel import Progress, as_progress, ordered_map, workers
 from octex.source.corners import Corners, Frames
 from octex.source.images.pyramid import CLAMP, REPEAT
-from octex.source.materials import Material, MaterialSource
+from octex.source.materials import AlphaMode, Material, MaterialSource
 from octex.source.surface import Surface, as_surface
 from octex.source.tangents import corner_frames
 from octex.texture import OctreeTexture, as_texture
@@ -31,6 +34,8 @@ from octex.texture import OctreeTexture, as_texture
 _SMALLEST, _MOST = 64, 16384
 #: Rows of texels in one task.
 _BAND = 32
+#: How far gutters reach, in paddings: charts are two paddings apart, and what lies between is nearer to one.
+_REACH = 1.5
 #: Texels of gutters in one task.
 _GUTTER = 1 << 16
 
@@ -54,7 +59,8 @@ def bake(
     Each texel is one lookup of each channel, averaged over the texel as the surface shows it, on the side
     that the surface faces, at the centroid of what its chart covers. Normals are in the tangent's frame, as
     glTF has it. Around the charts the maps go on with what lies across their edges on the surface, for
-    ``padding`` texels, and smoothly from there, so that no smaller level of the maps shows a seam.
+    ``padding`` texels and half as far again, and smoothly from there, so that no smaller level of the maps
+    shows a seam. Texels are fitted to bilinear reading.
 
     source       the surface that the texture was made of, where ``surface`` is another one of the same
                  object, like a simpler one: lookups are made at the nearest points of ``source``, at rest,
@@ -64,15 +70,15 @@ def bake(
     uv           "keep": the surface's own texture coordinates, with maps for each material (those that read
                  one image share them; those without coordinates get an atlas; UDIM tiles become materials);
                  "atlas": new ones for all (of the extra ``atlas``, xatlas, where it is installed); "auto":
-                 its own if those of no material overlap by more than 1 %, else new ones
+                 its own if of no material more than 1 % overlaps with what looks otherwise, else new ones
     texture_size  texels a side of the square maps, 64 to 16384; by default the power of two, up to 8192,
                  whose texels are about as large as the texture's finest cells, or smaller
     padding      texels between charts, 0 to 64
     channels     those that are baked, by name; by default all that materials have
 
     Materials keep their names, whether they show both sides, and their alpha modes; in an atlas those that
-    agree in the latter two become one. Opaque ones are masks, or blend, where the texture has alpha below 1.
-    Maps without variation become numbers.
+    agree in the latter two become one. Where all are opaque and the texture has alpha below 1, they are masks
+    if hardly any is between 0 and 1, else they blend. Maps without variation become numbers.
 
     Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
     thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
@@ -102,7 +108,7 @@ def bake(
         other = _Other.of(as_surface(source, "source"), texture, distance)
     with workers(threads, executor) as pool:
         report("unwrap", 0, 1)
-        sheets = sheets_of(texture, surface, uv, texture_size, padding, pool)
+        sheets = sheets_of(texture, surface, names, uv, texture_size, padding, pool)
         coordinates = coordinates_of(sheets, len(surface.triangles))
         report("unwrap", 1, 1)
         job = _job(texture, surface, other, sheets, coordinates, names)
@@ -145,23 +151,23 @@ def _bake_sheet(job: _Job, sheet: Sheet, padding: int, pool: Executor, progress:
     for _ in ordered_map(pool, _bake_band, tasks, stage="bake", progress=progress):
         pass
     if padding and not drawn.areas.all():
-        _bake_gutter(job, shown, borders(layout, *neighbors(sheet.mesh)), drawn, padding, maps, pool)
+        _bake_gutter(job, shown, drawn, padding, maps, pool)
+    list(ordered_map(pool, lambda each: sharpen(each, drawn.areas), list(maps.values())))
     weights = (drawn.areas > 0).astype(np.float32)
     if not weights.all():
         list(ordered_map(pool, lambda each: fill_up(each, weights), list(maps.values())))
     used = layout.uv.values[layout.uv.rows]
     repeats = bool((used < 0.0).any() or (used > 1.0).any())
     inputs = inputs_of(maps, REPEAT if repeats else CLAMP, pool)
-    owners = sheet.owners[layout.faces]
-    made = []
-    for number, known in enumerate(sheet.materials):
-        alpha = None
-        if ALPHA.name in maps:
-            own_texels = (drawn.triangles >= 0) & (owners[drawn.triangles] == number)
-            alpha = maps[ALPHA.name][own_texels]
-        mode = alpha_mode(known.alpha_mode, alpha)
-        made.append(Material(inputs, mode, name=known.name, double_sided=known.double_sided))
-    return made
+    known = sheet.materials
+    modes: list[AlphaMode] = ["opaque"] * len(known)
+    if ALPHA.name in maps:
+        measured = alpha_mode(maps[ALPHA.name])
+        modes = [each.alpha_mode if job.has_modes else measured for each in known]
+    return [
+        Material(inputs, mode, name=each.name, double_sided=each.double_sided)
+        for each, mode in zip(known, modes, strict=True)
+    ]
 
 
 def _channels_of(texture: OctreeTexture, channels: Sequence[str] | None) -> list[str]:
@@ -221,6 +227,7 @@ class _Job(NamedTuple):
     normals: Float64s  # (m, 3)
     is_fine: Bools  # (m,)   texels show no more than a leaf
     frames: Frames | None
+    has_modes: bool  # the model's materials say how alpha counts
 
     def values(self, points: Points) -> tuple[dict[str, Float32s], Bools | None]:
         """Return the channels at points, those that are there at all; and which are, None for all."""
@@ -252,7 +259,7 @@ def _job(
     others, sides = neighbors(surface)
     return _Job(
         texture, surface, other, others, sides, names, dPdx, dPdy, unit(np.cross(first, second)), is_fine,
-        frames,
+        frames, any(each.alpha_mode != "opaque" for sheet in sheets for each in sheet.materials),
     )  # fmt: skip
 
 
@@ -270,7 +277,7 @@ def _bake_band(task: tuple[_Job, Layout, Int32s, Texels, slice, dict[str, Float3
     if not job.is_fine[triangles].all():
         derivatives = job.dPdx[triangles], job.dPdy[triangles]
     found, there = job.values(Points(rest, job.normals[triangles], derivatives))
-    places = rows * layout.width + columns
+    places = (rows * layout.width + columns).astype(np.int32)
     if there is not None:
         whole.areas.reshape(-1)[places[~there]] = 0.0
         places, triangles, barycentric = places[there], triangles[there], barycentric[there]
@@ -279,21 +286,19 @@ def _bake_band(task: tuple[_Job, Layout, Int32s, Texels, slice, dict[str, Float3
     _put(found, places, maps)
 
 
-def _put(found: dict[str, Float32s], places: Int64s, maps: dict[str, Float32s]) -> None:
+def _put(found: dict[str, Float32s], places: Int32s, maps: dict[str, Float32s]) -> None:
     """Write values to maps, at places counted row by row."""
     for name, values in found.items():
-        maps[name].reshape(-1, values.shape[1])[places] = values
+        put_rows(values, places, maps[name].reshape(-1, values.shape[1]))
 
 
 def _bake_gutter(
-    job: _Job, layout: Layout, edges: Borders, drawn: Texels, padding: int, maps: dict[str, Float32s],
-    pool: Executor,
-) -> None:  # fmt: skip
+    job: _Job, layout: Layout, drawn: Texels, padding: int, maps: dict[str, Float32s], pool: Executor
+) -> None:
     """Write the channels around the charts, and count these texels as covered, in place."""
-    gutter = gutter_of(
-        layout, edges, job.surface.rest, job.surface.triangles, job.others, job.sides, drawn.triangles >= 0,
-        padding,
-    )  # fmt: skip
+    mesh, reach = job.surface, math.ceil(_REACH * padding)
+    taken = drawn.triangles >= 0
+    gutter = gutter_of(layout, mesh.rest, mesh.triangles, job.others, job.sides, taken, reach)
     sizes = np.linalg.norm(np.cross(job.dPdx, job.dPdy), axis=1) ** 0.5
     firsts = range(0, gutter.rows.size, _GUTTER)
     parts = [gutter.part(first, first + _GUTTER) for first in firsts]
@@ -319,5 +324,5 @@ def _bake_beside(
         shading = [unit(job.frames.normals.at(*each)) for each in ends]
         directions = turned(found[NORMAL.name], *shading)
         found[NORMAL.name] = in_tangent_space(directions, job.frames, gutter.beside, gutter.edges)
-    _put(found, gutter.rows.astype(np.int64) * areas.shape[1] + gutter.columns, maps)
+    _put(found, gutter.rows * np.int32(areas.shape[1]) + gutter.columns, maps)
     areas[gutter.rows, gutter.columns] = 1.0

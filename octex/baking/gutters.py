@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int32s
-from octex.baking.layout import Borders, Layout
+from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from octex.baking.layout import Layout
 from octex.jit import inlined, kernel
 
 #: Most triangles that a way across the surface crosses.
@@ -30,24 +30,24 @@ class Gutter(NamedTuple):
 
 
 def gutter_of(
-    layout: Layout, borders: Borders, rest: Float64s, faces: Int32s, others: Int32s, sides: Int32s,
-    taken: Bools, padding: int,
-) -> Gutter:  # fmt: skip
+    layout: Layout, rest: Float64s, faces: Int32s, others: Int32s, sides: Int32s, taken: Bools, padding: int
+) -> Gutter:
     """Find what the texels that are not ``taken`` (height, width) show, up to ``padding`` texels from charts.
 
     They show the surface as it goes on across the nearest edge, unfolded; where it ends, the edge.
     """
     nearest = np.full(taken.shape, np.inf, np.float32)
     border = np.full(taken.shape, -1, np.int32)
-    _find_nearest(layout.corners, borders.drawn, borders.sides, taken, float(padding), nearest, border)
+    of, starts = np.nonzero(layout.edges)
+    _find_nearest(layout.corners, of, starts, taken, float(padding), nearest, border)
     rows, columns = np.nonzero(border >= 0)
     chosen = border[rows, columns]
     triangles = np.empty(rows.size, np.int32)
     barycentric, edges = np.zeros((2, rows.size, 3))
-    drawn = borders.drawn[chosen]
+    drawn = of[chosen]
     beside = layout.faces[drawn]
     _follow(
-        layout.corners[drawn], rest, faces, others, sides, beside, borders.sides[chosen],
+        layout.corners[drawn], rest, faces, others, sides, beside, starts[chosen],
         np.stack([columns + 0.5, rows + 0.5], axis=1), edges, triangles, barycentric,
     )  # fmt: skip
     return Gutter(rows.astype(np.int32), columns.astype(np.int32), triangles, barycentric, beside, edges)
@@ -64,7 +64,7 @@ def _nearest_on(ax: float, ay: float, bx: float, by: float, x: float, y: float) 
 
 @kernel
 def _find_nearest(
-    corners: Float64s, triangles: Int32s, sides: Int32s, taken: Bools, padding: float,
+    corners: Float64s, triangles: Int64s, sides: Int64s, taken: Bools, padding: float,
     nearest: Float32s, border: Int32s,
 ) -> None:  # fmt: skip
     """Write the border that is nearest to each texel's centre, of those within ``padding``."""
@@ -119,7 +119,7 @@ def _edge_frame(
 @kernel
 def _follow(
     corners: Float64s, rest: Float64s, faces: Int32s, others: Int32s, sides: Int32s, triangles: Int32s,
-    own_sides: Int32s, points: Float64s, edges: Float64s, found: Int32s, barycentric: Float64s,
+    own_sides: Int64s, points: Float64s, edges: Float64s, found: Int32s, barycentric: Float64s,
 ) -> None:  # fmt: skip
     """Walk straight over the surface from edges of triangles (n,) to where points (n, 2) of the map lie.
 

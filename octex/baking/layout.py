@@ -36,19 +36,13 @@ class Layout(NamedTuple):
     corners: Float64s  # (k, 3, 2)   what is drawn, in texels, x to the right and y down
     faces: Int32s  # (k,)   the surface's triangle that each is
     charts: Int32s  # (k,)
+    edges: Bools  # (k, 3)   which sides are edges of charts; side n goes from corner n to the next
     width: int
     height: int
 
     def sized(self, size: int) -> Layout:
         """Return the same layout in square maps of another size."""
         return self._replace(corners=self.corners * (size / self.width), width=size, height=size)
-
-
-class Borders(NamedTuple):
-    """Edges of charts."""
-
-    drawn: Int32s  # (n,)   among what is drawn
-    sides: Int32s  # (n,)   side k goes from corner k to the next
 
 
 def unit_area(layout: Layout) -> float:
@@ -81,26 +75,24 @@ def kept_layout(mesh: Mesh, size: int) -> Layout:
     number = np.arange(faces.size) - starts[faces]
     across, down = number % repeats[faces, 0], number // repeats[faces, 0]
     moved = low[faces] + np.stack([across, down], axis=1)
-    charts = charts_of(mesh, uv * size)[faces]
-    squares = np.column_stack([charts, moved])
-    _, numbers = np.unique(squares, axis=0, return_inverse=True)
+    charts, edges = charts_of(mesh, uv * size)
+    row, column = (moved - moved.min(axis=0)).astype(np.int64).T
+    squares = (charts[faces] * (row.max() + 1) + row) * (column.max() + 1) + column
+    _, numbers = np.unique(squares, return_inverse=True)
     corners = (uv[faces] - moved[:, None]) * size
-    return Layout(mesh.uv, corners, faces, numbers.astype(np.int32), size, size)
+    return Layout(mesh.uv, corners, faces, numbers.astype(np.int32), edges[faces], size, size)
 
 
-def charts_of(mesh: Mesh, corners: Float64s) -> Int32s:
-    """Return the chart of each triangle (m,): those that share an edge both on the surface and in the map."""
+def charts_of(mesh: Mesh, corners: Float64s) -> tuple[Int32s, Bools]:
+    """Return the chart of each triangle (m,), and which of its sides (m, 3) are edges of that.
+
+    Triangles of a chart share edges both on the surface and in the map, where ``corners`` (m, 3, 2) are.
+    """
     parents = np.arange(len(corners), dtype=np.int32)
     beside = neighbors(mesh)
-    _join(joined(corners, *beside), beside[0], parents)
-    return np.unique(parents, return_inverse=True)[1].astype(np.int32)
-
-
-def borders(layout: Layout, others: Int32s, sides: Int32s) -> Borders:
-    """Return the edges of the charts of a layout; for ``others`` and ``sides`` (m, 3) see ``neighbors``."""
-    uv = layout.uv.values[layout.uv.rows].astype(np.float64) * (layout.width, layout.height)
-    drawn, edges = np.nonzero(~joined(uv, others, sides)[layout.faces])
-    return Borders(drawn.astype(np.int32), edges.astype(np.int32))
+    are_joined = _joined(corners, *beside)
+    _join(are_joined, beside[0], parents)
+    return np.unique(parents, return_inverse=True)[1].astype(np.int32), ~are_joined
 
 
 def neighbors(mesh: Mesh) -> tuple[Int32s, Int32s]:
@@ -121,7 +113,7 @@ def neighbors(mesh: Mesh) -> tuple[Int32s, Int32s]:
     return others, np.where(found < 0, -1, found % 3).astype(np.int32).reshape(-1, 3)
 
 
-def joined(corners: Float64s, others: Int32s, sides: Int32s) -> Bools:
+def _joined(corners: Float64s, others: Int32s, sides: Int32s) -> Bools:
     """Say beyond which sides (m, 3) the map goes on as the surface does; ``corners`` (m, 3, 2) in texels."""
     there = np.maximum(others, 0), np.maximum(sides, 0)
     starts = corners[there[0], (there[1] + 1) % 3]  # run through the other way

@@ -152,7 +152,7 @@ def inputs_of(maps: Mapping[str, Float32s], wrap: int, executor: Executor) -> di
             inputs[name] = Input((strength,) * form.components, Texture(texels, wrap, wrap), lanes)
     list(ordered_map(executor, lambda each: _encode(*each), encoding))
     for texels, given in images:
-        if given[0] in _NUMBERS and (texels == texels[0, 0]).all():
+        if given[0] in _NUMBERS and all((rows == texels[0, 0]).all() for rows in texels):
             inputs |= {name: _number(inputs[name], texels, CHANNELS[name].space) for name in given}
     return inputs
 
@@ -178,13 +178,8 @@ def _encode(texels: Texels, values: Float32s, strength: float, space: ColorSpace
     np.multiply(encode(scaled, "uint8", space), np.uint16(257), out=texels, casting="unsafe")
 
 
-def alpha_mode(known: AlphaMode, alpha: Float32s | None) -> AlphaMode:
-    """Return how the alpha of a material's texels counts; None: it has none.
-
-    That is as is ``known``; where it is to be opaque, but is not, it is a mask if hardly any is between.
-    """
-    if alpha is None or known != "opaque":
-        return "opaque" if alpha is None else known
+def alpha_mode(alpha: Float32s) -> AlphaMode:
+    """Return how alpha counts: not at all if it is 1 all over, as a mask if hardly any is between."""
     if float(alpha.min(initial=1.0)) > 254 / 255:
         return "opaque"
     translucent = alpha < 1.0

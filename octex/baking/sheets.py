@@ -9,13 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Int32s
+from octex.arrays import Float32s, Float64s, Int32s
 from octex.baking.atlas import atlas_layout
 from octex.baking.layout import BEYOND, Layout, Layouts, kept_layout, unit_area
 from octex.baking.texels import Texels, draw_texels
+from octex.channels import CHANNELS, ColorSpace, linear_to_srgb
 from octex.errors import ModelError
 from octex.parallel import ordered_map
-from octex.source.corners import Corners
+from octex.source.corners import Corners, at_corners
 from octex.source.materials import Material, MaterialSource
 from octex.source.mesh import Mesh
 from octex.source.surface import Surface
@@ -25,10 +26,13 @@ from octex.texture import OctreeTexture
 _SMALLEST, _LARGEST = 64, 8192
 #: Texels are about as large as cells if they are at most so much wider.
 _ABOUT = 1.15
-#: Coordinates of which more than this part is covered twice are not kept.
+#: Coordinates of which more than this part is covered twice, by what looks otherwise, are not kept.
 _OVERLAPPING = 0.01
-#: Texels a side of the maps in which that is looked for, at most.
-_PROBE = 1024
+#: Texels a side of the maps in which that is looked for, at most; places where it is; and what looks alike,
+#: of 1, as stored.
+_PROBE, _TRIED, _LOOKS_ALIKE = 1024, 20_000, 0.1
+#: Coordinates that cover more maps than this look otherwise somewhere.
+_MOST_DRAWN = 8.0
 #: Rows of texels in one task.
 _ROWS = 128
 #: Most UDIM tiles that a material may have.
@@ -46,8 +50,9 @@ class Sheet(NamedTuple):
 
 
 def sheets_of(
-    texture: OctreeTexture, surface: Surface, uv: Layouts, size: int | None, padding: int, pool: Executor
-) -> list[Sheet]:
+    texture: OctreeTexture, surface: Surface, names: list[str], uv: Layouts, size: int | None, padding: int,
+    pool: Executor,
+) -> list[Sheet]:  # fmt: skip
     """Lay a surface out in maps of a size, or of sizes that keep the texture's cells.
 
     Materials that read the same image share maps, others have their own; those without coordinates get an
@@ -57,7 +62,7 @@ def sheets_of(
     materials, owners = _own_materials(surface)
     if uv != "atlas":
         try:
-            return list(_kept(texture, surface, size, padding, materials, owners, pool))
+            return list(_kept(texture, surface, names, size, padding, materials, owners, pool))
         except ModelError:
             if uv == "keep":
                 raise
@@ -83,8 +88,8 @@ def _own_materials(surface: Surface) -> tuple[list[Material], Int32s]:
 
 
 def _kept(
-    texture: OctreeTexture, surface: Surface, size: int | None, padding: int, materials: list[Material],
-    owners: Int32s, pool: Executor,
+    texture: OctreeTexture, surface: Surface, names: list[str], size: int | None, padding: int,
+    materials: list[Material], owners: Int32s, pool: Executor,
 ) -> Iterator[Sheet]:  # fmt: skip
     """Yield the sheets of a surface at its own coordinates; raises ModelError if they cannot be kept."""
     groups: dict[object, list[int]] = {}
@@ -105,13 +110,13 @@ def _kept(
             continue
         mesh.uv = own.of(chosen)
         layout = kept_layout(mesh, size or _PROBE)
-        shared = _shared(layout, pool)
+        shared = _shared(texture, mesh, names, layout, pool)
         if shared <= _OVERLAPPING:
             yield Sheet(mesh, chosen, _fitted(texture, mesh, layout, size), shown, numbers)
             continue
         for name, tile, there in _tiles(mesh):
             layout = kept_layout(tile, size or _PROBE)
-            shared = _shared(layout, pool)
+            shared = _shared(texture, tile, names, layout, pool)
             if shared > _OVERLAPPING:
                 break
             named = [each._replace(name=f"{each.name}.{name}") for each in shown]
@@ -119,7 +124,7 @@ def _kept(
         if shared > _OVERLAPPING:
             raise ModelError(
                 f"{surface.name}: at least {100 * shared:.3g} % of its texture coordinates overlap, so that "
-                "one texel would show several places; have an atlas made"
+                "one texel would show several places that differ; have an atlas made"
             )
 
 
@@ -171,15 +176,61 @@ def _fitted(texture: OctreeTexture, mesh: Mesh, layout: Layout, size: int | None
     return layout.sized(size or _size_for(texture, mesh, unit_area(layout)))
 
 
-def _shared(layout: Layout, pool: Executor) -> float:
-    """Return how much of what triangles cover in a map others cover too, as a part; at least so much."""
+def _shared(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, pool: Executor) -> float:
+    """Return how much of what triangles cover in a map others cover too that look otherwise, as a part."""
     whole = unit_area(layout)
-    if whole > 1.0 / (1.0 - _OVERLAPPING):  # more than a map has room for
+    if whole > _MOST_DRAWN:
         return 1.0 - 1.0 / whole
     layout = layout.sized(min(layout.width, _PROBE))
-    drawn = drawn_texels(layout._replace(charts=np.zeros_like(layout.charts)), pool)
+    drawn = drawn_texels(layout, pool)
     covered = float(drawn.areas.sum(dtype=np.float64)) / (layout.width * layout.height)
-    return max(whole - covered, 0.0) / whole if whole > 0.0 else 0.0
+    shared = max(whole - covered, 0.0) / whole if whole > 0.0 else 0.0
+    return shared if shared <= _OVERLAPPING else _differing(texture, mesh, names, layout, drawn)
+
+
+def _differing(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, drawn: Texels) -> float:
+    """Return the part of a map's triangles at which its texels show other places that look otherwise."""
+    corners, faces = layout.corners, mesh.triangles[layout.faces]
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    areas = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    random = np.random.default_rng(0).random((_TRIED, 3))
+    own = np.minimum(np.searchsorted(np.cumsum(areas), random[:, 0] * areas.sum()), len(areas) - 1)
+    root = np.sqrt(random[:, 1:2])
+    weights = np.concatenate([1 - root, root * (1 - random[:, 2:]), root * random[:, 2:]], axis=1)
+    places = np.einsum("nk,nkx->nx", weights, corners[own])
+    columns, rows = np.clip(places.astype(np.int64), 0, (layout.width - 1, layout.height - 1)).T
+    shown = drawn.triangles[rows, columns]
+    other = (shown >= 0) & (layout.charts[shown] != layout.charts[own])
+    own, shown, weights = own[other], shown[other], weights[other]
+    theirs = _barycentric(corners[shown], places[other])
+    ends = (faces[own], weights), (faces[shown], theirs)
+    rest = [at_corners(mesh.rest, *each) for each in ends]
+    kept = [name for name in names if CHANNELS[name].space != "direction"]
+    width = np.sqrt(_area(mesh) / max(float(areas.sum()) / 2, 1e-300))
+    codes = []
+    for at, (rows_of, _) in zip(rest, ends, strict=True):
+        normals = np.cross(*(mesh.rest[rows_of[:, n]] - mesh.rest[rows_of[:, 0]] for n in (1, 2)))
+        found = texture.sample(at, kept, normals=normals, width=width, threads=1)
+        codes.append([_as_seen(found[name], CHANNELS[name].space) for name in kept])
+    differs = np.zeros(own.size, np.bool_)
+    for one, two in zip(*codes, strict=True):
+        differs |= (np.abs(one - two) > _LOOKS_ALIKE).any(axis=1)
+    return float(differs.sum()) / _TRIED
+
+
+def _barycentric(corners: Float64s, places: Float64s) -> Float64s:
+    """Return barycentric coordinates (n, 3) of places of the map on triangles (n, 3, 2), kept on these."""
+    (bx, by), (cx, cy) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    x, y = (places - corners[:, 0]).T
+    doubled = bx * cy - by * cx
+    doubled = np.where(doubled != 0, doubled, 1.0)
+    q, r = (x * cy - y * cx) / doubled, (bx * y - by * x) / doubled
+    weights = np.clip(np.stack([1 - q - r, q, r], axis=1), 0.0, 1.0)
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True), np.float64)
+
+
+def _as_seen(values: Float32s, space: ColorSpace) -> Float64s:
+    return linear_to_srgb(np.clip(values, 0, 1)) if space == "srgb" else values.astype(np.float64)
 
 
 def drawn_texels(layout: Layout, pool: Executor) -> Texels:
@@ -188,7 +239,7 @@ def drawn_texels(layout: Layout, pool: Executor) -> Texels:
     parts = list(
         ordered_map(
             pool,
-            lambda rows: draw_texels(layout.corners, layout.charts, layout.width, *rows),
+            lambda rows: draw_texels(layout.corners, layout.charts, layout.edges, layout.width, *rows),
             list(pairwise(ends)),
         )
     )
@@ -197,11 +248,15 @@ def drawn_texels(layout: Layout, pool: Executor) -> Texels:
 
 def _size_for(texture: OctreeTexture, mesh: Mesh, part: float) -> int:
     """Return the size of maps of which a ``part`` shows the mesh with texels about as large as cells."""
+    side = np.sqrt(_area(mesh) / max(part, 1e-6)) / (_ABOUT * _cell(texture))
+    return int(np.clip(2 ** np.ceil(np.log2(max(side, 1.0))), _SMALLEST, _LARGEST))
+
+
+def _area(mesh: Mesh) -> float:
+    """Return the area of a mesh at rest."""
     corners = mesh.rest[mesh.triangles]
     crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = float(np.linalg.norm(crosses, axis=1).sum() / 2)
-    side = np.sqrt(area / max(part, 1e-6)) / (_ABOUT * _cell(texture))
-    return int(np.clip(2 ** np.ceil(np.log2(max(side, 1.0))), _SMALLEST, _LARGEST))
+    return float(np.linalg.norm(crosses, axis=1).sum() / 2)
 
 
 def _cell(texture: OctreeTexture) -> float:

@@ -11,6 +11,8 @@ from octex.jit import inlined, kernel
 
 #: Texels of which charts cover less than this part count as gutter.
 _LEAST = 1e-4
+#: What is as near as this to a texel touches it.
+_NEAR = 1e-9
 
 
 class Texels(NamedTuple):
@@ -21,19 +23,22 @@ class Texels(NamedTuple):
     areas: Float32s  # (rows, width)   the covered part, 0 … 1
 
 
-def draw_texels(corners: Float64s, charts: Int32s, width: int, first: int, end: int) -> Texels:
+def draw_texels(corners: Float64s, charts: Int32s, edges: Bools, width: int, first: int, end: int) -> Texels:
     """Find what the texels of rows ``first`` to ``end`` show.
 
-    ``corners`` (m, 3, 2) are triangles in texels, x to the right and y down, and ``charts`` (m,) the charts
-    that they belong to. A texel belongs to the chart whose triangle covers most of it. It shows the centroid
-    of what that chart covers, on the triangle that lies there, or comes nearest.
+    ``corners`` (m, 3, 2) are triangles in texels, x to the right and y down, ``charts`` (m,) the charts that
+    they belong to, and ``edges`` (m, 3) says which of their sides are edges of these. A texel belongs to the
+    chart whose triangle covers most of it. It shows the centroid of what that chart covers, on the triangle
+    that lies there, or comes nearest.
     """
     shape = end - first, width
     triangles, areas = np.full(shape, -1, np.int32), np.zeros(shape, np.float32)
-    centroids, whole = np.zeros((*shape, 2), np.float32), np.zeros(shape, np.bool_)
-    _find_owners(corners, first, triangles, areas, centroids, whole)
-    _find_centroids(corners, charts, first, triangles, areas, centroids, whole)
-    _find_triangles(corners, charts, first, triangles, centroids, whole)
+    centroids, cut = np.zeros((*shape, 2), np.float32), np.zeros(shape, np.bool_)
+    _mark_cut(corners, edges, first, cut)
+    _fill(corners, first, cut, triangles, areas, centroids)
+    _find_owners(corners, first, cut, triangles, areas)
+    _find_centroids(corners, charts, first, cut, triangles, areas, centroids)
+    _find_triangles(corners, charts, first, cut, triangles, centroids)
     return Texels(triangles, centroids, areas)
 
 
@@ -93,15 +98,58 @@ def _span(lines: Float64s, row: int, left: int, right: int) -> tuple[int, int]:
 
 
 @inlined
-def _meets(lines: Float64s, column: int, row: int) -> tuple[bool, bool]:
-    """Say whether a triangle meets a texel, and whether it covers all of it."""
-    meets = covers = True
+def _meets(lines: Float64s, column: int, row: int) -> bool:
+    """Say whether a triangle meets a texel that its box meets."""
+    meets = True
     for k in range(3):
         across, down = lines[k, 0], lines[k, 1]
         at = across * column + down * row + lines[k, 2]
         meets &= at + max(across, 0.0) + max(down, 0.0) > 0.0
-        covers &= at + min(across, 0.0) + min(down, 0.0) >= 0.0
-    return meets, covers
+    return meets
+
+
+@kernel
+def _mark_cut(corners: Float64s, edges: Bools, first: int, cut: Bools) -> None:
+    """Mark the texels that edges of charts touch."""
+    height, width = cut.shape
+    for triangle in range(corners.shape[0]):
+        for side in range(3):
+            if not edges[triangle, side]:
+                continue
+            ax, ay = corners[triangle, side, 0], corners[triangle, side, 1] - first
+            other = side + 1 if side < 2 else 0
+            bx, by = corners[triangle, other, 0], corners[triangle, other, 1] - first
+            x0, x1 = max(np.floor(min(ax, bx) - _NEAR), 0.0), min(np.floor(max(ax, bx) + _NEAR), width - 1.0)
+            y0, y1 = max(np.floor(min(ay, by) - _NEAR), 0.0), min(np.floor(max(ay, by) + _NEAR), height - 1.0)
+            across, down = by - ay, ax - bx
+            reach = 0.5 * (abs(across) + abs(down)) + _NEAR
+            for row in range(int(y0), int(y1) + 1):
+                for column in range(int(x0), int(x1) + 1):
+                    if abs(across * (column + 0.5 - ax) + down * (row + 0.5 - ay)) <= reach:
+                        cut[row, column] = True
+
+
+@kernel
+def _fill(
+    corners: Float64s, first: int, cut: Bools, triangles: Int32s, areas: Float32s, centroids: Float32s
+) -> None:
+    """Write the texels that no edge of a chart cuts, by their middles: a chart covers each whole, or not."""
+    lines = np.empty((3, 3))
+    for triangle in range(corners.shape[0]):
+        top, bottom = _reach(corners, triangle, 1, first, first + triangles.shape[0])
+        left, right = _reach(corners, triangle, 0, 0, triangles.shape[1])
+        if top >= bottom or left >= right or not _lines(corners, triangle, lines):
+            continue
+        for row in range(top, bottom):
+            low, high = _span(lines, row, left, right)
+            for column in range(low, high):
+                inside = True
+                for k in range(3):
+                    at = lines[k, 0] * (column + 0.5) + lines[k, 1] * (row + 0.5) + lines[k, 2]
+                    inside &= at >= -_NEAR
+                if inside and not cut[row - first, column] and triangles[row - first, column] < 0:
+                    triangles[row - first, column], areas[row - first, column] = triangle, 1.0
+                    centroids[row - first, column, 0] = centroids[row - first, column, 1] = 0.5
 
 
 @inlined
@@ -130,13 +178,8 @@ def _covered(
 
 
 @kernel
-def _find_owners(
-    corners: Float64s, first: int, triangles: Int32s, areas: Float32s, centroids: Float32s, whole: Bools
-) -> None:
-    """Write the triangle that covers most of each texel, how much, and which texels one covers ``whole``.
-
-    These have their centroid in the middle.
-    """
+def _find_owners(corners: Float64s, first: int, cut: Bools, triangles: Int32s, areas: Float32s) -> None:
+    """Write the triangle that covers most of each ``cut`` texel, and how much."""
     one, two, lines = np.empty((8, 2)), np.empty((8, 2)), np.empty((3, 3))
     for triangle in range(corners.shape[0]):
         top, bottom = _reach(corners, triangle, 1, first, first + triangles.shape[0])
@@ -146,30 +189,24 @@ def _find_owners(
         for row in range(top, bottom):
             low, high = _span(lines, row, left, right)
             for column in range(low, high):
-                if whole[row - first, column]:
+                if not cut[row - first, column] or not _meets(lines, column, row):
                     continue
-                meets, covers = _meets(lines, column, row)
-                if covers:
-                    whole[row - first, column], areas[row - first, column] = True, 1.0
+                area, _, _ = _covered(corners, triangle, column, row, one, two)
+                if area > np.float64(areas[row - first, column]) and area > _LEAST:
+                    areas[row - first, column] = area
                     triangles[row - first, column] = triangle
-                    centroids[row - first, column, 0] = centroids[row - first, column, 1] = 0.5
-                elif meets:
-                    area, _, _ = _covered(corners, triangle, column, row, one, two)
-                    if area > np.float64(areas[row - first, column]) and area > _LEAST:
-                        areas[row - first, column] = area
-                        triangles[row - first, column] = triangle
 
 
 @kernel
 def _find_centroids(
-    corners: Float64s, charts: Int32s, first: int, triangles: Int32s, areas: Float32s, centroids: Float32s,
-    whole: Bools,
+    corners: Float64s, charts: Int32s, first: int, cut: Bools, triangles: Int32s, areas: Float32s,
+    centroids: Float32s,
 ) -> None:  # fmt: skip
-    """Write how much of each texel, but for ``whole`` ones, its triangle's chart covers, and the centroid."""
+    """Write how much of each ``cut`` texel the chart of its triangle covers, and the centroid of that."""
     one, two, lines = np.empty((8, 2)), np.empty((8, 2)), np.empty((3, 3))
     for row in range(areas.shape[0]):
         for column in range(areas.shape[1]):
-            if not whole[row, column]:
+            if cut[row, column]:
                 areas[row, column] = 0.0
     for triangle in range(corners.shape[0]):
         top, bottom = _reach(corners, triangle, 1, first, first + triangles.shape[0])
@@ -179,17 +216,17 @@ def _find_centroids(
         for row in range(top, bottom):
             low, high = _span(lines, row, left, right)
             for column in range(low, high):
-                if whole[row - first, column]:
+                if not cut[row - first, column]:
                     continue
                 owner = triangles[row - first, column]
-                if owner >= 0 and charts[owner] == charts[triangle]:
+                if owner >= 0 and charts[owner] == charts[triangle] and _meets(lines, column, row):
                     area, x, y = _covered(corners, triangle, column, row, one, two)
                     areas[row - first, column] += np.float32(area)
                     centroids[row - first, column, 0] += np.float32(x)
                     centroids[row - first, column, 1] += np.float32(y)
     for row in range(areas.shape[0]):
         for column in range(areas.shape[1]):
-            if areas[row, column] > 0.0 and not whole[row, column]:
+            if cut[row, column] and areas[row, column] > 0.0:
                 for axis in range(2):
                     middle = centroids[row, column, axis] / areas[row, column]
                     centroids[row, column, axis] = min(max(middle, np.float32(0.0)), np.float32(1.0))
@@ -212,14 +249,14 @@ def barycentric_of(corners: Float64s, triangle: int, x: float, y: float) -> tupl
 
 @kernel
 def _find_triangles(
-    corners: Float64s, charts: Int32s, first: int, triangles: Int32s, centroids: Float32s, whole: Bools
+    corners: Float64s, charts: Int32s, first: int, cut: Bools, triangles: Int32s, centroids: Float32s
 ) -> None:
-    """Write the triangle that each texel's centroid lies on, of those of its chart, or comes nearest to."""
+    """Write the triangle of its chart that each ``cut`` texel's centroid lies on, or comes nearest to."""
     nearest = np.full(triangles.shape, np.inf, np.float32)
     lines = np.empty((3, 3))
     for row in range(triangles.shape[0]):
         for column in range(triangles.shape[1]):
-            if triangles[row, column] >= 0 and not whole[row, column]:
+            if triangles[row, column] >= 0 and cut[row, column]:
                 x, y = (
                     column + np.float64(centroids[row, column, 0]),
                     first + row + np.float64(centroids[row, column, 1]),

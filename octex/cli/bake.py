@@ -15,7 +15,10 @@ from octex.cli.models import TEXTURE_ENDING, open_sound
 from octex.cli.parser import RUNNING, Command, Parser, option, words_given
 from octex.errors import ArgumentError, ExitCode
 
-_OF_IMAGES = ("--uv", "--texture-size", "--padding", "--channels", "--images")
+_OF_IMAGES = (
+    *("--uv", "--texture-size", "--padding", "--channels", "--images"),
+    *("--source", "--max-distance"),
+)
 _OF_VERTICES = ("--subdivide", "--max-error")
 #: As formats.models.WRITTEN_ENDINGS, without an import; and those that have colours at vertices alone, and
 #: those that state a unit.
@@ -30,14 +33,14 @@ BAKE = Command(
     "Bake a texture to images, or to vertex colours, for tools that show models.",
     [
         option("TEXTURE", "an .octex file", type=Path),
-        option("MODEL", "the model that it is a texture of", type=Path),
+        option("MODEL", "the model that it is a texture of, or with --source another one of it", type=Path),
         option("OUTPUT", f"NAME{', NAME'.join(_ENDINGS)}", type=Path),
     ],
     [
         option(
             "--uv",
-            "auto (default), keep or atlas: the model's own texture coordinates or new ones; auto keeps them "
-            "if they hardly overlap",
+            "auto (default), keep or atlas: the model's own texture coordinates, with maps for each "
+            "material, or new ones for all; auto keeps them if they hardly overlap",
             choices=("auto", "keep", "atlas"),
         ),
         option(
@@ -45,6 +48,18 @@ BAKE = Command(
             "texels a side of the maps (default: a power of two that keeps the cells, up to 8192)",
             metavar="N",
             type=whole_number,
+        ),
+        option(
+            "--source",
+            "the model that it is a texture of, where MODEL is simpler",
+            metavar="MODEL",
+            type=Path,
+        ),
+        option(
+            "--max-distance",
+            "how far away --source may be, in its units (default: as far as it takes)",
+            metavar="DISTANCE",
+            type=edge_length,
         ),
         option("--padding", "texels between charts (default 8)", metavar="N", type=whole_number),
         option("--channels", "those to bake, like base_color,normal", metavar="NAMES", type=channel_names),
@@ -111,7 +126,8 @@ def bake(options: argparse.Namespace, program: str) -> int:
             raise ArgumentError(f"{word} has no meaning with {work}; see {program} --help")
     if options.unit is not None and ending not in _WITH_UNIT:
         raise ArgumentError(f"--unit has no meaning for {options.OUTPUT}: such files state none")
-    inputs = [path for path in (options.TEXTURE, options.MODEL, options.rest) if path is not None]
+    given = options.TEXTURE, options.MODEL, options.rest, options.source
+    inputs = [path for path in given if path is not None]
     check_outputs([(options.OUTPUT, _ENDINGS, "OUTPUT")], inputs, force=options.force)
     from octex.formats.models import check_extra
 
@@ -120,6 +136,7 @@ def bake(options: argparse.Namespace, program: str) -> int:
         with progress.stage("read"):
             texture = open_sound(options.TEXTURE)
             surface = octex.load_surface(options.MODEL, options.rest, normals=True)
+            source = None if options.source is None else octex.load_surface(options.source)
         if options.vertex_colors:
             with progress.stage("divide"):
                 error = 8.0 if options.max_error is None else options.max_error
@@ -130,6 +147,8 @@ def bake(options: argparse.Namespace, program: str) -> int:
             baked = octex.bake(
                 texture,
                 surface,
+                source=source,
+                max_distance=options.max_distance,
                 uv=options.uv or "auto",
                 texture_size=options.texture_size,
                 padding=8 if options.padding is None else options.padding,
