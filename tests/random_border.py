@@ -85,6 +85,7 @@ def folder() -> Path:
     octex.write_cameras(path / "cameras.json", {"one": w.camera})
     rows = np.hstack([w.cloud.points, w.cloud.colors[:, :3]])
     (path / "cloud.xyz").write_text("\n".join(" ".join(map(str, row)) for row in rows.tolist()))
+    np.savez(path / "voxels.npz", coords=FACES, base_color=FACES / 9)
     lines = [f"v {x} {y} {z}" for x, y, z in TETRAHEDRON] + [
         f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES
     ]
@@ -176,6 +177,8 @@ def calls() -> list[Call]:
         (w.surface.areas, {}),
         (w.surface.scatter, {"n": 3}),
         (w.surface.evaluate, {"samples": w.surface.scatter(3)}),
+        (octex.Voxels, {"coords": FACES, "channels": {"base_color": FACES / 9}, "depth": 2, "size": 2.0}),
+        (octex.Voxels.load, {"path": at / "voxels.npz"}),
         (octex.TextureSet, {"textures": {"a": w.texture}}),
         (octex.TextureSet.open, {"folder": at / "set"}),
         (w.parts.sample, {**points, "parts": [0, 1, 0]}),
@@ -197,6 +200,7 @@ def calls() -> list[Call]:
         (octex.combine, two),
         (octex.convert, {"model": w.surface, **DEPTH, "fit": False}),
         (octex.convert, {"model": w.cloud, **DEPTH}),
+        (octex.convert, {"model": octex.Voxels.load(at / "voxels.npz")}),
         (octex.convert_set, {"parts": {"a": w.surface}, **DEPTH, "fit": False}),
         (octex.crop, {**one, "low": (0, 0, 0), "high": (1, 1, 1)}),
         (octex.curves, {**one, "channel": "base_color", "points": [[0, 0], [1, 0.5]]}),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from octex.files import scratch_folder
 from octex.formats.ply import write_points
 from octex.parallel import Progress
 from octex.preview import write_preview
+from octex.source.vxz import unpack_vxz
 from octex.texture import FILTERS
 from octex.tree.morton import encode_cells
 
@@ -136,13 +138,17 @@ def _map(surface: octex.Surface) -> None:
 
 
 def _take(surface: octex.Surface) -> None:
-    """Take values from another model and from points, and convert points alone."""
+    """Take values from another model and from points, and convert points and voxels alone."""
     samples = surface.scatter(10)
     cloud = octex.PointCloud(samples.rest, np.full((10, 3), 128, np.uint8), samples.normals)
     bare = octex.Surface.from_arrays(surface.vertices, surface.triangles)
     for sources in (octex.Transfer(surface, max_angle=90.0).sources, cloud.sources):
         bare.with_sources(sources).evaluate(samples)
     octex.convert(cloud)
+    voxel = {"ptr": [0, 4], "svo": [0, 1], "attr": [1, 3], "idx": [0, 0, 0]}
+    header = {"filter": "none", "compression": "none", "chunk_size": 2, "attr": [["base_color", 3]]}
+    words = json.dumps({**header, "attr_interleave": "all", "chunks": [voxel]}).encode()
+    unpack_vxz(b"VXZ\0" + (8 + len(words)).to_bytes(4, "big") + words + b"\x01abc", "warm-up")
 
 
 def _separate(surface: octex.Surface) -> None:
