@@ -63,10 +63,18 @@ def largest_map(surface: octex.Surface) -> int:
 def _table(
     report: Report, name: str, surface: octex.Surface, texture: octex.OctreeTexture, size: int
 ) -> Iterator[list[str]]:
-    kept = octex.bake(texture, surface, uv="keep", texture_size=size)
-    size_of_atlas = 8 * round(float(np.sqrt(sum(each**2 for each in _sizes(kept)))) / 8)
-    atlas = octex.bake(texture, surface, uv="atlas", texture_size=size_of_atlas)
-    for uv, baked, side, least in (("keep", kept, size, 42.0), ("atlas", atlas, size_of_atlas, 38.0)):
+    made = []
+    size_of_atlas = size
+    try:
+        kept = octex.bake(texture, surface, uv="keep", texture_size=size)
+    except octex.OctexError as error:
+        report.note(str(error))
+    else:
+        made.append(("keep", kept, size, 42.0))
+        size_of_atlas = 8 * round(float(np.sqrt(sum(each**2 for each in _sizes(kept)))) / 8)
+    atlas = octex.bake(texture, surface, uv="atlas", texture_size=max(size_of_atlas, 1024))
+    made.append(("atlas", atlas, max(size_of_atlas, 1024), 38.0))
+    for uv, baked, side, least in made:
         found = compared(texture, baked, side)
         normals = "" if found.degrees is None else f"{found.degrees:.2f}°"
         rows = zip(found.beside, found.alike, found.inside, strict=True)
