@@ -72,8 +72,9 @@ def _table(
     else:
         made.append(("keep", kept, size, 42.0))
         size_of_atlas = 8 * round(float(np.sqrt(sum(each**2 for each in _sizes(kept)))) / 8)
-    atlas = octex.bake(texture, surface, uv="atlas", texture_size=max(size_of_atlas, 1024))
-    made.append(("atlas", atlas, max(size_of_atlas, 1024), 38.0))
+    size_of_atlas = max(size_of_atlas, 1024)
+    atlas = octex.bake(texture, surface, uv="atlas", texture_size=size_of_atlas)
+    made.append(("atlas", atlas, size_of_atlas, 38.0))
     for uv, baked, side, least in made:
         found = compared(texture, baked, side)
         normals = "" if found.degrees is None else f"{found.degrees:.2f}°"
@@ -109,18 +110,20 @@ def compared(texture: octex.OctreeTexture, baked: octex.Surface, size: int) -> C
     flat = np.abs(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])) / 2
     edges = np.sqrt(baked.areas() / np.maximum(flat, 1e-12))[points.triangles]
     found, near = np.empty((MIPS, POINTS, 3)), np.zeros(POINTS, np.bool_)
+    is_mapped = flat[points.triangles] > 1e-9  # the others have no texels
     for number, material in enumerate(source.materials):
         own = owners == number
         given = material.inputs["base_color"]
         if given.texture is None:
-            found[:, own] = given.factor
+            found[:, own], is_mapped[own] = given.factor, False
             continue
         level = srgb_to_linear(given.texture.texels[..., :3] / 65535.0) * given.factor
-        is_near = _near_borders(baked, corners, source.triangle_materials == number, size)
-        near[own] = is_near[tuple(np.floor(places[own]).astype(int).T[::-1] % size)]
+        around = _near_borders(baked, corners, source.triangle_materials == number, size)
+        near[own] = around[tuple(np.floor(places[own]).astype(int).T[::-1] % size)]
         for mip in range(MIPS):
+            if mip:
+                level = level.reshape(level.shape[0] // 2, 2, level.shape[1] // 2, 2, 3).mean(axis=(1, 3))
             found[mip, own] = _bilinear(level, places[own] / 2**mip)
-            level = level.reshape(level.shape[0] // 2, 2, level.shape[1] // 2, 2, 3).mean(axis=(1, 3))
     inside, beside, alike, decibels = [], [], [], 0.0
     field = _seen(texture, points, None)
     for mip in range(MIPS):
@@ -129,9 +132,11 @@ def compared(texture: octex.OctreeTexture, baked: octex.Surface, size: int) -> C
         difference = np.abs(own - field).max(axis=1) * 255
         if mip == 0:
             decibels = float(-10 * np.log10(np.mean((own - field) ** 2)))
-        inside.append(float(np.percentile(difference[~near], 99)))
-        beside.append(float(np.percentile(difference[near], 99)) if near.any() else 0.0)
-        alike.append(_alike(difference, np.abs(field - coarser).max(axis=1) * 255, near))
+        detail = np.abs(field - coarser).max(axis=1)[is_mapped] * 255
+        difference, is_near = difference[is_mapped], near[is_mapped]
+        inside.append(float(np.percentile(difference[~is_near], 99)))
+        beside.append(float(np.percentile(difference[is_near], 99)) if is_near.any() else 0.0)
+        alike.append(_alike(difference, detail, is_near))
         field = coarser
     degrees = None
     if "normal" in texture.channels:
