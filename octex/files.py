@@ -23,7 +23,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from types import FrameType
 from typing import BinaryIO
 
-from octex.errors import OutputError
+from octex.errors import ModelError, OctexError, OutputError
 
 _undos: dict[object, Callable[[], None]] = {}
 
@@ -54,6 +54,19 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
     """Return the content of a file; raises what ``open_file`` does."""
     with open_file(path) as file:
         return file.read()
+
+
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Raise ModelError, which names a file, where it cannot be read or takes more memory than there is."""
+    try:
+        yield
+    except OctexError:
+        raise
+    except OSError as error:
+        raise ModelError(f"{path} cannot be read: {error.strerror or error}") from None
+    except MemoryError:
+        raise ModelError(f"{path.name} needs more memory than there is") from None
 
 
 def referred(folder: Path, name: str) -> Path:

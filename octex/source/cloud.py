@@ -16,8 +16,8 @@ import numpy.typing as npt
 from octex.arrays import Array, Float32s, Float64s, Floats, Int32s
 from octex.channels import ALPHA, BASE_COLOR, ChannelFormat
 from octex.checks import as_number, as_path, as_reals, as_text, locked
-from octex.errors import ArgumentError, InputError, ModelError
-from octex.files import open_file, read_bytes
+from octex.errors import ArgumentError, ModelError
+from octex.files import open_file, read_bytes, reading
 from octex.nearest.points import Points
 from octex.source.colors import linear_colors, screen_colors
 from octex.source.mesh import Mesh
@@ -125,14 +125,8 @@ class PointCloud(Placeable):
         reader = _READERS.get(path.suffix.lower())
         if reader is None:
             raise ModelError(f"{path.name} is no cloud that octex reads; it reads {', '.join(CLOUD_ENDINGS)}")
-        try:
+        with reading(path):
             arrays = reader(path)
-        except InputError:
-            raise
-        except OSError as error:
-            raise ModelError(f"{path} cannot be read: {error.strerror or error}") from None
-        except MemoryError:
-            raise ModelError(f"{path.name} needs more memory than there is") from None
         try:
             return cls(*arrays, radius=radius, distance=distance, max_angle=max_angle, name=path.name)
         except ArgumentError as error:

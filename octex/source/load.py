@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from octex.checks import as_choice, as_entries, as_flag, as_names, as_path, is_path
 from octex.errors import ModelError, ModelWarning, OctexError
-from octex.files import read_bytes
+from octex.files import read_bytes, reading
 from octex.source.images.filters import FILTERS
 from octex.source.models.gltf import load_gltf
 from octex.source.models.meshfiles import load_off, load_ply, load_stl
@@ -101,18 +101,15 @@ def _read(path: Path, options: Options) -> Surface:
         endings = ", ".join(MODEL_ENDINGS)
         raise ModelError(f"{path.name or path} is not a model that octex reads; it reads {endings}")
     try:
-        data = read_bytes(path)
-        if not data:
-            raise ModelError(f"{path.name} is empty; export the model again")
-        digest = hashlib.sha256(data)
-        del data
-        surface = reader(path, options)
+        with reading(path):
+            data = read_bytes(path)
+            if not data:
+                raise ModelError(f"{path.name} is empty; export the model again")
+            digest = hashlib.sha256(data)
+            del data
+            surface = reader(path, options)
     except (OctexError, ModelWarning):  # warnings may be errors
         raise
-    except OSError as error:
-        raise ModelError(f"{path} cannot be read: {error.strerror or error}") from None
-    except MemoryError:
-        raise ModelError(f"{path.name} needs more memory than there is") from None
     except Exception as error:
         # Whatever a damaged file makes the parsers do, the user reads one line.
         raise ModelError(f"{path.name} is malformed ({_reason(error)}); export it again") from error

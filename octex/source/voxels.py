@@ -14,8 +14,8 @@ import numpy.typing as npt
 from octex.arrays import Array, Int64s, Uint8s
 from octex.channels import ALPHA, BASE_COLOR, CHANNELS, ChannelFormat
 from octex.checks import as_entries, as_path, as_positive, as_reals, as_text, locked
-from octex.errors import ArgumentError, InputError, ModelError
-from octex.files import open_file, read_bytes
+from octex.errors import ArgumentError, ModelError
+from octex.files import open_file, read_bytes, reading
 from octex.source.vxz import ENDING, unpack_vxz
 
 #: The endings of files of voxels; a .npz may be one of points instead.
@@ -96,19 +96,13 @@ class Voxels:
         Raises ModelError, with the file's name, for what cannot be read, is not there or does not fit.
         """
         path = as_path(path)
-        try:
+        with reading(path):
             if path.suffix.lower() == ENDING:
                 coords, found = unpack_vxz(read_bytes(path), path.name)
                 arrays: dict[str, Array] = {"coords": coords, **found, "origin": np.full(3, -0.5)}
                 arrays["size"] = np.array(1.0)
             else:
                 arrays = _read_npz(path)
-        except InputError:
-            raise
-        except OSError as error:
-            raise ModelError(f"{path} cannot be read: {error.strerror or error}") from None
-        except MemoryError:
-            raise ModelError(f"{path.name} needs more memory than there is") from None
         place = next((each for each in _COORDS if each in arrays), None)
         if place is None:
             raise ModelError(f"{path.name} has no array 'coords'; save it with np.savez(…, coords=…)")
