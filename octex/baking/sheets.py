@@ -139,7 +139,7 @@ def _coordinates(surface: Surface, material: Material) -> Corners | None:
 def _tiles(mesh: Mesh) -> list[tuple[int, Mesh, Int32s]]:
     """Cut a mesh by the UDIM tiles that its triangles lie in: their numbers, meshes and triangles.
 
-    The tiles' coordinates are moved to the unit square. None if a triangle lies in several or elsewhere.
+    The tiles' coordinates are moved to the unit square. Empty if a triangle lies in several or elsewhere.
     """
     assert mesh.uv is not None
     uv = mesh.uv.values[mesh.uv.rows].astype(np.float64)
