@@ -211,14 +211,17 @@ def test_what_is_empty_is_filled_from_around_it() -> None:
     np.testing.assert_allclose(values.sum(axis=2), 1.0, atol=1e-5)
 
 
-@pytest.mark.parametrize("unwrapper", ["xatlas", None])
-def test_an_atlas_has_room_for_every_triangle_once(
-    unwrapper: str | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if unwrapper is None:
-        monkeypatch.setitem(sys.modules, "xatlas", None)
-    else:
+@pytest.fixture(params=["xatlas", "own charts"])
+def unwrapped(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have charts made by each program there is for them."""
+    if request.param == "xatlas":
         pytest.importorskip("xatlas", reason="the extra octex[atlas] is not installed")
+    else:
+        monkeypatch.setitem(sys.modules, "xatlas", None)
+
+
+@pytest.mark.usefixtures("unwrapped")
+def test_an_atlas_has_room_for_every_triangle_once() -> None:
     points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 24)
     surface = Surface.from_arrays(points, triangles)
     layout = atlas.atlas_layout(surface, [256], 4, 1.0)
@@ -232,14 +235,8 @@ def test_an_atlas_has_room_for_every_triangle_once(
 
 
 @pytest.mark.parametrize("scale", [2.0**-13, 2.0**17])
-@pytest.mark.parametrize("unwrapper", ["xatlas", None])
-def test_charts_do_not_depend_on_the_units_of_a_model(
-    unwrapper: str | None, scale: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if unwrapper is None:
-        monkeypatch.setitem(sys.modules, "xatlas", None)
-    else:
-        pytest.importorskip("xatlas", reason="the extra octex[atlas] is not installed")
+@pytest.mark.usefixtures("unwrapped")
+def test_charts_do_not_depend_on_the_units_of_a_model(scale: float) -> None:
     points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 24)
     charts = [
         np.unique(

@@ -94,6 +94,37 @@ def test_floats_are_linear_light_and_stay_so_above_1() -> None:
         np.testing.assert_allclose(leaves[tuple((place + 0.5) / 16)], value, rtol=1e-6)
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_random_voxels_are_textures_that_can_be_edited(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    depth = int(random.integers(1, 6))
+    coords = np.unique(random.integers(0, 2**depth, (int(random.integers(1, 60)), 3)), axis=0)
+    rows = len(coords)
+    channels: dict[str, Any] = [
+        {"base_color": random.random((rows, 3), np.float32)},
+        {"base_color": random.integers(0, 256, (rows, 4), np.uint8)},
+        {
+            "base_color": random.random((rows, 3)),
+            "alpha": random.random((rows, 1)),
+            "roughness": coords[:, 0] / 32,
+        },
+        {"base_color": random.integers(0, 65536, (rows, 3), np.uint16), "normal": random.random((rows, 3))},
+    ][seed % 4]
+    texture = octex.convert(octex.Voxels(coords, channels, depth=depth + seed % 2, size=2.0))
+    texture.validate()
+    points = 2 * random.random((200, 3))
+    for filter in ("nearest", "linear", "quadratic", "quartic"):
+        for options in ({}, {"width": 0.3}, {"normals": points - 1}):
+            assert np.isfinite(texture.sample(points, "base_color", filter, **options)).all()
+    for edited in (
+        octex.blur(texture, 0.2),
+        octex.resize(texture, depth=depth),
+        octex.levels(texture, black=0.1),
+        octex.mix(texture, octex.levels(texture, gamma=1.2)),
+    ):
+        edited.validate()
+
+
 def test_arrays_of_files_have_usual_names_too(tmp_path: Path) -> None:
     np.savez(
         tmp_path / "a.npz",
