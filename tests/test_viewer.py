@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,8 @@ import numpy as np
 import pytest
 
 import octex
-from octex.channels import ALPHA, BASE_COLOR, ROUGHNESS
-from octex.errors import ArgumentError
 from octex.source.surface import Surface
-from octex.texture import Channel, OctreeTexture
+from octex.texture import OctreeTexture
 from octex.viewer import write_page
 from octex.viewer.pack import pack
 from tests.browser import Probe, chromium, file_url, opened
@@ -87,18 +86,23 @@ def parity(page: Any, texture: OctreeTexture, surface: Surface) -> dict[str, flo
     header = pack(texture, surface, title="").header
     is_split = texture.tree.split.cells.size > 0
     found = {}
-    for filter in FILTERS[:1] + FILTERS[2:] if header["isMixed"] else FILTERS:
-        for width in (0.0, -1.0, 0.003, 0.03, 0.2, 0.9):
-            for facing in (False, True) if is_split else (False,):
-                for level in (texture.tree.max_depth, 3) if width in (0.0, 0.2) else (texture.tree.max_depth,):
-                    probe = Probe(page, texture, SIZE, filter=filter, width=width, facing=facing, level=level)
-                    case = f"{filter}, width {width}, facing {facing}, level {level}"
-                    found[case] = compared(probe, texture.level(level), header, filter, width, facing, case)
+    filters = ("nearest", "quadratic") if header["isMixed"] else FILTERS
+    looks = [(width, texture.tree.max_depth) for width in (0.0, -1.0, 0.003, 0.03, 0.2, 0.9)]
+    for filter, facing, (width, level) in product(filters, {False, is_split}, [*looks, (0.0, 3), (0.2, 3)]):
+        probe = Probe(page, texture, SIZE, filter=filter, width=width, facing=facing, level=level)
+        case = f"{filter}, width {width}, facing {facing}, level {level}"
+        found[case] = compared(probe, texture.level(level), header, filter, width, facing, case)
     return found
 
 
 def compared(
-    probe: Probe, texture: OctreeTexture, header: dict[str, Any], filter: str, width: float, facing: bool, case: str
+    probe: Probe,
+    texture: OctreeTexture,
+    header: dict[str, Any],
+    filter: str,
+    width: float,
+    facing: bool,
+    case: str,
 ) -> float:
     assert probe.seen.sum() > 500
     options: dict[str, Any] = {"width": probe.widths} if width else {}
@@ -109,7 +113,7 @@ def compared(
     names = list(texture.channels)
     expected = texture.sample(probe.points, names, filter, normalize=False, **options)
     worst = 0.0
-    cell = np.full(3, 2.0 ** -texture.tree.max_depth)
+    cell = np.full(3, 2.0**-texture.tree.max_depth)
     is_inner = np.abs(probe.places / cell - np.rint(probe.places / cell)).min(axis=1) > 1e-6 / cell[0]
     is_compared = is_inner if filter == "nearest" else np.ones_like(is_inner)
     for channel in header["channels"]:
