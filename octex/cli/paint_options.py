@@ -18,6 +18,7 @@ from octex.cli.arguments import (
 )
 from octex.cli.models import DEFAULT_CHANNEL, TEXTURE_ENDING
 from octex.cli.parser import RUNNING, Command, option, words_given
+from octex.cli.shape_options import SHAPE_OPTIONS, SHAPE_WORDS
 from octex.cli.view import DEFAULT_SIZE
 from octex.cli.view_options import VIEW_OPTIONS, VIEW_WORDS, check_view_options
 from octex.errors import ArgumentError
@@ -91,6 +92,7 @@ _OPTIONS = (
         type=color,
     ),
     option("--rest", "the undeformed model, of the same topology as MODEL", metavar="MESH", type=Path),
+    *SHAPE_OPTIONS,
     option("--preview", "draw the model beside the model from its octree", metavar="PNG", type=Path),
     option("--layer-out", "keep the paint itself, .octex, for --layer", metavar="LAYER", type=Path),
     option(
@@ -126,7 +128,7 @@ _OPTIONS = (
 )
 
 # Which options go with which work.
-_SHARED = {"MODEL", "TEXTURE", "--rest", "--force", "--quiet", "--json"}
+_SHARED = {"MODEL", "TEXTURE", "--rest", "--force", "--quiet", "--json"} | SHAPE_WORDS
 _MERGE = _SHARED | VIEW_WORDS | {"--out", "--blend", "--opacity", "--preview", "--threads"}
 _WORDS = {
     "painting": _MERGE
