@@ -123,6 +123,15 @@ def source(text: str) -> tuple[str, Given]:
     return name, numbers[0] if len(numbers) == 1 else numbers
 
 
+def mask_pattern(text: str) -> str:
+    """Read the path of masks, with {stem} or {name} for the picture's."""
+    if "{stem}" not in text and "{name}" not in text:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} has neither {{stem}} nor {{name}}; like masks/{{stem}}.png"
+        )
+    return text
+
+
 def projection(text: str) -> str:
     """Read the name of a way to lay images on a surface."""
     return _one_of(text, PROJECTIONS)

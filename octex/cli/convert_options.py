@@ -34,6 +34,7 @@ from octex.cli.bake import BAKED_ENDINGS
 from octex.cli.models import DEFAULT_FILTER, TEXTURE_ENDING, check_elsewhere, sources_of
 from octex.cli.overlaps import SEPARATE_CELLS
 from octex.cli.parser import RUNNING, Command, Option, option, words_given
+from octex.cli.shape_options import SHAPE_OPTIONS, SHAPE_WORDS
 from octex.cli.view_options import VIEW_OPTIONS, VIEW_WORDS, check_view_options
 from octex.cli.viewer import check_page_options
 from octex.errors import ArgumentError
@@ -89,6 +90,7 @@ _OPTIONS = (
         type=file_size,
     ),
     option("--rest", "the undeformed model, of the same topology as INPUT", metavar="MESH", type=Path),
+    *SHAPE_OPTIONS,
     option(
         "--also",
         "another model that shares the texture; any number of times",
@@ -260,7 +262,7 @@ _OPTIONS = (
 _PROJECTION = {"--project", "--project-axis", "--project-center", "--project-size"}
 _ELSEWHERE = {"--transfer", "--cloud", "--radius", "--max-distance", "--max-angle"}
 _MATERIALS = {"--channels", "--source", "--filter", "--rest", "--also", "--bounds", "--edge"}
-_MATERIALS |= _PROJECTION | _ELSEWHERE
+_MATERIALS |= _PROJECTION | _ELSEWHERE | SHAPE_WORDS
 #: What makes another texture of a texture alone.
 _OF_TEXTURES = {"--crop", "--combine", "--mix", "--blur", "--levels"}
 #: In the order in which they are done.
@@ -295,7 +297,8 @@ _WORDS = {
         "--threads",
         "--quiet",
         "--json",
-    },
+    }
+    | SHAPE_WORDS,
 }
 _BY_WORD = {each.word: each for each in _OPTIONS}
 
