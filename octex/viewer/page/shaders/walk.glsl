@@ -45,6 +45,7 @@ Eight turned(Eight of) {
 // What is looked up are the sums g_sumN under weights; these are their sums: with alpha and without, and that
 // of alpha itself.
 float g_total = 0.0, g_cover = 0.0, g_alpha = 0.0;
+bool g_ignoresAlpha = false;
 
 // What one cell adds to the sums, for a weight of 1.
 float r_total, r_cover, r_alpha;
@@ -65,7 +66,7 @@ void readRow(uint row, float weight) {
   r_cover += weight;
 #ifdef ALPHA
   r_alpha += weight * ALPHA;
-  weight *= ALPHA;
+  if (!g_ignoresAlpha) weight *= ALPHA;
 #endif
   r_total += weight;
   r_sum{N} += weight * value{N};
@@ -339,10 +340,10 @@ void addLooks(vec3 point, ivec2 levels, vec2 shares, int leaves) {
   }
 }
 
-// The leaf that holds a point, or the deepest cell above it: its number and its level.
-uvec2 leafAt(vec3 point, int last) {
+// The leaf that holds a point, or the deepest cell above it: its number, its level, and 1 if it is a node.
+uvec3 leafAt(vec3 point, int last) {
   uvec3 place = min(uvec3(clamp(point, 0.0, 1.0) * FINEST), uvec3(FINEST - 1.0));
-  uvec2 found = uvec2(0u);
+  uvec3 found = uvec3(0u, 0u, !u_leafRoot);
   uint node = 1u;
   for (int level = 1; level <= last; level++) {
     uvec2 words = nodeAt(node);
@@ -351,8 +352,8 @@ uvec2 leafAt(vec3 point, int last) {
     uint mask = (words.x | words.y) & 255u;
     if ((mask >> octant & 1u) == 0u) break;
     uint below = (1u << octant) - 1u;
-    found = uvec2((words.x >> 8u) + bitsOf(mask & below), level);
-    if ((words.x >> octant & 1u) == 0u) break;
+    found = uvec3((words.x >> 8u) + bitsOf(mask & below), level, words.x >> octant & 1u);
+    if (found.z == 0u) break;
     node = (words.y >> 8u) + bitsOf(words.x & below) + 1u;
   }
   return found;
@@ -510,8 +511,8 @@ void addAll(vec3 point, ivec2 levels, vec2 shares, int leaves) {
     if (shares[look] <= 0.0) continue;
     bool averages = levels[look] < leaves;
     if (u_filter == NEAREST) {
-      uvec2 cell = leafAt(point, levels[look]);
-      tap(cell.x, shares[look], averages && int(cell.y) == levels[look]);
+      uvec3 cell = leafAt(point, levels[look]);
+      tap(cell.x, shares[look], averages && cell.z == 1u);
     } else {
       addMixed(point, levels[look], shares[look], averages);
     }
@@ -541,6 +542,14 @@ void lookUp(vec3 point, float width) {
   // Off the surface it is the averages of the deepest level that has one there.
   for (;;) {
     addAll(point, levels, shares, leaves);
+#ifdef ALPHA
+    // Where alpha is zero throughout, values do not weigh by it.
+    if (g_cover > 0.0 && g_total <= 0.0 && !g_ignoresAlpha) {
+      g_ignoresAlpha = true;
+      g_cover = g_alpha = 0.0;
+      continue;
+    }
+#endif
     if (g_cover > 0.0 || levels.x == 0) break;
     levels = ivec2(levels.x - 1);
     shares = vec2(1.0, 0.0);
