@@ -7,6 +7,7 @@ import json
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import octex
 from octex.cli.arguments import channel_names, edge_length, error_codes, whole_number
@@ -15,8 +16,12 @@ from octex.cli.models import TEXTURE_ENDING, open_sound
 from octex.cli.parser import RUNNING, Command, Parser, option, words_given
 from octex.errors import ArgumentError, ExitCode
 
+if TYPE_CHECKING:
+    from octex.baking.maps import Bits
+    from octex.formats.images import ImageFormat
+
 _OF_IMAGES = (
-    *("--uv", "--texture-size", "--padding", "--channels", "--images"),
+    *("--uv", "--texture-size", "--padding", "--channels", "--images", "--supersample"),
     *("--source", "--max-distance"),
 )
 _OF_VERTICES = ("--subdivide", "--max-error")
@@ -27,6 +32,10 @@ BAKED_ENDINGS = (".glb", ".gltf", ".obj", *_USD, ".3mf")
 _ENDINGS = (*BAKED_ENDINGS, ".ply")
 _ALWAYS_VERTICES = (".ply", ".3mf")
 _WITH_UNIT = (*_USD, ".3mf")
+#: How images are stored, and the bits of a number in their maps.
+_IMAGES: dict[str, tuple[ImageFormat, Bits]] = {
+    "png": ("png", 8), "jpeg": ("jpeg", 8), "webp": ("webp", 8), "png16": ("png", 16), "exr": ("exr", 32),
+}  # fmt: skip
 _UNITS = ("meter", "centimeter", "millimeter", "inch", "foot")
 
 BAKE = Command(
@@ -64,7 +73,15 @@ BAKE = Command(
         option("--padding", "texels between charts (default 8)", metavar="N", type=whole_number),
         option("--channels", "those to bake, like base_color,normal", metavar="NAMES", type=channel_names),
         option(
-            "--images", "png (default), webp, smaller, or jpeg, with loss", choices=("png", "jpeg", "webp")
+            "--images",
+            "png (default); webp, smaller; jpeg, with loss; png16, of 16 bits; exr, floats (not in glTF)",
+            choices=tuple(_IMAGES),
+        ),
+        option(
+            "--supersample",
+            "lookups along each side of a texel, averaged (default 1)",
+            metavar="N",
+            type=whole_number,
         ),
         option(
             "--vertex-colors",
@@ -129,6 +146,9 @@ def bake(options: argparse.Namespace, program: str) -> int:
     given = options.TEXTURE, options.MODEL, options.rest, options.source
     inputs = [path for path in given if path is not None]
     check_outputs([(options.OUTPUT, _ENDINGS, "OUTPUT")], inputs, force=options.force)
+    images, bits = _IMAGES[options.images or "png"]
+    if images == "exr" and ending in (".glb", ".gltf"):
+        raise ArgumentError(f"{options.OUTPUT}: glTF holds no exr images; write a .obj or .usdz, or png16")
     from octex.formats.models import check_extra
 
     check_extra(options.OUTPUT)
@@ -153,11 +173,13 @@ def bake(options: argparse.Namespace, program: str) -> int:
                 texture_size=options.texture_size,
                 padding=8 if options.padding is None else options.padding,
                 channels=options.channels,
+                bits=bits,
+                supersample=1 if options.supersample is None else options.supersample,
                 progress=progress,
             )
         with progress.stage("write"):
             octex.write_model(
-                baked, options.OUTPUT, images=options.images or "png", unit=options.unit or "meter"
+                baked, options.OUTPUT, images=images, unit=options.unit or "meter"
             )
     size = max(_sizes(baked), default=0)
     made = {
