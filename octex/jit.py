@@ -255,7 +255,7 @@ if DISABLED:
         return tuple(block)
 
     def spline_box(rows: Any, first: int, steps: Any, of_x: Any, of_y: Any, of_z: Any) -> Any:
-        """Return Σ of_z[k] · of_y[j] · of_x[i] · rows[first + (i, j, k) · steps], each 0 … 2: four float32."""
+        """Return Σ of_z[k] · of_y[j] · of_x[i] · rows[first + (i, j, k) · steps], 0 … 2: four float32."""
         z, y, x = np.ogrid[:3, :3, :3]
         block = rows[first + x * steps[0] + y * steps[1] + z * steps[2]]
         for weights in (of_z, of_y, of_x):
@@ -613,8 +613,8 @@ else:
         return context.make_tuple(builder, signature.return_type, lanes)
 
     @intrinsic  # type: ignore[untyped-decorator]
-    def spline_box(_context: Any, rows: Any, _first: Any, steps: Any, of_x: Any, of_y: Any, of_z: Any) -> Any:
-        """Return Σ of_z[k] · of_y[j] · of_x[i] · rows[first + (i, j, k) · steps], each 0 … 2: four float32."""
+    def spline_box(_context: Any, rows: Any, _first: Any, _steps: Any, of_x: Any, of_y: Any, of_z: Any) -> Any:
+        """Return Σ of_z[k] · of_y[j] · of_x[i] · rows[first + (i, j, k) · steps], 0 … 2: four float32."""
 
         def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             apart = [builder.extract_value(arguments[2], axis) for axis in range(3)]

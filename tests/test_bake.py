@@ -605,7 +605,7 @@ def test_images_of_udim_tiles_are_named_by_them(tmp_path: Path) -> None:
     points = np.concatenate([square, square + np.array([1.5, 0.0, 0.0])])
     triangles = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]
     flat = 0.1 + 0.8 * square[:, :2]
-    surface = Surface.from_arrays(points, triangles, uv=np.concatenate([flat, flat + (1.0, 0.0)]))
+    surface = Surface.from_arrays(points, triangles, uv=np.concatenate([flat, flat + np.array([1.0, 0.0])]))
     texture = painted(surface)
     baked = octex.bake(texture, surface, uv="keep", texture_size=64)
     seen = baked.scatter(2000)

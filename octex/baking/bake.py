@@ -14,9 +14,21 @@ from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.baking.blocks import Blocks
 from octex.baking.gutters import Gutter, fill_up, gutter_of
 from octex.baking.layout import ALIGNMENT, LAYOUTS, Layout, Layouts, neighbors
-from octex.baking.maps import BITS, Bits, Points, Values, alpha_mode, average, in_tangent_space, inputs_of, sampled, turned, unit
+from octex.baking.maps import (
+    BITS,
+    Bits,
+    Points,
+    Values,
+    alpha_mode,
+    average,
+    in_tangent_space,
+    inputs_of,
+    sampled,
+    turned,
+    unit,
+)
 from octex.baking.sheets import Sheet, coordinates_of, sheets_of
-from octex.baking.texels import Drawing, Texels, texel_points
+from octex.baking.texels import Drawing, Shown, Texels, texel_points
 from octex.channels import ALPHA, CHANNELS, NORMAL
 from octex.checks import as_choice, as_names, as_number, as_whole
 from octex.errors import ArgumentError, ModelError
@@ -38,6 +50,8 @@ _MOST_LOOKUPS = 8
 _BAND = 32
 #: How far gutters reach, in paddings: charts are two paddings apart, and what lies between is nearer to one.
 _REACH = 1.5
+#: Texels that differ by no more than this part in size see alike.
+_ALIKE = 0.25
 #: Texels of gutters in one task.
 _GUTTER = 1 << 16
 
@@ -333,9 +347,7 @@ def _put(found: dict[str, Float32s], places: Int32s, lanes: Mapping[str, slice],
     put_rows(np.concatenate([found[name] for name in lanes], axis=1), places, values)
 
 
-def _bake_gutter(
-    job: _Job, layout: Layout, taken: Bools, padding: int, maps: Values, pool: Executor
-) -> None:
+def _bake_gutter(job: _Job, layout: Layout, taken: Bools, padding: int, maps: Values, pool: Executor) -> None:
     """Write the channels around the charts, and count these texels as covered, in place."""
     mesh, reach = job.surface, math.ceil(_REACH * padding)
     gutter = gutter_of(layout, mesh.rest, mesh.triangles, job.others, job.sides, taken, reach)
@@ -349,18 +361,33 @@ def _bake_beside(job: _Job, gutter: Gutter, maps: Values) -> None:
 
     They are as large as the texels of the chart beside them, in the plane of the triangle that they show.
     """
-    normals = job.normals[gutter.triangles]
-    helper = np.where(np.abs(normals[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-    wide = unit(np.cross(normals, helper)) * job.sizes[gutter.beside][:, None]
+    gutter = Gutter._make(each[np.argsort(gutter.triangles, kind="stable")] for each in gutter)
+    values, areas = maps.values.reshape(-1, maps.values.shape[2]), maps.areas.reshape(-1)
+    places = gutter.rows * np.int32(maps.areas.shape[1]) + gutter.columns
     rest = job.surface.rest_at(gutter.triangles, gutter.barycentric)
-    found, there = job.sampled(Points(rest, normals, (wide, np.cross(normals, wide))))
-    if there is not None:
-        gutter = Gutter._make(each[there] for each in gutter)
+    areas[places] = 1.0
+    left = np.arange(places.size)
+    if job.blocks is not None and job.supersample == 1:
+        starts = np.flatnonzero(np.diff(gutter.triangles, prepend=-1)).astype(np.int32)
+        ends = np.append(starts, np.int32(places.size))
+        shown = Shown(places, rest, gutter.barycentric, ends, gutter.triangles[starts])
+        sizes = job.sizes[gutter.beside] / np.maximum(job.sizes[gutter.triangles], 1e-300)
+        is_unlike = np.abs(sizes - 1.0) > _ALIKE
+        is_unlike[job.blocks.look_up(shown, values)] = True
+        left = np.flatnonzero(is_unlike)
+    if left.size:
+        normals = job.normals[gutter.triangles[left]]
+        helper = np.where(np.abs(normals[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+        wide = unit(np.cross(normals, helper)) * job.sizes[gutter.beside[left]][:, None]
+        found, there = job.sampled(Points(rest[left], normals, (wide, np.cross(normals, wide))))
+        own = places[left]
+        if there is not None:
+            areas[own[~there]] = 0.0
+            own = own[there]
+        _put(found, own, maps.lanes, values)
     if job.frames is not None:
-        ends = ((gutter.triangles, gutter.barycentric), (gutter.beside, gutter.edges))
-        shading = [unit(job.frames.normals.at(*each)) for each in ends]
-        directions = turned(found[NORMAL.name], *shading)
-        found[NORMAL.name] = in_tangent_space(directions, job.frames, gutter.beside, gutter.edges)
-    height, width, lanes = maps.values.shape
-    _put(found, gutter.rows * np.int32(width) + gutter.columns, maps.lanes, maps.values.reshape(-1, lanes))
-    maps.areas[gutter.rows, gutter.columns] = 1.0
+        lanes = maps.lanes[NORMAL.name]
+        both = ((gutter.triangles, gutter.barycentric), (gutter.beside, gutter.edges))
+        shading = [unit(job.frames.normals.at(*each)) for each in both]
+        directions = turned(values[places, lanes], *shading)
+        values[places, lanes] = in_tangent_space(directions, job.frames, gutter.beside, gutter.edges)

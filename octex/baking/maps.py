@@ -144,7 +144,9 @@ class Values(NamedTuple):
         """Return zeros."""
         ends = np.cumsum([0, *(CHANNELS[name].components for name in names)]).tolist()
         lanes = {name: slice(*each) for name, each in zip(names, pairwise(ends), strict=True)}
-        return cls(lanes, np.zeros((height, width, ends[-1]), np.float32), np.zeros((height, width), np.float32))
+        return cls(
+            lanes, np.zeros((height, width, ends[-1]), np.float32), np.zeros((height, width), np.float32)
+        )
 
     def channel(self, name: str) -> Float32s:
         """Return one channel (height, width, components)."""
@@ -239,7 +241,11 @@ def _encode(maps: Values, bits: int, inputs: Mapping[str, Input], texels: Texels
         elif bits == 16:
             rows[..., lanes] = encode(fitted / strength, "uint16", space)
         else:
-            _put_codes(encode(fitted / strength if strength > 1.0 else fitted, "uint8", space), lane, rows)
+            _put_codes(
+                encode(fitted / strength if strength > 1.0 else fitted, "uint8", space),
+                lane,
+                rows.view(np.uint16),
+            )
         used |= {*given.lanes}
     for lane in {*range(4)} - used:
         rows[..., lane] = 1.0 if bits == _FLOAT else 65535

@@ -178,9 +178,7 @@ def bake(options: argparse.Namespace, program: str) -> int:
                 progress=progress,
             )
         with progress.stage("write"):
-            octex.write_model(
-                baked, options.OUTPUT, images=images, unit=options.unit or "meter"
-            )
+            octex.write_model(baked, options.OUTPUT, images=images, unit=options.unit or "meter")
     size = max(_sizes(baked), default=0)
     made = {
         "output": str(options.OUTPUT),

@@ -38,7 +38,7 @@ def write_gltf(surface: Surface, path: Path, images: ImageFormat) -> None:
     Raises ModelError for a surface whose values glTF's materials cannot say.
     """
     if images == "exr":
-        raise ModelError(f"{path.name}: glTF holds no exr images; write a .obj or .usdz, or bake with 16 bits")
+        raise ModelError(f"{path.name}: glTF holds no exr images; write a .obj, or bake with 16 bits")
     content = _Content(images)
     content.add(surface, materials_of(surface))
     if path.suffix.lower() == ".glb":

@@ -117,17 +117,18 @@ def image_file(
     """
     if (texels.dtype == np.float32) != (form == "exr"):
         raise ModelError(
-            "images of floats are written as exr, and no others; bake with 32 bits for that, else with 8 or 16"
+            "images of floats are written as exr, and no others; bake with 32 bits for that, else with fewer"
         )
     chosen = texels[..., lanes]
     if form == "exr":
         return _exr_file(chosen), form
-    codes = np.empty(chosen.shape, np.uint8)
+    codes: Uint8s = np.empty(chosen.shape, np.uint8)
+    count = chosen.shape[2]
     is_deep = _bytes_of(chosen, codes)
-    made: ImageFormat = "png" if form == "jpeg" and codes.shape[-1] == 4 else form
+    made: ImageFormat = "png" if form == "jpeg" and count == 4 else form
     if is_deep and made == "png":
         return _png16_file(chosen), made
-    image = PIL.Image.fromarray(codes[..., 0] if codes.shape[-1] == 1 else codes)
+    image = PIL.Image.fromarray(codes[..., 0] if count == 1 else codes)
     file = io.BytesIO()
     image.save(file, made, **_SETTINGS[made])
     return file.getvalue(), made
@@ -155,7 +156,7 @@ def _png16_file(texels: Uint16s) -> bytes:
     filtered[:, 0], filtered[0, 1:] = 2, rows[0]  # less the byte above
     filtered[1:, 1:] = rows[1:] - rows[:-1]
     header = struct.pack(">IIBBBBB", width, height, 16, {1: 0, 3: 2, 4: 6}[lanes], 0, 0, 0)
-    chunks = (b"IHDR", header), (b"IDAT", zlib.compress(filtered, _LEVEL)), (b"IEND", b"")
+    chunks = (b"IHDR", header), (b"IDAT", zlib.compress(filtered.tobytes(), _LEVEL)), (b"IEND", b"")
     parts = [SIGNATURE]
     for kind, body in chunks:
         parts += [struct.pack(">I", len(body)), kind, body, struct.pack(">I", zlib.crc32(kind + body))]
@@ -194,7 +195,7 @@ def _exr_file(texels: Float32s) -> bytes:
         raw = np.ascontiguousarray(lines, "<f4").view(np.uint8).reshape(-1)
         apart = np.concatenate([raw[0::2], raw[1::2]]).astype(np.int16)
         apart[1:] = apart[1:] - apart[:-1] + 128  # differences, about the middle
-        packed = zlib.compress((apart & 255).astype(np.uint8), _LEVEL)
+        packed = zlib.compress((apart & 255).astype(np.uint8).tobytes(), _LEVEL)
         data = packed if len(packed) < raw.size else raw.tobytes()
         blocks.append(struct.pack("<iI", first, len(data)) + data)
     places = len(head) + 8 * len(blocks) + np.cumsum([0, *map(len, blocks[:-1])])

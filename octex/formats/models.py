@@ -61,8 +61,9 @@ def write_model(
     colours also in .ply, or .3mf for printing (of the extra ``3mf``). ``images`` is how maps are stored:
     "png", of 16 bits where maps have that; "webp", smaller, which fewer tools read, and none of USD; with
     loss "jpeg" (those without alpha); or "exr" (OpenEXR) for maps of floats, which glTF has none of. Images
-    of UDIM tiles are named by channel and tile: NAME-base_color.1001.png. ``unit`` is what a length of 1 stands for, where a file states it: .3mf and USD. Positions are the
-    posed ones; normals are the surface's ``frames``, without which viewers shade it flat.
+    of UDIM tiles are named by channel and tile: NAME-base_color.1001.png. ``unit`` is what a length of 1
+    stands for, where a file states it: .3mf and USD. Positions are the posed ones; normals are the surface's
+    ``frames``, without which viewers shade it flat.
 
     Each file is replaced whole or not at all. Raises ArgumentError for another ending, ModelError for values
     that the format cannot say, MissingExtraError, and OutputError if a file cannot be written.
