@@ -613,7 +613,9 @@ else:
         return context.make_tuple(builder, signature.return_type, lanes)
 
     @intrinsic  # type: ignore[untyped-decorator]
-    def spline_box(_context: Any, rows: Any, _first: Any, _steps: Any, of_x: Any, of_y: Any, of_z: Any) -> Any:
+    def spline_box(
+        _context: Any, rows: Any, _first: Any, _steps: Any, of_x: Any, of_y: Any, of_z: Any
+    ) -> Any:
         """Return Σ of_z[k] · of_y[j] · of_x[i] · rows[first + (i, j, k) · steps], 0 … 2: four float32."""
 
         def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

@@ -43,7 +43,7 @@ def baking(setup: Setup, report: Report) -> None:
         rows += _table(report, path.stem, surface, texture, 128 if setup.quick else largest_map(surface))
     report.note(
         "99th percentiles of the difference, codes, by mip level: within 2 texels of borders / of those that "
-        "are no creases / elsewhere where there is as much detail as beside the former, the latter / elsewhere"
+        "are no creases / elsewhere where detail is as beside the former, as beside the latter / elsewhere"
     )
     report.table(["model", "uv", "size", "dB", *(f"mip {level}" for level in range(MIPS)), "normals"], rows)
     _speed(setup, report)
