@@ -70,8 +70,10 @@ if TYPE_CHECKING:
     from octex.processing.tone import curves as curves
     from octex.processing.tone import levels as levels
     from octex.source.cloud import PointCloud as PointCloud
+    from octex.source.corners import Creases as Creases
     from octex.source.load import load_surface as load_surface
     from octex.source.mapped import MappedImage as MappedImage
+    from octex.source.subdivided import subdivide as subdivide
     from octex.source.surface import Surface as Surface
     from octex.source.transfer import Transfer as Transfer
     from octex.source.voxels import Voxels as Voxels
@@ -91,6 +93,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "Box": ("octex.painting.region", "Box"),
     "Camera": ("octex.view.camera", "Camera"),
+    "Creases": ("octex.source.corners", "Creases"),
     "MappedImage": ("octex.source.mapped", "MappedImage"),
     "OctexError": ("octex.errors", "OctexError"),
     "OctreeTexture": ("octex.texture", "OctreeTexture"),
@@ -123,6 +126,7 @@ _HOMES = {
     "read_cameras": ("octex.view.camera_files", "read_cameras"),
     "resize": ("octex.processing.resize", "resize"),
     "separate": ("octex.conversion.apart", "separate"),
+    "subdivide": ("octex.source.subdivided", "subdivide"),
     "write_model": ("octex.formats.models", "write_model"),
     "write_cameras": ("octex.view.camera_files", "write_cameras"),
 }
