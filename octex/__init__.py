@@ -32,6 +32,7 @@ The rooms, each of which knows only those before it
     baking      textures to images at texture coordinates
     preview     model and texture side by side; pictures of differences
     formats     files that are not our own
+    viewer      textures in a browser: a page, the walk as a shader, a server
     cli         the commands, and the pages of octex help
 
 Common ground: ahead, arrays, channels, checks, compare, container, errors, files, functions, jit,

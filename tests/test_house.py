@@ -36,6 +36,7 @@ ROWS = [
     {"formats"},
     {"compare"},
     {"preview"},
+    {"viewer"},
     {"cli"},
 ]
 # The wing of what models look like does not know the wing of what is stored; what works on textures alone

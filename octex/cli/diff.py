@@ -17,7 +17,7 @@ from octex.errors import ArgumentError, ExitCode
 if TYPE_CHECKING:
     from octex.compare import Difference, Differences, Side
 
-_NEEDS_A_MODEL = ("rest", "filter", "source", "points")
+_NEEDS_A_MODEL = ("rest", "pose", "filter", "source", "points")
 
 
 def diff(command: str, options: argparse.Namespace) -> int:

@@ -9,6 +9,7 @@ import time
 import octex
 from octex.cli.common import Reporter, bytes_text, check_outputs, say
 from octex.cli.models import PTEX_ENDING, TEXTURE_ENDING, open_sound
+from octex.cli.shape_options import shaped_model
 from octex.errors import ArgumentError, ExitCode
 
 
@@ -22,9 +23,7 @@ def write_ptex(options: argparse.Namespace, program: str) -> int:
     with Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
             texture = open_sound(options.INPUT)
-            surface = octex.load_surface(
-                options.mesh, options.rest, channels=["alpha"], sources={"alpha": 1.0}
-            )
+            surface = shaped_model(options.mesh, options, channels=["alpha"], sources={"alpha": 1.0})
         octex.write_ptex(texture, surface, options.OUTPUT, channels=options.channels, progress=progress)
     from octex.formats.ptex.reader import PtexFile
 

@@ -88,6 +88,18 @@ class Mesh:
             made.frames = _locked_frames(carried(self.frames, self.triangles, self.rest, positions))
         return made
 
+    def posed_frames(self, chosen: Int32s | None = None) -> Frames | None:
+        """Return the frames where the mesh is posed, each moved with its triangle; None if there are none.
+
+        Those of ``chosen`` triangles (k,) alone, if given.
+        """
+        frames, triangles = self.frames, self.triangles
+        if frames is not None and chosen is not None:
+            frames, triangles = Frames(*(each.of(chosen) for each in frames)), triangles[chosen]
+        if frames is None or self.rest is self.vertices:
+            return frames
+        return carried(frames, triangles, self.rest, self.vertices)
+
     def moved(self, rest: Float64s) -> Mesh:
         """Return the same mesh with its parts elsewhere at rest, turned as they are: frames stay."""
         return Mesh(
