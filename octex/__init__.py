@@ -52,6 +52,8 @@ if TYPE_CHECKING:
     from octex.conversion.sets import convert_set as convert_set
     from octex.errors import OctexError as OctexError
     from octex.formats.models import write_model as write_model
+    from octex.formats.ptex.export import write_ptex as write_ptex
+    from octex.formats.ptex.source import Ptex as Ptex
     from octex.painting.merge import merge as merge
     from octex.painting.paint import paint as paint
     from octex.painting.paint import project as project
@@ -100,6 +102,7 @@ _HOMES = {
     "Painter": ("octex.painting.painter", "Painter"),
     "PointCloud": ("octex.source.cloud", "PointCloud"),
     "Projection": ("octex.painting.pictures", "Projection"),
+    "Ptex": ("octex.formats.ptex.source", "Ptex"),
     "Sphere": ("octex.painting.region", "Sphere"),
     "Surface": ("octex.source.surface", "Surface"),
     "TextureSet": ("octex.texture", "TextureSet"),
@@ -128,6 +131,7 @@ _HOMES = {
     "separate": ("octex.conversion.apart", "separate"),
     "subdivide": ("octex.source.subdivided", "subdivide"),
     "write_model": ("octex.formats.models", "write_model"),
+    "write_ptex": ("octex.formats.ptex.export", "write_ptex"),
     "write_cameras": ("octex.view.camera_files", "write_cameras"),
 }
 

@@ -31,7 +31,7 @@ from octex.cli.arguments import (
     whole_number,
 )
 from octex.cli.bake import BAKED_ENDINGS
-from octex.cli.models import DEFAULT_FILTER, TEXTURE_ENDING, check_elsewhere, sources_of
+from octex.cli.models import DEFAULT_FILTER, PTEX_ENDING, TEXTURE_ENDING, check_elsewhere, sources_of
 from octex.cli.overlaps import SEPARATE_CELLS
 from octex.cli.parser import RUNNING, Command, Option, option, words_given
 from octex.cli.shape_options import SHAPE_OPTIONS, SHAPE_WORDS
@@ -78,8 +78,9 @@ _OPTIONS = (
     option("--no-fit", "store plain averages; lookups are then softer", action="store_true"),
     option(
         "--mesh",
-        "the model that INPUT is a texture of: OUTPUT is it with images, .glb, .gltf, .obj or .usdz, "
-        "with vertex colours, .3mf (octex bake has more options), or in a page, .html",
+"the model that INPUT is a texture of: OUTPUT is it with images, .glb, .gltf, .obj or .usdz, "
+        "with vertex colours, .3mf (octex bake has more options), in a page, .html, or texels for its "
+        "polygons, .ptx; where INPUT is a .ptx, the mesh that it was painted on",
         metavar="MODEL",
         type=Path,
     ),
@@ -405,6 +406,10 @@ COMMANDS = {
 
 def work_of(options: argparse.Namespace, program: str) -> str:
     """Return what is to be done, a key of _WORDS, or refuse options that make no sense together."""
+    if options.INPUT is not None and options.INPUT.suffix.lower() == PTEX_ENDING:
+        if options.mesh is None:
+            raise ArgumentError(f"{options.INPUT}: is texels of a mesh's polygons: give --mesh MODEL")
+        options.ptex, options.INPUT, options.mesh = options.INPUT, options.mesh, None
     given = words_given(options)
     work = next((word for word in given if word in _WORDS), _CONVERSION)
     for word in given:
@@ -419,7 +424,7 @@ def work_of(options: argparse.Namespace, program: str) -> str:
         for word in ("INPUT", "OUTPUT"):
             if word not in given:
                 raise ArgumentError(f"{word} is missing; see {program} --help")
-        if work == _CONVERSION and options.OUTPUT.suffix.lower() in BAKED_ENDINGS:
+        if work == _CONVERSION and options.OUTPUT.suffix.lower() in (*BAKED_ENDINGS, PTEX_ENDING):
             raise ArgumentError(f"{options.OUTPUT}: a texture is baked onto its model: give --mesh MODEL")
     if work == _CONVERSION:
         if options.depth is not None and options.cell is not None:
