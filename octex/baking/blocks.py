@@ -16,7 +16,7 @@ from octex.baking.texels import Shown
 from octex.field.footprints import long_footprints, spread
 from octex.field.sinks import Codes
 from octex.field.splines import QUADRATIC
-from octex.field.stages import AREA_WEIGHTS, Facings, direction_of, face_cell, parts_of, view_of
+from octex.field.taps import AREA_WEIGHTS, Facings, direction_of, face_cell, parts_of, view_of
 from octex.field.tiles import Tiles, tile_row
 from octex.jit import decoded, inlined, kernel, popcount, spline_box, trailing_zeros
 from octex.texture import OctreeTexture
