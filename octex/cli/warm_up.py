@@ -68,7 +68,7 @@ def warm_up(progress: Progress) -> None:
         _take(surfaces[0])
         _separate(surfaces[0])
         _paint(surfaces[0], folder)
-        _bake(surfaces[0], folder)
+        _bake(surfaces, folder)
         progress("compile", stages, stages)
 
 
@@ -168,11 +168,15 @@ def _paint(surface: octex.Surface, folder: Path) -> None:
     octex.fill(texture, surface, octex.Sphere((0.0, 0.0, 0.0), 0.1), (1.0, 0.0, 0.0))
 
 
-def _bake(surface: octex.Surface, folder: Path) -> None:
+def _bake(surfaces: list[octex.Surface], folder: Path) -> None:
     """Bake to images in atlases of both kinds, and write them."""
     from octex.baking import atlas
+    from octex.baking.texels import barycentric_at
 
+    surface, translucent = surfaces[0], surfaces[2]
     texture = octex.convert(surface, 3)
+    octex.bake(octex.convert(translucent, 3), translucent, uv="atlas", texture_size=64, supersample=2)
+    barycentric_at(np.zeros((1, 3, 2)), np.zeros(1, np.int32), np.zeros((1, 2)))
     atlas.projected(surface)
     octex.write_model(octex.bake(texture, surface, uv="atlas", texture_size=64), folder / "baked.glb")
     octex.bake_vertices(texture, surface, subdivide="auto")
