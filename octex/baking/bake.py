@@ -12,6 +12,7 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.baking.blocks import Blocks
+from octex.baking.fit import lacking
 from octex.baking.gutters import Gutter, fill_up, gutter_of
 from octex.baking.layout import ALIGNMENT, LAYOUTS, Layout, Layouts, neighbors
 from octex.baking.maps import (
@@ -179,7 +180,8 @@ def _bake_sheet(job: _Job, sheet: Sheet, padding: int, pool: Executor, progress:
         fill_up(maps.values, (maps.areas > 0).astype(np.float32))
     used = layout.uv.values[layout.uv.rows]
     repeats = bool((used < 0.0).any() or (used > 1.0).any())
-    inputs = inputs_of(maps, job.bits, REPEAT if repeats else CLAMP, pool)
+    part = lacking(job.supersample, _blur(job, shown))
+    inputs = inputs_of(maps, job.bits, part, REPEAT if repeats else CLAMP, pool)
     known = sheet.materials
     modes: list[AlphaMode] = ["opaque"] * len(known)
     if ALPHA.name in maps.lanes:
@@ -247,6 +249,7 @@ class _Job(NamedTuple):
     dPdy: Float64s  # (m, 3)
     normals: Float64s  # (m, 3)
     sizes: Float64s  # (m,)   the edges of texels
+    is_fine: Bools  # (m,)   what is looked up is no more than a leaf
     blocks: Blocks | None
     frames: Frames | None
     has_modes: bool  # the model's materials say how alpha counts
@@ -255,7 +258,9 @@ class _Job(NamedTuple):
 
     def values(self, triangles: Int32s, rest: Float64s) -> tuple[dict[str, Float32s], Bools | None]:
         """Return the channels at texels of triangles, those that are there; and which are, None for all."""
-        derivatives = self.dPdx[triangles], self.dPdy[triangles]
+        derivatives = None
+        if not self.is_fine[triangles].all():
+            derivatives = self.dPdx[triangles], self.dPdy[triangles]
         return self.sampled(Points(rest, self.normals[triangles], derivatives))
 
     def sampled(self, points: Points) -> tuple[dict[str, Float32s], Bools | None]:
@@ -283,14 +288,26 @@ def _job(
         frames = corner_frames(surface.rest, surface.triangles, normals, None, coordinates)
     dPdx = (first * two[:, 1:] - second * one[:, 1:]) * scale
     dPdy = (second * one[:, :1] - first * two[:, :1]) * scale
+    leaf = texture.placement.size / 2**texture.tree.max_depth
+    is_fine = (dPdx**2).sum(axis=1) + (dPdy**2).sum(axis=1) <= leaf**2
     normal = unit(np.cross(first, second))
     blocks = Blocks.of(texture, names, normal, dPdx, dPdy) if other is None else None
     others, sides = neighbors(surface)
     return _Job(
         texture, surface, other, others, sides, names, dPdx, dPdy, normal,
-        supersample * np.linalg.norm(np.cross(dPdx, dPdy), axis=1) ** 0.5, blocks, frames,
+        supersample * np.linalg.norm(np.cross(dPdx, dPdy), axis=1) ** 0.5, is_fine, blocks, frames,
         any(each.alpha_mode != "opaque" for sheet in sheets for each in sheet.materials), bits, supersample,
     )  # fmt: skip
+
+
+def _blur(job: _Job, shown: Layout) -> float:
+    """Return how much of a mean's variance lookups show: those no wider than a leaf show the field itself."""
+    corners = shown.corners
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    areas = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    leaf = job.supersample * job.texture.placement.size / 2**job.texture.tree.max_depth
+    blur = 1.0 - np.minimum(leaf / np.maximum(job.sizes[shown.faces], leaf), 1.0) ** 2
+    return float((areas * blur).sum() / max(float(areas.sum()), 1e-300))
 
 
 def _bake_band(task: tuple[_Job, Drawing, slice, Values, Bools]) -> None:

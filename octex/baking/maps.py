@@ -158,8 +158,9 @@ def average(fine: Float32s, covered: Float32s, n: int, values: Float32s, areas: 
     """Write the means of n² texels, by how much of each is ``covered``, and how much is of all."""
     for row in range(areas.shape[0]):
         for column in range(areas.shape[1]):
-            values[row, column] = np.float32(0.0)
             total = np.float32(0.0)
+            for lane in range(values.shape[2]):
+                values[row, column, lane] = 0.0
             for part in range(n * n):
                 y, x = n * row + part // n, n * column + part % n
                 total += covered[y, x]
@@ -170,14 +171,15 @@ def average(fine: Float32s, covered: Float32s, n: int, values: Float32s, areas: 
                 values[row, column, lane] /= total
 
 
-def inputs_of(maps: Values, bits: int, wrap: int, executor: Executor) -> dict[str, Input]:
+def inputs_of(maps: Values, bits: int, part: float, wrap: int, executor: Executor) -> dict[str, Input]:
     """Return the inputs of materials whose images are maps of channels, with numbers of 8, 16 or 32 bits.
 
-    ``wrap`` is how coordinates beyond the unit square meet the images. What does not vary is a number.
+    Texels are fitted to bilinear reading: ``part`` is what they lack (`fit.lacking`). ``wrap`` is how
+    coordinates beyond the unit square meet the images. What does not vary is a number.
     """
     inputs: dict[str, Input] = {}
     images: list[tuple[Texels, list[str]]] = []
-    encoding: list[tuple[Values, int, Mapping[str, Input], Texels, int]] = []
+    encoding: list[tuple[Values, int, float, Mapping[str, Input], Texels, int]] = []
     for channels in IMAGES.values():
         given = [name for name in channels if name in maps.lanes]
         if not given:
@@ -192,7 +194,7 @@ def inputs_of(maps: Values, bits: int, wrap: int, executor: Executor) -> dict[st
                 strength = max(1.0, largest(maps.values, maps.lanes[name].start, form.components))
             inputs[name] = Input((strength,) * form.components, Texture(texels, wrap, wrap), lanes)
         made = {name: inputs[name] for name in given}
-        encoding += [(maps, bits, made, texels, first) for first in range(0, len(texels), _ENCODED)]
+        encoding += [(maps, bits, part, made, texels, first) for first in range(0, len(texels), _ENCODED)]
     list(ordered_map(executor, lambda each: _encode(*each), encoding))
     for texels, given in images:
         if given[0] in _NUMBERS and all((rows == texels[0, 0]).all() for rows in texels):
@@ -226,7 +228,9 @@ def _number(given: Input, texels: Texels, space: ColorSpace) -> Input:
     return Input(tuple((values * given.factor).tolist()))
 
 
-def _encode(maps: Values, bits: int, inputs: Mapping[str, Input], texels: Texels, first: int) -> None:
+def _encode(
+    maps: Values, bits: int, part: float, inputs: Mapping[str, Input], texels: Texels, first: int
+) -> None:
     """Write rows of an image, from one on, that inputs read: fitted, as codes of so many bits or floats."""
     rows = texels[first : first + _ENCODED]
     used = set()
@@ -234,7 +238,7 @@ def _encode(maps: Values, bits: int, inputs: Mapping[str, Input], texels: Texels
         space, strength = CHANNELS[name].space, given.factor[0]
         fitted = np.empty((*rows.shape[:2], len(given.lanes)))
         lane, most = given.lanes[0], strength if bits != _FLOAT else np.inf
-        fit_rows(maps.values, maps.areas, first, maps.lanes[name].start, most, fitted)
+        fit_rows(maps.values, maps.areas, part, first, maps.lanes[name].start, most, fitted)
         lanes = slice(lane, lane + len(given.lanes))
         if bits == _FLOAT:
             rows[..., lanes] = 0.5 * fitted + 0.5 if space == "direction" else np.maximum(fitted, 0.0)
