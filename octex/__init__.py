@@ -46,6 +46,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from octex.baking.bake import bake as bake
+    from octex.baking.displaced import displace as displace
     from octex.baking.vertices import bake_vertices as bake_vertices
     from octex.conversion.apart import separate as separate
     from octex.conversion.convert import convert as convert
@@ -117,6 +118,7 @@ _HOMES = {
     "convert_set": ("octex.conversion.sets", "convert_set"),
     "crop": ("octex.processing.resize", "crop"),
     "curves": ("octex.processing.tone", "curves"),
+    "displace": ("octex.baking.displaced", "displace"),
     "fill": ("octex.painting.region", "fill"),
     "levels": ("octex.processing.tone", "levels"),
     "load_surface": ("octex.source.load", "load_surface"),

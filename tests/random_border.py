@@ -204,6 +204,7 @@ def calls() -> list[Call]:
         (octex.convert_set, {"parts": {"a": w.surface}, **DEPTH, "fit": False}),
         (octex.crop, {**one, "low": (0, 0, 0), "high": (1, 1, 1)}),
         (octex.curves, {**one, "channel": "base_color", "points": [[0, 0], [1, 0.5]]}),
+        (octex.displace, {**painted, "channel": "base_color", "scale": 0.1, "most_triangles": 999}),
         (octex.fill, {**painted, "region": sphere, "color": (1, 0, 0)}),
         (octex.levels, one),
         (octex.load_surface, {"path": at / "model.obj"}),
@@ -216,6 +217,7 @@ def calls() -> list[Call]:
         (octex.read_cameras, {"path": at / "cameras.json"}),
         (octex.resize, {**one, "depth": 1}),
         (octex.separate, {"surface": w.surface, **DEPTH}),
+        (octex.subdivide, {"mesh": w.surface, "levels": 1}),
         (octex.write_model, {"surface": w.surface, "path": at / "written.obj", "unit": "foot"}),
         (octex.write_cameras, {"path": at / "written.json", "cameras": {"one": w.camera}}),
     ]

@@ -51,7 +51,18 @@ EXPORTED = [
     *("Box", "Camera", "Creases", "MappedImage", "OctexError", "OctreeTexture", "Painter", "PointCloud"),
     *("Projection", "Sphere", "Surface", "TextureSet", "Transfer", "Voxels", "__version__"),
     *("bake", "bake_vertices", "blur", "cast", "combine", "convert", "convert_set", "crop", "curves"),
-    *("fill", "levels", "load_surface", "merge", "mix", "paint", "project", "read_cameras", "resize"),
+    *(
+        "displace",
+        "fill",
+        "levels",
+        "load_surface",
+        "merge",
+        "mix",
+        "paint",
+        "project",
+        "read_cameras",
+        "resize",
+    ),
     *("separate", "subdivide", "write_cameras", "write_model"),
 ]
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]

@@ -180,6 +180,7 @@ def _bake(surfaces: list[octex.Surface], folder: Path) -> None:
     atlas.projected(surface)
     octex.write_model(octex.bake(texture, surface, uv="atlas", texture_size=64), folder / "baked.glb")
     octex.bake_vertices(texture, surface, subdivide="auto")
+    octex.displace(surface, texture, "base_color", 0.01)
 
 
 def _process(texture: octex.OctreeTexture, surface: octex.Surface) -> None:
