@@ -6,12 +6,11 @@ import json
 import os
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from typing import NamedTuple
 
 import numpy as np
 
 from octex.arrays import Array, Float64s, Int8s, Int32s, Int64s
-from octex.channels import ALPHA, BASE_COLOR, ONE, ColorSpace, encode
+from octex.channels import ALPHA, BASE_COLOR, ColorSpace, encode
 from octex.checks import as_choice, as_names, as_path, as_whole
 from octex.errors import ArgumentError, ModelError
 from octex.formats.ptex.layout import DTYPES, LONGEST_LOG2, MESH_TYPES, QUAD, TRIANGLE
@@ -29,14 +28,9 @@ _TOGETHER = 1 << 19
 #: Where on a face, along u and v, the octree's cells are looked at.
 _LOOKED_AT = (0.02, 0.25, 0.5, 0.75, 0.98)
 _MOST_TEXELS = 2**34
-
-
-class _Texels(NamedTuple):
-    """Where the centres of some faces' texels lie."""
-
-    rest: Float64s  # (n, 3)
-    normals: Float64s  # (n, 3)
-    widths: Float64s  # (n,)   0 where the octree's cells are as wide
+#: Texels that are so many times as wide as the octree's cells hold averages; others the field at their centres,
+#: which a spline between them meets better.
+_WIDE = 2.0
 
 
 def write_ptex(
@@ -210,7 +204,7 @@ def _looked_up(
             continue
         rest = surface.rest_at(triangles[there], barycentric[there])
         edges = (lengths[faces[there]] / np.exp2(log2[faces[there]])).prod(axis=1) ** 0.5
-        widths = np.where(edges > _cell_edges(texture, rest), edges, 0.0)
+        widths = np.where(edges > _WIDE * _cell_edges(texture, rest), edges, 0.0)
         corners = surface.rest[surface.triangles[triangles[there]]]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         found = texture.sample(rest, list(names), normals=normals, width=widths, executor=executor)
@@ -234,5 +228,3 @@ def _centres(patches: Patches, log2: Int8s, within: Int64s) -> Float64s:
     cells = np.stack([np.where(is_tip, last - row, column), np.where(is_tip, last - column, row)], axis=1)
     return (cells + np.where(is_tip, 2 / 3, 1 / 3)[:, None]) / sides
 
-
-assert set(DTYPES) == set(ONE)

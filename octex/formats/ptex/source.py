@@ -25,7 +25,7 @@ from octex.source.spatial import Placeable
 
 #: The metadata in which octex notes the channels that the numbers of a texel are, as JSON.
 CHANNELS_KEY = "octex:channels"
-#: A box as wide as w texels varies as much as bilinear reading among texels of w / √3.
+#: A box as wide as w texels varies as much as linear reading among texels of w / √3.
 _FINER = 3.0
 _BLACK, _PERIODIC = BORDER_MODES.index("black"), BORDER_MODES.index("periodic")
 
@@ -35,8 +35,9 @@ class Ptex(Placeable):
 
     Its channels are those that octex noted, if it wrote the file; else one number a texel is a grey
     ``base_color``, three are its components, and what the file calls alpha, or the last of two or four, is
-    ``alpha``. Whole numbers are sRGB codes for colours; floats are linear light. Between texels values are
-    bilinear, across the edges of quads as well; of triangles they are continuous within a face.
+    ``alpha``. Whole numbers are sRGB codes for colours; floats are linear light. Between the texels of quads
+    lies a spline (Catmull and Rom) that goes on across their edges, by a texel beyond each; triangles are linear
+    between the centres and the corners of texels, and continuous within a face.
 
     Use it for one channel, ``{"base_color": ptex}``, or for all that there are, ``sources``. Raises ModelError
     as ``PtexFile`` does, and for a file of other channels.
