@@ -63,6 +63,8 @@ if TYPE_CHECKING:
     from octex.painting.region import Box as Box
     from octex.painting.region import Sphere as Sphere
     from octex.painting.region import fill as fill
+    from octex.painting.unwrap import Patch as Patch
+    from octex.painting.unwrap import unwrap as unwrap
     from octex.processing.blur import blur as blur
     from octex.processing.cast import cast as cast
     from octex.processing.combine import combine as combine
@@ -84,8 +86,6 @@ if TYPE_CHECKING:
     from octex.view.camera import Camera as Camera
     from octex.view.camera_files import read_cameras as read_cameras
     from octex.view.camera_files import write_cameras as write_cameras
-    from octex.painting.unwrap import Patch as Patch
-    from octex.painting.unwrap import unwrap as unwrap
 
     map = map_values
     open = open_texture

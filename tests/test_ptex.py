@@ -98,7 +98,10 @@ def test_what_is_written_is_read_by_a_simple_reader_and_by_octex(seed: int, tmp_
 def test_reductions_and_averages_are_means_of_texels_to_rounding(mesh_type: str, tmp_path: Path) -> None:
     peer = tool("ptex_peer")
     faces = peer.Faces(
-        np.full((3, 2), 5, np.int8), np.full((3, 4), -1, np.int32), np.zeros((3, 4), np.uint8), np.zeros(3, bool)
+        np.full((3, 2), 5, np.int8),
+        np.full((3, 4), -1, np.int32),
+        np.zeros((3, 4), np.uint8),
+        np.zeros(3, bool),
     )
     texels = np.random.default_rng(0).integers(0, 256, (3 * 1024, 3)).astype(np.uint8)
     path = tmp_path / "made.ptx"
@@ -119,7 +122,7 @@ def test_reductions_and_averages_are_means_of_texels_to_rounding(mesh_type: str,
                 assert abs(file.texels(face, 2) - wanted).max() <= 0.5 + 1e-9
 
 
-def test_damaged_files_are_refused_or_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_damaged_files_are_refused_or_read(tmp_path: Path) -> None:
     import random
 
     fuzz = tool("ptex_fuzz")
@@ -214,7 +217,9 @@ def test_at_the_centres_of_texels_a_surface_has_their_values(
 
 
 @pytest.mark.parametrize("triangles", [False, True])
-def test_there_and_back_a_texture_stays_within_40_dB(triangles: bool, house: Path, tmp_path: Path) -> None:
+def test_there_and_back_a_texture_stays_within_40_decibels(
+    triangles: bool, house: Path, tmp_path: Path
+) -> None:
     surface = octex.load_surface(house)
     if triangles:
         surface = octex.Surface.from_arrays(surface.vertices, surface.triangles)
@@ -228,7 +233,9 @@ def test_there_and_back_a_texture_stays_within_40_dB(triangles: bool, house: Pat
     assert -10 * np.log10((error**2).mean()) >= 40
 
 
-def test_faces_get_texels_as_wide_as_the_cells_and_more_along_their_longer_side(house: Path, tmp_path: Path) -> None:
+def test_faces_get_texels_as_wide_as_the_cells_and_more_along_their_longer_side(
+    house: Path, tmp_path: Path
+) -> None:
     surface = octex.load_surface(house)
     texture = octex.convert(surface, 5, sources={"base_color": waves})
     octex.write_ptex(texture, surface, tmp_path / "made.ptx")

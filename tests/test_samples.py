@@ -165,6 +165,8 @@ def test_make_droid_writes_the_droid(
             ["baked-0.png", "baked.bin", "baked.glb", "baked.gltf", "baked.png"],
             "for any viewer",
         ),
+        ("24_ptex.py", ["house.obj", "house.ptx", "ptex.png"], "14 faces of six polygons"),
+        ("25_unwrap.py", ["unwrap.png"], "painted flat"),
     ],
 )
 def test_the_numbered_scripts_run_from_anywhere(

@@ -122,7 +122,9 @@ def waves(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.stack([np.sin(6 * x), np.cos(5 * y + 2 * x), np.sin(7 * (x + y))], axis=-1) * 0.35 + 0.5
 
 
-@pytest.mark.parametrize(("make", "exact", "center"), [(ball, on_ball, CENTER), (tube, on_tube, (0.3, 0.1, 1.0))])
+@pytest.mark.parametrize(
+    ("make", "exact", "center"), [(ball, on_ball, CENTER), (tube, on_tube, (0.3, 0.1, 1.0))]
+)
 def test_what_is_painted_on_a_disc_lies_there(make, exact, center) -> None:  # type: ignore[no-untyped-def]
     surface, radius, size = make(), 0.7, 256
     patch = octex.unwrap(surface, center, radius, size=size)
@@ -142,7 +144,9 @@ def test_what_is_painted_on_a_disc_lies_there(make, exact, center) -> None:  # t
     assert np.array_equal(painted.sample(points.rest[beside]), texture.sample(points.rest[beside]))
 
 
-def test_the_command_draws_a_disc_flat_and_paints_it_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_draws_a_disc_flat_and_paints_it_back(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     surface = tube(48, 25)
     lines = [f"v {x} {y} {z}" for x, y, z in surface.vertices.tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (surface.triangles + 1).tolist()]
@@ -159,7 +163,9 @@ def test_the_command_draws_a_disc_flat_and_paints_it_back(tmp_path: Path, capsys
     assert command.main([str(model), str(before), str(view), disc, "--out", str(after)]) == 0
     painted = octex.open(after)
     angle = 0.25
-    seen = painted.sample([[np.sin(angle), 0, np.cos(angle)], [-np.sin(angle), 0, np.cos(angle)], [0, 0.4, 1]])
+    seen = painted.sample(
+        [[np.sin(angle), 0, np.cos(angle)], [-np.sin(angle), 0, np.cos(angle)], [0, 0.4, 1]]
+    )
     assert np.allclose(seen[0], [1, 0, 0], atol=0.03)
     assert np.allclose(seen[1:], 0.25, atol=0.03)
     capsys.readouterr()

@@ -48,8 +48,8 @@ _OPTIONS = (
     ),
     option(
         "--unwrap",
-        "a disc of the surface laid flat, not a camera: its centre, and its radius along the surface; the same "
-        "for --view and for painting what it drew",
+        "a disc of the surface laid flat, not a camera: its centre, and its radius along the surface; the "
+        "same for --view and for painting what it drew",
         metavar="X,Y,Z,R",
         type=disc,
     ),
@@ -153,7 +153,18 @@ _SHARED = {"MODEL", "TEXTURE", "--rest", "--force", "--quiet", "--json"} | SHAPE
 _MERGE = _SHARED | VIEW_WORDS | {"--out", "--blend", "--opacity", "--preview", "--threads"}
 _WORDS = {
     "painting": _MERGE
-    | {"IMAGE", "--camera", "--unwrap", "--mask", "--masks", "--key", "--since", "--whole", "--channel", "--max-depth"}
+    | {
+        "IMAGE",
+        "--camera",
+        "--unwrap",
+        "--mask",
+        "--masks",
+        "--key",
+        "--since",
+        "--whole",
+        "--channel",
+        "--max-depth",
+    }
     | {
         "--max-angle",
         "--edge-feather",

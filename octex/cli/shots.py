@@ -13,11 +13,11 @@ from octex.cli.models import DEFAULT_CHANNEL, only
 from octex.errors import ArgumentError, CameraError, ImageError
 
 if TYPE_CHECKING:
-    from octex.view.camera import Camera
+    from octex.painting.unwrap import Patch
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
+    from octex.view.camera import Camera
     from octex.view.camera_files import Frame
-    from octex.painting.unwrap import Patch
 
 _LISTED = 5
 #: EXIF orientations above this are of pictures whose rows are stored as columns.
@@ -95,8 +95,9 @@ def patch_of(
     return patch
 
 
-def flat_shots(options: argparse.Namespace, surface: Surface, texture: OctreeTexture | None, progress: Reporter
-               ) -> tuple[Surface, list[Shot]]:  # fmt: skip
+def flat_shots(
+    options: argparse.Namespace, surface: Surface, texture: OctreeTexture | None, progress: Reporter
+) -> tuple[Surface, list[Shot]]:
     """Return the surface with what --unwrap says laid flat, and pictures of that.
 
     What has changed in them is found by drawing the view again.

@@ -13,12 +13,12 @@ from octex.errors import ArgumentError
 from octex.painting.near import Near
 from octex.painting.pictures import Projection
 from octex.painting.projected import Shading, Sight, shading_of, sight_of, stretches_of
+from octex.painting.unwrap import Patch
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.tree.placement import Placement
 from octex.view.camera import Camera
 from octex.view.shading import corner_normals
-from octex.painting.unwrap import Patch
 
 
 class Ground:
@@ -71,7 +71,7 @@ class Ground:
 def laid_flat(
     ground: Ground, given: list[Projection], texture: OctreeTexture | None
 ) -> tuple[Ground, list[Projection]]:
-    """Return the ground, and pictures with cameras, for pictures through a patch: the surface lies flat there.
+    """Return the ground, and pictures with cameras, for pictures through a patch: the surface lies flat.
 
     Raises ArgumentError for a patch beside another one or a camera, and for one of another surface.
     """

@@ -16,11 +16,11 @@ from octex.channels import ChannelFormat, decode_table, linear_to_srgb
 from octex.checks import as_choice, as_items, as_number, as_path, as_reals, is_path
 from octex.errors import ArgumentError, ImageError
 from octex.jit import inlined
+from octex.painting.unwrap import Patch
 from octex.source.images.decode import as_texels, read_image_file
 from octex.source.images.orientation import orientation_of, turned
 from octex.source.images.pyramid import resized
 from octex.view.camera import Camera
-from octex.painting.unwrap import Patch
 
 Image = str | os.PathLike[str] | PIL.Image.Image | npt.ArrayLike
 

@@ -28,8 +28,8 @@ _TOGETHER = 1 << 19
 #: Where on a face, along u and v, the octree's cells are looked at.
 _LOOKED_AT = (0.02, 0.25, 0.5, 0.75, 0.98)
 _MOST_TEXELS = 2**34
-#: Texels that are so many times as wide as the octree's cells hold averages; others the field at their centres,
-#: which a spline between them meets better.
+#: Texels that are so many times as wide as the octree's cells hold averages; others the field at their
+#: centres, which a spline between them meets better.
 _WIDE = 2.0
 
 
@@ -47,11 +47,11 @@ def write_ptex(
 ) -> None:
     """Write a texture as a .ptx file for the polygons of its surface.
 
-    A mesh of triangles becomes triangular faces. Any other becomes quads: a polygon that is none is a face for
-    each of its corners, as Ptex has it. Along u and along v a face has that power of two of texels which is
-    next to the octree's finest cells on it, where the face is stretched most; ``texels`` is how many there may
-    be in all, for which every face gets coarser or finer alike. Neighbours are those that share an edge at
-    rest, and go along it in opposite directions; other edges are borders.
+    A mesh of triangles becomes triangular faces. Any other becomes quads: a polygon that is none is a face
+    for each of its corners, as Ptex has it. Along u and along v a face has that power of two of texels which
+    is next to the octree's finest cells on it, where the face is stretched most; ``texels`` is how many there
+    may be in all, for which every face gets coarser or finer alike. Neighbours are those that share an edge
+    at rest, and go along it in opposite directions; other edges are borders.
 
     ``channels`` are by default ``base_color`` and ``alpha``, as far as there are any; the file notes which
     numbers are which. ``dtype`` is uint8, uint16, float16 or float32, by default what the channels are stored
@@ -194,9 +194,9 @@ def _looked_up(
         end = min(begin + _TOGETHER, len(values))
         report("sample", begin, len(values))
         first, last = np.searchsorted(ends, [begin, end - 1], side="right")
-        faces = np.repeat(
-            np.arange(first, last + 1, dtype=np.int32), counts[first : last + 1]
-        )[begin - (ends[first] - counts[first]) :][: end - begin]
+        faces = np.repeat(np.arange(first, last + 1, dtype=np.int32), counts[first : last + 1])[
+            begin - (ends[first] - counts[first]) :
+        ][: end - begin]
         within = np.arange(begin, end) - (ends - counts)[faces]
         triangles, barycentric = _placed(patches, faces, _centres(patches, log2[faces], within))
         there = np.flatnonzero(triangles >= 0)
@@ -227,4 +227,3 @@ def _centres(patches: Patches, log2: Int8s, within: Int64s) -> Float64s:
     is_tip = column + row > last
     cells = np.stack([np.where(is_tip, last - row, column), np.where(is_tip, last - column, row)], axis=1)
     return (cells + np.where(is_tip, 2 / 3, 1 / 3)[:, None]) / sides
-
