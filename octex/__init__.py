@@ -75,8 +75,10 @@ if TYPE_CHECKING:
     from octex.processing.tone import curves as curves
     from octex.processing.tone import levels as levels
     from octex.source.cloud import PointCloud as PointCloud
+    from octex.source.corners import Creases as Creases
     from octex.source.load import load_surface as load_surface
     from octex.source.mapped import MappedImage as MappedImage
+    from octex.source.subdivided import subdivide as subdivide
     from octex.source.surface import Surface as Surface
     from octex.source.transfer import Transfer as Transfer
     from octex.source.voxels import Voxels as Voxels
@@ -96,6 +98,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "Box": ("octex.painting.region", "Box"),
     "Camera": ("octex.view.camera", "Camera"),
+    "Creases": ("octex.source.corners", "Creases"),
     "MappedImage": ("octex.source.mapped", "MappedImage"),
     "OctexError": ("octex.errors", "OctexError"),
     "OctreeTexture": ("octex.texture", "OctreeTexture"),
@@ -130,6 +133,7 @@ _HOMES = {
     "read_cameras": ("octex.view.camera_files", "read_cameras"),
     "resize": ("octex.processing.resize", "resize"),
     "separate": ("octex.conversion.apart", "separate"),
+    "subdivide": ("octex.source.subdivided", "subdivide"),
     "unwrap": ("octex.painting.unwrap", "unwrap"),
     "write_model": ("octex.formats.models", "write_model"),
     "write_ptex": ("octex.formats.ptex.export", "write_ptex"),

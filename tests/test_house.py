@@ -48,11 +48,20 @@ FORBIDDEN = {"source": STORED, "view": STORED, "editing": MADE, "processing": MA
 EXCEPTIONS = {("checks", "octex.tree.layout")}
 
 EXPORTED = [
-    *("Box", "Camera", "MappedImage", "OctexError", "OctreeTexture", "Painter", "Patch"),
+    *("Box", "Camera", "Creases", "MappedImage", "OctexError", "OctreeTexture", "Painter", "Patch"),
     *("PointCloud", "Projection", "Ptex", "Sphere", "Surface", "TextureSet", "Transfer", "Voxels"),
     *("__version__", "bake", "bake_vertices", "blur", "cast", "combine", "convert", "convert_set"),
     *("crop", "curves", "fill", "levels", "load_surface", "merge", "mix", "paint", "project"),
-    *("read_cameras", "resize", "separate", "unwrap", "write_cameras", "write_model", "write_ptex"),
+    *(
+        "read_cameras",
+        "resize",
+        "separate",
+        "subdivide",
+        "unwrap",
+        "write_cameras",
+        "write_model",
+        "write_ptex",
+    ),
 ]
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]
 

@@ -20,7 +20,6 @@ from octex.baking.texels import Drawing, texel_points
 from octex.channels import ALPHA, CHANNELS, NORMAL
 from octex.checks import as_choice, as_names, as_number, as_whole
 from octex.errors import ArgumentError, ModelError
-from octex.field.order import put_rows
 from octex.nearest.triangles import Triangles
 from octex.parallel import Progress, as_progress, ordered_map, workers
 from octex.source.corners import Corners, Frames
@@ -29,6 +28,7 @@ from octex.source.materials import AlphaMode, Material, MaterialSource
 from octex.source.surface import Surface, as_surface
 from octex.source.tangents import corner_frames
 from octex.texture import OctreeTexture, as_texture
+from octex.tree.order import put_rows
 
 #: The smallest and the largest maps.
 _SMALLEST, _MOST = 64, 16384

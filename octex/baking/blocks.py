@@ -2,7 +2,7 @@
 
 A triangle is flat: its texels have one normal, and looks of one pattern (`octex.field.footprints`). So what a
 cell weighs for the normal, by its area and by alpha is multiplied into its values, once, and each look is a
-sum of 27 of these at most. The texels of a block come in Morton order: half of them are a block again.
+sum of 27 of these at most. The texels of a block lie close together, and so does each half of them.
 """
 
 from __future__ import annotations

@@ -154,27 +154,22 @@ def inputs_of(maps: Values, wrap: int, executor: Executor) -> dict[str, Input]:
     """
     inputs: dict[str, Input] = {}
     images: list[tuple[Texels, list[str]]] = []
-    encoding: list[tuple[Values, str, int, float, Texels]] = []
+    encoding: list[tuple[Values, Mapping[str, Input], Texels, int]] = []
     for channels in IMAGES.values():
         given = [name for name in channels if name in maps.lanes]
         if not given:
             continue
         texels = np.empty((*maps.areas.shape, 4), np.uint16)
-        unused = [lane for lane in range(4) if lane not in _lanes_of(channels, given)]
-        if unused:
-            texels[..., unused] = 65535
         images.append((texels, given))
         for name in given:
             form = CHANNELS[name]
             lanes = _lanes_of(channels, [name])
             strength = 1.0
             if form.space == "srgb":
-                strength = max(1.0, largest(maps.values.reshape(-1, maps.values.shape[2]), maps.lanes[name].start, form.components))
-            encoding += [
-                (maps, name, first, strength, texels[first : first + _ENCODED, :, lanes[0] : lanes[-1] + 1])
-                for first in range(0, len(texels), _ENCODED)
-            ]
+                strength = max(1.0, largest(maps.values, maps.lanes[name].start, form.components))
             inputs[name] = Input((strength,) * form.components, Texture(texels, wrap, wrap), lanes)
+        made = {name: inputs[name] for name in given}
+        encoding += [(maps, made, texels, first) for first in range(0, len(texels), _ENCODED)]
     list(ordered_map(executor, lambda each: _encode(*each), encoding))
     for texels, given in images:
         if given[0] in _NUMBERS and all((rows == texels[0, 0]).all() for rows in texels):
@@ -184,11 +179,12 @@ def inputs_of(maps: Values, wrap: int, executor: Executor) -> dict[str, Input]:
 
 @kernel
 def largest(values: Float32s, lane: int, components: int) -> float:
-    """Return the largest of some lanes of values (n, lanes), 0 at least."""
+    """Return the largest of some lanes of values (height, width, lanes), 0 at least."""
     most = np.float32(0.0)
-    for n in range(values.shape[0]):
-        for k in range(components):
-            most = max(most, values[n, lane + k])
+    for row in range(values.shape[0]):
+        for column in range(values.shape[1]):
+            for k in range(components):
+                most = max(most, values[row, column, lane + k])
     return float(most)
 
 
@@ -207,23 +203,29 @@ def _number(given: Input, texels: Texels, space: ColorSpace) -> Input:
     return Input(tuple((values * given.factor).tolist()))
 
 
-def _encode(maps: Values, name: str, first: int, strength: float, texels: Texels) -> None:
-    """Write a channel, from a row on, to lanes of texels: fitted, as codes of 8 bits."""
-    form = CHANNELS[name]
-    fitted = np.empty((*texels.shape[:2], form.components))
-    fit_rows(maps.values, maps.areas, first, maps.lanes[name].start, strength, fitted)
-    if strength > 1.0:
-        fitted /= strength
-    _put_codes(encode(fitted, "uint8", form.space), texels)
+def _encode(maps: Values, inputs: Mapping[str, Input], texels: Texels, first: int) -> None:
+    """Write rows of an image, from one on, that inputs read: fitted, as codes of 8 bits."""
+    rows = texels[first : first + _ENCODED]
+    used = set()
+    for name, given in inputs.items():
+        form, strength = CHANNELS[name], given.factor[0]
+        fitted = np.empty((*rows.shape[:2], form.components))
+        fit_rows(maps.values, maps.areas, first, maps.lanes[name].start, strength, fitted)
+        if strength > 1.0:
+            fitted /= strength
+        _put_codes(encode(fitted, "uint8", form.space), given.lanes[0], rows)
+        used |= {*given.lanes}
+    for lane in {*range(4)} - used:
+        rows[..., lane] = 65535
 
 
 @kernel
-def _put_codes(codes: Uint8s, texels: Uint16s) -> None:
-    """Write codes of 8 bits as codes of 16."""
+def _put_codes(codes: Uint8s, first: int, texels: Uint16s) -> None:
+    """Write codes of 8 bits as codes of 16 to lanes from one on."""
     for row in range(codes.shape[0]):
         for column in range(codes.shape[1]):
             for lane in range(codes.shape[2]):
-                texels[row, column, lane] = np.uint16(257) * np.uint16(codes[row, column, lane])
+                texels[row, column, first + lane] = np.uint16(257) * np.uint16(codes[row, column, lane])
 
 
 def alpha_mode(alpha: Float32s) -> AlphaMode:

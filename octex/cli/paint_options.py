@@ -20,7 +20,7 @@ from octex.cli.arguments import (
 )
 from octex.cli.models import DEFAULT_CHANNEL, TEXTURE_ENDING
 from octex.cli.parser import RUNNING, Command, option, words_given
-from octex.cli.shape_options import SHAPE_OPTIONS, SHAPE_WORDS
+from octex.cli.shape_options import SHAPE_OPTIONS, SHAPE_WORDS, check_subdivision
 from octex.cli.view import DEFAULT_SIZE
 from octex.cli.view_options import VIEW_OPTIONS, VIEW_WORDS, check_view_options
 from octex.errors import ArgumentError
@@ -226,6 +226,7 @@ def work_of(options: argparse.Namespace, program: str) -> str:
     for word in given:
         if word != work and word not in _WORDS[work]:
             raise ArgumentError(f"{word} has no meaning with {work}; see {program} --help")
+    check_subdivision(options)
     for word in _NEEDED[work]:
         if word not in given and not (word == "--camera" and options.unwrap is not None):
             raise ArgumentError(f"{word} is missing; see {program} --help")

@@ -7,6 +7,7 @@ import json
 import time
 import webbrowser
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -86,7 +87,8 @@ def _view(options: argparse.Namespace, program: str) -> int:
     say(viewer.url)
     if not options.no_browser:
         webbrowser.open(viewer.url)
-    viewer.run()
+    with suppress(KeyboardInterrupt):
+        viewer.run()
     return ExitCode.DONE
 
 

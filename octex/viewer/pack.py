@@ -28,6 +28,7 @@ import numpy as np
 from octex.arrays import Array, Float64s, Int32s, Int64s, Uint8s
 from octex.channels import ChannelFormat
 from octex.processing.cast import cast
+from octex.tree.layout import FACING_FLAGS
 from octex.view.shading import corner_normals
 
 if TYPE_CHECKING:
@@ -36,8 +37,6 @@ if TYPE_CHECKING:
 
 #: Cells that the page's numbers, of 24 bits, can name; of a deeper tree the finest levels are left out.
 MOST_CELLS = 1 << 24
-#: Most textures of values, each of four components.
-MOST_PLANES = 5
 #: Cells that come in the first chunk.
 _FIRST = 20_000
 
@@ -93,7 +92,13 @@ def pack(texture: OctreeTexture, surface: Surface | None, *, title: str, level: 
             for (first, end), chunk in zip(chunk_levels, chunks, strict=True)
         ],
         "notes": notes,
+        "isMixed": _is_mixed(texture),
+        "kept": tree.kept.cells.size,
+        "split": [tree.split.cells.size, tree.split.areas.size],
     }
+    if tree.kept.cells.size + tree.split.cells.size:
+        chunks.append(_deflated(_tables(texture), level))
+        header["chunks"].append({"bytes": len(chunks[-1])})
     mesh = b""
     if surface is not None:
         header["mesh"], stream = _packed_mesh(texture, surface)
@@ -113,19 +118,31 @@ def _prepared(texture: OctreeTexture) -> tuple[OctreeTexture, list[str]]:
     cells = texture.tree.arrays.level_cells
     while depth and int(cells[depth + 1]) > MOST_CELLS:
         depth -= 1
-    leaves = [leaves for leaves, _ in texture.tree.cells_by_depth()]
-    if any(leaves[:depth]) or texture.tree.kept.cells.size:
-        coarsest = next(level for level, count in enumerate(leaves) if count)
-        if coarsest < depth:
-            notes.append(f"leaves deeper than {coarsest} are shown by their averages")
-            depth = coarsest
     if depth < texture.tree.max_depth:
-        if depth < texture.tree.max_depth and not notes:
-            notes.append(
-                f"depth {depth} of {texture.tree.max_depth}: a page shows {MOST_CELLS:,} cells at most"
-            )
+        notes.append(f"depth {depth} of {texture.tree.max_depth}: a page shows {MOST_CELLS:,} cells at most")
         texture = texture.level(depth)
+    if _is_mixed(texture):
+        notes.append("leaves of several depths: there is no linear filter")
     return texture, notes
+
+
+def _is_mixed(texture: OctreeTexture) -> bool:
+    """Say whether leaves have several depths, or nodes keep coefficients."""
+    levels = texture.tree.cells_by_depth()
+    return any(leaves for leaves, _ in levels[:-1]) or texture.tree.kept.cells.size > 0
+
+
+def _tables(texture: OctreeTexture) -> bytes:
+    """Return the last chunk: the rows of kept nodes and of split cells, less the values of their cells."""
+    split, kept = texture.tree.split, texture.tree.kept
+    facings = split.facings & np.uint8(FACING_FLAGS)
+    owners = np.concatenate([kept.cells, np.repeat(split.cells, np.bitwise_count(facings))])
+    steps = [np.diff(cells.astype(np.int64), prepend=0) for cells in (kept.cells, split.cells)]
+    parts = [_planes(np.concatenate(steps)), facings.tobytes()]
+    for channel in texture.channels.values():
+        rows = np.concatenate([channel.kept_values, channel.split_values])
+        parts.append(np.ascontiguousarray((rows - channel.values[owners]).T).tobytes())
+    return b"".join(parts)
 
 
 def _slots(formats: list[ChannelFormat]) -> dict[str, Any]:

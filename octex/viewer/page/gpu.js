@@ -6,7 +6,6 @@ import { readShader } from "./data.js";
 export const FILTERS = ["nearest", "linear", "quadratic"];
 const KINDS = { srgb: 0, linear: 0, data: 1, direction: 2 };
 const FILES = ["walk.glsl", "light.glsl", "surface.vert", "surface.frag", "depth.frag", "cubes.vert", "cubes.frag"];
-const MOST_PLANES = 5;
 const PARTS = "xyzw";
 const MATERIALS = ["base_color", "metallic", "roughness", "occlusion", "emissive", "specular", "normal"];
 const STAGES = {
@@ -51,7 +50,9 @@ export class Gpu {
     this.planes = octree.planes.map((plane, n) =>
       this.texture(octree.header.planes[n] ? gl.SRGB8_ALPHA8 : gl.RGBA8, rows(plane, 4)),
     );
-    if (octree.depth >= 0) this.upload({ nodes: [0, octree.nodes[octree.depth]], cells: [0, octree.cells[octree.depth + 1]] });
+    this.tables = this.texture(gl.RG32UI, rows(octree.entries, 2));
+    const last = octree.tables.kept + octree.tables.split ? octree.planes[0].length / 4 : octree.cells[octree.depth + 1];
+    if (octree.depth >= 0) this.upload({ nodes: [0, octree.nodes[octree.depth]], cells: [0, last], entries: [0, octree.entries.length / 2] });
     if (this.mesh) this.takeMesh(this.mesh);
     this.cubes = null;
     this.probed = null;
@@ -67,7 +68,7 @@ export class Gpu {
   }
 
   // Send the rows that hold some nodes and cells.
-  upload({ nodes, cells }) {
+  upload({ nodes, cells, entries = [0, 0] }) {
     const { gl, octree } = this;
     const put = (made, array, size, [first, end], format, type) => {
       const begin = Math.floor(first / ROW), rows = Math.min(Math.ceil(end / ROW), made.rows) - begin;
@@ -77,6 +78,7 @@ export class Gpu {
       gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, begin, ROW, rows, format, type, part);
     };
     put(this.nodes, octree.words, 2, nodes, gl.RG_INTEGER, gl.UNSIGNED_INT);
+    put(this.tables, octree.entries, 2, entries, gl.RG_INTEGER, gl.UNSIGNED_INT);
     octree.planes.forEach((plane, n) => put(this.planes[n], plane, 4, cells, gl.RGBA, gl.UNSIGNED_BYTE));
   }
 
@@ -98,7 +100,7 @@ export class Gpu {
 
   // A program that draws or probes, for what is shown.
   program(kind, look, planes) {
-    const key = [kind, planes, look.shown, look.channel].join();
+    const key = [kind, planes, look.shown, look.channel, look.facing].join();
     if (!this.programs.has(key)) this.programs.set(key, this.compiled(kind, look, planes));
     const program = this.programs.get(key);
     this.gl.useProgram(program.handle);
@@ -127,6 +129,10 @@ export class Gpu {
   // Where channels are, among the first planes, and what is shown, as the shaders name it.
   defines(kind, look, planes) {
     const lines = [`#define PLANES ${planes}`, `#define SHOWS_${look.shown.toUpperCase()}`, kind === "probe" ? "#define PROBE" : ""];
+    const { isMixed, split, kept, mesh } = this.octree.header;
+    const facing = look.facing && kind !== "cubes";
+    const flags = { MIXED: isMixed, KEPT: isMixed && kept > 0, FACING: facing, SPLIT: facing && split[0] > 0, POSED: mesh?.posed };
+    for (const [name, is] of Object.entries(flags)) if (is) lines.push(`#define ${name}`);
     const define = (name, text) => lines.push(`#define ${name} ${text}`);
     const part = ({ at: [, slot], components }) => PARTS.slice(slot, slot + Math.min(components, 3));
     for (const channel of this.octree.header.channels) {
@@ -156,8 +162,8 @@ export class Gpu {
     if (look.shown === "unlit") read.push("base_color", "emissive");
     if (look.shown === "channel") read.push(look.channel);
     const known = read.map((name) => this.channel(name)).filter(Boolean).map((channel) => channel.at[0]);
-    if (look.shown === "facing") known.push(this.octree.header.flags[0]);
-    return Math.min(Math.max(0, ...known) + 1, MOST_PLANES);
+    if (look.shown === "facing" || look.facing || this.octree.header.kept) known.push(this.octree.header.flags[0]);
+    return Math.max(0, ...known) + 1;
   }
 
   setTree(program, look, planes) {
@@ -169,7 +175,12 @@ export class Gpu {
     };
     bind(0, this.nodes.texture, "u_nodes");
     this.planes.slice(0, planes).forEach((plane, n) => bind(n + 1, plane.texture, `u_plane${n}`));
+    bind(planes + 1, this.tables.texture, "u_tables");
     gl.activeTexture(gl.TEXTURE0);
+    const { kept, split } = this.octree.tables, nCells = this.octree.cells.at(-1);
+    gl.uniform3ui(program.at("u_kept"), 0, kept, nCells);
+    gl.uniform3ui(program.at("u_split"), kept, split, nCells + kept);
+    gl.uniform1i(program.at("u_leafRoot"), this.octree.nodes.at(-1) === 0 ? 1 : 0);
     gl.uniform1i(program.at("u_depth"), Math.min(look.level, this.octree.depth, this.deepest));
     gl.uniform1i(program.at("u_filter"), FILTERS.indexOf(look.filter));
   }
@@ -274,6 +285,7 @@ export class Gpu {
     gl.viewport(0, 0, w, h);
     gl.clearBufferuiv(gl.COLOR, 0, [0, 0, 0, 0]);
     gl.clearBufferuiv(gl.COLOR, 1, [0, 0, 0, 0]);
+    gl.clearBufferuiv(gl.COLOR, 2, [0, 0, 0, 0]);
     gl.clearBufferfi(gl.DEPTH_STENCIL, 0, 1, 0);
     gl.enable(gl.DEPTH_TEST);
     const planes = this.planes.length, program = this.program("probe", look, planes);
@@ -291,7 +303,7 @@ export class Gpu {
       gl.readPixels(0, 0, w, h, gl.RGBA_INTEGER, gl.UNSIGNED_INT, bits);
       return new Float32Array(bits.buffer);
     };
-    const found = { places: read(0), values: read(1) };
+    const found = { places: read(0), values: read(1), normals: read(2) };
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     return found;
   }
@@ -299,7 +311,7 @@ export class Gpu {
   makeProbe(w, h) {
     const { gl } = this, target = gl.createFramebuffer();
     gl.bindFramebuffer(gl.FRAMEBUFFER, target);
-    for (let number = 0; number < 2; number++) {
+    for (let number = 0; number < 3; number++) {
       const buffer = gl.createRenderbuffer();
       gl.bindRenderbuffer(gl.RENDERBUFFER, buffer);
       gl.renderbufferStorage(gl.RENDERBUFFER, gl.RGBA32UI, w, h);
@@ -309,7 +321,7 @@ export class Gpu {
     gl.bindRenderbuffer(gl.RENDERBUFFER, depth);
     gl.renderbufferStorage(gl.RENDERBUFFER, gl.DEPTH24_STENCIL8, w, h);
     gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.DEPTH_STENCIL_ATTACHMENT, gl.RENDERBUFFER, depth);
-    gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1]);
+    gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1, gl.COLOR_ATTACHMENT2]);
     this.probed = { target, w, h };
   }
 }

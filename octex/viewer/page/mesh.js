@@ -1,12 +1,6 @@
 // The mesh as it arrives. See pack.py.
 
-function planes(bytes, count, at) {
-  const numbers = new Uint32Array(count);
-  for (let n = 0; n < count; n++) {
-    numbers[n] = bytes[at + n] | (bytes[at + count + n] << 8) | (bytes[at + 2 * count + n] << 16) | (bytes[at + 3 * count + n] << 24);
-  }
-  return numbers;
-}
+import { planes } from "./octree.js";
 
 function summed(numbers) {
   const found = new Int32Array(numbers.length);

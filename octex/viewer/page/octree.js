@@ -4,6 +4,15 @@ export const ROW = 4096;
 
 const bitsSet = new Uint8Array(256).map((_, n) => n.toString(2).replaceAll("0", "").length);
 
+// Whole numbers from planes of their bytes.
+export function planes(bytes, count, at) {
+  const numbers = new Uint32Array(count);
+  for (let n = 0; n < count; n++) {
+    numbers[n] = bytes[at + n] | (bytes[at + count + n] << 8) | (bytes[at + 2 * count + n] << 16) | (bytes[at + 3 * count + n] << 24);
+  }
+  return numbers;
+}
+
 const rowsFor = (count) => Math.max(Math.ceil(count / ROW), 1);
 
 export class Octree {
@@ -12,10 +21,12 @@ export class Octree {
     this.cells = header.levelCells;
     this.nodes = header.levelNodes;
     this.depth = -1; // the deepest level that has arrived
-    const nNodes = this.nodes.at(-1), nCells = this.cells.at(-1);
+    const nNodes = this.nodes.at(-1), nRows = this.cells.at(-1) + header.kept + header.split[1];
     this.words = new Uint32Array(2 * ROW * rowsFor(nNodes));
-    this.planes = header.planes.map(() => new Uint8Array(4 * ROW * rowsFor(nCells)));
+    this.planes = header.planes.map(() => new Uint8Array(4 * ROW * rowsFor(nRows)));
     this.owners = new Uint32Array(nNodes); // the cell that each node is
+    this.entries = new Uint32Array(2 * ROW * rowsFor(header.kept + header.split[0])); // see u_tables
+    this.tables = { kept: 0, split: 0 }; // entries that have arrived
     this.nextNode = 1;
     this.nextCell = 1;
   }
@@ -29,6 +40,31 @@ export class Octree {
     this.depth = chunk.levels[1] - 1;
     const end = this.depth > 0 ? this.nodes[this.depth] : 0;
     return { nodes: [firstNode, end], cells: [firstCell, this.cells[this.depth + 1]] };
+  }
+
+  // Take the rows of kept nodes and of split cells; returns what is new.
+  takeTables(bytes) {
+    const { kept, split, channels } = this.header, count = kept + split[0], nCells = this.cells.at(-1);
+    const nRows = kept + split[1], owners = new Uint32Array(nRows);
+    const steps = planes(bytes, count, 0), facings = bytes.subarray(4 * count, 4 * count + split[0]);
+    let cell = 0, row = 0;
+    for (let n = 0; n < count; n++) {
+      cell = steps[n] + (n === kept ? 0 : cell);
+      this.entries.set([cell, n < kept ? n : row - kept], 2 * n);
+      const rows = n < kept ? 1 : bitsSet[facings[n - kept] & 63];
+      owners.fill(cell, row, (row += rows));
+    }
+    let at = 4 * count + split[0];
+    for (const { at: [plane, slot], components } of channels) {
+      const values = this.planes[plane];
+      for (let k = 0; k < components; k++, at += nRows) {
+        for (let n = 0; n < nRows; n++) {
+          values[4 * (nCells + n) + slot + k] = (bytes[at + n] + values[4 * owners[n] + slot + k]) & 255;
+        }
+      }
+    }
+    this.tables = { kept, split: split[0] };
+    return { nodes: [0, 0], cells: [nCells, nCells + nRows], entries: [0, count] };
   }
 
   takeLevel(level, reader) {

@@ -17,7 +17,7 @@ const element = (id) => document.getElementById(id);
 class Viewer {
   constructor() {
     this.canvas = element("picture");
-    this.look = { shown: "lit", channel: "base_color", filter: "quadratic", level: 0, footprints: true, cubes: false, marked: null };
+    this.look = { shown: "lit", channel: "base_color", filter: "quadratic", level: 0, footprints: true, cubes: false, facing: true, marked: null };
     this.cost = 0; // milliseconds a pixel, as measured
     this.pictures = 0;
     this.isSharp = false;
@@ -47,7 +47,8 @@ class Viewer {
       progress(header.mesh.bytes);
     }
     for (const [number, chunk] of header.chunks.entries()) {
-      const rows = this.octree.take(chunk, await readStream(`levels-${number}`));
+      const bytes = await readStream(`levels-${number}`);
+      const rows = chunk.levels ? this.octree.take(chunk, bytes) : this.octree.takeTables(bytes);
       this.gpu.upload(rows);
       progress(chunk.bytes);
       this.move();
@@ -70,7 +71,7 @@ class Viewer {
   }
 
   describe() {
-    const { title, leaves, depth, channels, mesh, notes } = this.header, { look } = this;
+    const { title, leaves, depth, channels, mesh, notes, isMixed, split } = this.header, { look } = this;
     document.title = `${title} – octex`;
     element("title").textContent = title;
     const lines = [`${leaves.toLocaleString("en")} leaves, depth ${depth}`];
@@ -87,6 +88,8 @@ class Viewer {
     element("level").max = this.gpu.deepest;
     element("level").value = look.level;
     element("level-text").textContent = `${look.level}`;
+    if (isMixed) element("filter").querySelector("[value=linear]").remove();
+    element("facing").checked = look.facing = split[0] > 0;
     element("cubes").checked = !mesh;
     element("cubes").disabled = !mesh;
   }
@@ -106,6 +109,7 @@ class Viewer {
     on("shown", (at) => this.choose(at.value));
     on("filter", (at) => (look.filter = at.value));
     on("footprints", (at) => (look.footprints = at.checked));
+    on("facing", (at) => (look.facing = at.checked));
     on("cubes", (at) => (look.cubes = at.checked));
     on("turntable", (at) => this.turn(at.checked));
     on("level", (at) => {
@@ -167,7 +171,11 @@ class Viewer {
     const pixels = this.canvas.clientWidth * this.canvas.clientHeight * full * full;
     const part = this.cost ? Math.sqrt(FRAME / (this.cost * pixels)) : 0.4;
     const scale = isStill ? 1 : Math.min(Math.max(part, 0.08), 1);
-    if (!(isStill && this.isSharp)) this.draw(full * scale);
+    try {
+      if (!(isStill && this.isSharp)) this.draw(full * scale);
+    } catch (error) {
+      return fail(error);
+    }
     this.isSharp = scale === 1;
     if (!this.isSharp || this.turning) this.again();
   }

@@ -3,6 +3,7 @@
 in vec3 v_rest;
 in vec3 v_seen;
 in vec3 v_normal;
+in vec3 v_restNormal;
 
 uniform bool u_footprints;  // averages over what a pixel covers; else leaves
 uniform float u_finer;  // the side of a footprint in pixels as they are drawn
@@ -16,16 +17,35 @@ float footprint() {
   return max(shorter, 0.5 * longer) * u_finer;
 }
 
+#ifdef FACING
+// Which way the side that is seen faces, at rest.
+vec3 facing() {
+  vec3 seen = cross(dFdx(v_rest), dFdy(v_rest));
+#ifdef POSED
+  return seen;
+#else
+  return dot(seen, v_restNormal) < 0.0 ? -v_restNormal : v_restNormal;
+#endif
+}
+#endif
+
 #ifdef PROBE
 
 layout(location = 0) out uvec4 o_place;  // bits of the rest position and of the footprint's side
 layout(location = 1) out uvec4 o_value;  // bits of the plane that is asked for, or of alpha and the fetches
+layout(location = 2) out uvec4 o_normal;  // bits of the way that is looked at
 uniform int u_plane;
 uniform float u_width;  // below 0: the footprint
 
 void main() {
   float width = u_width < 0.0 ? footprint() : u_width;
+  vec3 normal = vec3(0.0);
+#ifdef FACING
+  normal = facing();
+  face(normal);
+#endif
   lookUp(v_rest, width);
+  o_normal = floatBitsToUint(vec4(normal, 0.0));
   o_place = floatBitsToUint(vec4(v_rest, width));
   vec4 value = vec4(g_alpha, float(g_fetches), g_cover, 1.0);
   if (u_plane == {N}) value = g_sum{N};
@@ -82,6 +102,9 @@ void main() {
   if (dot(flatNormal, toward) < 0.0) flatNormal = -flatNormal;
   if (dot(normal, flatNormal) < 0.0) normal = -normal;
   float width = footprint();
+#ifdef FACING
+  face(facing());
+#endif
   lookUp(v_rest, u_footprints ? width : 0.0);
   if (u_pass == 0 ? g_alpha < 0.5 : g_alpha >= 0.5) discard;
   vec3 shown;
@@ -100,7 +123,7 @@ void main() {
   if (u_kind == 2) shown = 0.5 * normalize(2.0 * shown - 1.0) + 0.5;
   if (u_kind == 0) shown = toSrgb(shown);
 #else
-  uvec2 cell = leafAt(v_rest);
+  uvec2 cell = leafAt(v_rest, u_depth);
   shown = levelColor(cell.y);
 #ifdef SHOWS_FACING
   shown = facingColor(uint(texelFetch(FLAGS_PLANE, ivec2(cell.x & ROW, cell.x >> 12u), 0).FLAGS_PART * 255.0 + 0.5));

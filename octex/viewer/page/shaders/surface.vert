@@ -12,6 +12,7 @@ uniform mat4 u_view;
 out vec3 v_rest;
 out vec3 v_seen;  // in view space
 out vec3 v_normal;
+out vec3 v_restNormal;  // where the model is not posed
 
 invariant gl_Position;
 
@@ -19,6 +20,7 @@ void main() {
   vec4 seen = u_view * vec4(a_position, 1.0);
   v_rest = a_rest;
   v_seen = seen.xyz;
+  v_restNormal = a_normal;
   v_normal = mat3(u_view) * a_normal;
   gl_Position = u_projection * seen;
 }
