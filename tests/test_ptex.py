@@ -246,6 +246,28 @@ def test_faces_get_texels_as_wide_as_the_cells_and_more_along_their_longer_side(
         assert (edges >= cell / 2**0.5 - 1e-9).all()
 
 
+def test_on_the_limit_surface_faces_that_spread_out_get_more_texels(tmp_path: Path) -> None:
+    # A box with a narrow band around its middle, which spreads out on the limit surface; creased nowhere.
+    levels = (-1.0, -0.02, 0.02, 1.0)
+    lines = [f"v {x} {y} {z}" for y in levels for x, z in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    lines += [
+        f"f {a + 4 * k} {a + 4 * k + 4} {b + 4 * k + 4} {b + 4 * k}"
+        for k in range(3)
+        for a, b in ((1, 2), (2, 3), (3, 4), (4, 1))
+    ]
+    (tmp_path / "box.obj").write_text("\n".join([*lines, "f 1 2 3 4", "f 13 16 15 14"]))
+    surface = octex.load_surface(tmp_path / "box.obj")
+    texture = octex.convert(surface, 6)
+    sides = []
+    for limit in (False, True):
+        octex.write_ptex(texture, surface, tmp_path / "box.ptx", limit=limit)
+        with PtexFile(tmp_path / "box.ptx") as file:
+            sides.append(file.faces.log2[4:8].tolist())
+    # u runs up the band, v along it.
+    assert all(after[0] > before[0] for before, after in zip(*sides, strict=True))
+    assert all(after[1] <= before[1] for before, after in zip(*sides, strict=True))
+
+
 def test_a_mesh_that_does_not_fit_is_refused(house: Path, tmp_path: Path) -> None:
     surface = octex.load_surface(house)
     texture = octex.convert(surface, 3)

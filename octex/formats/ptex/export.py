@@ -11,13 +11,14 @@ import numpy as np
 
 from octex.arrays import Array, Float64s, Int8s, Int32s, Int64s
 from octex.channels import ALPHA, BASE_COLOR, ColorSpace, encode
-from octex.checks import as_choice, as_names, as_path, as_whole
+from octex.checks import as_choice, as_flag, as_names, as_path, as_whole
 from octex.errors import ArgumentError, ModelError
 from octex.formats.ptex.layout import DTYPES, LONGEST_LOG2, MESH_TYPES, QUAD, TRIANGLE
 from octex.formats.ptex.patches import Patches, faces_of, patches_of, place, stretches
 from octex.formats.ptex.source import CHANNELS_KEY
 from octex.formats.ptex.writer import Contents, write_contents
 from octex.parallel import Progress, as_progress, workers
+from octex.source.subdivided import subdivide
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
 from octex.tree.search import nearest_cells
@@ -41,6 +42,7 @@ def write_ptex(
     channels: Sequence[str] | None = None,
     dtype: str | None = None,
     texels: int | None = None,
+    limit: bool = False,
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
@@ -50,7 +52,9 @@ def write_ptex(
     A mesh of triangles becomes triangular faces. Any other becomes quads: a polygon that is none is a face
     for each of its corners, as Ptex has it. Along u and along v a face has that power of two of texels which
     is next to the octree's finest cells on it, where the face is stretched most; ``texels`` is how many there
-    may be in all, for which every face gets coarser or finer alike. Neighbours are those that share an edge
+    may be in all, for which every face gets coarser or finer alike. With ``limit`` stretch is measured on the
+    surface that the polygons are a cage of, Catmull and Clark's, as posed: faces that spread out on it get
+    more. Neighbours are those that share an edge
     at rest, and go along it in opposite directions; other edges are borders.
 
     ``channels`` are by default ``base_color`` and ``alpha``, as far as there are any; the file notes which
@@ -74,7 +78,10 @@ def write_ptex(
     kind = _dtype(texture, names, dtype)
     report = as_progress(progress)
     patches = patches_of(surface)
-    log2 = _sizes(texture, surface, patches, texels)
+    lengths = (
+        _limit_lengths(surface, patches) if as_flag(limit, "limit") else stretches(patches, surface.rest)
+    )
+    log2 = _sizes(texture, surface, patches, lengths, texels)
     faces = faces_of(surface, patches, log2)
     spaces: list[ColorSpace] = []
     for name in names:
@@ -119,9 +126,40 @@ def _dtype(texture: OctreeTexture, names: Sequence[str], dtype: str | None) -> s
     return max(kinds, key=DTYPES.index)
 
 
-def _sizes(texture: OctreeTexture, surface: Surface, patches: Patches, texels: int | None) -> Int8s:
-    """Return how many texels faces get along u and v (faces, 2), as powers of two."""
-    lengths = stretches(patches, surface.rest)
+def _limit_lengths(surface: Surface, patches: Patches) -> Float64s:
+    """Return the greatest lengths (faces, 2) of derivatives along u and v on the limit surface.
+
+    They are those of chords of a fourth of a quad's side, which stay finite at extraordinary vertices.
+    Triangles have those of their edges.
+    """
+    if patches.is_triangle:
+        return stretches(patches, surface.vertices)
+    divided = subdivide(surface, 2)
+    _, _, vertices = divided.loops()
+    corners = divided.vertices[vertices].reshape(-1, 4, 3)
+    sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+    along = np.maximum(sides[:, :2], sides[:, 2:])
+    # A level has a face for each corner of the one before, which is its first; those of quads turn with it.
+    number = np.arange(len(along))
+    corner = number // 4
+    polygon = np.searchsorted(patches.first_corners, corner, side="right") - 1
+    within = corner - patches.first_corners[polygon]
+    is_whole = np.diff(patches.first_faces)[polygon] == 1
+    is_turned = (number % 2 == 1) != (is_whole & (within % 2 == 1))
+    along[is_turned] = along[is_turned, ::-1]
+    lengths = np.zeros((patches.count, 2))
+    faces = patches.first_faces[polygon] + np.where(is_whole, 0, within)
+    np.maximum.at(lengths, faces, along * np.where(is_whole, 4.0, 2.0)[:, None])
+    return lengths
+
+
+def _sizes(
+    texture: OctreeTexture, surface: Surface, patches: Patches, lengths: Float64s, texels: int | None
+) -> Int8s:
+    """Return how many texels faces get along u and v (faces, 2), as powers of two.
+
+    ``lengths`` (faces, 2) are those of the derivatives along these.
+    """
     finest = np.full(patches.count, np.inf)
     numbers = np.arange(patches.count, dtype=np.int32)
     for v in _LOOKED_AT:
