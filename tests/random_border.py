@@ -90,6 +90,7 @@ def folder() -> Path:
         f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES
     ]
     (path / "model.obj").write_text("\n".join(lines))
+    octex.write_ptex(w.texture, w.surface, path / "written.ptx")
     return path
 
 
@@ -155,6 +156,8 @@ def calls() -> list[Call]:
         (w.texture.info, {}),
         (octex.PointCloud, {**points, "colors": rows / 10}),
         (octex.PointCloud.load, {"path": at / "cloud.xyz"}),
+        (octex.Patch, {**vars(octex.unwrap(w.surface, rows[0], 0.3, size=4))}),
+        (octex.Ptex, {"path": at / "written.ptx"}),
         (octex.Projection, {"image": w.picture.image, "camera": w.camera}),
         (octex.Sphere, {"center": (0.1, 0.1, 0.1), "radius": 0.5}),
         (sphere.covers, points),
@@ -218,6 +221,8 @@ def calls() -> list[Call]:
         (octex.resize, {**one, "depth": 1}),
         (octex.separate, {"surface": w.surface, **DEPTH}),
         (octex.subdivide, {"mesh": w.surface, "levels": 1}),
+        (octex.unwrap, {"surface": w.surface, "center": rows[0], "radius": 0.3, "size": 4}),
+        (octex.write_ptex, {**painted, "path": at / "written.ptx"}),
         (octex.write_model, {"surface": w.surface, "path": at / "written.obj", "unit": "foot"}),
         (octex.write_cameras, {"path": at / "written.json", "cameras": {"one": w.camera}}),
     ]

@@ -168,6 +168,8 @@ def test_make_droid_writes_the_droid(
         ("21_poses.py", ["poses.png", "reed.gltf"], "painted in one pose, at rest, and in another pose"),
         ("22_subdivision.py", ["cage.obj", "subdivision.png"], "its limit surface, and with creases"),
         ("23_displacement.py", ["displacement.png"], "the ball, and displaced to"),
+        ("24_ptex.py", ["house.obj", "house.ptx", "ptex.png"], "14 faces of six polygons"),
+        ("25_unwrap.py", ["unwrap.png"], "painted flat"),
     ],
 )
 def test_the_numbered_scripts_run_from_anywhere(

@@ -155,6 +155,14 @@ def position(text: str) -> tuple[float, ...]:
     return numbers
 
 
+def disc(text: str) -> tuple[float, ...]:
+    """Read the centre of a disc and its radius, above zero."""
+    numbers = _numbers(text)
+    if len(numbers) != 4 or numbers[3] <= 0.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not X,Y,Z,RADIUS, like 0,0.5,1,0.2")
+    return numbers
+
+
 def sizes(text: str) -> float | tuple[float, ...]:
     """Read a size, or one for each direction: finite and above zero."""
     numbers = _numbers(text)

@@ -1,6 +1,7 @@
 """Paint: images projected through cameras onto a surface, and merged into a texture (paper 4).
 
 paint       all of it; painter: a session of strokes; region: spheres, boxes and functions filled
+unwrap      a disc of the surface laid flat, for a camera
 pictures    images with cameras, checked and decoded; balance: their gains
 projected   what pictures paint at points of the surface
 layer       these rasterized into a paint octree; near: the triangles around it; centres: of pixels, to fit to

@@ -14,7 +14,7 @@ from octex.checks import as_choice, as_depth, as_flag, as_number
 from octex.editing.draft import Change
 from octex.errors import ArgumentError
 from octex.painting.balance import balanced
-from octex.painting.ground import Ground
+from octex.painting.ground import Ground, laid_flat
 from octex.painting.layer import CELLS, FINEST_CELLS, empty_texture, rasterize_paint, wanted_depth
 from octex.painting.merge import merged
 from octex.painting.pictures import Projection, check_projections, levels_of
@@ -112,7 +112,7 @@ def painted(
     options: Options,
 ) -> Iterator[tuple[OctreeTexture, Change | None]]:
     """Paint as `paint` does; yield what has become of the texture with each layer, and what has changed."""
-    given = check_projections(projections)
+    ground, given = laid_flat(ground, check_projections(projections), texture)
     for blend, group in groupby(given, key=lambda projection: projection.blend):
         pictures = list(group)
         opacity = max(picture.opacity for picture in pictures)
@@ -156,7 +156,7 @@ def project(
     as_surface(surface)
     given = check_projections(projections)
     format_of(like, channel)
-    ground = Ground(surface if like is None else surface.placed_in(like))
+    ground, given = laid_flat(Ground(surface if like is None else surface.placed_in(like)), given, like)
     with workers(threads, executor) as pool:
         return projected(
             ground, given, like, pool, as_progress(progress), channel=channel, max_depth=max_depth,

@@ -16,6 +16,7 @@ from octex.channels import ChannelFormat, decode_table, linear_to_srgb
 from octex.checks import as_choice, as_items, as_number, as_path, as_reals, is_path
 from octex.errors import ArgumentError, ImageError
 from octex.jit import inlined
+from octex.painting.unwrap import Patch
 from octex.source.images.decode import as_texels, read_image_file
 from octex.source.images.orientation import orientation_of, turned
 from octex.source.images.pyramid import resized
@@ -45,7 +46,7 @@ class Projection:
                Its size is the camera's; its alpha, if it has one, is how opaque the paint is
                Files are turned upright as their EXIF orientation says, unless only as they are stored have
                they the camera's size
-    camera     where it was taken, or what it was painted over
+    camera     where it was taken, or what it was painted over; or a Patch, whose picture it is
     mask       another image of that size, white where paint goes, black where none does; grey is in between.
                Of one with transparency (a cut-out) that is the mask, whatever its colours
     opacity    0 … 1, multiplies the alpha
@@ -57,7 +58,7 @@ class Projection:
     """
 
     image: Image
-    camera: Camera
+    camera: Camera | Patch
     mask: Image | None = None
     opacity: float = 1.0
     blend: Blend = "over"
@@ -65,8 +66,10 @@ class Projection:
     key: Sequence[int] | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.camera, Camera):
-            raise ArgumentError(f"camera must be an octex.Camera, not {type(self.camera).__name__}")
+        if not isinstance(self.camera, (Camera, Patch)):
+            raise ArgumentError(
+                f"camera must be an octex.Camera or a Patch, not {type(self.camera).__name__}"
+            )
         object.__setattr__(self, "opacity", as_number(self.opacity, "opacity", 0.0, 1.0))
         as_choice(self.blend, BLENDS, "blend")
         if self.key is not None:
