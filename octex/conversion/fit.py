@@ -22,7 +22,7 @@ from octex.conversion.numbering import Leaves, Outside, members_of, number
 from octex.conversion.samples import SHARE_STEPS, Samples, sample_points
 from octex.conversion.solve import Codes, Equations, approach, covered, diagonal, residuals, sweep, transpose
 from octex.field.field import Field
-from octex.jit import kernel
+from octex.jit import kernel, new_zeros
 from octex.parallel import Progress, ordered_map
 from octex.texture.channel import Channel
 from octex.tree.octree import Octree
@@ -212,7 +212,7 @@ def _fit_bricks(
 @kernel
 def _cuts(firsts: Int64s, brick: int, most: int) -> Int64s:
     """Cut leaves into runs of about ``brick`` samples, of which a leaf has ``most`` at most."""
-    cuts = np.zeros(firsts.size + 1, np.int64)
+    cuts = new_zeros(firsts.size + 1, np.int64)
     n_cuts = 1
     size = 0
     for leaf in range(firsts.size - 1):
