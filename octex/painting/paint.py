@@ -15,7 +15,7 @@ from octex.editing.draft import Change
 from octex.errors import ArgumentError
 from octex.painting.balance import balanced
 from octex.painting.ground import Ground
-from octex.painting.layer import CELLS, FINEST_CELLS, empty_texture, rasterize_paint, wanted_depth
+from octex.painting.layer import CELLS, FINEST_CELLS, empty_texture, rasterize_paint, wanted_levels
 from octex.painting.merge import merged
 from octex.painting.pictures import Projection, check_projections, levels_of
 from octex.painting.projected import Projected, in_fixed_order, shot_of, terms_of
@@ -204,8 +204,10 @@ def projected(
     size = like.placement.size if like is not None else extent
     cells = CELLS if max_depth is None else FINEST_CELLS
     near = source.near_paint(_REACH)
-    finest = wanted_depth(near, size, FINEST_CELLS)
-    depth = min(wanted_depth(near, size, cells), deepest)
+    footprints = near.footprints()
+    finest = wanted_levels(*footprints, size, FINEST_CELLS).deepest
+    depths = wanted_levels(*footprints, size, cells, deepest)
+    depth = depths.deepest
     # Larger cells look farther around: by as many pixels as they are wide, and those of the level read.
     source = source.near_paint(_REACH << max(finest - depth, 0))
     placement = Placement.around(surface.bounds, depth) if like is None else like.placement
@@ -214,7 +216,7 @@ def projected(
     if balance and len(shots) > 1:
         source = source.with_gains(balanced(source, surface))
     return rasterize_paint(
-        ground, source, placement, depth, fit=fit, cells=cells, executor=executor, progress=report
+        ground, source, placement, depths, fit=fit, cells=cells, executor=executor, progress=report
     )
 
 

@@ -16,6 +16,7 @@ from octex.channels import ChannelFormat, decode_table
 from octex.checks import as_choice, as_items, as_number, as_path, is_path
 from octex.errors import ArgumentError, ImageError
 from octex.jit import inlined
+from octex.painting.sharpened import sharpened
 from octex.source.images.decode import as_texels, read_image_file
 from octex.source.images.pyramid import resized
 from octex.view.camera import Camera
@@ -109,6 +110,7 @@ def levels_of(projection: Projection, form: ChannelFormat, scale: float = 1.0) -
     counts = [level.shape[0] * level.shape[1] for level in levels]
     firsts = np.cumsum([0, *counts[:-1]])
     sizes = [(first, level.shape[1], level.shape[0]) for first, level in zip(firsts, levels, strict=True)]
+    levels[0] = sharpened(pixels)
     rows = np.concatenate([level.reshape(-1, 4) for level in levels])
     return Levels(rows, np.array(sizes, np.int64), ends)
 
