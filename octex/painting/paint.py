@@ -52,12 +52,16 @@ def paint(
     sees is painted: not what something hides, and not what faces away. The texture that is given stays as it
     is, which is the undo; None stands for one without any cell.
 
-    projections  pictures that follow each other with one blend mode are one layer: in each cell they are
-                 averaged, the finer one outweighing the coarser, and then merged once; their order does not
-                 matter
+    projections  pictures whose pixels are means of what they cover. Those that follow each other with one
+                 blend mode are one layer: in each cell they are averaged, the finer one outweighing the
+                 coarser by the fourth power of their pixels on the surface, and then merged once; their order
+                 does not matter
     channel      what is painted, of any type; colours are blended in linear light
     max_depth    the deepest level that paint goes to, at most that of cells a quarter to half as wide as the
-                 pixels; by default that at which they are half as wide to as wide as the pixels, or 14
+                 pixels; by default that at which they are half as wide to as wide as the pixels, or 14. The
+                 level that suits most of the surface serves where cells are then a quarter as wide to 1.5
+                 times as wide, too: lookups and the fit are faster in trees of even depth. Pixels are as wide
+                 as the root of the area that the finest one covers of the surface
     max_angle    degrees between the surface's normal and the way to the camera from which on no paint is
                  put; over the last 10 it fades. From 90 on all that faces the camera is painted in full.
                  The normal is the surface's own where it has ``frames``, else the mean of the triangles
