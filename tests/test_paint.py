@@ -15,6 +15,7 @@ from octex.channels import decode
 from octex.errors import ArgumentError
 from octex.painting.balance import balanced
 from octex.painting.cells import paint_of
+from octex.painting.layer import wanted_levels
 from octex.painting.merge import blended
 from octex.painting.pictures import BLENDS, Blend
 from octex.painting.sharpened import sharpened
@@ -679,3 +680,19 @@ def test_pictures_get_cells_of_half_a_pixel_to_one_unless_they_may_be_finer() ->
         assert 0.5 < cell < 1.1
         finest = deepest.placement.size / 2**deepest.tree.max_depth * pixels_per_unit
         assert 0.25 < finest < 0.55
+
+
+def test_one_level_serves_where_pixels_vary_little() -> None:
+    # Cells as wide as these would be of levels 6.6, 7.5, 5.3 and 8.6.
+    widths = np.repeat([1 / 100, 1 / 180, 1 / 40, 1 / 400], [60, 20, 17, 3])
+    areas = np.ones(100)
+    found = wanted_levels(widths, areas, 1.0, 1.0)
+    assert found == (7, 9, False)
+    some = np.array([1 / 100, 1 / 180, 1 / 40, 1 / 400, 1 / 12, np.inf])
+    assert np.ceil(found.wanted(some, 1.0, 1.0)).tolist() == [7, 7, 7, 9, 4, 0]
+    assert wanted_levels(widths[:-3], areas[:-3], 1.0, 1.0) == (7, 7, True)
+    assert wanted_levels(widths, areas, 1.0, 1.0, 6) == (6, 6, True)
+    assert wanted_levels(widths[:0], areas[:0], 1.0, 1.0) == (0, 0, True)
+    surface, camera = ball(), above(4.0, 100)
+    layer = octex.project(surface, octex.Projection(one_color(camera, (1, 0, 0)), camera))
+    assert [level for level, (leaves, _) in enumerate(layer.tree.cells_by_depth()) if leaves] == [7]
