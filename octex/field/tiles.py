@@ -124,7 +124,8 @@ def marked(tiles: Tiles, tree: Octree) -> Tiles:
         blocks = _distinct(tree.level_codes(level)[counts] >> 3 * max(level - depth + 2, 0))
         near = _distinct(octants >> 3 * up)
         for _ in range(2):
-            near = np.union1d(near, cells_beside(near, depth - 2 - up))
+            around = np.concatenate([near, cells_beside(near, depth - 2 - up)])
+            near = _distinct(np.sort(around, kind="stable"))
         _mark(tiles, np.intersect1d(blocks, near, assume_unique=True), up, reach, marks)
     return tiles._replace(marks=marks)
 

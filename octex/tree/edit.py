@@ -149,10 +149,10 @@ def raised(
         children = (split_codes[:, None] << 3 | np.arange(8)).reshape(-1)
         children = children[among(children, met[level])]
         on = among(children, needed[level]) & among(children, below)
-        leaves.append(np.sort(np.concatenate([own[~may], children[~on], added[level]])))
-        split_codes = np.sort(np.concatenate([own[may], children[on]]))
+        leaves.append(np.sort(np.concatenate([own[~may], children[~on], added[level]]), kind="stable"))
+        split_codes = np.sort(np.concatenate([own[may], children[on]]), kind="stable")
         is_free = among(split_codes >> 3, free) | among(split_codes, freed[level])
-        keeping.append(np.sort(np.concatenate([split_codes[~is_free], above_added[level]])))
+        keeping.append(np.sort(np.concatenate([split_codes[~is_free], above_added[level]]), kind="stable"))
         free = split_codes[is_free]
     edited = rebuilt(tree, leaves)
     return _keeping(edited, keeping)
