@@ -24,6 +24,7 @@ ROWS = [
     {"nearest"},
     {"field"},
     {"container"},
+    {"archive"},
     {"texture"},
     {"kernels"},
     {"editing"},
@@ -40,7 +41,7 @@ ROWS = [
 ]
 # The wing of what models look like does not know the wing of what is stored; what works on textures alone
 # needs neither what makes them of models nor what paints them: it shares its tools with these in editing.
-STORED = {"tree", "field", "container", "texture", "editing"}
+STORED = {"tree", "field", "container", "archive", "texture", "editing"}
 MADE = {"source", "conversion", "view", "painting"}
 FORBIDDEN = {"source": STORED, "view": STORED, "editing": MADE, "processing": MADE - {"source"}}
 # Depth and cell limits are checked at the border too.

@@ -48,6 +48,7 @@ Result = TypeVar("Result")
 FORMAT = "octex"
 FORMAT_VERSION = 1
 ENDING = ".octex"
+ARCHIVE_ENDING = ".octz"
 
 
 class Parts(NamedTuple):
