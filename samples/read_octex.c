@@ -3,9 +3,8 @@
        cc -O2 -o read_octex read_octex.c -lm
        ./read_octex FILE CHANNEL nearest|quadratic < points.txt
 
-   reads a rest position a line and prints its value a line, as octex.open(FILE).sample does (directions as
-   means, not made unit vectors). Little-endian machines. */
-
+   reads a rest position a line, prints its value a line, as octex.open(FILE).sample does (directions as means,
+   not made unit vectors). Little-endian machines. */
 #define _POSIX_C_SOURCE 200809L
 #include <fcntl.h>
 #include <math.h>
@@ -27,7 +26,6 @@ typedef struct {
 
 typedef struct {
     Array groups, cells, flags, kept, values, kept_values, alpha, kept_alpha;
-    uint64_t n_cells;
     int depth, components;
     char space[16];
     double origin[3], size;
@@ -37,7 +35,7 @@ typedef struct {
     int kind, level; /* its own level, above that of the window for BELOW */
     uint64_t cell, node;
     int64_t low[3];   /* its lowest corner, in finest cells of 2^-21 */
-    double h[6];      /* its coefficient: w·alpha·value, w·alpha, w */
+    double h[10];   /* its coefficient: alpha·w·value, alpha·w, then w·value, w */
 } Cell;
 
 static void fail(const char *why) {
@@ -51,41 +49,32 @@ static const char *value_of(const char *header, const char *key) {
     for (const char *at = header; (at = strstr(at, key)); at += length) {
         const char *after = at + length;
         if (at == header || at[-1] != '"' || *after != '"') continue;
-        for (after++; *after == ' ' || *after == '\t' || *after == '\n' || *after == '\r';) after++;
+        after += 1 + strspn(after + 1, " \t\n\r");
         if (*after == ':') return after + 1;
     }
     return NULL;
 }
 
-static int find_array(const char *header, const unsigned char *begin, uint64_t room, const char *name,
-                      Array *array) {
+static int find_array(const char *header, const unsigned char *begin, uint64_t room, const char *name, Array *array) {
     const char *entry = value_of(header, name);
     memset(array, 0, sizeof *array);
     if (!entry) return 0;
     const char *dtype = value_of(entry, "dtype"), *shape = value_of(entry, "shape");
     const char *offsets = value_of(entry, "data_offsets");
     if (!dtype || !shape || !offsets) fail("damaged header");
+    unsigned long long sizes[3] = {0, 1, 1}, first = 1, last = 0;
     sscanf(strchr(dtype, '"') + 1, "%3[A-Z0-9]", array->dtype);
-    char *at = strchr(shape, '[') + 1, *end;
-    for (int n = 0; n < 3; n++, at = end) {
-        array->shape[n] = strtoull(at, &end, 10);
-        if (end == at) { array->shape[n] = n ? 1 : 0; break; }
-        while (*end == ',' || *end == ' ') end++;
-    }
-    if (!array->shape[1]) array->shape[1] = 1;
-    at = strchr(offsets, '[') + 1;
-    uint64_t first = strtoull(at, &end, 10);
-    while (*end == ',' || *end == ' ') end++;
-    uint64_t last = strtoull(end, &end, 10);
+    sscanf(strchr(shape, '['), "[%llu ,%llu ,%llu", &sizes[0], &sizes[1], &sizes[2]);
+    sscanf(strchr(offsets, '['), "[%llu ,%llu", &first, &last);
     if (last < first || last > room) fail("damaged header");
-    array->data = begin + first;
-    return 1;
+    for (int n = 0; n < 3; n++) array->shape[n] = sizes[n];
+    return array->data = begin + first, 1;
 }
 
+/* A word of 64 bits. */
 static uint64_t word(const Array *array, uint64_t at) {
     uint64_t found;
-    memcpy(&found, array->data + 8 * at, 8);
-    return found;
+    return memcpy(&found, array->data + 8 * at, 8), found;
 }
 
 static void open_file(const char *path, const char *channel, File *file) {
@@ -103,55 +92,48 @@ static void open_file(const char *path, const char *channel, File *file) {
     const unsigned char *begin = content + 8 + length;
     uint64_t room = bytes - 8 - length;
     const char *format = value_of(header, "format"), *version = value_of(header, "format_version");
-    if (!format || !version || strncmp(strchr(format, '"'), "\"octex\"", 7) ||
-        strncmp(strchr(version, '"'), "\"1\"", 3))
+    if (!format || !version || !strstr(format, "\"octex\"") || strncmp(strchr(version, '"'), "\"1\"", 3))
         fail("not an .octex file of version 1");
     char name[256];
-    if (!find_array(header, begin, room, "tree/groups", &file->groups) ||
-        !find_array(header, begin, room, "tree/level_cells", &file->cells) ||
-        !find_array(header, begin, room, "tree/flags", &file->flags))
-        fail("damaged header");
+    int found = find_array(header, begin, room, "tree/groups", &file->groups);
+    found += find_array(header, begin, room, "tree/level_cells", &file->cells);
+    if (found + find_array(header, begin, room, "tree/flags", &file->flags) < 3) fail("damaged header");
     find_array(header, begin, room, "kept/cells", &file->kept);
     snprintf(name, sizeof name, "channels/%s", channel);
     if (!find_array(header, begin, room, name, &file->values)) fail("no such channel");
     snprintf(name, sizeof name, "kept/channels/%s", channel);
     find_array(header, begin, room, name, &file->kept_values);
-    if (strcmp(channel, "alpha")) {
-        find_array(header, begin, room, "channels/alpha", &file->alpha);
+    if (strcmp(channel, "alpha") && find_array(header, begin, room, "channels/alpha", &file->alpha))
         find_array(header, begin, room, "kept/channels/alpha", &file->kept_alpha);
-    }
     file->depth = (int)file->cells.shape[0] - 2;
-    file->n_cells = word(&file->cells, file->cells.shape[0] - 1);
     file->components = (int)file->values.shape[1];
     if (file->depth < 0 || file->depth > 21 || file->components > 4) fail("damaged header");
     /* JSON in a string of JSON: its quotes are \" */
-    const char *at = strstr(value_of(header, "placement"), "origin");
-    for (int n = 0; n < 3; n++, at++) file->origin[n] = strtod(at = at + strcspn(at, "-0123456789"), (char **)&at);
-    file->size = strtod(strstr(at, "size") + 4 + strcspn(strstr(at, "size") + 4, "-0123456789"), NULL);
+    const char *placement = value_of(header, "placement"), *spaces = value_of(header, "channels");
+    const char *origin = placement ? strstr(placement, "origin") : NULL;
+    const char *size = placement ? strstr(placement, "size") : NULL;
     snprintf(name, sizeof name, "\"%s\\\"", channel);
-    const char *space = strstr(value_of(header, "channels"), name);
-    if (!space || sscanf(strchr(space, ':'), ": \\\"%15[a-z]", file->space) != 1) fail("damaged header");
-    free(header);
+    const char *space = spaces ? strstr(spaces, name) : NULL;
+    double *o = file->origin;
+    if (!origin || sscanf(strchr(origin, '['), "[%lf, %lf, %lf]", o, o + 1, o + 2) != 3 || !size ||
+        sscanf(strchr(size, ':'), ": %lf", &file->size) != 1 || !space ||
+        sscanf(strchr(space, ':'), ": \\\"%15[a-z]", file->space) != 1)
+        fail("damaged header");
 }
 
 /* A stored number as what it stands for: linear light, -1 to 1 for directions. */
 static double decoded(const Array *array, uint64_t at, const char *space) {
     double value;
     int is_whole = array->dtype[0] == 'U';
+    float number;
+    uint16_t bits;
     if (!strcmp(array->dtype, "U8")) value = array->data[at] / 255.0;
-    else if (!strcmp(array->dtype, "F32")) {
-        float number;
-        memcpy(&number, array->data + 4 * at, 4);
-        value = number;
-    } else {
-        uint16_t bits;
-        memcpy(&bits, array->data + 2 * at, 2);
-        if (is_whole) value = bits / 65535.0;
-        else { /* half precision */
-            int power = bits >> 10 & 31;
-            value = ldexp(power ? 1024 + (bits & 1023) : bits & 1023, (power ? power : 1) - 25);
-            if (bits >> 15) value = -value;
-        }
+    else if (!strcmp(array->dtype, "F32")) memcpy(&number, array->data + 4 * at, 4), value = number;
+    else if (memcpy(&bits, array->data + 2 * at, 2), is_whole) value = bits / 65535.0;
+    else { /* half precision */
+        int power = bits >> 10 & 31;
+        value = ldexp(power ? 1024 + (bits & 1023) : bits & 1023, (power ? power : 1) - 25);
+        if (bits >> 15) value = -value;
     }
     if (!strcmp(space, "srgb")) return value <= 0.04045 ? value / 12.92 : pow((value + 0.055) / 1.055, 2.4);
     return is_whole && !strcmp(space, "direction") ? 2 * value - 1 : value;
@@ -160,37 +142,39 @@ static double decoded(const Array *array, uint64_t at, const char *space) {
 /* The coefficient of a row of values: of a cell, or of a kept node. */
 static void set_own(const File *file, uint64_t row, int is_kept, double weight, double *h) {
     const Array *values = is_kept ? &file->kept_values : &file->values;
-    const Array *alpha = is_kept ? &file->kept_alpha : &file->alpha;
-    double seen = weight * (file->alpha.data ? decoded(alpha, row, "data") : 1);
-    for (int n = 0; n < file->components; n++)
-        h[n] = seen * decoded(values, row * file->components + n, file->space);
-    h[4] = seen, h[5] = weight;
+    double seen = weight;
+    if (file->alpha.data) seen *= decoded(is_kept ? &file->kept_alpha : &file->alpha, row, "data");
+    h[4] = seen, h[9] = weight;
+    for (int n = 0; n < file->components; n++) {
+        double value = decoded(values, row * file->components + n, file->space);
+        h[n] = seen * value, h[5 + n] = weight * value;
+    }
 }
 
 static uint64_t kept_row(const File *file, uint64_t cell) {
-    uint64_t low = 0, high = file->kept.shape[0];
-    while (low < high) {
+    for (uint64_t low = 0, high = file->kept.shape[0]; low < high;) {
         uint64_t middle = (low + high) / 2;
         uint32_t found;
         memcpy(&found, file->kept.data + 4 * middle, 4);
+        if (found == cell) return middle;
         if (found < cell) low = middle + 1;
         else high = middle;
     }
-    return low;
+    return fail("damaged tree"), 0;
 }
 
 static int is_kept(const File *file, const Cell *cell) {
     return cell->kind == NODE && file->flags.data[cell->cell] & 0x40;
 }
-
 /* Write the window of a level: 27 cells around the middle, x fastest, from that of the level above. */
-static void go_down(const File *file, int deepest, int level, const int64_t *middle, const int64_t *middle_above,
-                    const Cell *above, Cell *window) {
+static void go_down(const File *file, int deepest, int level, int64_t middles[][3], Cell windows[][27]) {
+    Cell *window = windows[level];
+    const int64_t *middle = middles[level], *middle_above = middles[level ? level - 1 : 0];
     for (int n = 0; n < 27; n++) {
         Cell *cell = &window[n];
         int64_t place[3], offset[3];
         int step[3] = {1, 3, 9};
-        const Cell *parent = above;
+        const Cell *parent = windows[level ? level - 1 : 0];
         memset(cell, 0, sizeof *cell);
         for (int a = 0; a < 3; a++) {
             place[a] = middle[a] + n / step[a] % 3 - 1;
@@ -213,14 +197,14 @@ static void go_down(const File *file, int deepest, int level, const int64_t *mid
                 cell->cell = first >> 32, cell->node = first & 0xFFFFFFFF;
                 for (uint64_t below = stored & (bit - 1); below; below &= below - 1) cell->cell++;
                 for (uint64_t below = nodes & (bit - 1); below; below &= below - 1) cell->node++;
-                if (cell->cell >= file->n_cells || cell->node / 8 > file->groups.shape[0]) fail("damaged tree");
+                if (cell->cell >= file->flags.shape[0] || (cell->kind == NODE && cell->node / 8 >= file->groups.shape[0])) fail("damaged tree");
             }
         }
         if (cell->kind != BELOW) cell->level = level;
         memset(cell->h, 0, sizeof cell->h);
         double weight = 1;
         if (level && (parent->kind != NODE || is_kept(file, parent))) {
-            double refined[6] = {0};
+            double refined[10] = {0};
             for (int o = 0; o < 8; o++) { /* the parent, and the next one on each axis */
                 const Cell *from = parent;
                 double share = 1;
@@ -228,10 +212,10 @@ static void go_down(const File *file, int deepest, int level, const int64_t *mid
                     share *= o >> a & 1 ? 0.25 : 0.75;
                     if (o >> a & 1) from += place[a] & 1 ? step[a] : -step[a];
                 }
-                for (int c = 0; c < 6; c++) refined[c] += share * from->h[c];
+                for (int c = 0; c < 10; c++) refined[c] += share * from->h[c];
             }
+            weight = refined[9];
             if (parent->kind != NODE || cell->kind == NONE) memcpy(cell->h, refined, sizeof refined);
-            weight = refined[5];
             if (parent->kind != NODE) continue;
         }
         if (cell->kind == LEAF) set_own(file, cell->cell, 0, weight, cell->h);
@@ -243,19 +227,17 @@ static double away(const Cell *cell, const double *point) {
     double total = 0;
     for (int a = 0; a < 3; a++) {
         double low = ldexp((double)cell->low[a], -21), high = low + ldexp(1, -cell->level);
-        double d = fmax(fmax(low - point[a], point[a] - high), 0);
-        total += d * d;
+        total += pow(fmax(fmax(low - point[a], point[a] - high), 0), 2);
     }
     return total;
 }
 
-/* Whether a cell comes before another in Morton order. */
+/* Whether a cell comes before another in Morton order: by the axis of their highest bit that differs. */
 static int is_before(const Cell *a, const Cell *b) {
-    int64_t most = -1;
     int axis = 0;
-    for (int n = 0; n < 3; n++) {
-        int64_t differ = a->low[n] ^ b->low[n];
-        if (differ >= most || differ > (differ ^ most)) most = differ, axis = n;
+    for (int n = 1; n < 3; n++) {
+        int64_t most = a->low[axis] ^ b->low[axis], own = a->low[n] ^ b->low[n];
+        if (own >= most || own > (own ^ most)) axis = n;
     }
     return a->low[axis] < b->low[axis];
 }
@@ -274,8 +256,7 @@ static void look_up(const File *file, const double *rest, int is_nearest, double
         for (; level <= deepest; level++) {
             has_nodes = 0;
             for (int a = 0; a < 3; a++) middles[level][a] = fixed[a] >> (21 - level);
-            go_down(file, deepest, level, middles[level], middles[level ? level - 1 : 0],
-                    windows[level ? level - 1 : 0], windows[level]);
+            go_down(file, deepest, level, middles, windows);
             for (int n = 0; n < 27; n++) has_nodes |= windows[level][n].kind == NODE;
             if (!has_nodes && !is_nearest) break;
         }
@@ -295,16 +276,17 @@ static void look_up(const File *file, const double *rest, int is_nearest, double
                 value[n] = decoded(&file->values, best->cell * file->components + n, file->space);
             return;
         }
-        double total[6] = {0}, spline[3][3];
+        double total[10] = {0}, spline[3][3];
         for (int a = 0; a < 3; a++) {
             double t = ldexp(point[a], level) - (double)middles[level][a];
             spline[a][0] = (1 - t) * (1 - t) / 2, spline[a][1] = 0.75 - (t - 0.5) * (t - 0.5), spline[a][2] = t * t / 2;
         }
         for (int n = 0; n < 27; n++)
-            for (int c = 0; c < 6; c++)
+            for (int c = 0; c < 10; c++)
                 total[c] += spline[0][n % 3] * spline[1][n / 3 % 3] * spline[2][n / 9] * windows[level][n].h[c];
-        if (total[5] > 0 || !deepest) { /* else off the surface: a level's averages answer */
-            for (int n = 0; n < file->components; n++) value[n] = total[n] / total[4];
+        if (total[9] > 0 || !deepest) { /* else off the surface: a level's averages answer */
+            const double *seen = total[4] > 0 ? total : total + 5;
+            for (int n = 0; n < file->components; n++) value[n] = seen[n] / seen[4];
             return;
         }
     }
@@ -312,7 +294,7 @@ static void look_up(const File *file, const double *rest, int is_nearest, double
 
 int main(int count, char **words) {
     File file = {0};
-    double rest[3], value[4] = {0};
+    double rest[3], value[4];
     if (count != 4) fail("usage: read_octex FILE CHANNEL nearest|quadratic < points.txt");
     open_file(words[1], words[2], &file);
     while (scanf("%lf %lf %lf", &rest[0], &rest[1], &rest[2]) == 3) {
