@@ -8,8 +8,8 @@
 A seed makes a small texture, saves it, and damages the file: blindly (bytes changed, cut, doubled), or
 knowing its structure (any field of a header, any element of an array, any number of an archive's models,
 with every checksum made right again). It is then opened, described, validated, looked up in every way, cut to
-a level and saved. What is no OctexError is a finding: an end of the process, more than 20 s, more memory than 4 GB,
-any other exception; and a file that validates although its structure is not that of its leaves.
+a level and saved. A finding is what is no OctexError (an end of the process, more than 20 s or 4 GB of
+memory, any other exception), and a file that validates although its structure is not that of its leaves.
 """
 
 from __future__ import annotations

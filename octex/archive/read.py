@@ -66,6 +66,7 @@ class Contents(NamedTuple):
 
     tensors: dict[str, Array]  # named, and ordered, as in a render file
     metadata: dict[str, str]
+    sizes: dict[str, int]  # bytes of its streams: structure, areas, each channel …
 
 
 class _Stream(NamedTuple):
@@ -124,8 +125,10 @@ def _decoded(content: mmap.mmap) -> Contents:
         raise _DamagedError("its models are damaged; copy it again") from None
     _check_records(head, records.size)
     tensors = _room(head)
-    _Decoding(content, begin, head, models, records, tensors).run()
-    return Contents(tensors, head.metadata)
+    decoding = _Decoding(content, begin, head, models, records, tensors)
+    decoding.run()
+    sizes = {**decoding.sizes, "models and directory": len(content) - begin + START}
+    return Contents(tensors, head.metadata, sizes)
 
 
 def _directory(content: mmap.mmap) -> tuple[int, bytes, Uint32s, Int64s]:
@@ -344,6 +347,8 @@ class _Decoding:
         self._records = records
         self._tensors = tensors
         self._at_record = 0
+        channels = (f"channel {name}" for name, *_ in head.channels)
+        self.sizes = dict.fromkeys(("structure and flags", "areas", *channels, "other"), 0)
         self._at_byte = START
         self._arrays = TreeArrays(*(tensors[name] for name in TREE))
         self._channels = {name: named(tensors, name) for name, *_ in head.channels}
@@ -369,20 +374,24 @@ class _Decoding:
             streams = 1 + len(self._channels)
             self._decode(
                 [
-                    partial(self._rows, split, part, firsts, self._streams(streams))
+                    partial(self._rows, split, part, firsts, self._streams(1, streams))
                     for part in parts(split.cells.size)
                 ],
                 executor,
             )
             self._decode(
                 [
-                    partial(self._kept, kept, part, self._streams(streams - 1))
+                    partial(self._kept, kept, part, self._streams(2, streams - 1))
                     for part in parts(kept.cells.size)
                 ],
                 executor,
             )
             self._decode(
-                [partial(self._piece, *piece, self._streams(1)[0]) for piece in _pieces(head)], executor
+                [
+                    partial(self._piece, *piece, self._streams(len(self.sizes) - 1, 1)[0])
+                    for piece in _pieces(head)
+                ],
+                executor,
             )
         if self._at_byte != self._end:
             raise _DamagedError("has bytes that belong to no block; copy it again")
@@ -396,13 +405,15 @@ class _Decoding:
         self._at_record += count
         return found
 
-    def _streams(self, count: int) -> list[_Stream]:
-        """Return the next streams of the file."""
+    def _streams(self, first: int, count: int) -> list[_Stream]:
+        """Return the next streams of the file; the first is that of the so-manieth of ``sizes``."""
         found = []
-        for _ in range(count):
+        names = list(self.sizes)
+        for n in range(count):
             length, checksum = self._numbers(2)
             found.append(_Stream(self._at_byte, length, checksum))
             self._at_byte += length
+            self.sizes[names[first + n]] += length
         if self._at_byte > self._end:
             raise _DamagedError("its blocks are longer than the file; copy it again")
         return found
@@ -429,7 +440,7 @@ class _Decoding:
         node, cell = int(arrays.level_nodes[level + 1]), int(arrays.level_cells[level + 1])
         for block in blocks(arrays.level_nodes, level):
             nodes, cells = self._numbers(2)
-            streams = self._streams(2 + len(self._channels))
+            streams = self._streams(0, 2 + len(self._channels))
             tasks.append(partial(self._block, block, node, cell, node + nodes, cell + cells, streams))
             node, cell = node + nodes, cell + cells
         if node != arrays.level_nodes[level + 2] or cell != arrays.level_cells[level + 2]:

@@ -533,7 +533,8 @@ class OctreeTexture:
     def info(self) -> dict[str, Any]:
         """Describe the texture as numbers and strings, ready for JSON. Lengths are in the model's units.
 
-        Reads no cell. ``bytes`` says where the bytes of its file go.
+        Reads no cell. ``bytes`` says where the bytes of its render file go; ``archive``, if it was opened from
+        an archive, where those of that go.
         """
         return described(self._parts(), self._file)
 
@@ -593,11 +594,12 @@ def open_texture(path: str | os.PathLike[str]) -> OctreeTexture:
     if os.path.isdir(path):  # noqa: PTH112  # a name too long is none, and no error
         raise TextureFileError(f"{path}: is a folder; octex.TextureSet.open opens a texture set")
     mapping: mmap.mmap | None = None
+    sizes: dict[str, int] | None = None
     if is_archive(path):
         from octex.archive.read import read
 
         archived = read(path)
-        tensors, metadata = dict(archived.tensors), dict(archived.metadata)
+        tensors, metadata, sizes = dict(archived.tensors), dict(archived.metadata), archived.sizes
     else:
         contents = container.read(path)
         mapping, tensors, metadata = contents.mapping, dict(contents.tensors), dict(contents.metadata)
@@ -605,5 +607,5 @@ def open_texture(path: str | os.PathLike[str]) -> OctreeTexture:
         texture = OctreeTexture(*taken(tensors, metadata))
     except InputError as error:
         raise TextureFileError(f"{path}: {error}") from error
-    texture._file = File(str(path), mapping, tensors, metadata)
+    texture._file = File(str(path), mapping, tensors, metadata, sizes)
     return texture
