@@ -7,7 +7,6 @@ import lzma
 import math
 import mmap
 import os
-import tempfile
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
@@ -35,6 +34,7 @@ from octex.archive.layout import (
     first_rows,
     named,
     parts,
+    room,
 )
 from octex.archive.models import Models, Numbers, most_numbers, no_counts
 from octex.archive.models import read as read_models
@@ -50,8 +50,6 @@ from octex.tree.validate import check_layout
 
 _DTYPES = {"uint8": 1, "uint16": 2, "float16": 2, "float32": 4}
 _OTHERS = ("uint", "int", "float")
-#: Larger textures are decoded to a temporary file, whose pages need not stay in memory.
-_IN_MEMORY = 1 << 28
 #: The longest head, in bytes of JSON, and the most that xz may take.
 _LONGEST_HEAD = 100_000_000
 _MOST_FOR_XZ = 1 << 26
@@ -311,21 +309,13 @@ def _room(head: _Head) -> dict[str, Array]:
     for name, dtype, shape in head.others:
         shapes[name] = dtype, shape
     sizes = {key: np.dtype(dtype).itemsize * math.prod(shape) for key, (dtype, shape) in shapes.items()}
-    room = _zeros(sum(size + 63 & -64 for size in sizes.values()))
+    content = room(sum(size + 63 & -64 for size in sizes.values()))
     tensors: dict[str, Array] = {}
     at = 0
     for key, (dtype, shape) in shapes.items():
-        tensors[key] = room[at : at + sizes[key]].view(dtype).reshape(shape)
+        tensors[key] = content[at : at + sizes[key]].view(dtype).reshape(shape)
         at += sizes[key] + 63 & -64
     return tensors
-
-
-def _zeros(count: int) -> Uint8s:
-    if count <= _IN_MEMORY:
-        return np.zeros(count, np.uint8)
-    with tempfile.TemporaryFile() as file:
-        file.truncate(count)
-        return np.frombuffer(mmap.mmap(file.fileno(), count), np.uint8)
 
 
 class _Decoding:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import lzma
 import os
-import tempfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -36,6 +35,7 @@ from octex.archive.layout import (
     known_names,
     named,
     parts,
+    room,
 )
 from octex.archive.models import Counts, Models, made, no_counts, uncounted
 from octex.archive.structure import code_structure
@@ -49,8 +49,6 @@ from octex.tree.octree import Octree, no_kept, no_split
 _TOGETHER = 8
 #: About so many cells of nodes, and of leaves, are looked at to choose weights.
 _SAMPLE = 1 << 14
-#: Copies of values that may move are kept in memory up to this, else in a temporary file.
-_IN_MEMORY = 1 << 26
 
 
 class _Subject(NamedTuple):
@@ -212,18 +210,9 @@ def _coding(
 
 def _copied(channel: Named) -> Named:
     """Return arrays of the same shapes for the values that will be read; the root's are kept."""
-    copy = Named(*(_scratch(array.shape) for array in channel))
+    copy = Named(*(room(array.size).reshape(array.shape) for array in channel))
     copy.values[0] = channel.values[0]
     return copy
-
-
-def _scratch(shape: tuple[int, ...]) -> Uint8s:
-    count = int(np.prod(shape))
-    if count <= _IN_MEMORY:
-        return np.empty(shape, np.uint8)
-    with tempfile.TemporaryFile() as file:
-        file.truncate(count)
-        return np.memmap(file, np.uint8, "r+", shape=shape)
 
 
 # The blocks.

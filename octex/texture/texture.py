@@ -533,8 +533,8 @@ class OctreeTexture:
     def info(self) -> dict[str, Any]:
         """Describe the texture as numbers and strings, ready for JSON. Lengths are in the model's units.
 
-        Reads no cell. ``bytes`` says where the bytes of its render file go; ``archive``, if it was opened from
-        an archive, where those of that go.
+        Reads no cell. ``bytes`` says where the bytes of its render file go; ``archive``, if it came from one,
+        where those of that go.
         """
         return described(self._parts(), self._file)
 
