@@ -12,6 +12,7 @@ import pytest
 from octex.errors import CameraError, OutputError
 from octex.view.camera import Camera
 from octex.view.camera_files import find_frame, read_cameras, write_cameras
+from tests.naive_lens import through
 
 POINTS = np.random.default_rng(0).uniform(-0.2, 0.2, (20, 3))
 LENS = (-0.2, 0.05, 1e-3, -2e-3)
@@ -151,10 +152,10 @@ def test_a_picture_of_another_size_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"camera_model": "OPENCV_FISHEYE"}, "camera_model 'OPENCV_FISHEYE' is not known"),
+        ({"camera_model": "EQUIRECTANGULAR"}, "camera_model 'EQUIRECTANGULAR' is not known"),
         ({"camera_model": 3}, "camera_model must be a text, not 3"),
-        ({"is_fisheye": True}, "is_fisheye is set"),
-        ({"k3": 0.1}, "k3 must be zero"),
+        ({"is_equirectangular": True}, "is_equirectangular is set"),
+        ({"k4": 0.1}, "k4 must be zero"),
         ({"k1": "a"}, "k1 must be a finite number, not 'a'"),
         ({"fl_y": 0}, "fl_y must be above zero, not 0"),
         ({"fl_y": True}, "fl_y must be a finite number, not True"),
@@ -191,6 +192,87 @@ def test_transforms_that_cannot_be_used_are_refused_by_field(tmp_path, changes, 
     assert complaint in message
 
 
+def test_transforms_may_be_of_fisheye_lenses(tmp_path):
+    numbers = {"k1": 0.1, "k2": -0.03, "k3": 0.01, "k4": -0.004, "p1": 0.0, "p2": 0.0}
+    for number, fields in enumerate(({"camera_model": "OPENCV_FISHEYE"}, {"is_fisheye": True})):
+        path = write_json(tmp_path / f"{number}.json", transforms(**fields, **numbers))
+        seen = POINTS @ view(1)[:3, :3].T + view(1)[:3, 3]
+        lens = [0.1, -0.03, 0.01, -0.004]
+        bent = np.array([through("OPENCV_FISHEYE", lens, x / z, y / z) for x, y, z in seen])
+        sees(read_cameras(path)[0].camera(), bent * [500, 510] + [310, 250])
+
+
+# Arrays
+
+
+def write_arrays(path, **arrays):
+    np.savez(path, **arrays)
+    return path
+
+
+def test_arrays_of_gsplat_are_world_to_camera_and_what_numbers_say(tmp_path):
+    matrices, K = np.stack([view(1), view(2)]), np.array([[500.0, 0, 310], [0, 510, 250], [0, 0, 1]])
+    pixels = [expected(each, 500.0, 510.0, (310.0, 250.0)) for each in matrices]
+    given = {
+        "a": {"viewmats": matrices, "Ks": np.stack([K, K])},
+        "b": {"viewmats": matrices[None], "Ks": K[None], "width": 640, "height": 480},
+        "c": {"w2c": matrices[:, :3], "K": K},
+        "d": {
+            "camtoworlds": np.stack([to_opengl(each) for each in matrices]),
+            "convention": "opengl",
+            "K": K,
+        },
+        "e": {"c2w": np.linalg.inv(matrices), "convention": "opencv", "Ks": K},
+    }
+    for name, arrays in given.items():
+        frames = read_cameras(write_arrays(tmp_path / f"{name}.npz", **arrays))
+        assert [frame.name for frame in frames] == ["0", "1"]
+        assert not frames[0].is_named
+        for frame, there in zip(frames, pixels, strict=True):
+            sees(frame.camera(frame.size or (640, 480)), there)
+
+
+def test_arrays_may_have_names_and_lenses(tmp_path):
+    K = np.array([[500.0, 0, 310], [0, 510, 250], [0, 0, 1]])
+    path = write_arrays(
+        tmp_path / "a.npz", viewmats=view(1)[None], Ks=K, names=["a.png"], distortion=LENS,
+        width=[640], height=480,
+    )  # fmt: skip
+    frame = read_cameras(path)[0]
+    assert (frame.name, frame.size, frame.is_named) == ("a.png", (640, 480), True)
+    sees(frame.camera(), expected(view(1), 500.0, 510.0, (310.0, 250.0), LENS))
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"viewmats": None}, "must have one of viewmats, w2c"),
+        ({"Ks": None}, "must have one of Ks, K, intrinsics; has viewmats"),
+        ({"viewmats": np.ones((2, 5, 4))}, "viewmats must have shape (n, 4, 4), not (2, 5, 4)"),
+        ({"viewmats": np.ones((2, 4, 4))}, "camera 0: viewmats: a camera's pose must have the last row"),
+        ({"viewmats": np.full((1, 4, 4), np.nan)}, "viewmats must be finite numbers"),
+        ({"Ks": np.zeros((3, 3))}, "camera 0: Ks: K's focal lengths must be above zero"),
+        ({"Ks": np.ones((3, 3, 3))}, "Ks has 3 rows for 2 cameras"),
+        ({"camtoworlds": np.ones((2, 4, 4))}, "must have one of"),
+        ({"viewmats": None, "poses": np.ones((2, 4, 4))}, "convention is missing; it must be a text"),
+        (
+            {"viewmats": None, "poses": np.zeros((2, 3, 4)), "convention": "opencv"},
+            "poses: its upper left 3×3 must be a rotation",
+        ),
+        ({"width": 1.5, "height": 3}, "width and height must be whole numbers"),
+        ({"distortion": [1.0]}, "distortion must be"),
+        ({"distortion_model": "x"}, "distortion_model must be one of opencv, fisheye, fov"),
+        ({"names": np.array([None])}, "cannot be read as an .npz file"),
+    ],
+)
+def test_arrays_that_cannot_be_used_are_refused_by_name(tmp_path, changes, complaint):
+    arrays = {"viewmats": np.stack([view(1), view(2)]), "Ks": np.eye(3)} | changes
+    path = write_arrays(
+        tmp_path / "a.npz", **{name: each for name, each in arrays.items() if each is not None}
+    )
+    assert complaint in refusal(path)
+
+
 # COLMAP
 
 CAMERAS = [
@@ -199,8 +281,17 @@ CAMERAS = [
     (3, "SIMPLE_RADIAL", (500.0, 310.0, 250.0, -0.1)),
     (4, "RADIAL", (500.0, 310.0, 250.0, -0.1, 0.02)),
     (7, "OPENCV", (500.0, 510.0, 310.0, 250.0, *LENS)),
+    (8, "OPENCV_FISHEYE", (500.0, 510.0, 310.0, 250.0, 0.1, -0.05, 0.02, -0.01)),
+    (9, "FULL_OPENCV", (500.0, 510.0, 310.0, 250.0, *LENS, 0.02, 0.1, 0.03, -0.01)),
+    (10, "FOV", (500.0, 510.0, 310.0, 250.0, 0.9)),
+    (11, "SIMPLE_RADIAL_FISHEYE", (500.0, 310.0, 250.0, 0.1)),
+    (12, "RADIAL_FISHEYE", (500.0, 310.0, 250.0, 0.1, -0.03)),
+    (13, "THIN_PRISM_FISHEYE", (500.0, 510.0, 310.0, 250.0, *LENS, 0.02, -0.01, 0.003, -0.002)),
 ]
-NUMBERS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4}
+NUMBERS = {
+    "SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4, "OPENCV_FISHEYE": 5,
+    "FULL_OPENCV": 6, "FOV": 7, "SIMPLE_RADIAL_FISHEYE": 8, "RADIAL_FISHEYE": 9, "THIN_PRISM_FISHEYE": 10,
+}  # fmt: skip
 
 
 def colmap_text(folder):
@@ -234,12 +325,16 @@ def colmap_binary(folder):
 
 
 def colmap_pixels(model, values, matrix):
-    if model in ("PINHOLE", "OPENCV"):
-        focal_x, focal_y, x, y, *lens = values
-    else:
-        focal_x, x, y, *lens = values
-        focal_y = focal_x
-    return expected(matrix, focal_x, focal_y, (x, y), (*lens, 0, 0, 0, 0)[:4])
+    if model in ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"):
+        values = values[0], *values
+    focal_x, focal_y, x, y, *lens = values
+    return np.array(
+        [
+            np.array([focal_x, focal_y]) * through(model, lens, point[0] / point[2], point[1] / point[2])
+            + [x, y]
+            for point in POINTS @ matrix[:3, :3].T + matrix[:3, 3]
+        ]
+    )
 
 
 @pytest.mark.parametrize("write", [colmap_text, colmap_binary])
@@ -280,7 +375,7 @@ def test_a_folder_without_a_model_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("file", "old", "new", "complaint"),
     [
-        ("cameras.txt", "PINHOLE", "FISHEYE", "line 2: model 'SIMPLE_FISHEYE' is not known; undistort"),
+        ("cameras.txt", "PINHOLE", "DIVISION", "line 2: model 'SIMPLE_DIVISION' is not known; undistort"),
         ("cameras.txt", "2 PINHOLE 640", "2 PINHOLE 0", "line 3: width must be a whole number from 1"),
         ("cameras.txt", "2 PINHOLE 640", "2 PINHOLE x", "line 3: WIDTH must be a whole number, not 'x'"),
         ("cameras.txt", "2 PINHOLE", "2", "line 3: model '640' is not known"),
@@ -292,8 +387,8 @@ def test_a_folder_without_a_model_is_refused(tmp_path):
         (
             "images.txt",
             " 3.0 1 dir",
-            " 3.0 9 dir",
-            "frame 'dir/im 1.jpg': camera 9 does not stand in cameras",
+            " 3.0 99 dir",
+            "frame 'dir/im 1.jpg': camera 99 does not stand in cameras",
         ),
         ("images.txt", " 3.0 1 dir", " 3.0 x dir", "CAMERA_ID must be a whole number, not 'x'"),
         ("images.txt", " 3.0 1 dir", " inf 1 dir", "must be a finite number, not inf"),
@@ -314,22 +409,21 @@ def test_a_broken_text_model_is_refused_by_line(tmp_path, file, old, new, compla
 def test_a_binary_model_that_lies_about_its_length_is_refused(tmp_path):
     colmap_binary(tmp_path)
     whole = (tmp_path / "images.bin").read_bytes()
-    for count in (6, 2**64 - 1):
+    last = len(CAMERAS)
+    for count in (last + 1, 2**64 - 1):
         (tmp_path / "images.bin").write_bytes(struct.pack("<Q", count) + whole[8:])
-        assert f"images.bin: image 6 of {count}: the file ends here" in refusal(tmp_path)
+        assert f"images.bin: image {last + 1} of {count}: the file ends here" in refusal(tmp_path)
     (tmp_path / "images.bin").write_bytes(whole[:-8] + struct.pack("<Q", 2**63))
-    assert "image 5 of 5: the file ends here" in refusal(tmp_path)
+    assert f"image {last} of {last}: the file ends here" in refusal(tmp_path)
     (tmp_path / "images.bin").write_bytes(whole[:80])
-    assert "image 1 of 5: the file ends in a name" in refusal(tmp_path)
+    assert f"image 1 of {last}: the file ends in a name" in refusal(tmp_path)
     (tmp_path / "images.bin").write_bytes(struct.pack("<Q", 0))
     assert "has no cameras" in refusal(tmp_path)
     (tmp_path / "images.bin").write_bytes(whole.replace(b"dir", b"\xff\xfe\xfd"))
     assert "images.bin: is not UTF-8 text" in refusal(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("number", "name"), [(5, "'OPENCV_FISHEYE'"), (99, "'number 99'"), (-1, "'number -1'")]
-)
+@pytest.mark.parametrize(("number", "name"), [(11, "'number 11'"), (99, "'number 99'"), (-1, "'number -1'")])
 def test_a_binary_model_of_an_unknown_kind_is_refused_by_name(tmp_path, number, name):
     colmap_binary(tmp_path)
     (tmp_path / "cameras.bin").write_bytes(struct.pack("<QiiQQ", 1, 1, number, 640, 480))
@@ -524,7 +618,7 @@ def test_our_file_may_have_opengl_poses_and_no_distortion(tmp_path):
         ({"projection": "fisheye"}, "projection must be one of pinhole, orthographic, not 'fisheye'"),
         ({"convention": "blender"}, "convention must be one of opencv, opengl, not 'blender'"),
         ({"projection": "orthographic"}, "distortion must be zeros for an orthographic camera"),
-        ({"distortion": [1, 2]}, "distortion must be 4 numbers, not 2"),
+        ({"distortion": [1]}, "distortion must be 2 or 4 or 5 or 8 numbers, not 1"),
         ({"K": np.ones((3, 3)).tolist()}, "frame 'front': K: K must be upper triangular"),
         ({"pose": np.eye(3).tolist()}, "frame 'front': pose must be a matrix of 4×4 numbers"),
         ({"pose": np.zeros((4, 4)).tolist()}, "frame 'front': pose: a camera's pose"),

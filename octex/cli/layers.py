@@ -75,7 +75,9 @@ def _projection(options: argparse.Namespace, shot: Shot) -> Projection:
         from octex.source.images.decode import decode_image
 
         since = decode_image(since, f"the view in {options.camera[0]}")
-    return octex.Projection(shot.path, shot.camera, shot.mask, blend=options.blend or "over", since=since)
+    return octex.Projection(
+        shot.path, shot.camera, shot.mask, blend=options.blend or "over", since=since, key=options.key
+    )
 
 
 def _background_value(options: argparse.Namespace) -> tuple[float, ...]:

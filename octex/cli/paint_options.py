@@ -11,6 +11,7 @@ from octex.cli.arguments import (
     blend,
     camera,
     color,
+    mask_pattern,
     opacity,
     picture_size,
     pixels,
@@ -18,6 +19,7 @@ from octex.cli.arguments import (
 )
 from octex.cli.models import DEFAULT_CHANNEL, TEXTURE_ENDING
 from octex.cli.parser import RUNNING, Command, option, words_given
+from octex.cli.shape_options import SHAPE_OPTIONS, SHAPE_WORDS, check_subdivision
 from octex.cli.view import DEFAULT_SIZE
 from octex.cli.view_options import VIEW_OPTIONS, VIEW_WORDS, check_view_options
 from octex.errors import ArgumentError
@@ -50,6 +52,18 @@ _OPTIONS = (
         metavar="PNG",
         action="append",
         type=Path,
+    ),
+    option(
+        "--masks",
+        "the mask of each picture: a path with {stem}, its name without the ending, or {name}",
+        metavar="PATTERN",
+        type=mask_pattern,
+    ),
+    option(
+        "--key",
+        "a colour that is not painted, of a backdrop: R,G,B from 0 to 255, or '#rrggbb'",
+        metavar="COLOUR",
+        type=color,
     ),
     option(
         "--since",
@@ -91,6 +105,7 @@ _OPTIONS = (
         type=color,
     ),
     option("--rest", "the undeformed model, of the same topology as MODEL", metavar="MESH", type=Path),
+    *SHAPE_OPTIONS,
     option("--preview", "draw the model beside the model from its octree", metavar="PNG", type=Path),
     option("--layer-out", "keep the paint itself, .octex, for --layer", metavar="LAYER", type=Path),
     option(
@@ -126,11 +141,11 @@ _OPTIONS = (
 )
 
 # Which options go with which work.
-_SHARED = {"MODEL", "TEXTURE", "--rest", "--force", "--quiet", "--json"}
+_SHARED = {"MODEL", "TEXTURE", "--rest", "--force", "--quiet", "--json"} | SHAPE_WORDS
 _MERGE = _SHARED | VIEW_WORDS | {"--out", "--blend", "--opacity", "--preview", "--threads"}
 _WORDS = {
     "painting": _MERGE
-    | {"IMAGE", "--camera", "--mask", "--since", "--whole", "--channel", "--max-depth"}
+    | {"IMAGE", "--camera", "--mask", "--masks", "--key", "--since", "--whole", "--channel", "--max-depth"}
     | {
         "--max-angle",
         "--edge-feather",
@@ -191,6 +206,7 @@ def work_of(options: argparse.Namespace, program: str) -> str:
     for word in given:
         if word != work and word not in _WORDS[work]:
             raise ArgumentError(f"{word} has no meaning with {work}; see {program} --help")
+    check_subdivision(options)
     for word in _NEEDED[work]:
         if word not in given:
             raise ArgumentError(f"{word} is missing; see {program} --help")
@@ -210,6 +226,8 @@ def work_of(options: argparse.Namespace, program: str) -> str:
     if options.blend == "erase" and not is_there:
         what = "there is no TEXTURE" if options.TEXTURE is None else f"{options.TEXTURE}: does not exist"
         raise ArgumentError(f"{what}; there is nothing to erase")
+    if options.mask is not None and options.masks is not None:
+        raise ArgumentError("--mask and --masks both say what the masks are; give one of them")
     if options.mask is not None and len(options.mask) not in (1, len(options.IMAGE)):
         raise ArgumentError(
             f"--mask gives {len(options.mask)} for {len(options.IMAGE)} IMAGEs; give one for all, or one for "

@@ -15,6 +15,12 @@ if TYPE_CHECKING:
     from octex.view.camera_files import Frame
 
 _LISTED = 5
+#: EXIF orientations above this are of pictures whose rows are stored as columns.
+_LYING = 4
+
+
+#: What stands for the picture's name, and for that without its ending, in --masks.
+_NAME, _STEM = "{name}", "{stem}"
 
 
 class Shot(NamedTuple):
@@ -28,18 +34,14 @@ class Shot(NamedTuple):
 
 def shots_of(options: argparse.Namespace, progress: Reporter) -> tuple[list[Shot], list[str]]:
     """Return pictures with their cameras, and the names of those that are missing."""
-    from octex.source.images.decode import image_size
-
     pairs, missing = _pairs(options)
     if missing:
         progress.note(f"skipped {len(missing)} of {len(pairs) + len(missing)} pictures: {_listing(missing)}")
-    masks = options.mask or [None]
-    if len(masks) == 1:
-        masks = masks * len(pairs)
+    masks = _masks(options, [path for path, _ in pairs])
     shots = []
     for (path, frame), mask in zip(pairs, masks, strict=True):
         try:
-            size = image_size(path)
+            size = _size(path, frame)
         except ImageError as error:
             raise ImageError(f"{error} (for frame {frame.name!r} of {frame.file})") from None
         try:
@@ -48,6 +50,31 @@ def shots_of(options: argparse.Namespace, progress: Reporter) -> tuple[list[Shot
         except CameraError as error:
             raise CameraError(f"{path}: {error}") from None
     return shots, missing
+
+
+def _masks(options: argparse.Namespace, pictures: Sequence[Path]) -> list[Path | None]:
+    """Return the mask of each picture."""
+    if options.masks is None:
+        given: list[Path | None] = list(options.mask or [None])
+        return given * len(pictures) if len(given) == 1 else given
+    found = [Path(options.masks.replace(_NAME, path.name).replace(_STEM, path.stem)) for path in pictures]
+    missing = [mask.as_posix() for mask in found if not mask.is_file()]
+    if missing:
+        raise ImageError(f"--masks: {len(missing)} of {len(found)} masks are not there: {_listing(missing)}")
+    return list(found)
+
+
+def _size(path: Path, frame: Frame) -> tuple[int, int]:
+    """Return a picture's size, upright unless only as it is stored it has the frame's."""
+    from octex.source.images.decode import image_size
+    from octex.source.images.orientation import orientation_of
+
+    width, height = image_size(path)
+    if width == height or (width, height) == frame.size:
+        return width, height
+    with path.open("rb") as file:
+        is_turned = orientation_of(file.read()) > _LYING
+    return (height, width) if is_turned else (width, height)
 
 
 def _since(options: argparse.Namespace, frame: Frame) -> Path | bytes | None:
@@ -74,6 +101,8 @@ def _pairs(options: argparse.Namespace) -> tuple[list[tuple[Path, Frame]], list[
         frames = [frame_of(frames, name, file)]
     if len(images) == 1 and len(frames) == 1 and images[0][1] is None:
         return [(images[0][0], frames[0])], []
+    if len(images) == len(frames) and not any([*(f.is_named for f in frames), *(own for _, own in images)]):
+        return [(image, frame) for (image, _), frame in zip(images, frames, strict=True)], []
     if images:
         return [(image, frame_of(frames, own or image.as_posix(), file)) for image, own in images], []
     own = [(frame.image, frame) for frame in frames if frame.image is not None]

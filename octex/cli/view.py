@@ -47,7 +47,7 @@ def view(command: str, options: argparse.Namespace) -> int:
         with progress.stage("read"):
             surface = read_posed(options)
         camera = _view_camera(options, surface, frame)
-        if any(camera.distortion):
+        if camera.is_distorted:
             progress.note(
                 "the camera's lens distorts; the picture is drawn without that, and fits the camera that "
                 "--camera-out writes"

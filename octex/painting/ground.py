@@ -65,6 +65,6 @@ class Ground:
 
 def _key(camera: Camera, feather: float) -> bytes:
     """Return what tells one camera's sight from another's."""
-    numbers = camera.width, camera.height, feather, camera.projection == "pinhole", camera.reach
-    parts = camera.world_to_camera, camera.K, camera.distortion, numbers
+    numbers = camera.width, camera.height, feather, camera.projection == "pinhole"
+    parts = camera.world_to_camera, camera.K, camera.lens, numbers
     return b"".join(np.asarray(part, np.float64).tobytes() for part in parts)

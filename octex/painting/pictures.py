@@ -11,12 +11,13 @@ import numpy as np
 import numpy.typing as npt
 import PIL.Image
 
-from octex.arrays import Array, Float32s, Int64s
-from octex.channels import ChannelFormat, decode_table
-from octex.checks import as_choice, as_items, as_number, as_path, is_path
+from octex.arrays import Array, Bools, Float32s, Int64s
+from octex.channels import ChannelFormat, decode_table, linear_to_srgb
+from octex.checks import as_choice, as_items, as_number, as_path, as_reals, is_path
 from octex.errors import ArgumentError, ImageError
 from octex.jit import inlined
 from octex.source.images.decode import as_texels, read_image_file
+from octex.source.images.orientation import orientation_of, turned
 from octex.source.images.pyramid import resized
 from octex.view.camera import Camera
 
@@ -30,6 +31,8 @@ BLENDS: tuple[Blend, ...] = get_args(Blend)
 
 #: What is more opaque than this is so: the spline's weights sum to 1 but for rounding.
 _OPAQUE = np.float32(1.0 - 1e-6)
+#: Pixels so near to a key, in 8-bit codes of each component, are of its colour.
+_KEY_CODES = 24
 #: Codes of images.
 _MOST_CODE = 65535.0
 
@@ -40,12 +43,17 @@ class Projection:
 
     image      a file, a Pillow image, or an array as for ``Surface.from_arrays``: codes, or linear floats.
                Its size is the camera's; its alpha, if it has one, is how opaque the paint is
+               Files are turned upright as their EXIF orientation says, unless only as they are stored have
+               they the camera's size
     camera     where it was taken, or what it was painted over
-    mask       another image of that size, white where paint goes, black where none does; grey is in between
+    mask       another image of that size, white where paint goes, black where none does; grey is in between.
+               Of one with transparency (a cut-out) that is the mask, whatever its colours
     opacity    0 … 1, multiplies the alpha
     blend      how paint meets what is there: one of BLENDS
     since      the picture as it was before it was drawn on, of the same size: only pixels that differ from it
                are painted
+    key        a colour of 8-bit codes, (red, green, blue): pixels within 24 codes of it, which compression
+               leaves of a backdrop, are not painted
     """
 
     image: Image
@@ -54,12 +62,15 @@ class Projection:
     opacity: float = 1.0
     blend: Blend = "over"
     since: Image | None = None
+    key: Sequence[int] | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.camera, Camera):
             raise ArgumentError(f"camera must be an octex.Camera, not {type(self.camera).__name__}")
         object.__setattr__(self, "opacity", as_number(self.opacity, "opacity", 0.0, 1.0))
         as_choice(self.blend, BLENDS, "blend")
+        if self.key is not None:
+            as_reals(self.key, "key", (3,), most=255.0)
 
     @property
     def name(self) -> str:
@@ -85,19 +96,24 @@ def levels_of(projection: Projection, form: ChannelFormat, scale: float = 1.0) -
     camera's.
     """
     width, height = projection.camera.width, projection.camera.height
-    texels = _texels(projection.image, "the image")
+    size = width, height
+    texels = _texels(projection.image, "the image", size)
     _check_size(texels, width, height, projection.name)
     pixels = _decoded(texels, form)
     factor: np.float32 | Float32s = np.float32(scale)
     if projection.since is not None:
-        before = _texels(projection.since, "the picture as it was")
+        before = _texels(projection.since, "the picture as it was", size)
         _check_size(before, width, height, _name_of(projection.since, "the picture as it was"))
         factor = factor * (pixels != _decoded(before, form)).any(axis=2)
     if projection.mask is not None:
-        mask = _texels(projection.mask, "the mask")
+        mask = _texels(projection.mask, "the mask", size)
         _check_size(mask, width, height, _name_of(projection.mask, "the mask"))
-        shown = mask[:, :, :3].mean(axis=2, dtype=np.float32) * _as_fractions(mask[:, :, 3])
-        factor = shown / np.float32(_MOST_CODE if mask.dtype == np.uint16 else 1.0) * factor
+        shown = _as_fractions(mask[:, :, 3])
+        if (shown == 1.0).all():
+            shown = _as_fractions(mask[:, :, :3].mean(axis=2, dtype=np.float32).astype(mask.dtype))
+        factor = shown * factor
+    if projection.key is not None:
+        factor = factor * ~_is_key(texels, projection.key)
     pixels[:, :, 3] *= np.clip(factor, 0.0, 1.0)
     there = pixels[pixels[:, :, 3] > 0, :3]
     ends = np.stack([there.min(axis=0), there.max(axis=0)]) if there.size else np.zeros((2, 3), np.float32)
@@ -117,13 +133,16 @@ def _name_of(image: Image, otherwise: str) -> str:
     return str(as_path(image, "image")) if is_path(image) else otherwise
 
 
-def _texels(image: Image, otherwise: str) -> npt.NDArray[np.uint16 | np.float32]:
+def _texels(image: Image, otherwise: str, size: tuple[int, int]) -> npt.NDArray[np.uint16 | np.float32]:
+    """Return the texels of an image, of a file turned upright if it then has a size (width, height)."""
     if not is_path(image):
         try:
             return as_texels(image)  # type: ignore[arg-type]
         except ImageError as error:
             raise ImageError(f"{otherwise}: {error}") from None
-    return read_image_file(as_path(image, "image"))[0]
+    texels, data = read_image_file(as_path(image, "image"))
+    upright = turned(texels, orientation_of(data))
+    return upright if upright.shape[1::-1] == size else texels
 
 
 def _check_size(texels: Array, width: int, height: int, name: str) -> None:
@@ -133,6 +152,17 @@ def _check_size(texels: Array, width: int, height: int, name: str) -> None:
             f"{name} has {columns}×{rows} pixels, its camera {width}×{height}; scale the picture, or give "
             "the camera that it was taken with"
         )
+
+
+def _is_key(texels: npt.NDArray[np.uint16 | np.float32], key: Sequence[int]) -> Bools:
+    """Say which texels (height, width) are within _KEY_CODES of a colour of 8-bit codes."""
+    colors = texels[:, :, :3]
+    if texels.dtype == np.uint16:
+        codes = colors.astype(np.float32) / 257.0
+    else:
+        codes = (255.0 * linear_to_srgb(np.clip(colors, 0, 1))).astype(np.float32)
+    near: Bools = (np.abs(codes - np.asarray(key, np.float32)) <= _KEY_CODES).all(axis=2)
+    return near
 
 
 def _as_fractions(alpha: npt.NDArray[np.uint16 | np.float32]) -> Float32s:

@@ -16,10 +16,9 @@ from octex.conversion.pieces import Blocks
 from octex.jit import inlined, kernel
 from octex.painting.pictures import Levels, Projection, levels_of, read_paint
 from octex.painting.source import PaintSource
-from octex.source.corners import Frames
 from octex.source.surface import Surface
-from octex.source.tangents import carried
 from octex.view.camera import Camera
+from octex.view.lens import distorted, is_bent
 from octex.view.shading import corner_normals_of, face_normals
 from octex.view.visibility import (
     View,
@@ -55,7 +54,8 @@ class Shot(NamedTuple):
     """A picture and what its camera sees, as kernels read them."""
 
     camera: View  # without distortion
-    lens: Float64s  # (14,)   K (9) of the picture, then k1, k2, p1, p2 and the camera's reach
+    K: Float64s  # (3, 3)   of the picture
+    lens: Float64s  # (14,)   see octex.view.lens.lens_numbers
     levels: Levels
     seen: Visibility
     margins: Float32s  # (height, width)   to where the surface ends, in pixels; at most so far
@@ -66,6 +66,7 @@ class Sight(NamedTuple):
     """What a camera sees of a surface; see Shot."""
 
     camera: View
+    K: Float64s
     lens: Float64s
     seen: Visibility
     margins: Float32s
@@ -107,13 +108,12 @@ def sight_of(
     seen, centres = visibility_of(vertices, triangles, pinhole, executor)
     view = view_of(pinhole)
     margins = distances_to_edges(seen, view, max(feather, _TRUSTED) + 1.0)
-    lens = np.concatenate([camera.K.ravel(), camera.distortion, [camera.reach]])
-    return Sight(view, lens, seen, margins, centres)
+    return Sight(view, camera.K, camera.lens, seen, margins, centres)
 
 
 def shot_of(sight: Sight, levels: Levels) -> Shot:
     """Put a picture before what its camera sees."""
-    return Shot(sight.camera, sight.lens, levels, sight.seen, sight.margins, sight.centres)
+    return Shot(sight.camera, sight.K, sight.lens, levels, sight.seen, sight.margins, sight.centres)
 
 
 def in_fixed_order(shots: Sequence[Shot]) -> list[Shot]:
@@ -124,7 +124,7 @@ def in_fixed_order(shots: Sequence[Shot]) -> list[Shot]:
 
     def digest(shot: Shot) -> bytes:
         made = hashlib.sha256(bytes([shot.camera.is_pinhole]))
-        for array in (shot.camera.world_to_camera, shot.camera.K, shot.lens, shot.levels.pixels):
+        for array in (shot.camera.world_to_camera, shot.camera.K, shot.K, shot.lens, shot.levels.pixels):
             made.update(np.ascontiguousarray(array).data)
         return made.digest()
 
@@ -135,7 +135,7 @@ def _near_paint(shot: Shot, reach: int) -> Shot:
     """Return a shot that sees nothing where its picture is transparent; as it is if a lens bends that."""
     width, height = shot.levels.sizes[0, 1:]
     has_paint = shot.levels.pixels[: width * height, 3].reshape(height, width) > 0
-    if shot.lens[9:13].any() or has_paint.all():
+    if is_bent(shot.lens) or has_paint.all():
         return shot
     for axis in (0, 1):  # a square around each pixel: sums along rows, then along columns
         ends = np.arange(has_paint.shape[axis])
@@ -292,21 +292,19 @@ def stretches_of(vertices: Float64s, rest: Float64s, triangles: Int32s) -> Float
 
 def shading_of(surface: Surface) -> Shading:
     """Return a surface's shading normals: its own if it has ``frames``, else those of `corner_normals`."""
-    frames = surface.frames
-    if frames is None:
+    if surface.frames is None:
         return partial(_computed, surface.vertices, surface.triangles)
-    return partial(_given, surface, frames)
+    return partial(_given, surface)
 
 
 def _computed(vertices: Float64s, triangles: Int32s, chosen: Int32s) -> Float32s:
     return corner_normals_of(chosen, vertices, triangles)
 
 
-def _given(surface: Surface, frames: Frames, chosen: Int32s) -> Float32s:
-    some = Frames(frames.normals.of(chosen), frames.tangents.of(chosen))
-    if surface.rest is not surface.vertices:
-        some = carried(some, surface.triangles[chosen], surface.rest, surface.vertices)
-    return some.normals.values[some.normals.rows]
+def _given(surface: Surface, chosen: Int32s) -> Float32s:
+    frames = surface.posed_frames(chosen)
+    assert frames is not None
+    return frames.normals.values[frames.normals.rows]
 
 
 @inlined
@@ -318,19 +316,10 @@ def _smooth(t: float) -> float:
 @inlined
 def _in_picture(shot: Shot, view: View, x: float, y: float, z: float) -> tuple[float, float]:
     """Return where the lens puts a point of camera axes in the picture."""
-    lens = shot.lens
+    K = shot.K
     if view.is_pinhole:
-        x, y = x / z, y / z
-        k1, k2, p1, p2 = lens[9], lens[10], lens[11], lens[12]
-        square = x * x + y * y
-        if square >= lens[13]:
-            return -1e9, -1e9
-        radial = 1.0 + square * (k1 + square * k2)
-        x, y = (
-            x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x),
-            y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y,
-        )
-    return lens[0] * x + lens[1] * y + lens[2], lens[4] * y + lens[5]
+        x, y = distorted(shot.lens, x / z, y / z)
+    return K[0, 0] * x + K[0, 1] * y + K[0, 2], K[1, 1] * y + K[1, 2]
 
 
 @inlined

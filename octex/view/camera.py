@@ -7,7 +7,6 @@ lies at depths above zero.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, cast, get_args
@@ -27,14 +26,15 @@ from octex.checks import (
     locked,
 )
 from octex.errors import ArgumentError
+from octex.view.lens import COUNTS, DISTORTION_MODELS, DistortionModel, distort, lens_numbers, undistort
 
 #: What a pose matrix means.
 #: ``opengl``: camera-to-world; the camera looks down its −z, +y is up (glTF, Blender, transforms.json).
 #: ``opencv``: world-to-camera; the camera looks down its +z, +y is down (OpenCV, COLMAP).
 Convention = Literal["opengl", "opencv"]
 
-#: k1, k2, p1, p2 of OpenCV's radial-tangential model.
-Distortion = tuple[float, float, float, float]
+#: What `DistortionModel` says.
+Distortion = tuple[float, ...]
 NO_DISTORTION: Distortion = (0.0, 0.0, 0.0, 0.0)
 
 #: How parallel the rays are.
@@ -51,11 +51,6 @@ _LEAST_ANGLE = 1e-6
 #: From OpenGL's camera axes to ours, and back.
 _FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
 
-#: Bounds of the search for what a lens moved to a pixel.
-_MOST_STEPS = 100
-_LEAST_STEP = 1e-6
-_ROUNDING = 2.0**-51
-
 
 @dataclass(frozen=True, eq=False)
 class Camera:
@@ -66,7 +61,10 @@ class Camera:
     width, height     picture size in pixels
     K                 (3, 3), to pixel coordinates. pinhole: K · (x/z, y/z, 1); orthographic: K · (x, y, 1)
     world_to_camera   (4, 4): a rotation and a translation into camera axes (x right, y down, z forward)
-    distortion        k1, k2, p1, p2: what ``distort`` does to (x/z, y/z) before K; zeros if orthographic
+    distortion        what ``distort`` does to (x/z, y/z) before K; zeros if orthographic
+    distortion_model  what its numbers are: ``opencv``: k1, k2, p1, p2 (radial and tangential), or
+                      these with k3, k4, k5, k6 (rational); ``fisheye``: k1, k2, k3, k4 of OpenCV's fisheye
+                      model, or k1, k2, p1, p2, k3, k4, sx1, sy1 of COLMAP's THIN_PRISM_FISHEYE; ``fov``: ω
 
     Matrices are copied, and read-only. Raises ArgumentError for what is none of these.
     """
@@ -77,6 +75,7 @@ class Camera:
     world_to_camera: Float64s
     projection: Projection
     distortion: Distortion = NO_DISTORTION
+    distortion_model: DistortionModel = "opencv"
 
     def __post_init__(self) -> None:
         made = {
@@ -85,10 +84,13 @@ class Camera:
             "K": locked(_as_intrinsics(self.K)),
             "world_to_camera": locked(_as_rigid(self.world_to_camera, "world_to_camera")),
             "projection": as_choice(self.projection, get_args(Projection), "projection"),
-            "distortion": _as_distortion(self.distortion),
+            "distortion_model": as_choice(self.distortion_model, DISTORTION_MODELS, "distortion_model"),
+            "distortion": _as_distortion(self.distortion, self.distortion_model),
         }
         for name, value in made.items():
             object.__setattr__(self, name, value)
+        if self.projection == "orthographic" and self.is_distorted:
+            raise ArgumentError("an orthographic camera must have no distortion")
 
     @classmethod
     def pinhole(
@@ -101,6 +103,7 @@ class Camera:
         focal: float | tuple[float, float] | None = None,
         center: tuple[float, float] | None = None,
         distortion: Sequence[float] | None = None,
+        distortion_model: DistortionModel = "opencv",
     ) -> Camera:
         """Make a perspective camera.
 
@@ -109,10 +112,11 @@ class Camera:
         K            (3, 3) intrinsics in pixels; or instead of it
         focal        focal length in pixels, one number or (x, y), and
         center       principal point in pixels; default: the middle of the picture
-        distortion   k1, k2, p1, p2 of OpenCV's radial-tangential model, or k1, k2; default: none
+        distortion   numbers of the lens, as ``distortion_model`` says; of ``opencv`` also k1, k2 alone, or
+                     k1, k2, p1, p2, k3; default: none
 
-        Raises ArgumentError for a matrix that is no pose or no intrinsics, for a distortion that is not two
-        or four finite numbers, and unless exactly one of K and focal is given.
+        Raises ArgumentError for a matrix that is no pose or no intrinsics, for a distortion of another count
+        of numbers than its model has, and unless exactly one of K and focal is given.
         """
         width, height = _as_size(size)
         if (K is None) == (focal is None) or (K is not None and center is not None):
@@ -127,7 +131,8 @@ class Camera:
             _as_intrinsics(K),
             _as_view(pose, convention),
             "pinhole",
-            NO_DISTORTION if distortion is None else _as_distortion(distortion),
+            NO_DISTORTION if distortion is None else cast(Distortion, distortion),
+            distortion_model,
         )
 
     @classmethod
@@ -222,32 +227,29 @@ class Camera:
     @property
     def undistorted(self) -> Camera:
         """The same camera without lens distortion."""
-        return replace(self, distortion=NO_DISTORTION)
+        return replace(self, distortion=NO_DISTORTION, distortion_model="opencv")
 
     @property
-    def reach(self) -> float:
-        """The x² + y² of normalised coordinates from which on ``distort`` would fold points back."""
-        return _rising_until(*self.distortion[:2])
+    def is_distorted(self) -> bool:
+        """Whether ``distort`` moves anything."""
+        return self.distortion_model == "fisheye" or any(self.distortion)
+
+    @property
+    def lens(self) -> Float64s:
+        """The distortion as kernels read it: `octex.view.lens.lens_numbers`."""
+        return lens_numbers(self.distortion_model, self.distortion)
 
     def distort(self, points: npt.ArrayLike) -> Float64s:
         """Return where the lens moves normalised coordinates (x/z, y/z), (n, 2).
 
-        NaN from where the radial polynomial r · (1 + k1 · r² + k2 · r⁴) stops rising: points farther out
-        would be folded back into the picture.
+        NaN from where what becomes of r = √(x² + y²), without the tangential part, stops rising: points
+        farther out would be folded back into the picture.
         """
-        points = as_reals(points, "points", (-1, 2))
-        k1, k2, p1, p2 = self.distortion
-        with np.errstate(over="ignore", invalid="ignore"):
-            x, y = points.T
-            square = x * x + y * y
-            square = np.where(square < self.reach, square, np.nan)
-            radial = 1.0 + square * (k1 + square * k2)
-            return np.column_stack(
-                [
-                    x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x),
-                    y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y,
-                ]
-            )
+        points = np.ascontiguousarray(as_reals(points, "points", (-1, 2)), np.float64)
+        found = np.empty_like(points)
+        with np.errstate(all="ignore"):
+            distort(self.lens, points, found)
+        return found
 
     def project(self, points: npt.ArrayLike) -> tuple[Float64s, Float64s]:
         """Return the pixel coordinates (n, 2) and depths (n,) of world points (n, 3).
@@ -257,7 +259,7 @@ class Camera:
         """
         points = as_points(points)
         with np.errstate(over="ignore", invalid="ignore"):  # of points that are not finite, or nearly
-            if self.distortion == NO_DISTORTION:
+            if not self.is_distorted:
                 x, y, w, depth = self.matrix[:, :3] @ points.T + self.matrix[:, 3:]
                 w = np.where(w > 0.0, w, np.nan)
                 return np.column_stack([x / w, y / w]), depth
@@ -274,8 +276,11 @@ class Camera:
         on_plane = np.linalg.solve(self.K, np.column_stack([pixels, np.ones(len(pixels))]).T).T
         with np.errstate(over="ignore", invalid="ignore"):  # of pixels that are not finite, or nearly
             if self.projection == "pinhole":
-                if self.distortion != NO_DISTORTION:
-                    on_plane[:, :2] = self._undistort(cast(Float64s, on_plane[:, :2]))
+                if self.is_distorted:
+                    bent = np.ascontiguousarray(on_plane[:, :2])
+                    found = np.empty_like(bent)
+                    undistort(self.lens, bent, found)
+                    on_plane[:, :2] = found
                 origins, directions = np.zeros_like(on_plane), on_plane
             else:
                 origins, directions = on_plane * [1.0, 1.0, 0.0], np.tile([0.0, 0.0, 1.0], (len(pixels), 1))
@@ -331,56 +336,6 @@ class Camera:
             K=np.diag([factor, factor, 1.0]) @ self.K,
         )
 
-    def _undistort(self, seen: Float64s) -> Float64s:
-        """Return the inverse of ``distort``: what the lens moves to ``seen`` (n, 2); NaN where there is none.
-
-        Newton's method from the middle. A step that does not come closer, or that leaves the part where
-        ``distort`` is a number, is halved.
-        """
-        points, missed = np.zeros_like(seen), seen - self.distort(np.zeros_like(seen))
-        size = 1.0 + np.abs(seen).max(axis=1, initial=0.0)
-        part = np.ones(len(seen))
-        rows = np.arange(len(seen))
-        for _ in range(_MOST_STEPS):
-            now, error = points[rows], missed[rows]
-            trial = now + part[rows, None] * self._newton_step(now, error)
-            left = seen[rows] - self.distort(trial)
-            closer = np.linalg.norm(left, axis=1) < np.linalg.norm(error, axis=1)
-            points[rows[closer]], missed[rows[closer]] = trial[closer], left[closer]
-            part[rows] = np.where(closer, 1.0, part[rows] / 2.0)
-            far = np.abs(missed[rows]).max(axis=1) > _ROUNDING * size[rows]
-            rows = rows[far & (part[rows] > _LEAST_STEP)]
-            if not rows.size:
-                break
-        found = np.abs(missed).max(axis=1, initial=0.0) <= 1e-12 * size
-        return np.where(found[:, None], points, np.nan)
-
-    def _newton_step(self, points: Float64s, missed: Float64s) -> Float64s:
-        """Return steps that would bring ``distort`` of points on by ``missed`` if it were linear there."""
-        k1, k2, p1, p2 = self.distortion
-        x, y = points.T
-        square = x * x + y * y
-        radial, slope = 1.0 + square * (k1 + square * k2), 2.0 * k1 + 4.0 * k2 * square
-        xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-        yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
-        xy = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
-        with np.errstate(all="ignore"):
-            across = np.column_stack(
-                [yy * missed[:, 0] - xy * missed[:, 1], xx * missed[:, 1] - xy * missed[:, 0]]
-            )
-            return cast(Float64s, across / (xx * yy - xy * xy)[:, None])
-
-
-def _rising_until(k1: float, k2: float) -> float:
-    """Return the r² up to which r · (1 + k1 · r² + k2 · r⁴) rises."""
-    # The derivative 1 + 3 k1 r² + 5 k2 r⁴ is zero at u² + 3 k1 u + 5 k2 = 0, u = 1/r²; the largest u counts.
-    half, inside = -1.5 * k1, 2.25 * k1 * k1 - 5.0 * k2
-    if inside < 0.0:
-        return math.inf
-    root = math.sqrt(inside)
-    largest = half + root if half >= 0.0 else -5.0 * k2 / (root - half)
-    return 1.0 / largest if largest > 0.0 else math.inf
-
 
 def _intrinsics(focal_x: float, focal_y: float, center: tuple[float, float]) -> Float64s:
     return np.array([[focal_x, 0.0, center[0]], [0.0, focal_y, center[1]], [0.0, 0.0, 1.0]])
@@ -421,10 +376,12 @@ def _as_intrinsics(K: npt.ArrayLike) -> Float64s:
     return matrix
 
 
-def _as_distortion(distortion: Sequence[float]) -> Distortion:
-    numbers = as_reals(distortion, "distortion", (2,), (4,), most=LARGEST)
-    k1, k2, p1, p2 = np.append(numbers, np.zeros(4 - len(numbers))).tolist()
-    return k1, k2, p1, p2
+def _as_distortion(distortion: Sequence[float], model: DistortionModel) -> Distortion:
+    numbers = as_reals(distortion, "distortion", *((count,) for count in COUNTS[model]), most=LARGEST)
+    if model != "opencv":
+        return tuple(numbers.tolist())
+    whole = np.append(numbers, np.zeros(8 - len(numbers))).tolist()
+    return tuple(whole if any(whole[4:]) else whole[:4])
 
 
 def _as_view(pose: npt.ArrayLike, convention: Convention) -> Float64s:

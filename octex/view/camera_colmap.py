@@ -28,13 +28,33 @@ from octex.view.camera_records import (
     view_of_pose,
     within,
 )
+from octex.view.lens import DistortionModel
 
-#: COLMAP's models in the order of their numbers, and how many parameters those have that are read.
-_COLMAP_MODELS = (
-    "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV",
-    "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE",
-)  # fmt: skip
-_COLMAP_PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8}
+
+class _Model(NamedTuple):
+    """One of COLMAP's models: focal length or lengths, centre, and numbers of the distortion."""
+
+    focals: int
+    distortion: int
+    lens: DistortionModel = "opencv"
+
+
+#: COLMAP's models in the order of their numbers.
+_COLMAP_MODELS = {
+    "SIMPLE_PINHOLE": _Model(1, 0),
+    "PINHOLE": _Model(2, 0),
+    "SIMPLE_RADIAL": _Model(1, 1),
+    "RADIAL": _Model(1, 2),
+    "OPENCV": _Model(2, 4),
+    "OPENCV_FISHEYE": _Model(2, 4, "fisheye"),
+    "FULL_OPENCV": _Model(2, 8),
+    "FOV": _Model(2, 1, "fov"),
+    "SIMPLE_RADIAL_FISHEYE": _Model(1, 1, "fisheye"),
+    "RADIAL_FISHEYE": _Model(1, 2, "fisheye"),
+    "THIN_PRISM_FISHEYE": _Model(2, 8, "fisheye"),
+}
+#: How many numbers a distortion has at least, where COLMAP leaves out the last ones.
+_LEAST: dict[DistortionModel, int] = {"opencv": 4, "fisheye": 4, "fov": 1}
 
 
 def colmap_folder(path: Path) -> tuple[Path, str] | None:
@@ -57,6 +77,7 @@ class _Optics(NamedTuple):
     size: tuple[int, int]
     K: Float64s
     distortion: Distortion
+    model: DistortionModel
 
 
 def read_colmap(folder: Path, ending: str) -> list[Frame]:
@@ -80,9 +101,10 @@ def _colmap_frame(path: Path, image: tuple[str, list[float], int], optics: dict[
         pose[:3, 3] = values[4:]
         if camera not in optics:
             raise BrokenError(f"camera {camera} does not stand in {path.with_stem('cameras').name}")
-        size, K, distortion = optics[camera]
+        size, K, distortion, model = optics[camera]
+        view = view_of_pose(pose, "opencv")
         return Frame(
-            name, None, size, path, fixed_lens(K), view_of_pose(pose, "opencv"), distortion=distortion
+            name, None, size, path, fixed_lens(K), view, distortion=distortion, distortion_model=model
         )
 
 
@@ -90,24 +112,22 @@ def _optics(model: str, width: int, height: int, parameters: Sequence[float]) ->
     record: Json = {"width": width, "height": height}
     size = pixels_field(record, "width"), pixels_field(record, "height")
     values = [as_finite(value, "parameters") for value in parameters]
-    if model in ("PINHOLE", "OPENCV"):
-        focal_x, focal_y, center_x, center_y, *rest = values
-    else:
-        focal_x, center_x, center_y, *rest = values
-        focal_y = focal_x
+    focals, count, lens = _COLMAP_MODELS[model]
+    focal_x, focal_y = values[0], values[focals - 1]
+    center_x, center_y, *rest = values[focals:]
     if not (focal_x > 0.0 and focal_y > 0.0):
         raise BrokenError(f"focal lengths must be above zero, not {focal_x:g} and {focal_y:g}")
-    k1, k2, p1, p2 = [*rest, 0.0, 0.0, 0.0, 0.0][:4]
-    return _Optics(size, intrinsics_of(focal_x, focal_y, center_x, center_y), (k1, k2, p1, p2))
+    rest += [0.0] * (_LEAST[lens] - count)
+    return _Optics(size, intrinsics_of(focal_x, focal_y, center_x, center_y), tuple(rest), lens)
 
 
 def _parameters_of(model: str) -> int:
-    if model not in _COLMAP_PARAMETERS:
-        known = ", ".join(_COLMAP_PARAMETERS)
+    if model not in _COLMAP_MODELS:
+        known = ", ".join(_COLMAP_MODELS)
         raise BrokenError(
             f"model {reprlib.repr(model)} is not known; undistort the pictures to one of {known}"
         )
-    return _COLMAP_PARAMETERS[model]
+    return _COLMAP_MODELS[model].focals + 2 + _COLMAP_MODELS[model].distortion
 
 
 class _Bytes:
@@ -145,7 +165,8 @@ def _optics_binary(content: bytes) -> Iterator[tuple[int, _Optics]]:
     for number in range(count):
         with within(f"camera {number + 1} of {count}"):
             key, model, width, height = data.take("iiQQ")
-            name = _COLMAP_MODELS[model] if 0 <= model < len(_COLMAP_MODELS) else f"number {model}"
+            known = 0 <= model < len(_COLMAP_MODELS)
+            name = list(_COLMAP_MODELS)[model] if known else f"number {model}"
             parameters = data.take(f"{_parameters_of(name)}d")
             yield key, _optics(name, width, height, parameters)
 

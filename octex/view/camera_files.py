@@ -4,6 +4,7 @@ glTF               .gltf, .glb: the cameras of the scene's nodes
 transforms.json    NeRF, instant-ngp, nerfstudio: a JSON object with "frames"
 COLMAP             a folder with cameras and images, .bin or .txt, or one of these files
 octex cameras      a JSON object with "octex_cameras", as ``write_cameras`` writes it
+arrays             .npz: ``viewmats`` and ``Ks`` as gsplat has them, and what `camera_arrays` says
 
 What a file holds decides how it is read, not its name (but for COLMAP's files, which go by their names).
 """
@@ -26,6 +27,7 @@ from octex.errors import ArgumentError, CameraError, OutputError
 from octex.files import read_bytes, referred, replacing
 from octex.source.models.gltf_file import Document
 from octex.view.camera import Camera, Convention
+from octex.view.camera_arrays import read_arrays
 from octex.view.camera_colmap import colmap_folder, read_colmap
 from octex.view.camera_gltf import read_gltf
 from octex.view.camera_records import (
@@ -51,20 +53,25 @@ from octex.view.camera_records import (
     within,
 )
 from octex.view.camera_records import Frame as Frame
+from octex.view.lens import COUNTS, DISTORTION_MODELS, DistortionModel
 
 _OURS = "octex_cameras"
 _VERSION = 1
 _ENDINGS = ("", ".png", ".jpg", ".jpeg")
 
-#: Models of transforms.json that are what ``Camera`` can be.
-_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")
+#: Models of transforms.json, and what their numbers k1, k2, … mean.
+_MODELS: dict[str, DistortionModel] = {
+    "PINHOLE": "opencv", "SIMPLE_PINHOLE": "opencv", "OPENCV": "opencv", "SIMPLE_RADIAL": "opencv",
+    "RADIAL": "opencv", "OPENCV_FISHEYE": "fisheye", "SIMPLE_RADIAL_FISHEYE": "fisheye",
+    "RADIAL_FISHEYE": "fisheye",
+}  # fmt: skip
 
 
 def read_cameras(path: str | os.PathLike[str]) -> list[Frame]:
     """Read the cameras of a file, or of a folder with a COLMAP model, in the file's order.
 
     Raises CameraError if there is no such file, if it is of no known kind, damaged or without cameras, and
-    for cameras that octex does not know (fisheye and such).
+    for cameras that octex does not know (equirectangular and such).
     """
     path = as_path(path, refusal=CameraError)
     with reading(path):
@@ -130,6 +137,7 @@ def _entry(name: str, camera: Camera, view: bytes | None) -> Json:
         "pose": camera.world_to_camera.tolist(),
         "convention": "opencv",
         "distortion": list(camera.distortion),
+        **({} if camera.distortion_model == "opencv" else {"distortion_model": camera.distortion_model}),
         **({} if view is None else {"view": b64encode(view).decode("ascii")}),
     }
 
@@ -140,6 +148,8 @@ def _entry(name: str, camera: Camera, view: bytes | None) -> Json:
 def _read_document(path: Path, content: bytes) -> list[Frame]:
     if content.startswith(b"glTF"):
         return read_gltf(path, Document(path, content))
+    if content.startswith(b"PK"):
+        return read_arrays(path, content)
     document = _parsed(content)
     if _OURS in document:
         return _read_ours(path, document)
@@ -148,8 +158,8 @@ def _read_document(path: Path, content: bytes) -> list[Frame]:
     if "asset" in document:
         return read_gltf(path, Document(path, content))
     raise BrokenError(
-        "is no file of cameras; give a .gltf or .glb file, a transforms.json, a COLMAP model or a file that "
-        "octex wrote"
+        "is no file of cameras; give a .gltf or .glb file, a transforms.json, a COLMAP model, an .npz of "
+        "viewmats and Ks, or a file that octex wrote"
     )
 
 
@@ -189,18 +199,23 @@ def _our_frame(path: Path, name: str, record: Json) -> Frame:
         "opencv" if choice_field(record, "convention", ("opencv", "opengl")) == "opencv" else "opengl"
     )
     K, pose = matrix_field(record, "K", (3, 3)), matrix_field(record, "pose", (4, 4))
-    distortion = numbers_field(record, "distortion", 4) if "distortion" in record else np.zeros(4)
-    if orthographic and distortion.any():
+    model = DISTORTION_MODELS[0]
+    if "distortion_model" in record:
+        choice_field(record, "distortion_model", DISTORTION_MODELS)
+        model = record["distortion_model"]
+    distortion = numbers_field(record, "distortion", *COUNTS[model]) if "distortion" in record else None
+    if orthographic and (model != "opencv" or (distortion is not None and distortion.any())):
         raise BrokenError("distortion must be zeros for an orthographic camera")
     with within("K"):
         camera = Camera.pinhole(
-            size, pose=np.eye(4), convention="opencv", K=K, distortion=distortion.tolist()
-        )
+            size, pose=np.eye(4), convention="opencv", K=K, distortion_model=model,
+            distortion=None if distortion is None else distortion.tolist(),
+        )  # fmt: skip
     with within("pose"):
         view = view_of_pose(pose, convention)
     projection: Literal["pinhole", "orthographic"] = "orthographic" if orthographic else "pinhole"
     seen = _decoded(text_field(record, "view")) if "view" in record else None
-    return Frame(name, None, size, path, fixed_lens(K), view, projection, camera.distortion, seen)
+    return Frame(name, None, size, path, fixed_lens(K), view, projection, camera.distortion, model, seen)
 
 
 def _decoded(text: str) -> bytes:
@@ -225,19 +240,25 @@ def _read_transforms(path: Path, document: Json) -> list[Frame]:
 
 
 def _transforms_frame(path: Path, name: str, record: Json) -> Frame:
-    if "camera_model" in record and text_field(record, "camera_model") not in _MODELS:
-        model = reprlib.repr(record["camera_model"])
+    given = text_field(record, "camera_model") if "camera_model" in record else "OPENCV"
+    if given not in _MODELS:
         raise BrokenError(
-            f"camera_model {model} is not known; undistort the pictures to one of {', '.join(_MODELS)}"
+            f"camera_model {reprlib.repr(given)} is not known; undistort the pictures to one of "
+            f"{', '.join(_MODELS)}"
         )
-    for field in ("k3", "k4"):
-        if number_field(record, field, 0.0) != 0.0:
-            raise BrokenError(f"{field} must be zero: octex knows k1, k2, p1, p2; undistort the pictures")
-    for field in ("is_fisheye", "ftheta", "is_equirectangular", "equirectangular"):
+    model: DistortionModel = "fisheye" if record.get("is_fisheye") else _MODELS[given]
+    for field in ("ftheta", "is_equirectangular", "equirectangular"):
         if record.get(field):
             raise BrokenError(f"{field} is set: such cameras are not known; undistort the pictures")
     size = (pixels_field(record, "w"), pixels_field(record, "h")) if "w" in record or "h" in record else None
-    k1, k2, p1, p2 = (number_field(record, field, 0.0) for field in ("k1", "k2", "p1", "p2"))
+    fields = ("k1", "k2", "p1", "p2", "k3", "k4")
+    distortion = tuple(number_field(record, field, 0.0) for field in fields)
+    if model == "fisheye":
+        distortion = (*distortion, 0.0, 0.0)
+    elif distortion[5] != 0.0:
+        raise BrokenError("k4 must be zero: octex knows k1, k2, k3, p1, p2; undistort the pictures")
+    else:
+        distortion = distortion[:5]
     lens = _transforms_lens(record)
     pose = matrix_field(record, "transform_matrix", (4, 4), (3, 4))
     with within("transform_matrix"):
@@ -248,7 +269,7 @@ def _transforms_frame(path: Path, name: str, record: Json) -> Frame:
         base = path.parent / file_name(name)
     tried = [Path(f"{base}{ending}") for ending in _ENDINGS]
     image = next((place for place in tried if is_file(place)), base)
-    return Frame(name, image, size, path, lens, view, distortion=(k1, k2, p1, p2))
+    return Frame(name, image, size, path, lens, view, distortion=distortion, distortion_model=model)
 
 
 def _transforms_lens(record: Json) -> Lens:

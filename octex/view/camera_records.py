@@ -25,6 +25,7 @@ from octex.view.camera import (
     Convention,
     Distortion,
 )
+from octex.view.lens import DistortionModel
 
 Json = dict[str, Any]
 
@@ -47,7 +48,9 @@ class Frame(NamedTuple):
     world_to_camera: Float64s  # (4, 4), as Camera's
     projection: Literal["pinhole", "orthographic"] = "pinhole"
     distortion: Distortion = NO_DISTORTION
+    distortion_model: DistortionModel = "opencv"
     view: bytes | None = None  # a PNG file of what it saw, if a file of octex's own holds it
+    is_named: bool = True  # False where the file has no names: ``name`` is then the camera's number, from 0
 
     def camera(self, size: tuple[int, int] | None = None) -> Camera:
         """Make the camera for a picture of ``size`` (width, height); default: the size that the file says.
@@ -71,6 +74,7 @@ class Frame(NamedTuple):
                 convention="opencv",
                 K=self.lens(width, height),
                 distortion=self.distortion,
+                distortion_model=self.distortion_model,
             )
         except (BrokenError, ArgumentError) as error:
             raise CameraError(f"{frame}: {error}") from None
@@ -198,11 +202,12 @@ def pixels_field(record: Json, field: str) -> int:
     return int(number)
 
 
-def numbers_field(record: Json, field: str, count: int) -> Float64s:
-    """Return a field that is a list of so many numbers."""
-    found = field_of(record, field, list, f"{count} numbers")
-    if len(found) != count:
-        raise BrokenError(f"{field} must be {count} numbers, not {len(found)}")
+def numbers_field(record: Json, field: str, *counts: int) -> Float64s:
+    """Return a field that is a list of numbers, so many or so many."""
+    what = " or ".join(map(str, counts))
+    found = field_of(record, field, list, f"{what} numbers")
+    if len(found) not in counts:
+        raise BrokenError(f"{field} must be {what} numbers, not {len(found)}")
     return np.array([as_finite(value, field) for value in found])
 
 

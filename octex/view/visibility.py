@@ -66,7 +66,7 @@ def visibility_of(
 
 def straight(camera: Camera) -> Camera:
     """Return a camera without distortion whose picture holds all that ``camera`` sees, as fine."""
-    if not any(camera.distortion):
+    if not camera.is_distorted:
         return camera
     width, height = camera.width, camera.height
     x, y = np.arange(width + 1.0), np.arange(height + 1.0)

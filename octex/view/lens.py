@@ -1,0 +1,200 @@
+"""Lenses: what they make of normalised coordinates (x/z, y/z), and back.
+
+A lens first bends angles, if it does: a point at r = √(x² + y²) comes to atan(a·r) / ω; then it distorts:
+
+    radial   (1 + k1·s + k2·s² + k3·s³ + k4·s⁴) / (1 + d1·s + d2·s² + d3·s³),  s = x² + y²
+    x        x·radial + 2·p1·x·y + p2·(s + 2·x²) + sx·s
+    y        y·radial + p1·(s + 2·y²) + 2·p2·x·y + sy·s
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Literal, get_args
+
+import numpy as np
+
+from octex.arrays import Float64s
+from octex.jit import inlined, kernel
+
+#: What the numbers of a distortion are.
+#: ``opencv``: k1, k2, p1, p2 of OpenCV's radial-tangential model, of its rational one with k3, k4, k5, k6
+#: behind them; or k1, k2 alone.
+#: ``fisheye``: k1, k2, k3, k4 of OpenCV's fisheye model, angles instead of slopes; or k1, k2, p1, p2, k3, k4,
+#: sx1, sy1 as COLMAP's THIN_PRISM_FISHEYE has them.
+#: ``fov``: ω of Devernay & Faugeras, "Straight Lines Have to Be Straight" (2001).
+DistortionModel = Literal["opencv", "fisheye", "fov"]
+DISTORTION_MODELS: tuple[DistortionModel, ...] = get_args(DistortionModel)
+#: How many numbers each may have.
+COUNTS: dict[DistortionModel, tuple[int, ...]] = {"opencv": (2, 4, 5, 8), "fisheye": (4, 8), "fov": (1,)}
+
+# Rows of a lens's numbers (14,).
+_A, _OMEGA, _K, _D, _P, _S, _REACH = 0, 1, 2, 6, 9, 11, 13
+
+#: Bounds of the search for what a lens moved to a place.
+_MOST_STEPS = 100
+_LEAST_STEP = 1e-6
+_ROUNDING = 2.0**-51
+_FOUND = 1e-12
+
+
+def lens_numbers(model: DistortionModel, distortion: Sequence[float]) -> Float64s:
+    """Return a, ω (0: angles are not bent), k1 … k4, d1 … d3, p1, p2, sx, sy and the reach, squared (14,).
+
+    The reach is where what the lens makes of r stops rising: points farther out would be folded back.
+    """
+    numbers = np.zeros(14)
+    given = list(distortion)
+    if model == "fov":
+        if given[0] != 0.0:
+            numbers[_A], numbers[_OMEGA] = 2.0 * math.tan(given[0] / 2.0), given[0]
+    elif model == "fisheye":
+        if len(given) == 4:
+            given = [*given[:2], 0.0, 0.0, *given[2:], 0.0, 0.0]
+        numbers[_A] = numbers[_OMEGA] = 1.0
+        numbers[_K : _K + 4] = *given[:2], *given[4:6]
+        numbers[_P : _P + 2], numbers[_S : _S + 2] = given[2:4], given[6:8]
+    else:
+        given = [*given, *[0.0] * (8 - len(given))]
+        numbers[_K : _K + 3] = *given[:2], given[4]
+        numbers[_D : _D + 3] = given[5:8]
+        numbers[_P : _P + 2] = given[2:4]
+    until = _rising_until(numbers[_K : _K + 4], numbers[_D : _D + 3])
+    if numbers[_OMEGA] != 0.0 and until < math.inf:
+        angle = math.sqrt(until) * numbers[_OMEGA]
+        until = (math.tan(angle) / numbers[_A]) ** 2 if angle < math.pi / 2 else math.inf
+    numbers[_REACH] = until
+    return numbers
+
+
+def _rising_until(k: Float64s, d: Float64s) -> float:
+    """Return the s = r² up to which r · radial(s) rises and is finite."""
+    if not (k[2:].any() or d.any()):
+        return _rising_until_quartic(float(k[0]), float(k[1]))
+    over, under = np.poly1d([*k[::-1], 1.0]), np.poly1d([*d[::-1], 1.0])
+    s = np.poly1d([2.0, 0.0])
+    slope = (over + s * over.deriv()) * under - s * over * under.deriv()
+    roots = np.concatenate([slope.roots, under.roots])
+    real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0.0)]
+    return float(real.min(initial=math.inf))
+
+
+def _rising_until_quartic(k1: float, k2: float) -> float:
+    # The derivative 1 + 3 k1 r² + 5 k2 r⁴ is zero at u² + 3 k1 u + 5 k2 = 0, u = 1/r²; the largest u counts.
+    half, inside = -1.5 * k1, 2.25 * k1 * k1 - 5.0 * k2
+    if inside < 0.0:
+        return math.inf
+    root = math.sqrt(inside)
+    largest = half + root if half >= 0.0 else -5.0 * k2 / (root - half)
+    return 1.0 / largest if largest > 0.0 else math.inf
+
+
+def is_bent(lens: Float64s) -> bool:
+    """Say whether a lens moves anything."""
+    return bool(lens[:_REACH].any())
+
+
+@inlined
+def distorted(lens: Float64s, x: float, y: float) -> tuple[float, float]:
+    """Return where a lens moves normalised coordinates; NaN from its reach on."""
+    square = x * x + y * y
+    if not square < lens[_REACH]:
+        return np.nan, np.nan
+    if lens[_OMEGA] != 0.0:
+        bent = _bent(lens, square)
+        x, y = x * bent, y * bent
+        square = x * x + y * y
+    radial = 1.0 + square * (
+        lens[_K] + square * (lens[_K + 1] + square * (lens[_K + 2] + square * lens[_K + 3]))
+    )
+    radial /= 1.0 + square * (lens[_D] + square * (lens[_D + 1] + square * lens[_D + 2]))
+    p1, p2 = lens[_P], lens[_P + 1]
+    return (
+        x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x) + lens[_S] * square,
+        y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y + lens[_S + 1] * square,
+    )
+
+
+@inlined
+def _bent(lens: Float64s, square: float) -> float:
+    """Return atan(a·r) / (ω·r)."""
+    r = np.sqrt(square)
+    if r < 1e-9:
+        return float(lens[_A] / lens[_OMEGA])
+    return float(np.arctan(lens[_A] * r) / (lens[_OMEGA] * r))
+
+
+@inlined
+def _slopes(lens: Float64s, x: float, y: float) -> tuple[float, float, float, float]:
+    """Return the derivatives of `distorted`: of x by x and y, of y by x and y."""
+    square = x * x + y * y
+    bent = along = 1.0  # across the radius and along it
+    r = np.sqrt(square)
+    if lens[_OMEGA] != 0.0:
+        a = lens[_A]
+        bent, along = _bent(lens, square), a / (lens[_OMEGA] * (1.0 + a * a * square))
+    ux, uy = (x / r, y / r) if r > 1e-9 else (1.0, 0.0)
+    axx = bent + (along - bent) * ux * ux
+    axy = (along - bent) * ux * uy
+    ayy = bent + (along - bent) * uy * uy
+    x, y = x * bent, y * bent
+    s = x * x + y * y
+    k1, k2, k3, k4 = lens[_K], lens[_K + 1], lens[_K + 2], lens[_K + 3]
+    d1, d2, d3 = lens[_D], lens[_D + 1], lens[_D + 2]
+    over, under = 1.0 + s * (k1 + s * (k2 + s * (k3 + s * k4))), 1.0 + s * (d1 + s * (d2 + s * d3))
+    of_over = k1 + s * (2.0 * k2 + s * (3.0 * k3 + s * 4.0 * k4))
+    of_under = d1 + s * (2.0 * d2 + s * 3.0 * d3)
+    radial = over / under
+    slope = 2.0 * (of_over - radial * of_under) / under
+    p1, p2, sx, sy = lens[_P], lens[_P + 1], lens[_S], lens[_S + 1]
+    bxx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x + 2.0 * sx * x
+    bxy = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y + 2.0 * sx * y
+    byx = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y + 2.0 * sy * x
+    byy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x + 2.0 * sy * y
+    return (
+        bxx * axx + bxy * axy,
+        bxx * axy + bxy * ayy,
+        byx * axx + byy * axy,
+        byx * axy + byy * ayy,
+    )
+
+
+@kernel
+def distort(lens: Float64s, points: Float64s, found: Float64s) -> None:
+    """Write where a lens moves points (n, 2)."""
+    for n in range(len(points)):
+        found[n, 0], found[n, 1] = distorted(lens, points[n, 0], points[n, 1])
+
+
+@kernel
+def undistort(lens: Float64s, seen: Float64s, found: Float64s) -> None:
+    """Write what a lens moves to ``seen`` (n, 2); NaN where there is none.
+
+    Newton's method from the middle. A step that does not come closer, or that leaves the part where the lens
+    is defined, is halved.
+    """
+    for n in range(len(seen)):
+        u, v = seen[n, 0], seen[n, 1]
+        size = 1.0 + max(abs(u), abs(v))
+        x = y = 0.0
+        left, down = u, v
+        part = 1.0
+        for _ in range(_MOST_STEPS):
+            xx, xy, yx, yy = _slopes(lens, x, y)
+            area = xx * yy - xy * yx
+            if area == 0.0:
+                break
+            trial_x = x + part * (yy * left - xy * down) / area
+            trial_y = y + part * (xx * down - yx * left) / area
+            there_x, there_y = distorted(lens, trial_x, trial_y)
+            if np.hypot(u - there_x, v - there_y) < np.hypot(left, down):
+                x, y, left, down = trial_x, trial_y, u - there_x, v - there_y
+                part = 1.0
+            else:
+                part *= 0.5
+            if max(abs(left), abs(down)) <= _ROUNDING * size or part <= _LEAST_STEP:
+                break
+        is_found = max(abs(left), abs(down)) <= _FOUND * size
+        found[n, 0] = x if is_found else np.nan
+        found[n, 1] = y if is_found else np.nan
