@@ -22,6 +22,7 @@ The rooms, each of which knows only those before it
     tree        Morton codes, areas, placement; building, changing, searching and walking octrees
     nearest     nearest points of triangles and of clouds, how near meshes come
     field       what lies between the cells: which of them a lookup blends, and what weighs them
+    archive     the same in a third of the bytes: predicted, and coded by entropy
     texture     OctreeTexture: tree, channels and placement; lookups; the .octex file
     kernels     lookups of one point, for one's own compiled loops
     editing     what every change of a texture shares: averages, rows of split cells, refined cells

@@ -36,6 +36,7 @@ ROWS = [
     {"nearest"},
     {"field"},
     {"container"},
+    {"archive"},
     {"texture"},
     {"kernels"},
     {"editing"},
@@ -53,18 +54,13 @@ ROWS = [
 ]
 # The wing of what models look like does not know the wing of what is stored; what works on textures alone
 # needs neither what makes them of models nor what paints them: it shares its tools with these in editing.
-STORED = {"tree", "field", "container", "texture", "editing"}
+STORED = {"tree", "field", "container", "archive", "texture", "editing"}
 MADE = {"source", "conversion", "view", "painting"}
 FORBIDDEN = {"source": STORED, "view": STORED, "editing": MADE, "processing": MADE - {"source"}}
 # Depth and cell limits are checked at the border too.
 EXCEPTIONS = {("checks", "octex.tree.layout")}
 
-EXPORTED = """
-Box Camera Creases MappedImage OctexError OctreeTexture Painter Patch PointCloud Projection Ptex
-Sphere Surface TextureSet Transfer Voxels __version__ bake bake_vertices blur cast combine convert
-convert_set crop curves displace fill levels load_surface merge mix paint project read_cameras
-resize separate subdivide unwrap write_cameras write_model write_ptex
-""".split()
+EXPORTED = ["Box", "Camera", "Creases", "MappedImage", "OctexError", "OctreeTexture", "Painter", "Patch", "PointCloud", "Projection", "Ptex", "Sphere", "Surface", "TextureSet", "Transfer", "Voxels", "__version__", "bake", "bake_vertices", "blur", "cast", "combine", "convert", "convert_set", "crop", "curves", "displace", "fill", "levels", "load_surface", "merge", "mix", "paint", "project", "read_cameras", "resize", "separate", "subdivide", "unwrap", "write_cameras", "write_model", "write_ptex"]
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]
 
 PROJECT = tomllib.loads((ROOT.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import octex
 from octex.cli.arguments import channel_names, edge_length, error_codes, real, whole_number
 from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
-from octex.cli.models import TEXTURE_ENDING, open_sound
+from octex.cli.models import TEXTURE_ENDING, TEXTURE_ENDINGS, open_sound
 from octex.cli.parser import RUNNING, Command, Parser, option, words_given
 from octex.cli.shape_options import SHAPE_OPTIONS, check_subdivision, shaped_model
 from octex.errors import ArgumentError, ExitCode
@@ -142,7 +142,7 @@ def baking(options: argparse.Namespace, program: str) -> argparse.Namespace:
 def bake(options: argparse.Namespace, program: str) -> int:
     """Bake, as the options of octex bake say; return the exit code."""
     began = time.perf_counter()
-    if options.TEXTURE.suffix.lower() != TEXTURE_ENDING:
+    if options.TEXTURE.suffix.lower() not in TEXTURE_ENDINGS:
         raise ArgumentError(
             f"{options.TEXTURE}: is no {TEXTURE_ENDING} file; octex convert makes one of a model"
         )

@@ -108,6 +108,8 @@ def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
     octex.convert(surface, 6).save(folder / "needle.octex")
     texture = octex.open(folder / "needle.octex")
     texture.validate()
+    texture.save(folder / "needle.octz")
+    octex.open(folder / "needle.octz")
     for points in (samples.rest, samples.rest.astype(np.float32)):
         texture.contains(points)
         for filter in FILTERS:

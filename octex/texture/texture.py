@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex import container
+from octex.archive.layout import is_archive
 from octex.arrays import Array, Bools, Float32s, Float64s, Int64s, Uint8s
 from octex.channels import decode
 from octex.checks import (
@@ -43,7 +44,7 @@ from octex.field.lookups import (
 from octex.field.splines import FILTERS
 from octex.texture.blend import NO_GRADIENTS, make_unit, mixed_cells, stored
 from octex.texture.channel import Channel
-from octex.texture.file import ENDING, File, Parts, described, taken, written
+from octex.texture.file import ARCHIVE_ENDING, ENDING, File, Parts, described, taken, written
 from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens, LookupOptions, SurfacePoints, placed
 from octex.texture.lookup import (
     Answers,
@@ -537,17 +538,33 @@ class OctreeTexture:
         texture._field = field
         return texture
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an ``.octex`` file; the same texture gives the same bytes.
+    def save(self, path: str | os.PathLike[str], *, max_error: int = 0) -> None:
+        """Write an ``.octex`` file, or an archive of it, ``.octz``; the same texture gives the same bytes.
 
-        Raises ArgumentError for another ending, OutputError if the file cannot be written; what stood at
-        ``path`` then still stands.
+        An ``.octex`` file is looked up where it lies. An archive has a third of its bytes or less, and is
+        decoded whole when it is opened; what comes back is the same, bit for bit. With ``max_error``,
+        0 … 255, the whole numbers of an archive's values may move by so many of their codes, averages too,
+        each by itself; floats do not move.
+
+        Raises ArgumentError for another ending, and for a ``max_error`` without an archive; TextureFileError
+        for a tree that is not sound, of which no archive can be made; OutputError if the file cannot be
+        written: what stood at ``path`` then still stands.
         """
         path = as_path(path)
-        if not path.name.lower().endswith(ENDING):
-            raise ArgumentError(f"{path}: a texture is saved as NAME{ENDING}")
+        max_error = as_whole(max_error, "max_error", 0, 255)
+        ending = path.suffix.lower()
+        if ending not in (ENDING, ARCHIVE_ENDING):
+            raise ArgumentError(f"{path}: a texture is saved as NAME{ENDING} or NAME{ARCHIVE_ENDING}")
+        if max_error and ending == ENDING:
+            raise ArgumentError(f"{path}: max_error is for archives, NAME{ARCHIVE_ENDING}")
         self._read_ahead()
-        container.write(path, *written(self._parts(), self._file))
+        tensors, metadata = written(self._parts(), self._file)
+        if ending == ENDING:
+            container.write(path, tensors, metadata)
+        else:
+            from octex.archive.write import write
+
+            write(path, tensors, metadata, list(self.channels), max_error)
 
     def validate(self) -> None:
         """Prove that the tree is sound and the values are finite.
@@ -566,7 +583,8 @@ class OctreeTexture:
     def info(self) -> dict[str, Any]:
         """Describe the texture as numbers and strings, ready for JSON. Lengths are in the model's units.
 
-        Reads no cell. ``bytes`` says where the bytes of its file go.
+        Reads no cell. ``bytes`` says where the bytes of its render file go; ``archive``, if it came from one,
+        where those of that go.
         """
         return described(self._parts(), self._file)
 
@@ -615,18 +633,29 @@ def _received(
 
 
 def open_texture(path: str | os.PathLike[str]) -> OctreeTexture:
-    """Open an ``.octex`` file. It is mapped: only its header is read, the rest when it is looked at.
+    """Open an ``.octex`` file, or an archive, ``.octz``, whatever their names.
+
+    The former is mapped: only its header is read, the rest when it is looked at. The latter is decoded whole:
+    into memory, or from 256 MB on into a temporary file, whose pages need not stay in memory.
 
     Raises TextureFileError for a file that is missing, damaged, of another type or of a newer version.
     """
     path = as_path(path)
     if os.path.isdir(path):  # noqa: PTH112  # a name too long is none, and no error
         raise TextureFileError(f"{path}: is a folder; octex.TextureSet.open opens a texture set")
-    contents = container.read(path)
-    tensors, metadata = dict(contents.tensors), dict(contents.metadata)
+    mapping: mmap.mmap | None = None
+    sizes: dict[str, int] | None = None
+    if is_archive(path):
+        from octex.archive.read import read
+
+        archived = read(path)
+        tensors, metadata, sizes = dict(archived.tensors), dict(archived.metadata), archived.sizes
+    else:
+        contents = container.read(path)
+        mapping, tensors, metadata = contents.mapping, dict(contents.tensors), dict(contents.metadata)
     try:
         texture = OctreeTexture(*taken(tensors, metadata))
     except InputError as error:
         raise TextureFileError(f"{path}: {error}") from error
-    texture._file = File(str(path), contents.mapping, tensors, metadata)
+    texture._file = File(str(path), mapping, tensors, metadata, sizes)
     return texture
