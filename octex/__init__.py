@@ -15,12 +15,14 @@ The words
     residual    what a node's value has beyond the average of the cells below it
     layer       paint as a texture of its own: a channel, and how much of each cell it covers
     source      what a point's value comes from: images, functions, numbers, other models, points
+    patch       a disc of a surface, laid flat to be painted on in a picture
     fit         choosing the leaves' values so that the field meets the source
 
 The rooms, each of which knows only those before it
     tree        Morton codes, areas, placement; building, changing, searching and walking octrees
     nearest     nearest points of triangles and of clouds, how near meshes come
     field       what lies between the cells: which of them a lookup blends, and what weighs them
+    archive     the same in a third of the bytes: predicted, and coded by entropy
     texture     OctreeTexture: tree, channels and placement; lookups; the .octex file
     kernels     lookups of one point, for one's own compiled loops
     editing     what every change of a texture shares: averages, rows of split cells, refined cells
@@ -36,7 +38,7 @@ The rooms, each of which knows only those before it
     cli         the commands, and the pages of octex help
 
 Common ground: ahead, arrays, channels, checks, compare, container, errors, files, functions, jit,
-jit_cache, parallel.
+jit_cache, jit_parts, parallel.
 """
 
 from __future__ import annotations
@@ -46,12 +48,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from octex.baking.bake import bake as bake
+    from octex.baking.displaced import displace as displace
     from octex.baking.vertices import bake_vertices as bake_vertices
     from octex.conversion.apart import separate as separate
     from octex.conversion.convert import convert as convert
     from octex.conversion.sets import convert_set as convert_set
     from octex.errors import OctexError as OctexError
     from octex.formats.models import write_model as write_model
+    from octex.formats.ptex.export import write_ptex as write_ptex
+    from octex.formats.ptex.source import Ptex as Ptex
     from octex.painting.merge import merge as merge
     from octex.painting.paint import paint as paint
     from octex.painting.paint import project as project
@@ -60,6 +65,8 @@ if TYPE_CHECKING:
     from octex.painting.region import Box as Box
     from octex.painting.region import Sphere as Sphere
     from octex.painting.region import fill as fill
+    from octex.painting.unwrap import Patch as Patch
+    from octex.painting.unwrap import unwrap as unwrap
     from octex.processing.blur import blur as blur
     from octex.processing.cast import cast as cast
     from octex.processing.combine import combine as combine
@@ -70,8 +77,10 @@ if TYPE_CHECKING:
     from octex.processing.tone import curves as curves
     from octex.processing.tone import levels as levels
     from octex.source.cloud import PointCloud as PointCloud
+    from octex.source.corners import Creases as Creases
     from octex.source.load import load_surface as load_surface
     from octex.source.mapped import MappedImage as MappedImage
+    from octex.source.subdivided import subdivide as subdivide
     from octex.source.surface import Surface as Surface
     from octex.source.transfer import Transfer as Transfer
     from octex.source.voxels import Voxels as Voxels
@@ -91,12 +100,15 @@ __version__ = "0.1.0"
 _HOMES = {
     "Box": ("octex.painting.region", "Box"),
     "Camera": ("octex.view.camera", "Camera"),
+    "Creases": ("octex.source.corners", "Creases"),
     "MappedImage": ("octex.source.mapped", "MappedImage"),
     "OctexError": ("octex.errors", "OctexError"),
     "OctreeTexture": ("octex.texture", "OctreeTexture"),
     "Painter": ("octex.painting.painter", "Painter"),
+    "Patch": ("octex.painting.unwrap", "Patch"),
     "PointCloud": ("octex.source.cloud", "PointCloud"),
     "Projection": ("octex.painting.pictures", "Projection"),
+    "Ptex": ("octex.formats.ptex.source", "Ptex"),
     "Sphere": ("octex.painting.region", "Sphere"),
     "Surface": ("octex.source.surface", "Surface"),
     "TextureSet": ("octex.texture", "TextureSet"),
@@ -111,6 +123,7 @@ _HOMES = {
     "convert_set": ("octex.conversion.sets", "convert_set"),
     "crop": ("octex.processing.resize", "crop"),
     "curves": ("octex.processing.tone", "curves"),
+    "displace": ("octex.baking.displaced", "displace"),
     "fill": ("octex.painting.region", "fill"),
     "levels": ("octex.processing.tone", "levels"),
     "load_surface": ("octex.source.load", "load_surface"),
@@ -123,7 +136,10 @@ _HOMES = {
     "read_cameras": ("octex.view.camera_files", "read_cameras"),
     "resize": ("octex.processing.resize", "resize"),
     "separate": ("octex.conversion.apart", "separate"),
+    "subdivide": ("octex.source.subdivided", "subdivide"),
+    "unwrap": ("octex.painting.unwrap", "unwrap"),
     "write_model": ("octex.formats.models", "write_model"),
+    "write_ptex": ("octex.formats.ptex.export", "write_ptex"),
     "write_cameras": ("octex.view.camera_files", "write_cameras"),
 }
 

@@ -12,8 +12,8 @@ from octex.jit import inlined, kernel
 
 #: Texels of which charts cover less than this part count as gutter.
 _LEAST = 1e-4
-#: Edge of the tiles in which texels of a triangle come together, a power of two.
-_TILE = 16
+#: Edge of the tiles in which texels of a triangle come together.
+_TILE = 32
 #: What is as near as this to a texel touches it.
 _NEAR = 1e-9
 #: Middles of texels as near as this to a triangle's edge are on it.
@@ -278,7 +278,7 @@ def _find_centroids(
 
 
 @inlined
-def barycentric_of(corners: Float64s, triangle: int, x: float, y: float) -> tuple[float, float, float]:
+def _barycentric(corners: Float64s, triangle: int, x: float, y: float) -> tuple[float, float, float]:
     """Return the barycentric coordinates of a point of the map on a triangle; thirds if it has no area."""
     ax, ay = corners[triangle, 0, 0], corners[triangle, 0, 1]
     bx, by = corners[triangle, 1, 0] - ax, corners[triangle, 1, 1] - ay
@@ -289,6 +289,21 @@ def barycentric_of(corners: Float64s, triangle: int, x: float, y: float) -> tupl
     q = ((x - ax) * cy - (y - ay) * cx) / doubled
     r = (bx * (y - ay) - by * (x - ax)) / doubled
     return 1.0 - q - r, q, r
+
+
+@kernel
+def barycentric_at(corners: Float64s, triangles: Int32s, places: Float64s) -> Float64s:
+    """Return the barycentric coordinates (n, 3) of places (n, 2) of a map on triangles (n,), kept on these.
+
+    ``corners`` (m, 3, 2) are all triangles' in the map.
+    """
+    found = np.empty((triangles.size, 3))
+    for n in range(triangles.size):
+        p, q, r = _barycentric(corners, int(triangles[n]), places[n, 0], places[n, 1])
+        p, q, r = max(p, 0.0), max(q, 0.0), max(r, 0.0)
+        total = p + q + r
+        found[n, 0], found[n, 1], found[n, 2] = p / total, q / total, r / total
+    return found
 
 
 @kernel
@@ -305,7 +320,7 @@ def _find_triangles(
                     column + np.float64(centroids[row, column, 0]),
                     first + row + np.float64(centroids[row, column, 1]),
                 )
-                p, q, r = barycentric_of(corners, int(triangles[row, column]), x, y)
+                p, q, r = _barycentric(corners, int(triangles[row, column]), x, y)
                 nearest[row, column] = min(p, min(q, r))
     for triangle in range(corners.shape[0]):
         top, bottom, left, right = _enter(corners, triangle, first, triangles.shape, lines)
@@ -319,7 +334,7 @@ def _find_triangles(
                     continue
                 x = column + np.float64(centroids[row - first, column, 0])
                 y = row + np.float64(centroids[row - first, column, 1])
-                p, q, r = barycentric_of(corners, triangle, x, y)
+                p, q, r = _barycentric(corners, triangle, x, y)
                 inside = min(p, min(q, r))
                 if inside > np.float64(nearest[row - first, column]):
                     nearest[row - first, column] = inside
@@ -327,7 +342,10 @@ def _find_triangles(
 
 
 class Shown(NamedTuple):
-    """Points that texels of a map show, by tile and triangle; those of one triangle in Morton order."""
+    """Points that texels of a map show, by tile and triangle.
+
+    Those of one triangle come in Morton order of squares of 8², and row by row in these.
+    """
 
     places: Int32s  # (t,)   the texels, counted row by row
     rest: Float64s  # (t, 3)   rest positions
@@ -366,24 +384,24 @@ def _find_points(
     height, width = drawn.shape
     order, runs = np.empty(_TILE * _TILE, np.int32), np.empty(_TILE * _TILE, np.int32)
     known, ends = np.empty(_TILE * _TILE, np.int32), np.empty(_TILE * _TILE, np.int32)
+    numbers = np.zeros(corners.shape[0], np.int32)  # of runs in the tile, by triangle
     count = n_runs = 0
     for top in range(0, height, _TILE):
         for left in range(0, width, _TILE):
-            n_known = n = latest = 0
+            n_known = n = 0
             for code in range(_TILE * _TILE):
-                row, column = top + _odd_bits(code), left + _even_bits(code)
+                row = top + (8 * _even_bits(code >> 7) | code >> 3 & 7)
+                column = left + (8 * _even_bits(code >> 6) | code & 7)
                 if row >= height or column >= width or drawn[row, column] < 0:
                     continue
                 triangle = drawn[row, column]
-                if n_known == 0 or known[latest] != triangle:
-                    latest = 0
-                    while latest < n_known and known[latest] != triangle:
-                        latest += 1
-                    if latest == n_known:
-                        known[latest], ends[latest] = triangle, 0
-                        n_known += 1
-                order[n], runs[n] = row * width + column, latest
-                ends[latest] += 1
+                run = numbers[triangle]
+                if run >= n_known or known[run] != triangle:
+                    run = n_known
+                    numbers[triangle], known[run], ends[run] = run, triangle, 0
+                    n_known += 1
+                order[n], runs[n] = row * width + column, run
+                ends[run] += 1
                 n += 1
             total = count
             for run in range(n_known):
@@ -404,13 +422,8 @@ def _find_points(
 
 @inlined
 def _even_bits(code: int) -> int:
-    """Return bits 0, 2, 4 and 6."""
-    return code & 1 | code >> 1 & 2 | code >> 2 & 4 | code >> 3 & 8
-
-
-@inlined
-def _odd_bits(code: int) -> int:
-    return _even_bits(code >> 1)
+    """Return bits 0 and 2."""
+    return code & 1 | code >> 1 & 2
 
 
 @inlined

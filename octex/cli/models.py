@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from octex.texture import OctreeTexture
 
 TEXTURE_ENDING = ".octex"
+ARCHIVE_ENDING = ".octz"
+TEXTURE_ENDINGS = TEXTURE_ENDING, ARCHIVE_ENDING
+PTEX_ENDING = ".ptx"
 DEFAULT_FILTER = "ewa"
 DEFAULT_CHANNEL = "base_color"  # what is painted
 
@@ -90,7 +93,10 @@ def check_elsewhere(options: argparse.Namespace) -> None:
 
 
 def _elsewhere(options: argparse.Namespace) -> dict[str, object]:
-    """Return what channels are taken from another model, or from points."""
+    """Return what channels are taken from another model, from points or from a .ptx file."""
+    ptex = getattr(options, "ptex", None)
+    if ptex is not None:
+        return {**octex.Ptex(ptex).sources}
     if options.transfer is not None:
         limit = 180.0 if options.max_angle is None else options.max_angle
         return {**octex.Transfer(options.transfer, distance=options.max_distance, max_angle=limit).sources}
@@ -113,14 +119,15 @@ def kind_of(path: Path) -> str:
         if is_voxels(path):
             return "voxels"
         return "cloud" if is_cloud(path) else "model"
-    return "texture" if ending == TEXTURE_ENDING else "model"
+    return "texture" if ending in TEXTURE_ENDINGS else "model"
 
 
 def input_files(options: argparse.Namespace) -> list[Path]:
     """Return the files that are read beside a model."""
     given = [each for _, each in options.source or []]
     files = [each.path if isinstance(each, FunctionName) else each for each in given]
-    others = [options.rest, options.transfer, options.cloud, *(options.also or [])]
+    ptex = getattr(options, "ptex", None)
+    others = [options.rest, options.transfer, options.cloud, ptex, *(options.also or [])]
     return [each for each in [*files, *others] if isinstance(each, Path)]
 
 

@@ -13,11 +13,7 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int8s, Int64s, Uint16s
 from octex.channels import ChannelFormat, decode
-from octex.conversion.facings import HIDDEN
-from octex.conversion.measure import ErrorColumns, all_near, are_near, are_near_between, subtract
-from octex.conversion.prune import Pruned
-from octex.conversion.samples import MOST_POINTS, Samples, lay_out
-from octex.field.coefficients import (
+from octex.conversion.coefficients import (
     Coefficients,
     Windows,
     add_up,
@@ -26,9 +22,13 @@ from octex.field.coefficients import (
     is_refined,
     new_windows,
 )
-from octex.field.stages import View, facings_of, view_of
+from octex.conversion.facings import HIDDEN
+from octex.conversion.measure import ErrorColumns, all_near, are_near, are_near_between, subtract
+from octex.conversion.prune import Pruned
+from octex.conversion.samples import MOST_POINTS, Samples, lay_out
+from octex.field.taps import View, facings_of, view_of
 from octex.field.windows import Walk, new_walk
-from octex.jit import inlined, kernel
+from octex.jit import inlined, kernel, new_zeros
 from octex.texture.channel import Channel
 from octex.tree.layout import MAX_DEPTH
 from octex.tree.morton import decode as decode_cell
@@ -36,7 +36,7 @@ from octex.tree.morton import decode as decode_cell
 #: A finest cell, and its level.
 Place: TypeAlias = tuple[int, int, int, int]
 _ZERO = np.float32(0)
-#: Cosine from which on lookups take what faces so in full (see `field.stages`), and what it is rounded by.
+#: Cosine from which on lookups take what faces so in full (see `field.taps`), and what it is rounded by.
 _FULL = 0.52
 #: How many codes more fields may be apart between samples than at them. In random trials (60,000 points each,
 #: edges, dots and light up to 20) none then went beyond it.
@@ -134,12 +134,12 @@ def _find_far(
     walks = (new_walk(), new_walk())
     windows = new_windows(4, vectors)  # of both fields; of both looked up with a normal
     scratch = Scratch(
-        np.zeros((vectors, 4), np.float32),
-        np.zeros((2, components, MOST_POINTS), np.float32),
-        np.zeros((2 * components, MOST_POINTS), np.float64),
-        np.zeros((3, MOST_POINTS), np.float32),
-        np.zeros((1, 3), np.float32),
-        np.zeros((2, components), np.float32),
+        new_zeros((vectors, 4), np.float32),
+        new_zeros((2, components, MOST_POINTS), np.float32),
+        new_zeros((2 * components, MOST_POINTS), np.float64),
+        new_zeros((3, MOST_POINTS), np.float32),
+        new_zeros((1, 3), np.float32),
+        new_zeros((2, components), np.float32),
     )
     for n in range(cells.size):
         cell, is_bare = int(cells[n]), bool(are_bare[n])

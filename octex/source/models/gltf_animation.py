@@ -169,4 +169,4 @@ def _slerp(a: Float64s, b: Float64s, t: float) -> Float64s:
     angle = float(np.arctan2(np.linalg.norm(b - dot * a), dot))
     if angle < 1e-6:  # where both weights are 0 / 0
         return _unit((1 - t) * a + t * b, True)
-    return (np.sin((1 - t) * angle) * a + np.sin(t * angle) * b) / np.sin(angle)
+    return np.asarray((np.sin((1 - t) * angle) * a + np.sin(t * angle) * b) / np.sin(angle))

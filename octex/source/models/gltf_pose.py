@@ -128,7 +128,8 @@ def _skinned(positions: Float64s, joints: Float64s, read: Reader, what: str) -> 
 
 def _influences(read: Reader, what: str) -> tuple[Array, Float64s]:
     """Return the joints (n, k) that move vertices, and their weights (n, k), of all sets of four."""
-    numbers, weights = [], []
+    numbers: list[Array] = []
+    weights: list[Float64s] = []
     while (given := read(f"JOINTS_{len(numbers)}", (4,))) is not None:
         weight = read(f"WEIGHTS_{len(numbers)}", (4,))
         if weight is None:
