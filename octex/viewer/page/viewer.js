@@ -21,6 +21,7 @@ class Viewer {
     this.cost = 0; // milliseconds a pixel, as measured
     this.pictures = 0;
     this.isSharp = false;
+    this.finest = 2; // drawn pixels a pixel, at most, along both axes
   }
 
   async open() {
@@ -31,6 +32,7 @@ class Viewer {
     this.camera = new Camera(...this.bounds());
     this.look.level = this.gpu.deepest;
     this.describe();
+    element("panel").open = !matchMedia("(max-width: 720px)").matches;
     control(this.canvas, this.camera, () => this.move());
     this.listen();
     const total = header.chunks.reduce((sum, chunk) => sum + chunk.bytes, header.mesh?.bytes ?? 0);
@@ -170,13 +172,15 @@ class Viewer {
     const full = Math.min(window.devicePixelRatio || 1, 2);
     const pixels = this.canvas.clientWidth * this.canvas.clientHeight * full * full;
     const part = this.cost ? Math.sqrt(FRAME / (this.cost * pixels)) : 0.4;
-    const scale = isStill ? 1 : Math.min(Math.max(part, 0.08), 1);
+    // Where there is time, a picture that stands still is drawn larger than it is shown: its edges are then smooth.
+    const finest = this.cost * pixels * this.finest ** 2 < STILL ? this.finest : 1;
+    const scale = isStill ? finest : Math.min(Math.max(part, 0.08), 1);
     try {
       if (!(isStill && this.isSharp)) this.draw(full * scale);
     } catch (error) {
       return fail(error);
     }
-    this.isSharp = scale === 1;
+    this.isSharp = isStill;
     if (!this.isSharp || this.turning) this.again();
   }
 
