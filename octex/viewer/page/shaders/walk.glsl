@@ -304,9 +304,8 @@ void addLooks(vec3 point, ivec2 levels, vec2 shares, int leaves) {
     if (shares.x > 0.0) tap(0u, weight * shares.x, leaves > 0);
   }
   uvec3 parity = fixedPoint >> 22u & 1u;
-  // The parents of the finest cells that are looked at; above them only what they descend from is read.
-  ivec3 finest = ivec3(fixedPoint >> uint(23 - levels.y));
-  ivec3 low = (finest - 1) >> 1;
+  // The parents of the cells that the first look takes; above them only what they descend from is read.
+  ivec3 low = (ivec3(fixedPoint >> uint(23 - levels.x)) - 1) >> 1;
   Eight block = Eight(uvec4(0u), uvec4(0u));
   uint root = (1u - parity.x) + 2u * (1u - parity.y);
   uvec4 at = uvec4(equal(uvec4(0u, 1u, 2u, 3u), uvec4(root)));
@@ -320,7 +319,7 @@ void addLooks(vec3 point, ivec2 levels, vec2 shares, int leaves) {
     if (!looks) {
       // The block above a level begins one node before the point's, or with it where the level's number is odd.
       ivec3 begin = ivec3(fixedPoint >> uint(24 - level)) - 1 + ivec3(parity);
-      int up = levels.y - level;
+      int up = levels.x - level;
       bvec3 lower = equal(low >> up, begin), upper = equal((low + 1) >> up, begin + 1);
       needed = (lower.x ? 0x55u : 0u) | (upper.x ? 0xAAu : 0u);
       needed &= (lower.y ? 0x33u : 0u) | (upper.y ? 0xCCu : 0u);
@@ -381,7 +380,8 @@ void put(int at, float weight) {
 }
 
 // Chaikin's rule along a line of three cells: of a cell's halves each takes a quarter of its neighbour.
-#define LINE(M, V) { V a = M[i], b = M[j], c = M[k]; M[i] = mix(a, b, low.x); M[j] = mix(odd ? b : a, odd ? c : b, low.y); M[k] = mix(b, c, low.z); }
+#define MIXED_LINE(M) M[i] = mix(a, b, low.x), M[j] = mix(odd ? b : a, odd ? c : b, low.y), M[k] = mix(b, c, low.z)
+#define LINE(M, V) { V a = M[i], b = M[j], c = M[k]; MIXED_LINE(M); }
 
 void refine(uvec3 parity) {
   int step = 1;
