@@ -152,10 +152,9 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = _PATIENCE
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Log what http.server itself refuses; requests that are answered are not worth a line."""
-        if (args and str(args[0]).startswith(("code ", "Request timed out"))) or format.startswith(
-            ("code ", "Request")
-        ):
+        """Log what http.server itself refuses, and requests of which no more comes; others need no line."""
+        is_half = format.startswith("Request timed out") and bool(getattr(self, "raw_requestline", b""))
+        if is_half or format.startswith("code "):
             self.viewer.refuse(_printable(format % args))
 
     def do_GET(self) -> None:
@@ -203,6 +202,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
         self.wfile.write(body)
+        self.raw_requestline = b""  # what is waited for next is another request, or none
 
     def _begin(self, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
         self.send_response(status)
