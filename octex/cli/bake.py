@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import octex
-from octex.cli.arguments import channel_names, edge_length, error_codes, whole_number
+from octex.cli.arguments import channel_names, edge_length, error_codes, real, whole_number
 from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
-from octex.cli.models import TEXTURE_ENDING, open_sound
+from octex.cli.models import TEXTURE_ENDING, TEXTURE_ENDINGS, open_sound
 from octex.cli.parser import RUNNING, Command, Parser, option, words_given
 from octex.cli.shape_options import SHAPE_OPTIONS, check_subdivision, shaped_model
 from octex.errors import ArgumentError, ExitCode
@@ -103,6 +103,14 @@ BAKE = Command(
             type=error_codes,
         ),
         option(
+            "--displace",
+            "divide the model to the texture's cells, and move it along its normals by what a channel holds; "
+            "of colours by their luminance",
+            metavar="CHANNEL",
+        ),
+        option("--scale", "what 1 in that channel moves it by, in its units", metavar="S", type=real),
+        option("--middle", "what in that channel does not move it (default 0)", metavar="H", type=real),
+        option(
             "--unit",
             f"what a length of 1 stands for in a .3mf or USD: {', '.join(_UNITS)} (default meter)",
             metavar="UNIT",
@@ -134,7 +142,7 @@ def baking(options: argparse.Namespace, program: str) -> argparse.Namespace:
 def bake(options: argparse.Namespace, program: str) -> int:
     """Bake, as the options of octex bake say; return the exit code."""
     began = time.perf_counter()
-    if options.TEXTURE.suffix.lower() != TEXTURE_ENDING:
+    if options.TEXTURE.suffix.lower() not in TEXTURE_ENDINGS:
         raise ArgumentError(
             f"{options.TEXTURE}: is no {TEXTURE_ENDING} file; octex convert makes one of a model"
         )
@@ -145,6 +153,11 @@ def bake(options: argparse.Namespace, program: str) -> int:
         if word in others:
             raise ArgumentError(f"{word} has no meaning with {work}; see {program} --help")
     check_subdivision(options)
+    for word in ("scale", "middle"):
+        if getattr(options, word) is not None and options.displace is None:
+            raise ArgumentError(f"--{word} has no meaning without --displace")
+    if options.displace is not None and options.scale is None:
+        raise ArgumentError(f"--displace {options.displace} needs --scale: what 1 there moves the model by")
     if options.unit is not None and ending not in _WITH_UNIT:
         raise ArgumentError(f"--unit has no meaning for {options.OUTPUT}: such files state none")
     given = options.TEXTURE, options.MODEL, options.rest, options.source
@@ -161,6 +174,11 @@ def bake(options: argparse.Namespace, program: str) -> int:
             texture = open_sound(options.TEXTURE)
             surface = shaped_model(options.MODEL, options, normals=True)
             source = None if options.source is None else octex.load_surface(options.source)
+        if options.displace is not None:
+            with progress.stage("displace"):
+                surface = octex.displace(
+                    surface, texture, options.displace, options.scale, middle=options.middle or 0.0
+                )
         if options.vertex_colors:
             with progress.stage("divide"):
                 error = 8.0 if options.max_error is None else options.max_error

@@ -51,6 +51,14 @@ end_header
 0 0.01 0
 3 0 1 2
 """
+_QUAD = """v 0 0 0
+v 1 0 0
+v 1 1 0
+v 0 1 0
+v 2 0 0
+f 1 2 3 4
+f 2 5 3
+"""
 
 
 def warm_up(progress: Progress) -> None:
@@ -69,6 +77,7 @@ def warm_up(progress: Progress) -> None:
         _separate(surfaces[0])
         _paint(surfaces[0], folder)
         _bake(surfaces, folder)
+        _ptex(folder)
         progress("compile", stages, stages)
 
 
@@ -99,6 +108,8 @@ def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
     octex.convert(surface, 6).save(folder / "needle.octex")
     texture = octex.open(folder / "needle.octex")
     texture.validate()
+    texture.save(folder / "needle.octz")
+    octex.open(folder / "needle.octz")
     for points in (samples.rest, samples.rest.astype(np.float32)):
         texture.contains(points)
         for filter in FILTERS:
@@ -180,6 +191,18 @@ def _bake(surfaces: list[octex.Surface], folder: Path) -> None:
     atlas.projected(surface)
     octex.write_model(octex.bake(texture, surface, uv="atlas", texture_size=64), folder / "baked.glb")
     octex.bake_vertices(texture, surface, subdivide="auto")
+    octex.displace(surface, texture, "base_color", 0.01)
+
+
+def _ptex(folder: Path) -> None:
+    """Write texels for polygons, and convert them; paint on a piece that is laid flat."""
+    (folder / "quad.obj").write_text(_QUAD)
+    surface = octex.load_surface(folder / "quad.obj")
+    texture = octex.convert(surface, 3)
+    octex.write_ptex(texture, surface, folder / "quad.ptx")
+    octex.convert(octex.load_surface(folder / "quad.obj", sources=octex.Ptex(folder / "quad.ptx").sources), 3)
+    patch = octex.unwrap(surface, (0.5, 0.5, 0), 0.4, size=8)
+    octex.paint(texture, surface, octex.Projection(np.zeros((8, 8, 3), np.uint8), patch))
 
 
 def _process(texture: octex.OctreeTexture, surface: octex.Surface) -> None:
