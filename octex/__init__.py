@@ -22,6 +22,7 @@ The rooms, each of which knows only those before it
     tree        Morton codes, areas, placement; building, changing, searching and walking octrees
     nearest     nearest points of triangles and of clouds, how near meshes come
     field       what lies between the cells: which of them a lookup blends, and what weighs them
+    archive     the same in a third of the bytes: predicted, and coded by entropy
     texture     OctreeTexture: tree, channels and placement; lookups; the .octex file
     kernels     lookups of one point, for one's own compiled loops
     editing     what every change of a texture shares: averages, rows of split cells, refined cells
@@ -37,7 +38,7 @@ The rooms, each of which knows only those before it
     cli         the commands, and the pages of octex help
 
 Common ground: ahead, arrays, channels, checks, compare, container, errors, files, functions, jit,
-jit_cache, parallel.
+jit_cache, jit_parts, parallel.
 """
 
 from __future__ import annotations
@@ -47,6 +48,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from octex.baking.bake import bake as bake
+    from octex.baking.displaced import displace as displace
     from octex.baking.vertices import bake_vertices as bake_vertices
     from octex.conversion.apart import separate as separate
     from octex.conversion.convert import convert as convert
@@ -121,6 +123,7 @@ _HOMES = {
     "convert_set": ("octex.conversion.sets", "convert_set"),
     "crop": ("octex.processing.resize", "crop"),
     "curves": ("octex.processing.tone", "curves"),
+    "displace": ("octex.baking.displaced", "displace"),
     "fill": ("octex.painting.region", "fill"),
     "levels": ("octex.processing.tone", "levels"),
     "load_surface": ("octex.source.load", "load_surface"),

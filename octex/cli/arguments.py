@@ -70,6 +70,11 @@ def edge_length(text: str) -> float | str:
     return text if text == "auto" else length(text)
 
 
+def real(text: str) -> float:
+    """Read a finite number."""
+    return _number(text, lambda number: abs(number) < float("inf"), "a finite number")
+
+
 def cells_apart(text: str) -> float:
     """Read how many cells parts are to be apart."""
     return _number(text, lambda number: 1.0 <= number <= 1e6, "a number of cells from 1 to a million")

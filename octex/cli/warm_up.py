@@ -76,7 +76,7 @@ def warm_up(progress: Progress) -> None:
         _take(surfaces[0])
         _separate(surfaces[0])
         _paint(surfaces[0], folder)
-        _bake(surfaces[0], folder)
+        _bake(surfaces, folder)
         _ptex(folder)
         progress("compile", stages, stages)
 
@@ -108,6 +108,8 @@ def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
     octex.convert(surface, 6).save(folder / "needle.octex")
     texture = octex.open(folder / "needle.octex")
     texture.validate()
+    texture.save(folder / "needle.octz")
+    octex.open(folder / "needle.octz")
     for points in (samples.rest, samples.rest.astype(np.float32)):
         texture.contains(points)
         for filter in FILTERS:
@@ -177,14 +179,19 @@ def _paint(surface: octex.Surface, folder: Path) -> None:
     octex.fill(texture, surface, octex.Sphere((0.0, 0.0, 0.0), 0.1), (1.0, 0.0, 0.0))
 
 
-def _bake(surface: octex.Surface, folder: Path) -> None:
+def _bake(surfaces: list[octex.Surface], folder: Path) -> None:
     """Bake to images in atlases of both kinds, and write them."""
     from octex.baking import atlas
+    from octex.baking.texels import barycentric_at
 
+    surface, translucent = surfaces[0], surfaces[2]
     texture = octex.convert(surface, 3)
+    octex.bake(octex.convert(translucent, 3), translucent, uv="atlas", texture_size=64, supersample=2)
+    barycentric_at(np.zeros((1, 3, 2)), np.zeros(1, np.int32), np.zeros((1, 2)))
     atlas.projected(surface)
     octex.write_model(octex.bake(texture, surface, uv="atlas", texture_size=64), folder / "baked.glb")
     octex.bake_vertices(texture, surface, subdivide="auto")
+    octex.displace(surface, texture, "base_color", 0.01)
 
 
 def _ptex(folder: Path) -> None:
