@@ -238,14 +238,14 @@ def _blocks(values: Array) -> tuple[Uint32s, list[bytes]]:
             encodings[is_other] = DIFFERENCED
             blocks = [zlib.compress(chosen[at : at + size], 6, 9) for at in range(0, len(chosen), size)]
         else:
-            pairs = zip(map(zlib.compress, kept), map(zlib.compress, other), strict=True)
             blocks = []
-            for number, (plain, differenced) in enumerate(pairs):
+            for number, (row, steps_of_row) in enumerate(zip(kept, other, strict=True)):
+                plain, differenced = zlib.compress(row.tobytes()), zlib.compress(steps_of_row.tobytes())
                 blocks.append(min(differenced, plain, key=len))
                 if len(differenced) <= len(plain):
                     encodings[number] = DIFFERENCED
     else:
-        blocks = [zlib.compress(row) for row in kept]
+        blocks = [zlib.compress(row.tobytes()) for row in kept]
     whole = np.ascontiguousarray(values).view(np.uint8).reshape(count, -1, values.shape[3] * little.itemsize)
     for number in np.flatnonzero((whole == whole[:, :1]).all(axis=(1, 2))).tolist():
         blocks[number] = whole[number, 0].tobytes()
