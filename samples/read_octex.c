@@ -81,9 +81,8 @@ static void open_file(const char *path, const char *channel, File *file) {
     if (content == MAP_FAILED) fail("cannot map the file");
     memcpy(&length, content, 8);
     if (length > bytes - 8) fail("cut off");
-    char *header = malloc(length + 1);
+    char *header = calloc(length + 1, 1);
     memcpy(header, content + 8, length);
-    header[length] = 0;
     const unsigned char *begin = content + 8 + length;
     uint64_t room = bytes - 8 - length;
     const char *format = value_of(header, "format"), *version = value_of(header, "format_version");
