@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -32,7 +33,7 @@ def test_a_file_that_ends_its_process_is_a_finding(tmp_path: Path, monkeypatch: 
 
     def fail(seed: int, _folder: Path, _keep: Path | None) -> tuple[str, str]:
         if seed == 2:
-            sys.exit(3)
+            os._exit(3)
         return "refused", ""
 
     monkeypatch.setattr(fuzz_files, "attempt", fail)

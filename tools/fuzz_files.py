@@ -81,14 +81,16 @@ def _batch(first: int, end: int, keep: Path | None) -> tuple[int, list[tuple[str
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
-        os.close(reading)
-        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-        with os.fdopen(writing, "w", buffering=1) as pipe, tempfile.TemporaryDirectory() as folder:
-            for seed in range(first, end):
-                signal.alarm(SECONDS)
-                word, text = attempt(seed, Path(folder), keep)
-                pipe.write(json.dumps([word, text]) + "\n")
-        os._exit(0)
+        try:
+            os.close(reading)
+            resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+            with os.fdopen(writing, "w", buffering=1) as pipe, tempfile.TemporaryDirectory() as folder:
+                for seed in range(first, end):
+                    signal.alarm(SECONDS)
+                    pipe.write(json.dumps(attempt(seed, Path(folder), keep)) + "\n")
+            os._exit(0)
+        finally:
+            os._exit(70)
     os.close(writing)
     with os.fdopen(reading) as pipe:
         told = [tuple(json.loads(line)) for line in pipe]
