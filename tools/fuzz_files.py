@@ -311,7 +311,8 @@ def archive(content: bytes, random: Random) -> bytes:
         case 1:
             count = int.from_bytes(model[:4], "little")
             numbers = entropy.decoded_numbers(np.frombuffer(model[4:], "<u4").astype(np.uint32), count)
-            assert numbers is not None
+            if numbers is None:
+                raise ValueError
             for at in random.integers(0, count, int(random.choice([1, 3, 50]))).tolist():
                 numbers[at] = int(random.choice([0, 1, 2, 255, 256, 4095, 4096, 65536, 2**31, 2**32 - 2]))
             model = count.to_bytes(4, "little") + entropy.encoded_numbers(numbers).tobytes()
