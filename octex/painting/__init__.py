@@ -1,9 +1,10 @@
 """Paint: images projected through cameras onto a surface, and merged into a texture (paper 4).
 
 paint       all of it; painter: a session of strokes; region: spheres, boxes and functions filled
-pictures    images with cameras, checked and decoded; balance: their gains
+pictures    images with cameras, checked and decoded; sharpened: as values at points; balance: their gains
+unwrap      a disc of the surface laid flat, for a camera
 projected   what pictures paint at points of the surface
-layer       these rasterized into a paint octree; near: the triangles around it; centres: of pixels, to fit to
+layer       these rasterized into a paint octree; near: the triangles around it
 merge       a layer blended into a texture, once for each cell
 raising     the texture brought to where paint is finer; cells, kept: paint beside coarser cells and on nodes
 averages    nodes above what was painted
