@@ -13,12 +13,10 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint32s
 from octex.baking.texels import Shown
-from octex.field.field import Field
 from octex.field.footprints import long_footprints, spread
-from octex.field.lookups import ChannelRows
 from octex.field.sinks import Codes
 from octex.field.splines import QUADRATIC
-from octex.field.stages import AREA_WEIGHTS, Facings, direction_of, face_cell, parts_of, view_of
+from octex.field.taps import AREA_WEIGHTS, Facings, direction_of, face_cell, parts_of, view_of
 from octex.field.tiles import Tiles, tile_row
 from octex.jit import decoded, inlined, kernel, popcount, spline_box, trailing_zeros
 from octex.texture import OctreeTexture
