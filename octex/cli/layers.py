@@ -35,7 +35,9 @@ def projected(
     """Project pictures; return what to merge them into, None for nothing yet, and the layer that they are."""
     settings: dict[str, Any] = {
         "fit": not options.no_fit,
+        "pictures": options.pictures,
         "balance": options.balance,
+        "reference": _reference(options, shots),
         "back_faces": options.back_faces,
         "executor": executor,
         "progress": progress,
@@ -78,6 +80,20 @@ def _projection(options: argparse.Namespace, shot: Shot) -> Projection:
     return octex.Projection(
         shot.path, shot.camera, shot.mask, blend=options.blend or "over", since=since, key=options.key
     )
+
+
+def _reference(options: argparse.Namespace, shots: Sequence[Shot]) -> int | None:
+    """Return the number of the picture that stays as light as it is."""
+    if options.reference is None:
+        return None
+    paths = [shot.path for shot in shots]
+    for found in (
+        [each == options.reference for each in paths],
+        [e.name == options.reference.name for e in paths],
+    ):
+        if sum(found) == 1:
+            return found.index(True)
+    raise ArgumentError(f"--reference {options.reference} is none of the pictures, or several of them")
 
 
 def _background_value(options: argparse.Namespace) -> tuple[float, ...]:

@@ -8,12 +8,14 @@ from pathlib import Path
 from octex.cli.arguments import (
     BLENDS,
     angle,
+    balance,
     blend,
     camera,
     color,
     mask_pattern,
     opacity,
     picture_size,
+    pictures,
     pixels,
     whole_number,
 )
@@ -94,7 +96,26 @@ _OPTIONS = (
         metavar="PIXELS",
         type=pixels,
     ),
-    option("--balance", "multiply pictures so that overlapping ones agree", action="store_true"),
+    option(
+        "--pictures",
+        "of several that see a place: average, or robust, which leaves out what does not agree with most "
+        "(default: robust for three or more)",
+        metavar="MODE",
+        type=pictures,
+    ),
+    option(
+        "--balance",
+        "make overlapping pictures agree: gain multiplies each; full multiplies each component, and undoes "
+        "vignetting",
+        metavar="MODE",
+        type=balance,
+    ),
+    option(
+        "--reference",
+        "the picture that --balance leaves as light as it is (default: the median gain is 1)",
+        metavar="IMAGE",
+        type=Path,
+    ),
     option("--back-faces", "paint also what faces away", action="store_true"),
     option("--no-fit", "store plain averages; lookups are then softer", action="store_true"),
     option(
@@ -147,7 +168,9 @@ _WORDS = {
     | {
         "--max-angle",
         "--edge-feather",
+        "--pictures",
         "--balance",
+        "--reference",
         "--back-faces",
         "--no-fit",
         "--background",
@@ -223,6 +246,8 @@ def work_of(options: argparse.Namespace, program: str) -> str:
     if options.blend == "erase" and not is_there:
         what = "there is no TEXTURE" if options.TEXTURE is None else f"{options.TEXTURE}: does not exist"
         raise ArgumentError(f"{what}; there is nothing to erase")
+    if options.reference is not None and options.balance is None:
+        raise ArgumentError("--reference says how light --balance makes pictures; give --balance too")
     if options.mask is not None and options.masks is not None:
         raise ArgumentError("--mask and --masks both say what the masks are; give one of them")
     if options.mask is not None and len(options.mask) not in (1, len(options.IMAGE)):

@@ -16,11 +16,11 @@ from octex.conversion.pieces import Blocks
 from octex.jit import inlined, kernel
 from octex.painting.pictures import Levels, Projection, levels_of, read_paint
 from octex.painting.source import PaintSource
-from octex.source.corners import Frames
+from octex.source.corners import Frames, at_corners
 from octex.source.surface import Surface
 from octex.source.tangents import carried
 from octex.view.camera import Camera
-from octex.view.lens import distorted, is_bent
+from octex.view.lens import distort, distorted, is_bent
 from octex.view.shading import corner_normals_of, face_normals
 from octex.view.visibility import (
     View,
@@ -190,6 +190,21 @@ class Projected(PaintSource):
         self._mesh = vertices, triangles, stretches
         self._gains = np.ones((len(self._shots), 3), np.float32) if gains is None else gains
 
+    @property
+    def shots(self) -> list[Shot]:
+        """The shots that paint."""
+        return self._shots
+
+    @property
+    def gains(self) -> Float32s:
+        """Factors of each shot's components (shots, 3)."""
+        return self._gains
+
+    def with_shots(self, shots: Sequence[Shot], numbers: Sequence[int] | None = None) -> Projected:
+        """Return paint from other shots, which have the gains of these, or of some by their numbers."""
+        gains = self._gains if numbers is None else self._gains[list(numbers)]
+        return Projected(shots, self._channels[0], self._terms, *self._mesh, gains, self._shading)
+
     def with_gains(self, gains: Float32s) -> Projected:
         """Return the same paint with other gains."""
         return Projected(self._shots, self._channels[0], self._terms, *self._mesh, gains, self._shading)
@@ -258,6 +273,11 @@ class Projected(PaintSource):
             paint[number] = sums[:, :3] / np.maximum(sums[:, 3:], 1e-300)
         return paint, weights
 
+    def positions(self, triangles: Int32s, barycentric: Float64s) -> Float64s:
+        """Return where points are on the posed surface (n, 3)."""
+        vertices, faces, _ = self._mesh
+        return at_corners(vertices, faces[triangles], barycentric)
+
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of the finest pixel on triangles (n,), in rest units; infinity where none is."""
         return self.widths(triangles, np.full((len(triangles), 3), 1 / 3))
@@ -280,6 +300,19 @@ class Projected(PaintSource):
                 shot.seen.triangle.ravel()[pixels],
                 shot.centres.reshape(-1, 3)[pixels].astype(np.float64),
             )
+
+
+def pixels_of_points(shot: Shot, points: Float64s) -> Float64s:
+    """Return the pixel coordinates (n, 2) of posed points in a shot's picture; NaN where it has none."""
+    x, y, z = shot.camera.world_to_camera[:3, :3] @ points.T + shot.camera.world_to_camera[:3, 3:]
+    if shot.camera.is_pinhole:
+        with np.errstate(all="ignore"):
+            slopes = np.column_stack([x, y]) / np.where(z > 0.0, z, np.nan)[:, None]
+        places = np.empty_like(slopes)
+        distort(shot.lens, np.ascontiguousarray(slopes), places)
+    else:
+        places = np.column_stack([x, y])
+    return places @ shot.K[:2, :2].T + shot.K[:2, 2]
 
 
 def stretches_of(vertices: Float64s, rest: Float64s, triangles: Int32s) -> Float32s:
