@@ -50,7 +50,8 @@ EXPORTED = [
     *("Box", "Camera", "MappedImage", "OctexError", "OctreeTexture", "Painter", "PointCloud"),
     *("Projection", "Sphere", "Surface", "TextureSet", "Transfer", "Voxels", "__version__"),
     *("bake", "bake_vertices", "blur", "cast", "combine", "convert", "convert_set", "crop", "curves"),
-    *("fill", "levels", "load_surface", "merge", "mix", "paint", "project", "read_cameras", "resize"),
+    *("fill", "levels", "load_surface", "merge", "mix", "paint", "project", "read_cameras"),
+    *("refine_cameras", "resize"),
     *("separate", "write_cameras", "write_model"),
 ]
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]

@@ -71,6 +71,24 @@ def projected(
     return texture, [layer]
 
 
+def refined(
+    options: argparse.Namespace,
+    surface: Surface,
+    shots: Sequence[Shot],
+    executor: Executor | None,
+    progress: Reporter,
+) -> list[Shot]:
+    """Return pictures with cameras by which they agree best."""
+    cameras = octex.refine_cameras(
+        surface,
+        [_projection(options, shot) for shot in shots],
+        reference=_reference(options, shots),
+        executor=executor,
+        progress=progress,
+    )
+    return [shot._replace(camera=camera) for shot, camera in zip(shots, cameras, strict=True)]
+
+
 def _projection(options: argparse.Namespace, shot: Shot) -> Projection:
     since: Any = shot.since
     if isinstance(since, bytes):

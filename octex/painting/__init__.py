@@ -1,7 +1,9 @@
 """Paint: images projected through cameras onto a surface, and merged into a texture (paper 4).
 
 paint       all of it; painter: a session of strokes; region: spheres, boxes and functions filled
-pictures    images with cameras, checked and decoded; balance: their gains
+pictures    images with cameras, checked and decoded; balance: their gains and vignetting
+agreement   masks of what only one picture saw; refine: cameras that are a little off
+consensus   by which numbers pictures agree best: least squares of balance and refine
 projected   what pictures paint at points of the surface
 layer       these rasterized into a paint octree; near: the triangles around it; centres: of pixels, to fit to
 merge       a layer blended into a texture, once for each cell
