@@ -32,6 +32,7 @@ The rooms, each of which knows only those before it
     baking      textures to images at texture coordinates
     preview     model and texture side by side; pictures of differences
     formats     files that are not our own
+    viewer      textures in a browser: a page, the walk as a shader, a server
     cli         the commands, and the pages of octex help
 
 Common ground: ahead, arrays, channels, checks, compare, container, errors, files, functions, jit,
@@ -51,6 +52,8 @@ if TYPE_CHECKING:
     from octex.conversion.sets import convert_set as convert_set
     from octex.errors import OctexError as OctexError
     from octex.formats.models import write_model as write_model
+    from octex.formats.ptex.export import write_ptex as write_ptex
+    from octex.formats.ptex.source import Ptex as Ptex
     from octex.painting.merge import merge as merge
     from octex.painting.paint import paint as paint
     from octex.painting.paint import project as project
@@ -70,8 +73,10 @@ if TYPE_CHECKING:
     from octex.processing.tone import curves as curves
     from octex.processing.tone import levels as levels
     from octex.source.cloud import PointCloud as PointCloud
+    from octex.source.corners import Creases as Creases
     from octex.source.load import load_surface as load_surface
     from octex.source.mapped import MappedImage as MappedImage
+    from octex.source.subdivided import subdivide as subdivide
     from octex.source.surface import Surface as Surface
     from octex.source.transfer import Transfer as Transfer
     from octex.source.voxels import Voxels as Voxels
@@ -91,12 +96,14 @@ __version__ = "0.1.0"
 _HOMES = {
     "Box": ("octex.painting.region", "Box"),
     "Camera": ("octex.view.camera", "Camera"),
+    "Creases": ("octex.source.corners", "Creases"),
     "MappedImage": ("octex.source.mapped", "MappedImage"),
     "OctexError": ("octex.errors", "OctexError"),
     "OctreeTexture": ("octex.texture", "OctreeTexture"),
     "Painter": ("octex.painting.painter", "Painter"),
     "PointCloud": ("octex.source.cloud", "PointCloud"),
     "Projection": ("octex.painting.pictures", "Projection"),
+    "Ptex": ("octex.formats.ptex.source", "Ptex"),
     "Sphere": ("octex.painting.region", "Sphere"),
     "Surface": ("octex.source.surface", "Surface"),
     "TextureSet": ("octex.texture", "TextureSet"),
@@ -124,7 +131,9 @@ _HOMES = {
     "refine_cameras": ("octex.painting.refine", "refine_cameras"),
     "resize": ("octex.processing.resize", "resize"),
     "separate": ("octex.conversion.apart", "separate"),
+    "subdivide": ("octex.source.subdivided", "subdivide"),
     "write_model": ("octex.formats.models", "write_model"),
+    "write_ptex": ("octex.formats.ptex.export", "write_ptex"),
     "write_cameras": ("octex.view.camera_files", "write_cameras"),
 }
 

@@ -254,6 +254,14 @@ if DISABLED:
             block = weights[0] * block[0] + weights[1] * block[1] + weights[2] * block[2]
         return tuple(block)
 
+    def spline_box(rows: Any, first: int, steps: Any, of_x: Any, of_y: Any, of_z: Any) -> Any:
+        """Return Σ of_z[k] · of_y[j] · of_x[i] · rows[first + (i, j, k) · steps], each 0 … 2: four float32."""
+        z, y, x = np.ogrid[:3, :3, :3]
+        block = rows[first + x * steps[0] + y * steps[1] + z * steps[2]]
+        for weights in (of_z, of_y, of_x):
+            block = weights[0] * block[0] + weights[1] * block[1] + weights[2] * block[2]
+        return tuple(block)
+
     def add_to_rows(rows: Any, numbers: Any, weights: Any, first: int, end: int, step: Any) -> None:
         """Add weights[i] · row[3] · step to row = rows[numbers[i]], for i from ``first`` to ``end`` − 1."""
         for i in range(first, end):
@@ -579,6 +587,42 @@ else:
         four = types.UniTuple(types.float32, 4)
         return four(rows, numbers, weights, types.int64, types.int64), codegen
 
+    def _spline(
+        context: Any, builder: Any, signature: Any, rows: Any, first: Any, steps: Any, weights: Any
+    ) -> Any:
+        """Sum 27 rows, ``steps`` apart along each axis, under weights."""
+        sums = []
+        for number in range(27):
+            index = first
+            for axis, step in enumerate(steps):
+                for _ in range(number // 3**axis % 3):
+                    index = builder.add(index, step)
+            index = builder.shl(index, ir.Constant(index.type, 2))
+            row = _pointer(context, builder, signature.args[0], rows, index)
+            content = builder.load(builder.bitcast(row, _FOUR.as_pointer()))
+            content.align = 4
+            sums.append(content)
+        for along in weights:
+            three = [_fill(builder, builder.extract_value(along, k)) for k in range(3)]
+            parts = [builder.fmul(three[n % 3], content) for n, content in enumerate(sums)]
+            sums = [
+                builder.fadd(builder.fadd(parts[n], parts[n + 1]), parts[n + 2])
+                for n in range(0, len(parts), 3)
+            ]
+        lanes = [builder.extract_element(sums[0], _lane(k)) for k in range(4)]
+        return context.make_tuple(builder, signature.return_type, lanes)
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def spline_box(_context: Any, rows: Any, _first: Any, steps: Any, of_x: Any, of_y: Any, of_z: Any) -> Any:
+        """Return Σ of_z[k] · of_y[j] · of_x[i] · rows[first + (i, j, k) · steps], each 0 … 2: four float32."""
+
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            apart = [builder.extract_value(arguments[2], axis) for axis in range(3)]
+            return _spline(context, builder, signature, arguments[0], arguments[1], apart, arguments[3:])
+
+        four = types.UniTuple(types.float32, 4)
+        return four(rows, types.int64, types.UniTuple(types.int64, 3), of_x, of_y, of_z), codegen
+
     @intrinsic  # type: ignore[untyped-decorator]
     def spline_rows(_context: Any, rows: Any, _first: Any, of_x: Any, of_y: Any, of_z: Any) -> Any:
         """Return Σ of_z[k] · of_y[j] · of_x[i] · rows[first + i + 3 j + 9 k], each 0 … 2: four float32.
@@ -587,23 +631,8 @@ else:
         """
 
         def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            start = builder.shl(arguments[1], ir.Constant(arguments[1].type, 2))
-            sums = []
-            for number in range(27):
-                index = builder.add(start, ir.Constant(start.type, 4 * number))
-                row = _pointer(context, builder, signature.args[0], arguments[0], index)
-                content = builder.load(builder.bitcast(row, _FOUR.as_pointer()))
-                content.align = 4
-                sums.append(content)
-            for weights in arguments[2:]:
-                three = [_fill(builder, builder.extract_value(weights, k)) for k in range(3)]
-                parts = [builder.fmul(three[n % 3], content) for n, content in enumerate(sums)]
-                sums = [
-                    builder.fadd(builder.fadd(parts[n], parts[n + 1]), parts[n + 2])
-                    for n in range(0, len(parts), 3)
-                ]
-            lanes = [builder.extract_element(sums[0], _lane(k)) for k in range(4)]
-            return context.make_tuple(builder, signature.return_type, lanes)
+            steps = [ir.Constant(arguments[1].type, 3**axis) for axis in range(3)]
+            return _spline(context, builder, signature, arguments[0], arguments[1], steps, arguments[2:])
 
         four = types.UniTuple(types.float32, 4)
         return four(rows, types.int64, of_x, of_y, of_z), codegen

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 import octex
 from octex.baking import atlas
-from octex.baking.fit import sharpen
+from octex.baking.fit import fit_rows
 from octex.baking.gutters import fill_up, gutter_of
 from octex.baking.layout import kept_layout, neighbors, unit_area
 from octex.baking.texels import draw_texels, texel_points
@@ -110,14 +110,16 @@ def test_triangles_of_a_chart_share_texels_and_charts_do_not() -> None:
     diagonal = drawn.triangles[[0, 1, 2, 3], [3, 2, 1, 0]]
     assert set(diagonal.tolist()) <= {0, 1}
     flat = np.concatenate([corners.reshape(-1, 2), np.zeros((9, 1))], axis=1)
-    rows, columns, barycentric, rest = texel_points(
-        corners, drawn, 0, flat, np.arange(9, dtype=np.int32).reshape(-1, 3)
-    )
+    faces = np.arange(9, dtype=np.int32).reshape(-1, 3)
+    shown = texel_points(corners, np.arange(3, dtype=np.int32), drawn, 0, flat, faces)
+    rows, columns = shown.places // 6, shown.places % 6
+    np.testing.assert_array_equal(np.sort(shown.places), np.flatnonzero(drawn.triangles >= 0))
+    np.testing.assert_array_equal(shown.each(), drawn.triangles[rows, columns])
     np.testing.assert_allclose(
-        rest[:, :2] - np.stack([columns, rows], axis=1), drawn.centroids[rows, columns], atol=1e-6
+        shown.rest[:, :2] - np.stack([columns, rows], axis=1), drawn.centroids[rows, columns], atol=1e-6
     )
-    assert (barycentric >= 0).all()
-    np.testing.assert_allclose(barycentric.sum(axis=1), 1.0)
+    assert (shown.barycentric >= 0).all()
+    np.testing.assert_allclose(shown.barycentric.sum(axis=1), 1.0)
 
 
 def test_rows_drawn_apart_are_those_drawn_together() -> None:
@@ -173,20 +175,23 @@ def test_maps_are_nearer_to_the_field_when_read_bilinearly() -> None:
 
     grid = np.arange(12) + 0.5
     values = curved(*np.meshgrid(grid, grid)).astype(np.float32)
-    fitted = values.copy()
-    sharpen(fitted, np.ones((12, 12), np.float32))
+
+    def fit(values: Array, areas: Array) -> Array:
+        fitted = np.empty(values.shape)
+        fit_rows(values, areas, 0, 0, 100.0, fitted)
+        return fitted
+
+    fitted = fit(values, np.ones((12, 12), np.float32))
     np.testing.assert_allclose(fitted[..., 1], values[..., 1], atol=1e-5)  # what is straight stays
     random = np.random.default_rng(0).random((5000, 2)) * 8 + 2
     errors = [bilinear(each, random) - curved(*random.T) for each in (values, fitted)]
     assert np.sqrt((errors[1][:, 0] ** 2).mean()) < 0.5 * np.sqrt((errors[0][:, 0] ** 2).mean())
-    step = (values > 3.0).astype(np.float32)
-    sharpen(step, np.ones((12, 12), np.float32))
-    assert (step.min(), step.max()) == (0.0, 1.0)
+    limited = np.empty((4, 12, 1))
+    fit_rows(values, np.ones((12, 12), np.float32), 3, 1, 0.5, limited)
+    np.testing.assert_allclose(limited[..., 0], np.clip(values[3:7, :, 1], -0.5, 0.5), atol=1e-5)
     holes = np.ones((12, 12), np.float32)
     holes[5, 5] = 0.0
-    beside = values.copy()
-    sharpen(beside, holes)
-    np.testing.assert_array_equal(beside[5, 4:7], values[5, 4:7])
+    np.testing.assert_array_equal(fit(values, holes)[5, 4:7], values[5, 4:7])
 
 
 def bilinear(values: Array, places: Array) -> Array:

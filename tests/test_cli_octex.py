@@ -16,7 +16,7 @@ from octex.errors import ExitCode
 from tests.command import colored_box, python
 from tests.conftest import needs_jit
 
-NAMES = [*COMMANDS, "paint"]
+NAMES = [*COMMANDS, "paint", "view"]
 
 
 def said(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
@@ -94,7 +94,7 @@ def test_each_page_is_there(name: str, capsys: pytest.CaptureFixture[str]) -> No
     assert said(capsys, "help", name) == text + "\n"
     for command, word in re.findall(r"(octex [a-z]+|octree-[a-z]+) [^\n]*?(--[a-z-]+)", text):
         name = command.split()[-1].removeprefix("octree-")
-        family = name if name in ("paint", "bake") else "convert"
+        family = name if name in ("paint", "bake", "view") else "convert"
         assert f"  {word}" in said(capsys, family, "--help-all"), (command, word)
 
 
@@ -103,7 +103,7 @@ def test_help_of_a_command_is_all_its_help(capsys: pytest.CaptureFixture[str]) -
 
 
 def test_what_is_no_command_is_refused_with_those_that_there_are(capsys: pytest.CaptureFixture[str]) -> None:
-    known = "the commands are convert, paint, bake, edit, info, diff, validate, overlaps, warm-up, help"
+    known = "the commands are convert, view, paint, bake, edit, info, diff, validate, overlaps, warm-up, help"
     end = f"{known}; see octex --help"
     assert refused(capsys) == f"octex: error: a command is missing: {end}"
     assert refused(capsys, "convrt", "a") == f"octex: error: 'convrt' is no command, 'convert' is: {end}"

@@ -36,6 +36,7 @@ ROWS = [
     {"formats"},
     {"compare"},
     {"preview"},
+    {"viewer"},
     {"cli"},
 ]
 # The wing of what models look like does not know the wing of what is stored; what works on textures alone
@@ -47,12 +48,11 @@ FORBIDDEN = {"source": STORED, "view": STORED, "editing": MADE, "processing": MA
 EXCEPTIONS = {("checks", "octex.tree.layout")}
 
 EXPORTED = [
-    *("Box", "Camera", "MappedImage", "OctexError", "OctreeTexture", "Painter", "PointCloud"),
+    *("Box", "Camera", "Creases", "MappedImage", "OctexError", "OctreeTexture", "Painter", "PointCloud"),
     *("Projection", "Sphere", "Surface", "TextureSet", "Transfer", "Voxels", "__version__"),
     *("bake", "bake_vertices", "blur", "cast", "combine", "convert", "convert_set", "crop", "curves"),
     *("fill", "levels", "load_surface", "merge", "mix", "paint", "project", "read_cameras"),
-    *("refine_cameras", "resize"),
-    *("separate", "write_cameras", "write_model"),
+    *("refine_cameras", "resize", "separate", "subdivide", "write_cameras", "write_model"),
 ]
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]
 

@@ -14,7 +14,7 @@ from numba import types
 from numba.core import caching, dispatcher, event
 
 from octex import jit, jit_cache
-from octex.field.spline import Group, Tables
+from octex.field.sources import Group, Tables
 from tests.conftest import needs_jit
 
 #: Files one version after the other beside the same work of another process, each in step with it.
@@ -182,8 +182,8 @@ def test_types_of_one_name_are_told_apart_by_their_modules() -> None:
     other = type("Tables", (tuple,), {"_fields": Tables._fields, "__module__": "elsewhere"})
     arrays = [types.Array(types.uint64, 1, "C"), types.Array(types.uint16, 1, "C")]
     own, others = (jit_cache.type_text(types.NamedTuple(arrays, kind)) for kind in (Tables, other))
-    assert own == "octex.field.spline:Tables(array(uint64, 1d, C), array(uint16, 1d, C))"
-    assert others == own.replace("octex.field.spline", "elsewhere")
+    assert own == "octex.field.sources:Tables(array(uint64, 1d, C), array(uint16, 1d, C))"
+    assert others == own.replace("octex.field.sources", "elsewhere")
     assert Group.__name__ not in own
 
 

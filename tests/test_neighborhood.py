@@ -8,14 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from octex.field.neighborhood import MOST_TAPS, Walk, new_walk, walk_all
+from octex.field import taps as taps_of
+from octex.field.neighborhood import walked_taps
 from octex.field.splines import FILTERS
+from octex.field.windows import MOST_TAPS, Walk, new_walk
 from octex.tree.layout import KEPT, TreeArrays
 from octex.tree.octree import Octree
 from tests import naive
 from tests.strategies import leaf_sets, points_around, with_random_data
 
-UNIT = ((0.0, 0.0, 0.0), 1.0)
 Points = npt.NDArray[np.float32 | np.float64]
 
 each_filter = pytest.mark.parametrize("filter", FILTERS[1:])
@@ -72,24 +73,22 @@ def taps(
 ) -> Taps:
     """All points' taps, in blocks with room for the taps of at least one point."""
     walk = walk or new_walk()
-    starts = np.zeros(len(points) + 1, np.int64)
-    rows, weights = np.zeros(room, np.uint32), np.zeros(room, np.float32)
-    slopes = np.zeros((room * gradient, 3), np.float32)
-    covers = np.zeros(len(points), np.float32)
-    code = FILTERS.index(filter)
+    n = len(points)
+    found = taps_of.Taps.of(n, room, gradient)
+    which, code = np.arange(n), FILTERS.index(filter)
     parts = []
     done = 0
-    while done < len(points):
-        own = starts[done:].copy()
-        n = walk_all(
-            *(arrays, kept_cells, points, done, *UNIT, code, walk),
-            *(own, rows, weights, slopes, covers[done:]),
-        )
-        assert n > 0
-        starts[done : done + n + 1] = starts[done] + own[: n + 1]
-        parts.append([array[: own[n]].copy() for array in (rows, weights, slopes)])
-        done += n
-    return Taps(starts, *(np.concatenate(columns) for columns in zip(*parts, strict=True)), covers)
+    while done < n:
+        begin = done
+        task = arrays, kept_cells, arrays.flags.size, np.asarray(points, np.float64), which, begin
+        done, end = walked_taps(*task, code, walk, found, 0)
+        assert done > begin
+        counts = (found.ends - found.starts)[begin:done]
+        scales = np.repeat(np.maximum(found.covers[begin:done], taps_of.OFF), counts)
+        slopes = found.slopes[:end] / scales[:, None] if gradient else found.slopes
+        parts.append((counts, found.rows[:end].copy(), found.weights[:end] / scales, slopes))
+    counts, *columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return Taps(np.cumsum([0, *counts]), *columns, found.covers)
 
 
 @each_filter
@@ -146,23 +145,6 @@ def test_points_outside_have_the_taps_of_the_nearest_point_of_the_root(drawn: Dr
         np.testing.assert_array_equal(found, expected)
 
 
-def test_slopes_are_by_rest_position() -> None:
-    arrays, kept_cells = Octree.from_leaves(np.arange(8), 1).arrays, np.zeros(0, np.uint32)
-    rest = np.array([[10.5, -3.0, 1.0]], np.float32)
-    room = MOST_TAPS
-    starts, rows = np.zeros(2, np.int64), np.zeros(room, np.uint32)
-    weights, slopes = np.zeros(room, np.float32), np.zeros((room, 3), np.float32)
-    covers = np.zeros(1, np.float32)
-    placed = walk_all(
-        *(arrays, kept_cells, rest, 0, (10.0, -4.0, 0.0), 2.0, 2, new_walk()),
-        *(starts, rows, weights, slopes, covers),
-    )
-    assert placed == 1
-    expected = taps(arrays, kept_cells, np.array([[0.25, 0.5, 0.5]]), "quadratic")
-    np.testing.assert_array_equal(weights[: starts[1]], expected.weights)
-    np.testing.assert_array_equal(slopes[: starts[1]], expected.slopes / 2)
-
-
 def test_points_are_done_until_there_might_be_no_room_for_more() -> None:
     points = np.random.default_rng(5).random((40, 3))
     arrays, kept_cells = Octree.from_leaves(np.arange(64), 2).arrays, np.zeros(0, np.uint32)
@@ -170,20 +152,6 @@ def test_points_are_done_until_there_might_be_no_room_for_more() -> None:
     in_blocks = taps(arrays, kept_cells, points, "quadratic", room=MOST_TAPS + 50)
     for found, expected in zip(in_blocks, at_once, strict=True):
         np.testing.assert_array_equal(found, expected)
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_points_that_are_not_finite_are_reported(value: float) -> None:
-    arrays, kept_cells = Octree.from_leaves(np.arange(8), 1).arrays, np.zeros(0, np.uint32)
-    points = np.full((3, 3), 0.5)
-    points[1, 2] = value
-    starts, rows = np.zeros(4, np.int64), np.zeros(2 * MOST_TAPS, np.uint32)
-    weights, slopes = np.zeros(rows.size, np.float32), np.zeros((0, 3), np.float32)
-    covers = np.zeros(3, np.float32)
-    done = walk_all(
-        arrays, kept_cells, points, 0, *UNIT, 2, new_walk(), starts, rows, weights, slopes, covers
-    )
-    assert done == -2
 
 
 @each_filter

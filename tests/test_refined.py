@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from octex.channels import ChannelFormat
-from octex.field import refined as refined_module
-from octex.field.refined import refined_taps
+from octex.field import neighborhood
+from octex.field.neighborhood import refined_taps
 from octex.texture import Channel, OctreeTexture
 from octex.tree.edit import locate, raised
 from octex.tree.octree import Octree
@@ -142,7 +142,7 @@ def test_cells_found_in_several_batches_are_those_found_at_once(monkeypatch: pyt
     codes = np.random.default_rng(2).permutation(512)
     codes = codes[codes % 3 == 0][:150] * 8 + 5
     at_once = refined_taps(tree, codes, 4)
-    monkeypatch.setattr(refined_module, "_BLOCK", 1)
+    monkeypatch.setattr(neighborhood, "_CELLS_AT_ONCE", 1)
     assert at_once[1].size > 27
     for own, expected in zip(refined_taps(tree, codes, 4), at_once, strict=True):
         assert own.dtype == expected.dtype

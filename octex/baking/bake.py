@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from itertools import pairwise
 from typing import NamedTuple
@@ -11,16 +11,15 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s
-from octex.baking.fit import sharpen
+from octex.baking.blocks import Blocks
 from octex.baking.gutters import Gutter, fill_up, gutter_of
 from octex.baking.layout import ALIGNMENT, LAYOUTS, Layout, Layouts, neighbors
-from octex.baking.maps import Points, alpha_mode, in_tangent_space, inputs_of, sampled, turned, unit
-from octex.baking.sheets import Sheet, coordinates_of, drawn_texels, sheets_of
-from octex.baking.texels import Texels, texel_points
+from octex.baking.maps import Points, Values, alpha_mode, in_tangent_space, inputs_of, sampled, turned, unit
+from octex.baking.sheets import Sheet, coordinates_of, sheets_of
+from octex.baking.texels import Drawing, texel_points
 from octex.channels import ALPHA, CHANNELS, NORMAL
 from octex.checks import as_choice, as_names, as_number, as_whole
 from octex.errors import ArgumentError, ModelError
-from octex.field.order import put_rows
 from octex.nearest.triangles import Triangles
 from octex.parallel import Progress, as_progress, ordered_map, workers
 from octex.source.corners import Corners, Frames
@@ -29,6 +28,7 @@ from octex.source.materials import AlphaMode, Material, MaterialSource
 from octex.source.surface import Surface, as_surface
 from octex.source.tangents import corner_frames
 from octex.texture import OctreeTexture, as_texture
+from octex.tree.order import put_rows
 
 #: The smallest and the largest maps.
 _SMALLEST, _MOST = 64, 16384
@@ -141,28 +141,25 @@ def _part_of(report: Progress, before: int, whole: int) -> Progress:
 def _bake_sheet(job: _Job, sheet: Sheet, padding: int, pool: Executor, progress: Progress) -> list[Material]:
     """Return the materials of a sheet, with its maps."""
     layout = sheet.layout
-    drawn = drawn_texels(layout, pool)
     shown = layout._replace(faces=sheet.triangles[layout.faces])
-    shape = layout.height, layout.width
-    maps = {name: np.zeros((*shape, CHANNELS[name].components), np.float32) for name in job.names}
+    maps = Values.of(job.names, layout.height, layout.width)
+    taken = np.zeros(maps.areas.shape, np.bool_)
     ends = [*range(0, layout.height, _BAND), layout.height]
-    faces = job.surface.triangles[shown.faces]
-    tasks = [(job, shown, faces, drawn, slice(*each), maps) for each in pairwise(ends)]
+    drawing = Drawing.of(layout)
+    tasks = [(job, shown, drawing, slice(*each), maps, taken) for each in pairwise(ends)]
     for _ in ordered_map(pool, _bake_band, tasks, stage="bake", progress=progress):
         pass
-    if padding and not drawn.areas.all():
-        _bake_gutter(job, shown, drawn, padding, maps, pool)
-    list(ordered_map(pool, lambda each: sharpen(each, drawn.areas), list(maps.values())))
-    weights = (drawn.areas > 0).astype(np.float32)
-    if not weights.all():
-        list(ordered_map(pool, lambda each: fill_up(each, weights), list(maps.values())))
+    if padding and not taken.all():
+        _bake_gutter(job, shown, taken, padding, maps, pool)
+    if not maps.areas.all():
+        fill_up(maps.values, (maps.areas > 0).astype(np.float32))
     used = layout.uv.values[layout.uv.rows]
     repeats = bool((used < 0.0).any() or (used > 1.0).any())
     inputs = inputs_of(maps, REPEAT if repeats else CLAMP, pool)
     known = sheet.materials
     modes: list[AlphaMode] = ["opaque"] * len(known)
-    if ALPHA.name in maps:
-        measured = alpha_mode(maps[ALPHA.name])
+    if ALPHA.name in maps.lanes:
+        measured = alpha_mode(maps.channel(ALPHA.name))
         modes = [each.alpha_mode if job.has_modes else measured for each in known]
     return [
         Material(inputs, mode, name=each.name, double_sided=each.double_sided)
@@ -225,12 +222,18 @@ class _Job(NamedTuple):
     dPdx: Float64s  # (m, 3)
     dPdy: Float64s  # (m, 3)
     normals: Float64s  # (m, 3)
-    is_fine: Bools  # (m,)   texels show no more than a leaf
+    sizes: Float64s  # (m,)   the edges of texels
+    blocks: Blocks | None
     frames: Frames | None
     has_modes: bool  # the model's materials say how alpha counts
 
-    def values(self, points: Points) -> tuple[dict[str, Float32s], Bools | None]:
-        """Return the channels at points, those that are there at all; and which are, None for all."""
+    def values(self, triangles: Int32s, rest: Float64s) -> tuple[dict[str, Float32s], Bools | None]:
+        """Return the channels at texels of triangles, those that are there; and which are, None for all."""
+        derivatives = self.dPdx[triangles], self.dPdy[triangles]
+        return self.sampled(Points(rest, self.normals[triangles], derivatives))
+
+    def sampled(self, points: Points) -> tuple[dict[str, Float32s], Bools | None]:
+        """Return the channels at points, those that are there; and which are, None for all."""
         if self.other is None:
             return sampled(self.texture, self.names, points), None
         points, there = self.other.beside(points)
@@ -254,69 +257,69 @@ def _job(
         frames = corner_frames(surface.rest, surface.triangles, normals, None, coordinates)
     dPdx = (first * two[:, 1:] - second * one[:, 1:]) * scale
     dPdy = (second * one[:, :1] - first * two[:, :1]) * scale
-    leaf = texture.placement.size / 2**texture.tree.max_depth
-    is_fine = (dPdx**2).sum(axis=1) + (dPdy**2).sum(axis=1) <= leaf**2
+    normal = unit(np.cross(first, second))
+    blocks = Blocks.of(texture, names, normal, dPdx, dPdy) if other is None else None
     others, sides = neighbors(surface)
     return _Job(
-        texture, surface, other, others, sides, names, dPdx, dPdy, unit(np.cross(first, second)), is_fine,
-        frames, any(each.alpha_mode != "opaque" for sheet in sheets for each in sheet.materials),
+        texture, surface, other, others, sides, names, dPdx, dPdy, normal,
+        np.linalg.norm(np.cross(dPdx, dPdy), axis=1) ** 0.5, blocks, frames,
+        any(each.alpha_mode != "opaque" for sheet in sheets for each in sheet.materials),
     )  # fmt: skip
 
 
-def _bake_band(task: tuple[_Job, Layout, Int32s, Texels, slice, dict[str, Float32s]]) -> None:
-    """Write the channels at the texels of some rows; of those that show nothing the area becomes 0."""
-    job, layout, faces, whole, band, maps = task
-    drawn = Texels(whole.triangles[band], whole.centroids[band], whole.areas[band])
-    rows, columns, barycentric, rest = texel_points(
-        layout.corners, drawn, band.start, job.surface.rest, faces
+def _bake_band(task: tuple[_Job, Layout, Drawing, slice, Values, Bools]) -> None:
+    """Write the channels at the texels of some rows, and how much of these is covered."""
+    job, layout, drawing, band, maps, taken = task
+    which, drawn = drawing.rows(band.start, band.stop)
+    surface = job.surface
+    shown = texel_points(
+        layout.corners[which], layout.faces[which], drawn, band.start, surface.rest, surface.triangles
     )
-    if not rows.size:
+    taken[band], maps.areas[band] = drawn.triangles >= 0, drawn.areas
+    if not shown.places.size:
         return
-    triangles = layout.faces[whole.triangles[rows, columns]]
-    derivatives = None
-    if not job.is_fine[triangles].all():
-        derivatives = job.dPdx[triangles], job.dPdy[triangles]
-    found, there = job.values(Points(rest, job.normals[triangles], derivatives))
-    places = (rows * layout.width + columns).astype(np.int32)
-    if there is not None:
-        whole.areas.reshape(-1)[places[~there]] = 0.0
-        places, triangles, barycentric = places[there], triangles[there], barycentric[there]
+    values, areas = maps.values[band].reshape(-1, maps.values.shape[2]), maps.areas[band].reshape(-1)
+    missed = np.arange(shown.places.size)
+    if job.blocks is not None:
+        missed = job.blocks.look_up(shown, values)
+    if missed.size:
+        triangles = shown.each()[missed]
+        found, there = job.values(triangles, shown.rest[missed])
+        places = shown.places[missed]
+        if there is not None:
+            areas[places[~there]] = 0.0
+            places = places[there]
+        _put(found, places, maps.lanes, values)
     if job.frames is not None:
-        found[NORMAL.name] = in_tangent_space(found[NORMAL.name], job.frames, triangles, barycentric)
-    _put(found, places, maps)
+        directions = np.take(values[:, maps.lanes[NORMAL.name]], shown.places, axis=0)
+        turned_in = in_tangent_space(directions, job.frames, shown.each(), shown.barycentric)
+        values[shown.places, maps.lanes[NORMAL.name]] = turned_in
 
 
-def _put(found: dict[str, Float32s], places: Int32s, maps: dict[str, Float32s]) -> None:
-    """Write values to maps, at places counted row by row."""
-    for name, values in found.items():
-        put_rows(values, places, maps[name].reshape(-1, values.shape[1]))
+def _put(found: dict[str, Float32s], places: Int32s, lanes: Mapping[str, slice], values: Float32s) -> None:
+    """Write channels, in the order of their lanes, to values (places, lanes)."""
+    put_rows(np.concatenate([found[name] for name in lanes], axis=1), places, values)
 
 
-def _bake_gutter(
-    job: _Job, layout: Layout, drawn: Texels, padding: int, maps: dict[str, Float32s], pool: Executor
-) -> None:
+def _bake_gutter(job: _Job, layout: Layout, taken: Bools, padding: int, maps: Values, pool: Executor) -> None:
     """Write the channels around the charts, and count these texels as covered, in place."""
     mesh, reach = job.surface, math.ceil(_REACH * padding)
-    taken = drawn.triangles >= 0
     gutter = gutter_of(layout, mesh.rest, mesh.triangles, job.others, job.sides, taken, reach)
-    sizes = np.linalg.norm(np.cross(job.dPdx, job.dPdy), axis=1) ** 0.5
     firsts = range(0, gutter.rows.size, _GUTTER)
     parts = [gutter.part(first, first + _GUTTER) for first in firsts]
-    list(ordered_map(pool, lambda some: _bake_beside(job, sizes, some, drawn.areas, maps), parts))
+    list(ordered_map(pool, lambda some: _bake_beside(job, some, maps), parts))
 
 
-def _bake_beside(
-    job: _Job, sizes: Float64s, gutter: Gutter, areas: Float32s, maps: dict[str, Float32s]
-) -> None:
-    """Write the channels at some texels of gutters; ``sizes`` (m,) are the edges of texels on triangles.
+def _bake_beside(job: _Job, gutter: Gutter, maps: Values) -> None:
+    """Write the channels at some texels of gutters.
 
     They are as large as the texels of the chart beside them, in the plane of the triangle that they show.
     """
     normals = job.normals[gutter.triangles]
     helper = np.where(np.abs(normals[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-    wide = unit(np.cross(normals, helper)) * sizes[gutter.beside][:, None]
+    wide = unit(np.cross(normals, helper)) * job.sizes[gutter.beside][:, None]
     rest = job.surface.rest_at(gutter.triangles, gutter.barycentric)
-    found, there = job.values(Points(rest, normals, (wide, np.cross(normals, wide))))
+    found, there = job.sampled(Points(rest, normals, (wide, np.cross(normals, wide))))
     if there is not None:
         gutter = Gutter._make(each[there] for each in gutter)
     if job.frames is not None:
@@ -324,5 +327,6 @@ def _bake_beside(
         shading = [unit(job.frames.normals.at(*each)) for each in ends]
         directions = turned(found[NORMAL.name], *shading)
         found[NORMAL.name] = in_tangent_space(directions, job.frames, gutter.beside, gutter.edges)
-    _put(found, gutter.rows * np.int32(areas.shape[1]) + gutter.columns, maps)
-    areas[gutter.rows, gutter.columns] = 1.0
+    height, width, lanes = maps.values.shape
+    _put(found, gutter.rows * np.int32(width) + gutter.columns, maps.lanes, maps.values.reshape(-1, lanes))
+    maps.areas[gutter.rows, gutter.columns] = 1.0

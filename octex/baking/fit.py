@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.arrays import Float32s
+from octex.arrays import Float32s, Float64s
 from octex.jit import kernel
 
 #: What values at the middles of texels lack of the nearest map that is linear in between, of their second
@@ -12,30 +12,27 @@ from octex.jit import kernel
 _LACKING = 1.0 / 12.0
 
 
-def sharpen(values: Float32s, areas: Float32s) -> None:
-    """Fit a map (height, width, components) of values at the middles of texels to bilinear reading, in place.
-
-    Texels stay that lie at its rim, or beside one of area 0; none leaves the range that values had.
-    """
-    _sharpen(values, areas, values.min(), values.max(), values[0].copy(), values[0].copy())
-
-
 @kernel
-def _sharpen(
-    values: Float32s, areas: Float32s, least: np.float32, most: np.float32, above: Float32s, here: Float32s
-) -> None:
-    """``above`` and ``here``, (width, components), are room for rows as they were."""
-    height, width, components = values.shape
-    part, four = np.float32(_LACKING), np.float32(4.0)
-    for row in range(1, height - 1):
-        here[:] = values[row]
-        for x in range(1, width - 1):
-            if min(areas[row, x - 1], areas[row, x + 1]) <= 0.0 or areas[row, x] <= 0.0:
-                continue
-            if min(areas[row - 1, x], areas[row + 1, x]) <= 0.0:
-                continue
-            for k in range(components):
-                around = here[x - 1, k] + here[x + 1, k] + above[x, k] + values[row + 1, x, k]
-                fitted = here[x, k] - part * (around - four * here[x, k])
-                values[row, x, k] = min(max(fitted, least), most)
-        above[:] = here
+def fit_rows(values: Float32s, areas: Float32s, first: int, lane: int, most: float, fitted: Float64s) -> None:
+    """Write rows of a map (height, width, lanes), from ``first`` on, fitted to bilinear reading.
+
+    ``values`` stand at the middles of texels; of its lanes those from ``lane`` on are written to ``fitted``
+    (rows, width, components), within −``most`` … ``most``. Texels stay that lie at the map's rim, or beside
+    one of area 0.
+    """
+    height, width = areas.shape
+    for row in range(first, first + fitted.shape[0]):
+        is_inside = 0 < row < height - 1
+        for x in range(width):
+            is_fitted = is_inside and 0 < x < width - 1
+            if is_fitted:
+                least = min(areas[row, x - 1], areas[row, x + 1], areas[row - 1, x], areas[row + 1, x])
+                is_fitted = min(least, areas[row, x]) > np.float32(0.0)
+            for k in range(fitted.shape[2]):
+                here = values[row, x, lane + k]
+                if is_fitted:
+                    left, right = values[row, x - 1, lane + k], values[row, x + 1, lane + k]
+                    above, below = values[row - 1, x, lane + k], values[row + 1, x, lane + k]
+                    bend = (left + right) + (above + below) - np.float32(4.0) * here
+                    here -= np.float32(_LACKING) * bend
+                fitted[row - first, x, k] = min(max(here, np.float32(-most)), np.float32(most))

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from concurrent.futures import Executor
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int32s
+from octex.arrays import Bools, Float32s, Float64s, Int32s, Uint8s, Uint16s
+from octex.baking.fit import fit_rows
 from octex.channels import ALPHA, CHANNELS, ColorSpace, decode, encode
 from octex.jit import inlined, kernel
 from octex.parallel import ordered_map
@@ -30,7 +32,7 @@ _CLEAR, _SOLID, _MOST_BETWEEN = 0.05, 0.95, 0.1
 #: First channels of images that may give way to numbers: glTF has none for occlusion and for normals.
 _NUMBERS = ("base_color", "alpha", "roughness", "metallic", "emissive", "specular")
 #: Rows of texels that are encoded at once.
-_ENCODED = 64
+_ENCODED = 16
 #: Directions shorter than this point nowhere; squared.
 _NOWHERE = 1e-12
 
@@ -126,35 +128,66 @@ def unit(vectors: Float64s) -> Float64s:
     return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0), np.float64)
 
 
-def inputs_of(maps: Mapping[str, Float32s], wrap: int, executor: Executor) -> dict[str, Input]:
-    """Return the inputs of materials whose images are maps (height, width, components) of channels, linear.
+class Values(NamedTuple):
+    """Channels at the texels of a map, side by side, linear."""
+
+    lanes: Mapping[str, slice]
+    values: Float32s  # (height, width, lanes)
+    areas: Float32s  # (height, width)   0 where nothing is shown
+
+    @classmethod
+    def of(cls, names: list[str], height: int, width: int) -> Values:
+        """Return zeros."""
+        ends = np.cumsum([0, *(CHANNELS[name].components for name in names)]).tolist()
+        lanes = {name: slice(*each) for name, each in zip(names, pairwise(ends), strict=True)}
+        return cls(
+            lanes, np.zeros((height, width, ends[-1]), np.float32), np.zeros((height, width), np.float32)
+        )
+
+    def channel(self, name: str) -> Float32s:
+        """Return one channel (height, width, components)."""
+        return self.values[..., self.lanes[name]]
+
+
+def inputs_of(maps: Values, wrap: int, executor: Executor) -> dict[str, Input]:
+    """Return the inputs of materials whose images are maps of channels.
 
     ``wrap`` is how coordinates beyond the unit square meet the images. What does not vary is a number.
     """
     inputs: dict[str, Input] = {}
     images: list[tuple[Texels, list[str]]] = []
-    encoding: list[tuple[Texels, Float32s, float, ColorSpace]] = []
+    encoding: list[tuple[Values, Mapping[str, Input], Texels, int]] = []
     for channels in IMAGES.values():
-        given = [name for name in channels if name in maps]
+        given = [name for name in channels if name in maps.lanes]
         if not given:
             continue
-        texels = np.empty((*maps[given[0]].shape[:2], 4), np.uint16)
-        texels[..., [lane for lane in range(4) if lane not in _lanes_of(channels, given)]] = 65535
+        texels = np.empty((*maps.areas.shape, 4), np.uint16)
         images.append((texels, given))
         for name in given:
             form = CHANNELS[name]
             lanes = _lanes_of(channels, [name])
-            strength = max(1.0, float(maps[name].max(initial=1.0))) if form.space == "srgb" else 1.0
-            for first in range(0, len(texels), _ENCODED):
-                rows = slice(first, first + _ENCODED)
-                to = texels[rows, :, lanes[0] : lanes[-1] + 1]
-                encoding.append((to, maps[name][rows], strength, form.space))
+            strength = 1.0
+            if form.space == "srgb":
+                strength = max(1.0, largest(maps.values, maps.lanes[name].start, form.components))
             inputs[name] = Input((strength,) * form.components, Texture(texels, wrap, wrap), lanes)
+        made = {name: inputs[name] for name in given}
+        encoding += [(maps, made, texels, first) for first in range(0, len(texels), _ENCODED)]
     list(ordered_map(executor, lambda each: _encode(*each), encoding))
     for texels, given in images:
         if given[0] in _NUMBERS and all((rows == texels[0, 0]).all() for rows in texels):
             inputs |= {name: _number(inputs[name], texels, CHANNELS[name].space) for name in given}
     return inputs
+
+
+@kernel
+def largest(values: Float32s, lane: int, components: int) -> float:
+    """Return the largest of some lanes of values (height, width, lanes), 0 at least."""
+    most = np.float32(0.0)
+    for row in range(values.shape[0]):
+        for column in range(values.shape[1]):
+            for k in range(components):
+                most = max(most, values[row, column, lane + k])
+    return float(most)
 
 
 def _lanes_of(channels: tuple[str, ...], names: list[str]) -> tuple[int, ...]:
@@ -172,10 +205,29 @@ def _number(given: Input, texels: Texels, space: ColorSpace) -> Input:
     return Input(tuple((values * given.factor).tolist()))
 
 
-def _encode(texels: Texels, values: Float32s, strength: float, space: ColorSpace) -> None:
-    """Write values to lanes of texels, as codes of 8 bits."""
-    scaled = values / np.float32(strength) if strength > 1.0 else values
-    np.multiply(encode(scaled, "uint8", space), np.uint16(257), out=texels, casting="unsafe")
+def _encode(maps: Values, inputs: Mapping[str, Input], texels: Texels, first: int) -> None:
+    """Write rows of an image, from one on, that inputs read: fitted, as codes of 8 bits."""
+    rows = texels[first : first + _ENCODED]
+    used = set()
+    for name, given in inputs.items():
+        form, strength = CHANNELS[name], given.factor[0]
+        fitted = np.empty((*rows.shape[:2], form.components))
+        fit_rows(maps.values, maps.areas, first, maps.lanes[name].start, strength, fitted)
+        if strength > 1.0:
+            fitted /= strength
+        _put_codes(encode(fitted, "uint8", form.space), given.lanes[0], rows)
+        used |= {*given.lanes}
+    for lane in {*range(4)} - used:
+        rows[..., lane] = 65535
+
+
+@kernel
+def _put_codes(codes: Uint8s, first: int, texels: Uint16s) -> None:
+    """Write codes of 8 bits as codes of 16 to lanes from one on."""
+    for row in range(codes.shape[0]):
+        for column in range(codes.shape[1]):
+            for lane in range(codes.shape[2]):
+                texels[row, column, first + lane] = np.uint16(257) * np.uint16(codes[row, column, lane])
 
 
 def alpha_mode(alpha: Float32s) -> AlphaMode:

@@ -12,7 +12,7 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Int32s
 from octex.baking.atlas import atlas_layout
 from octex.baking.layout import BEYOND, Layout, Layouts, kept_layout, unit_area
-from octex.baking.texels import Texels, draw_texels
+from octex.baking.texels import Drawing, Texels
 from octex.channels import CHANNELS, ColorSpace, linear_to_srgb
 from octex.errors import ModelError
 from octex.parallel import ordered_map
@@ -182,7 +182,7 @@ def _shared(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout
     if whole > _MOST_DRAWN:
         return 1.0 - 1.0 / whole
     layout = layout.sized(min(layout.width, _PROBE))
-    drawn = drawn_texels(layout, pool)
+    drawn = _drawn(layout, pool)
     covered = float(drawn.areas.sum(dtype=np.float64)) / (layout.width * layout.height)
     shared = max(whole - covered, 0.0) / whole if whole > 0.0 else 0.0
     return shared if shared <= _OVERLAPPING else _differing(texture, mesh, names, layout, drawn)
@@ -233,16 +233,19 @@ def _as_seen(values: Float32s, space: ColorSpace) -> Float64s:
     return linear_to_srgb(np.clip(values, 0, 1)) if space == "srgb" else values.astype(np.float64)
 
 
-def drawn_texels(layout: Layout, pool: Executor) -> Texels:
-    """Draw a layout, parts of it side by side."""
-    ends = [*range(0, layout.height, _ROWS), layout.height]
-    parts = list(
-        ordered_map(
-            pool,
-            lambda rows: draw_texels(layout.corners, layout.charts, layout.edges, layout.width, *rows),
-            list(pairwise(ends)),
+def _drawn(layout: Layout, pool: Executor) -> Texels:
+    """Draw a layout, parts of it side by side; ``triangles`` are those of the layout."""
+    drawing = Drawing.of(layout)
+
+    def draw(rows: tuple[int, int]) -> Texels:
+        which, drawn = drawing.rows(*rows)
+        if not which.size:
+            return drawn
+        return drawn._replace(
+            triangles=np.where(drawn.triangles < 0, -1, which[drawn.triangles]).astype(np.int32)
         )
-    )
+
+    parts = list(ordered_map(pool, draw, list(pairwise([*range(0, layout.height, _ROWS), layout.height]))))
     return Texels(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 

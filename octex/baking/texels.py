@@ -7,12 +7,17 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from octex.baking.layout import Layout
 from octex.jit import inlined, kernel
 
 #: Texels of which charts cover less than this part count as gutter.
 _LEAST = 1e-4
+#: Edge of the tiles in which texels of a triangle come together.
+_TILE = 32
 #: What is as near as this to a texel touches it.
 _NEAR = 1e-9
+#: Middles of texels as near as this to a triangle's edge are on it.
+_ON_EDGE = 1e-6
 
 
 class Texels(NamedTuple):
@@ -21,6 +26,27 @@ class Texels(NamedTuple):
     triangles: Int32s  # (rows, width)   −1: none
     centroids: Float32s  # (rows, width, 2)   of the covered part, right and down of the texel's corner, 0 … 1
     areas: Float32s  # (rows, width)   the covered part, 0 … 1
+
+
+class Drawing(NamedTuple):
+    """A layout that is drawn row by row."""
+
+    layout: Layout
+    tops: Float64s  # (k,)   of the triangles
+    bottoms: Float64s  # (k,)
+
+    @classmethod
+    def of(cls, layout: Layout) -> Drawing:
+        """Make a layout ready."""
+        rows = layout.corners[..., 1]
+        return cls(layout, rows.min(axis=1), rows.max(axis=1))
+
+    def rows(self, first: int, end: int) -> tuple[Int64s, Texels]:
+        """Find what the texels of rows show; ``triangles`` are numbers of those returned (t,)."""
+        which = np.flatnonzero((self.tops <= end) & (self.bottoms >= first))
+        layout = self.layout
+        given = layout.corners[which], layout.charts[which], layout.edges[which], layout.width
+        return which, draw_texels(*given, first, end)
 
 
 def draw_texels(corners: Float64s, charts: Int32s, edges: Bools, width: int, first: int, end: int) -> Texels:
@@ -84,6 +110,36 @@ def _lines(corners: Float64s, triangle: int, lines: Float64s) -> bool:
 
 
 @inlined
+def _enter(
+    corners: Float64s, triangle: int, first: int, shape: tuple[int, int], lines: Float64s
+) -> tuple[int, int, int, int]:
+    """Write a triangle's sides; return the texels that it reaches of rows from ``first`` on.
+
+    These are the first and the end of its rows and of its columns; no rows if it has no area.
+    """
+    top, bottom = _reach(corners, triangle, 1, first, first + shape[0])
+    left, right = _reach(corners, triangle, 0, 0, shape[1])
+    if top >= bottom or left >= right or not _lines(corners, triangle, lines):
+        return 0, 0, 0, 0
+    return top, bottom, left, right
+
+
+@inlined
+def _middles(lines: Float64s, row: int, left: int, right: int) -> tuple[int, int]:
+    """Narrow the texels of a row to those whose middles a triangle covers; edges belong to both sides."""
+    low, high = float(left), float(right)
+    for k in range(3):
+        across, at = lines[k, 0], lines[k, 1] * (row + 0.5) + lines[k, 2]
+        if across > 0.0:
+            low = min(max(low, np.ceil(-at / across - 0.5 - _ON_EDGE)), high)
+        elif across < 0.0:
+            high = max(min(high, np.floor(-at / across - 0.5 + _ON_EDGE) + 1.0), low)
+        elif at < -_NEAR:
+            high = low
+    return int(low), int(high)
+
+
+@inlined
 def _span(lines: Float64s, row: int, left: int, right: int) -> tuple[int, int]:
     """Narrow the texels of a row to those that a triangle may meet."""
     low, high = float(left), float(right)
@@ -136,20 +192,14 @@ def _fill(
     """Write the texels that no edge of a chart cuts, by their middles: a chart covers each whole, or not."""
     lines = np.empty((3, 3))
     for triangle in range(corners.shape[0]):
-        top, bottom = _reach(corners, triangle, 1, first, first + triangles.shape[0])
-        left, right = _reach(corners, triangle, 0, 0, triangles.shape[1])
-        if top >= bottom or left >= right or not _lines(corners, triangle, lines):
-            continue
+        top, bottom, left, right = _enter(corners, triangle, first, triangles.shape, lines)
         for row in range(top, bottom):
-            low, high = _span(lines, row, left, right)
+            low, high = _middles(lines, row, left, right)
             for column in range(low, high):
-                inside = True
-                for k in range(3):
-                    at = lines[k, 0] * (column + 0.5) + lines[k, 1] * (row + 0.5) + lines[k, 2]
-                    inside &= at >= -_NEAR
-                if inside and not cut[row - first, column] and triangles[row - first, column] < 0:
-                    triangles[row - first, column], areas[row - first, column] = triangle, 1.0
-                    centroids[row - first, column, 0] = centroids[row - first, column, 1] = 0.5
+                at = np.uint64(row - first), np.uint64(column)
+                if not cut[at] and triangles[at] < 0:
+                    triangles[at], areas[at] = triangle, 1.0
+                    centroids[at[0], at[1], 0] = centroids[at[0], at[1], 1] = 0.5
 
 
 @inlined
@@ -182,10 +232,7 @@ def _find_owners(corners: Float64s, first: int, cut: Bools, triangles: Int32s, a
     """Write the triangle that covers most of each ``cut`` texel, and how much."""
     one, two, lines = np.empty((8, 2)), np.empty((8, 2)), np.empty((3, 3))
     for triangle in range(corners.shape[0]):
-        top, bottom = _reach(corners, triangle, 1, first, first + triangles.shape[0])
-        left, right = _reach(corners, triangle, 0, 0, triangles.shape[1])
-        if top >= bottom or left >= right or not _lines(corners, triangle, lines):
-            continue
+        top, bottom, left, right = _enter(corners, triangle, first, triangles.shape, lines)
         for row in range(top, bottom):
             low, high = _span(lines, row, left, right)
             for column in range(low, high):
@@ -209,10 +256,7 @@ def _find_centroids(
             if cut[row, column]:
                 areas[row, column] = 0.0
     for triangle in range(corners.shape[0]):
-        top, bottom = _reach(corners, triangle, 1, first, first + triangles.shape[0])
-        left, right = _reach(corners, triangle, 0, 0, triangles.shape[1])
-        if top >= bottom or left >= right or not _lines(corners, triangle, lines):
-            continue
+        top, bottom, left, right = _enter(corners, triangle, first, triangles.shape, lines)
         for row in range(top, bottom):
             low, high = _span(lines, row, left, right)
             for column in range(low, high):
@@ -264,10 +308,7 @@ def _find_triangles(
                 p, q, r = barycentric_of(corners, int(triangles[row, column]), x, y)
                 nearest[row, column] = min(p, min(q, r))
     for triangle in range(corners.shape[0]):
-        top, bottom = _reach(corners, triangle, 1, first, first + triangles.shape[0])
-        left, right = _reach(corners, triangle, 0, 0, triangles.shape[1])
-        if top >= bottom or left >= right or not _lines(corners, triangle, lines):
-            continue
+        top, bottom, left, right = _enter(corners, triangle, first, triangles.shape, lines)
         for row in range(top, bottom):
             low, high = _span(lines, row, left, right)
             for column in range(low, high):
@@ -285,35 +326,123 @@ def _find_triangles(
                     triangles[row - first, column] = triangle
 
 
-def texel_points(
-    corners: Float64s, drawn: Texels, first: int, rest: Float64s, faces: Int32s
-) -> tuple[Int64s, Int64s, Float64s, Float64s]:
-    """Return where texels of a map show something, from row ``first`` on, and what.
+class Shown(NamedTuple):
+    """Points that texels of a map show, by tile and triangle.
 
-    ``corners`` (k, 3, 2) were drawn; ``faces`` (k, 3) are rows of ``rest`` (n, 3). Returns the texels' rows
-    and columns (t,), the barycentric coordinates (t, 3) on what was drawn, and the rest positions (t, 3).
+    Those of one triangle come in Morton order of squares of 8², and row by row in these.
     """
-    rows, columns = np.nonzero(drawn.triangles >= 0)
-    barycentric, positions = np.empty((2, rows.size, 3))
-    _texel_points(corners, *drawn[:2], rows, columns, first, rest, faces, barycentric, positions)
-    return rows + first, columns, barycentric, positions
+
+    places: Int32s  # (t,)   the texels, counted row by row
+    rest: Float64s  # (t, 3)   rest positions
+    barycentric: Float64s  # (t, 3)   on what was drawn
+    starts: Int32s  # (runs + 1,)   the texels of a run lie in one tile, and show one triangle
+    triangles: Int32s  # (runs,)   of the surface
+
+    def each(self) -> Int32s:
+        """Return the triangle of each texel (t,)."""
+        return np.repeat(self.triangles, np.diff(self.starts))
+
+
+def texel_points(
+    corners: Float64s, faces: Int32s, drawn: Texels, first: int, rest: Float64s, triangles: Int32s
+) -> Shown:
+    """Return what texels of a map show, from row ``first`` on.
+
+    ``corners`` (k, 3, 2) were drawn, ``faces`` (k,) are the surface's triangles that they show, of which
+    ``triangles`` (m, 3) has the rows of ``rest`` (n, 3).
+    """
+    most = int(np.count_nonzero(drawn.triangles >= 0))
+    shown = Shown(
+        np.empty(most, np.int32), np.empty((most, 3)), np.empty((most, 3)),
+        np.empty(most + 1, np.int32), np.empty(most, np.int32),
+    )  # fmt: skip
+    runs = _find_points(corners, faces, *drawn[:2], first, rest, triangles, shown)
+    return shown._replace(starts=shown.starts[: runs + 1], triangles=shown.triangles[:runs])
 
 
 @kernel
-def _texel_points(
-    corners: Float64s, triangles: Int32s, centroids: Float32s, rows: Int64s, columns: Int64s, first: int,
-    rest: Float64s, faces: Int32s, barycentric: Float64s, positions: Float64s,
+def _find_points(
+    corners: Float64s, faces: Int32s, drawn: Int32s, centroids: Float32s, first: int, rest: Float64s,
+    triangles: Int32s, shown: Shown,
+) -> int:  # fmt: skip
+    """Write what texels of rows show; return the number of runs."""
+    height, width = drawn.shape
+    order, runs = np.empty(_TILE * _TILE, np.int32), np.empty(_TILE * _TILE, np.int32)
+    known, ends = np.empty(_TILE * _TILE, np.int32), np.empty(_TILE * _TILE, np.int32)
+    numbers = np.zeros(corners.shape[0], np.int32)  # of runs in the tile, by triangle
+    count = n_runs = 0
+    for top in range(0, height, _TILE):
+        for left in range(0, width, _TILE):
+            n_known = n = 0
+            for code in range(_TILE * _TILE):
+                row = top + (8 * _even_bits(code >> 7) | code >> 3 & 7)
+                column = left + (8 * _even_bits(code >> 6) | code & 7)
+                if row >= height or column >= width or drawn[row, column] < 0:
+                    continue
+                triangle = drawn[row, column]
+                run = numbers[triangle]
+                if run >= n_known or known[run] != triangle:
+                    run = n_known
+                    numbers[triangle], known[run], ends[run] = run, triangle, 0
+                    n_known += 1
+                order[n], runs[n] = row * width + column, run
+                ends[run] += 1
+                n += 1
+            total = count
+            for run in range(n_known):
+                shown.starts[n_runs + run], shown.triangles[n_runs + run] = total, faces[known[run]]
+                total, ends[run] = total + ends[run], total
+            for m in range(n):
+                shown.places[ends[runs[m]]] = order[m]
+                ends[runs[m]] += 1
+            for run in range(n_known):
+                begin = shown.starts[n_runs + run]
+                task = corners, faces, int(known[run]), centroids, first, rest, triangles
+                _place(*task, shown, begin, ends[run])
+            n_runs += n_known
+            count = total
+    shown.starts[n_runs] = count
+    return n_runs
+
+
+@inlined
+def _even_bits(code: int) -> int:
+    """Return bits 0 and 2."""
+    return code & 1 | code >> 1 & 2
+
+
+@inlined
+def _place(
+    corners: Float64s, faces: Int32s, of: int, centroids: Float32s, first: int, rest: Float64s,
+    triangles: Int32s, shown: Shown, begin: int, end: int,
 ) -> None:  # fmt: skip
-    for n in range(rows.size):
-        row, column = rows[n], columns[n]
-        triangle = int(triangles[row, column])
-        x = column + np.float64(centroids[row, column, 0])
-        y = first + row + np.float64(centroids[row, column, 1])
-        p, q, r = barycentric_of(corners, triangle, x, y)
-        p, q, r = max(p, 0.0), max(q, 0.0), max(r, 0.0)
-        total = p + q + r
-        p, q, r = p / total, q / total, r / total
-        barycentric[n, 0], barycentric[n, 1], barycentric[n, 2] = p, q, r
-        a, b, c = faces[triangle, 0], faces[triangle, 1], faces[triangle, 2]
-        for axis in range(3):
-            positions[n, axis] = p * rest[a, axis] + q * rest[b, axis] + r * rest[c, axis]
+    """Write the points of texels of a triangle."""
+    width, owner = centroids.shape[1], faces[of]
+    a, b, c = triangles[owner, 0], triangles[owner, 1], triangles[owner, 2]
+    left, top = corners[of, 0, 0], corners[of, 0, 1]
+    bx, by = corners[of, 1, 0] - left, corners[of, 1, 1] - top
+    cx, cy = corners[of, 2, 0] - left, corners[of, 2, 1] - top
+    doubled = bx * cy - by * cx
+    inverse = 1.0 / doubled if doubled != 0.0 else 0.0
+    bx, by, cx, cy = bx * inverse, by * inverse, cx * inverse, cy * inverse
+    ax, ay, az = rest[a, 0], rest[a, 1], rest[a, 2]
+    sx, sy, sz = rest[b, 0] - ax, rest[b, 1] - ay, rest[b, 2] - az
+    tx, ty, tz = rest[c, 0] - ax, rest[c, 1] - ay, rest[c, 2] - az
+    over = (1.0 + 1e-12) / width
+    for n in range(begin, end):
+        place = shown.places[n]
+        row = np.int32(np.float64(place) * over)
+        row -= np.int32(row * width > place)
+        column = place - row * width
+        x = column + np.float64(centroids[np.uint64(row), np.uint64(column), 0]) - left
+        y = first + row + np.float64(centroids[np.uint64(row), np.uint64(column), 1]) - top
+        q, r = x * cy - y * cx, bx * y - by * x
+        p = 1.0 - q - r
+        if min(p, min(q, r)) < 0.0:
+            p, q, r = max(p, 0.0), max(q, 0.0), max(r, 0.0)
+            total = p + q + r
+            p, q, r = p / total, q / total, r / total
+        shown.barycentric[n, 0], shown.barycentric[n, 1], shown.barycentric[n, 2] = p, q, r
+        shown.rest[n, 0] = ax + q * sx + r * tx
+        shown.rest[n, 1] = ay + q * sy + r * ty
+        shown.rest[n, 2] = az + q * sz + r * tz

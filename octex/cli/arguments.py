@@ -46,6 +46,23 @@ def count(text: str) -> int:
     return number
 
 
+def port_number(text: str) -> int:
+    """Read a port of this machine."""
+    number = whole_number(text)
+    if not 1 <= number <= 65535:
+        raise argparse.ArgumentTypeError(f"{number} is no port, 1 to 65535")
+    return number
+
+
+def file_size(text: str) -> int:
+    """Read a number of bytes: 20MB, 800kB, 5000."""
+    units = {"": 1, "b": 1, "kb": 1e3, "mb": 1e6, "gb": 1e9, "kib": 2**10, "mib": 2**20, "gib": 2**30}
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([a-z]*)\s*", text.lower())
+    if found is None or found[2] not in units or not 1 <= float(found[1]) * units[found[2]] < 2**53:
+        raise argparse.ArgumentTypeError(f"{text!r} is no size, like 20MB")
+    return int(float(found[1]) * units[found[2]])
+
+
 def length(text: str) -> float:
     """Read a length: finite and above zero."""
     return _number(text, lambda number: 0.0 < number < float("inf"), "a finite number above zero")

@@ -13,6 +13,7 @@ from octex.cli.arguments import channel_names, edge_length, error_codes, whole_n
 from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
 from octex.cli.models import TEXTURE_ENDING, open_sound
 from octex.cli.parser import RUNNING, Command, Parser, option, words_given
+from octex.cli.shape_options import SHAPE_OPTIONS, check_subdivision, shaped_model
 from octex.errors import ArgumentError, ExitCode
 
 _OF_IMAGES = (
@@ -91,6 +92,7 @@ BAKE = Command(
             choices=_UNITS,
         ),
         option("--rest", "the undeformed model, of the same topology", metavar="MODEL", type=Path),
+        *SHAPE_OPTIONS,
         *RUNNING,
     ],
     ["droid.octex droid.glb baked.glb", "droid.octex droid.glb web.glb --texture-size 1024 --images webp"],
@@ -106,7 +108,8 @@ def baking(options: argparse.Namespace, program: str) -> argparse.Namespace:
     """Return the options of octex bake that those of octree-convert --mesh stand for."""
     files = options.INPUT, options.mesh, options.OUTPUT
     made = Parser(program, BAKE).parse_args([str(each) for each in files])
-    for word in ("channels", "rest", "force", "threads", "quiet", "json"):
+    shape = "rest", "pose", "subdiv_levels", "subdiv_rest"
+    for word in (*shape, "channels", "force", "threads", "quiet", "json"):
         setattr(made, word, getattr(options, word))
     return made
 
@@ -124,6 +127,7 @@ def bake(options: argparse.Namespace, program: str) -> int:
     for word in words_given(options):
         if word in others:
             raise ArgumentError(f"{word} has no meaning with {work}; see {program} --help")
+    check_subdivision(options)
     if options.unit is not None and ending not in _WITH_UNIT:
         raise ArgumentError(f"--unit has no meaning for {options.OUTPUT}: such files state none")
     given = options.TEXTURE, options.MODEL, options.rest, options.source
@@ -135,7 +139,7 @@ def bake(options: argparse.Namespace, program: str) -> int:
     with limited(options.threads), Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
             texture = open_sound(options.TEXTURE)
-            surface = octex.load_surface(options.MODEL, options.rest, normals=True)
+            surface = shaped_model(options.MODEL, options, normals=True)
             source = None if options.source is None else octex.load_surface(options.source)
         if options.vertex_colors:
             with progress.stage("divide"):

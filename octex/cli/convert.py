@@ -17,12 +17,22 @@ from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, 
 from octex.cli.convert_options import COMMANDS, CONVERT, check_input, work_of
 from octex.cli.diff import diff
 from octex.cli.inspect import info, validate
-from octex.cli.models import TEXTURE_ENDING, input_files, kind_of, read_model, settings_of, told_of
+from octex.cli.models import (
+    PTEX_ENDING,
+    TEXTURE_ENDING,
+    input_files,
+    kind_of,
+    read_model,
+    settings_of,
+    told_of,
+)
 from octex.cli.overlaps import overlaps, separated_as_json, separated_text
 from octex.cli.parser import Parser
 from octex.cli.process import others_of, processed
+from octex.cli.ptex import write_ptex
 from octex.cli.sets import convert_parts
 from octex.cli.view_options import previewing
+from octex.cli.viewer import PAGE_ENDING, write_mesh_page, write_page
 from octex.errors import ExitCode, InputError
 from octex.parallel import workers
 
@@ -34,7 +44,7 @@ if TYPE_CHECKING:
     from octex.texture import OctreeTexture
 
 COMMAND = "octree-convert"
-OUTPUT_ENDINGS = (TEXTURE_ENDING, ".ply", ".npz")
+OUTPUT_ENDINGS = (TEXTURE_ENDING, ".ply", ".npz", PAGE_ENDING)
 
 
 def main(arguments: Sequence[str] | None = None, program: str = COMMAND, command: str = "convert") -> int:
@@ -58,6 +68,10 @@ def _main(arguments: Sequence[str] | None, program: str, command: str) -> int:
             return diff(program, options)
         if work == "--overlaps":
             return overlaps(program, options)
+        if work == "--mesh" and options.OUTPUT.suffix.lower() == PTEX_ENDING:
+            return write_ptex(options, program)
+        if work == "--mesh" and options.OUTPUT.suffix.lower() == PAGE_ENDING:
+            return write_mesh_page(options, program)
         if work == "--mesh":
             return bake(baking(options, program), program)
         if work == "--warm-up":
@@ -109,6 +123,9 @@ def _convert(options: argparse.Namespace, program: str) -> int:
             from octex.formats.npz import write_arrays
 
             write_arrays(texture, options.OUTPUT, progress)
+        elif options.OUTPUT.suffix.lower() == PAGE_ENDING:
+            for note in write_page(texture, surface, options, progress):
+                progress.note(note)
         else:
             from octex.formats.ply import write_points
 

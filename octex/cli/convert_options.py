@@ -20,6 +20,7 @@ from octex.cli.arguments import (
     dtypes,
     error_codes,
     file_and_amount,
+    file_size,
     image_filter,
     length,
     levels,
@@ -30,10 +31,12 @@ from octex.cli.arguments import (
     whole_number,
 )
 from octex.cli.bake import BAKED_ENDINGS
-from octex.cli.models import DEFAULT_FILTER, TEXTURE_ENDING, check_elsewhere, sources_of
+from octex.cli.models import DEFAULT_FILTER, PTEX_ENDING, TEXTURE_ENDING, check_elsewhere, sources_of
 from octex.cli.overlaps import SEPARATE_CELLS
 from octex.cli.parser import RUNNING, Command, Option, option, words_given
+from octex.cli.shape_options import SHAPE_OPTIONS, SHAPE_WORDS
 from octex.cli.view_options import VIEW_OPTIONS, VIEW_WORDS, check_view_options
+from octex.cli.viewer import check_page_options
 from octex.errors import ArgumentError
 
 _OPTIONS = (
@@ -46,8 +49,8 @@ _OPTIONS = (
     ),
     option(
         "OUTPUT",
-        "NAME.octex, or a coloured point a leaf, with normal: NAME.ply, or NAME.npz for numpy; with --parts "
-        "a folder",
+        "NAME.octex, or a coloured point a leaf, with normal: NAME.ply, or NAME.npz for numpy; NAME.html, a "
+        "page that shows it in any browser; with --parts a folder",
         nargs="?",
         type=Path,
     ),
@@ -75,12 +78,20 @@ _OPTIONS = (
     option("--no-fit", "store plain averages; lookups are then softer", action="store_true"),
     option(
         "--mesh",
-        "the model that INPUT is a texture of: OUTPUT is it with images, .glb, .gltf, .obj or .usdz, or "
-        "with vertex colours, .3mf (octex bake has more options)",
+        "the model that INPUT is a texture of: OUTPUT is it with images, .glb, .gltf, .obj or .usdz, "
+        "with vertex colours, .3mf (octex bake has more options), in a page, .html, or texels for its "
+        "polygons, .ptx; where INPUT is a .ptx, the mesh that it was painted on",
         metavar="MODEL",
         type=Path,
     ),
+    option(
+        "--max-size",
+        "of a page: leave the finest levels out until it is no larger, like 20MB",
+        metavar="SIZE",
+        type=file_size,
+    ),
     option("--rest", "the undeformed model, of the same topology as INPUT", metavar="MESH", type=Path),
+    *SHAPE_OPTIONS,
     option(
         "--also",
         "another model that shares the texture; any number of times",
@@ -252,13 +263,20 @@ _OPTIONS = (
 _PROJECTION = {"--project", "--project-axis", "--project-center", "--project-size"}
 _ELSEWHERE = {"--transfer", "--cloud", "--radius", "--max-distance", "--max-angle"}
 _MATERIALS = {"--channels", "--source", "--filter", "--rest", "--also", "--bounds", "--edge"}
-_MATERIALS |= _PROJECTION | _ELSEWHERE
+_MATERIALS |= _PROJECTION | _ELSEWHERE | SHAPE_WORDS
 #: What makes another texture of a texture alone.
 _OF_TEXTURES = {"--crop", "--combine", "--mix", "--blur", "--levels"}
 #: In the order in which they are done.
 _EDITS = ("--crop", "--depth", "--combine", "--mix", "--blur", "--levels", "--channels", "--dtype")
 _OF_ANYTHING = {"INPUT", "OUTPUT", "--depth", "--channels", "--dtype"}
-_OF_ANYTHING |= VIEW_WORDS - {"--frame"} | {"--preview", "--force", "--threads", "--quiet", "--json"}
+_OF_ANYTHING |= VIEW_WORDS - {"--frame"} | {
+    "--max-size",
+    "--preview",
+    "--force",
+    "--threads",
+    "--quiet",
+    "--json",
+}
 _CONVERSION = "a conversion"
 _WORDS = {
     _CONVERSION: {"--cell", "--max-error", "--detail", "--no-fit", "--separate", "--parts", "--frame"}
@@ -270,7 +288,18 @@ _WORDS = {
     "--info": {"--json"},
     "--validate": {"--json", "--quiet"},
     "--warm-up": {"--quiet"},
-    "--mesh": {"INPUT", "OUTPUT", "--channels", "--rest", "--force", "--threads", "--quiet", "--json"},
+    "--mesh": {
+        "INPUT",
+        "OUTPUT",
+        "--channels",
+        "--max-size",
+        "--rest",
+        "--force",
+        "--threads",
+        "--quiet",
+        "--json",
+    }
+    | SHAPE_WORDS,
 }
 _BY_WORD = {each.word: each for each in _OPTIONS}
 
@@ -327,7 +356,9 @@ COMMANDS = {
         "Make a texture from a texture; what is asked for is done in the order listed here.",
         [
             option("INPUT", "an .octex file", metavar="TEXTURE", type=Path),
-            option("OUTPUT", "NAME.octex, or a coloured point a leaf: NAME.ply, or NAME.npz", type=Path),
+            option(
+                "OUTPUT", "NAME.octex, a coloured point a leaf: NAME.ply, or NAME.npz; NAME.html", type=Path
+            ),
         ],
         _those(
             [*_EDITS, *(word for word in _BY_WORD if word in _OF_ANYTHING.difference(_EDITS))],
@@ -375,6 +406,10 @@ COMMANDS = {
 
 def work_of(options: argparse.Namespace, program: str) -> str:
     """Return what is to be done, a key of _WORDS, or refuse options that make no sense together."""
+    if options.INPUT is not None and options.INPUT.suffix.lower() == PTEX_ENDING:
+        if options.mesh is None:
+            raise ArgumentError(f"{options.INPUT}: is texels of a mesh's polygons: give --mesh MODEL")
+        options.ptex, options.INPUT, options.mesh = options.INPUT, options.mesh, None
     given = words_given(options)
     work = next((word for word in given if word in _WORDS), _CONVERSION)
     for word in given:
@@ -384,11 +419,12 @@ def work_of(options: argparse.Namespace, program: str) -> str:
         sources_of(options)  # refuses what contradicts itself
     check_elsewhere(options)
     check_view_options(options)
+    check_page_options(options)
     if work in (_CONVERSION, "--mesh"):
         for word in ("INPUT", "OUTPUT"):
             if word not in given:
                 raise ArgumentError(f"{word} is missing; see {program} --help")
-        if work == _CONVERSION and options.OUTPUT.suffix.lower() in BAKED_ENDINGS:
+        if work == _CONVERSION and options.OUTPUT.suffix.lower() in (*BAKED_ENDINGS, PTEX_ENDING):
             raise ArgumentError(f"{options.OUTPUT}: a texture is baked onto its model: give --mesh MODEL")
     if work == _CONVERSION:
         if options.depth is not None and options.cell is not None:

@@ -17,7 +17,7 @@ from octex.errors import ArgumentError, ExitCode
 if TYPE_CHECKING:
     from octex.compare import Difference, Differences, Side
 
-_NEEDS_A_MODEL = ("rest", "filter", "source", "points")
+_NEEDS_A_MODEL = ("rest", "pose", "subdiv_levels", "filter", "source", "points")
 
 
 def diff(command: str, options: argparse.Namespace) -> int:
@@ -29,7 +29,8 @@ def diff(command: str, options: argparse.Namespace) -> int:
     if all(path.suffix.lower() == TEXTURE_ENDING for path in paths):
         for word in _NEEDS_A_MODEL:
             if getattr(options, word) is not None:
-                raise ArgumentError(f"--{word} needs a model, but {paths[0]} and {paths[1]} are textures")
+                option = f"--{word.replace('_', '-')}"
+                raise ArgumentError(f"{option} needs a model, but {paths[0]} and {paths[1]} are textures")
     elif not any(path.suffix.lower() == TEXTURE_ENDING for path in paths):
         raise ArgumentError(
             f"{paths[0]} and {paths[1]}: neither is an .octex file; convert one of them first"

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 
 import octex
-from octex.cli import bake, convert, paint
+from octex.cli import bake, convert, paint, viewer
 from octex.cli.bake import BAKE
 from octex.cli.common import run, say
 from octex.cli.convert_options import COMMANDS
 from octex.cli.paint_options import PAINT
 from octex.cli.topics import TOPICS, topic
+from octex.cli.viewer import VIEW
 from octex.errors import ArgumentError, ExitCode
 
 PROGRAM = "octex"
@@ -20,9 +21,22 @@ _SUMMARIES = {
     **{name: command.summary for name, command in COMMANDS.items()},
     "paint": PAINT.summary,
     "bake": BAKE.summary,
+    "view": VIEW.summary,
     "help": "Print a page on a topic.",
 }
-_ORDER = ("convert", "paint", "bake", "edit", "info", "diff", "validate", "overlaps", "warm-up", "help")
+_ORDER = (
+    "convert",
+    "view",
+    "paint",
+    "bake",
+    "edit",
+    "info",
+    "diff",
+    "validate",
+    "overlaps",
+    "warm-up",
+    "help",
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -35,6 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return paint.main(rest, f"{PROGRAM} paint")
     if first == "bake":
         return bake.main(rest, f"{PROGRAM} bake")
+    if first == "view":
+        return viewer.main(rest, f"{PROGRAM} view")
     return run(PROGRAM, lambda: _answer(first, rest))
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import octex
 from octex.cli.arguments import STRETCH
 from octex.cli.functions import FunctionName, function_name, load_function
+from octex.cli.shape_options import check_shape, shaped_model
 from octex.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from octex.texture import OctreeTexture
 
 TEXTURE_ENDING = ".octex"
+PTEX_ENDING = ".ptx"
 DEFAULT_FILTER = "ewa"
 DEFAULT_CHANNEL = "base_color"  # what is painted
 
@@ -73,6 +75,7 @@ def check_elsewhere(options: argparse.Namespace) -> None:
     for word, given in (("--bounds", options.bounds), ("--edge", options.edge)):
         if given is not None and not is_function:
             raise ArgumentError(f"{word} is for surfaces that are functions: FILE.py:NAME")
+    check_shape(options, is_function)
     if options.also and options.rest is not None:
         raise ArgumentError("--rest is of one model; with --also there are more")
     if options.transfer is not None and options.cloud is not None:
@@ -88,7 +91,10 @@ def check_elsewhere(options: argparse.Namespace) -> None:
 
 
 def _elsewhere(options: argparse.Namespace) -> dict[str, object]:
-    """Return what channels are taken from another model, or from points."""
+    """Return what channels are taken from another model, from points or from a .ptx file."""
+    ptex = getattr(options, "ptex", None)
+    if ptex is not None:
+        return {**octex.Ptex(ptex).sources}
     if options.transfer is not None:
         limit = 180.0 if options.max_angle is None else options.max_angle
         return {**octex.Transfer(options.transfer, distance=options.max_distance, max_angle=limit).sources}
@@ -118,7 +124,8 @@ def input_files(options: argparse.Namespace) -> list[Path]:
     """Return the files that are read beside a model."""
     given = [each for _, each in options.source or []]
     files = [each.path if isinstance(each, FunctionName) else each for each in given]
-    others = [options.rest, options.transfer, options.cloud, *(options.also or [])]
+    ptex = getattr(options, "ptex", None)
+    others = [options.rest, options.transfer, options.cloud, ptex, *(options.also or [])]
     return [each for each in [*files, *others] if isinstance(each, Path)]
 
 
@@ -150,7 +157,7 @@ def _read(
     if path.suffix == ".py":
         raise ArgumentError(f"{path}: name the function in it, like {path}:NAME")
     if named is None:
-        return octex.load_surface(path, options.rest, channels=wanted, sources=sources, filter=image_filter)
+        return shaped_model(path, options, channels=wanted, sources=sources, filter=image_filter)
     if options.bounds is None or options.edge is None:
         raise ArgumentError(f"{path} is a function: give --bounds x0,y0,z0,x1,y1,z1 and --edge LENGTH too")
     bounds = [options.bounds[:3], options.bounds[3:]]
@@ -192,10 +199,8 @@ def new_texture(options: argparse.Namespace) -> str:
 def read_posed(options: argparse.Namespace) -> Surface:
     """Read a model that cameras see: of its materials what a preview shows, else nothing."""
     if options.preview is not None:
-        return octex.load_surface(options.MODEL, options.rest, normals=True)
-    surface = octex.load_surface(
-        options.MODEL, options.rest, channels=["alpha"], sources={"alpha": 1.0}, normals=True
-    )
+        return shaped_model(options.MODEL, options, normals=True)
+    surface = shaped_model(options.MODEL, options, channels=["alpha"], sources={"alpha": 1.0}, normals=True)
     del surface.provenance["source_alpha"]
     return surface
 

@@ -21,6 +21,7 @@ from octex.cli.arguments import (
 )
 from octex.cli.models import DEFAULT_CHANNEL, TEXTURE_ENDING
 from octex.cli.parser import RUNNING, Command, option, words_given
+from octex.cli.shape_options import SHAPE_OPTIONS, SHAPE_WORDS, check_subdivision
 from octex.cli.view import DEFAULT_SIZE
 from octex.cli.view_options import VIEW_OPTIONS, VIEW_WORDS, check_view_options
 from octex.errors import ArgumentError
@@ -132,6 +133,7 @@ _OPTIONS = (
         type=color,
     ),
     option("--rest", "the undeformed model, of the same topology as MODEL", metavar="MESH", type=Path),
+    *SHAPE_OPTIONS,
     option("--preview", "draw the model beside the model from its octree", metavar="PNG", type=Path),
     option("--layer-out", "keep the paint itself, .octex, for --layer", metavar="LAYER", type=Path),
     option(
@@ -167,7 +169,7 @@ _OPTIONS = (
 )
 
 # Which options go with which work.
-_SHARED = {"MODEL", "TEXTURE", "--rest", "--force", "--quiet", "--json"}
+_SHARED = {"MODEL", "TEXTURE", "--rest", "--force", "--quiet", "--json"} | SHAPE_WORDS
 _MERGE = _SHARED | VIEW_WORDS | {"--out", "--blend", "--opacity", "--preview", "--threads"}
 _WORDS = {
     "painting": _MERGE
@@ -236,6 +238,7 @@ def work_of(options: argparse.Namespace, program: str) -> str:
     for word in given:
         if word != work and word not in _WORDS[work]:
             raise ArgumentError(f"{word} has no meaning with {work}; see {program} --help")
+    check_subdivision(options)
     for word in _NEEDED[work]:
         if word not in given:
             raise ArgumentError(f"{word} is missing; see {program} --help")

@@ -10,7 +10,6 @@ import numpy as np
 import PIL.Image
 
 import octex
-from octex.field.order import order_in_space, put_rows
 from octex.files import scratch_folder
 from octex.formats.ply import write_points
 from octex.parallel import Progress
@@ -18,6 +17,7 @@ from octex.preview import write_preview
 from octex.source.vxz import unpack_vxz
 from octex.texture import FILTERS
 from octex.tree.morton import encode_cells
+from octex.tree.order import order_in_space, put_rows
 
 # A needle: few cells, but at a depth at which cells come in several blocks.
 _OBJ = """mtllib needle.mtl

@@ -10,6 +10,7 @@ gaps        cells that a source knows nothing of
 facings     cells whose sides show different values
 samples     points of the surface in each cell
 fit, solve  leaves whose field meets the samples; cubes: where all are finest cells; sides: for each facing
-adapt       leaves merged where the field stays near: detail, measure, prune, distances, patches, nearness
+adapt       leaves merged where the field stays near: detail, measure, prune, distances, patches, nearness,
+            coefficients
 formats     how channels are stored
 """

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from octex.arrays import Bools, Int8s, Int64s, Uint8s, Uint32s, Uint64s
-from octex.field.coefficients import SPLIT_KIND
+from octex.conversion.coefficients import SPLIT_KIND
 from octex.field.field import Field, Listed
 from octex.jit import kernel, trailing_zeros
 from octex.tree.layout import FACING_FLAGS, SPLIT

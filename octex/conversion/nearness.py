@@ -13,11 +13,7 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int8s, Int64s, Uint16s
 from octex.channels import ChannelFormat, decode
-from octex.conversion.facings import HIDDEN
-from octex.conversion.measure import ErrorColumns, all_near, are_near, are_near_between, subtract
-from octex.conversion.prune import Pruned
-from octex.conversion.samples import MOST_POINTS, Samples, lay_out
-from octex.field.coefficients import (
+from octex.conversion.coefficients import (
     Coefficients,
     Windows,
     add_up,
@@ -26,7 +22,11 @@ from octex.field.coefficients import (
     is_refined,
     new_windows,
 )
-from octex.field.stages import View, facings_of, view_of
+from octex.conversion.facings import HIDDEN
+from octex.conversion.measure import ErrorColumns, all_near, are_near, are_near_between, subtract
+from octex.conversion.prune import Pruned
+from octex.conversion.samples import MOST_POINTS, Samples, lay_out
+from octex.field.taps import View, facings_of, view_of
 from octex.field.windows import Walk, new_walk
 from octex.jit import inlined, kernel
 from octex.texture.channel import Channel
@@ -36,7 +36,7 @@ from octex.tree.morton import decode as decode_cell
 #: A finest cell, and its level.
 Place: TypeAlias = tuple[int, int, int, int]
 _ZERO = np.float32(0)
-#: Cosine from which on lookups take what faces so in full (see `field.stages`), and what it is rounded by.
+#: Cosine from which on lookups take what faces so in full (see `field.taps`), and what it is rounded by.
 _FULL = 0.52
 #: How many codes more fields may be apart between samples than at them. In random trials (60,000 points each,
 #: edges, dots and light up to 20) none then went beyond it.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from octex.arrays import Float32s, Int64s, Uint8s, Uint64s
+from octex.conversion.coefficients import SPLIT_KIND
 from octex.conversion.distances import Looked
 from octex.conversion.facings import HIDDEN
 from octex.conversion.measure import ErrorColumns, all_near
@@ -28,8 +29,7 @@ from octex.field.bricks import (
     new_bricks,
     note_nodes,
 )
-from octex.field.coefficients import SPLIT_KIND
-from octex.field.stages import view_of
+from octex.field.taps import view_of
 from octex.jit import fused_kernel, inlined, step, weighted_cube
 from octex.texture.blend import stored
 from octex.tree.layout import FACING_FLAGS, SPLIT

@@ -14,7 +14,7 @@ from octex.channels import ALPHA, decode, encode
 from octex.editing.averages import weighted_means
 from octex.editing.codes import differ
 from octex.editing.split import with_split
-from octex.field.refined import refined_taps
+from octex.field.neighborhood import refined_taps
 from octex.parallel import ordered_map
 from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT

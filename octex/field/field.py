@@ -12,13 +12,25 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, Uint32s
 from octex.field.bricks import Tree
-from octex.field.neighborhood import MOST_TAPS, Walk, new_walk, walked_taps
+from octex.field.neighborhood import walked_taps
 from octex.field.sinks import list_taps
+from octex.field.sources import SOURCES
 from octex.field.splines import FILTERS, LINEAR, NEAREST, QUADRATIC
-from octex.field.stages import MOST_ROWS, Facings, face, facings_of
-from octex.field.taps import BLOCK, MOST_TILED, OFF, Ahead, Taps, place_points
-from octex.field.tiled import SOURCES, Search
+from octex.field.taps import (
+    BLOCK,
+    MOST_ROWS,
+    MOST_TILED,
+    OFF,
+    Ahead,
+    Facings,
+    Taps,
+    face,
+    facings_of,
+    place_points,
+)
+from octex.field.tiled import Search
 from octex.field.tiles import Tiles, build_tiles, can_be_tiled, marked, painted_levels
+from octex.field.windows import MOST_TAPS, Walk, new_walk
 from octex.parallel import built_once
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -219,7 +231,7 @@ class Field:
             yield taps if normals is None else self.facing(taps, normals[begin : begin + BLOCK], self)
 
     def facing(self, taps: Taps, normals: Float32s, whole: Field) -> Taps:
-        """Return what faces the normals (points, 3) of taps, which change: see `stages.face`.
+        """Return what faces the normals (points, 3) of taps, which change: see `taps.face`.
 
         ``whole`` is the field that this is a level of: its cells are those that rows are counted after.
         """

@@ -182,7 +182,7 @@ def _levels_of(widths: Float64s, size: float, depth: int, finer: float, levels: 
 
 
 @inlined
-def _shares(level: np.float32, depth: int, sharpness: float) -> tuple[int, float, float, float]:
+def _level_shares(level: np.float32, depth: int, sharpness: float) -> tuple[int, float, float, float]:
     """Return the coarser of two levels, and the shares of the one before it, of itself and of the next.
 
     To sharpen, as much of the levels one coarser is taken off as leaves a variance of 0 for ``sharpness`` 1.
@@ -198,8 +198,8 @@ def _shares(level: np.float32, depth: int, sharpness: float) -> tuple[int, float
 
 
 @kernel
-def _shares_of(level: np.float32, depth: int, sharpness: float) -> tuple[int, float, float, float]:
-    return _shares(level, depth, sharpness)
+def _level_shares_of(level: np.float32, depth: int, sharpness: float) -> tuple[int, float, float, float]:
+    return _level_shares(level, depth, sharpness)
 
 
 @inlined
@@ -246,7 +246,7 @@ def _count(
         total += looks
         if total > room and n > first:
             return n
-        lower, before, own, after = _shares(levels[n], depth, shape.sharpness)
+        lower, before, own, after = _level_shares(levels[n], depth, shape.sharpness)
         counts[max(lower - 1, 0)] += looks * (before != 0.0)
         counts[lower] += looks * (own != 0.0)
         counts[min(lower + 1, depth)] += looks * (after != 0.0)
@@ -254,7 +254,7 @@ def _count(
 
 
 @inlined
-def _put(
+def _put_look(
     ends: Int64s,
     level: int,
     share: float,
@@ -275,7 +275,7 @@ def _put(
 
 
 @kernel
-def _spread(
+def _write_looks(
     points: Floats,
     shape: Footprints,
     levels: Float32s,
@@ -292,12 +292,12 @@ def _spread(
     """Write the looks of points ``first`` … ``end`` − 1, those of each level from its ``ends`` on."""
     for n in range(first, end):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        lower, before, own, after = _shares(levels[n], depth, shape.sharpness)
+        lower, before, own, after = _level_shares(levels[n], depth, shape.sharpness)
         target = n - first, places, owners, shares
         if rows == 0:
-            _put(ends, lower - 1, before, x, y, z, *target)
-            _put(ends, lower, own, x, y, z, *target)
-            _put(ends, lower + 1, after, x, y, z, *target)
+            _put_look(ends, lower - 1, before, x, y, z, *target)
+            _put_look(ends, lower, own, x, y, z, *target)
+            _put_look(ends, lower + 1, after, x, y, z, *target)
             continue
         apart, along, across = _lay(shape.widths[n], shape.lengths[n], rows, least)
         steps = _steps(along)
@@ -311,9 +311,9 @@ def _spread(
                 u = x + a * shape.along[n, 0] + b * shape.across[n, 0]
                 v = y + a * shape.along[n, 1] + b * shape.across[n, 1]
                 w = z + a * shape.along[n, 2] + b * shape.across[n, 2]
-                _put(ends, lower - 1, part * before, u, v, w, *target)
-                _put(ends, lower, part * own, u, v, w, *target)
-                _put(ends, lower + 1, part * after, u, v, w, *target)
+                _put_look(ends, lower - 1, part * before, u, v, w, *target)
+                _put_look(ends, lower, part * own, u, v, w, *target)
+                _put_look(ends, lower + 1, part * after, u, v, w, *target)
 
 
 def spread(
@@ -342,7 +342,7 @@ def spread(
         places, owners = np.empty((starts[-1], 3), points.dtype), np.empty(starts[-1], np.int32)
         shares = np.empty(starts[-1], np.float32)
         ends = starts[:-1].copy()
-        _spread(points, shape, levels, first, end, depth, rows, least, ends, places, owners, shares)
+        _write_looks(points, shape, levels, first, end, depth, rows, least, ends, places, owners, shares)
         looks = {}
         for level in np.flatnonzero(counts).tolist():
             at = slice(starts[level], starts[level + 1])
@@ -355,7 +355,7 @@ def _alike(
     points: Floats, level: np.float32, sharpness: float, depth: int, room: int
 ) -> Iterator[tuple[slice, dict[int, Probes]]]:
     """Spread round footprints of one width."""
-    lower, *shares = _shares_of(level, depth, sharpness)
+    lower, *shares = _level_shares_of(level, depth, sharpness)
     if shares.count(0.0) == 2:
         room = len(points)  # nothing to put together
     owners = np.arange(min(room, len(points)), dtype=np.int32)

@@ -1,4 +1,4 @@
-"""Lookups: the looks of footprints at all levels, through sources, stages and sinks (see `taps`)."""
+"""Lookups: the looks of footprints at all levels, through sources, stages and sinks; blended or listed."""
 
 from __future__ import annotations
 
@@ -8,20 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Floats, Int64s, Uint8s
+from octex.arrays import Float32s, Floats, Int32s, Int64s, Uint8s, Uint32s
 from octex.channels import ColorSpace, decode
-from octex.field.bricks import Values, new_bricks
-from octex.field.crowded import Asked, look_up_crowded
+from octex.field.bricks import Asked, Values, look_up_crowded, new_bricks
 from octex.field.field import Field, Finder
 from octex.field.footprints import Footprints, Probes, passed_on, spread
-from octex.field.order import order_of
-from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, divide, weigh_by_alpha
+from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, divide, list_taps, weigh_by_alpha
 from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
-from octex.field.stages import Facings, leave_mixed, weigh_by_area
-from octex.field.taps import BLOCK, Taps, place_points
+from octex.field.taps import BLOCK, Facings, Taps, leave_mixed, place_points, weigh_by_area
 from octex.field.tiled import Search, Weighed, add_tiled, look_up_tiled
 from octex.field.tiles import Tiles
 from octex.field.windows import new_walk
+from octex.tree.order import order_of
 from octex.tree.placement import Placement
 
 #: Points for which it is worth while to sort them.
@@ -43,7 +41,7 @@ class Query(NamedTuple):
     footprints: Footprints | None = None  # None: the leaves where the points are
     normals: Float32s | None = None  # (n, 3)   what faces away from them is not seen
     #: For footprints without normals: which cells (cells,) of a level's field are left to the next finer
-    #: level, see `stages.mark_mixed`.
+    #: level, see `taps.mark_mixed`.
     mixed: Callable[[int], Uint8s] | None = None
 
     def of(self, points: Int64s) -> Query:
@@ -81,7 +79,7 @@ def look_up(
         return -1
     task = _Lookup(field, placement, query, channels, alpha, answers, gradients)
     if query.footprints is not None:
-        return task.footprints(points, query.footprints)
+        return task.footprints(points)
     if len(channels) == 1 or not task.is_sortable(len(points)):
         return task.at(points)
     alone = (
@@ -122,14 +120,14 @@ class _Lookup:
                 self._channel = Weighed(own.codes, other.codes, weighing is not None)
 
     @cached_property
-    def _order(self) -> list[int]:
+    def _numbers(self) -> list[int]:
         """The numbers of channels; alpha itself comes first: then it weighs all others."""
         return sorted(range(len(self._channels)), key=lambda number: not self._channels[number].is_alpha)
 
     @cached_property
     def _rows(self) -> Uint8s:
         """The first values that are read, as bytes, to be asked for ahead."""
-        values = (self._alpha or self._channels[self._order[0]]).codes.values
+        values = (self._alpha or self._channels[self._numbers[0]]).codes.values
         return values.view(np.uint8).reshape(len(values), -1)
 
     @property
@@ -188,12 +186,12 @@ class _Lookup:
             given = points, which, *self._placement, facing
             return look_up_tiled(search, *given, channel, answer, gradients, lost)
 
-        rim, fault = self._search(self._field, len(points), look_up_some)
+        rim, fault = self._search_tiles(self._field, len(points), look_up_some)
         if rim.size:
             self._look_again(points, rim, [0], self._alpha, _Lookup.untiled)
         return fault
 
-    def _search(
+    def _search_tiles(
         self,
         here: Field,
         count: int,
@@ -258,28 +256,30 @@ class _Lookup:
         for begin in range(0, len(points), BLOCK):
             rows = slice(begin, begin + BLOCK)
             normals = None if self._query.normals is None else self._query.normals[rows]
-            taps, fault = self._taps(self._field, points[rows], normals)
+            taps, fault = self._weighed_taps(self._field, points[rows], normals)
             if fault >= 0:
                 return begin + fault
-            for number, channel in self._weighed(taps, is_asked, always=False):
+            for number, channel in self._each_weighed(taps, is_asked, always=False):
                 used, codes = _as_read(taps, channel)
                 results = self._answers[number][rows]
-                blend(used, codes, is_asked and self._alpha is None and number == self._order[0], results)
+                blend(used, codes, is_asked and self._alpha is None and number == self._numbers[0], results)
                 if self._gradients:
                     blend_slopes(used, codes, scale, results, self._gradients[number][rows])
         return -1
 
-    def footprints(self, points: Floats, footprints: Footprints) -> int:
+    def footprints(self, points: Floats) -> int:
         """Look footprints up: add the looks at all levels up."""
+        assert self._query.footprints is not None
         is_finite = np.isfinite(points)
         if not is_finite.all():
             return int(np.argmin(is_finite)) // 3
         depth, code = self._field.tree.max_depth, FILTERS.index(self._query.filter)
-        for run, by_level in spread(points, footprints, self._placement.size, depth, code):
+        task = points, self._query.footprints, self._placement.size, depth, code
+        for run, by_level in spread(*task):
             bare = self._add_looks(run, by_level)
             if bare.size:
                 numbers = [n for n, channel in enumerate(self._channels) if not channel.is_alpha]
-                self._look_again(points, run.start + bare, numbers, None, _look_up_footprints)
+                self._look_again(points, run.start + bare, numbers, None, _Lookup.footprints)
         return -1
 
     def _add_looks(self, run: slice, by_level: dict[int, Probes]) -> Int64s:
@@ -293,7 +293,7 @@ class _Lookup:
         normals = None if self._query.normals is None else self._query.normals[run]
         for level, looks in _levels(by_level, self._field.tree.max_depth):
             here = self._field.level(level)
-            add = self._add_tiled if self.adds_tiled(here) else self._add_walked
+            add = self._add_by_tiles if self.adds_tiled(here) else self._add_by_taps
             _pass_on(by_level, level, looks, add(here, looks, normals, sums))
         bare = np.zeros(n_points, np.bool_)
         for number, channel in enumerate(self._channels):
@@ -303,7 +303,7 @@ class _Lookup:
                 bare |= sums[number].totals == 0.0
         return np.flatnonzero(bare)
 
-    def _add_walked(
+    def _add_by_taps(
         self, here: Field, looks: Probes, normals: Float32s | None, sums: Sequence[Sums]
     ) -> Float32s:
         """Add looks at a level up, in any tree; return the part of each that mixes opposite facings."""
@@ -312,13 +312,13 @@ class _Lookup:
             rows = slice(begin, begin + BLOCK)
             owners = looks.owners[rows]
             facing = None if normals is None else normals[owners]
-            taps, _ = self._taps(here, looks.points[rows], facing, left[rows])
-            for number, channel in self._weighed(taps, False, always=True):
+            taps, _ = self._weighed_taps(here, looks.points[rows], facing, left[rows])
+            for number, channel in self._each_weighed(taps, False, always=True):
                 used, codes = _as_read(taps, channel)
                 add_up(used, codes, False, owners, looks.shares[rows], sums[number])
         return left
 
-    def _add_tiled(
+    def _add_by_tiles(
         self, here: Field, looks: Probes, normals: Float32s | None, sums: Sequence[Sums]
     ) -> Float32s:
         """Add looks at a level up by tiles; return the part of each that mixes opposite facings."""
@@ -336,9 +336,9 @@ class _Lookup:
                     numbers[:count] = which[numbers[:count]]
             return *counts, -1
 
-        rim, _ = self._search(here, len(looks.points), add_some)
+        rim, _ = self._search_tiles(here, len(looks.points), add_some)
         if rim.size:
-            part = self._add_walked(here, looks.of(rim), normals, sums)
+            part = self._add_by_taps(here, looks.of(rim), normals, sums)
             if part.size:
                 left[rim] = part
         return left
@@ -368,7 +368,7 @@ class _Lookup:
             if self._gradients:
                 self._gradients[number][rows] = gradients[at]
 
-    def _taps(
+    def _weighed_taps(
         self, here: Field, points: Floats, normals: Float32s | None, left: Float32s | None = None
     ) -> tuple[Taps, int]:
         """Return the taps of a block of points in a level's field, weighed; and the first that is not finite.
@@ -398,21 +398,16 @@ class _Lookup:
         """Say whether a level's averages may mix opposite facings."""
         return here is not self._field and self._query.mixed is not None and here.tree.split.cells.size > 0
 
-    def _weighed(self, taps: Taps, is_asked: bool, *, always: bool) -> Iterator[tuple[int, ChannelRows]]:
+    def _each_weighed(self, taps: Taps, is_asked: bool, *, always: bool) -> Iterator[tuple[int, ChannelRows]]:
         """Yield the channels by number, those that are not alpha after their taps weigh by it."""
         alpha, is_covered = self._alpha, False
-        for number in self._order:
+        for number in self._numbers:
             channel = self._channels[number]
             if alpha is not None and not channel.is_alpha and not is_covered:
                 used, codes = _as_read(taps, alpha)
                 weigh_by_alpha(used, codes, is_asked, always)
                 is_covered = True
             yield number, channel
-
-
-def _look_up_footprints(task: _Lookup, points: Floats) -> int:
-    assert task._query.footprints is not None
-    return task.footprints(points, task._query.footprints)
 
 
 def _as_read(taps: Taps, channel: ChannelRows) -> tuple[Taps, Codes]:
@@ -443,3 +438,168 @@ def _pass_on(by_level: dict[int, Probes], level: int, looks: Probes, left: Float
         more = passed_on(looks, left, _ROUNDED, by_level.get(level + 1, none))
         if more.shares.size:
             by_level[level + 1] = more
+
+
+_NO_SLOPES = np.empty((0, 3), np.float32)
+
+
+class TapList(NamedTuple):
+    """What points blend, in compressed sparse rows: Σ weights · values, over a point's taps, is its value.
+
+    Rows count cells, then the rows of the kept nodes, then those of the split cells.
+    """
+
+    starts: Int64s  # (n + 1,)   a point's taps are those from its start to the next one's
+    rows: Int64s  # (taps,)   none twice for a point
+    weights: Float32s  # (taps,)   1 in sum for each point
+
+
+def list_blends(
+    field: Field,
+    placement: Placement,
+    points: Floats,
+    query: Query,
+    channel: ChannelRows,
+    alpha: ChannelRows | None,
+) -> tuple[TapList, int]:
+    """List what `lookups.look_up` blends of a channel; also the first row that is not finite, or −1."""
+    task = _Listing(field, placement, query, [channel], alpha, [], [])
+    if query.footprints is None:
+        return task.leaves_listed(points)
+    return task.footprints_listed(points, query.footprints)
+
+
+def rows_read(
+    field: Field, placement: Placement, points: Floats, query: Query, channel: ChannelRows
+) -> tuple[dict[int, Uint32s], int]:
+    """Return the rows that `lookups.look_up` reads of a channel, each once, by the level looked at.
+
+    Also the first row of points that is not finite, or −1.
+    """
+    return _Listing(field, placement, query, [channel], None, [], []).rows_by_level(points)
+
+
+class _Listing(_Lookup):
+    """Lookups of one channel."""
+
+    def leaves_listed(self, points: Floats) -> tuple[TapList, int]:
+        """List the blends of leaves."""
+        counts, rows, weights = [np.zeros(1, np.int64)], [np.empty(0, np.uint32)], [np.empty(0, np.float32)]
+        for begin in range(0, len(points), BLOCK):
+            some = slice(begin, begin + BLOCK)
+            normals = None if self._query.normals is None else self._query.normals[some]
+            taps, fault = self._weighed_taps(self._field, points[some], normals)
+            if fault >= 0:
+                return _join_parts(counts, rows, weights), begin + fault
+            self._weigh_all(taps, always=False)
+            room = int((taps.ends - taps.starts).sum()) + 1
+            starts, found = np.empty(len(points[some]) + 1, np.int64), np.empty(room, np.uint32)
+            shares = np.empty(room, np.float32)
+            list_taps(taps, 1.0, starts, found, shares, _NO_SLOPES)
+            counts.append(np.diff(starts))
+            rows.append(found[: starts[-1]])
+            weights.append(shares[: starts[-1]])
+        return _join_parts(counts, rows, weights), -1
+
+    def footprints_listed(self, points: Floats, footprints: Footprints) -> tuple[TapList, int]:
+        """List the blends of footprints: looks at all levels, added up."""
+        counts, rows, weights = [np.zeros(1, np.int64)], [np.empty(0, np.int64)], [np.empty(0, np.float32)]
+        is_finite = np.isfinite(points).all(axis=1)
+        if not is_finite.all():
+            return _join_parts(counts, rows, weights), int(np.argmin(is_finite))
+        depth, code = self._field.tree.max_depth, FILTERS.index(self._query.filter)
+        for run, by_level in spread(points, footprints, self._placement.size, depth, code):
+            n_points = run.stop - run.start
+            keys, parts = [np.empty(0, np.int64)], [np.empty(0)]
+            for _, taps, owner_of, shares in self._looks(run, by_level):
+                self._weigh_all(taps, always=True)
+                look, at = _each_tap(taps)
+                keys.append(owner_of[look].astype(np.int64) << 32 | taps.rows[at])
+                parts.append(taps.weights[at].astype(np.float64) * shares[look])
+            key, which = np.unique(np.concatenate(keys), return_inverse=True)
+            part = np.bincount(which, np.concatenate(parts), key.size)
+            owner, row = key >> 32, key & 0xFFFFFFFF
+            totals = np.bincount(owner, part, n_points)
+            (bare,) = np.nonzero(totals == 0)
+            is_any = (totals[owner] != 0) & (part != 0)
+            owner, row, part = owner[is_any], row[is_any], part[is_any] / totals[owner[is_any]]
+            if bare.size:  # alpha is zero throughout
+                numbers = run.start + bare
+                again = _Listing(
+                    *(self._field, self._placement, self._query.of(numbers), self._channels, None, [], [])
+                )
+                more, _ = again.footprints_listed(points[numbers], footprints.of(numbers))
+                owner = np.concatenate([owner, np.repeat(bare, np.diff(more.starts))])
+                order = np.argsort(owner, kind="stable")
+                row = np.concatenate([row, more.rows])[order]
+                part = np.concatenate([part, more.weights])[order]
+            counts.append(np.bincount(owner, minlength=n_points))
+            rows.append(row)
+            weights.append(part.astype(np.float32))
+        return _join_parts(counts, rows, weights), -1
+
+    def rows_by_level(self, points: Floats) -> tuple[dict[int, Uint32s], int]:
+        """List the rows that are read, each once."""
+        depth, code = self._field.tree.max_depth, FILTERS.index(self._query.filter)
+        found: dict[int, list[Uint32s]] = {}
+        if self._query.footprints is None:
+            for begin in range(0, len(points), BLOCK):
+                some = slice(begin, begin + BLOCK)
+                normals = None if self._query.normals is None else self._query.normals[some]
+                taps, fault = self._weighed_taps(self._field, points[some], normals)
+                if fault >= 0:
+                    return {}, begin + fault
+                found.setdefault(depth, []).append(np.unique(taps.rows[_each_tap(taps)[1]]))
+        else:
+            is_finite = np.isfinite(points).all(axis=1)
+            if not is_finite.all():
+                return {}, int(np.argmin(is_finite))
+            for run, by_level in spread(points, self._query.footprints, self._placement.size, depth, code):
+                for level, taps, _, _ in self._looks(run, by_level):
+                    found.setdefault(level, []).append(np.unique(taps.rows[_each_tap(taps)[1]]))
+        return {level: np.unique(np.concatenate(rows)) for level, rows in found.items()}, -1
+
+    def _looks(self, run: slice, by_level: dict[int, Probes]) -> Iterator[tuple[int, Taps, Int32s, Float32s]]:
+        """Yield the level, the taps, the owners and the shares of the looks of a run, in blocks."""
+        normals = None if self._query.normals is None else self._query.normals[run]
+        for level, looks in _levels(by_level, self._field.tree.max_depth):
+            left, owners = np.zeros(len(looks.points), np.float32), looks.owners
+            for begin in range(0, len(looks.points), BLOCK):
+                some = slice(begin, begin + BLOCK)
+                facing = None if normals is None else normals[owners[some]]
+                here = self._field.level(level)
+                taps, _ = self._weighed_taps(here, looks.points[some], facing, left[some])
+                yield level, taps, owners[some], looks.shares[some]
+            _pass_on(by_level, level, looks, left)
+
+    def _weigh_all(self, taps: Taps, *, always: bool) -> None:
+        """Let taps weigh as the channel's do."""
+        for _ in self._each_weighed(taps, False, always=always):
+            pass
+
+
+def _each_tap(taps: Taps) -> tuple[Int64s, Int64s]:
+    """Return of each tap, point after point, the point's number and where it is."""
+    counts = taps.ends - taps.starts
+    points = np.repeat(np.arange(counts.size), counts)
+    before = np.cumsum(counts) - counts
+    return points, np.arange(points.size) + (taps.starts - before)[points]
+
+
+def _join_parts(
+    counts: Sequence[Int64s], rows: Sequence[Uint32s] | Sequence[Int64s], weights: Sequence[Float32s]
+) -> TapList:
+    """Join the taps of runs of points, of which so many are each point's."""
+    return TapList(
+        np.cumsum(np.concatenate(counts)), np.concatenate(rows).astype(np.int64), np.concatenate(weights)
+    )
+
+
+def joined(lists: Sequence[TapList]) -> TapList:
+    """Join the taps of points, one list's after another's."""
+    if len(lists) == 1:
+        return lists[0]
+    none = np.zeros(1, np.int64), np.empty(0, np.int64), np.empty(0, np.float32)
+    _, *more = zip(none, *lists, strict=True)
+    counts = [none[0], *(np.diff(each.starts) for each in lists)]
+    return _join_parts(counts, *more)

@@ -1,19 +1,20 @@
-"""The taps of one lookup in any octree.
+"""The taps of one lookup in any octree, and of cells that are not stored.
 
 A walk goes down from window to window (`windows`) until no cell of the window is a node. There the spline's
 weights fall on the cells. Leaves take theirs; what falls on cells below leaves and empty cells is sent up to
 the cells that they are refined from, until all has come to rest on leaves, nodes and empty cells. What lies
-on leaves and kept coefficients are the taps.
+on leaves and kept coefficients are the taps. Sent up from a cell below a leaf, they are the coefficients that
+the field refines to it (paper 4.2).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint32s
-from octex.field.refinement import change_level, leave_refined, weigh
+from octex.arrays import Float32s, Float64s, Int64s, Uint32s
 from octex.field.splines import (
     LINEAR,
+    QUADRATIC,
     QUARTIC,
     linear_slopes,
     linear_weights,
@@ -28,24 +29,34 @@ from octex.field.windows import (
     CONTENT,
     INSIDE,
     KEEPING,
+    MOST_TAPS,
     NODES,
     REFINED,
     SHARES,
+    UPPER,
+    Walk,
     bit_at,
     cell_at,
+    change_level,
     follow,
+    leave_refined,
+    new_walk,
     place_of,
+    weigh_windows,
 )
-from octex.field.windows import MOST_TAPS as MOST_TAPS
-from octex.field.windows import Walk as Walk
-from octex.field.windows import new_walk as new_walk
 from octex.jit import inlined, kernel, trailing_zeros
 from octex.tree.layout import MAX_DEPTH, TreeArrays
-from octex.tree.search import UNITS, Origin
+from octex.tree.morton import decode
+from octex.tree.octree import Octree
+from octex.tree.search import UNITS
+
+#: Cells whose taps are found at once: most have 8 to 27.
+_CELLS_AT_ONCE = 1 << 14
+_MIDDLE = 13
 
 
 @inlined
-def walk_taps(
+def _taps_of(
     arrays: TreeArrays,
     kept_cells: Uint32s,
     x: float,
@@ -69,12 +80,12 @@ def walk_taps(
     of the tree truncated at the deepest level that has any there.
     """
     if filter_code == QUARTIC:
-        return _walk_taps(arrays, kept_cells, x, y, z, QUARTIC, 3, walk, rows, weights, slopes, first)
-    return _walk_taps(arrays, kept_cells, x, y, z, filter_code, 2, walk, rows, weights, slopes, first)
+        return _taps_within(arrays, kept_cells, x, y, z, QUARTIC, 3, walk, rows, weights, slopes, first)
+    return _taps_within(arrays, kept_cells, x, y, z, filter_code, 2, walk, rows, weights, slopes, first)
 
 
 @inlined
-def _walk_taps(
+def _taps_within(
     arrays: TreeArrays,
     kept_cells: Uint32s,
     x: float,
@@ -88,13 +99,13 @@ def _walk_taps(
     slopes: Float32s,
     first: int,
 ) -> tuple[int, float]:
-    x, y, z = _rounded(x), _rounded(y), _rounded(z)
-    i, j, k = _finest(x), _finest(y), _finest(z)
+    x, y, z = rounded(x), rounded(y), rounded(z)
+    i, j, k = finest(x), finest(y), finest(z)
     columns = 4 if slopes.shape[0] > 0 else 1
     level = follow(arrays, kept_cells, walk, i, j, k, filter_code, parents)
     truncated = False
     while True:
-        _fill(walk, filter_code, parents, columns, x, y, z, i, j, k, level)
+        fill_window(walk, filter_code, parents, columns, x, y, z, i, j, k, level)
         n_taps, total = collect(
             arrays, kept_cells, walk, level, truncated, filter_code, parents, columns, rows, first
         )
@@ -109,7 +120,7 @@ def _walk_taps(
 
 
 @inlined
-def _rounded(x: float) -> float:
+def rounded(x: float) -> float:
     """Clamp a coordinate to 0 … 1 and round it to 2⁻⁵².
 
     Weights at the rim of a spline's support are then zero, or large enough for the quotients of slopes.
@@ -118,13 +129,13 @@ def _rounded(x: float) -> float:
 
 
 @inlined
-def _finest(x: float) -> int:
+def finest(x: float) -> int:
     """Fixed-point position, 0 … 2²¹ − 1: of the finest cell that holds a coordinate 0 … 1."""
     return min(int(x * UNITS), UNITS - 1)
 
 
 @inlined
-def _fill(
+def fill_window(
     walk: Walk,
     filter_code: int,
     parents: int,
@@ -238,7 +249,7 @@ def _settle(
     begin = walk.levels[level, BEGIN]
     keeping = filter_code != LINEAR and walk.levels[level, KEEPING] != 0
     if keeping:
-        weigh(walk, level, parents)
+        weigh_windows(walk, level, parents)
     for word in range(1 if parents == 2 else 4):
         nodes, stored, kept = walk.nodes[level, word], walk.cells[level, word], np.uint64(0)
         if kept_cells.size > 0 and not truncated:
@@ -254,7 +265,7 @@ def _settle(
                 if keeping and walk.below_kept[level, word] & bit_at(place) != 0:
                     factor = windows[REFINED + level, at]
                 if kept & bit_at(place) != 0:
-                    cell = _kept_row(kept_cells, cell, arrays.flags.size)
+                    cell = _find_kept_row(kept_cells, cell, arrays.flags.size)
             share = windows[SHARES, at] * factor
             walk.taps[0, n_taps] = share
             rows[first + n_taps] = max(cell, 0)
@@ -270,7 +281,7 @@ def _settle(
 
 
 @inlined
-def _kept_row(kept_cells: Uint32s, cell: int, n_cells: int) -> int:
+def _find_kept_row(kept_cells: Uint32s, cell: int, n_cells: int) -> int:
     """Row of a cell's kept coefficient, or −1 if it is not listed."""
     low, high = 0, kept_cells.size
     while low < high:
@@ -300,51 +311,6 @@ def normalize(walk: Walk, n_taps: int, total: float, weights: Float32s, slopes: 
 
 
 @kernel
-def walk_all(
-    arrays: TreeArrays,
-    kept_cells: Uint32s,
-    points: Floats,
-    first_point: int,
-    origin: Origin,
-    size: float,
-    filter_code: int,
-    walk: Walk,
-    starts: Int64s,
-    rows: Uint32s,
-    weights: Float32s,
-    slopes: Float32s,
-    covers: Float32s,
-) -> int:
-    """Write the taps of rest positions (n, 3) from index ``first_point`` on, one point after another.
-
-    Point n of them has taps ``starts[n]`` to ``starts[n + 1]`` − 1; ``starts`` has room for all and one more,
-    ``covers`` for all; the others are as in ``walk_taps``, slopes by rest position. Stops where there might
-    be no room for a point's taps. Returns the number of points done, or −1 − the index of a point that is not
-    finite.
-    """
-    end = 0
-    done = 0
-    starts[0] = 0
-    for n in range(first_point, points.shape[0]):
-        if end + MOST_TAPS > rows.size:
-            break
-        x, y, z = np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2])
-        if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
-            return -1 - n
-        x, y, z = (x - origin[0]) / size, (y - origin[1]) / size, (z - origin[2]) / size
-        end, cover = walk_taps(arrays, kept_cells, x, y, z, filter_code, walk, rows, weights, slopes, end)
-        covers[done] = cover
-        done += 1
-        starts[done] = end
-    if slopes.shape[0] > 0:
-        for n in range(end):
-            slopes[n, 0] /= size
-            slopes[n, 1] /= size
-            slopes[n, 2] /= size
-    return done
-
-
-@kernel
 def walked_taps(
     arrays: TreeArrays,
     kept_cells: Uint32s,
@@ -371,7 +337,7 @@ def walked_taps(
         n = which[m]
         start = end
         x, y, z = places[n, 0], places[n, 1], places[n, 2]
-        end, cover = walk_taps(
+        end, cover = _taps_of(
             arrays, kept_cells, x, y, z, filter_code, walk, taps.rows, taps.weights, taps.slopes, start
         )
         scale = np.float32(max(cover, np.float64(OFF)))
@@ -384,3 +350,67 @@ def walked_taps(
                     taps.slopes[tap, axis] *= scale
         taps.starts[n], taps.ends[n], taps.covers[n] = start, end, cover
     return which.size, end
+
+
+def refined_taps(tree: Octree, codes: Int64s, level: int) -> tuple[Int64s, Uint32s, Float32s]:
+    """Find what the quadratic field refines to cells (n,) of a level that lie below leaves of a tree.
+
+    ``codes`` are Morton codes. Returns starts (n + 1,), rows and weights as `Field.taps` does; a cell that
+    nothing is refined to has no taps.
+    """
+    walk = new_walk()
+    starts = np.zeros(codes.size + 1, np.int64)
+    rows, weights = [np.empty(0, np.uint32)], [np.empty(0, np.float32)]
+    room = 27 * _CELLS_AT_ONCE + MOST_TAPS
+    some_rows, some_weights = np.empty(room, np.uint32), np.empty(room, np.float32)
+    begin = 0
+    while begin < codes.size:
+        done = _refine_cells(
+            tree.arrays, tree.kept.cells, codes, begin, level, walk, starts[begin:], some_rows, some_weights
+        )
+        end = int(starts[begin + done])
+        rows.append(some_rows[:end].copy())
+        weights.append(some_weights[:end].copy())
+        starts[begin : begin + done + 1] += sum(map(len, rows[:-1]))
+        begin += done
+    return starts, np.concatenate(rows), np.concatenate(weights)
+
+
+@kernel
+def _refine_cells(
+    arrays: TreeArrays,
+    kept_cells: Uint32s,
+    codes: Int64s,
+    begin: int,
+    level: int,
+    walk: Walk,
+    starts: Int64s,
+    rows: Uint32s,
+    weights: Float32s,
+) -> int:
+    """Write the taps of cells from ``begin`` on, as many as fit; return how many are done."""
+    no_slopes = np.empty((0, 3), np.float32)
+    shift = MAX_DEPTH - level
+    end = 0
+    starts[0] = 0
+    done = 0
+    for n in range(begin, codes.size):
+        if end + MOST_TAPS > rows.size:
+            break
+        i, j, k = decode(codes[n])
+        i, j, k = i << shift, j << shift, k << shift
+        deepest = follow(arrays, kept_cells, walk, i, j, k, QUADRATIC, 2)
+        walk.windows[SHARES, :27] = 0.0
+        walk.windows[SHARES, _MIDDLE] = 1.0
+        for each in range(level, deepest, -1):  # windows without stored cells
+            half = MAX_DEPTH - each
+            walk.levels[each, UPPER] = i >> half & 1 | (j >> half & 1) << 1 | (k >> half & 1) << 2
+            change_level(walk, SHARES, each, 2, False)
+        first = min(level, deepest)
+        count, total = collect(arrays, kept_cells, walk, first, False, QUADRATIC, 2, 1, rows, end)
+        if total > 0.0:
+            normalize(walk, count, total, weights, no_slopes, end)
+            end += count
+        done += 1
+        starts[done] = end
+    return done

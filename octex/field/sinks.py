@@ -7,14 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import ChannelValues, Float32s, Float64s, Floats, Int32s, Int64s, Uint32s
-from octex.field.taps import Taps, end_of, scale
+from octex.field.taps import AT_ONCE, Taps, end_of, scale
 from octex.jit import decoded, fused_kernel, inlined, kernel, prefetch
 
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
-
-#: Points whose values are asked for before any is read.
-_GROUP = 64
 
 
 class Codes(NamedTuple):
@@ -72,7 +69,7 @@ def _ask(taps: Taps, begin: int, end: int, codes: Codes) -> None:
 
 
 @inlined
-def _four(values: ChannelValues, table: Floats, at: int, components: int) -> Four:
+def _components_at(values: ChannelValues, table: Floats, at: int, components: int) -> Four:
     a = np.float64(decoded(table, values[np.uint64(at)]))
     b = c = d = 0.0
     if components > 1:
@@ -89,11 +86,11 @@ def _value(flat: Flat, number: np.uint32, components: int) -> Four:
     """Return the decoded components of a row."""
     row = int(number)
     if row < flat.first_kept:
-        return _four(flat.values, flat.table, row * components, components)
+        return _components_at(flat.values, flat.table, row * components, components)
     if row < flat.first_row:
-        return _four(flat.kept, flat.table, (row - flat.first_kept) * components, components)
+        return _components_at(flat.kept, flat.table, (row - flat.first_kept) * components, components)
     row = min(row - flat.first_row, flat.split.size // components - 1)
-    return _four(flat.split, flat.table, row * components, components)
+    return _components_at(flat.split, flat.table, row * components, components)
 
 
 @inlined
@@ -131,7 +128,7 @@ def _sum_any(taps: Taps, n: int, flat: Flat, components: int) -> tuple[float, fl
 
 
 @inlined
-def _put(results: Float32s, at: int, components: int, a: float, b: float, c: float, d: float) -> None:
+def _put_value(results: Float32s, at: int, components: int, a: float, b: float, c: float, d: float) -> None:
     results[np.uint64(at)] = a
     if components > 1:
         results[np.uint64(at + 1)] = b
@@ -148,7 +145,7 @@ def take(rows: Uint32s, codes: Codes, results: Float32s) -> None:
     flat_results = results.reshape(-1)
     for n in range(rows.size):
         a, b, c, d = _value(flat, rows[np.uint64(n)], components)
-        _put(flat_results, n * components, components, a, b, c, d)
+        _put_value(flat_results, n * components, components, a, b, c, d)
 
 
 @fused_kernel
@@ -159,18 +156,19 @@ def blend(taps: Taps, codes: Codes, is_asked: bool, results: Float32s) -> None:
     """
     flat, components = flat_of(codes), codes.values.shape[1]
     flat_results = results.reshape(-1)
-    for begin in range(0, taps.starts.size, _GROUP):
-        end = min(begin + _GROUP, taps.starts.size)
+    for begin in range(0, taps.starts.size, AT_ONCE):
+        end = min(begin + AT_ONCE, taps.starts.size)
         if not is_asked:
             _ask(taps, begin, end, codes)
         for n in range(begin, end):
             if taps.ends[n] - taps.starts[n] == 1:
                 a, b, c, d = _value(flat, taps.rows[taps.starts[n]], components)
-                _put(flat_results, n * components, components, a, b, c, d)
+                _put_value(flat_results, n * components, components, a, b, c, d)
                 continue
             a, b, c, d, total = _sum_any(taps, n, flat, components)
             inverse = 1.0 / total if total > 0.0 else 0.0
-            _put(flat_results, n * components, components, a * inverse, b * inverse, c * inverse, d * inverse)
+            a, b, c, d = a * inverse, b * inverse, c * inverse, d * inverse
+            _put_value(flat_results, n * components, components, a, b, c, d)
 
 
 @inlined
@@ -223,7 +221,7 @@ def blend_slopes(taps: Taps, codes: Codes, scale: float, results: Float32s, grad
         for tap in range(taps.starts[n], taps.ends[n]):
             total += np.float64(taps.weights[np.uint64(tap)])
         factor = scale / total if total > 0.0 else 0.0
-        mean = _four(flat_results, flat.table, n * components, components)
+        mean = _components_at(flat_results, flat.table, n * components, components)
         slopes = _sum_any_slopes(taps, n, flat, components, mean)
         for component in range(components):
             for axis in range(3):
@@ -258,8 +256,8 @@ def add_up(taps: Taps, codes: Codes, is_asked: bool, owners: Int32s, shares: Flo
     """
     flat, components = flat_of(codes), codes.values.shape[1]
     gradient = sums.total_slopes.shape[0] > 0
-    for begin in range(0, taps.starts.size, _GROUP):
-        end = min(begin + _GROUP, taps.starts.size)
+    for begin in range(0, taps.starts.size, AT_ONCE):
+        end = min(begin + AT_ONCE, taps.starts.size)
         if not is_asked:
             _ask(taps, begin, end, codes)
         for n in range(begin, end):

@@ -6,6 +6,8 @@ those of the cells from the lowest to the highest; slopes are their derivatives 
 
 from __future__ import annotations
 
+import numpy as np
+
 from octex.jit import inlined
 
 #: How a texture is looked up. Kernels know them by their index.
@@ -36,6 +38,14 @@ def linear_slopes(t: float) -> Three:
 def quadratic_weights(t: float) -> Three:
     """Weights of the quadratic B-spline."""
     return 0.5 * (1.0 - t) * (1.0 - t), 0.75 - (t - 0.5) * (t - 0.5), 0.5 * t * t
+
+
+@inlined
+def single_quadratic_weights(t: np.float32) -> tuple[np.float32, np.float32, np.float32]:
+    """`quadratic_weights` in single precision: the outer ones keep all their digits."""
+    half, one = np.float32(0.5), np.float32(1.0)
+    low, high = half * (one - t) * (one - t), half * t * t
+    return low, one - low - high, high
 
 
 @inlined

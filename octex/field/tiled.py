@@ -2,6 +2,8 @@
 
 What is done at once is done a step of points at a time: the memory that a source has asked for is still near
 when stages and sinks read it. In 2 M cells that takes a third less time than blocks of thousands of points.
+Looks without alpha and gradients are weighed as they are blended, by areas, by what mixes facings or by what
+faces a normal: taps are neither written anew nor read again.
 """
 
 from __future__ import annotations
@@ -11,52 +13,236 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s, Uint8s
-from octex.field.linear import linear_taps, nearest_rows
-from octex.field.seen import add_averages, add_facing
-from octex.field.sinks import Codes, Sums, blend, blend_slopes, divide, take, weigh_by_alpha
-from octex.field.spline import nearest_around, quadratic_taps, quartic_taps
+from octex.field.sinks import Codes, Flat, Sums, blend, blend_slopes, divide, flat_of, take, weigh_by_alpha
+from octex.field.sources import linear_taps, nearest_rows, nearest_taps, quadratic_taps
 from octex.field.splines import LINEAR, NEAREST, QUADRATIC
-from octex.field.stages import MOST_ROWS, Facings, face
-from octex.field.taps import MOST_TILED, Ahead, Taps, place_points
+from octex.field.taps import (
+    AREA_WEIGHTS,
+    AT_ONCE,
+    MOST_ROWS,
+    MOST_TILED,
+    NEAR_ROWS,
+    OFF,
+    Ahead,
+    Facings,
+    Taps,
+    direction_of,
+    face,
+    parts_of,
+    place_points,
+    shares_of,
+    unit_of,
+)
 from octex.field.tiles import Tiles
-from octex.jit import inlined, kernel
+from octex.jit import decoded, fused_kernel, inlined, kernel, popcount, prefetch, trailing_zeros
+from octex.tree.layout import SPLIT
 from octex.tree.search import Origin
+
+Five = tuple[float, float, float, float, float]
+
+
+@inlined
+def _with_row(five: Five, flat: Flat, of_split: bool, row: int, weight: np.float32, components: int) -> Five:
+    """Add a row times a weight to four components, and the weight to the fifth."""
+    a, b, c, d, total = five
+    factor, at, table = np.float64(weight), np.uint64(row * components), flat.table
+    values = flat.split if of_split else flat.values
+    a += factor * np.float64(decoded(table, values[at]))
+    if components > 1:
+        b += factor * np.float64(decoded(table, values[at + np.uint64(1)]))
+    if components > 2:
+        c += factor * np.float64(decoded(table, values[at + np.uint64(2)]))
+    if components > 3:
+        d += factor * np.float64(decoded(table, values[at + np.uint64(3)]))
+    return a, b, c, d, total + factor
+
+
+@inlined
+def _sum_averages(
+    taps: Taps, n: int, areas: Uint8s, mixed: Uint8s, is_mixed: bool, flat: Flat, components: int
+) -> tuple[Five, float]:
+    """Sum the averages of a point up but for those that mix facings; return also the weight of all."""
+    five, total = (0.0, 0.0, 0.0, 0.0, 0.0), 0.0
+    for tap in range(taps.starts[n], taps.ends[n]):
+        row = np.uint64(taps.rows[np.uint64(tap)])
+        weight = taps.weights[np.uint64(tap)]
+        if areas.size > 0:
+            weight *= AREA_WEIGHTS[np.uint64(areas[row])]
+        total += np.float64(weight)
+        if is_mixed:
+            weight *= np.float32(np.uint8(1) - mixed[row])
+        five = _with_row(five, flat, False, int(row), weight, components)
+    return five, total
+
+
+@inlined
+def _ask_for_split(taps: Taps, begin: int, end: int, facings: Facings, codes: Codes, split: Uint8s) -> None:
+    """Ask for the rows of the split cells of a group of points, and note which points have any."""
+    for n in range(begin, end):
+        seen = np.uint8(0)
+        for tap in range(taps.starts[np.uint64(n)], taps.ends[np.uint64(n)]):
+            seen |= facings.flags[np.uint64(taps.rows[np.uint64(tap)])]
+        split[np.uint64(n - begin)] = seen & np.uint8(SPLIT)
+    for n in range(begin, end if facings.rows.size > NEAR_ROWS else begin):
+        if split[np.uint64(n - begin)] != 0:
+            for tap in range(taps.starts[np.uint64(n)], taps.ends[np.uint64(n)]):
+                prefetch(facings.rows, int(taps.rows[np.uint64(tap)]))
+    for n in range(begin, end):
+        if split[np.uint64(n - begin)] != 0:
+            for tap in range(taps.starts[np.uint64(n)], taps.ends[np.uint64(n)]):
+                row = np.uint64(taps.rows[np.uint64(tap)])
+                if facings.flags[row] >= np.uint8(SPLIT):
+                    prefetch(codes.split_values, int(facings.rows[row]))
+
+
+@inlined
+def _sum_facing(
+    taps: Taps,
+    n: int,
+    areas: Uint8s,
+    facings: Facings,
+    normals: Float32s,
+    parts: Float32s,
+    shares: Float32s,
+    wanted: Uint8s,
+    is_split: bool,
+    flat: Flat,
+    components: int,
+) -> Five:
+    """Sum up what faces the normal of a point: see `taps.face`."""
+    x, y, z, signs = unit_of(normals, n)
+    parts_of(parts, x, y, z)
+    none, one = np.float32(0.0), np.uint64(1)
+    known = np.uint8(1)
+    last = flat.split.size // components - 1
+    five = (0.0, 0.0, 0.0, 0.0, 0.0)
+    for tap in range(taps.starts[n], taps.ends[n]):
+        row = np.uint64(taps.rows[np.uint64(tap)])
+        flags = facings.flags[row]
+        bits = direction_of(signs, flags)
+        weight = taps.weights[np.uint64(tap)] * parts[np.uint64(bits)]
+        if areas.size > 0:
+            weight *= AREA_WEIGHTS[np.uint64(areas[row])]
+        left = np.uint8(0)
+        if is_split and flags >= np.uint8(SPLIT) and bits < np.uint8(8):
+            if known >> bits & np.uint8(1) == 0:
+                known |= np.uint8(1) << bits
+                a, b, c = x if bits & 1 else none, y if bits & 2 else none, z if bits & 4 else none
+                shares[bits, 0], shares[bits, 1], shares[bits, 2] = a, b, c = shares_of(a, b, c)
+                wanted[bits] = int(a > none) | int(b > none) << 1 | int(c > none) << 2
+            left = wanted[np.uint64(bits)]
+        if left == 0:
+            five = _with_row(five, flat, False, int(row), weight, components)
+            continue
+        first = np.int64(facings.rows[row])
+        while left != 0:
+            axis = trailing_zeros(np.uint64(left))
+            left &= left - np.uint8(1)
+            below = (one << np.uint64(2 * axis + (signs >> axis & 1))) - one
+            own = min(int(first) + popcount(np.uint64(flags) & below), last)
+            share = weight * shares[np.uint64(bits), np.uint64(axis)]
+            five = _with_row(five, flat, True, own, share, components)
+    return five
+
+
+@inlined
+def _add_to(sums: Sums, owner: np.uint64, factor: float, five: Five, components: int) -> None:
+    sums.values[owner, 0] += factor * five[0]
+    if components > 1:
+        sums.values[owner, 1] += factor * five[1]
+    if components > 2:
+        sums.values[owner, 2] += factor * five[2]
+    if components > 3:
+        sums.values[owner, 3] += factor * five[3]
+    sums.totals[owner] += factor * five[4]
+
+
+@fused_kernel
+def add_averages(
+    taps: Taps,
+    areas: Uint8s,
+    mixed: Uint8s,
+    codes: Codes,
+    owners: Int32s,
+    shares: Float32s,
+    left: Float32s,
+    sums: Sums,
+) -> None:
+    """Add the averages that looks show, times their shares, to the sums of the points that own them.
+
+    The taps are cells, which weigh by their ``areas`` if there are any. Those in ``mixed``, (cells,) or (0,),
+    weigh nothing, and ``left`` (looks,) takes the part of the weight that is taken away.
+    """
+    flat, components = flat_of(codes), codes.values.shape[1]
+    is_mixed = mixed.size > 0
+    for n in range(taps.starts.size):
+        if components == 3:
+            if is_mixed:
+                five, total = _sum_averages(taps, n, areas, mixed, True, flat, 3)
+            else:
+                five, total = _sum_averages(taps, n, areas, mixed, False, flat, 3)
+        else:
+            five, total = _sum_averages(taps, n, areas, mixed, is_mixed, flat, components)
+        at = np.uint64(n)
+        factor = np.float64(shares[at])
+        if is_mixed:
+            left[at] = (total - five[4]) / total if total > five[4] else 0.0
+        if areas.size > 0 and taps.covers[at] == np.float32(0.0) and total > 0.0:
+            factor *= np.float64(OFF) / total
+        _add_to(sums, np.uint64(owners[at]), factor, five, components)
+
+
+@fused_kernel
+def add_facing(
+    taps: Taps,
+    areas: Uint8s,
+    facings: Facings,
+    normals: Float32s,
+    codes: Codes,
+    owners: Int32s,
+    shares: Float32s,
+    sums: Sums,
+) -> None:
+    """Add what faces the normals (looks, 3), times the looks' shares, to the sums of who owns them.
+
+    The taps are cells, which weigh by their ``areas`` if there are any.
+    """
+    flat, components = flat_of(codes), codes.values.shape[1]
+    parts, of_rows = np.zeros(9, np.float32), np.zeros((8, 3), np.float32)
+    wanted, split = np.zeros(9, np.uint8), np.zeros(AT_ONCE, np.uint8)
+    for begin in range(0, taps.starts.size, AT_ONCE):
+        end = min(begin + AT_ONCE, taps.starts.size)
+        if facings.rows.size > 0:
+            _ask_for_split(taps, begin, end, facings, codes, split)
+        for n in range(begin, end):
+            room = normals, parts, of_rows, wanted
+            if components == 3:
+                if split[np.uint64(n - begin)] != 0:
+                    five = _sum_facing(taps, n, areas, facings, *room, True, flat, 3)
+                else:
+                    five = _sum_facing(taps, n, areas, facings, *room, False, flat, 3)
+            else:
+                is_split = split[np.uint64(n - begin)] != 0
+                five = _sum_facing(taps, n, areas, facings, *room, is_split, flat, components)
+            at = np.uint64(n)
+            factor = np.float64(shares[at])
+            if areas.size > 0 and taps.covers[at] == np.float32(0.0):
+                factor *= _to_off(taps, n, areas)
+            _add_to(sums, np.uint64(owners[at]), factor, five, components)
+
+
+@inlined
+def _to_off(taps: Taps, n: int, areas: Uint8s) -> float:
+    """Return what makes the weights of a point off the surface, by areas, sum to OFF."""
+    total = 0.0
+    for tap in range(taps.starts[n], taps.ends[n]):
+        row = np.uint64(taps.rows[np.uint64(tap)])
+        total += np.float64(taps.weights[np.uint64(tap)] * AREA_WEIGHTS[np.uint64(areas[row])])
+    return np.float64(OFF) / total if total > 0.0 else 1.0
+
 
 #: Points taken from source to sink at once.
 _STEP = 256
-
-
-@kernel
-def nearest_taps(
-    tiles: Tiles,
-    places: Float64s,
-    which: Int64s,
-    is_off: bool,
-    last: int,
-    taps: Taps,
-    end: int,
-    empty: Int64s,
-    _rim: Int64s,
-    ahead: Ahead,
-) -> tuple[int, int, int]:
-    """Find the cells that hold points; see `spline.quadratic_taps`. Off the surface, those nearest to them.
-
-    On the surface it takes all points there are, and begins at 0. None is listed in ``_rim``.
-    """
-    if is_off:
-        end, n_empty = nearest_around(tiles, places, which, last, taps, end, empty, ahead)
-        return end, n_empty, 0
-    n_empty = nearest_rows(tiles, places, last, taps.rows, empty, ahead)
-    for n in range(places.shape[0]):
-        taps.starts[n], taps.ends[n] = n, n + 1
-        taps.weights[n] = taps.covers[n] = np.float32(1.0)
-    for n in range(n_empty):
-        taps.ends[empty[n]] = taps.starts[empty[n]]
-    return places.shape[0], n_empty, 0
-
-
-#: What finds the taps of points of texture space by tiles, by filter.
-SOURCES = nearest_taps, linear_taps, quadratic_taps, quartic_taps
 
 
 class Search(NamedTuple):
@@ -66,12 +252,12 @@ class Search(NamedTuple):
     tiles: Tiles
     last: int  # the largest number of a cell
     is_off: bool  # points are off the surface, as deeper tiles have none of their cells
-    areas: Uint8s  # (cells,) or (0,)   see `stages.weigh_by_area`
+    areas: Uint8s  # (cells,) or (0,)   see `taps.weigh_by_area`
     facings: Facings
-    faces: bool  # there are normals, see `stages.face`
+    faces: bool  # there are normals, see `taps.face`
     first_kept: int
     first_row: int
-    mixed: Uint8s  # (cells,) or (0,)   see `stages.leave_mixed`
+    mixed: Uint8s  # (cells,) or (0,)   see `taps.leave_mixed`
 
 
 class Weighed(NamedTuple):
@@ -83,7 +269,7 @@ class Weighed(NamedTuple):
 
 
 @kernel
-def _room(search: Search, points: int, is_split: bool, gradient: bool) -> tuple[Taps, Float64s, Int64s]:
+def _new_room(search: Search, points: int, is_split: bool, gradient: bool) -> tuple[Taps, Float64s, Int64s]:
     """Return room for the taps of points at once, of split cells too, for their places, and their numbers."""
     room = points * MOST_TILED[search.filter_code] + 8
     if is_split:
@@ -100,7 +286,7 @@ def _room(search: Search, points: int, is_split: bool, gradient: bool) -> tuple[
 
 
 @kernel
-def _found(
+def _find_taps(
     search: Search, places: Float64s, which: Int64s, taps: Taps, empty: Int64s, rim: Int64s, ahead: Ahead
 ) -> tuple[int, int]:
     """Find the taps of some points."""
@@ -115,7 +301,7 @@ def _found(
 
 
 @kernel
-def _ahead(search: Search, codes: Codes, alpha: Uint8s) -> Ahead:
+def _read_ahead(search: Search, codes: Codes, alpha: Uint8s) -> Ahead:
     """Return what is read of cells."""
     flags = search.facings.flags if search.faces else search.facings.flags[:0]
     return Ahead(codes.values.view(np.uint8), alpha, flags, search.areas)
@@ -146,13 +332,13 @@ def look_up_tiled(
     step = max(min(_STEP, all_points), 1)
     is_seen = search.faces and not (gradient or channel.has_alpha)
     is_split = search.facings.rows.size > 0 and search.faces and not is_seen
-    room, places, each = _room(search, step, is_split, gradient)
+    room, places, each = _new_room(search, step, is_split, gradient)
     some = step if is_some else 0
     own_points, own_normals = np.empty((some, 3), points.dtype), np.empty((some, 3), np.float32)
     own_values = np.empty((some, results.shape[1]), np.float32)
     own_slopes = np.empty((some, gradients.shape[1], 3), np.float32)
     alpha = channel.alpha.values if channel.has_alpha else channel.alpha.values[:0]
-    ahead = _ahead(search, channel.codes, alpha.view(np.uint8))
+    ahead = _read_ahead(search, channel.codes, alpha.view(np.uint8))
     components = channel.codes.values.shape[1]
     seen = step if is_seen else 0
     sums = Sums(np.empty((seen, components)), np.empty(seen), np.empty((0, components, 3)), np.empty((0, 3)))
@@ -165,10 +351,10 @@ def look_up_tiled(
         here, given, facing = places[:count], points[begin:end], normals[begin:end]
         values, slopes = results[begin:end], gradients[begin:end]
         if is_some:
-            _gather(points, which[begin:end], own_points)
+            _pick_rows(points, which[begin:end], own_points)
             given, values, slopes = own_points[:count], own_values[:count], own_slopes[:count]
             if search.faces:
-                _gather(normals, which[begin:end], own_normals)
+                _pick_rows(normals, which[begin:end], own_normals)
                 facing = own_normals[:count]
         fault = place_points(given, origin, size, here)
         if fault >= 0:
@@ -179,7 +365,7 @@ def look_up_tiled(
             take(room.rows[:count], channel.codes, values)
         else:
             taps = _of_points(room, count)
-            more, rest = _found(search, here, each[:count], taps, empty, rim, ahead)
+            more, rest = _find_taps(search, here, each[:count], taps, empty, rim, ahead)
             if is_seen:
                 sums.values[:], sums.totals[:] = 0.0, 0.0
                 add_facing(taps, search.areas, search.facings, facing, channel.codes, owners, shares, sums)
@@ -225,9 +411,9 @@ def add_tiled(
     Normals are those of the owners. ``left`` (n,) takes what mixes facings. Else as `look_up_tiled`.
     """
     step = max(min(_STEP, points.shape[0]), 1)
-    room, places, each = _room(search, step, False, False)
+    room, places, each = _new_room(search, step, False, False)
     facing = np.empty((step if search.faces else 0, 3), np.float32)
-    ahead = _ahead(search, codes, search.areas[:0].reshape(0, 1))
+    ahead = _read_ahead(search, codes, search.areas[:0].reshape(0, 1))
     n_empty = n_rim = 0
     for begin in range(0, points.shape[0], step):
         end = min(begin + step, points.shape[0])
@@ -258,7 +444,7 @@ def _of_points(taps: Taps, count: int) -> Taps:
 
 
 @inlined
-def _gather(rows: Floats, which: Int64s, taken: Floats) -> None:
+def _pick_rows(rows: Floats, which: Int64s, taken: Floats) -> None:
     """Take some rows (n, 3)."""
     for n in range(which.size):
         at = np.uint64(which[n])

@@ -10,6 +10,10 @@ tiles below them, and a dense grid of the rows of some level is where every sear
 of a tree's deepest level, and take 1.5 bytes each. A tree of less than three levels is one tile, filled in
 part. Where a part of a tree of one depth was painted more finely, the cells of both levels have tiles; those
 near which the other's count, too, are marked.
+
+Of a group of points all are placed, by vectors, before any tile is read, and all tiles are found before any
+value: of random points most of the time is waiting for memory, and so they wait together. What is known of a
+tile is kept while points stay in it.
 """
 
 from __future__ import annotations
@@ -19,8 +23,8 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Array, Int32s, Int64s, Uint32s, Uint64s
-from octex.jit import inlined, kernel, popcount
+from octex.arrays import Array, Int32s, Int64s, Uint8s, Uint32s, Uint64s
+from octex.jit import inlined, kernel, popcount, prefetch, trailing_zeros
 from octex.tree.morton import cells_beside, decode, decode_cells
 from octex.tree.octree import Octree
 
@@ -80,8 +84,8 @@ def build_tiles(tree: Octree) -> Tiles:
         depth,
         top_level,
         top.reshape(-1),
-        _joined(masks, np.uint64),
-        _joined(firsts, np.uint32),
+        _join_rows(masks, np.uint64),
+        _join_rows(firsts, np.uint32),
         _NO_MARKS,
     )
 
@@ -157,10 +161,10 @@ def _one_tile(tree: Octree) -> Tiles:
     masks[0] = np.bitwise_or.reduce(np.uint64(1) << tree.level_codes(depth).astype(np.uint64))
     firsts[0] = tree.arrays.level_cells[depth]
     top = np.zeros(1, np.int32)
-    return Tiles(depth, 0, top, _joined([masks], np.uint64), _joined([firsts], np.uint32), _NO_MARKS)
+    return Tiles(depth, 0, top, _join_rows([masks], np.uint64), _join_rows([firsts], np.uint32), _NO_MARKS)
 
 
-def _joined(parts: list[Array], dtype: npt.DTypeLike) -> Array:
+def _join_rows(parts: list[Array], dtype: npt.DTypeLike) -> Array:
     """Join parts, and a row of zeros, so that no row straddles two cache lines."""
     size = sum(part.size for part in parts) + 8
     memory = np.empty(size * np.dtype(dtype).itemsize + CACHE_LINE, np.uint8)
@@ -211,7 +215,7 @@ def _fill_tiles(
 
 
 @inlined
-def _spread(i: Integer) -> Any:
+def _spread_bits(i: Integer) -> Any:
     """Move the four low bits of an integer, of 32 or 64 bits, to bits 0, 3, 8 and 11."""
     one, two, four, eight, six = np.int32(1), np.int32(2), np.int32(4), np.int32(8), np.int32(6)
     return (i & one) | (i & two) << two | (i & four) << six | (i & eight) << eight
@@ -223,7 +227,7 @@ def code_in_tile(i: Integer, j: Integer, k: Integer) -> Any:
 
     Coordinates are taken from a tile's corner on, 0 … 15: from 8 on the octants are those of the next tiles.
     """
-    return _spread(i) | _spread(j) << np.int32(1) | _spread(k) << np.int32(2)
+    return _spread_bits(i) | _spread_bits(j) << np.int32(1) | _spread_bits(k) << np.int32(2)
 
 
 @inlined
@@ -256,3 +260,82 @@ def tile_row(tiles: Tiles, i: int, j: int, k: int) -> int:
         row = int(np.int64(tiles.firsts[octant])) + popcount(mask & ((np.uint64(1) << bit) - np.uint64(1)))
         row = min(row, none)
     return row
+
+
+#: Points placed at once: enough that all can wait for memory together, few enough to stay in the first cache.
+GROUP = 64
+
+
+_AXIS_BITS = 20  # of a tile's coordinate plus one, in a key
+
+
+class Near(NamedTuple):
+    """The tiles around each point of a group. Octants are counted over all tiles."""
+
+    keys: Int64s  # (GROUP,)   the tile of the lowest cell that is read, see `tile_key`
+    reached: Uint8s  # (GROUP,)   whether cells of the next tile are read too: a bit for each axis
+    slots: Int64s  # (GROUP,)   where `octants` of the point begin
+    octants: Int64s  # (8 · (GROUP + 1),)   the first of each of 2×2×2 tiles, as far as they are reached
+    latest: Int64s  # (3,)   the latest key, its slot, and which of its tiles are known
+
+
+@kernel
+def new_near() -> Near:
+    """Return what knows nothing. It serves one tree."""
+    return Near(
+        np.zeros(GROUP, np.int64),
+        np.zeros(GROUP, np.uint8),
+        np.zeros(GROUP, np.int64),
+        np.zeros(8 * (GROUP + 1), np.int64),
+        np.array([-1, 0, 0]),
+    )
+
+
+@inlined
+def tile_key(i: Integer, j: Integer, k: Integer) -> Any:
+    """Return one number for a tile's coordinates, each from −1 on."""
+    one = np.int64(1)
+    return i + one | (j + one) << np.int64(_AXIS_BITS) | (k + one) << np.int64(2 * _AXIS_BITS)
+
+
+@inlined
+def _find_octant(tiles: Tiles, key: int, other: int) -> int:
+    """Find the first octant of one of the 2×2×2 tiles from that of a key on, and ask for it."""
+    low = (1 << _AXIS_BITS) - 1
+    i = (key & low) - 1 + (other & 1)
+    j = (key >> _AXIS_BITS & low) - 1 + (other >> 1 & 1)
+    k = (key >> 2 * _AXIS_BITS) - 1 + (other >> 2)
+    octant = 8 * tile_row(tiles, i, j, k)
+    prefetch(tiles.masks, octant)
+    prefetch(tiles.firsts, octant)
+    return octant
+
+
+@inlined
+def find_tiles(tiles: Tiles, near: Near, count: int) -> None:
+    """Find the tiles of a group of points, whose keys and reach are known, and ask for them."""
+    octants = near.octants
+    key, slot, known = near.latest[0], near.latest[1], near.latest[2]
+    for other in range(8):
+        octants[other] = octants[slot + other]
+    slot = 0
+    for n in range(count):
+        at = np.uint64(n)
+        if near.keys[at] != key:
+            key = near.keys[at]
+            slot += 8
+            octants[np.uint64(slot)] = _find_octant(tiles, key, 0)
+            known = np.int64(1)
+        near.slots[at] = slot
+        reached = np.int64(near.reached[at])
+        if reached != 0:
+            wanted = 1 | (reached & 1) << 1
+            wanted |= wanted << 2 & -(reached >> 1 & 1)
+            wanted |= wanted << 4 & -(reached >> 2)
+            missing = wanted & ~known
+            known |= missing
+            while missing != 0:
+                other = trailing_zeros(np.uint64(missing))
+                missing &= missing - 1
+                octants[np.uint64(slot + other)] = _find_octant(tiles, key, other)
+    near.latest[0], near.latest[1], near.latest[2] = key, slot, known

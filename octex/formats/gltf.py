@@ -13,7 +13,7 @@ import numpy as np
 from octex.arrays import Floats, Integers
 from octex.errors import ModelError
 from octex.files import replacing
-from octex.formats.images import ImageFormat, encoded_images, materials_of, posed_frames
+from octex.formats.images import ImageFormat, encoded_images, materials_of
 from octex.source.distinct import distinct_rows
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Input, Material, MaterialSource
@@ -62,7 +62,7 @@ class _Content:
 
     def add(self, surface: Surface, source: MaterialSource) -> None:
         """Add a surface as the one mesh."""
-        self._frames = posed_frames(surface)
+        self._frames = surface.posed_frames()
         materials, owners = source.materials, source.triangle_materials
         primitives = []
         used = np.unique(owners).tolist()

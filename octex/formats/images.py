@@ -13,10 +13,8 @@ from octex.arrays import Array, Float32s, Uint8s
 from octex.channels import encode
 from octex.errors import ModelError
 from octex.parallel import ordered_map, workers
-from octex.source.corners import Frames
 from octex.source.materials import Material, MaterialSource
 from octex.source.surface import Surface
-from octex.source.tangents import carried
 
 ImageFormat = Literal["png", "jpeg", "webp"]
 IMAGE_FORMATS: tuple[ImageFormat, ...] = ("png", "jpeg", "webp")
@@ -35,16 +33,9 @@ def materials_of(surface: Surface) -> MaterialSource:
     return surface.source
 
 
-def posed_frames(surface: Surface) -> Frames | None:
-    """Return a surface's normals and tangents where it is posed; None if it has none."""
-    if surface.frames is None or surface.rest is surface.vertices:
-        return surface.frames
-    return carried(surface.frames, surface.triangles, surface.rest, surface.vertices)
-
-
 def normals_of_vertices(surface: Surface) -> Float32s | None:
     """Return shading normals of posed vertices (n, 3), the mean of their corners'; None if there are none."""
-    frames = posed_frames(surface)
+    frames = surface.posed_frames()
     if frames is None:
         return None
     sums = np.zeros(surface.vertices.shape)

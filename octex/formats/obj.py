@@ -10,7 +10,7 @@ import numpy as np
 from octex.channels import linear_to_srgb
 from octex.errors import ModelError
 from octex.files import replacing
-from octex.formats.images import ImageFormat, colors_of_vertices, image_file, materials_of, posed_frames
+from octex.formats.images import ImageFormat, colors_of_vertices, image_file, materials_of
 from octex.source.materials import Material
 from octex.source.surface import Surface
 
@@ -56,7 +56,7 @@ def write_obj(surface: Surface, path: Path, images: ImageFormat) -> None:
     if coordinates is not None:
         lines += [f"vt {u!r} {1.0 - v!r}" for u, v in coordinates.values.astype(np.float64).tolist()]
         columns.append(coordinates.rows)
-    frames = posed_frames(surface)
+    frames = surface.posed_frames()
     if frames is not None:
         normals = frames.normals
         lines += [f"vn {x:.7g} {y:.7g} {z:.7g}" for x, y, z in normals.values.tolist()]

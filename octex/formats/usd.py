@@ -15,7 +15,7 @@ import numpy as np
 
 from octex.errors import ModelError
 from octex.files import replacing, scratch_folder
-from octex.formats.images import ImageFormat, encoded_images, materials_of, posed_frames
+from octex.formats.images import ImageFormat, encoded_images, materials_of
 from octex.formats.units import METERS, Unit
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Input, MaterialSource
@@ -101,7 +101,7 @@ def _mesh(stage: Any, surface: Surface, source: MaterialSource) -> Any:
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     used = np.unique(source.triangle_materials).tolist()
     mesh.CreateDoubleSidedAttr(any(source.materials[number].double_sided for number in used))
-    frames = posed_frames(surface)
+    frames = surface.posed_frames()
     if frames is not None:
         normals = frames.normals.values[frames.normals.rows.reshape(-1)]
         mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(normals)))

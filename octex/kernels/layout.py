@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint32s, Uint64s
-from octex.field.neighborhood import MOST_TAPS, Walk, new_walk
-from octex.field.stages import MOST_ROWS
+from octex.field.taps import MOST_ROWS
+from octex.field.windows import MOST_TAPS, Walk, new_walk
 from octex.jit import kernel
 from octex.tree.layout import TreeArrays
 from octex.tree.search import Scratch as Search
@@ -66,7 +66,7 @@ class Scratch(NamedTuple):
     tiles: Int64s  # (8,)   the rows of 2×2×2 tiles
     codes: Int32s  # (3, 3)   along each axis, the codes of cells in tiles
     along: Float32s  # (3, 3)   and their weights
-    parts: Float32s  # (9,)   what cells weigh by the ways that they face; see `stages`
+    parts: Float32s  # (9,)   what cells weigh by the ways that they face; see `field.taps`
     sums: Float64s  # (10,)   four components, under alpha, and their weight; then without it
 
 

@@ -8,15 +8,11 @@ import numpy as np
 
 from octex.arrays import Float32s, Uint32s
 from octex.field.footprints import ROUND_FINER, WHOLE
-from octex.field.neighborhood import Walk, collect, normalize
-from octex.field.neighborhood import _fill as fill_window
-from octex.field.neighborhood import _finest as finest
-from octex.field.neighborhood import _rounded as rounded
-from octex.field.splines import LINEAR, QUADRATIC
-from octex.field.stages import AREA_WEIGHTS, direction_of, parts_of, ramp, shares_of
-from octex.field.taps import LEAST, OFF
+from octex.field.neighborhood import collect, fill_window, finest, normalize, rounded
+from octex.field.splines import LINEAR, QUADRATIC, single_quadratic_weights
+from octex.field.taps import AREA_WEIGHTS, LEAST, OFF, direction_of, parts_of, ramp, shares_of
 from octex.field.tiles import Tiles, code_in_tile, tile_row
-from octex.field.windows import NODES, follow
+from octex.field.windows import NODES, Walk, follow
 from octex.jit import decoded, inlined, popcount, step
 from octex.kernels.layout import LookupArrays, Scratch, Values
 from octex.tree.layout import MAX_DEPTH, POSITIVE_FACINGS, SPLIT, TreeArrays
@@ -66,17 +62,15 @@ def _tiles_of(arrays: LookupArrays, level: int) -> Tiles:
 def _lay(scratch: Scratch, axis: int, x: float, cells: float, filter_code: int) -> int:
     """Weigh the cells around a coordinate along an axis; return the lowest, −1 … cells."""
     along, codes = scratch.along, scratch.codes
-    one, half = np.float32(1.0), np.float32(0.5)
     if filter_code == QUADRATIC:
         cell = min(np.floor(x * cells), cells - 1.0)
         t = np.float32(x * cells - cell)
-        a, c = half * (one - t) * (one - t), half * t * t
-        b = one - a - c
+        a, b, c = single_quadratic_weights(t)
         low = np.int32(cell) - np.int32(1)
     else:
         cell = np.floor(x * cells - 0.5)
         b = np.float32(x * cells - 0.5 - cell)
-        a, c = one - b, np.float32(0.0)
+        a, c = np.float32(1.0) - b, np.float32(0.0)
         low = np.int32(cell)
     along[axis, 0], along[axis, 1], along[axis, 2] = a, b, c
     zero, seven = np.int32(0), np.int32(7)
@@ -293,7 +287,7 @@ def _face(
     signs: int,
     scratch: Scratch,
 ) -> int:
-    """Write taps anew after the n that there are, as they face a normal; return their end. See `stages.face`.
+    """Write taps anew after the n that there are, as they face a normal; return their end. See `taps.face`.
 
     ``normal`` has the sizes of its cosines with the axes, ``signs`` their signs as bits.
     """

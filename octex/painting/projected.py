@@ -16,9 +16,8 @@ from octex.conversion.pieces import Blocks
 from octex.jit import inlined, kernel
 from octex.painting.pictures import Levels, Projection, levels_of, read_paint
 from octex.painting.source import PaintSource
-from octex.source.corners import Frames, at_corners
+from octex.source.corners import at_corners
 from octex.source.surface import Surface
-from octex.source.tangents import carried
 from octex.view.camera import Camera
 from octex.view.lens import distort, distorted, is_bent
 from octex.view.shading import corner_normals_of, face_normals
@@ -327,21 +326,19 @@ def stretches_of(vertices: Float64s, rest: Float64s, triangles: Int32s) -> Float
 
 def shading_of(surface: Surface) -> Shading:
     """Return a surface's shading normals: its own if it has ``frames``, else those of `corner_normals`."""
-    frames = surface.frames
-    if frames is None:
+    if surface.frames is None:
         return partial(_computed, surface.vertices, surface.triangles)
-    return partial(_given, surface, frames)
+    return partial(_given, surface)
 
 
 def _computed(vertices: Float64s, triangles: Int32s, chosen: Int32s) -> Float32s:
     return corner_normals_of(chosen, vertices, triangles)
 
 
-def _given(surface: Surface, frames: Frames, chosen: Int32s) -> Float32s:
-    some = Frames(frames.normals.of(chosen), frames.tangents.of(chosen))
-    if surface.rest is not surface.vertices:
-        some = carried(some, surface.triangles[chosen], surface.rest, surface.vertices)
-    return some.normals.values[some.normals.rows]
+def _given(surface: Surface, chosen: Int32s) -> Float32s:
+    frames = surface.posed_frames(chosen)
+    assert frames is not None
+    return frames.normals.values[frames.normals.rows]
 
 
 @inlined

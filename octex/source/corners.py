@@ -47,6 +47,15 @@ class Polygons(NamedTuple):
         return Polygons(self.numbers[triangles], self.corners[triangles])
 
 
+class Creases(NamedTuple):
+    """Where a subdivision surface is sharp: 0 is smooth, from 10 on sharp for good; see ``subdivide``."""
+
+    edges: Int32s  # (k, 2)   vertices
+    sharpness: Float32s  # (k,)
+    vertices: Int32s  # (j,)
+    spikes: Float32s  # (j,)     the sharpness of these vertices
+
+
 class Frames(NamedTuple):
     """Shading normals and tangents at triangle corners, unit vectors."""
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from octex.checks import as_choice, as_entries, as_flag, as_names, as_path, is_path
-from octex.errors import ModelError, ModelWarning, OctexError
+from octex.checks import as_choice, as_entries, as_flag, as_names, as_path, as_text, is_path
+from octex.errors import ArgumentError, ModelError, ModelWarning, OctexError
 from octex.files import read_bytes, reading
 from octex.source.images.filters import FILTERS
 from octex.source.models.gltf import load_gltf
@@ -46,6 +46,7 @@ def load_surface(
     sources: Mapping[str, object] | None = None,
     filter: str = "ewa",
     normals: bool = False,
+    pose: str | None = None,
 ) -> Surface:
     """Read a model: its triangles as placed in the scene, and what its materials are made of.
 
@@ -56,20 +57,31 @@ def load_surface(
     filters.FILTERS, is how images are averaged over footprints. With ``normals`` the model's own shading
     normals are kept, if it has any: ``Surface.frames``, on which ``octex.paint`` fades.
 
+    ``pose``, "NAME@SECONDS", moves a glTF model as its animation of that name, or number, has it then: by its
+    nodes, skins and morph targets. ``rest`` stays what it is without. See ``octex help surfaces``.
+
     Raises ModelError or ImageError, with one line that names the file, the cause and the remedy;
     MissingExtraError for content that an extra decodes which is not installed; and ArgumentError for names
-    and values that do not fit. Warns with ModelWarning where a model is read without
-    something that it refers to: the material file of an OBJ model, or a material.
+    and values that do not fit, a pose that the file lacks among them. Warns with ModelWarning where a model
+    is read without something that it refers to: the material file of an OBJ model, or a material.
     """
     as_choice(filter, FILTERS, "filter")
     own = {} if sources is None else as_entries(sources, "sources")
     names = None if channels is None else as_names(channels, "channels")
     wanted = None if names is None else tuple(name for name in names if name not in own)
+    file = as_path(path)
+    if pose is not None and file.suffix.lower() not in (".glb", ".gltf"):
+        raise ArgumentError(f"{file.name} cannot be posed as {as_text(pose, 'pose')!r}: only glTF models can")
+    with_normals = as_flag(normals, "normals") or "normal" in own
     surface = _read(
-        as_path(path),
-        Options(True, wanted, filter, tuple(own), as_flag(normals, "normals") or "normal" in own),
+        file,
+        Options(
+            True, wanted, filter, tuple(own), with_normals, None if pose is None else as_text(pose, "pose")
+        ),
     )
     surface.provenance["filter"] = filter
+    if pose is not None:
+        surface.provenance["pose"] = pose
     if rest is not None:
         surface = at_rest(surface, rest)
     return surface.completed(own, names, filter)

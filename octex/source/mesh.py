@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Array, Bools, Float64s, Int32s, Integers
-from octex.checks import as_whole, locked
+from octex.checks import as_reals, as_whole, locked
 from octex.errors import ArgumentError, ModelError
-from octex.source.corners import Corners, Frames, Polygons, at_corners
+from octex.source.corners import Corners, Creases, Frames, Polygons, at_corners
 from octex.source.parts import Overlaps, overlapping_parts, parts_of
 from octex.source.tangents import carried
 from octex.source.welding import first_equal
@@ -41,6 +41,7 @@ class Mesh:
     uv         texture coordinates at corners, v running down; or None
     frames     shading normals and tangents at corners, at rest; or None
     polygons   the polygons that the triangles were cut from; None where each triangle is one
+    creases    where a subdivision surface of it is sharp; or None
     bounds     (2, 3) the lowest and the highest rest position that triangles use
 
     Arrays are copied, and those of the mesh are read-only. Raises ModelError for positions that are not
@@ -56,6 +57,7 @@ class Mesh:
         uv: Corners | None = None,
         frames: Frames | None = None,
         polygons: Polygons | None = None,
+        creases: Creases | None = None,
         name: str = "surface",
     ) -> None:
         self.vertices = as_positions(vertices, f"{name}: vertices")
@@ -70,6 +72,7 @@ class Mesh:
         self.uv = None if uv is None else _locked_corners(uv)
         self.frames = None if frames is None else _locked_frames(frames)
         self.polygons = None if polygons is None else _as_polygons(polygons, len(self.triangles), name)
+        self.creases = None if creases is None else _as_creases(creases, len(self.vertices), name)
         self.name = name
         used = self._used(self.triangles)
         self.bounds: Float64s = locked(np.array([self.rest[used].min(axis=0), self.rest[used].max(axis=0)]))
@@ -88,11 +91,23 @@ class Mesh:
             made.frames = _locked_frames(carried(self.frames, self.triangles, self.rest, positions))
         return made
 
+    def posed_frames(self, chosen: Int32s | None = None) -> Frames | None:
+        """Return the frames where the mesh is posed, each moved with its triangle; None if there are none.
+
+        Those of ``chosen`` triangles (k,) alone, if given.
+        """
+        frames, triangles = self.frames, self.triangles
+        if frames is not None and chosen is not None:
+            frames, triangles = Frames(*(each.of(chosen) for each in frames)), triangles[chosen]
+        if frames is None or self.rest is self.vertices:
+            return frames
+        return carried(frames, triangles, self.rest, self.vertices)
+
     def moved(self, rest: Float64s) -> Mesh:
         """Return the same mesh with its parts elsewhere at rest, turned as they are: frames stay."""
         return Mesh(
             self.vertices, self.triangles, rest=rest, uv=self.uv, frames=self.frames, polygons=self.polygons,
-            name=self.name,
+            creases=self.creases, name=self.name,
         )  # fmt: skip
 
     def picked(self, triangles: npt.ArrayLike) -> tuple[Mesh, Int32s, Int32s]:
@@ -122,6 +137,7 @@ class Mesh:
             uv=self.uv and self.uv.of(chosen),
             frames=frames and Frames(frames.normals.of(chosen), frames.tangents.of(chosen)),
             polygons=self.polygons and self.polygons.of(chosen),
+            creases=self.creases and _picked_creases(self.creases, used, names),
             name=self.name,
         )
         return mesh, chosen, np.flatnonzero(used).astype(np.int32)
@@ -273,6 +289,33 @@ def _as_polygons(polygons: Polygons, triangles: int, name: str) -> Polygons:
         if array.shape != shape or array.dtype.kind not in "iu" or (array < 0).any():
             raise ArgumentError(f"{name}: polygons must be whole numbers from 0 on, of shapes {wanted}")
     return Polygons(*(_owned(array, np.int32) for array in polygons))
+
+
+def _as_creases(creases: Creases, vertices: int, name: str) -> Creases:
+    """Return creases that nobody else can change, or raise ModelError."""
+    if not isinstance(creases, Creases):
+        raise ArgumentError(f"{name}: creases must be Creases, or None")
+    edges = as_reals(creases.edges, f"{name}: edges of creases", (-1, 2), most=vertices - 1)
+    points = as_reals(creases.vertices, f"{name}: vertices of creases", (-1,), most=vertices - 1)
+    if (edges < 0).any() or (points < 0).any():
+        raise ArgumentError(f"{name}: creases use vertices that are not there, below 0")
+    sharp = as_reals(creases.sharpness, f"{name}: sharpness of creases", (len(edges),), most=1e30)
+    spikes = as_reals(creases.spikes, f"{name}: sharpness of vertices", (len(points),), most=1e30)
+    return Creases(
+        _owned(edges, np.int32),
+        _owned(sharp, np.float32),
+        _owned(points, np.int32),
+        _owned(spikes, np.float32),
+    )
+
+
+def _picked_creases(creases: Creases, used: Bools, names: Int32s) -> Creases:
+    """Return creases of the vertices that are used alone, by their new names."""
+    edges, vertices = used[creases.edges].all(axis=1), used[creases.vertices]
+    return Creases(
+        names[creases.edges[edges]], creases.sharpness[edges], names[creases.vertices[vertices]],
+        creases.spikes[vertices],
+    )  # fmt: skip
 
 
 def _locked_frames(frames: Frames) -> Frames:

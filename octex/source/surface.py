@@ -25,7 +25,7 @@ from octex.checks import (
 from octex.errors import ArgumentError
 from octex.source.base import Combined, Source, by_channel
 from octex.source.colors import linear_colors
-from octex.source.corners import Corners, Frames, Polygons
+from octex.source.corners import Corners, Creases, Frames, Polygons
 from octex.source.given import given_source
 from octex.source.images.decode import as_texels
 from octex.source.images.filters import FILTERS
@@ -59,10 +59,20 @@ class Surface(Mesh):
         uv: Corners | None = None,
         frames: Frames | None = None,
         polygons: Polygons | None = None,
+        creases: Creases | None = None,
         name: str = "surface",
         provenance: Mapping[str, str] | None = None,
     ) -> None:
-        super().__init__(vertices, triangles, rest=rest, uv=uv, frames=frames, polygons=polygons, name=name)
+        super().__init__(
+            vertices,
+            triangles,
+            rest=rest,
+            uv=uv,
+            frames=frames,
+            polygons=polygons,
+            creases=creases,
+            name=name,
+        )
         if not isinstance(source, Source):
             raise ArgumentError(f"{name}: source must be a Source, not {source!r}")
         self.source = source
@@ -75,7 +85,7 @@ class Surface(Mesh):
         return cls(
             mesh.vertices, mesh.triangles, source,
             rest=None if mesh.rest is mesh.vertices else mesh.rest, uv=mesh.uv, frames=mesh.frames,
-            polygons=mesh.polygons, name=mesh.name, provenance=provenance,
+            polygons=mesh.polygons, creases=mesh.creases, name=mesh.name, provenance=provenance,
         )  # fmt: skip
 
     @classmethod

@@ -12,8 +12,8 @@ import numpy as np
 from octex.arrays import Array, Float32s, Int32s
 from octex.checks import as_choice
 from octex.errors import ArgumentError
-from octex.field.order import order_in_space, put_rows
 from octex.parallel import ordered_map, workers
+from octex.tree.order import order_in_space, put_rows
 from octex.tree.placement import Placement
 
 #: What is given of points: arrays of a row each by name, "points" (n, 3) among them.

@@ -29,8 +29,7 @@ from octex.checks import (
 )
 from octex.errors import ArgumentError, InputError, TextureFileError
 from octex.field.field import Field
-from octex.field.listing import TapList, joined, list_blends, rows_read
-from octex.field.lookups import ChannelRows, Query, look_up
+from octex.field.lookups import ChannelRows, Query, TapList, joined, list_blends, look_up, rows_read
 from octex.field.splines import FILTERS
 from octex.texture.blend import NO_GRADIENTS, make_unit, mixed_cells, stored
 from octex.texture.channel import Channel

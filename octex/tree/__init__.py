@@ -3,6 +3,7 @@
 layout      what an octree is in memory, drawn
 areas       what codes of areas say
 morton      cell coordinates ⇄ Morton codes
+order       points in Morton order
 placement   rest positions ⇄ texture space, the root cell
 octree      build from leaves, truncate, validate
 edit        trees made from trees

@@ -8,7 +8,7 @@ from octex.errors import ArgumentError
 
 #: In the order in which a reader may want them.
 TOPICS = (
-    *("models", "channels", "lookups", "filters", "adaptive", "parts"),
+    *("models", "surfaces", "viewer", "channels", "lookups", "filters", "adaptive", "parts"),
     *("painting", "cameras", "processing", "baking", "files", "figures"),
 )
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,8 +19,10 @@ from octex.arrays import Array, Float32s, Float64s, Floats, Int32s, Int64s
 from octex.errors import ModelError
 from octex.source.corners import Corners, Frames
 from octex.source.materials import MaterialSource
+from octex.source.models.gltf_animation import fields_at
 from octex.source.models.gltf_file import Document, as_object
 from octex.source.models.gltf_materials import Bound, read_materials
+from octex.source.models.gltf_pose import Pose
 from octex.source.models.gltf_scene import local_matrix, scene_nodes
 from octex.source.models.options import EVERYTHING, Options
 from octex.source.surface import Surface
@@ -35,8 +38,9 @@ def load_gltf(path: Path, options: Options = EVERYTHING) -> Surface:
     their channels. ``uv`` of the surface is TEXCOORD_0, where all primitives with textures have it.
     ``provenance`` holds what the file says of its origin, and the digests of the files that it refers to.
 
-    Morph targets and skins are not applied: the mesh is taken as it is modelled.
-    Raises ModelError or ImageError.
+    Rest positions are the mesh as it is modelled, without morph targets and skins. With ``options.pose``
+    these and the nodes move the positions, as ``gltf_animation`` and ``gltf_pose`` say.
+    Raises ModelError or ImageError, and ArgumentError for a pose that the file lacks.
     """
     document = Document(path)
     document.refuse_extensions()
@@ -51,7 +55,17 @@ class _Shape(NamedTuple):
     material: int | None
     attributes: dict[str, Any]
     decoded: dict[str, Array]  # what of them an extension has
+    targets: list[Any]  # of morphs
     name: str
+
+
+class _Instance(NamedTuple):
+    """A mesh as a node shows it."""
+
+    mesh: int
+    node: int
+    copy: Float64s  # (4, 4)   of the mesh below the node
+    matrix: Float64s  # (4, 4)   to the world, as it rests
 
 
 class _Primitive(NamedTuple):
@@ -75,12 +89,13 @@ class _Scene:
 
     def surface(self) -> Surface:
         document = self._document
-        placed = [
-            (matrix, shape)
-            for mesh, matrix in self._instances()
-            for shape in self._mesh(mesh)
+        shown = [
+            (instance, shape)
+            for instance in self._instances()
+            for shape in self._mesh(instance.mesh)
             if len(shape.triangles)
         ]
+        placed = [(instance.matrix, shape) for instance, shape in shown]
         if not placed:
             raise ModelError(f"{document.name} has no triangles; octex needs a surface, not points or lines")
         bound = read_materials(document, (shape.material for _, shape in placed), self._options)
@@ -142,9 +157,10 @@ class _Scene:
         if all(primitive.uv is not None for primitive in each):
             uv = corners([primitive.uv for primitive in each], 0.0)
         return Surface(
-            positions,
+            positions if self._options.pose is None else self._posed(self._options.pose, shown),
             joined,
             source,
+            rest=None if self._options.pose is None else positions,
             uv=uv,
             frames=frames if is_smooth else None,
             name=document.name,
@@ -163,11 +179,28 @@ class _Scene:
             found["files"] = json.dumps(self._document.files, sort_keys=True, ensure_ascii=False)
         return found
 
-    def _instances(self) -> list[tuple[int, Float64s]]:
-        """List the meshes of the scene, each with its global transform, depth first."""
+    def _posed(self, pose: str, shown: Sequence[tuple[_Instance, _Shape]]) -> Float64s:
+        """Return the positions (n, 3) of all vertices in a pose."""
+        posed = Pose(self._document, fields_at(self._document, pose))
+        return np.concatenate(
+            [
+                posed.positions(
+                    instance.node,
+                    instance.copy,
+                    shape.positions,
+                    shape.targets,
+                    partial(self._attribute, shape),
+                    shape.name,
+                )
+                for instance, shape in shown
+            ]
+        )
+
+    def _instances(self) -> list[_Instance]:
+        """List the meshes of the scene, depth first."""
         return [
-            (node["mesh"], matrix @ each)
-            for _, node, matrix in scene_nodes(self._document)
+            _Instance(node["mesh"], number, each, matrix @ each)
+            for number, node, matrix in scene_nodes(self._document)
             if "mesh" in node
             for each in self._copies(node)
         ]
@@ -213,8 +246,9 @@ class _Scene:
         mode = entry.get("mode", _TRIANGLES) if triangles is None else _TRIANGLES
         number = entry.get("material") if self._options.materials else None
         return _Shape(
-            positions, _triangles(indices, mode).astype(np.int32), number, attributes, decoded, name
-        )
+            positions, _triangles(indices, mode).astype(np.int32), number, attributes, decoded,
+            entry.get("targets", []), name,
+        )  # fmt: skip
 
     def _indices(self, entry: dict[str, Any], triangles: Array | None, count: int, name: str) -> Int64s:
         """Return the vertices of the corners of a primitive, or of its decoded triangles: below ``count``."""

@@ -24,7 +24,7 @@ from octex.files import read_bytes, referred
 from octex.source.models.gltf_coded import DRACO, MESHOPT, decode_draco, decode_meshopt
 
 _COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 # An accessor may stand for zeros that the file does not hold; more than this is taken for damage.
 _MOST_ZEROS = 2**24
 

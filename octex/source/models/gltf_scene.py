@@ -19,10 +19,13 @@ _LIMIT = float(np.finfo(np.float64).max)
 _COUNTS = {"matrix": 16, "translation": 3, "rotation": 4, "scale": 3}
 
 
-def scene_nodes(document: Document) -> Iterator[tuple[int, Json, Float64s]]:
+def scene_nodes(
+    document: Document, posed: Mapping[int, Json] | None = None
+) -> Iterator[tuple[int, Json, Float64s]]:
     """Yield the scene's nodes, depth first: number, node, and the matrix (4, 4) that takes it to the world.
 
-    A file without scenes shows all its nodes. Raises ModelError for nodes that form no tree.
+    A file without scenes shows all its nodes. ``posed`` has fields of nodes by their numbers, instead of
+    those in the file. Raises ModelError for nodes that form no tree.
     """
     if document.items("scenes"):
         number = document.json.get("scene", 0)
@@ -39,6 +42,8 @@ def scene_nodes(document: Document) -> Iterator[tuple[int, Json, Float64s]]:
             raise ModelError(f"{document.name}: nodes[{number}] is reached twice; nodes must form a tree")
         seen.add(number)
         node = document.item("nodes", number)
+        if posed:
+            node = {**node, **posed.get(number, {})}
         for field, count in _COUNTS.items():
             if field in node:
                 _check_numbers(node[field], count, f"{document.name}: nodes[{number}]: {field}")

@@ -20,7 +20,7 @@ from octex.errors import ModelError, ModelWarning
 from octex.files import read_bytes
 from octex.jit import kernel
 from octex.source.colors import screen_colors
-from octex.source.corners import Corners
+from octex.source.corners import Corners, Creases
 from octex.source.materials import MaterialSource
 from octex.source.models.mtl import Description, Library, Transform, load_materials, wavefront_lines
 from octex.source.models.options import EVERYTHING, Options
@@ -90,6 +90,7 @@ def load_obj(path: Path, options: Options = EVERYTHING) -> Surface:
         uv=uv if (rows >= 0).all() else None,
         frames=frames if normals is not None else None,
         polygons=cut_polygons(corners, polygons, sizes),
+        creases=_creases(text.tags, len(positions), name),
         name=name,
         provenance=provenance,
     )
@@ -114,6 +115,7 @@ class _Text:
         self.runs: list[list[int]] = []
         self.uses: list[tuple[int, str]] = []  # first face, material
         self.libraries: list[str] = []
+        self.tags: list[str] = []
         moved = True
         for line in wavefront_lines(read_bytes(path), path):
             key, _, rest = line.partition(" ")
@@ -136,6 +138,47 @@ class _Text:
                 self.uses.append((len(self.faces), rest.strip()))
             elif key == "mtllib":
                 self.libraries.append(rest.strip())
+            elif key == "t":
+                self.tags.append(rest)
+
+
+def _creases(tags: list[str], vertices: int, name: str) -> Creases | None:
+    """Return what OpenSubdiv's tags say of sharp edges and vertices, counted from 0; None for nothing.
+
+    A tag is its kind, how many whole numbers, fractions and words it has, like 2/1/0, and these.
+    """
+    edges: list[list[int]] = []
+    points: list[int] = []
+    sharpness: list[float] = []
+    spikes: list[float] = []
+    for tag in tags:
+        kind, *words = tag.split() or [""]
+        if kind not in ("crease", "corner"):
+            continue
+        try:
+            wholes, fractions, _ = (int(count) for count in words[0].split("/"))
+            numbers = [int(word) for word in words[1 : 1 + wholes]]
+            (sharp,) = [float(word) for word in words[1 + wholes : 1 + wholes + fractions]]
+            if not all(0 <= each < vertices for each in numbers) or not 0 <= sharp < np.inf:
+                raise ValueError
+            if kind == "crease":
+                a, b = numbers
+                edges.append([a, b])
+                sharpness.append(sharp)
+            else:
+                (point,) = numbers
+                points.append(point)
+                spikes.append(sharp)
+        except (IndexError, ValueError):
+            raise ModelError(
+                f"{name}: a line 't {tag[:40]}' is no tag of a crease; export it again"
+            ) from None
+    if not edges and not points:
+        return None
+    return Creases(
+        np.array(edges, np.int32).reshape(-1, 2), np.array(sharpness, np.float32),
+        np.array(points, np.int32), np.array(spikes, np.float32),
+    )  # fmt: skip
 
 
 def _numbers(rows: list[str], least: int, name: str, key: str) -> Float64s:

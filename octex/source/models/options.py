@@ -13,6 +13,7 @@ class Options(NamedTuple):
     filter: str = "ewa"
     without: tuple[str, ...] = ()  # channels whose images are not read, as they come from elsewhere
     normals: bool = False  # the model's own, also where no normal map needs them
+    pose: str | None = None  # NAME@SECONDS of an animation; None: as it rests
 
     def wants(self, channel: str) -> bool:
         """Say whether a channel is to be read."""

@@ -1,6 +1,8 @@
-"""`quadratic` and `quartic` by tiles: the 3×3×3 or 5×5×5 cells around that of the point, under a spline.
+"""Sources by tiles: the taps of points by each filter.
 
-They lie in a *window*, the children of 2×2×2 or 3×3×3 nodes, which is kept while points stay in it.
+`nearest` has the cell that holds the point, `linear` the 2×2×2 cells with centres around it. `quadratic` and
+`quartic` have the 3×3×3 or 5×5×5 around that of the point, under a spline: they lie in a *window*, the
+children of 2×2×2 or 3×3×3 nodes, which is kept while points stay in it.
 """
 
 from __future__ import annotations
@@ -9,15 +11,185 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int64s, Uint8s, Uint16s, Uint64s
-from octex.field.blocks import GROUP, Near, find_tiles, new_near, tile_key
-from octex.field.linear import cell_of
-from octex.field.splines import quartic_slopes, quartic_weights
+from octex.arrays import Float32s, Float64s, Int32s, Int64s, Uint8s, Uint16s, Uint32s, Uint64s
+from octex.field.splines import quartic_slopes, quartic_weights, single_quadratic_weights
 from octex.field.taps import OFF, Ahead, Taps, ask_for, finish
-from octex.field.tiles import Tiles, code_in_tile, is_marked
-from octex.jit import fused_kernel, inlined, kernel, popcount, trailing_zeros
+from octex.field.tiles import GROUP, Near, Tiles, code_in_tile, find_tiles, is_marked, new_near, tile_key
+from octex.jit import fused_kernel, inlined, kernel, popcount, prefetch, trailing_zeros
+from octex.tree.layout import GRID_BITS
 from octex.tree.morton import encode
 from octex.tree.search import UNITS
+
+
+@inlined
+def rounded_cell(x: float, depth: int) -> np.int32:
+    """Find the cell that holds a coordinate 0 … 1, rounded as the vertices of surfaces are."""
+    cell = np.int32(x * (1 << GRID_BITS) + 0.5) >> np.int32(GRID_BITS - depth)
+    return min(cell, np.int32((1 << depth) - 1))
+
+
+@inlined
+def _look_in(tiles: Tiles, octant: int, code: int) -> tuple[int, bool]:
+    """Return the number that a cell of an octant has if it is stored, and whether it is."""
+    bit = np.uint64(code & 63)
+    mask = tiles.masks[np.uint64(octant)]
+    below = mask & ((np.uint64(1) << bit) - np.uint64(1))
+    number = np.int64(tiles.firsts[np.uint64(octant)]) + popcount(below)
+    return int(number), (mask >> bit) & np.uint64(1) != np.uint64(0)
+
+
+@inlined
+def _place_nearest(places: Float64s, begin: int, count: int, depth: int, near: Near, codes: Int32s) -> None:
+    """Find each point's tile, and the code of its cell there."""
+    three, seven = np.int32(3), np.int32(7)
+    for n in range(count):
+        at = np.uint64(3 * (begin + n))
+        x, y, z = places[at], places[at + np.uint64(1)], places[at + np.uint64(2)]
+        i, j, k = rounded_cell(x, depth), rounded_cell(y, depth), rounded_cell(z, depth)
+        near.keys[np.uint64(n)] = tile_key(np.int64(i >> three), np.int64(j >> three), np.int64(k >> three))
+        codes[np.uint64(n)] = code_in_tile(i & seven, j & seven, k & seven)
+
+
+@fused_kernel
+def nearest_rows(
+    tiles: Tiles, places: Float64s, last: int, found: Uint32s, empty: Int64s, ahead: Ahead
+) -> int:
+    """Write the cells that hold points (n, 3) of texture space to ``found`` (n,).
+
+    ``last`` is the largest cell number; ``ahead`` is asked for.
+    Points that no cell of the tiles holds are listed in ``empty``; returns their number.
+    """
+    near, codes = new_near(), np.zeros(GROUP, np.int32)
+    flat = places.reshape(-1)
+    n_empty = 0
+    for begin in range(0, places.shape[0], GROUP):
+        count = min(GROUP, places.shape[0] - begin)
+        _place_nearest(flat, begin, count, tiles.depth, near, codes)
+        find_tiles(tiles, near, count)
+        for n in range(count):
+            code = np.int64(codes[np.uint64(n)])
+            octant = near.octants[np.uint64(near.slots[np.uint64(n)])] + (code >> 8)
+            cell, is_stored = _look_in(tiles, int(octant), int(code))
+            ask_for(ahead, int(cell))
+            found[np.uint64(begin + n)] = min(cell, last)
+            empty[np.uint64(n_empty)] = begin + n
+            n_empty += not is_stored
+    return n_empty
+
+
+@inlined
+def _place_linear(
+    places: Float64s,
+    begin: int,
+    count: int,
+    depth: int,
+    near: Near,
+    steps: Float32s,
+    octants: Uint8s,
+    bits: Uint8s,
+) -> None:
+    """Find each point's tile and the codes of its cells there.
+
+    ``steps`` (3 · GROUP,) are from the lowest cell's centre, in cells.
+    """
+    cells = float(1 << depth)
+    one, two, three = np.int32(1), np.int32(2), np.int32(3)
+    for n in range(count):
+        first = np.uint64(3 * (begin + n))
+        x = places[first] * cells - 0.5
+        y = places[first + np.uint64(1)] * cells - 0.5
+        z = places[first + np.uint64(2)] * cells - 0.5
+        u, v, w = np.floor(x), np.floor(y), np.floor(z)
+        at = np.uint64(n)
+        steps[at] = x - u
+        steps[at + np.uint64(GROUP)] = y - v
+        steps[at + np.uint64(2 * GROUP)] = z - w
+        i, j, k = np.int32(u), np.int32(v), np.int32(w)
+        near.keys[at] = tile_key(np.int64(i >> three), np.int64(j >> three), np.int64(k >> three))
+        i, j, k = i & np.int32(7), j & np.int32(7), k & np.int32(7)
+        near.reached[at] = (i + one) >> three | (j + one) >> three << one | (k + one) >> three << two
+        for tap in range(8):
+            code = code_in_tile(
+                i + one if tap & 1 else i, j + one if tap & 2 else j, k + one if tap & 4 else k
+            )
+            octants[at + np.uint64(tap * GROUP)] = code >> np.int32(8)
+            bits[at + np.uint64(tap * GROUP)] = code & np.int32(63)
+
+
+@inlined
+def _slope_linear(steps: Float32s, n: int, depth: int, stored: int, slopes: Float32s, end: int) -> None:
+    """Write the slopes of a point's taps from index ``end`` on: those whose bit in ``stored`` is set."""
+    one, cells = np.float32(1.0), np.float32(1 << depth)
+    r, s, t = steps[n], steps[n + GROUP], steps[n + 2 * GROUP]
+    for tap in range(8):
+        if stored >> tap & 1 != 0:
+            a, b, c = r if tap & 1 else one - r, s if tap & 2 else one - s, t if tap & 4 else one - t
+            slopes[end, 0] = (cells if tap & 1 else -cells) * (b * c)
+            slopes[end, 1] = (cells if tap & 2 else -cells) * (a * c)
+            slopes[end, 2] = (cells if tap & 4 else -cells) * (a * b)
+            end += 1
+
+
+@fused_kernel
+def linear_taps(
+    tiles: Tiles,
+    places: Float64s,
+    which: Int64s,
+    is_off: bool,
+    last: int,
+    taps: Taps,
+    end: int,
+    empty: Int64s,
+    rim: Int64s,
+    ahead: Ahead,
+) -> tuple[int, int, int]:
+    """Find the taps of trilinear interpolation, from index ``end`` on. See `quadratic_taps`."""
+    near = new_near()
+    steps, octants, bits = (
+        np.zeros(3 * GROUP, np.float32),
+        np.zeros(8 * GROUP, np.uint8),
+        np.zeros(8 * GROUP, np.uint8),
+    )
+    flat = places.reshape(-1)
+    gradient, one = taps.slopes.shape[0] > 0, np.float32(1.0)
+    n_empty = n_rim = 0
+    # What is seldom wanted stands outside the loop over eight cells, which takes a fifth longer with it.
+    asks_more = ahead.alpha.shape[0] + ahead.flags.size + ahead.areas.size > 0
+    for begin in range(0, places.shape[0], GROUP):
+        count = min(GROUP, places.shape[0] - begin)
+        _place_linear(flat, begin, count, tiles.depth, near, steps, octants, bits)
+        find_tiles(tiles, near, count)
+        for n in range(count):
+            at = np.uint64(n)
+            slot, start, total, stored = near.slots[at], end, np.float32(0.0), 0
+            r, s, t = steps[at], steps[at + np.uint64(GROUP)], steps[at + np.uint64(2 * GROUP)]
+            for tap in range(8):
+                tap_at = at + np.uint64(tap * GROUP)
+                octant = np.int64(octants[tap_at])
+                octant = np.int64(near.octants[np.uint64(slot + (octant >> 3))]) + (octant & 7)
+                cell, is_stored = _look_in(tiles, int(octant), int(bits[tap_at]))
+                weight = (r if tap & 1 else one - r) * (
+                    (s if tap & 2 else one - s) * (t if tap & 4 else one - t)
+                )
+                if 0b01101001 >> tap & 1:  # the others mostly lie beside these
+                    prefetch(ahead.values, cell)
+                taps.rows[np.uint64(end)], taps.weights[np.uint64(end)] = min(cell, last), weight
+                total += weight * np.float32(is_stored)
+                stored |= int(is_stored) << tap
+                end += is_stored
+            for tap in range(start, end if asks_more else start, 2):
+                ask_for(ahead, int(taps.rows[np.uint64(tap)]))
+            if gradient:
+                _slope_linear(steps, n, tiles.depth, stored, taps.slopes, start)
+            point = int(which[np.uint64(begin + n)])
+            end, n_empty, n_rim = finish(taps, point, start, end, total, is_off, empty, n_empty, rim, n_rim)
+        for n in range(count if tiles.marks.size > 0 else 0):
+            at = np.uint64(which[np.uint64(begin + n)])
+            if taps.ends[at] > taps.starts[at] and is_marked(tiles, int(taps.rows[taps.starts[at]])):
+                taps.ends[at] = taps.starts[at]
+                rim[n_rim] = at
+                n_rim += 1
+    return end, n_empty, n_rim
 
 
 class Tables(NamedTuple):
@@ -29,7 +201,7 @@ class Tables(NamedTuple):
     places: Uint16s
 
 
-def _tables(reach: int) -> Tables:
+def _tabulate(reach: int) -> Tables:
     """Tabulate windows of (2 · reach + 1)³ cells in the children of (reach + 1)³ nodes."""
     side, nodes = 2 * reach + 1, reach + 1
     children = 8 * nodes**3
@@ -46,7 +218,7 @@ def _tables(reach: int) -> Tables:
     return Tables(masks.reshape(-1), places.reshape(-1))
 
 
-_QUADRATIC, _QUARTIC = _tables(1), _tables(2)
+_QUADRATIC, _QUARTIC = _tabulate(1), _tabulate(2)
 
 
 class Group(NamedTuple):
@@ -102,13 +274,6 @@ def _lowest(places: Float64s, point: int, cells: float) -> tuple[float, float, f
 
 
 @inlined
-def _quadratic(t: np.float32) -> tuple[np.float32, np.float32, np.float32]:
-    half, one = np.float32(0.5), np.float32(1.0)
-    low, high = half * (one - t) * (one - t), half * t * t
-    return low, one - low - high, high
-
-
-@inlined
 def _put_three(
     along: Float32s, at: np.uint64, factor: np.float32, p: np.float32, q: np.float32, r: np.float32
 ) -> None:
@@ -127,10 +292,10 @@ def _place_quadratic(places: Float64s, begin: int, count: int, depth: int, group
         x, y, z, u, v, w = _lowest(places, begin + n, cells)
         _find_place(group, n, np.int32(u) - one, np.int32(v) - one, np.int32(w) - one, 1)
         at = np.uint64(n)
-        p, q, r = _quadratic(np.float32(x - u))
+        p, q, r = single_quadratic_weights(np.float32(x - u))
         _put_three(along, at, np.float32(1.0), p, q, r)
-        a, b, c = _quadratic(np.float32(y - v))
-        p, q, r = _quadratic(np.float32(z - w))
+        a, b, c = single_quadratic_weights(np.float32(y - v))
+        p, q, r = single_quadratic_weights(np.float32(z - w))
         _put_three(along, at + np.uint64(3 * GROUP), a, p, q, r)
         _put_three(along, at + np.uint64(6 * GROUP), b, p, q, r)
         _put_three(along, at + np.uint64(9 * GROUP), c, p, q, r)
@@ -146,11 +311,11 @@ def _slope_quadratic(places: Float64s, begin: int, count: int, depth: int, group
         at = np.uint64(n)
         r, s, t = np.float32(x - u), np.float32(y - v), np.float32(z - w)
         _put_three(slopes, at, cells, r - one, one - two * r, r)
-        a, b, c = _quadratic(t)
+        a, b, c = single_quadratic_weights(t)
         _put_three(slopes, at + np.uint64(3 * GROUP), cells * (s - one), a, b, c)
         _put_three(slopes, at + np.uint64(6 * GROUP), cells * (one - two * s), a, b, c)
         _put_three(slopes, at + np.uint64(9 * GROUP), cells * s, a, b, c)
-        a, b, c = _quadratic(s)
+        a, b, c = single_quadratic_weights(s)
         p, q, r = cells * (t - one), cells * (one - two * t), cells * t
         _put_three(slopes, at + np.uint64(12 * GROUP), a, p, q, r)
         _put_three(slopes, at + np.uint64(15 * GROUP), b, p, q, r)
@@ -216,7 +381,7 @@ def _find_window(tiles: Tiles, group: Group, n: int, reach: int, ahead: Ahead) -
 
 
 @inlined
-def _is_marked(tiles: Tiles, group: Group) -> bool:
+def _is_window_marked(tiles: Tiles, group: Group) -> bool:
     """Say whether the first cell of the latest window, of 2×2×2 nodes, is marked."""
     mask = group.masks[0]
     return mask != np.uint64(0) and is_marked(tiles, int(group.firsts[trailing_zeros(mask) >> 3]))
@@ -295,7 +460,7 @@ def quadratic_taps(
         for n in range(count):
             _find_window(tiles, group, n, 1, ahead)
             start, total = end, np.float32(0.0)
-            if tiles.marks.size > 0 and _is_marked(tiles, group):
+            if tiles.marks.size > 0 and _is_window_marked(tiles, group):
                 end += 1  # others answer: that one weighs nothing
             else:
                 end, total = _take_word(group, n, 0, _QUADRATIC, 1, last, taps, end, total)
@@ -358,9 +523,9 @@ def nearest_around(
     for begin in range(0, places.shape[0], GROUP):
         count = min(GROUP, places.shape[0] - begin)
         for n in range(count):
-            a = cell_of(places[begin + n, 0], tiles.depth) - one
-            b = cell_of(places[begin + n, 1], tiles.depth) - one
-            c = cell_of(places[begin + n, 2], tiles.depth) - one
+            a = rounded_cell(places[begin + n, 0], tiles.depth) - one
+            b = rounded_cell(places[begin + n, 1], tiles.depth) - one
+            c = rounded_cell(places[begin + n, 2], tiles.depth) - one
             _find_place(group, n, a, b, c, 1)
         find_tiles(tiles, group.near, count)
         for n in range(count):
@@ -371,9 +536,9 @@ def nearest_around(
                 places[begin + n, 2] * UNITS,
             )
             low = (
-                np.int64(cell_of(places[begin + n, 0], tiles.depth)) - 1,
-                np.int64(cell_of(places[begin + n, 1], tiles.depth)) - 1,
-                np.int64(cell_of(places[begin + n, 2], tiles.depth)) - 1,
+                np.int64(rounded_cell(places[begin + n, 0], tiles.depth)) - 1,
+                np.int64(rounded_cell(places[begin + n, 1], tiles.depth)) - 1,
+                np.int64(rounded_cell(places[begin + n, 2], tiles.depth)) - 1,
             )
             parity = np.int64(group.parities[n])
             mask = group.masks[0]
@@ -404,3 +569,36 @@ def nearest_around(
             taps.starts[point], taps.ends[point], taps.covers[point] = end, end + 1, np.float32(0.0)
             end += 1
     return end, n_empty
+
+
+@kernel
+def nearest_taps(
+    tiles: Tiles,
+    places: Float64s,
+    which: Int64s,
+    is_off: bool,
+    last: int,
+    taps: Taps,
+    end: int,
+    empty: Int64s,
+    _rim: Int64s,
+    ahead: Ahead,
+) -> tuple[int, int, int]:
+    """Find the cells that hold points; see `quadratic_taps`. Off the surface, those nearest to them.
+
+    On the surface it takes all points there are, and begins at 0. None is listed in ``_rim``.
+    """
+    if is_off:
+        end, n_empty = nearest_around(tiles, places, which, last, taps, end, empty, ahead)
+        return end, n_empty, 0
+    n_empty = nearest_rows(tiles, places, last, taps.rows, empty, ahead)
+    for n in range(places.shape[0]):
+        taps.starts[n], taps.ends[n] = n, n + 1
+        taps.weights[n] = taps.covers[n] = np.float32(1.0)
+    for n in range(n_empty):
+        taps.ends[empty[n]] = taps.starts[empty[n]]
+    return places.shape[0], n_empty, 0
+
+
+#: What finds the taps of points of texture space by tiles, by filter.
+SOURCES = nearest_taps, linear_taps, quadratic_taps, quartic_taps

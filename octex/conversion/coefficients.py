@@ -3,7 +3,7 @@
 A window's coefficients (`windows`) are those of its leaves, and below leaves what the window above refines
 to; they are written once for all points in it. A value is their sum under the spline's weights. Looked up
 with a normal, coefficients are those of the rows that face it, and what faces away weighs next to nothing:
-see `stages`.
+see `field.taps`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Uint32s, Uint64s
 from octex.field.splines import QUADRATIC, quadratic_weights
-from octex.field.stages import View, face_cell
+from octex.field.taps import View, face_cell
 from octex.field.windows import BEGIN, CONTENT, INSIDE, UPPER, Walk, cell_at, follow, place_of
 from octex.jit import inlined, kernel, popcount, spline_rows, trailing_zeros
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT, TreeArrays

@@ -1,0 +1,382 @@
+"""The field at the texels of a map, by blocks: the cells around texels of a triangle are read once for all.
+
+A triangle is flat: its texels have one normal, and looks of one pattern (`octex.field.footprints`). So what a
+cell weighs for the normal, by its area and by alpha is multiplied into its values, once, and each look is a
+sum of 27 of these at most. The texels of a block lie close together, and so does each half of them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint32s
+from octex.baking.texels import Shown
+from octex.field.field import Field
+from octex.field.footprints import long_footprints, spread
+from octex.field.lookups import ChannelRows
+from octex.field.sinks import Codes
+from octex.field.splines import QUADRATIC
+from octex.field.stages import AREA_WEIGHTS, Facings, direction_of, face_cell, parts_of, view_of
+from octex.field.tiles import Tiles, tile_row
+from octex.jit import decoded, inlined, kernel, popcount, spline_box, trailing_zeros
+from octex.texture import OctreeTexture
+from octex.texture.blend import stored
+from octex.texture.lens import ANISOTROPY
+from octex.tree.layout import FACING_FLAGS, SPLIT
+from octex.tree.placement import Placement
+
+#: Most cells of a block, stored or not; and how many that are stored are decoded at once, with alpha and
+#: weights 16 bytes each for four channels' components.
+_VOLUME, _ROOM = 4096, 1 << 15
+#: Most blocks that are decoded at once.
+_BLOCKS = 1 << 13
+#: A cell may be so many rows: a facing of each axis.
+_ROWS = 3
+_NO_AREAS = np.empty(0, np.uint8)
+
+
+class Looks(NamedTuple):
+    """The looks of texels at one level, by the triangle that they lie on."""
+
+    starts: Int32s  # (m + 1,)   a triangle's are those from its start to the next one's
+    offsets: Float64s  # (looks, 3)   from the texel's point, in texture space
+    shares: Float32s  # (looks,)
+
+
+class _Level(NamedTuple):
+    """What is read of the averages of a level."""
+
+    tiles: Tiles
+    facings: Facings
+    areas: Uint8s  # (cells,) or (0,) for the leaves
+    looks: Looks
+
+
+class _Listed(NamedTuple):
+    """Cells of blocks, and which rows of values they are made of."""
+
+    #: (blocks, 9)   first and end of its texels, the lowest cell along x, y and z, cells along x and y, the
+    #: first of its stored cells, and how many it has, stored or not
+    blocks: Int64s
+    places: Int32s  # (cells,)   in the block, x fastest
+    totals: Float32s  # (cells,)   weights
+    cells: Int32s  # (rows,)   which cell each row belongs to
+    rows: Uint32s  # (rows,)   rows of the split table come after those of cells
+    weights: Float32s  # (rows,)
+
+
+class Blocks(NamedTuple):
+    """A texture made ready for lookups at the texels of a surface's triangles."""
+
+    placement: Placement
+    normals: Float32s  # (m, 3)   of the triangles
+    levels: list[_Level]
+    alpha: Codes | None
+    codes: list[Codes]  # of the channels
+    lanes: list[int]  # where their components begin among those of all channels
+    is_alpha: list[bool]
+    n_lanes: int
+
+    @classmethod
+    def of(
+        cls, texture: OctreeTexture, names: list[str], normals: Float64s, dPdx: Float64s, dPdy: Float64s
+    ) -> Blocks | None:
+        """Prepare channels for the triangles of a surface (m,), whose texels span dPdx and dPdy (m, 3).
+
+        None for trees of leaves of several depths, and for channels that are stored decoded.
+        """
+        field = texture._field
+        rows = {name: stored(texture.channels[name]) for name in {*names, *({"alpha"} & {*texture.channels})}}
+        if field.tiles is None or any(each.space is not None for each in rows.values()):
+            return None
+        alpha = rows["alpha"].codes if "alpha" in rows and rows["alpha"].is_alpha else None
+        shape = long_footprints(dPdx, dPdy, 0.0, ANISOTROPY, 0.0)
+        origin, size = texture.placement
+        levels = []
+        parts: dict[int, list[tuple[Int64s, Float64s, Float32s]]] = {}
+        for run, by_level in spread(np.zeros_like(dPdx), shape, size, texture.tree.max_depth, QUADRATIC):
+            for level, looks in by_level.items():
+                owners = looks.owners.astype(np.int64) + run.start
+                parts.setdefault(level, []).append((owners, looks.points / size, looks.shares))
+        for level, found in sorted(parts.items()):
+            owners, offsets, shares = (np.concatenate(each) for each in zip(*found, strict=True))
+            starts = np.searchsorted(owners, np.arange(len(dPdx) + 1)).astype(np.int32)
+            here = field.level(level)
+            areas = _NO_AREAS if here is field else field.areas_of_averages(level)[: here.tree.n_cells]
+            assert here.tiles is not None  # as the whole tree has them
+            levels.append(_Level(here.tiles, here.facings, areas, Looks(starts, offsets, shares)))
+        components = [texture.channels[name].format.components for name in names]
+        firsts = np.cumsum([0, *components]).tolist()
+        return cls(
+            texture.placement, normals.astype(np.float32), levels, alpha, [rows[name].codes for name in names],
+            firsts[:-1], [rows[name].is_alpha for name in names], firsts[-1],
+        )  # fmt: skip
+
+    def look_up(self, shown: Shown, values: Float32s) -> Int64s:
+        """Write the channels' components side by side to ``values`` (places, n_lanes), where texels are.
+
+        Returns which texels have none: what is around them is not stored, or has no alpha, or is too far.
+        """
+        n = shown.places.size
+        weighs = int(self.alpha is not None)
+        planes = -(-(1 + weighs + self.n_lanes) // 4)
+        sums, failed = np.zeros((n, planes, 4), np.float32), np.zeros(n, np.bool_)
+        coefficients = np.empty((planes * _ROOM, 4), np.float32)
+        room = _Listed(
+            np.empty((_BLOCKS, 9), np.int64), np.empty(_ROOM, np.int32), np.empty(_ROOM, np.float32),
+            np.empty(_ROWS * _ROOM, np.int32), np.empty(_ROWS * _ROOM, np.uint32),
+            np.empty(_ROWS * _ROOM, np.float32),
+        )  # fmt: skip
+        for level in self.levels:
+            group = texel = 0
+            while group < shown.triangles.size:
+                group, texel, n_blocks, n_cells, n_rows = _list(
+                    *level, shown, self.normals, *self.placement, group, texel, room, failed
+                )
+                used = coefficients[: planes * n_cells]
+                used[:] = 0.0
+                used[::planes, 0] = room.totals[:n_cells]
+                cells, rows, weights = (each[:n_rows] for each in room[3:])
+                covered = weights
+                if self.alpha is not None:
+                    covered = np.empty_like(weights)
+                    _weigh(rows, weights, self.alpha, covered)
+                    _decode_ones(cells, covered, planes, used)
+                for codes, lane, is_alpha in zip(self.codes, self.lanes, self.is_alpha, strict=True):
+                    shares = weights if is_alpha else covered
+                    _decode(cells, rows, shares, codes, 1 + weighs + lane, planes, used)
+                place = level.tiles.depth, level.looks, shown, *self.placement
+                _evaluate(*place, room, n_blocks, n_cells, used, sums)
+        divisors = np.zeros(self.n_lanes, np.int32)
+        for codes, lane, is_alpha in zip(self.codes, self.lanes, self.is_alpha, strict=True):
+            divisors[lane : lane + codes.components] = weighs and not is_alpha
+        missed = np.empty(n, np.int64)
+        return missed[: _divide(sums, divisors, 1 + weighs, failed, shown.places, values, missed)]
+
+
+@inlined
+def _reach(
+    shown: Shown, looks: Looks, triangle: int, begin: int, end: int, axis: int, scale: float, low: float
+) -> tuple[float, float]:
+    """Return the least and the largest coordinate, in texture space, of the looks of some texels."""
+    least, most = np.inf, -np.inf
+    for n in range(begin, end):
+        at = (shown.rest[n, axis] - low) * scale
+        least, most = min(least, at), max(most, at)
+    before, after = np.inf, -np.inf
+    for look in range(looks.starts[triangle], looks.starts[triangle + 1]):
+        offset = looks.offsets[look, axis]
+        before, after = min(before, offset), max(after, offset)
+    return min(max(least + before, 0.0), 1.0), min(max(most + after, 0.0), 1.0)
+
+
+@inlined
+def _cell_of(x: float, cells: float) -> int:
+    return int(min(np.floor(x * cells), cells - 1.0))
+
+
+@kernel
+def _list(
+    tiles: Tiles, facings: Facings, areas: Uint8s, looks: Looks, shown: Shown, normals: Float32s,
+    origin: tuple[float, float, float], size: float, group: int, texel: int, room: _Listed, failed: Bools,
+) -> tuple[int, int, int, int, int]:  # fmt: skip
+    """List the cells around texels, from one of a group on, as many as there is room for.
+
+    Returns the group and the texel to go on from, and how many blocks, cells and rows are listed.
+    """
+    cells, scale = float(1 << tiles.depth), 1.0 / size
+    n_blocks = n_cells = n_rows = 0
+    first_row, one, none = facings.flags.size, np.uint64(1), np.float32(0.0)
+    parts = np.zeros(9, np.float32)
+    while group < shown.triangles.size:
+        triangle, last = int(shown.triangles[group]), int(shown.starts[group + 1])
+        if texel < shown.starts[group]:
+            texel = int(shown.starts[group])
+        if texel >= last or looks.starts[triangle] == looks.starts[triangle + 1]:
+            group += 1
+            continue
+        view = view_of(normals, triangle)
+        parts_of(parts, *view[:3])
+        while texel < last:
+            if n_blocks >= room.blocks.shape[0] or n_cells + _VOLUME > room.places.size:
+                return group, texel, n_blocks, n_cells, n_rows
+            end, i, j, k, ni, nj, nk = last, 0, 0, 0, 0, 0, 0
+            while True:
+                least, most = _reach(shown, looks, triangle, texel, end, 0, scale, origin[0])
+                i, ni = _cell_of(least, cells) - 1, _cell_of(most, cells) - _cell_of(least, cells) + 3
+                least, most = _reach(shown, looks, triangle, texel, end, 1, scale, origin[1])
+                j, nj = _cell_of(least, cells) - 1, _cell_of(most, cells) - _cell_of(least, cells) + 3
+                least, most = _reach(shown, looks, triangle, texel, end, 2, scale, origin[2])
+                k, nk = _cell_of(least, cells) - 1, _cell_of(most, cells) - _cell_of(least, cells) + 3
+                if ni * nj * nk <= _VOLUME or end == texel + 1:
+                    break
+                end = texel + (end - texel + 1 >> 1)
+            if ni * nj * nk > _VOLUME:
+                failed[texel] = True
+                texel = end
+                continue
+            block = room.blocks[n_blocks]
+            block[0], block[1], block[2], block[3], block[4] = texel, end, i, j, k
+            block[5], block[6], block[7], block[8] = ni, nj, n_cells, ni * nj * nk
+            n_blocks += 1
+            texel = end
+            for c in range(k >> 2, (k + nk - 1 >> 2) + 1):
+                for b in range(j >> 2, (j + nj - 1 >> 2) + 1):
+                    for a in range(i >> 2, (i + ni - 1 >> 2) + 1):
+                        row = tile_row(tiles, a >> 1, b >> 1, c >> 1)
+                        octant = np.uint64(8 * row + (a & 1 | (b & 1) << 1 | (c & 1) << 2))
+                        left, cell = tiles.masks[octant], int(np.int64(tiles.firsts[octant])) - 1
+                        while left != 0:
+                            bit = trailing_zeros(left)
+                            left &= left - one
+                            cell += 1
+                            x = 4 * a - i + (bit & 1 | bit >> 2 & 2)
+                            y = 4 * b - j + (bit >> 1 & 1 | bit >> 3 & 2)
+                            z = 4 * c - k + (bit >> 2 & 1 | bit >> 4 & 2)
+                            if x < 0 or y < 0 or z < 0 or x >= ni or y >= nj or z >= nk:
+                                continue
+                            at = np.uint64(min(cell, first_row - 1))
+                            flags = facings.flags[at]
+                            weight, p, q, r = parts[np.uint64(direction_of(view[3], flags))], none, none, none
+                            if flags >= np.uint8(SPLIT):
+                                weight, p, q, r = face_cell(flags, view)
+                            if areas.size > 0:
+                                weight *= AREA_WEIGHTS[np.uint64(areas[at])]
+                            room.places[n_cells] = x + ni * (y + nj * z)
+                            room.totals[n_cells] = weight
+                            if facings.rows.size == 0 or p + q + r <= np.float32(0.0):
+                                room.cells[n_rows], room.rows[n_rows] = n_cells, at
+                                room.weights[n_rows] = weight
+                                n_rows += 1
+                            else:
+                                own, known = int(facings.rows[at]), np.uint64(flags & np.uint8(FACING_FLAGS))
+                                for axis in range(3):
+                                    share = p if axis == 0 else q if axis == 1 else r
+                                    if share > np.float32(0.0):
+                                        side = 2 * axis + (view[3] >> axis & 1)
+                                        below = (one << np.uint64(side)) - one
+                                        room.cells[n_rows] = n_cells
+                                        room.rows[n_rows] = first_row + own + popcount(known & below)
+                                        room.weights[n_rows] = share * weight
+                                        n_rows += 1
+                            n_cells += 1
+        group += 1
+    return group, texel, n_blocks, n_cells, n_rows
+
+
+@inlined
+def _value(codes: Codes, row: int, component: int) -> np.float32:
+    """Return a decoded component of a row."""
+    n_cells = codes.values.shape[0]
+    if row < n_cells:
+        return np.float32(decoded(codes.table, codes.values[np.uint64(row), np.uint64(component)]))
+    row = min(row - n_cells, codes.split_values.shape[0] - 1)
+    return np.float32(decoded(codes.table, codes.split_values[np.uint64(row), np.uint64(component)]))
+
+
+@kernel
+def _weigh(rows: Uint32s, weights: Float32s, alpha: Codes, covered: Float32s) -> None:
+    """Multiply weights by alpha."""
+    for n in range(rows.size):
+        covered[n] = weights[n] * _value(alpha, int(rows[n]), 0)
+
+
+@kernel
+def _decode_ones(cells: Int32s, weights: Float32s, planes: int, coefficients: Float32s) -> None:
+    """Add weights to the second lane of cells."""
+    for n in range(cells.size):
+        coefficients[np.uint64(planes * cells[n]), 1] += weights[n]
+
+
+@kernel
+def _decode(
+    cells: Int32s, rows: Uint32s, weights: Float32s, codes: Codes, lane: int, planes: int,
+    coefficients: Float32s,
+) -> None:  # fmt: skip
+    """Add the values of rows, times their weights, to the lanes of cells (planes · cells, 4) from one on."""
+    for n in range(cells.size):
+        for component in range(codes.values.shape[1]):
+            at = lane + component
+            value = _value(codes, int(rows[n]), component)
+            coefficients[np.uint64(planes * cells[n] + (at >> 2)), np.uint64(at & 3)] += weights[n] * value
+
+
+@inlined
+def _weights_of(x: float, cells: float) -> tuple[int, tuple[np.float32, np.float32, np.float32]]:
+    """Return the lowest of the three cells around a coordinate, and their weights."""
+    x = min(max(x, 0.0), 1.0) * cells
+    cell = min(np.floor(x), cells - 1.0)
+    half, one = np.float32(0.5), np.float32(1.0)
+    t = np.float32(x - cell)
+    low, high = half * (one - t) * (one - t), half * t * t
+    return int(cell) - 1, (low, one - low - high, high)
+
+
+@kernel
+def _evaluate(
+    depth: int, looks: Looks, shown: Shown, origin: tuple[float, float, float], size: float, listed: _Listed,
+    n_blocks: int, n_cells: int, coefficients: Float32s, sums: Float32s,
+) -> None:  # fmt: skip
+    """Add what the looks of the texels of blocks show to ``sums`` (texels, planes, 4), times their shares."""
+    cells, scale = float(1 << depth), 1.0 / size
+    planes = np.int64(sums.shape[1])
+    dense = np.empty((planes * _VOLUME, 4), np.float32)
+    group = 0
+    for block in range(n_blocks):
+        begin, end, i, j, k, ni, nj, first, volume = listed.blocks[block]
+        while shown.starts[group + 1] <= begin:
+            group += 1
+        triangle = np.int64(shown.triangles[group])
+        dense[: planes * volume] = np.float32(0.0)
+        for cell in range(first, listed.blocks[block + 1, 7] if block + 1 < n_blocks else n_cells):
+            for plane in range(planes):
+                to, of = np.uint64(planes * listed.places[cell] + plane), np.uint64(planes * cell + plane)
+                for lane in range(4):
+                    dense[to, lane] = coefficients[of, lane]
+        steps = planes, planes * ni, planes * ni * nj
+        last = planes * (volume - 1) - 2 * (steps[0] + steps[1] + steps[2])
+        for texel in range(begin, end):
+            x = (shown.rest[texel, 0] - origin[0]) * scale
+            y = (shown.rest[texel, 1] - origin[1]) * scale
+            z = (shown.rest[texel, 2] - origin[2]) * scale
+            for look in range(looks.starts[triangle], looks.starts[triangle + 1]):
+                u, of_x = _weights_of(x + looks.offsets[look, 0], cells)
+                v, of_y = _weights_of(y + looks.offsets[look, 1], cells)
+                w, of_z = _weights_of(z + looks.offsets[look, 2], cells)
+                at = steps[0] * (u - i) + steps[1] * (v - j) + steps[2] * (w - k)
+                at = min(max(at, 0), last)
+                share = looks.shares[look]
+                for plane in range(planes):
+                    p, q, r, s = spline_box(dense, at + plane, steps, of_x, of_y, of_z)
+                    sums[texel, plane, 0] += share * p
+                    sums[texel, plane, 1] += share * q
+                    sums[texel, plane, 2] += share * r
+                    sums[texel, plane, 3] += share * s
+
+
+@kernel
+def _divide(
+    sums: Float32s, divisors: Int32s, first: int, failed: Bools, places: Int32s, values: Float32s,
+    missed: Int64s,
+) -> int:  # fmt: skip
+    """Write sums, from lane ``first`` on, divided by those of one of the first lanes; list what has none."""
+    count = 0
+    for n in range(places.size):
+        least = sums[n, 0, first - 1]
+        if failed[n] or not least > np.float32(_LEAST):
+            missed[count] = n
+            count += 1
+            continue
+        of_all, of_covered = np.float32(1.0) / sums[n, 0, 0], np.float32(1.0) / least
+        at = np.uint64(places[n])
+        for lane in range(divisors.size):
+            plane, four = np.uint64(first + lane >> 2), np.uint64(first + lane & 3)
+            inverse = of_covered if divisors[lane] else of_all
+            values[at, lane] = sums[n, plane, four] * inverse
+    return count
+
+
+#: Weights that sum to less have lost their digits.
+_LEAST = 1e-20

@@ -1,0 +1,145 @@
+"""octex view: a texture in the browser; and what octree-convert writes as a page."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+import webbrowser
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import octex
+from octex.cli.arguments import port_number, whole_number
+from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
+from octex.cli.models import TEXTURE_ENDING, kind_of, open_sound
+from octex.cli.parser import RUNNING, Command, Parser, option, words_given
+from octex.errors import ArgumentError, ExitCode
+
+if TYPE_CHECKING:
+    from octex.source.surface import Surface
+    from octex.texture import OctreeTexture
+
+PAGE_ENDING = ".html"
+_DEFAULT_DEPTH = 9
+
+VIEW = Command(
+    "Show a texture on its model in the browser, until the page is closed or Ctrl-C.",
+    [option("TEXTURE", "an .octex file, or a model, which is converted first", type=Path)],
+    [
+        option(
+            "--mesh",
+            "the model that it is a texture of; without it, the cells are shown",
+            metavar="MODEL",
+            type=Path,
+        ),
+        option("--rest", "the undeformed model, of the same topology", metavar="MODEL", type=Path),
+        option(
+            "--depth",
+            f"levels below the root, if a model is converted (default {_DEFAULT_DEPTH})",
+            metavar="N",
+            type=whole_number,
+        ),
+        option("--port", "the server's port on 127.0.0.1 (default: any)", metavar="N", type=port_number),
+        option("--no-browser", "print where the page is, and open nothing", action="store_true"),
+        *(each for each in RUNNING if each.word in ("--threads", "--quiet")),
+    ],
+    ["droid.octex --mesh droid.glb", "droid.glb --depth 10"],
+)
+
+
+def main(arguments: Sequence[str] | None, program: str) -> int:
+    """Run octex view, and return its exit code (octex.errors.ExitCode)."""
+    return run(program, lambda: _view(Parser(program, VIEW).parsed(arguments), program))
+
+
+def _view(options: argparse.Namespace, program: str) -> int:
+    is_texture = options.TEXTURE.suffix.lower() == TEXTURE_ENDING
+    if is_texture and options.depth is not None:
+        raise ArgumentError(f"{options.TEXTURE}: --depth is for models; the level is chosen in the page")
+    if not is_texture and options.mesh is not None:
+        raise ArgumentError(f"{options.TEXTURE}: is no {TEXTURE_ENDING} file, so --mesh has no meaning")
+    if not is_texture and kind_of(options.TEXTURE) != "model":
+        raise ArgumentError(f"{options.TEXTURE}: has no surface; octex convert makes a texture of it")
+    with limited(options.threads), Reporter(program, options.quiet) as progress:
+        surface = None
+        if is_texture:
+            if options.mesh is not None or options.rest is not None:
+                with progress.stage("read"):
+                    surface = _surface_of(options, options.mesh)
+
+            def read() -> OctreeTexture:
+                return open_sound(options.TEXTURE)
+        else:
+            with progress.stage("read"):
+                surface = octex.load_surface(options.TEXTURE, options.rest)
+            depth = _DEFAULT_DEPTH if options.depth is None else options.depth
+            texture = octex.convert(surface, depth=depth, progress=progress)
+
+            def read() -> OctreeTexture:
+                return texture
+
+        from octex.viewer import Viewer
+
+        viewer = Viewer(read, options.TEXTURE, surface, port=options.port or 0, log=progress.note)
+    say(viewer.url)
+    if not options.no_browser:
+        webbrowser.open(viewer.url)
+    with suppress(KeyboardInterrupt):
+        viewer.run()
+    return ExitCode.DONE
+
+
+def _surface_of(options: argparse.Namespace, model: Path | None) -> Surface:
+    if model is None:
+        raise ArgumentError("--rest has no meaning without --mesh")
+    return octex.load_surface(model, options.rest, normals=True)
+
+
+def write_mesh_page(options: argparse.Namespace, program: str) -> int:
+    """Write the page of a texture on its model, as octree-convert --mesh asks for it."""
+    began = time.perf_counter()
+    if options.INPUT.suffix.lower() != TEXTURE_ENDING:
+        raise ArgumentError(f"{options.INPUT}: is no {TEXTURE_ENDING} file; leave --mesh out for a model")
+    if options.channels is not None:
+        raise ArgumentError(f"--channels has no meaning for {options.OUTPUT}: edit the texture first")
+    inputs = [each for each in (options.INPUT, options.mesh, options.rest) if each is not None]
+    check_outputs([(options.OUTPUT, (PAGE_ENDING,), "OUTPUT")], inputs, force=options.force)
+    with limited(options.threads), Reporter(program, options.quiet) as progress:
+        with progress.stage("read"):
+            texture, surface = open_sound(options.INPUT), _surface_of(options, options.mesh)
+        notes = write_page(texture, surface, options, progress)
+    made = {
+        "output": str(options.OUTPUT),
+        "bytes": options.OUTPUT.stat().st_size,
+        "notes": notes,
+        "seconds": round(time.perf_counter() - began, 3),
+    }
+    if options.json:
+        say(json.dumps(made))
+    elif not options.quiet:
+        say(f"{options.OUTPUT}: {bytes_text(options.OUTPUT.stat().st_size)}, {made['seconds']:.1f} s")
+        for note in notes:
+            say(note)
+    return ExitCode.DONE
+
+
+def write_page(
+    texture: OctreeTexture, surface: Surface | None, options: argparse.Namespace, progress: Reporter
+) -> list[str]:
+    """Write OUTPUT as a page; return what it shows otherwise than the texture has it."""
+    from octex.viewer import write_page
+
+    title = options.INPUT.name
+    return write_page(
+        texture, options.OUTPUT, surface, title=title, max_size=options.max_size, progress=progress
+    )
+
+
+def check_page_options(options: argparse.Namespace) -> None:
+    """Refuse what is for pages alone where none is written."""
+    is_page = options.OUTPUT is not None and options.OUTPUT.suffix.lower() == PAGE_ENDING
+    if not is_page and "--max-size" in words_given(options):
+        raise ArgumentError(f"--max-size is for pages, NAME{PAGE_ENDING}")

@@ -1,0 +1,144 @@
+"""What a .ptx file holds (Ptex 1, ptex.us/PtexFile.html): little-endian, packed; "z" is a zlib stream.
+
+    Header          64 bytes
+    ExtHeader       as many bytes as the header says, 40 today
+    faces           z of FaceInfo, 20 bytes a face
+    constants       z of one pixel a face: its average
+    levels' sizes   16 bytes a level
+    levels          each z of a block's bytes and encoding, 4 bytes a face; then the blocks, back to back
+    metadata        z of entries; then 8 bytes of zero
+    large metadata  z of entries without their values, then a z for each value
+    edits           faces and metadata that replace what stands above
+
+A pixel has one number a channel. A block has a face's texels, channel after channel, each in rows from v = 0
+up: one pixel alone (CONSTANT), z of them (ZIPPED), z of their differences from the one before, from 0 on and
+modulo 2^bits (DIFFERENCED), or a grid of tiles, each a block by itself (TILED).
+
+Level 0 has all faces in order; those that are constant have no block. Level i has faces of half the texels
+along u and along v, i times over, multiplied by alpha: those whose lesser side has more than 2^(i + 1)
+texels, sorted by that side, the longest first, equal ones in order.
+
+Faces are quads with u from corner 0 to 1 and v from corner 0 to 3, or triangles with u from corner 0 to 1 and
+v from 0 to 2. Edge i goes from corner i to the next. A polygon that is no quad, among quads, is a subface for
+each of its corners: with the corner at (0, 0), the middle of the edge that follows it at (1, 0), that of the
+polygon at (1, 1). A quad beside such an edge has as neighbour the subface that comes first along its edge.
+
+A triangle of 2^n by 2^n texels is cut into cells of that grid, each with one texel that stands upright and,
+but for those on the slanted edge, one on its tip. The upright texel of cell (column i, row j) is stored
+there; the other at column 2^n − 1 − j of row 2^n − 1 − i.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from octex.arrays import Bools, Int8s, Int32s, Int64s, Uint8s
+
+MAGIC = b"Ptex"
+VERSION, MINOR_VERSION = 1, 4
+
+TRIANGLE, QUAD = 0, 1
+MESH_TYPES = ("triangle", "quad")
+DTYPES = ("uint8", "uint16", "float16", "float32")
+BORDER_MODES = ("clamp", "black", "periodic")
+EDGE_FILTERS = ("none", "tangent")
+
+IS_CONSTANT, HAS_EDITS, IS_SUBFACE = 1, 2, 8
+CONSTANT, ZIPPED, DIFFERENCED, TILED = range(4)
+BLOCK_BITS = 30  # of the size of a block; its encoding is in the two above
+EDIT_FACE, EDIT_METADATA = 0, 1
+
+#: Types of metadata, by their numbers; text is the first.
+METADATA_TYPES = ("S", "<i1", "<i2", "<i4", "<f4", "<f8")
+#: Values of more bytes are large metadata.
+MOST_SMALL_METADATA = 1024
+#: What a tile has of a face's bytes, at least.
+TILE_BYTES = 65536
+BARRIER = 8
+#: Longest side of a face, as a power of two.
+LONGEST_LOG2 = 20
+
+HEADER = np.dtype(
+    [
+        ("magic", "S4"), ("version", "<u4"), ("mesh_type", "<u4"), ("data_type", "<u4"),
+        ("alpha_channel", "<i4"), ("channels", "<u2"), ("levels", "<u2"), ("faces", "<u4"),
+        ("extended_header", "<u4"), ("face_info", "<u4"), ("constants", "<u4"), ("level_info", "<u4"),
+        ("minor_version", "<u4"), ("level_data", "<u8"), ("metadata_zipped", "<u4"), ("metadata", "<u4"),
+    ]
+)  # fmt: skip
+EXTENDED_HEADER = np.dtype(
+    [
+        ("u_border", "<u2"), ("padding", "<u2"), ("v_border", "<u2"), ("edge_filter", "<u2"),
+        ("large_zipped", "<u4"), ("large", "<u4"), ("large_data", "<u8"),
+        ("edits", "<u8"), ("edits_at", "<u8"),
+    ]
+)  # fmt: skip
+FACE_INFO = np.dtype(
+    [
+        ("u_log2", "i1"), ("v_log2", "i1"), ("edges", "u1"), ("flags", "u1"), ("neighbors", "<i4", (4,)),
+    ]
+)  # fmt: skip
+LEVEL_INFO = np.dtype([("bytes", "<u8"), ("header", "<u4"), ("faces", "<u4")])
+assert (HEADER.itemsize, EXTENDED_HEADER.itemsize, FACE_INFO.itemsize, LEVEL_INFO.itemsize) == (
+    64,
+    40,
+    20,
+    16,
+)
+
+
+class Faces(NamedTuple):
+    """The faces of a .ptx file."""
+
+    log2: Int8s  # (n, 2)        texels along u and v, as powers of two
+    neighbors: Int32s  # (n, 4)   the face across each edge, −1 for none; a triangle's fourth is −1
+    edges: Uint8s  # (n, 4)       which edge that is there
+    subfaces: Bools  # (n,)       parts of polygons that are no quads
+
+    @property
+    def counts(self) -> Int64s:
+        """How many texels each face has (n,)."""
+        counts: Int64s = np.int64(1) << self.log2.sum(axis=1, dtype=np.int64)
+        return counts
+
+
+def packed_faces(faces: Faces, is_constant: Bools) -> np.ndarray:
+    """Return faces as a file has them."""
+    made = np.zeros(len(faces.log2), FACE_INFO)
+    made["u_log2"], made["v_log2"] = faces.log2.T
+    made["neighbors"] = faces.neighbors
+    made["edges"] = (faces.edges.astype(np.uint8) << np.arange(0, 8, 2, dtype=np.uint8)).sum(
+        axis=1, dtype=np.uint8
+    )
+    made["flags"] = IS_CONSTANT * is_constant + IS_SUBFACE * faces.subfaces
+    return made
+
+
+def unpacked_faces(info: np.ndarray) -> Faces:
+    """Return faces (n,) of a file."""
+    return Faces(
+        np.stack([info["u_log2"], info["v_log2"]], axis=1),
+        info["neighbors"].astype(np.int32),
+        info["edges"][:, None] >> np.arange(0, 8, 2, dtype=np.uint8) & np.uint8(3),
+        info["flags"] & IS_SUBFACE != 0,
+    )
+
+
+def reduced_order(log2: Int8s, is_constant: Bools) -> tuple[Int64s, Int64s]:
+    """Return the order of faces in the levels above 0 (n,), and how many each level has, level 0 first."""
+    key = np.where(is_constant, 1, log2.min(axis=1))
+    order = np.argsort(-key, kind="stable")
+    deepest = int(key.max(initial=2))
+    return order, np.array(
+        [len(key), *((key > level + 1).sum() for level in range(1, deepest - 1))], np.int64
+    )
+
+
+def tile_log2(u_log2: int, v_log2: int, pixel: int) -> tuple[int, int]:
+    """Return the sides of a face's tiles, as powers of two; ``pixel`` bytes are a texel."""
+    tiles = max(((pixel << u_log2 + v_log2) // TILE_BYTES).bit_length() - 1, 0)
+    left = u_log2 + v_log2 - tiles
+    u = min((left + 1) // 2, u_log2)
+    return u, min(left - u, v_log2)

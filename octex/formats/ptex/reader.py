@@ -1,0 +1,453 @@
+"""Reading .ptx files: what is asked for is read and decoded, and no more."""
+
+from __future__ import annotations
+
+import os
+import threading
+import zlib
+from functools import cached_property
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from octex.arrays import Array, Bools, Int8s, Int64s, Uint32s
+from octex.checks import as_path, as_whole, locked
+from octex.errors import ModelError
+from octex.files import open_file
+from octex.formats.ptex.layout import (
+    BARRIER,
+    BLOCK_BITS,
+    BORDER_MODES,
+    CONSTANT,
+    DIFFERENCED,
+    DTYPES,
+    EDGE_FILTERS,
+    EDIT_FACE,
+    EDIT_METADATA,
+    EXTENDED_HEADER,
+    FACE_INFO,
+    HAS_EDITS,
+    HEADER,
+    IS_CONSTANT,
+    LEVEL_INFO,
+    LONGEST_LOG2,
+    MAGIC,
+    MESH_TYPES,
+    METADATA_TYPES,
+    QUAD,
+    TILED,
+    TRIANGLE,
+    VERSION,
+    Faces,
+    reduced_order,
+    unpacked_faces,
+)
+from octex.formats.ptex.reduction import halved, premultiplied
+
+#: A byte of a zlib stream stands for so many at most.
+_MOST_PER_BYTE = 1032
+_ROOM = 64
+
+Metadata = dict[str, "str | Array"]
+
+
+class PtexFile:
+    """An open .ptx file.
+
+    mesh_type      "quad" or "triangle"
+    dtype          of the texels: uint8, uint16, float16 or float32
+    n_channels     numbers a texel
+    alpha_channel  which of them is alpha; None if none is
+    n_faces        faces
+    n_levels       levels that are stored: the texels, and reductions of them
+    faces          their resolutions and neighbours
+    is_constant    (n_faces,) whether a face is one colour
+    border_modes   beyond the mesh's borders along u and v: "clamp", "black" or "periodic"
+    edge_filter    "none"; "tangent": values are vectors in the face's tangent space
+
+    What is opened is the headers; texels are read when they are asked for. Edits that were appended count.
+    Raises ModelError, which names the file, for what cannot be read and what is damaged, whenever that is
+    found.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = as_path(path)
+        self._lock = threading.Lock()
+        try:
+            self._file = open_file(self.path)
+        except OSError as error:
+            raise ModelError(f"{self.path} cannot be read: {error.strerror or error}") from None
+        try:
+            self._open()
+        except BaseException:
+            self._file.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        kind = f"{self.n_channels} × {self.dtype.name}"
+        return f"<PtexFile {self.path.name!r} of {self.n_faces:,} {self.mesh_type} faces, {kind}>"
+
+    @property
+    def most_bytes(self) -> int:
+        """How many bytes of texels a file of this size can hold."""
+        return self._size * _MOST_PER_BYTE
+
+    def close(self) -> None:
+        """Close the file; what was read stays."""
+        self._file.close()
+
+    def _open(self) -> None:
+        self._size = self._file.seek(0, os.SEEK_END)
+        header = self._record(HEADER, 0)
+        if header["magic"] != MAGIC:
+            raise self._refusal("it does not begin as Ptex files do", "is no .ptx file")
+        if header["version"] != VERSION:
+            raise ModelError(
+                f"{self.path.name} is of Ptex version {header['version']}; octex reads {VERSION}"
+            )
+        if header["mesh_type"] >= len(MESH_TYPES) or header["data_type"] >= len(DTYPES):
+            raise self._refusal("an unknown kind of mesh or of numbers")
+        self.mesh_type = MESH_TYPES[header["mesh_type"]]
+        self.dtype = np.dtype(DTYPES[header["data_type"]])
+        self._stored = self.dtype.newbyteorder("<")
+        self.n_channels, self.n_faces = int(header["channels"]), int(header["faces"])
+        self.n_levels = int(header["levels"])
+        self.minor_version = int(header["minor_version"])
+        alpha = int(header["alpha_channel"])
+        self.alpha_channel = alpha if 0 <= alpha < self.n_channels else None
+        if not self.n_channels or not self.n_faces or not self.n_levels:
+            raise self._refusal("it has no channels, no faces or no levels")
+        if header["level_info"] != self.n_levels * LEVEL_INFO.itemsize:
+            raise self._refusal("its levels' sizes take another number of bytes than there are levels")
+        self._pixel = self.n_channels * self.dtype.itemsize
+        length = int(header["extended_header"])
+        bytes_of = np.zeros(EXTENDED_HEADER.itemsize, np.uint8)
+        taken = min(length, EXTENDED_HEADER.itemsize)
+        bytes_of[:taken] = np.frombuffer(self._read(HEADER.itemsize, taken), np.uint8)
+        extended = bytes_of.view(EXTENDED_HEADER)[0]
+        u, v, edges = (int(extended[name]) for name in ("u_border", "v_border", "edge_filter"))
+        if max(u, v) >= len(BORDER_MODES) or edges >= len(EDGE_FILTERS):
+            raise self._refusal("an unknown border mode or edge filter")
+        self.border_modes, self.edge_filter = (BORDER_MODES[u], BORDER_MODES[v]), EDGE_FILTERS[edges]
+
+        at = HEADER.itemsize + length
+        sizes = {name: int(header[name]) for name in ("face_info", "constants", "level_info", "level_data")}
+        places = {}
+        for name, size in sizes.items():
+            places[name] = at, size
+            at += size
+        has_metadata = header["metadata_zipped"] > 0 or extended["large_zipped"] > 0
+        self._metadata_at = at, int(header["metadata_zipped"]), int(header["metadata"])
+        barred = at + self._metadata_at[1] + BARRIER
+        self._large_at = barred, int(extended["large_zipped"]), int(extended["large"])
+        self._large_end = barred + self._large_at[1] + int(extended["large_data"])
+        if max(at, self._large_end if has_metadata else 0) > self._size:
+            raise self._refusal("it ends early")
+        self._constants_at = places["constants"]
+        self._levels = self._placed_levels(*places["level_info"], *places["level_data"])
+        self._info = np.frombuffer(
+            self._inflated(*places["face_info"], self.n_faces * FACE_INFO.itemsize), FACE_INFO
+        ).copy()
+        self._read_edits(extended, at if not has_metadata else self._large_end)
+        self._check_faces()
+        self.faces: Faces = Faces(*map(locked, unpacked_faces(self._info)))
+        self.is_constant: Bools = locked(self._info["flags"] & IS_CONSTANT != 0)
+        self._order: dict[int, Int64s] = {}
+        self._headers: dict[int, tuple[Uint32s, Int64s]] = {}
+
+    def _placed_levels(self, at: int, size: int, first: int, room: int) -> list[tuple[int, int, int, int]]:
+        """Return where each level begins, its bytes, those of its header, and its faces."""
+        info = np.frombuffer(self._read(at, size), LEVEL_INFO)
+        if info[0]["faces"] != self.n_faces or (info["faces"] > self.n_faces).any():
+            raise self._refusal("its levels have another number of faces than it has")
+        placed, end = [], first + room
+        for level in info.tolist():
+            length, header, faces = level
+            if header > length or first + length > end:
+                raise self._refusal("a level is larger than all of them")
+            placed.append((first, length, header, faces))
+            first += length
+        return placed
+
+    def _read_edits(self, extended: np.void, end: int) -> None:
+        """Note where edits of faces and metadata are; those of faces replace what is known of them."""
+        self._edited: dict[int, tuple[int, int]] = {}  # face: where its header and pixel are, the edit's end
+        self._metadata_edits: list[tuple[int, int, int]] = []
+        at = max(int(extended["edits_at"]), end)
+        stop = self._size
+        if extended["edits_at"] > 0:
+            stop = at + int(extended["edits"])
+            if stop > self._size:
+                raise self._refusal("it ends early")
+        elif end < self._size:  # files without these fields have edits up to the end, behind the barrier
+            at = max(at, self._large_end)
+        data = self._read(at, stop - at) if at < stop else b""
+        place = 0
+        while place + 5 <= len(data):
+            kind, size = data[place], int.from_bytes(data[place + 1 : place + 5], "little")
+            begin, place = place + 5, place + 5 + size
+            if place > len(data):
+                raise self._refusal("an edit ends early")
+            if kind == EDIT_FACE:
+                start = begin + 4 + FACE_INFO.itemsize
+                if start + 4 + self._pixel > place:
+                    raise self._refusal("an edit of a face is too short")
+                face = int.from_bytes(data[begin : begin + 4], "little")
+                if face >= self.n_faces:
+                    raise self._refusal(f"an edit of face {face}; it has {self.n_faces}")
+                self._info[face] = np.frombuffer(data[begin + 4 : start], FACE_INFO)[0]
+                self._info[face]["flags"] |= HAS_EDITS
+                self._edited[face] = at + start, at + place
+            elif kind == EDIT_METADATA:
+                if size < 8:
+                    raise self._refusal("an edit of metadata is too short")
+                zipped = int.from_bytes(data[begin : begin + 4], "little")
+                length = int.from_bytes(data[begin + 4 : begin + 8], "little")
+                if zipped > size - 8:
+                    raise self._refusal("an edit of metadata is too short")
+                self._metadata_edits.append((at + begin + 8, zipped, length))
+
+    def _check_faces(self) -> None:
+        info = self._info
+        u, v, neighbors = info["u_log2"], info["v_log2"], info["neighbors"]
+        sides = 4 if self.mesh_type == MESH_TYPES[QUAD] else 3
+        if min(u.min(), v.min()) < 0 or max(u.max(), v.max()) > LONGEST_LOG2:
+            raise self._refusal(f"a face's side is not of 1 to 2^{LONGEST_LOG2} texels")
+        if self.mesh_type == MESH_TYPES[TRIANGLE] and (u != v).any():
+            raise self._refusal("a triangle has another number of texels along u than along v")
+        if (neighbors[:, :sides] < -1).any() or (neighbors[:, :sides] >= self.n_faces).any():
+            raise self._refusal(f"a face has a neighbour that is not among the {self.n_faces}")
+        info["neighbors"][:, sides:] = -1
+
+    @cached_property
+    def constants(self) -> Array:
+        """The average of each face (n_faces, n_channels), as it is stored."""
+        data = self._inflated(*self._constants_at, self.n_faces * self._pixel)
+        values = np.frombuffer(data, self._stored).reshape(self.n_faces, -1).astype(self.dtype)
+        for face, (at, _) in self._edited.items():
+            values[face] = np.frombuffer(self._read(at + 4, self._pixel), self._stored)
+        return locked(values)
+
+    def texels(self, face: int, level: int = 0) -> Array:
+        """Return the texels (v, u, n_channels) of a face, the row of v = 0 first, as numbers of ``dtype``.
+
+        ``level`` halves both sides so many times; such texels are multiplied by alpha. What the file does not
+        store of that is averaged here. Of a triangle the array is the square that the layout describes.
+        Raises ArgumentError for a face or a level that is not there.
+        """
+        face = as_whole(face, "face", 0, self.n_faces - 1)
+        u, v = self.faces.log2[face].tolist()
+        level = as_whole(level, "level", 0, min(u, v))
+        if self.is_constant[face]:
+            pixel = self.constants[face]
+            if level and self.alpha_channel is not None:
+                pixel = premultiplied(pixel, self.alpha_channel)
+            return np.broadcast_to(pixel, (1 << v - level, 1 << u - level, self.n_channels))
+        if face in self._edited:
+            at, end = self._edited[face]
+            word = int.from_bytes(self._read(at, 4), "little")
+            size = word & (1 << BLOCK_BITS) - 1
+            begin = at + 4 + self._pixel
+            if begin + size > end:
+                raise self._refusal("an edit of a face is too short")
+            whole = self._block(begin, size, word >> BLOCK_BITS, u, v)
+            return self._halved(whole, level, is_multiplied=False)
+        number = face
+        for stored in range(min(level, self.n_levels - 1), -1, -1):
+            if stored:
+                number = int(self._numbers[face])
+            if number < self._levels[stored][3] and (stored == 0 or min(u, v) > stored):
+                words, begins = self._level(stored)
+                word = int(words[number])
+                size, encoding = word & (1 << BLOCK_BITS) - 1, word >> BLOCK_BITS
+                if stored == 0 or size:
+                    found = self._block(int(begins[number]), size, encoding, u - stored, v - stored)
+                    return self._halved(found, level - stored, is_multiplied=stored > 0)
+            number = face
+        raise self._refusal(f"face {face} is not in it")
+
+    def _halved(self, texels: Array, times: int, *, is_multiplied: bool) -> Array:
+        if times and not is_multiplied and self.alpha_channel is not None:
+            texels = premultiplied(texels, self.alpha_channel)
+        for _ in range(times):
+            texels = halved(texels[None], self.mesh_type == MESH_TYPES[TRIANGLE])[0]
+        return texels
+
+    @cached_property
+    def _numbers(self) -> Int64s:
+        """The number (n_faces,) of each face in the levels above 0."""
+        order, _ = reduced_order(self.faces.log2, self.is_constant)
+        numbers = np.empty_like(order)
+        numbers[order] = np.arange(len(order))
+        return numbers
+
+    def _level(self, level: int) -> tuple[Uint32s, Int64s]:
+        """Return the words of a level's blocks, and where these begin."""
+        if level not in self._headers:
+            at, length, header, faces = self._levels[level]
+            words = np.frombuffer(self._inflated(at, header, 4 * faces), "<u4")
+            sizes = (words & np.uint32((1 << BLOCK_BITS) - 1)).astype(np.int64)
+            ends = np.cumsum(sizes)
+            if header + int(ends[-1] if faces else 0) > length:
+                raise self._refusal("the blocks of a level are larger than it")
+            self._headers[level] = words, at + header + ends - sizes
+        return self._headers[level]
+
+    def _block(self, at: int, size: int, encoding: int, u: int, v: int) -> Array:
+        """Return the texels (v, u, channels) of a block."""
+        return self._decoded(self._read(at, size), encoding, u, v, is_tile=False)
+
+    def _decoded(self, data: bytes, encoding: int, u: int, v: int, *, is_tile: bool) -> Array:
+        shape = 1 << v, 1 << u, self.n_channels
+        if encoding == CONSTANT:
+            if len(data) != self._pixel:
+                raise self._refusal("a pixel takes another number of bytes than its channels")
+            pixel = np.frombuffer(data, self._stored).astype(self.dtype)
+            return np.broadcast_to(pixel, shape)
+        if encoding == TILED:
+            if is_tile:
+                raise self._refusal("a tile of tiles")
+            return self._from_tiles(data, u, v)
+        if encoding == DIFFERENCED and self.dtype.kind != "u":
+            raise self._refusal("differences of numbers that are not whole")
+        plane = self._unzipped(data, self._pixel << u + v)
+        values: Array = np.frombuffer(plane, self._stored)
+        if encoding == DIFFERENCED:
+            values = np.cumsum(values, dtype=self.dtype)
+        planar = values.astype(self.dtype, copy=False).reshape(self.n_channels, *shape[:2])
+        return np.moveaxis(planar, 0, 2)
+
+    def _from_tiles(self, data: bytes, u: int, v: int) -> Array:
+        if len(data) < 6:
+            raise self._refusal("a face of tiles ends early")
+        tile_u, tile_v = np.frombuffer(data[:2], np.int8).tolist()
+        header = int.from_bytes(data[2:6], "little")
+        if not (0 <= tile_u <= u and 0 <= tile_v <= v) or 6 + header > len(data):
+            raise self._refusal("its tiles do not fit a face")
+        across, count = 1 << u - tile_u, 1 << u - tile_u + v - tile_v
+        words = np.frombuffer(self._unzipped(data[6 : 6 + header], 4 * count), "<u4")
+        sizes = (words & np.uint32((1 << BLOCK_BITS) - 1)).astype(np.int64)
+        encodings = words >> np.uint32(BLOCK_BITS)
+        begins = 6 + header + np.cumsum(sizes) - sizes
+        if begins[-1] + sizes[-1] > len(data):
+            raise self._refusal("a face of tiles ends early")
+        zipped = encodings != CONSTANT
+        if (sizes[zipped] * _MOST_PER_BYTE + _ROOM < self._pixel << tile_u + tile_v).any():
+            raise self._refusal("a tile is too short for its texels")
+        whole = np.empty((1 << v, 1 << u, self.n_channels), self.dtype)
+        rows, columns = 1 << tile_v, 1 << tile_u
+        for tile, (begin, size, encoding) in enumerate(
+            zip(begins.tolist(), sizes.tolist(), encodings.tolist(), strict=True)
+        ):
+            row, column = tile // across * rows, tile % across * columns
+            whole[row : row + rows, column : column + columns] = self._decoded(
+                data[begin : begin + size], encoding, tile_u, tile_v, is_tile=True
+            )
+        return whole
+
+    @cached_property
+    def metadata(self) -> Metadata:
+        """What is stored by name: text, or arrays (k,) of int8, int16, int32, float32 or float64."""
+        found: Metadata = {}
+        if self._metadata_at[2]:
+            at, zipped, size = self._metadata_at
+            self._read_entries(self._inflated(at, zipped, size), found)
+        if self._large_at[2]:
+            at, zipped, size = self._large_at
+            self._read_entries(self._inflated(at, zipped, size), found, at + zipped)
+        for at, zipped, size in self._metadata_edits:
+            self._read_entries(self._inflated(at, zipped, size), found)
+        return found
+
+    def _read_entries(self, data: bytes, found: Metadata, values_at: int | None = None) -> None:
+        """Read entries; those of large metadata have their values, each a stream, from ``values_at`` on."""
+        place = 0
+        while place < len(data):
+            after = place + 1 + data[place]
+            key, fixed = data[place + 1 : after], 5 if values_at is None else 9
+            if not data[place] or after + fixed > len(data):
+                raise self._refusal("an entry of the metadata ends early")
+            kind, size = data[after], int.from_bytes(data[after + 1 : after + 5], "little")
+            place = after + fixed
+            if values_at is None:
+                value = data[place : place + size]
+                place += size
+            else:
+                zipped = int.from_bytes(data[after + 5 : after + 9], "little")
+                if values_at + zipped > self._large_end:
+                    raise self._refusal("large metadata ends early")
+                value = self._inflated(values_at, zipped, size)
+                values_at += zipped
+            if place > len(data) or kind >= len(METADATA_TYPES):
+                raise self._refusal("an entry of the metadata ends early or is of an unknown type")
+            name = key.split(b"\0", 1)[0].decode("utf-8", "replace")
+            found[name] = self._value(METADATA_TYPES[kind], value)
+
+    def _value(self, kind: str, value: bytes) -> str | Array:
+        if kind == "S":
+            return value.split(b"\0", 1)[0].decode("utf-8", "replace")
+        form = np.dtype(kind)
+        count = len(value) // form.itemsize
+        return locked(np.frombuffer(value, form, count).astype(form.newbyteorder("=")))
+
+    def _record(self, form: np.dtype, at: int) -> np.void:
+        return np.frombuffer(self._read(at, form.itemsize), form)[0]  # type: ignore[no-any-return]
+
+    def _read(self, at: int, size: int) -> bytes:
+        if at + size > self._size:
+            raise self._refusal("it ends early")
+        try:
+            with self._lock:
+                self._file.seek(at)
+                data = self._file.read(size)
+        except (OSError, ValueError) as error:
+            raise ModelError(f"{self.path} cannot be read: {error}") from None
+        if len(data) != size:
+            raise self._refusal("it ends early")
+        return data
+
+    def _inflated(self, at: int, zipped: int, size: int) -> bytes:
+        return self._unzipped(self._read(at, zipped), size)
+
+    def _unzipped(self, data: bytes, size: int) -> bytes:
+        """Return what a zlib stream holds; nothing is allocated for what it cannot hold."""
+        if size > len(data) * _MOST_PER_BYTE + _ROOM:
+            raise self._refusal("a stream is too short for what it should hold")
+        stream = zlib.decompressobj()
+        try:
+            found = stream.decompress(data, size + 1)
+        except zlib.error as error:
+            raise self._refusal(str(error)) from None
+        if len(found) != size or not stream.eof:
+            raise self._refusal(f"a stream does not hold the {size:,} bytes that it should")
+        return found
+
+    def _refusal(self, why: str, what: str = "is damaged") -> ModelError:
+        return ModelError(f"{self.path.name} {what}: {why}; write it again")
+
+
+def all_texels(file: PtexFile) -> tuple[Array, Int8s]:
+    """Return the texels (k, channels) of all faces, one of constant faces, and their sides (faces, 2) as log2.
+
+    Raises ModelError for a file that is too short to hold so many.
+    """
+    log2 = np.where(file.is_constant[:, None], np.int8(0), file.faces.log2)
+    counts = np.int64(1) << log2.sum(axis=1, dtype=np.int64)
+    if counts.sum(dtype=np.float64) * file.n_channels * file.dtype.itemsize > file.most_bytes:
+        raise ModelError(f"{file.path.name} is damaged: it is too short for its texels; write it again")
+    ends = np.cumsum(counts)
+    texels = np.empty((int(ends[-1]), file.n_channels), file.dtype)
+    for face, (count, end) in enumerate(zip(counts.tolist(), ends.tolist(), strict=True)):
+        texels[end - count : end] = (
+            file.constants[face] if file.is_constant[face] else file.texels(face).reshape(count, -1)
+        )
+    return texels, log2

@@ -1,0 +1,303 @@
+"""Writing .ptx files."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Executor
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from octex.arrays import Array, Bools, Float64s, Int8s, Int64s, Uint32s
+from octex.channels import ONE
+from octex.files import replacing
+from octex.formats.ptex.layout import (
+    BARRIER,
+    BLOCK_BITS,
+    BORDER_MODES,
+    CONSTANT,
+    DIFFERENCED,
+    DTYPES,
+    EDGE_FILTERS,
+    EXTENDED_HEADER,
+    HEADER,
+    LEVEL_INFO,
+    MAGIC,
+    MESH_TYPES,
+    METADATA_TYPES,
+    MINOR_VERSION,
+    MOST_SMALL_METADATA,
+    TILED,
+    TRIANGLE,
+    VERSION,
+    ZIPPED,
+    Faces,
+    packed_faces,
+    reduced_order,
+    tile_log2,
+)
+from octex.formats.ptex.reduction import colors, halved, multiply, stored
+from octex.parallel import ordered_map
+
+#: Blocks of less bytes are encoded as they promise to be smaller, without a try: zlib takes 8 µs for each.
+_TRIED = 512
+#: Faces that are encoded together have about so many bytes.
+_TOGETHER = 1 << 20
+#: By how many bits that promise may err; differences are the better guess.
+_UNSURE = 32
+
+
+class Contents(NamedTuple):
+    """What a .ptx file is to hold."""
+
+    mesh_type: str
+    faces: Faces
+    texels: Array  # (texels, channels)   of DTYPES; face after face, each in rows from v = 0 up
+    alpha_channel: int | None = None
+    border_modes: tuple[str, str] = ("clamp", "clamp")
+    edge_filter: str = "none"
+    metadata: Mapping[str, str | Array] = {}
+
+
+class _Level(NamedTuple):
+    """The faces of a level, in its order."""
+
+    words: Uint32s  # (n,)   size and encoding of each block
+    blocks: list[bytes]
+
+    def parts(self) -> list[bytes]:
+        return [zlib.compress(self.words.astype("<u4").tobytes(), 9), *self.blocks]
+
+
+def write_contents(contents: Contents, path: Path, executor: Executor) -> None:
+    """Write a .ptx file with all levels.
+
+    Of each block the smaller encoding is kept: texels or their differences, or one pixel. Faces of 128 KB and
+    more are tiled, so that readers need not decode all of one. Averages are rounded, and multiplied by alpha.
+    Raises OutputError if the file cannot be written.
+    """
+    faces, texels = contents.faces, contents.texels
+    is_constant = _constant(texels, faces.counts)
+    levels, constants = _levels(contents, is_constant, executor)
+    parts = [level.parts() for level in levels]
+    info = np.zeros(len(levels), LEVEL_INFO)
+    info["header"] = [len(each[0]) for each in parts]
+    info["bytes"] = [sum(map(len, each)) for each in parts]
+    info["faces"] = [len(level.words) for level in levels]
+    packed = zlib.compress(packed_faces(faces, is_constant).tobytes(), 9)
+    averages = zlib.compress(constants.tobytes(), 9)
+    small, large = _metadata(contents.metadata)
+    entries = b"".join(small)
+    zipped = zlib.compress(entries) if entries else b""
+    heads = b"".join(head for head, _ in large)
+    zipped_heads = zlib.compress(heads) if heads else b""
+
+    header = np.zeros(1, HEADER)
+    header["magic"], header["version"], header["minor_version"] = MAGIC, VERSION, MINOR_VERSION
+    header["mesh_type"] = MESH_TYPES.index(contents.mesh_type)
+    header["data_type"] = DTYPES.index(texels.dtype.name)
+    header["alpha_channel"] = -1 if contents.alpha_channel is None else contents.alpha_channel
+    header["channels"], header["levels"], header["faces"] = texels.shape[1], len(levels), len(faces.log2)
+    header["extended_header"] = EXTENDED_HEADER.itemsize
+    header["face_info"], header["constants"], header["level_info"] = len(packed), len(averages), info.nbytes
+    header["level_data"] = info["bytes"].sum()
+    header["metadata_zipped"], header["metadata"] = len(zipped), len(entries)
+    extended = np.zeros(1, EXTENDED_HEADER)
+    extended["u_border"], extended["v_border"] = map(BORDER_MODES.index, contents.border_modes)
+    extended["edge_filter"] = EDGE_FILTERS.index(contents.edge_filter)
+    extended["large_zipped"], extended["large"] = len(zipped_heads), len(heads)
+    extended["large_data"] = sum(len(value) for _, value in large)
+    before = [header.tobytes(), extended.tobytes(), packed, averages, info.tobytes()]
+    after = [zipped, bytes(BARRIER), zipped_heads, *(value for _, value in large)]
+    length = sum(map(len, [*before, *after])) + int(info["bytes"].sum())
+    extended["edits_at"] = length
+    before[1] = extended.tobytes()
+    with replacing(path) as file:
+        file.writelines(before)
+        for each in parts:
+            file.writelines(each)
+        file.writelines(after)
+
+
+def _levels(contents: Contents, is_constant: Bools, executor: Executor) -> tuple[list[_Level], Array]:
+    """Return all levels, and the average of each face (n, channels)."""
+    faces, texels, alpha = contents.faces, contents.texels, contents.alpha_channel
+    dtype, is_triangle = texels.dtype, contents.mesh_type == MESH_TYPES[TRIANGLE]
+    order, counts = reduced_order(faces.log2, is_constant)
+    sums = np.zeros((len(faces.log2), texels.shape[1]))
+    firsts = np.cumsum(faces.counts) - faces.counts
+    sums[is_constant] = texels[firsts[is_constant]]
+    words = [np.zeros(count, np.uint32) for count in counts]
+    blocks: list[list[bytes]] = [[b""] * count for count in counts.tolist()]
+    places = np.empty_like(order)
+    places[order] = np.arange(len(order))
+    encode = partial(_encoded_group, texels, alpha, is_triangle)
+    groups = list(_groups(faces.log2, firsts, ~is_constant, texels.shape[1] * dtype.itemsize))
+    for group, (averages, found) in zip(groups, ordered_map(executor, encode, groups), strict=True):
+        sums[group.faces] = averages
+        for level, (group_words, group_blocks) in enumerate(found):
+            numbers = group.faces if level == 0 else places[group.faces]
+            words[level][numbers] = group_words
+            for number, block in zip(numbers.tolist(), group_blocks, strict=True):
+                blocks[level][number] = block
+    made = [_Level(word, block) for word, block in zip(words, blocks, strict=True)]
+    return made, stored(sums, dtype).astype(dtype.newbyteorder("<"))
+
+
+class _Group(NamedTuple):
+    """Faces of one resolution."""
+
+    faces: Int64s  # (n,)
+    firsts: Int64s  # (n,)   the first texel of each
+    u: int
+    v: int
+
+
+def _groups(log2: Int8s, firsts: Int64s, wanted: Bools, pixel: int) -> Iterator[_Group]:
+    key = log2[:, 0].astype(np.int64) << 8 | log2[:, 1]
+    for each in np.unique(key[wanted]).tolist():
+        u, v = each >> 8, each & 255
+        chosen = np.flatnonzero(wanted & (key == each))
+        step = max(_TOGETHER // (pixel << u + v), 1)
+        for begin in range(0, len(chosen), step):
+            some = chosen[begin : begin + step]
+            yield _Group(some, firsts[some], u, v)
+
+
+def _encoded_group(
+    texels: Array, alpha: int | None, is_triangle: bool, group: _Group
+) -> tuple[Float64s, list[tuple[Uint32s, list[bytes]]]]:
+    """Return the averages (n, channels) of faces, and their blocks in each level."""
+    u, v = group.u, group.v
+    rows = group.firsts[:, None] + np.arange(1 << u + v)
+    values = texels[rows].reshape(len(rows), 1 << v, 1 << u, -1)
+    found = [_encoded(values)]
+    exact = values.astype(np.float64)
+    if alpha is not None:
+        multiply(exact, alpha, ONE[texels.dtype.name])
+    for _ in range(1, min(u, v) - 1):
+        exact = halved(exact, is_triangle)
+        found.append(_encoded(stored(exact, texels.dtype)))
+    averages = exact.mean(axis=(1, 2))
+    if alpha is not None:
+        share = averages[:, alpha, None] / ONE[texels.dtype.name]
+        averages[:, colors(alpha)] /= np.where(share == 0, 1.0, share)
+    return averages, found
+
+
+def _encoded(values: Array) -> tuple[Uint32s, list[bytes]]:
+    """Return the words and the blocks of faces' texels (n, v, u, channels)."""
+    count, v, u, channels = values.shape
+    pixel = channels * values.dtype.itemsize
+    log2 = u.bit_length() - 1, v.bit_length() - 1
+    tile = tile_log2(*log2, pixel)
+    if tile == log2:
+        return _blocks(values)
+    words, blocks = np.empty(count, np.uint32), []
+    rows, columns = 1 << tile[1], 1 << tile[0]
+    grid = values.reshape(count, v // rows, rows, u // columns, columns, channels).swapaxes(2, 3)
+    for number, tiles in enumerate(grid):
+        tile_words, tile_blocks = _blocks(tiles.reshape(-1, rows, columns, channels))
+        header = zlib.compress(tile_words.astype("<u4").tobytes())
+        prefix = np.array(tile, np.int8).tobytes() + len(header).to_bytes(4, "little")
+        blocks.append(b"".join([prefix, header, *tile_blocks]))
+        words[number] = len(blocks[-1]) | TILED << BLOCK_BITS
+    return words, blocks
+
+
+def _blocks(values: Array) -> tuple[Uint32s, list[bytes]]:
+    """Return words and blocks of texels (n, v, u, channels), none of them tiled."""
+    count = len(values)
+    planar = np.ascontiguousarray(np.moveaxis(values, 3, 1)).reshape(count, -1)
+    little = values.dtype.newbyteorder("<")
+    size = planar.shape[1] * values.dtype.itemsize
+    kept = planar.astype(little, copy=False).view(np.uint8)
+    encodings = np.full(count, ZIPPED, np.uint32)
+    blocks: list[bytes]
+    if values.dtype.kind == "u":
+        steps = np.empty_like(planar)
+        steps[:, 0] = planar[:, 0]
+        np.subtract(planar[:, 1:], planar[:, :-1], out=steps[:, 1:])
+        other = steps.astype(little, copy=False).view(np.uint8)
+        if size < _TRIED:
+            is_other = _promise(other) <= _promise(kept) + _UNSURE
+            chosen = np.where(is_other[:, None], other, kept).tobytes()
+            encodings[is_other] = DIFFERENCED
+            blocks = [zlib.compress(chosen[at : at + size], 6, 9) for at in range(0, len(chosen), size)]
+        else:
+            pairs = zip(map(zlib.compress, kept), map(zlib.compress, other), strict=True)
+            blocks = []
+            for number, (plain, differenced) in enumerate(pairs):
+                blocks.append(min(differenced, plain, key=len))
+                if len(differenced) <= len(plain):
+                    encodings[number] = DIFFERENCED
+    else:
+        blocks = [zlib.compress(row) for row in kept]
+    whole = np.ascontiguousarray(values).view(np.uint8).reshape(count, -1, values.shape[3] * little.itemsize)
+    for number in np.flatnonzero((whole == whole[:, :1]).all(axis=(1, 2))).tolist():
+        blocks[number] = whole[number, 0].tobytes()
+        encodings[number] = CONSTANT
+    sizes = np.array([len(block) for block in blocks], np.uint32)
+    return sizes | encodings << np.uint32(BLOCK_BITS), blocks
+
+
+def _promise(rows: Array) -> Int64s:
+    """Return about how many bits zlib takes for rows of bytes (n, k): its fixed codes, less for repetitions.
+
+    Bytes from 144 on have codes of nine bits, others of eight; one that goes on with a run of equal ones is
+    cheap.
+    """
+    bits = (rows >= 144) + np.uint8(8)
+    is_same = rows[:, 1:] == rows[:, :-1]
+    bits[:, 3:][is_same[:, 2:] & is_same[:, 1:-1] & is_same[:, :-2]] = 1
+    total: Int64s = bits.sum(axis=1, dtype=np.int64)
+    return total
+
+
+def _constant(texels: Array, counts: Int64s) -> Bools:
+    """Say which faces have one value all over (n,)."""
+    firsts = np.cumsum(counts) - counts
+    raw = np.ascontiguousarray(texels).view(np.uint8).reshape(len(texels), -1)
+    differs = (raw[1:] != raw[:-1]).any(axis=1)
+    differs = np.concatenate([[False], differs])
+    differs[firsts] = False  # from the face before
+    constant: Bools = ~np.logical_or.reduceat(differs, firsts)
+    return constant
+
+
+def _metadata(given: Mapping[str, str | Array]) -> tuple[list[bytes], list[tuple[bytes, bytes]]]:
+    """Return the entries of metadata, and those of large metadata with their values."""
+    small: list[bytes] = []
+    large: list[tuple[bytes, bytes]] = []
+    for name, value in given.items():
+        if isinstance(value, str):
+            kind, data = 0, value.encode() + b"\0"
+        else:
+            form = value.dtype.newbyteorder("<")
+            kind = METADATA_TYPES.index("|i1".replace("|", "<") if form.itemsize == 1 else form.str)
+            data = value.astype(form).tobytes()
+        key = name.encode() + b"\0"
+        head = bytes([len(key)]) + key + bytes([kind]) + len(data).to_bytes(4, "little")
+        if len(data) > MOST_SMALL_METADATA:
+            zipped = zlib.compress(data)
+            large.append((head + len(zipped).to_bytes(4, "little"), zipped))
+        else:
+            small.append(head + data)
+    return small, large
+
+
+def check_metadata(given: Mapping[str, str | Array]) -> None:
+    """Raise ValueError, which says why, for metadata that no file can hold."""
+    for name, value in given.items():
+        if not 1 <= len(name.encode()) <= 254:
+            raise ValueError(f"metadata's name {name!r} is not of 1 to 254 bytes")
+        known = isinstance(value, str) or (
+            isinstance(value, np.ndarray)
+            and value.dtype.newbyteorder("<").str.replace("|", "<") in METADATA_TYPES[1:]
+            and value.size > 0
+        )
+        if not known:
+            raise ValueError(f"metadata {name!r} must be text or an array of whole numbers or floats")

@@ -1,0 +1,317 @@
+"""Subdivision surfaces of meshes, with what the mesh has: polygons in, triangles on the limit surface out."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Literal, NamedTuple, TypeVar
+
+import numpy as np
+
+from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from octex.channels import ChannelFormat
+from octex.checks import as_choice, as_whole
+from octex.errors import ArgumentError, ModelError
+from octex.source.base import Source
+from octex.source.corners import Corners, Creases, Polygons
+from octex.source.mesh import Mesh
+from octex.source.subdivision import SCHEMES, Level, Scheme, base_level, divided, limits
+from octex.source.surface import Surface
+from octex.source.welding import welded
+
+AnyMesh = TypeVar("AnyMesh", Mesh, Surface)
+
+#: What rest positions may be.
+RESTS = ("hull", "limit")
+_MOST_TRIANGLES = 2**28
+
+
+def subdivide(
+    mesh: AnyMesh,
+    levels: int,
+    *,
+    rest: Literal["hull", "limit"] = "hull",
+    scheme: Scheme | None = None,
+    creases: Creases | None = None,
+) -> AnyMesh:
+    """Return a mesh whose vertices lie on the subdivision surface of a cage, or a Surface likewise.
+
+    Each of ``levels``, 1 to 10, divides faces in four, after the first into quads; vertices are then where
+    they go in the limit. ``scheme`` is "catmull-clark", for polygons, or "loop", for triangles: by default
+    the one that suits the cage. ``creases``, by default the mesh's own (from OBJ files with OpenSubdiv's
+    tags), say where it is sharp; boundaries are, with their corners. Vertices at one place are one.
+
+    Rest positions are texture coordinates. "hull": those of the cage, divided linearly, so that textures of
+    the cage fit. "limit": on the subdivision surface of the cage at rest. Texture coordinates and the source
+    of a surface are those of the cage, which they are read on: its positions, widths in proportion, and its
+    directions. Polygons are the quads; shading normals are left to the new shape.
+
+    Raises ArgumentError for arguments out of range, and ModelError for "loop" on other polygons than
+    triangles, and for more than 2²⁸ triangles.
+    """
+    if not isinstance(mesh, Mesh):
+        raise ArgumentError(f"mesh must be an octex.Surface, not {mesh!r}")
+    levels = as_whole(levels, "levels", 1, 10)
+    as_choice(rest, RESTS, "rest")
+    if scheme is not None:
+        as_choice(scheme, SCHEMES, "scheme")
+    if not isinstance(creases, (Creases, type(None))):
+        raise ArgumentError(f"creases must be octex.Creases, not {creases!r}")
+    cage = _Cage(mesh)
+    if scheme is None:
+        scheme = "loop" if (cage.sizes == 3).all() else "catmull-clark"
+    if scheme == "loop" and (cage.sizes != 3).any():
+        raise ModelError(f"{mesh.name} has polygons that are no triangles; Loop's scheme takes none")
+    first = len(cage.sizes) if scheme == "loop" else len(cage.corners) // 2
+    if first * 4**levels > _MOST_TRIANGLES:
+        raise ModelError(f"{mesh.name}: {levels} levels make more than {_MOST_TRIANGLES:,} triangles")
+    is_posed = mesh.rest is not mesh.vertices
+    values = mesh.vertices
+    if is_posed and rest == "limit":
+        values = np.concatenate([mesh.vertices, mesh.rest], axis=1)
+    level = cage.level(values, mesh.creases if creases is None else creases)
+    for _ in range(levels):
+        level = divided(level, scheme)
+    values = limits(level, scheme)
+    faces, corners = _triangles(level, scheme, cage)
+    triangles = level.corners[corners].astype(np.int32)
+    on_cage = cage.located(level.faces[faces], level.domain[corners])
+    hull = np.empty((len(values), 3))
+    hull[triangles] = on_cage.positions
+    resting = values[:, 3:] if is_posed and rest == "limit" else values[:, :3]
+    polygons = None
+    if scheme == "catmull-clark":
+        polygons = Polygons(faces.astype(np.int32), (corners % 4).astype(np.int32))
+    uv = None
+    if mesh.uv is not None:
+        at_corners = np.einsum("mkc,mcx->mkx", on_cage.shares, mesh.uv.values[mesh.uv.rows[on_cage.parents]])
+        rows = np.arange(triangles.size, dtype=np.int32).reshape(-1, 3)
+        uv = Corners(at_corners.reshape(-1, 2).astype(np.float32), rows)
+    made = Mesh(
+        values[:, :3], triangles, rest=hull if rest == "hull" else resting if is_posed else None, uv=uv,
+        polygons=polygons, name=mesh.name,
+    )  # fmt: skip
+    if not isinstance(mesh, Surface):
+        return made
+    source = OnCage(mesh.source, on_cage.parents, on_cage.shares, hull, made.rest, made.triangles)
+    said = json.dumps({"scheme": scheme, "levels": levels, "rest": rest})
+    return Surface._on(made, source, {**mesh.provenance, "subdivided": said})
+
+
+def _triangles(level: Level, scheme: Scheme, cage: _Cage) -> tuple[Int64s, Int64s]:
+    """Cut faces into triangles: the face of each (m,), and its corners (m, 3).
+
+    Quads of a quad are cut along its own cut: no triangle lies on two of the cage's.
+    """
+    corners = np.arange(len(level.corners)).reshape(len(level.sizes), -1)
+    if scheme == "loop":
+        return np.arange(len(corners)), corners
+    across, up = (level.domain[2::4] - level.domain[::4]).T
+    along = np.where(cage.cut_at_odd[level.faces], across * up < 0, across * up > 0) | (
+        cage.sizes[level.faces] != 4
+    )
+    first = np.where(along[:, None], [0, 1, 2], [1, 2, 3])
+    second = np.where(along[:, None], [0, 2, 3], [1, 3, 0])
+    within = np.stack([first, second], axis=1).reshape(-1, 3)
+    return np.repeat(np.arange(len(corners)), 2), np.repeat(corners[:, 0], 2)[:, None] + within
+
+
+class OnCage(Source):
+    """The source of a cage, for a mesh whose triangles lie on the cage's.
+
+    ``parents`` (m,) are the cage's triangles that each lies on, ``shares`` (m, 3, 3) its corners in
+    barycentric coordinates there, ``hull`` (n, 3) where its vertices are on the cage. Widths are measured on
+    ``rest`` (n, 3), and are as much of a triangle as there.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        parents: Int64s,
+        shares: Float64s,
+        hull: Float64s,
+        rest: Float64s,
+        triangles: Int32s,
+    ) -> None:
+        self._source = source
+        self._parents = parents.astype(np.int32)
+        self._shares = shares
+        self._hull = hull
+        self._triangles = triangles
+        here, there = _sizes(hull, triangles), _sizes(rest, triangles)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratios = np.where((here > 0) & (there > 0), here / there, 1.0)
+        self._stretch = ratios.astype(np.float32)
+
+    @property
+    def channels(self) -> tuple[ChannelFormat, ...]:
+        """The channels, in the order of the values' columns."""
+        return self._source.channels
+
+    @property
+    def has_gaps(self) -> bool:
+        """Whether the cage's source may know nothing of some points."""
+        return self._source.has_gaps
+
+    @property
+    def alpha_is_coverage(self) -> bool:
+        """Whether the cage's ``alpha`` says no more than where it knows something."""
+        return self._source.alpha_is_coverage
+
+    def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
+        """Return values (n, components) at points of triangles, averaged over widths in rest units."""
+        places = np.einsum("nk,nkc->nc", barycentric, self._shares[triangles])
+        return self._source.evaluate(self._parents[triangles], places, widths * self._stretch[triangles])
+
+    def texel_edges(self, triangles: Int32s) -> Float32s:
+        """Return the edge of a texel on triangles (n,), in rest units."""
+        return self._source.texel_edges(self._parents[triangles]) / self._stretch[triangles]
+
+    def with_rest(self, rest: Float64s) -> OnCage:
+        """Return the same source with widths measured on other rest positions (n, 3)."""
+        parents = self._parents.astype(np.int64)
+        return OnCage(self._source, parents, self._shares, self._hull, rest, self._triangles)
+
+    def with_filter(self, name: str) -> OnCage:
+        """Return the same source with its images read by another filter."""
+        return self._of(self._source.with_filter(name))
+
+    def only(self, names: Sequence[str]) -> OnCage:
+        """Return the same source with these of its channels alone."""
+        return self._of(self._source.only(names))
+
+    def _of(self, source: Source) -> OnCage:
+        other = copy.copy(self)
+        other._source = source
+        return other
+
+
+def _sizes(positions: Float64s, triangles: Int32s) -> Float64s:
+    """Return the roots of the areas of triangles (m,)."""
+    corners = positions[triangles]
+    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(np.sqrt(np.linalg.norm(crosses, axis=1)))
+
+
+class _Places(NamedTuple):
+    """Where triangles lie on a cage."""
+
+    parents: Int64s  # (m,)   the cage's triangles
+    shares: Float64s  # (m, 3, 3)   barycentric coordinates of their corners there
+    positions: Float64s  # (m, 3, 3)   of their corners, at rest
+
+
+class _Cage:
+    """The polygons of a mesh with vertices at one place as one, and a plane for each."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        numbers, corners = mesh.polygons or Polygons.of_triangles(len(mesh.triangles))
+        keys, first, at = np.unique(
+            numbers[:, None].astype(np.int64) << 32 | corners, return_index=True, return_inverse=True
+        )
+        known, sizes = np.unique(keys >> 32, return_counts=True)
+        self.sizes: Int64s = sizes.astype(np.int64)
+        used = mesh.triangles.ravel()
+        self._places = welded(np.concatenate([mesh.vertices, mesh.rest], axis=1))
+        names, self._vertices = np.unique(self._places[used], return_index=True)
+        self._vertices = used[self._vertices]  # one of the mesh's at each place
+        self._names = np.full(int(self._places.max()) + 1, -1, np.int64)
+        self._names[names] = np.arange(len(names))
+        self.corners: Int64s = self._names[self._places[used[first]]]
+        self._rest = mesh.rest[mesh.triangles]
+        self._domain = _domain(self.sizes)
+        self._at = at.reshape(-1, 3)  # the corner of a polygon that each corner of a triangle is
+        owners = np.searchsorted(known, numbers)
+        self._order = np.argsort(owners, kind="stable")
+        self._counts = np.bincount(owners, minlength=len(self.sizes))
+        self._starts = np.cumsum(self._counts) - self._counts
+        a, b, c = self._domain[self._at].transpose(1, 0, 2)
+        self._origins, self._maps = a, np.linalg.inv(np.stack([b - a, c - a], axis=2))
+
+    def level(self, values: Float64s, creases: Creases | None) -> Level:
+        """Return the first level, of values (n, k) at the mesh's vertices."""
+        edges, points = np.empty((0, 2), np.int64), np.empty(0, np.int64)
+        sharpness = spikes = np.empty(0)
+        if creases is not None:
+            edges = self._names[self._places[creases.edges]]
+            points = self._names[self._places[creases.vertices]]
+            known, there = (edges >= 0).all(axis=1), points >= 0
+            edges, points = edges[known], points[there]
+            sharpness, spikes = (
+                each.astype(np.float64) for each in (creases.sharpness[known], creases.spikes[there])
+            )
+        return base_level(
+            values[self._vertices],
+            self.corners,
+            self.sizes,
+            self._domain,
+            (edges, sharpness),
+            (points, spikes),
+        )
+
+    @cached_property
+    def cut_at_odd(self) -> Bools:
+        """Of quads, whether they are cut between their corners 1 and 3 (f,)."""
+        within = self._at[self._order[self._starts]] - (np.cumsum(self.sizes) - self.sizes)[:, None]
+        missing = 6 - within.sum(axis=1)  # the corner that the first triangle lacks
+        return np.asarray((self.sizes == 4) & (missing % 2 == 0))
+
+    def located(self, faces: Int64s, points: Float64s) -> _Places:
+        """Find triangles (m, 3, 2), given in the planes of faces (m,), on the cage's triangles."""
+        parents = self._holding(faces, points.mean(axis=1))
+        shares = self._shares(parents[:, None], points)
+        positions = np.einsum("mkc,mcx->mkx", shares, self._rest[parents])
+        # Of polygons with more corners some lie on several: their corners are found one by one.
+        some = np.flatnonzero((self.sizes[faces] > 4) & (shares.min(axis=(1, 2)) < -1e-9))
+        if len(some):
+            owners = np.repeat(faces[some], 3)
+            flat = points[some].reshape(-1, 2)
+            own = self._holding(owners, flat)
+            each = np.einsum("nc,ncx->nx", self._shares(own, flat), self._rest[own]).reshape(-1, 3, 3)
+            positions[some] = each
+            shares[some] = _shares_in_space(self._rest[parents[some]], each, shares[some])
+        return _Places(parents, shares, positions)
+
+    def _holding(self, faces: Int64s, points: Float64s) -> Int64s:
+        """Return the triangle of its face that holds each point (n, 2)."""
+        parents = self._order[self._starts[faces]]
+        counts = self._counts[faces]
+        best = np.full(len(faces), -np.inf)
+        for k in range(int(counts.max()) if counts.max() > 1 else 0):
+            own = np.flatnonzero(counts > k)
+            triangles = self._order[self._starts[faces[own]] + k]
+            inside = self._shares(triangles, points[own]).min(axis=1)
+            better = inside > best[own]
+            best[own[better]], parents[own[better]] = inside[better], triangles[better]
+        return parents
+
+    def _shares(self, triangles: Int64s, points: Float64s) -> Float64s:
+        """Return barycentric coordinates (…, 3) in triangles of points (…, 2) of their faces' planes."""
+        maps, away = self._maps[triangles], points - self._origins[triangles]
+        shares = np.empty((*points.shape[:-1], 3))
+        for row in (0, 1):
+            shares[..., 1 + row] = maps[..., row, 0] * away[..., 0] + maps[..., row, 1] * away[..., 1]
+        shares[..., 0] = 1 - shares[..., 1] - shares[..., 2]
+        return shares
+
+
+def _domain(sizes: Int64s) -> Float64s:
+    """Return the corners of faces in a plane of each (c, 2): those of half a square, a square, a circle."""
+    firsts = np.repeat(np.cumsum(sizes) - sizes, sizes)
+    within, counts = np.arange(len(firsts)) - firsts, np.repeat(sizes, sizes)
+    turns = 2 * np.pi * within / counts
+    square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])[within % 4]
+    half = np.array([[0.0, 0], [1, 0], [0, 1]])[within % 3]
+    regular = np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    return np.select([counts[:, None] == 3, counts[:, None] == 4], [half, square], regular)
+
+
+def _shares_in_space(triangles: Float64s, points: Float64s, otherwise: Float64s) -> Float64s:
+    """Return barycentric coordinates (n, k, 3) of points (n, k, 3) in the planes of triangles (n, 3, 3)."""
+    sides = triangles[:, 1:] - triangles[:, :1]
+    found = np.einsum("nkx,nxs->nks", points - triangles[:, :1], np.linalg.pinv(sides))
+    shares = np.concatenate([1 - found.sum(axis=2, keepdims=True), found], axis=2)
+    flat = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) > 0
+    return np.where(flat[:, None, None], shares, otherwise)

@@ -1,0 +1,369 @@
+"""Subdivision surfaces: Catmull–Clark and Loop, with creases, and where their limit is.
+
+Rules of creases, corners and boundaries as OpenSubdiv has them, boundaries as its edge-and-corner: they are
+sharp, and so are corners of one face (T. DeRose, M. Kass & T. Truong, "Subdivision Surfaces in Character
+Animation", 1998; J. Hoppe et al., "Piecewise Smooth Surface Reconstruction", 1994). Edges of more than two
+faces are sharp. Limits: M. Halstead, M. Kass & T. DeRose, "Efficient, Fair Interpolation using Catmull–Clark
+Surfaces", 1993; C. Loop, "Smooth Subdivision Surfaces Based on Triangles", 1987.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from octex.arrays import Array, Bools, Float64s, Int64s
+
+Scheme = Literal["catmull-clark", "loop"]
+SCHEMES: tuple[Scheme, ...] = ("catmull-clark", "loop")
+
+#: Sharpness from which on an edge stays sharp at every level.
+INFINITE = 10.0
+_SMOOTH, _CREASE, _CORNER = 0, 1, 2
+#: Where one sharp edge ends at a vertex, its limit is found by so many more levels around it.
+_ROUNDS = 64
+
+
+class Level(NamedTuple):
+    """A control mesh: faces of v vertices, e edges and c corners, which stand face after face."""
+
+    values: Float64s  # (v, k)   positions, and what else is divided as they are
+    corners: Int64s  # (c,)     the vertex of each corner
+    sizes: Int64s  # (f,)     the corners of each face
+    sides: Int64s  # (c,)     the edge from each corner to the next one of its face
+    edges: Int64s  # (e, 2)   vertices
+    sharpness: Float64s  # (e,)     of edges: 0 smooth, from INFINITE on sharp for good
+    spikes: Float64s  # (v,)     likewise of vertices
+    domain: Float64s  # (c, 2)   where a corner lies in a plane of its face of the first level
+    faces: Int64s  # (f,)     that face
+
+    @property
+    def following(self) -> Int64s:
+        """The next corner of each corner's face (c,)."""
+        return self._turned(1)
+
+    @property
+    def preceding(self) -> Int64s:
+        """The corner before each corner in its face (c,)."""
+        return self._turned(-1)
+
+    def _turned(self, by: int) -> Int64s:
+        firsts = np.repeat(np.cumsum(self.sizes) - self.sizes, self.sizes)
+        within = np.arange(len(self.corners)) - firsts
+        return np.asarray(firsts + (within + by) % np.repeat(self.sizes, self.sizes), np.int64)
+
+    @property
+    def owners(self) -> Int64s:
+        """The face of each corner (c,)."""
+        return np.repeat(np.arange(len(self.sizes)), self.sizes)
+
+
+def base_level(
+    values: Float64s,
+    corners: Int64s,
+    sizes: Int64s,
+    domain: Float64s,
+    creases: tuple[Int64s, Float64s],
+    spikes: tuple[Int64s, Float64s],
+) -> Level:
+    """Return the first level of faces of at least three corners each, all vertices of which are used.
+
+    ``creases`` are edges (k, 2) with their sharpness (k,), ``spikes`` vertices (j,) with theirs.
+    """
+    count, faces = len(values), np.arange(len(sizes))
+    nothing = np.empty((0, 2), np.int64), np.empty(0)
+    level = Level(values, corners, sizes, corners, *nothing, np.zeros(count), domain, faces)
+    keys, sides, uses = np.unique(
+        _keys(corners, corners[level.following], count), return_inverse=True, return_counts=True
+    )
+    sharpness = np.zeros(len(keys))
+    given = _keys(*creases[0].T, count)
+    places = np.minimum(np.searchsorted(keys, given), len(keys) - 1)
+    known = keys[places] == given
+    np.maximum.at(sharpness, places[known], creases[1][known])
+    sharpness[uses != 2] = INFINITE
+    np.maximum.at(level.spikes, spikes[0], spikes[1])
+    made = level._replace(
+        sides=sides.reshape(-1), edges=np.stack([keys // count, keys % count], axis=1), sharpness=sharpness
+    )
+    made.spikes[_is_apart(made, uses)] = INFINITE
+    return made
+
+
+def _keys(a: Int64s, b: Int64s, count: int) -> Int64s:
+    return np.asarray(np.minimum(a, b) * count + np.maximum(a, b), np.int64)
+
+
+def _is_apart(level: Level, uses: Int64s) -> Bools:
+    """Say which vertices (v,) are corners: of one face alone, or where faces hang together by no edges.
+
+    A vertex in the middle of a line of edges with more than two faces is none.
+    """
+    count = len(level.values)
+    ends = level.edges.ravel()
+    faces = np.bincount(level.corners, minlength=count)
+    borders = np.bincount(ends[np.repeat(uses == 1, 2)], minlength=count)
+    branches = np.bincount(ends[np.repeat(uses > 2, 2)], minlength=count)
+    alone = (faces == 1) & (borders == 2)
+    odd = (branches > 0) & ((branches != 2) | (borders > 0))
+    return np.asarray(alone | odd | ((branches == 0) & (_fans(level, uses) > 1)))
+
+
+def _fans(level: Level, uses: Int64s) -> Int64s:
+    """Return into how many fans the faces around each vertex fall (v,): at edges of two faces these join."""
+    count = len(level.values)
+    sides = np.concatenate([level.sides, level.sides[level.preceding]])
+    joining = np.flatnonzero(uses[sides] == 2)
+    every = np.tile(np.arange(len(level.corners)), 2)[joining]
+    order = np.argsort(sides[joining] * count + level.corners[every], kind="stable")
+    pairs = every[order].reshape(-1, 2)
+    labels = np.arange(len(level.corners))
+    while True:
+        least = labels[pairs].min(axis=1)
+        lower = labels.copy()
+        np.minimum.at(lower, pairs[:, 0], least)
+        np.minimum.at(lower, pairs[:, 1], least)
+        lower = lower[lower]
+        if np.array_equal(lower, labels):
+            return np.bincount(level.corners[labels == np.arange(len(labels))], minlength=count)
+        labels = lower
+
+
+def divided(level: Level, scheme: Scheme) -> Level:
+    """Return the next level: its vertices are those of this one, then its edges' and, of faces, theirs."""
+    count, n_edges = len(level.values), len(level.edges)
+    before, owners = level.preceding, level.owners
+    values, corners, sides = level.values, level.corners, level.sides
+    middles = values[level.edges[:, 0]] + values[level.edges[:, 1]]
+    weights = np.clip(level.sharpness, 0.0, 1.0)[:, None]
+    if scheme == "loop":
+        added = _sums(sides, values, n_edges, corners[before])
+        smooth = 0.375 * middles + 0.125 * added
+        centres = np.empty((0, values.shape[1]))
+        moved = _smoothed(values, _ring_sums(level), np.bincount(level.edges.ravel(), minlength=count))
+    else:
+        firsts = np.cumsum(level.sizes) - level.sizes
+        centres = np.add.reduceat(values[corners], firsts, axis=0) / level.sizes[:, None]
+        smooth = (middles + _sums(sides, centres, n_edges, owners)) / 4
+        valences = np.bincount(level.edges.ravel(), minlength=count)[:, None]
+        faces = _sums(corners, centres, count, owners)
+        moved = ((valences - 2) * values + (_ring_sums(level) + faces) / valences) / valences
+    made = weights * (middles / 2) + (1 - weights) * smooth
+    softer = _softer(level.sharpness)
+    moved = _sharpened(level, moved, softer)
+
+    # Edges: both halves of each, then those between the points of edges and of faces, a corner each.
+    halves = 2 * sides + (level.edges[sides, 1] == corners)
+    back = 2 * sides[before] + (level.edges[sides[before], 1] == corners)
+    across = 2 * n_edges + np.arange(len(corners))
+    edge_points = count + np.arange(n_edges)
+    first = np.stack([level.edges.ravel(), np.repeat(edge_points, 2)], axis=1)
+    domain = level.domain
+    between = (domain + domain[level.following]) / 2
+    here, there = count + sides, count + sides[before]
+    if scheme == "loop":
+        child_corners = np.stack([corners, here, there], axis=1)
+        child_sides = np.stack([halves, across, back], axis=1)
+        child_domain = np.stack([domain, between, between[before]], axis=1)
+        inner = here.reshape(-1, 3), across.reshape(-1, 3)[:, [1, 2, 0]], between.reshape(-1, 3, 2)
+        child_corners = np.concatenate([child_corners, inner[0]])
+        child_sides = np.concatenate([child_sides, inner[1]])
+        child_domain = np.concatenate([child_domain, inner[2]])
+        faces = np.concatenate([level.faces[owners], level.faces])
+        second = np.stack([here, there], axis=1)
+    else:
+        centre_points = count + n_edges + owners
+        child_corners = np.stack([corners, here, centre_points, there], axis=1)
+        child_sides = np.stack([halves, across, across[before], back], axis=1)
+        flat = np.add.reduceat(domain, firsts, axis=0) / level.sizes[:, None]
+        child_domain = np.stack([domain, between, flat[owners], between[before]], axis=1)
+        faces = level.faces[owners]
+        second = np.stack([here, centre_points], axis=1)
+    return Level(
+        np.concatenate([moved, made, centres]),
+        child_corners.ravel(),
+        np.full(len(child_corners), child_corners.shape[1]),
+        child_sides.ravel(),
+        np.concatenate([first, second]),
+        np.concatenate([np.repeat(softer, 2), np.zeros(len(second))]),
+        np.concatenate([_softer(level.spikes), np.zeros(len(made) + len(centres))]),
+        child_domain.reshape(-1, 2),
+        faces,
+    )
+
+
+def limits(level: Level, scheme: Scheme) -> Float64s:
+    """Return where the vertices of a level go in the limit (v, k); for Catmull–Clark all faces are quads."""
+    count = len(level.values)
+    valences = np.bincount(level.edges.ravel(), minlength=count)
+    diagonals = None
+    if scheme == "catmull-clark":
+        across = level.corners.reshape(-1, 4)[:, [2, 3, 0, 1]].ravel()
+        diagonals = _sums(level.corners, level.values, count, across)
+    found = _smooth_limits(level.values, _ring_sums(level), diagonals, valences)
+    kinds = _kinds(level, level.sharpness, level.spikes)
+    chosen = np.flatnonzero(kinds != _SMOOTH)
+    found[chosen] = _sharp_limits(
+        level.values[chosen], _crease_sums(level, level.sharpness)[chosen], kinds[chosen]
+    )
+    lone = np.bincount(level.edges[level.sharpness > 0].ravel(), minlength=count) == 1
+    passing = (level.sharpness > 0) & (level.sharpness < INFINITE)
+    lone[level.edges[passing]] = True
+    lone |= (level.spikes > 0) & (level.spikes < INFINITE)
+    lone &= level.spikes < INFINITE
+    if lone.any():
+        found[lone] = _around(level, scheme, lone)
+    return found
+
+
+def _around(level: Level, scheme: Scheme, chosen: Bools) -> Float64s:
+    """Return the limits of chosen vertices, by dividing what is around each of them again and again.
+
+    The faces around a vertex are divided without knowledge of any others.
+    """
+    numbers = np.cumsum(chosen) - 1
+    count = int(chosen.sum())
+    before = level.preceding
+    ends = np.stack([level.edges, level.edges[:, ::-1]]).transpose(1, 0, 2).reshape(-1, 2)  # 2e, 2e + 1
+    spokes = np.flatnonzero(chosen[ends[:, 0]])
+    spoke_of = np.full(len(ends), -1)
+    spoke_of[spokes] = np.arange(len(spokes))
+    fans = np.flatnonzero(chosen[level.corners])
+    here = level.corners[fans]
+    ahead, behind = level.sides[fans], level.sides[before[fans]]
+    ahead = spoke_of[2 * ahead + (level.edges[ahead, 1] == here)]
+    behind = spoke_of[2 * behind + (level.edges[behind, 1] == here)]
+    at, fan_at = numbers[ends[spokes, 0]], numbers[here]
+    middle, rim = level.values[chosen], level.values[ends[spokes, 1]]
+    sharpness, spikes = level.sharpness[spokes // 2], level.spikes[chosen]
+    valences = np.bincount(at, minlength=count)
+    far = np.empty((0, rim.shape[1]))
+    if scheme == "catmull-clark":
+        far = level.values[level.corners.reshape(-1, 4)[:, [2, 3, 0, 1]].ravel()[fans]]
+    for _ in range(_ROUNDS):
+        softer, blunter = _softer(sharpness), _softer(spikes)
+        weights = np.clip(sharpness, 0.0, 1.0)[:, None]
+        sides, sums = middle[at] + rim, _sums(at, rim, count)
+        if scheme == "loop":
+            added = _sums(ahead, rim, len(rim), behind) + _sums(behind, rim, len(rim), ahead)
+            smooth = 0.375 * sides + 0.125 * added
+            moved = _smoothed(middle, sums, valences)
+        else:
+            far = (middle[fan_at] + rim[ahead] + rim[behind] + far) / 4
+            smooth = (sides + _sums(ahead, far, len(rim)) + _sums(behind, far, len(rim))) / 4
+            n = valences[:, None]
+            moved = ((n - 2) * middle + (sums + _sums(fan_at, far, count)) / n) / n
+        parts = []
+        for sharp, spike in ((sharpness, spikes), (softer, blunter)):
+            kinds = _kind(np.bincount(at[sharp > 0], minlength=count), spike)
+            beside = _sums(at[sharp > 0], rim[sharp > 0], count)
+            parts.append((kinds, _by_kind(kinds, middle, moved, beside)))
+        share = _shares(at, sharpness, softer, spikes, blunter)
+        is_other = (parts[0][0] != parts[1][0])[:, None]
+        middle = np.where(is_other, share * parts[0][1] + (1 - share) * parts[1][1], parts[0][1])
+        rim = weights * (sides / 2) + (1 - weights) * smooth
+        sharpness, spikes = softer, blunter
+    diagonals = _sums(fan_at, far, count) if scheme == "catmull-clark" else None
+    found = _smooth_limits(middle, _sums(at, rim, count), diagonals, valences)
+    sharp = sharpness > 0
+    kinds = _kind(np.bincount(at[sharp], minlength=count), spikes)
+    is_sharp = kinds != _SMOOTH
+    beside = _sums(at[sharp], rim[sharp], count)
+    found[is_sharp] = _sharp_limits(middle[is_sharp], beside[is_sharp], kinds[is_sharp])
+    return found
+
+
+def _sums(places: Int64s, values: Float64s, count: int, rows: Int64s | None = None) -> Float64s:
+    """Return the sums (count, k) of values (n, k), or of some rows of them (m,), by places."""
+    sums = np.empty((count, values.shape[1]))
+    for column, each in enumerate(np.ascontiguousarray(values.T)):
+        sums[:, column] = np.bincount(places, each if rows is None else each[rows], count)
+    return sums
+
+
+def _ring_sums(level: Level) -> Float64s:
+    """Return for each vertex the sum of those at the other ends of its edges (v, k)."""
+    ends = level.edges.ravel()
+    return _sums(ends, level.values, len(level.values), level.edges[:, ::-1].ravel())
+
+
+def _crease_sums(level: Level, sharpness: Float64s) -> Float64s:
+    """Return likewise the sum of those at the other ends of sharp edges (v, k)."""
+    edges = level.edges[sharpness > 0]
+    return _sums(edges.ravel(), level.values, len(level.values), edges[:, ::-1].ravel())
+
+
+def _smoothed(values: Float64s, sums: Float64s, valences: Int64s) -> Float64s:
+    """Return vertices moved by Loop's rule."""
+    n = valences[:, None]
+    beta = (0.625 - (0.375 + 0.25 * np.cos(2 * np.pi / n)) ** 2) / n
+    return (1 - n * beta) * values + beta * sums
+
+
+def _softer(sharpness: Float64s) -> Float64s:
+    """Return sharpness at the next level."""
+    return np.where(sharpness >= INFINITE, sharpness, np.maximum(sharpness - 1, 0.0))
+
+
+def _kind(sharp_edges: Array, spikes: Float64s) -> Array:
+    kinds = np.where(sharp_edges > 2, _CORNER, np.where(sharp_edges == 2, _CREASE, _SMOOTH))
+    return np.where(spikes > 0, _CORNER, kinds)
+
+
+def _kinds(level: Level, sharpness: Float64s, spikes: Float64s) -> Array:
+    return _kind(np.bincount(level.edges[sharpness > 0].ravel(), minlength=len(level.values)), spikes)
+
+
+def _by_kind(kinds: Array, values: Float64s, smooth: Float64s, beside: Float64s) -> Float64s:
+    creased = 0.75 * values + 0.125 * beside
+    return np.select([(kinds == _CORNER)[:, None], (kinds == _CREASE)[:, None]], [values, creased], smooth)
+
+
+def _shares(
+    ends: Int64s, sharpness: Float64s, softer: Float64s, spikes: Float64s, blunter: Float64s
+) -> Float64s:
+    """Return how much of this level's rule counts where the next one has another (v, 1).
+
+    The mean of what is left of those sharpnesses that end here, of edges at their ``ends`` and of vertices.
+    """
+    ending = (sharpness > 0) & (softer <= 0)
+    sums = np.bincount(ends[ending], sharpness[ending], len(spikes))
+    counts = np.bincount(ends[ending], minlength=len(spikes)).astype(np.float64)
+    blunt = (spikes > 0) & (blunter <= 0)
+    sums, counts = sums + np.where(blunt, spikes, 0.0), counts + blunt
+    return np.minimum(sums / np.maximum(counts, 1), 1.0)[:, None]
+
+
+def _sharpened(level: Level, smooth: Float64s, softer: Float64s) -> Float64s:
+    """Return moved vertices (v, k): smooth ones, but where creases and corners have their own rule."""
+    if not (level.sharpness > 0).any() and not (level.spikes > 0).any():
+        return smooth
+    blunter = _softer(level.spikes)
+    kinds = _kinds(level, level.sharpness, level.spikes)
+    later = _kinds(level, softer, blunter)
+    own = np.flatnonzero((kinds != _SMOOTH) | (later != _SMOOTH))
+    parts = [
+        _by_kind(kind[own], level.values[own], smooth[own], _crease_sums(level, sharp)[own])
+        for kind, sharp in ((kinds, level.sharpness), (later, softer))
+    ]
+    ends, twice = level.edges.ravel(), np.repeat(level.sharpness, 2)
+    share = _shares(ends, twice, np.repeat(softer, 2), level.spikes, blunter)[own]
+    is_other = (kinds != later)[own, None]
+    smooth[own] = np.where(is_other, share * parts[0] + (1 - share) * parts[1], parts[0])
+    return smooth
+
+
+def _smooth_limits(
+    values: Float64s, sums: Float64s, diagonals: Float64s | None, valences: Int64s
+) -> Float64s:
+    n = valences[:, None].astype(np.float64)
+    if diagonals is not None:
+        return np.asarray((n * n * values + 4 * sums + diagonals) / (n * (n + 5)))
+    beta = (0.625 - (0.375 + 0.25 * np.cos(2 * np.pi / n)) ** 2) / n
+    share = 1 / (0.375 / beta + n)
+    return np.asarray((1 - n * share) * values + share * sums)
+
+
+def _sharp_limits(values: Float64s, beside: Float64s, kinds: Array) -> Float64s:
+    return np.where((kinds == _CREASE)[:, None], (4 * values + beside) / 6, values)

@@ -1,0 +1,336 @@
+"""A piece of a surface, laid flat: the discrete exponential map around a point.
+
+Distances and directions from the centre spread over triangles like a wave (Novotni and Klein 2002): two corners
+of a triangle say where, in its plane, the centre would lie; the third is as far from there as it is from the
+centre, in the direction between those of the two. Schmidt, Grimm and Wyvill (2006) paint by such maps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.arrays import Bools, Float64s, Int32s, Int64s
+from octex.checks import as_positive, as_reals, as_whole
+from octex.errors import ModelError
+from octex.jit import inlined, kernel
+from octex.nearest.triangles import Triangles
+from octex.source.surface import Surface, as_surface
+from octex.source.welding import first_equal
+from octex.view.camera import Camera
+
+#: Triangles that meet those at the centre lie flat enough there if their normals are within so many degrees.
+_FLAT = 25.0
+#: The wave goes on beyond the radius, so that triangles across the rim have all corners.
+_BEYOND = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """A disc of a surface, laid flat; used where a camera is, and made by ``octex.unwrap``.
+
+    camera        sees the flat disc from the front, within the picture
+    surface       the surface, posed flat where the disc is and shrunk to nothing elsewhere; at rest as it was
+    center        (3,) where its middle is on the posed surface
+    radius        of the disc, along the surface, in the model's units
+    coordinates   (n, 2) where vertices of ``surface`` lie; NaN outside of the disc
+    triangles     (k,) those that the disc meets
+    folded        (j,) those of them that lie upside down, where paint does not reach
+    meets_border  whether the surface ends within the disc
+    """
+
+    camera: Camera
+    surface: Surface
+    center: Float64s
+    radius: float
+    coordinates: Float64s
+    triangles: Int32s
+    folded: Int32s
+    meets_border: bool
+
+    @property
+    def width(self) -> int:
+        """Of its pictures, in pixels."""
+        return self.camera.width
+
+    @property
+    def height(self) -> int:
+        """Of its pictures, in pixels."""
+        return self.camera.height
+
+    @property
+    def faults(self) -> list[str]:
+        """What keeps the disc from being one, in words: folds, and borders within."""
+        said = []
+        if self.folded.size:
+            said.append(f"{self.folded.size:,} of its {self.triangles.size:,} triangles fold over")
+        if self.meets_border:
+            said.append("the surface ends within it")
+        return said
+
+    def __repr__(self) -> str:
+        faults = "".join(f"; {each}" for each in self.faults)
+        return f"<Patch of radius {self.radius:g} with {self.triangles.size:,} triangles{faults}>"
+
+
+def unwrap(
+    surface: Surface,
+    center: npt.ArrayLike,
+    radius: float,
+    *,
+    up: npt.ArrayLike | None = None,
+    size: int = 1024,
+) -> Patch:
+    """Lay a disc of a posed surface flat, to be painted on in a picture (Benson & Davis 2002, 6.1).
+
+    A point at a distance along the surface, in a direction from the centre, lies there at that distance in
+    that direction. Along a ray from the centre nothing is stretched; across it what is curved is.
+
+    center   (3,) the middle: the point of the surface that is nearest to it
+    radius   of the disc, along the surface
+    up       what points up in the picture; by default y, or z where the surface looks along y
+    size     pixels of its picture along each side, which the disc fills
+
+    Vertices at one place are one. A disc that folds, or that the surface ends in, is made as far as it goes,
+    and says so: ``Patch.faults``. Raises ModelError for a centre that is farther than the radius from the
+    surface, ArgumentError for numbers out of range.
+    """
+    surface = as_surface(surface)
+    middle = as_reals(center, "center", (3,), most=1e30)
+    radius = as_positive(radius, "radius")
+    size = as_whole(size, "size", 1, 100_000)
+    wanted = None if up is None else as_reals(up, "up", (3,), most=1e30)
+    found = Triangles.of(surface.vertices, surface.triangles).nearest(middle[None])
+    start = int(found.triangles[0])
+    if start < 0:
+        raise ModelError(f"{surface.name} has no point near {middle.tolist()}")
+    at = surface.points_at(found.triangles, found.barycentric)[0]
+    if np.linalg.norm(at - middle) > radius:
+        raise ModelError(
+            f"the centre {middle.tolist()} is farther than the radius {radius:g} from {surface.name}; its "
+            f"nearest point is {at.round(6).tolist()}"
+        )
+    weld = _welded(surface)
+    faces = weld[surface.triangles]
+    flat, border = _spread(surface.vertices, faces, start, at, radius, wanted)
+    reach = np.linalg.norm(flat, axis=1)
+    inside = (reach < radius)[faces].any(axis=1) & np.isfinite(reach)[faces].all(axis=1)
+    inside[start] = True
+    triangles = np.flatnonzero(inside).astype(np.int32)
+    a, b, c = np.moveaxis(flat[faces[triangles]], 1, 0)
+    e, f = b - a, c - a
+    folded = triangles[e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0] < 0]
+    posed, coordinates = _flat_surface(surface, faces, triangles, flat)
+    pose = np.eye(4)
+    pose[2, 3] = radius
+    camera = Camera.orthographic(
+        (size, size), pose=pose, convention="opengl", pixels_per_unit=size / (2 * radius)
+    )
+    ends = border & (reach < radius)
+    meets = bool(_has_border(faces[triangles], ends))
+    return Patch(camera, posed, at, radius, coordinates, triangles, folded.astype(np.int32), meets)
+
+
+def _welded(surface: Surface) -> Int64s:
+    """Return for each vertex the first at its place, posed and at rest."""
+    if surface.rest is surface.vertices:
+        return first_equal(surface.vertices)
+    return first_equal(np.concatenate([surface.vertices, surface.rest], axis=1))
+
+
+def _spread(
+    vertices: Float64s, faces: Int64s, start: int, at: Float64s, radius: float, up: Float64s | None
+) -> tuple[Float64s, Bools]:
+    """Return where vertices lie (n, 2), NaN where the wave did not come, and which are on borders."""
+    flat = np.full((len(vertices), 2), np.nan)
+    normals = np.cross(
+        vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]]
+    )
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    units = normals / np.where(lengths > 0, lengths, 1)
+    near = np.flatnonzero(np.isin(faces, faces[start]).any(axis=1) & (lengths[:, 0] > 0))
+    mean = normals[near].sum(axis=0)
+    normal = units[start]
+    is_flat = bool((units[near] @ normal > np.cos(np.radians(_FLAT))).all())
+    if is_flat:
+        normal = mean / np.linalg.norm(mean)
+    if not normal.any():
+        raise ModelError("the surface has no area at the centre; choose another")
+    if up is None or not np.linalg.norm(np.cross(up, normal)) > 1e-9 * np.linalg.norm(up):
+        up = np.array([0.0, 1.0, 0.0] if abs(normal[1]) < 0.9 else [0.0, 0.0, 1.0])
+    right = np.cross(up, normal)
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(normal, right)])
+    known = np.unique(faces[near]) if is_flat else np.unique(faces[start])
+    away = vertices[known] - at
+    seen = away @ axes.T
+    spans = np.linalg.norm(seen, axis=1, keepdims=True)
+    flat[known] = seen * np.linalg.norm(away, axis=1, keepdims=True) / np.where(spans > 0, spans, 1)
+    order = np.argsort(faces.ravel(), kind="stable")
+    first = np.searchsorted(faces.ravel()[order], np.arange(len(vertices) + 1))
+    distances = np.full(len(vertices), np.inf)
+    distances[known] = np.linalg.norm(flat[known], axis=1)
+    angles = np.zeros(len(vertices))
+    angles[known] = np.arctan2(flat[known, 1], flat[known, 0])
+    _propagate(vertices, faces, first, order // 3, known, _BEYOND * radius, distances, angles)
+    there = np.isfinite(distances)
+    flat[there] = distances[there, None] * np.stack([np.cos(angles[there]), np.sin(angles[there])], axis=1)
+    return flat, _border_vertices(faces, len(vertices))
+
+
+@kernel
+def _propagate(
+    vertices: Float64s,
+    faces: Int64s,
+    first: Int64s,
+    around: Int64s,
+    known: Int64s,
+    reach: float,
+    distances: Float64s,
+    angles: Float64s,
+) -> None:
+    """Fill in distances and angles from those of ``known`` vertices on, the nearest vertex first.
+
+    Where triangles are not acute, a vertex may be nearer than one that its ray passes: it is corrected later.
+    """
+    keys = np.empty(around.size * 8 + known.size + 1)
+    names = np.empty(keys.size, np.int64)
+    given = np.zeros(distances.size, np.bool_)
+    count = 0
+    for k in range(known.size):
+        given[known[k]] = True
+        count = _push(keys, names, count, distances[known[k]], known[k])
+    while count > 0:
+        key, vertex = keys[0], names[0]
+        count = _pop(keys, names, count)
+        if key > distances[vertex]:  # it has come nearer since
+            continue
+        if key > reach:
+            break
+        for at in range(first[vertex], first[vertex + 1]):
+            face = around[at]
+            for corner in range(3):
+                other = faces[face, corner]
+                if other == vertex or given[other]:
+                    continue
+                third = faces[face, 0] + faces[face, 1] + faces[face, 2] - vertex - other
+                if third == vertex or third == other:
+                    continue
+                has_two = distances[third] < np.inf
+                distance, angle = _stepped(vertices, vertex, third, other, distances, angles, has_two)
+                if distance < distances[other] * (1.0 - 1e-12) and count < keys.size:
+                    distances[other], angles[other] = distance, angle
+                    count = _push(keys, names, count, distance, other)
+
+
+@inlined
+def _stepped(
+    vertices: Float64s, a: int, b: int, c: int, distances: Float64s, angles: Float64s, has_two: bool
+) -> tuple[float, float]:
+    """Return the distance and the angle of a triangle's third corner, of those of one or two."""
+    ab = ac = bc = dot = 0.0
+    for axis in range(3):
+        e, f = vertices[b, axis] - vertices[a, axis], vertices[c, axis] - vertices[a, axis]
+        ab += e * e
+        ac += f * f
+        bc += (f - e) * (f - e)
+        dot += e * f
+    best, angle = distances[a] + np.sqrt(ac), angles[a]
+    if not has_two or ab <= 0.0:
+        return best, angle
+    if distances[b] + np.sqrt(bc) < best:
+        best, angle = distances[b] + np.sqrt(bc), angles[b]
+    base = np.sqrt(ab)
+    # In the triangle's plane a is at (0, 0), b at (base, 0), c above them, and the centre below at (s, −q).
+    x = dot / base
+    y = np.sqrt(max(ac - x * x, 0.0))
+    s = (distances[a] ** 2 - distances[b] ** 2 + ab) / (2.0 * base)
+    q = np.sqrt(max(distances[a] ** 2 - s * s, 0.0))
+    if y + q <= 0.0:
+        return best, angle
+    crossing = s + (x - s) * q / (y + q)
+    if crossing < -1e-9 * base or crossing > (1.0 + 1e-9) * base:
+        return best, angle
+    turn = angles[b] - angles[a]
+    turn -= 2.0 * np.pi * np.rint(turn / (2.0 * np.pi))
+    low, high, own = np.arctan2(-s, q), np.arctan2(base - s, q), np.arctan2(x - s, y + q)
+    share = (own - low) / (high - low) if high > low else crossing / base
+    return np.sqrt((x - s) ** 2 + (y + q) ** 2), angles[a] + turn * share
+
+
+@inlined
+def _push(keys: Float64s, names: Int64s, count: int, key: float, name: int) -> int:
+    """Put an entry into a binary heap."""
+    at = count
+    while at > 0 and keys[(at - 1) >> 1] > key:
+        keys[at], names[at] = keys[(at - 1) >> 1], names[(at - 1) >> 1]
+        at = (at - 1) >> 1
+    keys[at], names[at] = key, name
+    return count + 1
+
+
+@inlined
+def _pop(keys: Float64s, names: Int64s, count: int) -> int:
+    """Take the least entry, the first, out of a binary heap."""
+    count -= 1
+    key, name = keys[count], names[count]
+    at = 0
+    while 2 * at + 1 < count:
+        child = 2 * at + 1
+        if child + 1 < count and keys[child + 1] < keys[child]:
+            child += 1
+        if keys[child] >= key:
+            break
+        keys[at], names[at] = keys[child], names[child]
+        at = child
+    keys[at], names[at] = key, name
+    return count
+
+
+def _edges(faces: Int64s) -> tuple[Int64s, Int64s]:
+    """Return the distinct edges (k, 2), lower vertex first, and how many triangles have each."""
+    ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    keys, counts = np.unique(ends[:, 0] << 32 | ends[:, 1], return_counts=True)
+    return np.stack([keys >> 32, keys & 0xFFFFFFFF], axis=1), counts
+
+
+def _border_vertices(faces: Int64s, count: int) -> Bools:
+    ends, counts = _edges(faces)
+    border = np.zeros(count, np.bool_)
+    border[ends[counts == 1]] = True
+    return border
+
+
+def _has_border(faces: Int64s, ends: Bools) -> bool:
+    """Say whether some corner of triangles is an end."""
+    return bool(ends[faces].any())
+
+
+def _flat_surface(
+    surface: Surface, faces: Int64s, triangles: Int32s, flat: Float64s
+) -> tuple[Surface, Float64s]:
+    """Return the surface with its triangles of a disc posed flat, and others shrunk; and where vertices lie.
+
+    Triangles of the disc have vertices of their own, so that the others are shrunk whole.
+    """
+    used = np.zeros(len(surface.vertices), np.bool_)
+    used[surface.triangles[triangles]] = True
+    count = int(used.sum())
+    names = np.cumsum(used) - 1 + len(surface.vertices)
+    made = surface.triangles.copy()
+    made[triangles] = names[surface.triangles[triangles]]
+    weld = np.arange(len(surface.vertices))
+    weld[surface.triangles] = faces
+    coordinates = np.full((len(surface.vertices) + count, 2), np.nan)
+    coordinates[len(surface.vertices) :] = flat[weld[used]]
+    positions = np.zeros((len(coordinates), 3))
+    positions[len(surface.vertices) :, :2] = coordinates[len(surface.vertices) :]
+    positions[: len(surface.vertices), 2] = -1.0
+    rest = np.concatenate([surface.rest, surface.rest[used]])
+    posed = Surface(
+        positions, made, surface.source, rest=rest, uv=surface.uv, polygons=surface.polygons,
+        name=surface.name, provenance=surface.provenance,
+    )  # fmt: skip
+    return posed, coordinates

@@ -1,0 +1,108 @@
+"""One file with the page, its modules and the data: it opens by a double click, offline."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from importlib.resources import files
+from typing import TYPE_CHECKING
+
+from octex.errors import ArgumentError
+from octex.files import replacing
+from octex.parallel import Progress, silent
+from octex.viewer.pack import Packed, pack
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from octex.source.surface import Surface
+    from octex.texture import OctreeTexture
+
+#: Modules in the order in which each knows those before it.
+_NAMES = "data", "octree", "mesh", "camera", "controls", "connection", "gpu", "viewer"
+MODULES = [f"{name}.js" for name in _NAMES]
+SHADERS = ["walk.glsl", "light.glsl", "depth.frag"]
+SHADERS += [f"{name}.{stage}" for name in ("surface", "cubes") for stage in ("vert", "frag")]
+_PAGE = files(__name__.rpartition(".")[0]) / "page"
+#: Deflate's level for files, which are packed once.
+_SMALLEST = 9
+
+
+def page_text(name: str) -> str:
+    """Return one of the page's files."""
+    return (_PAGE / name).read_text("utf-8")
+
+
+def write_page(
+    texture: OctreeTexture,
+    path: Path,
+    surface: Surface | None = None,
+    *,
+    title: str = "octex",
+    max_size: int | None = None,
+    progress: Progress = silent,
+) -> list[str]:
+    """Write a page that shows a texture on the surface that it is of; without one, its cells.
+
+    ``max_size``, in bytes, leaves out the finest levels until the file is no larger. Returns what the page
+    shows otherwise than the texture has it. Raises ArgumentError if it does not fit without any level, or
+    for a surface that is not the texture's; OutputError if the file cannot be written.
+    """
+    level = texture.tree.max_depth
+    progress("pack", 0, 1)
+    while True:
+        packed = pack(texture.level(level), surface, title=title, level=_SMALLEST)
+        if level < texture.tree.max_depth:
+            packed.header["notes"].insert(
+                0, f"depth {level} of {texture.tree.max_depth}, to fit {max_size:,} bytes"
+            )
+        page = _inlined(packed).encode()
+        if max_size is None or len(page) <= max_size:
+            break
+        level = min(level, packed.header["depth"]) - 1
+        if level < 0:
+            raise ArgumentError(
+                f"the page takes {len(page):,} bytes without any level; allow more than {max_size:,}"
+            )
+    with replacing(path) as file:
+        file.write(page)
+    progress("pack", 1, 1)
+    return list(packed.header["notes"])
+
+
+def _inlined(packed: Packed) -> str:
+    """Return the page with all that it needs in it, and a policy that lets it load nothing."""
+    script = "".join(map(_module, MODULES))
+    style = page_text("style.css")
+    policy = (
+        f"default-src 'none'; script-src '{_digest(script)}'; style-src '{_digest(style)}'; "
+        "img-src blob: data:; base-uri 'none'; form-action 'none'"
+    )
+    data = {"header": json.dumps(packed.header).replace("<", "\\u003c")}
+    data |= {f"levels-{n}": base64.b64encode(chunk).decode() for n, chunk in enumerate(packed.chunks)}
+    if packed.mesh:
+        data["mesh"] = base64.b64encode(packed.mesh).decode()
+    blocks = [
+        f'<script type="text/plain" id="shader-{name}">{page_text(f"shaders/{name}")}</script>'
+        for name in SHADERS
+    ]
+    blocks += [f'<script type="text/plain" id="data-{name}">{text}</script>' for name, text in data.items()]
+    html = page_text("index.html")
+    html = html.replace(
+        "<title>", f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n<title>', 1
+    )
+    html = html.replace('<link rel="stylesheet" href="style.css">', f"<style>{style}</style>")
+    program = "\n".join([*blocks, f'<script type="module">{script}</script>'])
+    return html.replace('<script type="module" src="viewer.js"></script>', program)
+
+
+def _module(name: str) -> str:
+    """Return a module without imports and exports: all of them share one scope."""
+    text = re.sub(r"^import .*\n", "", page_text(name), flags=re.MULTILINE)
+    return re.sub(r"^export ", "", text, flags=re.MULTILINE)
+
+
+def _digest(text: str) -> str:
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()

@@ -1,0 +1,278 @@
+"""A texture and its mesh as the page takes them: levels one after another, small enough to send.
+
+Each chunk holds some levels, coarse ones first, as one stream of raw deflate. Of each of its levels come:
+
+    node masks, leaf masks   a byte for each node of the level above
+    areas                    a byte for each cell that is a node, less its parent's
+    flags                    a byte for each cell, exclusive or with its parent's
+    values                   of each channel, component after component, a byte for each cell, less its
+                             parent's; of colours red and blue are stored less green
+
+Numbers of cells and nodes follow from the masks, as in octex.tree.layout. Values are 8-bit codes; other types
+are cast. The last chunk holds the rows of kept nodes and of split cells, if there are any.
+
+The mesh is one stream: positions in whole numbers of 2⁻ᵇ of a cube's edge, each less the one before it;
+normals as points of an octahedron, likewise; triangles by how far back each vertex is from the next new one.
+Numbers of more than a byte are stored as planes of bytes, the lowest first.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from octex.arrays import Array, Float64s, Int32s, Int64s, Uint8s
+from octex.channels import ChannelFormat
+from octex.processing.cast import cast
+from octex.tree.layout import FACING_FLAGS
+from octex.view.shading import corner_normals
+
+if TYPE_CHECKING:
+    from octex.source.surface import Surface
+    from octex.texture import OctreeTexture
+
+#: Cells that the page's numbers, of 24 bits, can name; of a deeper tree the finest levels are left out.
+MOST_CELLS = 1 << 24
+#: Cells that come in the first chunk.
+_FIRST = 20_000
+
+
+class Packed(NamedTuple):
+    """What a page shows: a header, ready for JSON, and streams of deflate."""
+
+    header: dict[str, Any]
+    chunks: list[bytes]  # of the texture
+    mesh: bytes  # empty if there is none
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all streams."""
+        return sum(map(len, self.chunks)) + len(self.mesh)
+
+
+def pack(texture: OctreeTexture, surface: Surface | None, *, title: str, level: int = 6) -> Packed:
+    """Pack a texture, and the surface that it is of, with deflate's ``level`` 1 to 9.
+
+    The header's ``notes`` say what the page shows otherwise than lookups have it. Raises ArgumentError for a
+    surface that is not the texture's.
+    """
+    if surface is not None:
+        surface = surface.placed_in(texture)
+    texture, notes = _prepared(texture)
+    tree = texture.tree
+    formats = [each.format for each in texture.channels.values()]
+    slots = _slots(formats)
+    cells, chunks = tree.arrays.level_cells.tolist(), []
+    starts = [0, *(k for k in range(1, tree.max_depth + 1) if cells[k + 1] > _FIRST), tree.max_depth + 1]
+    parts = list(_levels(texture))
+    for first, end in pairwise(dict.fromkeys(starts)):
+        chunks.append(_deflated(b"".join(parts[first:end]), level))
+    chunk_levels = list(pairwise(dict.fromkeys(starts)))
+    header: dict[str, Any] = {
+        "title": title,
+        "depth": tree.max_depth,
+        "origin": list(texture.placement.origin),
+        "size": texture.placement.size,
+        "levelCells": cells,
+        "levelNodes": tree.arrays.level_nodes.tolist(),
+        "leaves": tree.n_leaves,
+        "channels": [
+            {"name": form.name, "components": form.components, "space": form.space, "at": slots[form.name]}
+            for form in formats
+        ],
+        "area": slots["area"],
+        "flags": slots["flags"],
+        "planes": slots["planes"],
+        "chunks": [
+            {"levels": [first, end], "bytes": len(chunk)}
+            for (first, end), chunk in zip(chunk_levels, chunks, strict=True)
+        ],
+        "notes": notes,
+        "isMixed": _is_mixed(texture),
+        "kept": tree.kept.cells.size,
+        "split": [tree.split.cells.size, tree.split.areas.size],
+    }
+    if tree.kept.cells.size + tree.split.cells.size:
+        chunks.append(_deflated(_tables(texture), level))
+        header["chunks"].append({"bytes": len(chunks[-1])})
+    mesh = b""
+    if surface is not None:
+        header["mesh"], stream = _packed_mesh(texture, surface)
+        mesh = _deflated(stream, level)
+        header["mesh"]["bytes"] = len(mesh)
+    return Packed(header, chunks, mesh)
+
+
+def _prepared(texture: OctreeTexture) -> tuple[OctreeTexture, list[str]]:
+    """Return a texture as the page can show it, and what is then otherwise."""
+    notes: list[str] = []
+    others = [name for name, each in texture.channels.items() if each.format.dtype != "uint8"]
+    if others:
+        texture = cast(texture, dict.fromkeys(others, "uint8"))
+        notes.append(f"{', '.join(others)}: shown with 8 bits, 0 to 1")
+    depth = texture.tree.max_depth
+    cells = texture.tree.arrays.level_cells
+    while depth and int(cells[depth + 1]) > MOST_CELLS:
+        depth -= 1
+    if depth < texture.tree.max_depth:
+        notes.append(f"depth {depth} of {texture.tree.max_depth}: a page shows {MOST_CELLS:,} cells at most")
+        texture = texture.level(depth)
+    if _is_mixed(texture):
+        notes.append("leaves of several depths: there is no linear filter")
+    return texture, notes
+
+
+def _is_mixed(texture: OctreeTexture) -> bool:
+    """Say whether leaves have several depths, or nodes keep coefficients."""
+    levels = texture.tree.cells_by_depth()
+    return any(leaves for leaves, _ in levels[:-1]) or texture.tree.kept.cells.size > 0
+
+
+def _tables(texture: OctreeTexture) -> bytes:
+    """Return the last chunk: the rows of kept nodes and of split cells, less the values of their cells."""
+    split, kept = texture.tree.split, texture.tree.kept
+    facings = split.facings & np.uint8(FACING_FLAGS)
+    owners = np.concatenate([kept.cells, np.repeat(split.cells, np.bitwise_count(facings))])
+    steps = [np.diff(cells.astype(np.int64), prepend=0) for cells in (kept.cells, split.cells)]
+    parts = [_planes(np.concatenate(steps)), facings.tobytes()]
+    for channel in texture.channels.values():
+        rows = np.concatenate([channel.kept_values, channel.split_values])
+        parts.append(np.ascontiguousarray((rows - channel.values[owners]).T).tobytes())
+    return b"".join(parts)
+
+
+def _slots(formats: list[ChannelFormat]) -> dict[str, Any]:
+    """Say where channels, areas and flags are kept, [plane, first component], and which planes are sRGB.
+
+    Of an sRGB plane the fourth component is linear, as it is in WebGL2's textures.
+    """
+    free: list[tuple[bool, list[int]]] = []
+    at: dict[str, Any] = {}
+
+    def place(name: str, components: int, is_srgb: bool) -> None:
+        for number, (kind, slots) in enumerate([] if is_srgb else free):
+            chosen = [slot for slot in slots if slot == 3 or not kind][:components]
+            if len(chosen) == components and (components == 1 or chosen[0] == 0):
+                at[name] = [number, chosen[0]]
+                free[number] = kind, [slot for slot in slots if slot not in chosen]
+                return
+        at[name] = [len(free), 0]
+        free.append((is_srgb, [slot for slot in range(components, 4) if free or slot < 3]))
+
+    at["area"] = [0, 3]
+    ranked = sorted(formats, key=lambda form: (form.name != "base_color", form.components != 3))
+    if not formats or ranked[0].components == 4:
+        free.append((False, [0, 1, 2]))
+    for form in ranked:
+        place(form.name, form.components, form.space == "srgb")
+    place("flags", 1, False)
+    at["planes"] = [is_srgb for is_srgb, _ in free]
+    return at
+
+
+def _levels(texture: OctreeTexture) -> Iterator[bytes]:
+    """Yield what comes of each level."""
+    arrays = texture.tree.arrays
+    n_nodes = texture.tree.n_nodes
+    node_masks = np.ascontiguousarray(arrays.groups[:, 0]).astype("<u8").view(np.uint8)[:n_nodes]
+    leaf_masks = np.ascontiguousarray(arrays.groups[:, 1]).astype("<u8").view(np.uint8)[:n_nodes]
+    above = np.zeros(1, np.int64)  # the cells that are nodes of the level above
+    for level, (_, is_node) in enumerate(texture.tree.walk()):
+        first, end = arrays.level_cells[level : level + 2].tolist()
+        parts: list[Array] = []
+        parents = np.zeros(1, np.int64)
+        if level:
+            rows = slice(*arrays.level_nodes[level - 1 : level + 1].tolist())
+            parts += [node_masks[rows], leaf_masks[rows]]
+            parents = np.repeat(above, np.bitwise_count(node_masks[rows] | leaf_masks[rows]))
+        known = np.uint8(level > 0)
+        nodes = np.flatnonzero(is_node)
+        parts.append(arrays.areas[first:end][nodes] - known * arrays.areas[parents[nodes]])
+        parts.append(arrays.flags[first:end] ^ known * arrays.flags[parents])
+        for channel in texture.channels.values():
+            here, there = _apart(channel.values[first:end]), _apart(channel.values[parents])
+            parts.append(np.ascontiguousarray((here - known * there).T))
+        above = nodes + first
+        yield b"".join(part.tobytes() for part in parts)
+
+
+def _apart(values: Array) -> Uint8s:
+    """Return colours (n, 3) with red and blue less green; others as they are."""
+    values = np.asarray(values, np.uint8)
+    if values.shape[1] != 3:
+        return values
+    green = values[:, 1]
+    return np.stack([values[:, 0] - green, green, values[:, 2] - green], axis=1)
+
+
+def _packed_mesh(texture: OctreeTexture, surface: Surface) -> tuple[dict[str, Any], bytes]:
+    """Return what a mesh's stream holds, and the stream."""
+    faces = surface.triangles
+    is_posed = surface.rest is not surface.vertices
+    if surface.frames is None or is_posed:
+        normals = corner_normals(surface.vertices, faces)
+    else:
+        normals = surface.frames.normals.values[surface.frames.normals.rows]
+    bits = min(max(20, texture.tree.max_depth + 8), 24)
+    rest = texture.placement.to_texture_space(surface.rest)
+    steps = np.rint(np.clip(rest, 0.0, 1.0) * (1 << bits)).astype(np.int32)
+    columns = [steps[faces.ravel()], _octahedral(normals.reshape(-1, 3))]
+    low, edge = np.array(texture.placement.origin), texture.placement.size
+    if is_posed:
+        used = surface.vertices[np.unique(faces)]
+        low, edge = used.min(axis=0), float(np.ptp(used, axis=0).max()) or 1.0
+        posed = np.rint((surface.vertices - low) / edge * (1 << bits)).astype(np.int32)
+        columns.append(posed[faces.ravel()])
+    corners = np.concatenate(columns, axis=1)
+    rows, triangles = _by_first_use(corners)
+    steps_back = np.maximum.accumulate(triangles) - triangles
+    is_new = np.diff(np.maximum.accumulate(triangles), prepend=-1) > 0
+    back = np.where(is_new, 0, steps_back + 1)
+    parts = [_planes(_zigzag(np.diff(rows[:, column], prepend=0))) for column in range(rows.shape[1])]
+    header = {
+        "vertices": len(rows),
+        "triangles": len(faces),
+        "bits": bits,
+        "posed": is_posed,
+        "low": low.tolist(),
+        "edge": edge,
+    }
+    return header, b"".join([*parts, _planes(back)])
+
+
+def _by_first_use(corners: Int32s) -> tuple[Int32s, Int64s]:
+    """Return distinct rows in the order of their first use, and which one each row is."""
+    _, first, which = np.unique(corners, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first, kind="stable")
+    rank = np.empty(order.size, np.int64)
+    rank[order] = np.arange(order.size)
+    return corners[first[order]], rank[which.ravel()]
+
+
+def _octahedral(normals: Array) -> Int32s:
+    """Return unit vectors (n, 3) as whole numbers −1023 … 1023 (n, 2) on an unfolded octahedron."""
+    vectors = np.asarray(normals, np.float64)
+    sums = np.abs(vectors).sum(axis=1, keepdims=True)
+    flat: Float64s = vectors / np.where(sums > 0, sums, 1.0)
+    signs = np.where(flat[:, :2] < 0, -1.0, 1.0)
+    folded = (1 - np.abs(flat[:, 1::-1])) * signs
+    return np.asarray(np.rint(np.where(flat[:, 2:] < 0, folded, flat[:, :2]) * 1023), np.int32)
+
+
+def _zigzag(numbers: Array) -> Int64s:
+    numbers = numbers.astype(np.int64)
+    return (numbers << 1) ^ (numbers >> 63)
+
+
+def _planes(numbers: Array) -> bytes:
+    """Return whole numbers (n,), not negative, as four planes of bytes."""
+    return np.ascontiguousarray(numbers.astype("<u4").view(np.uint8).reshape(-1, 4).T).tobytes()
+
+
+def _deflated(stream: bytes, level: int) -> bytes:
+    packer = zlib.compressobj(level, zlib.DEFLATED, -15, 9)
+    return packer.compress(stream) + packer.flush()

@@ -1,0 +1,85 @@
+// The camera: it goes around a point that it looks at. Angles are in radians, matrices column after column.
+
+const MOST_TILT = Math.PI / 2 - 0.001;
+
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+
+export class Camera {
+  constructor(low, high) {
+    this.low = low;
+    this.high = high;
+    this.turn = 0.55;
+    this.tilt = 0.3;
+    this.fov = 0.6;
+    this.aspect = 4 / 3;
+    this.reset();
+  }
+
+  get radius() {
+    return 0.5 * Math.hypot(...this.high.map((x, n) => x - this.low[n])) || 1;
+  }
+
+  // See the whole model from the same side, or from a given one.
+  reset(turn = this.turn, tilt = this.tilt) {
+    this.turn = turn;
+    this.tilt = tilt;
+    this.target = this.low.map((x, n) => (x + this.high[n]) / 2);
+    const narrow = Math.min(1, this.aspect);
+    this.distance = (1.02 * this.radius) / Math.sin(Math.atan(Math.tan(this.fov / 2) * narrow));
+  }
+
+  get backward() {
+    const across = Math.cos(this.tilt);
+    return [Math.sin(this.turn) * across, Math.sin(this.tilt), Math.cos(this.turn) * across];
+  }
+
+  get axes() {
+    const back = this.backward;
+    const right = [Math.cos(this.turn), 0, -Math.sin(this.turn)];
+    const up = [back[1] * right[2] - back[2] * right[1], back[2] * right[0] - back[0] * right[2], back[0] * right[1] - back[1] * right[0]];
+    return [right, up, back];
+  }
+
+  get position() {
+    return this.target.map((x, n) => x + this.distance * this.backward[n]);
+  }
+
+  get view() {
+    const [x, y, z] = this.axes, at = this.position;
+    return new Float32Array([x[0], y[0], z[0], 0, x[1], y[1], z[1], 0, x[2], y[2], z[2], 0, -dot(x, at), -dot(y, at), -dot(z, at), 1]);
+  }
+
+  // Of the whole picture; or of one pixel (column, row, from the upper left) of one that is so wide and high.
+  projection(pixel = null, size = null) {
+    const away = this.distance + Math.hypot(...this.target.map((x, n) => x - (this.low[n] + this.high[n]) / 2));
+    const far = away + 1.1 * this.radius;
+    const near = Math.max(this.distance - 2.2 * this.radius, 0.002 * Math.min(this.distance, this.radius));
+    const high = near * Math.tan(this.fov / 2), wide = high * this.aspect;
+    let [left, right, bottom, top] = [-wide, wide, -high, high];
+    if (pixel) {
+      const [w, h] = size, x = -wide + (2 * wide * pixel[0]) / w, y = high - (2 * high * pixel[1]) / h;
+      [left, right, bottom, top] = [x, x + (2 * wide) / w, y - (2 * high) / h, y];
+    }
+    return new Float32Array([
+      (2 * near) / (right - left), 0, 0, 0,
+      0, (2 * near) / (top - bottom), 0, 0,
+      (right + left) / (right - left), (top + bottom) / (top - bottom), -(far + near) / (far - near), -1,
+      0, 0, (-2 * far * near) / (far - near), 0,
+    ]);
+  }
+
+  orbit(turn, tilt) {
+    this.turn += turn;
+    this.tilt = Math.min(Math.max(this.tilt + tilt, -MOST_TILT), MOST_TILT);
+  }
+
+  // Move what is seen by parts of the picture's height.
+  pan(right, up) {
+    const step = 2 * this.distance * Math.tan(this.fov / 2), [x, y] = this.axes;
+    this.target = this.target.map((at, n) => at - step * (right * x[n] + up * y[n]));
+  }
+
+  zoom(times) {
+    this.distance = Math.min(Math.max(this.distance / times, 1e-3 * this.radius), 100 * this.radius);
+  }
+}

@@ -1,0 +1,79 @@
+// Mouse, touch and keys on the picture: orbit, pan and zoom. `moved` is called after each change.
+
+const STEP = 0.09;
+
+export function control(canvas, camera, moved) {
+  const pointers = new Map();
+  let spread = 0;
+
+  const gap = () => {
+    const [a, b] = [...pointers.values()];
+    return Math.hypot(a.x - b.x, a.y - b.y);
+  };
+
+  canvas.addEventListener("pointerdown", (event) => {
+    canvas.setPointerCapture(event.pointerId);
+    pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    if (pointers.size === 2) spread = gap();
+  });
+  canvas.addEventListener("pointermove", (event) => {
+    const before = pointers.get(event.pointerId);
+    if (!before) return;
+    const dx = event.clientX - before.x, dy = event.clientY - before.y, height = canvas.clientHeight;
+    pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    if (pointers.size === 2) {
+      const now = gap();
+      if (spread > 0 && now > 0) camera.zoom(now / spread);
+      spread = now;
+      camera.pan(dx / height / 2, -dy / height / 2);
+    } else if (event.buttons & 2 || event.buttons & 4 || event.shiftKey) {
+      camera.pan(dx / height, -dy / height);
+    } else {
+      camera.orbit((-dx / height) * 4, (dy / height) * 4);
+    }
+    moved();
+  });
+  for (const name of ["pointerup", "pointercancel"]) {
+    canvas.addEventListener(name, (event) => {
+      pointers.delete(event.pointerId);
+      spread = 0;
+    });
+  }
+  canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+  canvas.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    const lines = event.deltaMode === 1 ? 16 : 1;
+    camera.zoom(Math.exp(-Math.max(-200, Math.min(200, event.deltaY * lines)) * 0.0015));
+    moved();
+  }, { passive: false });
+  canvas.addEventListener("dblclick", () => {
+    camera.reset();
+    moved();
+  });
+  canvas.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const pan = event.shiftKey ? 1 : 0;
+    const turn = (x, y) => (pan ? camera.pan(-x / 2, -y / 2) : camera.orbit(x, y));
+    const actions = {
+      ArrowLeft: () => turn(-STEP, 0),
+      ArrowRight: () => turn(STEP, 0),
+      ArrowUp: () => turn(0, STEP),
+      ArrowDown: () => turn(0, -STEP),
+      "+": () => camera.zoom(1.1),
+      "=": () => camera.zoom(1.1),
+      "-": () => camera.zoom(1 / 1.1),
+      Home: () => camera.reset(),
+      0: () => camera.reset(),
+      1: () => camera.reset(0, 0),
+      2: () => camera.reset(Math.PI / 2, 0),
+      3: () => camera.reset(Math.PI, 0),
+      4: () => camera.reset(-Math.PI / 2, 0),
+      5: () => camera.reset(0, 1.57),
+      6: () => camera.reset(0, -1.57),
+    };
+    if (!actions[event.key]) return;
+    event.preventDefault();
+    actions[event.key]();
+    moved();
+  });
+}

@@ -1,0 +1,40 @@
+// Where the page's data comes from: a server, or the page itself.
+
+async function inflated(stream) {
+  const unpacked = stream.pipeThrough(new DecompressionStream("deflate-raw"));
+  return new Uint8Array(await new Response(unpacked).arrayBuffer());
+}
+
+function embedded(name) {
+  return document.getElementById(`data-${name}`);
+}
+
+export async function readHeader() {
+  const element = embedded("header");
+  if (element) return JSON.parse(element.textContent);
+  const response = await fetch("data/header", { cache: "no-store" });
+  if (!response.ok) throw new Error(await response.text());
+  return response.json();
+}
+
+export async function readStream(name) {
+  const element = embedded(name);
+  if (element) {
+    const text = atob(element.textContent.trim());
+    const bytes = new Uint8Array(text.length);
+    for (let n = 0; n < text.length; n++) bytes[n] = text.charCodeAt(n);
+    element.textContent = "";
+    return inflated(new Blob([bytes]).stream());
+  }
+  const response = await fetch(`data/${name}`, { cache: "no-store" });
+  if (!response.ok) throw new Error(await response.text());
+  return inflated(response.body);
+}
+
+export async function readShader(name) {
+  const element = document.getElementById(`shader-${name}`);
+  if (element) return element.textContent;
+  const response = await fetch(`shaders/${name}`);
+  if (!response.ok) throw new Error(await response.text());
+  return response.text();
+}

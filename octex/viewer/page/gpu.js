@@ -1,0 +1,327 @@
+// What the GPU holds of a texture and its mesh, and how they are drawn.
+
+import { ROW } from "./octree.js";
+import { readShader } from "./data.js";
+
+export const FILTERS = ["nearest", "linear", "quadratic"];
+const KINDS = { srgb: 0, linear: 0, data: 1, direction: 2 };
+const FILES = ["walk.glsl", "light.glsl", "surface.vert", "surface.frag", "depth.frag", "cubes.vert", "cubes.frag"];
+const PARTS = "xyzw";
+const MATERIALS = ["base_color", "metallic", "roughness", "occlusion", "emissive", "specular", "normal"];
+const STAGES = {
+  surface: ["surface.vert", ["walk.glsl", "light.glsl", "surface.frag"]],
+  probe: ["surface.vert", ["walk.glsl", "surface.frag"]],
+  depth: ["surface.vert", ["depth.frag"]],
+  cubes: ["cubes.vert", ["walk.glsl", "light.glsl", "cubes.frag"]],
+};
+const BACKGROUND = [0.925, 0.93, 0.94, 1];
+
+export async function readShaders() {
+  return Object.fromEntries(await Promise.all(FILES.map(async (name) => [name, await readShader(name)])));
+}
+
+export class Gpu {
+  constructor(canvas, shaders, octree, mesh) {
+    this.canvas = canvas;
+    this.shaders = shaders;
+    this.octree = octree;
+    this.mesh = mesh;
+    this.gl = canvas.getContext("webgl2", { antialias: true, alpha: false, powerPreference: "high-performance" });
+    if (!this.gl) throw new Error("this browser has no WebGL2");
+    this.build();
+  }
+
+  // The deepest level whose rows fit into this GPU's textures.
+  get deepest() {
+    const rows = this.gl.getParameter(this.gl.MAX_TEXTURE_SIZE), { cells } = this.octree;
+    let level = this.octree.header.depth;
+    while (level > 0 && cells[level + 1] > rows * ROW) level--;
+    return level;
+  }
+
+  // Make everything anew, as after a lost context.
+  build() {
+    const { gl, octree } = this;
+    this.programs = new Map();
+    this.buffers = [];
+    const most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
+    const rows = (array, size) => Math.min(array.length / (size * ROW), most);
+    this.nodes = this.texture(gl.RG32UI, rows(octree.words, 2));
+    this.planes = octree.planes.map((plane, n) =>
+      this.texture(octree.header.planes[n] ? gl.SRGB8_ALPHA8 : gl.RGBA8, rows(plane, 4)),
+    );
+    this.tables = this.texture(gl.RG32UI, rows(octree.entries, 2));
+    const last = octree.tables.kept + octree.tables.split ? octree.planes[0].length / 4 : octree.cells[octree.depth + 1];
+    if (octree.depth >= 0) this.upload({ nodes: [0, octree.nodes[octree.depth]], cells: [0, last], entries: [0, octree.entries.length / 2] });
+    if (this.mesh) this.takeMesh(this.mesh);
+    this.cubes = null;
+    this.probed = null;
+  }
+
+  texture(format, rows) {
+    const { gl } = this, texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, format, ROW, Math.max(rows, 1));
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+    return { texture, rows: Math.max(rows, 1) };
+  }
+
+  // Send the rows that hold some nodes and cells.
+  upload({ nodes, cells, entries = [0, 0] }) {
+    const { gl, octree } = this;
+    const put = (made, array, size, [first, end], format, type) => {
+      const begin = Math.floor(first / ROW), rows = Math.min(Math.ceil(end / ROW), made.rows) - begin;
+      if (rows <= 0) return;
+      gl.bindTexture(gl.TEXTURE_2D, made.texture);
+      const part = array.subarray(size * ROW * begin, size * ROW * (begin + rows));
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, begin, ROW, rows, format, type, part);
+    };
+    put(this.nodes, octree.words, 2, nodes, gl.RG_INTEGER, gl.UNSIGNED_INT);
+    put(this.tables, octree.entries, 2, entries, gl.RG_INTEGER, gl.UNSIGNED_INT);
+    octree.planes.forEach((plane, n) => put(this.planes[n], plane, 4, cells, gl.RGBA, gl.UNSIGNED_BYTE));
+  }
+
+  takeMesh(mesh) {
+    const { gl } = this;
+    this.mesh = mesh;
+    this.surface = gl.createVertexArray();
+    gl.bindVertexArray(this.surface);
+    [mesh.rest, mesh.positions, mesh.normals].forEach((array, place) => {
+      gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+      gl.bufferData(gl.ARRAY_BUFFER, array, gl.STATIC_DRAW);
+      gl.enableVertexAttribArray(place);
+      gl.vertexAttribPointer(place, 3, gl.FLOAT, false, 0, 0);
+    });
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, mesh.triangles, gl.STATIC_DRAW);
+    gl.bindVertexArray(null);
+  }
+
+  // A program that draws or probes, for what is shown.
+  program(kind, look, planes) {
+    const key = [kind, planes, look.shown, look.channel, look.facing].join();
+    if (!this.programs.has(key)) this.programs.set(key, this.compiled(kind, look, planes));
+    const program = this.programs.get(key);
+    this.gl.useProgram(program.handle);
+    return program;
+  }
+
+  compiled(kind, look, planes) {
+    const { gl, shaders } = this, handle = gl.createProgram(), [vertex, fragment] = STAGES[kind];
+    const head = `#version 300 es\n${kind === "depth" ? "precision highp float;" : this.defines(kind, look, planes)}\n`;
+    const body = fragment.map((name) => shaders[name]).join("");
+    const all = body.replace(/^.*\{N\}.*$/gm, (line) => Array.from({ length: planes }, (_, n) => line.replaceAll("{N}", n)).join("\n"));
+    const sources = [[gl.VERTEX_SHADER, `#version 300 es\n${shaders[vertex]}`], [gl.FRAGMENT_SHADER, head + all]];
+    for (const [type, source] of sources) {
+      const shader = gl.createShader(type);
+      gl.shaderSource(shader, source);
+      gl.compileShader(shader);
+      gl.attachShader(handle, shader);
+      if (!gl.isContextLost() && !gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(`${kind}: ${gl.getShaderInfoLog(shader)}`);
+    }
+    gl.linkProgram(handle);
+    if (!gl.isContextLost() && !gl.getProgramParameter(handle, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(handle));
+    const places = {};
+    return { handle, at: (name) => (places[name] ??= gl.getUniformLocation(handle, name)) };
+  }
+
+  // Where channels are, among the first planes, and what is shown, as the shaders name it.
+  defines(kind, look, planes) {
+    const lines = [`#define PLANES ${planes}`, `#define SHOWS_${look.shown.toUpperCase()}`, kind === "probe" ? "#define PROBE" : ""];
+    const { isMixed, split, kept, mesh } = this.octree.header;
+    const facing = look.facing && kind !== "cubes";
+    const flags = { MIXED: isMixed, KEPT: isMixed && kept > 0, FACING: facing, SPLIT: facing && split[0] > 0, POSED: mesh?.posed };
+    for (const [name, is] of Object.entries(flags)) if (is) lines.push(`#define ${name}`);
+    const define = (name, text) => lines.push(`#define ${name} ${text}`);
+    const part = ({ at: [, slot], components }) => PARTS.slice(slot, slot + Math.min(components, 3));
+    for (const channel of this.octree.header.channels) {
+      const { name, components, at } = channel;
+      if (at[0] >= planes) continue;
+      if (name === "alpha" && components === 1) define("ALPHA", `value${at[0]}.${part(channel)}`);
+      else if (MATERIALS.includes(name)) define(name.toUpperCase(), `g_sum${at[0]}.${part(channel)}`);
+      if (name !== look.channel) continue;
+      const color = (from) => (components === 2 ? `vec3(${from}.${part(channel)}, 0.0)` : `vec3(${from}.${part(channel)})`);
+      define("CHANNEL", name === "alpha" ? "vec3(g_alpha)" : color(`g_sum${at[0]}`));
+      define("CHANNEL_PLANE", `u_plane${at[0]}`);
+      define("CHANNEL_STORED", color("stored"));
+    }
+    const [plane, slot] = this.octree.header.flags;
+    if (plane < planes) lines.push(`#define FLAGS_PLANE u_plane${plane}`, `#define FLAGS_PART ${PARTS[slot]}`);
+    return lines.join("\n");
+  }
+
+  channel(name) {
+    return this.octree.header.channels.find((channel) => channel.name === name);
+  }
+
+  // How many planes are read to show something.
+  planesFor(look) {
+    const read = ["alpha"];
+    if (look.shown === "lit") read.push(...MATERIALS);
+    if (look.shown === "unlit") read.push("base_color", "emissive");
+    if (look.shown === "channel") read.push(look.channel);
+    const known = read.map((name) => this.channel(name)).filter(Boolean).map((channel) => channel.at[0]);
+    if (look.shown === "facing" || look.facing || this.octree.header.kept) known.push(this.octree.header.flags[0]);
+    return Math.max(0, ...known) + 1;
+  }
+
+  setTree(program, look, planes) {
+    const { gl } = this;
+    const bind = (unit, texture, name) => {
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+      gl.uniform1i(program.at(name), unit);
+    };
+    bind(0, this.nodes.texture, "u_nodes");
+    this.planes.slice(0, planes).forEach((plane, n) => bind(n + 1, plane.texture, `u_plane${n}`));
+    bind(planes + 1, this.tables.texture, "u_tables");
+    gl.activeTexture(gl.TEXTURE0);
+    const { kept, split } = this.octree.tables, nCells = this.octree.cells.at(-1);
+    gl.uniform3ui(program.at("u_kept"), 0, kept, nCells);
+    gl.uniform3ui(program.at("u_split"), kept, split, nCells + kept);
+    gl.uniform1i(program.at("u_leafRoot"), this.octree.nodes.at(-1) === 0 ? 1 : 0);
+    gl.uniform1i(program.at("u_depth"), Math.min(look.level, this.octree.depth, this.deepest));
+    gl.uniform1i(program.at("u_filter"), FILTERS.indexOf(look.filter));
+  }
+
+  setCamera(program, camera, pixel = null, size = null) {
+    this.gl.uniformMatrix4fv(program.at("u_projection"), false, camera.projection(pixel, size));
+    this.gl.uniformMatrix4fv(program.at("u_view"), false, camera.view);
+  }
+
+  // Draw the picture in so many pixels.
+  draw(look, camera, width, height) {
+    const { gl, canvas } = this;
+    if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.viewport(0, 0, width, height);
+    gl.clearColor(...BACKGROUND);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    gl.enable(gl.DEPTH_TEST);
+    if (look.cubes || !this.mesh) this.drawCubes(look, camera);
+    else this.drawSurface(look, camera);
+  }
+
+  drawSurface(look, camera) {
+    const { gl } = this, planes = this.planesFor(look), count = this.mesh.triangles.length;
+    const passes = this.channel("alpha") ? 2 : 1;
+    gl.bindVertexArray(this.surface);
+    gl.depthFunc(gl.LEQUAL);
+    if (passes === 1) {
+      this.setCamera(this.program("depth", look, planes), camera);
+      gl.colorMask(false, false, false, false);
+      gl.drawElements(gl.TRIANGLES, count, gl.UNSIGNED_INT, 0);
+      gl.colorMask(true, true, true, true);
+    }
+    const program = this.program("surface", look, planes);
+    this.setTree(program, look, planes);
+    this.setCamera(program, camera);
+    gl.uniform1i(program.at("u_kind"), KINDS[this.channel(look.channel)?.space] ?? 0);
+    gl.uniform1i(program.at("u_footprints"), look.footprints ? 1 : 0);
+    gl.uniform1f(program.at("u_finer"), 1);
+    const marked = look.marked ?? { index: [0, 0, 0], edge: 0 };
+    gl.uniform3fv(program.at("u_marked"), marked.index.map((n) => n * marked.edge));
+    gl.uniform1f(program.at("u_markedEdge"), marked.edge);
+    for (let pass = 0; pass < passes; pass++) {
+      gl.uniform1i(program.at("u_pass"), pass);
+      if (pass === 1) {
+        gl.enable(gl.BLEND);
+        gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+        gl.depthMask(false);
+      }
+      gl.drawElements(gl.TRIANGLES, count, gl.UNSIGNED_INT, 0);
+    }
+    gl.disable(gl.BLEND);
+    gl.depthMask(true);
+    gl.bindVertexArray(null);
+  }
+
+  // Cells of a level as cubes; returns how many.
+  drawCubes(look, camera) {
+    const { gl, octree } = this, { origin, size, channels } = octree.header;
+    const level = Math.min(look.level, octree.depth);
+    if (this.cubes?.level !== level || this.cubes.depth !== octree.depth) this.makeCubes(level);
+    const wanted = look.shown === "channel" ? look.channel : "base_color";
+    const channel = this.channel(wanted) ?? channels[0], planes = channel.at[0] + 1;
+    const program = this.program("cubes", { shown: "channel", channel: channel.name }, planes);
+    this.setTree(program, look, planes);
+    this.setCamera(program, camera);
+    gl.uniform1i(program.at("u_kind"), KINDS[channel.space]);
+    gl.uniform1i(program.at("u_byLevel"), look.shown === "depth" ? 1 : 0);
+    gl.uniform3fv(program.at("u_low"), origin);
+    gl.uniform1f(program.at("u_edge"), size);
+    gl.uniform3fv(program.at("u_camera"), camera.position.map((x, n) => (x - origin[n]) / size));
+    gl.bindVertexArray(this.cubes.array);
+    gl.drawArraysInstanced(gl.TRIANGLES, 0, 18, this.cubes.count);
+    gl.bindVertexArray(null);
+  }
+
+  makeCubes(level) {
+    const { gl, octree } = this, cells = octree.cubes(level);
+    if (this.cubes) {
+      gl.deleteBuffer(this.cubes.buffer);
+      gl.deleteVertexArray(this.cubes.array);
+    }
+    const array = gl.createVertexArray(), buffer = gl.createBuffer();
+    gl.bindVertexArray(array);
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+    gl.bufferData(gl.ARRAY_BUFFER, cells, gl.STATIC_DRAW);
+    for (const [place, components, offset] of [[0, 4, 0], [1, 1, 16]]) {
+      gl.enableVertexAttribArray(place);
+      gl.vertexAttribIPointer(place, components, gl.UNSIGNED_INT, 20, offset);
+      gl.vertexAttribDivisor(place, 1);
+    }
+    gl.bindVertexArray(null);
+    this.cubes = { level, depth: octree.depth, array, buffer, count: cells.length / 5 };
+  }
+
+  // Rest positions, footprints and looked-up values of pixels: of one, or of a whole picture.
+  probe(look, camera, { width, height, pixel = null, plane = 0, footprint = -1 }) {
+    const { gl } = this, size = [width, height];
+    const [w, h] = pixel ? [1, 1] : size;
+    if (this.probed?.w !== w || this.probed.h !== h) this.makeProbe(w, h);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.probed.target);
+    gl.viewport(0, 0, w, h);
+    gl.clearBufferuiv(gl.COLOR, 0, [0, 0, 0, 0]);
+    gl.clearBufferuiv(gl.COLOR, 1, [0, 0, 0, 0]);
+    gl.clearBufferuiv(gl.COLOR, 2, [0, 0, 0, 0]);
+    gl.clearBufferfi(gl.DEPTH_STENCIL, 0, 1, 0);
+    gl.enable(gl.DEPTH_TEST);
+    const planes = this.planes.length, program = this.program("probe", look, planes);
+    this.setTree(program, look, planes);
+    this.setCamera(program, camera, pixel, size);
+    gl.uniform1f(program.at("u_finer"), 1);
+    gl.uniform1f(program.at("u_width"), look.footprints ? footprint : 0);
+    gl.uniform1i(program.at("u_plane"), plane);
+    gl.bindVertexArray(this.surface);
+    gl.drawElements(gl.TRIANGLES, this.mesh.triangles.length, gl.UNSIGNED_INT, 0);
+    gl.bindVertexArray(null);
+    const read = (number) => {
+      const bits = new Uint32Array(4 * w * h);
+      gl.readBuffer(gl.COLOR_ATTACHMENT0 + number);
+      gl.readPixels(0, 0, w, h, gl.RGBA_INTEGER, gl.UNSIGNED_INT, bits);
+      return new Float32Array(bits.buffer);
+    };
+    const found = { places: read(0), values: read(1), normals: read(2) };
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    return found;
+  }
+
+  makeProbe(w, h) {
+    const { gl } = this, target = gl.createFramebuffer();
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+    for (let number = 0; number < 3; number++) {
+      const buffer = gl.createRenderbuffer();
+      gl.bindRenderbuffer(gl.RENDERBUFFER, buffer);
+      gl.renderbufferStorage(gl.RENDERBUFFER, gl.RGBA32UI, w, h);
+      gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + number, gl.RENDERBUFFER, buffer);
+    }
+    const depth = gl.createRenderbuffer();
+    gl.bindRenderbuffer(gl.RENDERBUFFER, depth);
+    gl.renderbufferStorage(gl.RENDERBUFFER, gl.DEPTH24_STENCIL8, w, h);
+    gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.DEPTH_STENCIL_ATTACHMENT, gl.RENDERBUFFER, depth);
+    gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1, gl.COLOR_ATTACHMENT2]);
+    this.probed = { target, w, h };
+  }
+}

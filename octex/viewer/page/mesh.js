@@ -1,0 +1,37 @@
+// The mesh as it arrives. See pack.py.
+
+import { planes } from "./octree.js";
+
+function summed(numbers) {
+  const found = new Int32Array(numbers.length);
+  for (let n = 0, sum = 0; n < numbers.length; n++) {
+    sum += (numbers[n] >>> 1) ^ -(numbers[n] & 1);
+    found[n] = sum;
+  }
+  return found;
+}
+
+// Positions at rest in the root cell and in the world, normals, all (n, 3), and triangles.
+export function unpackedMesh(header, bytes) {
+  const { vertices: count, low, edge } = header;
+  let at = 0;
+  const column = () => summed(planes(bytes, count, (at += 4 * count) - 4 * count));
+  const columns = (n) => Array.from({ length: n }, column);
+  const steps = columns(3), flat = columns(2), posed = header.posed ? columns(3) : steps;
+  const rest = new Float32Array(3 * count), positions = new Float32Array(3 * count), normals = new Float32Array(3 * count);
+  const scale = 2 ** -header.bits;
+  for (let n = 0; n < count; n++) {
+    for (let axis = 0; axis < 3; axis++) {
+      rest[3 * n + axis] = steps[axis][n] * scale;
+      positions[3 * n + axis] = low[axis] + posed[axis][n] * scale * edge;
+    }
+    let x = flat[0][n] / 1023, y = flat[1][n] / 1023;
+    const z = 1 - Math.abs(x) - Math.abs(y);
+    if (z < 0) [x, y] = [(1 - Math.abs(y)) * (x < 0 ? -1 : 1), (1 - Math.abs(x)) * (y < 0 ? -1 : 1)];
+    const length = Math.hypot(x, y, z) || 1;
+    normals.set([x / length, y / length, z / length], 3 * n);
+  }
+  const back = planes(bytes, 3 * header.triangles, at), triangles = new Uint32Array(back.length);
+  for (let n = 0, next = 0; n < back.length; n++) triangles[n] = back[n] === 0 ? next++ : next - back[n];
+  return { rest, positions, normals, triangles };
+}

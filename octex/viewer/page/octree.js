@@ -1,0 +1,186 @@
+// The octree as it arrives, level by level: words for nodes and planes of values for cells. See pack.py.
+
+export const ROW = 4096;
+
+const bitsSet = new Uint8Array(256).map((_, n) => n.toString(2).replaceAll("0", "").length);
+
+// Whole numbers from planes of their bytes.
+export function planes(bytes, count, at) {
+  const numbers = new Uint32Array(count);
+  for (let n = 0; n < count; n++) {
+    numbers[n] = bytes[at + n] | (bytes[at + count + n] << 8) | (bytes[at + 2 * count + n] << 16) | (bytes[at + 3 * count + n] << 24);
+  }
+  return numbers;
+}
+
+const rowsFor = (count) => Math.max(Math.ceil(count / ROW), 1);
+
+export class Octree {
+  constructor(header) {
+    this.header = header;
+    this.cells = header.levelCells;
+    this.nodes = header.levelNodes;
+    this.depth = -1; // the deepest level that has arrived
+    const nNodes = this.nodes.at(-1), nRows = this.cells.at(-1) + header.kept + header.split[1];
+    this.words = new Uint32Array(2 * ROW * rowsFor(nNodes));
+    this.planes = header.planes.map(() => new Uint8Array(4 * ROW * rowsFor(nRows)));
+    this.owners = new Uint32Array(nNodes); // the cell that each node is
+    this.entries = new Uint32Array(2 * ROW * rowsFor(header.kept + header.split[0])); // see u_tables
+    this.tables = { kept: 0, split: 0 }; // entries that have arrived
+    this.nextNode = 1;
+    this.nextCell = 1;
+  }
+
+  // Take a chunk of levels; returns the rows of nodes and of cells that are new.
+  take(chunk, bytes) {
+    const reader = { bytes, at: 0 };
+    const firstCell = this.cells[chunk.levels[0]], firstNode = this.nodes[Math.max(chunk.levels[0] - 1, 0)];
+    for (let level = chunk.levels[0]; level < chunk.levels[1]; level++) this.takeLevel(level, reader);
+    if (reader.at !== bytes.length) throw new Error("the texture's data is damaged");
+    this.depth = chunk.levels[1] - 1;
+    const end = this.depth > 0 ? this.nodes[this.depth] : 0;
+    return { nodes: [firstNode, end], cells: [firstCell, this.cells[this.depth + 1]] };
+  }
+
+  // Take the rows of kept nodes and of split cells; returns what is new.
+  takeTables(bytes) {
+    const { kept, split, channels } = this.header, count = kept + split[0], nCells = this.cells.at(-1);
+    const nRows = kept + split[1], owners = new Uint32Array(nRows);
+    const steps = planes(bytes, count, 0), facings = bytes.subarray(4 * count, 4 * count + split[0]);
+    let cell = 0, row = 0;
+    for (let n = 0; n < count; n++) {
+      cell = steps[n] + (n === kept ? 0 : cell);
+      this.entries.set([cell, n < kept ? n : row - kept], 2 * n);
+      const rows = n < kept ? 1 : bitsSet[facings[n - kept] & 63];
+      owners.fill(cell, row, (row += rows));
+    }
+    let at = 4 * count + split[0];
+    for (const { at: [plane, slot], components } of channels) {
+      const values = this.planes[plane];
+      for (let k = 0; k < components; k++, at += nRows) {
+        for (let n = 0; n < nRows; n++) {
+          values[4 * (nCells + n) + slot + k] = (bytes[at + n] + values[4 * owners[n] + slot + k]) & 255;
+        }
+      }
+    }
+    this.tables = { kept, split: split[0] };
+    return { nodes: [0, 0], cells: [nCells, nCells + nRows], entries: [0, count] };
+  }
+
+  takeLevel(level, reader) {
+    const first = this.cells[level], count = this.cells[level + 1] - first;
+    const parents = new Uint32Array(count), isNode = new Uint8Array(count);
+    if (level > 0) this.takeMasks(level, reader, first, parents, isNode);
+    else isNode[0] = this.nodes.at(-1) > 0 ? 1 : 0;
+    const next = (length) => reader.bytes.subarray(reader.at, (reader.at += length));
+    let nNodes = 0;
+    for (let n = 0; n < count; n++) nNodes += isNode[n];
+    const known = level > 0 ? 1 : 0;
+    const put = ([plane, slot], codes, cellOf, join) => {
+      const values = this.planes[plane];
+      for (let n = 0; n < codes.length; n++) {
+        const cell = cellOf(n);
+        const before = known ? values[4 * parents[cell - first] + slot] : 0;
+        values[4 * cell + slot] = join(codes[n], before);
+      }
+    };
+    const sum = (a, b) => (a + b) & 255;
+    const ownNodes = this.nodes[level];
+    put(this.header.area, next(nNodes), (n) => this.owners[ownNodes + n], sum);
+    put(this.header.flags, next(count), (n) => first + n, (a, b) => a ^ b);
+    for (const channel of this.header.channels) this.takeValues(channel, first, count, known, parents, next);
+  }
+
+  takeMasks(level, reader, first, parents, isNode) {
+    const begin = this.nodes[level - 1], end = this.nodes[level];
+    const masks = reader.bytes, nodeMasks = reader.at, leafMasks = reader.at + end - begin;
+    reader.at += 2 * (end - begin);
+    for (let node = begin; node < end; node++) {
+      const nodes = masks[nodeMasks + node - begin], leaves = masks[leafMasks + node - begin];
+      this.words[2 * node] = (this.nextCell << 8) | nodes;
+      this.words[2 * node + 1] = (this.nextNode << 8) | leaves;
+      for (let octant = 0, all = nodes | leaves; octant < 8; octant++) {
+        if (!((all >> octant) & 1)) continue;
+        const cell = this.nextCell++;
+        parents[cell - first] = this.owners[node];
+        if ((nodes >> octant) & 1) {
+          isNode[cell - first] = 1;
+          this.owners[this.nextNode++] = cell;
+        }
+      }
+    }
+  }
+
+  takeValues(channel, first, count, known, parents, next) {
+    const [plane, slot] = channel.at, values = this.planes[plane], width = channel.components;
+    const parts = Array.from({ length: width }, () => next(count));
+    for (let n = 0; n < count; n++) {
+      const at = 4 * (first + n) + slot, from = 4 * parents[n] + slot;
+      if (width === 3) {
+        const [r, g, b] = known ? [values[from], values[from + 1], values[from + 2]] : [0, 0, 0];
+        const green = (parts[1][n] + g) & 255;
+        values[at] = (parts[0][n] + r - g + green) & 255;
+        values[at + 1] = green;
+        values[at + 2] = (parts[2][n] + b - g + green) & 255;
+      } else {
+        for (let k = 0; k < width; k++) values[at + k] = (parts[k][n] + (known ? values[from + k] : 0)) & 255;
+      }
+    }
+  }
+
+  // The cell at a point of the root cell: the leaf that holds it, or the deepest cell above `depth`.
+  cellAt(point, depth = this.depth) {
+    const place = point.map((x) => Math.min(Math.max(Math.floor(x * 2 ** 21), 0), 2 ** 21 - 1));
+    let cell = 0, node = 0, level = 0;
+    while (level < depth && node < this.nodes.at(-1)) {
+      const first = this.words[2 * node], second = this.words[2 * node + 1];
+      const shift = 20 - level;
+      const octant = ((place[0] >> shift) & 1) | (((place[1] >> shift) & 1) << 1) | (((place[2] >> shift) & 1) << 2);
+      const all = (first | second) & 255, below = (1 << octant) - 1;
+      if (!((all >> octant) & 1)) break;
+      cell = (first >>> 8) + bitsSet[all & below];
+      level++;
+      if (!((first >> octant) & 1)) break;
+      node = (second >>> 8) + bitsSet[first & below];
+    }
+    return { cell, level, index: place.map((x) => x >> (21 - level)), edge: 2 ** -level };
+  }
+
+  // Stored codes of a cell's channel.
+  codes(channel, cell) {
+    const [plane, slot] = channel.at;
+    return Array.from(this.planes[plane].subarray(4 * cell + slot, 4 * cell + slot + channel.components));
+  }
+
+  // How many cells a level has, with the leaves above it.
+  countAt(level) {
+    let count = this.cells[level + 1] - this.cells[level];
+    for (let above = 0; above < level; above++) {
+      count += this.cells[above + 1] - this.cells[above] - (this.nodes[above + 1] - this.nodes[above]);
+    }
+    return count;
+  }
+
+  // The cells of a level and the leaves above it: x, y, z, level and number of each.
+  cubes(level) {
+    const found = new Uint32Array(5 * this.countAt(level));
+    let count = 0, here = [0, 0, 0];
+    const put = (...cell) => found.set(cell, 5 * count++);
+    if (level === 0 || this.nodes.at(-1) === 0) put(0, 0, 0, 0, 0);
+    for (let depth = 1, node = 0; depth <= level; depth++) {
+      const next = [];
+      for (let n = 0; n < here.length; n += 3, node++) {
+        const nodes = this.words[2 * node], all = (nodes | this.words[2 * node + 1]) & 255;
+        for (let octant = 0, number = nodes >>> 8; octant < 8; octant++) {
+          if (!((all >> octant) & 1)) continue;
+          const place = [0, 1, 2].map((axis) => 2 * here[n + axis] + ((octant >> axis) & 1));
+          if ((nodes >> octant) & 1) next.push(...place);
+          if (depth === level || !((nodes >> octant) & 1)) put(...place, depth, number);
+          number++;
+        }
+      }
+      here = next;
+    }
+    return found;
+  }
+}

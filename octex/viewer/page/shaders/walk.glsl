@@ -1,0 +1,550 @@
+// The field of an octree at a point of texture space: the cells around it, blended. See octex/field.
+//
+// u_nodes    a texel a node: first child cell << 8 | node mask, first child node << 8 | leaf mask
+// u_planeN   a texel a cell: values of channels; in alpha of the first the code of the cell's area
+//
+// A line with N in braces stands there for each plane that is read. Channels' names in capitals are their
+// components among the sums, ALPHA those of one cell.
+//
+// The 3×3×3 cells around a point are children of a block of 2×2×2 nodes of the level above. The walk goes down
+// from block to block, eight nodes at a time, in two vectors: x varies first, then y; z is 0 in `low`.
+
+precision highp float;
+precision highp int;
+precision highp sampler2D;
+precision highp usampler2D;
+
+const int NEAREST = 0, LINEAR = 1, QUADRATIC = 2;
+const uint ROW = 4095u;  // texels in a row, less one
+const float FINEST = 8388608.0;  // 2²³: positions in fixed point
+
+uniform usampler2D u_nodes;
+
+uniform sampler2D u_plane{N};
+vec4 g_sum{N} = vec4(0.0);
+uniform int u_depth;  // the deepest level that is looked up
+uniform int u_filter;
+uniform bool u_leafRoot;  // the root is a leaf
+#if defined(SPLIT) || defined(KEPT)
+uniform usampler2D u_tables;  // a texel an entry: a cell, and the first of its rows
+uniform uvec3 u_split;  // of split cells: the first entry, how many, the row of planes that their rows begin at
+uniform uvec3 u_kept;  // of nodes with kept coefficients likewise
+#endif
+
+int g_fetches = 0;
+
+struct Eight {
+  uvec4 low, high;
+};
+
+// What is looked up are the sums g_sumN under weights; these are their sums: with alpha and without, and that
+// of alpha itself.
+float g_total = 0.0, g_cover = 0.0, g_alpha = 0.0;
+
+// What one cell adds to the sums, for a weight of 1.
+float r_total, r_cover, r_alpha;
+vec4 r_sum{N};
+
+void add(float weight) {
+  g_total += weight * r_total;
+  g_cover += weight * r_cover;
+  g_alpha += weight * r_alpha;
+  g_sum{N} += weight * r_sum{N};
+}
+
+// Add a row of the planes to what a cell adds.
+void readRow(uint row, float weight) {
+  ivec2 at = ivec2(row & ROW, row >> 12u);
+  vec4 value{N} = texelFetch(u_plane{N}, at, 0);
+  g_fetches += PLANES;
+  r_cover += weight;
+#ifdef ALPHA
+  r_alpha += weight * ALPHA;
+  weight *= ALPHA;
+#endif
+  r_total += weight;
+  r_sum{N} += weight * value{N};
+}
+
+uint bitsOf(uint bits) {
+  bits -= bits >> 1u & 0x55u;
+  bits = (bits & 0x33u) + (bits >> 2u & 0x33u);
+  return (bits + (bits >> 4u)) & 0x0Fu;
+}
+
+#if defined(SPLIT) || defined(KEPT)
+// Where a cell stands in one of the ascending tables, which begins at `first` and has `count` cells.
+uint tableRow(uint cell, uint first, uint count) {
+  uint low = 0u, high = count;
+  while (low + 1u < high) {
+    uint middle = (low + high) >> 1u;
+    g_fetches++;
+    if (texelFetch(u_tables, ivec2(first + middle & ROW, first + middle >> 12u), 0).x <= cell) low = middle;
+    else high = middle;
+  }
+  return low;
+}
+#endif
+
+#ifdef FACING
+// The sizes of the normal's cosines with the axes, and their signs: what faces away is not seen.
+vec3 g_cosines;
+uvec3 g_away;
+const float AWAY = 1e-6;
+
+void face(vec3 normal) {
+  g_cosines = abs(normal) / max(length(normal), 1e-20);
+  g_away = uvec3(lessThan(normal, vec3(0.0)));
+}
+
+float ramp(float cosine) {
+  float t = min(2.0 * cosine, 1.0);
+  return t * t * (3.0 - 2.0 * t);
+}
+#endif
+
+// Look at one cell: `averages` says that it weighs by the root of its area.
+void read(uint cell, bool averages) {
+  r_total = r_cover = r_alpha = 0.0;
+  r_sum{N} = vec4(0.0);
+  ivec2 at = ivec2(cell & ROW, cell >> 12u);
+  float weight = 1.0;
+  if (averages) {
+    float code = round(texelFetch(u_plane0, at, 0).a * 255.0);
+    weight = code > 0.0 ? exp2((code - 207.0) / 16.0) : 1.0;
+  }
+#ifdef FACING
+  uint flags = uint(texelFetch(FLAGS_PLANE, at, 0).FLAGS_PART * 255.0 + 0.5);
+  g_fetches++;
+  uvec3 bits = uvec3(flags) >> (uvec3(0u, 2u, 4u) + g_away) & 1u;
+  vec3 seen = g_cosines * vec3(bits);
+  float most = max(seen.x, max(seen.y, seen.z)), part = ramp(most);
+  weight *= ((flags & 63u) == 0u ? 1.0 : part) + AWAY;
+#ifdef SPLIT
+  if ((flags & 128u) != 0u && (flags & 63u) != 0u && part > 0.0 && u_split.y > 0u) {
+    vec3 shares = max(seen - (most - 0.2), 0.0) * vec3(greaterThan(seen, vec3(0.0)));
+    shares /= shares.x + shares.y + shares.z;
+    uint entry = u_split.x + tableRow(cell, u_split.x, u_split.y);
+    uint first = u_split.z + texelFetch(u_tables, ivec2(entry & ROW, entry >> 12u), 0).y;
+    for (uint axis = 0u; axis < 3u; axis++) {
+      uint below = (1u << (2u * axis + g_away[axis])) - 1u;
+      if (shares[axis] > 0.0) readRow(first + bitsOf(flags & below), weight * shares[axis]);
+    }
+    return;
+  }
+#endif
+#endif
+  readRow(cell, weight);
+}
+
+#ifdef KEPT
+// The coefficient that a node keeps.
+void readKept(uint cell) {
+  r_total = r_cover = r_alpha = 0.0;
+  r_sum{N} = vec4(0.0);
+  float weight = 1.0;
+#ifdef FACING
+  uint flags = uint(texelFetch(FLAGS_PLANE, ivec2(cell & ROW, cell >> 12u), 0).FLAGS_PART * 255.0 + 0.5);
+  vec3 seen = g_cosines * vec3(uvec3(flags) >> (uvec3(0u, 2u, 4u) + g_away) & 1u);
+  weight = ((flags & 63u) == 0u ? 1.0 : ramp(max(seen.x, max(seen.y, seen.z)))) + AWAY;
+#endif
+  readRow(u_kept.z + tableRow(cell, u_kept.x, u_kept.y), weight);
+}
+#endif
+
+void tap(uint cell, float weight, bool averages) {
+  read(cell, averages);
+  add(weight);
+}
+
+// Weights of the four cells along an axis that a block has, from their distances to the point.
+vec4 kernel(vec4 away) {
+  vec4 d = abs(away);
+  if (u_filter == QUADRATIC) {
+    vec4 rim = max(1.5 - d, 0.0);
+    return mix(0.5 * rim * rim, 0.75 - d * d, lessThan(d, vec4(0.5)));
+  }
+  return max(1.0 - d, 0.0);
+}
+
+uvec2 nodeAt(uint number) {
+  if (number == 0u) return uvec2(0u);
+  g_fetches++;
+  number -= 1u;
+  return texelFetch(u_nodes, ivec2(number & ROW, number >> 12u), 0).xy;
+}
+
+// The children of one node, weighed by their places along the axes.
+void children(uvec2 words, vec2 x, vec2 y, vec2 z, bool averages) {
+  uint mask = (words.x | words.y) & 255u;
+  if (mask == 0u || x.x + x.y <= 0.0 || y.x + y.y <= 0.0 || z.x + z.y <= 0.0) return;
+  uint cell = words.x >> 8u;
+  vec4 plane = vec4(x * y.x, x * y.y);
+  vec4 low = plane * z.x, high = plane * z.y;
+  for (int octant = 0; octant < 8; octant++) {
+    if ((mask & 1u) != 0u) {
+      float weight = low.x;
+      if (weight > 0.0) tap(cell, weight, averages);
+      cell++;
+    }
+    mask >>= 1u;
+    low = octant == 3 ? high : low.yzwx;
+  }
+}
+
+// The stored cell that is nearest to the point, among the children of one node.
+void nearestChild(uvec2 words, vec2 x, vec2 y, vec2 z, inout float least, inout uint nearest) {
+  uint mask = (words.x | words.y) & 255u;
+  uint cell = words.x >> 8u;
+  for (uint octant = 0u; octant < 8u; octant++) {
+    if ((mask >> octant & 1u) == 0u) continue;
+    float away = x[octant & 1u] + y[octant >> 1u & 1u] + z[octant >> 2u];
+    if (away < least) {
+      least = away;
+      nearest = cell;
+    }
+    cell++;
+  }
+}
+
+// Squared distances along an axis from the point to the four cells; beyond the 27: none is that near.
+vec4 distances(vec4 away) {
+  vec4 d = max(abs(away) - 0.5, 0.0);
+  return mix(d * d, vec4(1e6), greaterThan(abs(away), vec4(1.5)));
+}
+
+// Take the cells around a point that is `inside` the cell in their middle, 0 to 1, whose numbers have `parity`.
+void gather(Eight first, Eight second, vec3 inside, uvec3 parity, float share, bool averages) {
+  // The block's cells begin two below that cell, or one where it is odd.
+  vec3 begin = vec3(parity) - 1.5 - inside;
+  vec4 steps = vec4(0.0, 1.0, 2.0, 3.0);
+  vec4 x = steps + begin.x, y = steps + begin.y, z = steps + begin.z;
+  if (u_filter == NEAREST) {
+    x = distances(x), y = distances(y), z = distances(z);
+    float least = 1e5;
+    uint nearest = 0u;
+    nearestChild(uvec2(first.low.x, second.low.x), x.xy, y.xy, z.xy, least, nearest);
+    nearestChild(uvec2(first.low.y, second.low.y), x.zw, y.xy, z.xy, least, nearest);
+    nearestChild(uvec2(first.low.z, second.low.z), x.xy, y.zw, z.xy, least, nearest);
+    nearestChild(uvec2(first.low.w, second.low.w), x.zw, y.zw, z.xy, least, nearest);
+    nearestChild(uvec2(first.high.x, second.high.x), x.xy, y.xy, z.zw, least, nearest);
+    nearestChild(uvec2(first.high.y, second.high.y), x.zw, y.xy, z.zw, least, nearest);
+    nearestChild(uvec2(first.high.z, second.high.z), x.xy, y.zw, z.zw, least, nearest);
+    nearestChild(uvec2(first.high.w, second.high.w), x.zw, y.zw, z.zw, least, nearest);
+    if (least < 1e5) tap(nearest, share, averages);
+    return;
+  }
+  x = kernel(x), y = kernel(y), z = kernel(z) * share;
+  children(uvec2(first.low.x, second.low.x), x.xy, y.xy, z.xy, averages);
+  children(uvec2(first.low.y, second.low.y), x.zw, y.xy, z.xy, averages);
+  children(uvec2(first.low.z, second.low.z), x.xy, y.zw, z.xy, averages);
+  children(uvec2(first.low.w, second.low.w), x.zw, y.zw, z.xy, averages);
+  children(uvec2(first.high.x, second.high.x), x.xy, y.xy, z.zw, averages);
+  children(uvec2(first.high.y, second.high.y), x.zw, y.xy, z.zw, averages);
+  children(uvec2(first.high.z, second.high.z), x.xy, y.zw, z.zw, averages);
+  children(uvec2(first.high.w, second.high.w), x.zw, y.zw, z.zw, averages);
+}
+
+// Read a block's nodes: all, or those that have children in the block below.
+void readBlock(Eight block, bvec3 other, uvec3 side, bool all, out Eight first, out Eight second) {
+  bvec2 x = bvec2(all || !other.x || side.x == 0u, all || !other.x || side.x == 1u);
+  bvec2 y = bvec2(all || !other.y || side.y == 0u, all || !other.y || side.y == 1u);
+  bvec2 z = bvec2(all || !other.z || side.z == 0u, all || !other.z || side.z == 1u);
+  uvec2 a = x.x && y.x && z.x ? nodeAt(block.low.x) : uvec2(0u);
+  uvec2 b = x.y && y.x && z.x ? nodeAt(block.low.y) : uvec2(0u);
+  uvec2 c = x.x && y.y && z.x ? nodeAt(block.low.z) : uvec2(0u);
+  uvec2 d = x.y && y.y && z.x ? nodeAt(block.low.w) : uvec2(0u);
+  first.low = uvec4(a.x, b.x, c.x, d.x);
+  second.low = uvec4(a.y, b.y, c.y, d.y);
+  a = x.x && y.x && z.y ? nodeAt(block.high.x) : uvec2(0u);
+  b = x.y && y.x && z.y ? nodeAt(block.high.y) : uvec2(0u);
+  c = x.x && y.y && z.y ? nodeAt(block.high.z) : uvec2(0u);
+  d = x.y && y.y && z.y ? nodeAt(block.high.w) : uvec2(0u);
+  first.high = uvec4(a.x, b.x, c.x, d.x);
+  second.high = uvec4(a.y, b.y, c.y, d.y);
+}
+
+// For each child of the block below, the word of its parent.
+Eight parents(Eight of, bvec3 other, uvec3 side) {
+  if (other.x) {
+    of.low = side.x == 0u ? of.low.xxzz : of.low.yyww;
+    of.high = side.x == 0u ? of.high.xxzz : of.high.yyww;
+  }
+  if (other.y) {
+    of.low = side.y == 0u ? of.low.xyxy : of.low.zwzw;
+    of.high = side.y == 0u ? of.high.xyxy : of.high.zwzw;
+  }
+  if (other.z) {
+    if (side.z == 0u) of.high = of.low;
+    else of.low = of.high;
+  }
+  return of;
+}
+
+// Numbers of child nodes, counted from 1; 0 for none.
+uvec4 childNodes(uvec4 first, uvec4 second, uvec4 octants) {
+  uvec4 mask = first & 255u;
+  uvec4 below = mask & ((uvec4(1u) << octants) - 1u);
+  below -= below >> 1u & 0x55u;
+  below = (below & 0x33u) + (below >> 2u & 0x33u);
+  below = (below + (below >> 4u)) & 0x0Fu;
+  return (mask >> octants & 1u) * ((second >> 8u) + below + 1u);
+}
+
+Eight blockBelow(Eight first, Eight second, bvec3 other, uvec3 side) {
+  first = parents(first, other, side);
+  second = parents(second, other, side);
+  uvec4 x = other.x ? uvec4(0u, 1u, 0u, 1u) : uvec4(1u, 0u, 1u, 0u);
+  uvec4 y = other.y ? uvec4(0u, 0u, 2u, 2u) : uvec4(2u, 2u, 0u, 0u);
+  uvec4 octants = x + y;
+  return Eight(
+    childNodes(first.low, second.low, octants + (other.z ? 0u : 4u)),
+    childNodes(first.high, second.high, octants + (other.z ? 4u : 0u))
+  );
+}
+
+// Add the looks at two levels: `shares` of them, `levels` of which the second is not coarser.
+void addLooks(vec3 point, ivec2 levels, vec2 shares, int leaves) {
+  uvec3 fixedPoint = min(uvec3(clamp(point, 0.0, 1.0) * FINEST), uvec3(FINEST - 1.0));
+  if (levels.x == 0) {
+    vec3 away = abs(point - 0.5);
+    float weight = u_filter == NEAREST ? 1.0 : kernel(away.xxxx).x * kernel(away.yyyy).x * kernel(away.zzzz).x;
+    if (shares.x > 0.0) tap(0u, weight * shares.x, leaves > 0);
+  }
+  uvec3 parity = fixedPoint >> 22u & 1u;
+  Eight block = Eight(uvec4(0u), uvec4(0u));
+  uint root = (1u - parity.x) + 2u * (1u - parity.y);
+  uvec4 at = uvec4(equal(uvec4(0u, 1u, 2u, 3u), uvec4(root)));
+  if (parity.z == 1u) block.low = at;
+  else block.high = at;
+  for (int level = 1; level <= levels.y; level++) {
+    bool looks = level == levels.x || level == levels.y;
+    uvec3 side = level < 23 ? fixedPoint >> uint(22 - level) & 1u : uvec3(0u);
+    bvec3 other = notEqual(side, parity);
+    Eight first, second;
+    readBlock(block, other, side, looks, first, second);
+    if (looks) {
+      float share = level == levels.x ? shares.x : shares.y;
+      vec3 inside = point * float(1 << level) - vec3(fixedPoint >> uint(23 - level));
+      if (share > 0.0) gather(first, second, inside, parity, share, level < leaves);
+    }
+    if (level == levels.y) break;
+    block = blockBelow(first, second, other, side);
+    if (block.low == uvec4(0u) && block.high == uvec4(0u)) break;
+    parity = side;
+  }
+}
+
+// The leaf that holds a point, or the deepest cell above it: its number and its level.
+uvec2 leafAt(vec3 point, int last) {
+  uvec3 place = min(uvec3(clamp(point, 0.0, 1.0) * FINEST), uvec3(FINEST - 1.0));
+  uvec2 found = uvec2(0u);
+  uint node = 1u;
+  for (int level = 1; level <= last; level++) {
+    uvec2 words = nodeAt(node);
+    uvec3 bit = place >> uint(23 - level) & 1u;
+    uint octant = bit.x | bit.y << 1u | bit.z << 2u;
+    uint mask = (words.x | words.y) & 255u;
+    if ((mask >> octant & 1u) == 0u) break;
+    uint below = (1u << octant) - 1u;
+    found = uvec2((words.x >> 8u) + bitsOf(mask & below), level);
+    if ((words.x >> octant & 1u) == 0u) break;
+    node = (words.y >> 8u) + bitsOf(words.x & below) + 1u;
+  }
+  return found;
+}
+
+#ifdef MIXED
+// Leaves of several depths. Each cell of the 3×3×3 around the point has what it adds to the sums; what it has is
+// refined from level to level, and leaves replace it, until none of them is a node.
+float m_total[27], m_cover[27], m_alpha[27];
+vec4 m_sum{N}[27];
+uint m_node[27];  // numbers of nodes, counted from 1; 0: none
+#ifdef KEPT
+float m_weight[27];  // the coefficients' weights
+bool m_keeps[27];  // nodes that keep a coefficient
+#endif
+
+void put(int at, float weight) {
+  m_total[at] = weight * r_total;
+  m_cover[at] = weight * r_cover;
+  m_alpha[at] = weight * r_alpha;
+  m_sum{N}[at] = weight * r_sum{N};
+#ifdef KEPT
+  m_weight[at] = weight;
+#endif
+}
+
+// Chaikin's rule along a line of three cells: of a cell's halves each takes a quarter of its neighbour.
+#define LINE(M, V) { V a = M[i], b = M[j], c = M[k]; M[i] = mix(a, b, low.x); M[j] = mix(odd ? b : a, odd ? c : b, low.y); M[k] = mix(b, c, low.z); }
+
+void refine(uvec3 parity) {
+  int step = 1;
+  for (int axis = 0; axis < 3; axis++) {
+    bool odd = parity[axis] == 1u;
+    vec3 low = odd ? vec3(0.75, 0.25, 0.75) : vec3(0.25, 0.75, 0.25);
+    for (int line = 0; line < 9; line++) {
+      int i = line / step * step * 3 + line % step, j = i + step, k = j + step;
+      LINE(m_total, float)
+      LINE(m_cover, float)
+      LINE(m_alpha, float)
+#ifdef KEPT
+      LINE(m_weight, float)
+#endif
+      LINE(m_sum{N}, vec4)
+    }
+    step *= 3;
+  }
+}
+
+// Go down to the first level, at most `last`, without nodes around the point; add what is there.
+void addMixed(vec3 point, int last, float share, bool averages) {
+  uvec3 place = min(uvec3(clamp(point, 0.0, 1.0) * FINEST), uvec3(FINEST - 1.0));
+  r_total = r_cover = r_alpha = 0.0;
+  r_sum{N} = vec4(0.0);
+  for (int at = 0; at < 27; at++) {
+    put(at, 0.0);
+    m_node[at] = 0u;
+#ifdef KEPT
+    m_keeps[at] = false;
+#endif
+  }
+  bool isRootLeaf = u_leafRoot || last == 0;
+  if (isRootLeaf) {
+    read(0u, averages);
+    put(13, 1.0);
+  } else {
+    m_node[13] = 1u;
+  }
+  bool filled = isRootLeaf, goesOn = !isRootLeaf;
+  int level = 0;
+  while (goesOn) {
+    level++;
+    uvec3 parity = place >> uint(23 - level) & 1u;
+    uint above[27] = m_node;
+#ifdef KEPT
+    bool kept[27] = m_keeps;
+#endif
+    if (filled) refine(parity);
+    goesOn = false;
+    for (int at = 0; at < 27; at++) {
+      m_node[at] = 0u;
+#ifdef KEPT
+      m_keeps[at] = false;
+#endif
+    }
+    for (int parent = 0; parent < 8; parent++) {
+      // The two parents along an axis: the cell before and that in the middle, or this and the one after.
+      ivec3 from = ivec3(parent & 1, parent >> 1 & 1, parent >> 2) + ivec3(parity);
+      int owner = from.x + 3 * from.y + 9 * from.z;
+      uint number = above[owner];
+      if (number == 0u) continue;
+      uvec2 words = nodeAt(number);
+      uint cell = words.x >> 8u, node = words.y >> 8u;
+      bool below = false;
+#ifdef KEPT
+      below = kept[owner];
+#endif
+      for (int octant = 0; octant < 8; octant++) {
+        bool isNode = (words.x >> uint(octant) & 1u) != 0u, isLeaf = (words.y >> uint(octant) & 1u) != 0u;
+        ivec3 to = 2 * (from - 1) + ivec3(octant & 1, octant >> 1 & 1, octant >> 2) - ivec3(parity) + 1;
+        if (all(greaterThanEqual(to, ivec3(0))) && all(lessThanEqual(to, ivec3(2)))) {
+          int at = to.x + 3 * to.y + 9 * to.z;
+#ifdef KEPT
+          float weight = below ? m_weight[at] : 1.0;
+#else
+          float weight = 1.0;
+#endif
+          if (isLeaf || (isNode && level == last)) {
+            read(cell, averages && isNode);
+            put(at, weight);
+            filled = true;
+          } else if (isNode || !below) {
+            bool keeps = false;
+#ifdef KEPT
+            if (isNode) {
+              ivec2 texel = ivec2(cell & ROW, cell >> 12u);
+              keeps = (uint(texelFetch(FLAGS_PLANE, texel, 0).FLAGS_PART * 255.0 + 0.5) & 64u) != 0u && u_kept.y > 0u;
+              m_keeps[at] = keeps;
+              if (keeps) {
+                readKept(cell);
+                put(at, weight);
+                filled = true;
+              }
+            }
+#endif
+            if (!keeps) put(at, 0.0);
+          }
+          if (isNode && level < last) {
+            m_node[at] = node + 1u;
+            goesOn = true;
+          }
+        }
+        cell += uint(isNode || isLeaf);
+        node += uint(isNode);
+      }
+    }
+  }
+  vec3 inside = point * float(1 << level) - vec3(place >> uint(23 - level));
+  vec3 low = 0.5 * (1.0 - inside) * (1.0 - inside), high = 0.5 * inside * inside, middle = 1.0 - low - high;
+  for (int at = 0; at < 27; at++) {
+    ivec3 index = ivec3(at % 3, at / 3 % 3, at / 9);
+    float weight = share;
+    for (int axis = 0; axis < 3; axis++) weight *= index[axis] == 0 ? low[axis] : index[axis] == 1 ? middle[axis] : high[axis];
+    g_total += weight * m_total[at];
+    g_cover += weight * m_cover[at];
+    g_alpha += weight * m_alpha[at];
+    g_sum{N} += weight * m_sum{N}[at];
+  }
+}
+#endif
+
+// Add the looks at two levels, in any tree.
+void addAll(vec3 point, ivec2 levels, vec2 shares, int leaves) {
+#ifdef MIXED
+  for (int look = 0; look < 2; look++) {
+    if (shares[look] <= 0.0) continue;
+    bool averages = levels[look] < leaves;
+    if (u_filter == NEAREST) {
+      uvec2 cell = leafAt(point, levels[look]);
+      tap(cell.x, shares[look], averages && int(cell.y) == levels[look]);
+    } else {
+      addMixed(point, levels[look], shares[look], averages);
+    }
+  }
+#else
+  addLooks(point, levels, shares, leaves);
+#endif
+}
+
+// Look the field up; `width` is the side of the square to average over, 0 for none.
+void lookUp(vec3 point, float width) {
+  point = clamp(point, 0.0, 1.0);
+  g_sum{N} = vec4(0.0);
+  g_total = g_alpha = g_cover = 0.0;
+  ivec2 levels = ivec2(u_depth);
+  vec2 shares = vec2(1.0, 0.0);
+  if (width > 0.0) {
+    float level = log2(1.0 / width) + (u_filter == LINEAR ? 0.6 : 0.85);
+    float whole = floor(level);
+    level = whole + clamp((level - whole - 0.1501) / (1.0 - 2.0 * 0.1501), 0.0, 1.0);
+    level = clamp(level, 0.0, float(u_depth));
+    levels.x = int(level);
+    shares = vec2(1.0 - fract(level), fract(level));
+    levels.y = shares.y > 0.0 ? levels.x + 1 : levels.x;
+  }
+  int leaves = width > 0.0 ? u_depth : 0;
+  addAll(point, levels, shares, leaves);
+  // Off the surface: the averages of the deepest level that has one there.
+  while (g_cover <= 0.0 && levels.x > 0) {
+    levels = ivec2(levels.x - 1);
+    addAll(point, levels, vec2(1.0, 0.0), leaves);
+  }
+  float scale = g_total > 0.0 ? 1.0 / g_total : 0.0;
+  g_sum{N} *= scale;
+#ifdef ALPHA
+  g_alpha /= max(g_cover, 1e-30);
+#else
+  g_alpha = 1.0;
+#endif
+}

@@ -1,0 +1,267 @@
+// The page: what is shown, when it is drawn, and what its controls do.
+
+import { Camera } from "./camera.js";
+import { control } from "./controls.js";
+import { readHeader, readStream } from "./data.js";
+import { Gpu, readShaders } from "./gpu.js";
+import { unpackedMesh } from "./mesh.js";
+import { Octree } from "./octree.js";
+import { watch } from "./connection.js";
+
+const STILL = 160; // milliseconds without a change, after which a sharp picture is drawn
+const FRAME = 80; // milliseconds that a picture may take while it moves
+const TURN = 0.35; // radians a second, of the turntable
+
+const element = (id) => document.getElementById(id);
+
+class Viewer {
+  constructor() {
+    this.canvas = element("picture");
+    this.look = { shown: "lit", channel: "base_color", filter: "quadratic", level: 0, footprints: true, cubes: false, facing: true, marked: null };
+    this.cost = 0; // milliseconds a pixel, as measured
+    this.pictures = 0;
+    this.isSharp = false;
+  }
+
+  async open() {
+    const [header, shaders] = await Promise.all([readHeader(), readShaders()]);
+    this.header = header;
+    this.octree = new Octree(header);
+    this.gpu = new Gpu(this.canvas, shaders, this.octree, null);
+    this.camera = new Camera(...this.bounds());
+    this.look.level = this.gpu.deepest;
+    this.describe();
+    control(this.canvas, this.camera, () => this.move());
+    this.listen();
+    const total = header.chunks.reduce((sum, chunk) => sum + chunk.bytes, header.mesh?.bytes ?? 0);
+    let done = 0;
+    const progress = (bytes) => {
+      element("progress").value = (done += bytes) / total;
+      element("progress-box").hidden = done >= total;
+    };
+    if (header.mesh) {
+      this.gpu.takeMesh(unpackedMesh(header.mesh, await readStream("mesh")));
+      this.camera = Object.assign(this.camera, new Camera(...this.bounds()));
+      this.camera.aspect = this.canvas.clientWidth / this.canvas.clientHeight;
+      this.camera.reset();
+      progress(header.mesh.bytes);
+    }
+    for (const [number, chunk] of header.chunks.entries()) {
+      const bytes = await readStream(`levels-${number}`);
+      const rows = chunk.levels ? this.octree.take(chunk, bytes) : this.octree.takeTables(bytes);
+      this.gpu.upload(rows);
+      progress(chunk.bytes);
+      this.move();
+      await new Promise((resume) => requestAnimationFrame(resume));
+    }
+    this.isComplete = true;
+    this.move();
+  }
+
+  // The lowest and the highest corner of what is drawn.
+  bounds() {
+    const { origin, size } = this.header, mesh = this.gpu.mesh;
+    if (!mesh) return [origin, origin.map((x) => x + size)];
+    const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
+    mesh.positions.forEach((x, n) => {
+      low[n % 3] = Math.min(low[n % 3], x);
+      high[n % 3] = Math.max(high[n % 3], x);
+    });
+    return [low, high];
+  }
+
+  describe() {
+    const { title, leaves, depth, channels, mesh, notes, isMixed, split } = this.header, { look } = this;
+    document.title = `${title} – octex`;
+    element("title").textContent = title;
+    const lines = [`${leaves.toLocaleString("en")} leaves, depth ${depth}`];
+    if (mesh) lines.push(`${mesh.triangles.toLocaleString("en")} triangles, no texture coordinates`);
+    if (this.gpu.deepest < depth) notes.push(`this GPU's textures hold depth ${this.gpu.deepest}`);
+    element("facts").textContent = [...lines, ...notes].join("\n");
+    const names = channels.map((channel) => channel.name);
+    const choices = [["lit", "in studio light"], ["unlit", "colours as they are"]];
+    if (!names.includes("base_color")) choices.length = 0;
+    for (const name of names) choices.push([`channel ${name}`, name.replaceAll("_", " ")]);
+    choices.push(["depth", "depth of the leaves"], ["facing", "ways that cells face"]);
+    element("shown").replaceChildren(...choices.map(([value, text]) => new Option(text, value)));
+    if (!names.includes("base_color")) this.choose(choices[0][0]);
+    element("level").max = this.gpu.deepest;
+    element("level").value = look.level;
+    element("level-text").textContent = `${look.level}`;
+    if (isMixed) element("filter").querySelector("[value=linear]").remove();
+    element("facing").checked = look.facing = split[0] > 0;
+    element("cubes").checked = !mesh;
+    element("cubes").disabled = !mesh;
+  }
+
+  choose(value) {
+    const [shown, channel] = value.split(" ");
+    this.look.shown = shown;
+    if (channel) this.look.channel = channel;
+  }
+
+  listen() {
+    const { look } = this;
+    const on = (id, change) => element(id).addEventListener("input", (event) => {
+      change(event.target);
+      this.move();
+    });
+    on("shown", (at) => this.choose(at.value));
+    on("filter", (at) => (look.filter = at.value));
+    on("footprints", (at) => (look.footprints = at.checked));
+    on("facing", (at) => (look.facing = at.checked));
+    on("cubes", (at) => (look.cubes = at.checked));
+    on("turntable", (at) => this.turn(at.checked));
+    on("level", (at) => {
+      look.level = Number(at.value);
+      element("level-text").textContent = at.value;
+    });
+    element("controls").addEventListener("submit", (event) => event.preventDefault());
+    element("reset").addEventListener("click", () => {
+      this.camera.reset();
+      this.move();
+    });
+    element("save").addEventListener("click", () => this.save());
+    document.addEventListener("keydown", (event) => {
+      const isTyping = event.target.matches("select, input") || event.ctrlKey || event.metaKey || event.altKey;
+      const id = { c: "cubes", t: "turntable", s: "save" }[event.key];
+      if (id && !isTyping && !element(id).disabled) element(id).click();
+    });
+    new ResizeObserver(() => this.move()).observe(this.canvas);
+    this.canvas.addEventListener("pointermove", (event) => event.buttons || this.point(event));
+    this.canvas.addEventListener("pointerleave", () => this.point(null));
+    this.canvas.addEventListener("webglcontextlost", (event) => {
+      event.preventDefault();
+      this.isLost = true;
+      element("status").textContent = "The GPU was lost; waiting for it.";
+    });
+    this.canvas.addEventListener("webglcontextrestored", () => {
+      this.isLost = false;
+      this.gpu.build();
+      element("status").textContent = "";
+      this.move();
+    });
+  }
+
+  turn(on) {
+    this.turning = on ? performance.now() : null;
+  }
+
+  // Something has changed: draw soon, and sharply once nothing changes.
+  move() {
+    this.changed = performance.now();
+    this.isSharp = false;
+    if (!this.asked) this.asked = requestAnimationFrame(() => this.frame());
+  }
+
+  again() {
+    this.asked = requestAnimationFrame(() => this.frame());
+  }
+
+  frame() {
+    this.asked = 0;
+    if (this.isLost || this.octree.depth < 0 || !this.canvas.clientWidth) return;
+    const now = performance.now();
+    if (this.turning) {
+      this.camera.orbit(((now - this.turning) / 1000) * TURN, 0);
+      this.turning = this.changed = now;
+    }
+    const isStill = now - this.changed > STILL && this.isComplete;
+    const full = Math.min(window.devicePixelRatio || 1, 2);
+    const pixels = this.canvas.clientWidth * this.canvas.clientHeight * full * full;
+    const part = this.cost ? Math.sqrt(FRAME / (this.cost * pixels)) : 0.4;
+    const scale = isStill ? 1 : Math.min(Math.max(part, 0.08), 1);
+    try {
+      if (!(isStill && this.isSharp)) this.draw(full * scale);
+    } catch (error) {
+      return fail(error);
+    }
+    this.isSharp = scale === 1;
+    if (!this.isSharp || this.turning) this.again();
+  }
+
+  draw(scale) {
+    const width = Math.max(Math.round(this.canvas.clientWidth * scale), 1);
+    const height = Math.max(Math.round(this.canvas.clientHeight * scale), 1);
+    this.camera.aspect = this.canvas.clientWidth / this.canvas.clientHeight;
+    const began = performance.now(), { gl } = this.gpu, programs = this.gpu.programs.size;
+    this.gpu.draw(this.look, this.camera, width, height);
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits until it is drawn
+    this.spent = performance.now() - began;
+    if (programs === this.gpu.programs.size) this.cost = this.spent / (width * height);
+    this.pictures++;
+  }
+
+  save() {
+    this.draw(Math.min(window.devicePixelRatio || 1, 2));
+    this.canvas.toBlob((blob) => {
+      const link = document.createElement("a");
+      link.href = URL.createObjectURL(blob);
+      link.download = `${this.header.title.replace(/\.[^.]*$/, "")}.png`;
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+    });
+  }
+
+  // Say what lies under the cursor, once it rests.
+  point(event) {
+    clearTimeout(this.pointing);
+    if (!event || !this.gpu.mesh || !this.isComplete || this.look.cubes) return this.tell(null);
+    const at = [event.offsetX, event.offsetY];
+    this.pointing = setTimeout(() => this.tell(this.pick(...at)), 60);
+  }
+
+  // What lies at a point of the picture, in CSS pixels: the rest position, the leaf, values; or null.
+  pick(x, y) {
+    const width = this.canvas.clientWidth, height = this.canvas.clientHeight, { look } = this;
+    const ask = (plane) => this.gpu.probe(look, this.camera, { width, height, pixel: [x, y], plane });
+    const { places, values } = ask(-1);
+    if (values[3] === 0) return null;
+    const point = Array.from(places.subarray(0, 3));
+    const { origin, size, channels } = this.header;
+    const found = this.octree.cellAt(point, Math.min(look.level, this.octree.depth));
+    const looked = {};
+    for (const plane of new Set(channels.map((channel) => channel.at[0]))) looked[plane] = ask(plane).values;
+    const known = channels.map((channel) => ({
+      name: channel.name,
+      space: channel.space,
+      codes: this.octree.codes(channel, found.cell),
+      values: channel.name === "alpha" ? [values[0]] : Array.from(looked[channel.at[0]].slice(channel.at[1], channel.at[1] + channel.components)),
+    }));
+    return { ...found, point, rest: point.map((p, axis) => origin[axis] + size * p), fetches: values[1], channels: known };
+  }
+
+  tell(found) {
+    const rows = [];
+    if (found) {
+      rows.push(["at rest", found.rest.map((p) => p.toPrecision(5)).join(", ")]);
+      rows.push(["cell", `${found.cell.toLocaleString("en")}, level ${found.level}`]);
+      rows.push(["index", found.index.join(", ")]);
+      for (const { name, codes } of found.channels) rows.push([name.replaceAll("_", " "), codes.join(", "), codes]);
+    }
+    element("cell").replaceChildren(...rows.flatMap(([name, text, codes]) => {
+      const term = document.createElement("dt"), value = document.createElement("dd");
+      term.textContent = name;
+      if (codes?.length === 3) {
+        const swatch = document.createElement("span");
+        swatch.className = "swatch";
+        swatch.style.background = `rgb(${codes})`;
+        value.append(swatch);
+      }
+      value.append(text);
+      return [term, value];
+    }));
+  }
+}
+
+function fail(error) {
+  element("progress-box").hidden = true;
+  element("message").hidden = false;
+  element("message").textContent = `Nothing can be shown: ${error.message}.`;
+  console.error(error);
+}
+
+const viewer = new Viewer();
+globalThis.viewer = viewer;
+viewer.open().catch(fail);
+watch(element("status"));

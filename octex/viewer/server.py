@@ -1,0 +1,247 @@
+"""The page for this machine alone: a server on 127.0.0.1 that answers to whoever has its token."""
+
+from __future__ import annotations
+
+import hmac
+import json
+import secrets
+import threading
+import time
+from collections.abc import Callable
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import TYPE_CHECKING, Any
+
+from octex.errors import OctexError, OutputError
+from octex.viewer.export import MODULES, SHADERS, page_text
+from octex.viewer.pack import Packed, pack
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from octex.source.surface import Surface
+    from octex.texture import OctreeTexture
+
+_ADDRESS = "127.0.0.1"
+_TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
+_FILES = {"": "index.html", "style.css": "style.css"}
+_FILES |= {name: name for name in MODULES} | {f"shaders/{name}": f"shaders/{name}" for name in SHADERS}
+_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+    "img-src 'self' blob: data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+#: Seconds for a request to arrive, between signs of life to a page, and without any page until the end.
+_PATIENCE, _BEAT, _ALONE = 10.0, 1.0, 30.0
+
+
+class Viewer:
+    """Serves a texture, and the mesh that it is of, to pages of this machine.
+
+    ``open_texture`` reads the texture: anew when ``path``, its file, has changed. ``log`` is called with a
+    line for each refusal. ``port`` 0 is any that is free. Raises OutputError if it is taken.
+    """
+
+    def __init__(
+        self,
+        open_texture: Callable[[], OctreeTexture],
+        path: Path,
+        surface: Surface | None,
+        *,
+        port: int = 0,
+        log: Callable[[str], None] = print,
+    ) -> None:
+        self._open, self._path, self._surface, self._log = open_texture, path, surface, log
+        self._lock = threading.Lock()
+        self._state = self._stamp()
+        self._packed = pack(open_texture(), surface, title=path.name)
+        self._pages = 0
+        self._left = time.monotonic()
+        self._ended = threading.Event()
+        self.token = secrets.token_urlsafe(16)
+        try:
+            self._server = _Server((_ADDRESS, port), type("Handler", (_Handler,), {"viewer": self}))
+        except OSError as error:
+            raise OutputError(
+                f"port {port} of {_ADDRESS}: {error.strerror or error}; choose another"
+            ) from error
+        self.port = self._server.server_address[1]
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        return f"http://{_ADDRESS}:{self.port}/{self.token}/"
+
+    def run(self, alone: float = _ALONE) -> None:
+        """Serve until there was no page for some seconds, or until the process is told to end."""
+        thread = threading.Thread(
+            target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True
+        )
+        thread.start()
+        self._left = time.monotonic()
+        try:
+            while self._pages or time.monotonic() - self._left < alone:
+                time.sleep(0.1)
+        finally:
+            self._ended.set()
+            self._server.shutdown()
+            self._server.server_close()
+
+    def refuse(self, line: str) -> None:
+        """Log why a request is refused."""
+        self._log(f"refused: {line}")
+
+    def packed(self) -> Packed:
+        """Return what is shown: read anew if its file has changed and can be read."""
+        with self._lock:
+            stamp = self._stamp()
+            if stamp != self._state:
+                self._packed = pack(self._open(), self._surface, title=self._path.name)
+                self._state = stamp
+            return self._packed
+
+    def version(self) -> tuple[str, str]:
+        """Return the name of the file's state as pages know it, and what is wrong with it, if anything is."""
+        try:
+            self.packed()
+            return self._state, ""
+        except OctexError as error:
+            return self._state, str(error)
+
+    def _stamp(self) -> str:
+        try:
+            status = self._path.stat()
+            return f"{status.st_mtime_ns}-{status.st_size}"
+        except OSError:
+            return "gone"
+
+    def follow(self, send: Callable[[str], None]) -> None:
+        """Tell a page of changes until it is gone."""
+        with self._lock:
+            self._pages += 1
+        told = "", ""
+        try:
+            while not self._ended.wait(_BEAT if told[0] else 0):
+                now = self.version()
+                if now != told:
+                    name, text = ("changing", now[1]) if now[1] else ("version", now[0])
+                    send(f"event: {name}\ndata: {' '.join(text.split())}\n\n")
+                    told = now
+                else:
+                    send(": alive\n\n")
+        except OSError:
+            pass
+        finally:
+            with self._lock:
+                self._pages -= 1
+                self._left = time.monotonic()
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+    allow_reuse_address = False
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Let a page go away in the middle of an answer."""
+
+
+class _Handler(BaseHTTPRequestHandler):
+    viewer: Viewer
+    protocol_version = "HTTP/1.1"
+    server_version = "octex"
+    sys_version = ""
+    timeout = _PATIENCE
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Log what http.server itself refuses; requests that are answered are not worth a line."""
+        if (args and str(args[0]).startswith(("code ", "Request timed out"))) or format.startswith(
+            ("code ", "Request")
+        ):
+            self.viewer.refuse(_printable(format % args))
+
+    def do_GET(self) -> None:
+        """Answer with a file of the page, its data, or the line of events."""
+        path = self._admitted()
+        if path is None:
+            return
+        if path in _FILES:
+            name = _FILES[path]
+            self._answer(page_text(name).encode(), _TYPES.get(name.rpartition(".")[2], "text/plain"))
+        elif path == "events":
+            self._follow()
+        elif path.startswith("data/"):
+            self._data(path.removeprefix("data/"))
+        else:
+            self._refuse(HTTPStatus.NOT_FOUND, "there is no such file")
+
+    def _admitted(self) -> str | None:
+        """Return what a request asks for, below the token; refuse what comes from elsewhere."""
+        token, slash, path = self.path.partition("?")[0].removeprefix("/").partition("/")
+        own = {f"{_ADDRESS}:{self.viewer.port}", f"localhost:{self.viewer.port}"}
+        host, origin = self.headers.get("Host"), self.headers.get("Origin")
+        why, status = "", HTTPStatus.FORBIDDEN
+        if host not in own:
+            why = f"the host is {host!r}"
+        elif origin is not None and origin.removeprefix("http://") not in own:
+            why = f"the origin is {origin!r}"
+        elif self.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
+            why = "another site asks"
+        elif self.headers.get("Content-Length", "0") != "0" or "Transfer-Encoding" in self.headers:
+            why, status = "it has a body", HTTPStatus.REQUEST_ENTITY_TOO_LARGE
+        elif not slash or not hmac.compare_digest(token.encode(), self.viewer.token.encode()):
+            why = "the token is missing or wrong"
+        if why:
+            self._refuse(status, why)
+        return None if why else path
+
+    def _refuse(self, status: HTTPStatus, why: str) -> None:
+        self.viewer.refuse(_printable(f"{self.command} {self.path}: {why}"))
+        self.close_connection = True
+        self._answer(f"{why}\n".encode(), "text/plain", status)
+
+    def _answer(self, body: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
+        self._begin(kind, status)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def _begin(self, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
+        self.send_response(status)
+        self.send_header("Content-Type", f"{kind}; charset=utf-8" if kind.startswith("text/") else kind)
+        self.send_header("Content-Security-Policy", _POLICY)
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("Referrer-Policy", "no-referrer")
+        self.send_header("Cross-Origin-Resource-Policy", "same-origin")
+        self.send_header("Cache-Control", "no-store")
+        if self.close_connection:
+            self.send_header("Connection", "close")
+
+    def _data(self, name: str) -> None:
+        try:
+            packed = self.viewer.packed()
+        except OctexError as error:
+            self._answer(str(error).encode(), "text/plain", HTTPStatus.SERVICE_UNAVAILABLE)
+            return
+        streams = {f"levels-{number}": chunk for number, chunk in enumerate(packed.chunks)}
+        streams |= {"mesh": packed.mesh} if packed.mesh else {}
+        if name == "header":
+            self._answer(json.dumps(packed.header).encode(), "application/json")
+        elif name in streams:
+            self._answer(streams[name], "application/octet-stream")
+        else:
+            self._refuse(HTTPStatus.NOT_FOUND, "there is no such data")
+
+    def _follow(self) -> None:
+        self.close_connection = True
+        self._begin("text/event-stream")
+        self.end_headers()
+
+        def send(text: str) -> None:
+            self.wfile.write(text.encode())
+            self.wfile.flush()
+
+        self.viewer.follow(send)
+
+
+def _printable(text: str) -> str:
+    """Return text as one line of at most 200 characters without anything that a terminal obeys."""
+    return "".join(each if each.isprintable() else "�" for each in text)[:200]

@@ -1,0 +1,92 @@
+"""A real browser for tests: whatever Chromium is installed, driven by playwright."""
+
+from __future__ import annotations
+
+import base64
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from octex.texture import OctreeTexture
+
+Floats = npt.NDArray[np.float32]
+
+_PROGRAMS = "chromium", "chromium-browser", "google-chrome", "google-chrome-stable"
+_OPTIONS = ["--headless=new", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
+#: Returns what ``Gpu.probe`` finds as base64.
+_PROBE = """([look, asked]) => {
+  const found = viewer.gpu.probe({ ...viewer.look, ...look }, viewer.camera, asked);
+  const text = (array) => {
+    const bytes = new Uint8Array(array.buffer);
+    let made = "";
+    for (let n = 0; n < bytes.length; n += 4096) made += String.fromCharCode(...bytes.subarray(n, n + 4096));
+    return btoa(made);
+  };
+  return [text(found.places), text(found.values), text(found.normals)];
+}"""
+
+
+@contextmanager
+def chromium() -> Iterator[Any]:
+    """Start a browser; skip the test where there is none."""
+    api = pytest.importorskip("playwright.sync_api", reason="playwright drives the browser: pip install it")
+    program = next(filter(None, map(shutil.which, _PROGRAMS)), None)
+    if program is None:
+        pytest.skip(f"there is no browser: none of {', '.join(_PROGRAMS)}")
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program, args=_OPTIONS)
+        yield browser
+        browser.close()
+
+
+def opened(browser: Any, url: str, size: tuple[int, int] = (1280, 720), bypass_csp: bool = True) -> Any:
+    """Open a page and wait until all has come; what it complains of fails the test at `complaints`."""
+    page = browser.new_page(viewport={"width": size[0], "height": size[1]}, bypass_csp=bypass_csp)
+    page.complaints = []
+    page.on("pageerror", lambda error: page.complaints.append(str(error)))
+    page.on("console", lambda line: line.type == "error" and page.complaints.append(line.text))
+    page.goto(url)
+    if bypass_csp:
+        done = "viewer.isComplete && viewer.pictures > 0 || !document.getElementById('message').hidden"
+        page.wait_for_function(f"globalThis.viewer && ({done})", timeout=60_000)
+    return page
+
+
+class Probe:
+    """What the pixels of a picture see: points at rest (n, 3), footprints' widths, normals, and values."""
+
+    def __init__(self, page: Any, texture: OctreeTexture, size: tuple[int, int], **look: Any) -> None:
+        self._page, self._size, self._look = page, size, look
+        self._footprint = look.pop("width", 0.0)
+        look["footprints"] = bool(self._footprint)
+        places, values, normals = self._asked(-1)
+        self.seen = values[:, 3] == 1
+        self.places = places[self.seen, :3]
+        self.points = texture.placement.to_rest(self.places.astype(np.float64))
+        self.widths = places[self.seen, 3].astype(np.float64) * texture.placement.size
+        self.normals = normals[self.seen, :3]
+        self.alpha, self.fetches = values[self.seen, 0], values[self.seen, 1]
+
+    def _asked(self, plane: int) -> list[Floats]:
+        asked = {
+            "width": self._size[0],
+            "height": self._size[1],
+            "plane": plane,
+            "footprint": self._footprint,
+        }
+        found = self._page.evaluate(_PROBE, [self._look, asked])
+        return [np.frombuffer(base64.b64decode(text), np.float32).reshape(-1, 4) for text in found]
+
+    def plane(self, number: int) -> Floats:
+        """What is looked up of a plane's four components."""
+        return self._asked(number)[1][self.seen]
+
+
+def file_url(path: Path) -> str:
+    return path.resolve().as_uri()

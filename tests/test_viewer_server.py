@@ -1,0 +1,189 @@
+"""The viewer's server: who is answered and who is refused, with a line for each refusal."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import threading
+import time
+import zlib
+from collections.abc import Iterator
+from http.client import HTTPConnection
+from pathlib import Path
+
+import pytest
+
+import octex
+from octex.cli.main import main
+from octex.errors import ExitCode, OutputError
+from octex.texture import OctreeTexture
+from octex.viewer import Viewer
+from tests.small_textures import eight_colors
+
+
+class Served:
+    """A viewer of a small texture, that runs."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / "eight.octex"
+        eight_colors().save(self.path)
+        self.lines: list[str] = []
+        self.viewer = Viewer(self.read, self.path, None, log=self.lines.append)
+        self.thread = threading.Thread(target=self.viewer.run, kwargs={"alone": 0.5})
+        self.thread.start()
+
+    def read(self) -> OctreeTexture:
+        return octex.open(self.path)
+
+    def ask(
+        self, path: str = "", method: str = "GET", token: str | None = None, **headers: str
+    ) -> tuple[int, bytes]:
+        connection = HTTPConnection("127.0.0.1", self.viewer.port, timeout=5)
+        named = {name.replace("_", "-"): text for name, text in headers.items()}
+        token = self.viewer.token if token is None else token
+        connection.request(method, f"/{token}/{path}" if token else f"/{path}", headers=named)
+        answer = connection.getresponse()
+        self.headers = answer.headers
+        found = answer.status, answer.read()
+        connection.close()
+        return found
+
+    def raw(self, content: bytes) -> bytes:
+        with socket.create_connection(("127.0.0.1", self.viewer.port), timeout=5) as line:
+            line.sendall(content)
+            line.shutdown(socket.SHUT_WR)
+            return b"".join(iter(lambda: line.recv(4096), b""))
+
+
+@pytest.fixture
+def served(tmp_path: Path) -> Iterator[Served]:
+    found = Served(tmp_path)
+    yield found
+    found.thread.join(10)
+    assert not found.thread.is_alive()
+
+
+def test_the_page_and_its_data_are_answered_to_who_has_the_token(served: Served) -> None:
+    for path in ("", "style.css", "viewer.js", "shaders/walk.glsl"):
+        status, body = served.ask(path)
+        assert status == 200
+        assert body
+        policy = served.headers["Content-Security-Policy"]
+        assert policy.startswith("default-src 'none'; script-src 'self'")
+        assert "http" not in policy
+    header = json.loads(served.ask("data/header")[1])
+    assert (header["depth"], header["levelCells"]) == (1, [0, 1, 9])
+    status, chunk = served.ask("data/levels-0", Origin=f"http://127.0.0.1:{served.viewer.port}")
+    assert status == 200
+    assert len(zlib.decompress(chunk, -15)) == header["levelNodes"][-1] * 2 + 1 + 9 + 27
+    assert served.ask("data/header", Host=f"localhost:{served.viewer.port}")[0] == 200
+    assert served.lines == []
+
+
+@pytest.mark.parametrize(
+    ("asked", "headers", "status", "line"),
+    [
+        ({"token": ""}, {}, 403, "the token is missing or wrong"),
+        ({"token": "a" * 22}, {}, 403, "the token is missing or wrong"),
+        ({"token": "", "path": "data/header"}, {}, 403, "the token is missing or wrong"),
+        ({}, {"Host": "rebound.example"}, 403, "the host is 'rebound.example'"),
+        ({}, {"Host": "127.0.0.1:1"}, 403, "the host is '127.0.0.1:1'"),
+        ({}, {"Origin": "https://evil.example"}, 403, "the origin is 'https://evil.example'"),
+        ({}, {"Origin": "null"}, 403, "the origin is 'null'"),
+        ({}, {"Sec_Fetch_Site": "cross-site"}, 403, "another site asks"),
+        ({}, {"Content_Length": "5"}, 413, "it has a body"),
+        ({}, {"Transfer_Encoding": "chunked"}, 413, "it has a body"),
+        ({"path": "../server.py"}, {}, 404, "there is no such file"),
+        ({"path": "..%2f..%2fetc/passwd"}, {}, 404, "there is no such file"),
+        ({"path": "/etc/passwd"}, {}, 404, "there is no such file"),
+        ({"path": "data/../header"}, {}, 404, "there is no such data"),
+        ({"path": "data/levels-9"}, {}, 404, "there is no such data"),
+    ],
+)
+def test_what_comes_from_elsewhere_is_refused_in_one_line(
+    served: Served, asked: dict[str, str], headers: dict[str, str], status: int, line: str
+) -> None:
+    assert served.ask(**asked, **headers)[0] == status
+    assert len(served.lines) == 1
+    assert served.lines[0].startswith("refused: GET /")
+    assert served.lines[0].endswith(line)
+    assert served.ask("data/header")[0] == 200
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "HEAD"])
+def test_other_methods_are_refused(served: Served, method: str) -> None:
+    assert served.ask(method=method)[0] == 501
+    assert len(served.lines) == 1
+
+
+@pytest.mark.parametrize("content", [b"GET", b"\x16\x03\x01\x02\x00", b"GET /\x1b[2J HTTP/1.1\r\n\r\n"])
+def test_what_is_no_request_or_half_of_one_changes_nothing(served: Served, content: bytes) -> None:
+    served.raw(content)
+    assert all(line.isprintable() for line in served.lines)
+    assert served.ask("data/header")[0] == 200
+
+
+def events(served: Served) -> socket.socket:
+    line = socket.create_connection(("127.0.0.1", served.viewer.port), timeout=5)
+    host = f"127.0.0.1:{served.viewer.port}"
+    line.sendall(f"GET /{served.viewer.token}/events HTTP/1.1\r\nHost: {host}\r\n\r\n".encode())
+    return line
+
+
+def until(line: socket.socket, text: str) -> str:
+    found = ""
+    while text not in found:
+        found += line.recv(4096).decode()
+    return found
+
+
+def test_a_page_is_told_of_a_changed_file_and_of_a_broken_one(served: Served) -> None:
+    with events(served) as line:
+        first = until(line, "event: version\ndata: ")
+        eight_colors(metadata={"source": "another"}).save(served.path)
+        assert first not in until(line, "event: version\ndata: ")
+        served.path.write_bytes(b"broken")
+        assert "eight.octex" in until(line, "event: changing\ndata: ")
+        assert served.ask("data/header")[0] == 503
+        eight_colors().save(served.path)
+        until(line, "event: version\ndata: ")
+        assert served.ask("data/header")[0] == 200
+
+
+def test_the_server_stops_when_the_last_page_is_gone(served: Served) -> None:
+    with events(served) as line:
+        until(line, "event: version")
+        time.sleep(1.0)
+        assert served.thread.is_alive()
+    served.thread.join(5)
+    assert not served.thread.is_alive()
+
+
+def test_a_port_that_is_taken_is_said(served: Served) -> None:
+    with pytest.raises(OutputError, match=f"port {served.viewer.port} of 127.0.0.1: .*; choose another"):
+        Viewer(served.read, served.path, None, port=served.viewer.port)
+
+
+def test_ctrl_c_ends_the_command(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    eight_colors().save(tmp_path / "eight.octex")
+    threading.Timer(1.0, lambda: os.kill(os.getpid(), 2)).start()
+    code = main(["view", str(tmp_path / "eight.octex"), "--no-browser"])
+    assert code == ExitCode.DONE
+    assert capfd.readouterr().out.startswith("http://127.0.0.1:")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["a.octex", "--depth", "3"], "a.octex: --depth is for models; the level is chosen in the page"),
+        (["a.glb", "--mesh", "b.glb"], "a.glb: is no .octex file, so --mesh has no meaning"),
+        (["a.octex", "--port", "0"], "argument --port: 0 is no port, 1 to 65535"),
+        (["a.octex", "--rest", "b.glb"], "--rest has no meaning without --mesh"),
+    ],
+)
+def test_words_of_octex_view_that_make_no_sense_are_refused(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["view", *words]) == ExitCode.REFUSED
+    assert message.removeprefix("argument ") in capsys.readouterr().err
