@@ -125,12 +125,11 @@ def noisy(ring: Ring) -> Ring:
     return ring._replace(pictures=made)
 
 
-def shifts(cameras: Sequence[octex.Camera], truth: Sequence[octex.Camera], surface: octex.Surface) -> Array:
-    """Return by how many pixels (root of the mean square) points of a surface land elsewhere, per camera."""
-    points = surface.scatter(2_000, seed=5).points
+def shifts(cameras: Sequence[octex.Camera], truth: Sequence[octex.Camera], points: Points) -> Array:
+    """Return by how many pixels (root of the mean square) points that a camera sees land elsewhere."""
     found = []
-    for camera, true in zip(cameras, truth, strict=True):
-        apart = camera.project(points)[0] - true.project(points)[0]
+    for camera, true, seen in zip(cameras, truth, points.seen, strict=True):
+        apart = camera.project(points.samples.points[seen])[0] - true.project(points.samples.points[seen])[0]
         found.append(np.sqrt((apart**2).sum(1).mean()))
     return np.array(found)
 
@@ -186,10 +185,10 @@ def disturbed(
         off = ["", ""]
         began = process_time()
         if refines:
-            before = shifts(given.cameras, ring.cameras, surface).max()
+            before = shifts(given.cameras, ring.cameras, points).max()
             cameras = octex.refine_cameras(surface, given.projections(), reference=0)
             given = given._replace(cameras=cameras)
-            after = shifts(cameras, ring.cameras, surface).max()
+            after = shifts(cameras, ring.cameras, points).max()
             off = [f"{before:.2f}", f"{after:.2f}"]
             verdicts.append((report.at_most, f"{what}, pixels left", float(after), 0.25, ""))
         found, figure = painted(given, **options)

@@ -150,9 +150,7 @@ def main(arguments: list[str] | None = None) -> int:
                 result = "SLOW"
                 print(f"seed {number}: {spent:.2f} s")
             counts[result] += 1
-    print(
-        ", ".join(f"{count:,} {result}" for result, count in counts.most_common()), f"slowest {slowest:.2f} s"
-    )
+    print(", ".join(f"{count:,} {result}" for result, count in counts.most_common()), f"slowest {slowest:.2f} s")
     return 1 if counts["WRONG"] or counts["SLOW"] else 0
 
 

@@ -204,7 +204,7 @@ def random_contents(seed: int) -> Contents:
     edges = np.zeros((count, 4), np.uint8)
     sides = 3 if triangles else 4
     free = draw.permutation(count * sides)
-    for a, b in free[: len(free) // 2 * 2].reshape(-1, 2)[:count]:
+    for a, b in free[: len(free) // 2 * 2].reshape(-1, 2)[: count]:
         neighbors[a // sides, a % sides], edges[a // sides, a % sides] = b // sides, b % sides
         neighbors[b // sides, b % sides], edges[b // sides, b % sides] = a // sides, a % sides
     faces = Faces(log2, neighbors, edges, np.zeros(count, np.bool_))

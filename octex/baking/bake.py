@@ -301,7 +301,9 @@ def _put(found: dict[str, Float32s], places: Int32s, lanes: Mapping[str, slice],
     put_rows(np.concatenate([found[name] for name in lanes], axis=1), places, values)
 
 
-def _bake_gutter(job: _Job, layout: Layout, taken: Bools, padding: int, maps: Values, pool: Executor) -> None:
+def _bake_gutter(
+    job: _Job, layout: Layout, taken: Bools, padding: int, maps: Values, pool: Executor
+) -> None:
     """Write the channels around the charts, and count these texels as covered, in place."""
     mesh, reach = job.surface, math.ceil(_REACH * padding)
     gutter = gutter_of(layout, mesh.rest, mesh.triangles, job.others, job.sides, taken, reach)

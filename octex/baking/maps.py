@@ -140,9 +140,7 @@ class Values(NamedTuple):
         """Return zeros."""
         ends = np.cumsum([0, *(CHANNELS[name].components for name in names)]).tolist()
         lanes = {name: slice(*each) for name, each in zip(names, pairwise(ends), strict=True)}
-        return cls(
-            lanes, np.zeros((height, width, ends[-1]), np.float32), np.zeros((height, width), np.float32)
-        )
+        return cls(lanes, np.zeros((height, width, ends[-1]), np.float32), np.zeros((height, width), np.float32))
 
     def channel(self, name: str) -> Float32s:
         """Return one channel (height, width, components)."""

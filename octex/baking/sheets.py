@@ -241,9 +241,7 @@ def _drawn(layout: Layout, pool: Executor) -> Texels:
         which, drawn = drawing.rows(*rows)
         if not which.size:
             return drawn
-        return drawn._replace(
-            triangles=np.where(drawn.triangles < 0, -1, which[drawn.triangles]).astype(np.int32)
-        )
+        return drawn._replace(triangles=np.where(drawn.triangles < 0, -1, which[drawn.triangles]).astype(np.int32))
 
     parts = list(ordered_map(pool, draw, list(pairwise([*range(0, layout.height, _ROWS), layout.height]))))
     return Texels(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))

@@ -78,7 +78,7 @@ _OPTIONS = (
     option("--no-fit", "store plain averages; lookups are then softer", action="store_true"),
     option(
         "--mesh",
-        "the model that INPUT is a texture of: OUTPUT is it with images, .glb, .gltf, .obj or .usdz, "
+"the model that INPUT is a texture of: OUTPUT is it with images, .glb, .gltf, .obj or .usdz, "
         "with vertex colours, .3mf (octex bake has more options), in a page, .html, or texels for its "
         "polygons, .ptx; where INPUT is a .ptx, the mesh that it was painted on",
         metavar="MODEL",

@@ -79,6 +79,12 @@ def refined(
     progress: Reporter,
 ) -> list[Shot]:
     """Return pictures with cameras by which they agree best."""
+    names = [shot.name for shot in shots]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None and options.save_cameras is not None:
+        raise ArgumentError(
+            f"--save-cameras: {twice!r} is the camera of several pictures; refine these apart"
+        )
     cameras = octex.refine_cameras(
         surface,
         [_projection(options, shot) for shot in shots],

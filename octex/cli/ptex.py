@@ -17,9 +17,7 @@ def write_ptex(options: argparse.Namespace, program: str) -> int:
     """Write a .ptx file, as the options of octree-convert --mesh say; return the exit code."""
     began = time.perf_counter()
     if options.INPUT.suffix.lower() != TEXTURE_ENDING:
-        raise ArgumentError(
-            f"{options.INPUT}: is no {TEXTURE_ENDING} file; octex convert makes one of a model"
-        )
+        raise ArgumentError(f"{options.INPUT}: is no {TEXTURE_ENDING} file; octex convert makes one of a model")
     inputs = [path for path in (options.INPUT, options.mesh, options.rest) if path is not None]
     check_outputs([(options.OUTPUT, (PTEX_ENDING,), "OUTPUT")], inputs, force=options.force)
     with Reporter(program, options.quiet) as progress:

@@ -26,13 +26,16 @@ from octex.source.surface import Surface, as_surface
 from octex.view.camera import Camera
 
 #: Points of the surface that are compared.
-_POINTS = 20_000
+_POINTS = 10_000
 #: Levels of pictures, each twice as coarse, that are read one after the other, and steps on each.
 _LEVELS, _STEPS = (3, 2, 1, 0), 8
+#: On so many of them light is balanced anew.
+_BALANCED = 2
 #: A step in which no camera moves by so many pixels is the last of its level.
 _STILL = 0.005
-#: From what difference, of square roots of light, on a picture may count for less.
-_FAR = 0.02
+#: From what difference of square roots of light on a picture may count for less: at the finest level, and so
+#: much more at each coarser one, where pictures that are off differ most at the edges that tell of it.
+_FAR = 0.04
 #: How strongly, of what there is, cameras are held where they are: what pictures do not tell stays.
 _HOLD = 1e-4
 #: What is seen at such an angle to the surface's normal, in degrees, or more, is not compared.
@@ -82,11 +85,15 @@ def refine_cameras(
         cameras = [each.camera for each in given]
         order, stays = _ordered(ground, cameras, levels, reference, pool)
         cameras, levels = [cameras[n] for n in order], [levels[n] for n in order]
+        gains = np.ones((len(given), 3), np.float32)
         for done, level in enumerate(_LEVELS):
             report("refine", done, len(_LEVELS))
             source = _source(ground, cameras, levels, pool)
-            if balance is not None:
-                source = balanced(source, surface, balance, stays)
+            if balance is not None and done < _BALANCED:
+                source = balanced(source.with_gains(gains), surface, balance, stays)
+                levels = [shot.levels for shot in source.shots]
+                gains = source.gains * gains
+            source = source.with_gains(gains)
             cameras = _agreeing(source, surface, cameras, level, stays)
         report("refine", len(_LEVELS), len(_LEVELS))
     found = dict(zip(order, cameras, strict=True))
@@ -130,14 +137,15 @@ def _agreeing(
     pictures = [_read(shot, level) for shot in source.shots]
     for _ in range(_STEPS):
         values, slopes = [], []
-        for picture, camera, gains in zip(pictures, cameras, source.gains, strict=True):
-            value, slope = _seen(picture, camera, points, gains)
-            values.append(value)
-            slopes.append(slope)
+        for picture, camera, gains, say in zip(pictures, cameras, source.gains, says, strict=True):
+            value, slope = np.zeros((len(points), 3)), np.zeros((len(points), 3, _NUMBERS))
+            value[say > 0], slope[say > 0] = _seen(picture, camera, points[say > 0], gains)
+            values.append(value.ravel())
+            slopes.append(slope.reshape(-1, _NUMBERS))
         value, slope = np.stack(values), np.stack(slopes)
         weights = np.repeat(says, 3, axis=1) * np.isfinite(value)
         value, slope = np.nan_to_num(value), np.nan_to_num(slope)
-        weights, _ = robust_weights(value, weights, _FAR)
+        weights, _ = robust_weights(value, weights, _FAR * (level + 1))
         strength = np.einsum("in,inp->ip", weights, slope**2).max(axis=1, keepdims=True)
         ridge = np.broadcast_to(np.maximum(_HOLD * strength, 1e-12), (len(cameras), _NUMBERS)).copy()
         ridge[fixed] = np.inf
@@ -169,7 +177,7 @@ def _read(shot: Shot, level: int) -> Float32s:
 
 
 def _seen(picture: Float32s, camera: Camera, points: Float64s, gains: Float32s) -> tuple[Float64s, Float64s]:
-    """Return what a picture shows of points (n · 3,), and how that changes with the camera's numbers."""
+    """Return what a picture shows of points (n, 3), and how that changes with the camera's numbers."""
     height, width = picture.shape[:2]
     pixels, _ = camera.project(points)
     places = pixels * [width / camera.width, height / camera.height] - 0.5
@@ -188,7 +196,7 @@ def _seen(picture: Float32s, camera: Camera, points: Float64s, gains: Float32s) 
         there, _ = _moved(camera, step, points).project(points)
         moved = (there - pixels) * [width / camera.width, height / camera.height] / _TRIAL
         slopes[..., number] = read[:, 3:6] * moved[:, :1] + read[:, 6:] * moved[:, 1:]
-    return read[:, :3].ravel(), slopes.reshape(-1, _NUMBERS)
+    return read[:, :3], slopes
 
 
 def _moved(camera: Camera, numbers: Float64s, points: Float64s) -> Camera:

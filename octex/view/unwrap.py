@@ -76,12 +76,7 @@ class Patch:
 
 
 def unwrap(
-    surface: Surface,
-    center: npt.ArrayLike,
-    radius: float,
-    *,
-    up: npt.ArrayLike | None = None,
-    size: int = 1024,
+    surface: Surface, center: npt.ArrayLike, radius: float, *, up: npt.ArrayLike | None = None, size: int = 1024
 ) -> Patch:
     """Lay a disc of a posed surface flat, to be painted on in a picture (Benson & Davis 2002, 6.1).
 
@@ -145,9 +140,7 @@ def _spread(
 ) -> tuple[Float64s, Bools]:
     """Return where vertices lie (n, 2), NaN where the wave did not come, and which are on borders."""
     flat = np.full((len(vertices), 2), np.nan)
-    normals = np.cross(
-        vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]]
-    )
+    normals = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     units = normals / np.where(lengths > 0, lengths, 1)
     near = np.flatnonzero(np.isin(faces, faces[start]).any(axis=1) & (lengths[:, 0] > 0))

@@ -200,9 +200,9 @@ def _looked_up(
         end = min(begin + _TOGETHER, len(values))
         report("sample", begin, len(values))
         first, last = np.searchsorted(ends, [begin, end - 1], side="right")
-        faces = np.repeat(np.arange(first, last + 1, dtype=np.int32), counts[first : last + 1])[
-            begin - (ends[first] - counts[first]) :
-        ][: end - begin]
+        faces = np.repeat(
+            np.arange(first, last + 1, dtype=np.int32), counts[first : last + 1]
+        )[begin - (ends[first] - counts[first]) :][: end - begin]
         within = np.arange(begin, end) - (ends - counts)[faces]
         triangles, barycentric = _placed(patches, faces, _centres(patches, log2[faces], within))
         there = np.flatnonzero(triangles >= 0)

@@ -90,15 +90,9 @@ def _planes(positions: Float64s, first: Int64s) -> Float64s:
         x = y = z = 0.0
         for i in range(begin, end):
             j = i + 1 if i + 1 < end else begin
-            x += (positions[i, 1] - positions[j, 1]) * (
-                positions[i, 2] + positions[j, 2] - 2 * positions[begin, 2]
-            )
-            y += (positions[i, 2] - positions[j, 2]) * (
-                positions[i, 0] + positions[j, 0] - 2 * positions[begin, 0]
-            )
-            z += (positions[i, 0] - positions[j, 0]) * (
-                positions[i, 1] + positions[j, 1] - 2 * positions[begin, 1]
-            )
+            x += (positions[i, 1] - positions[j, 1]) * (positions[i, 2] + positions[j, 2] - 2 * positions[begin, 2])
+            y += (positions[i, 2] - positions[j, 2]) * (positions[i, 0] + positions[j, 0] - 2 * positions[begin, 0])
+            z += (positions[i, 0] - positions[j, 0]) * (positions[i, 1] + positions[j, 1] - 2 * positions[begin, 1])
         axis = 2
         if abs(x) >= abs(y) and abs(x) >= abs(z):
             axis = 0
@@ -244,7 +238,9 @@ def _inverse(patches: Patches, polygon: int, face: int, x: float, y: float) -> t
 
 
 @inlined
-def locate(patches: Patches, triangle: int, p: float, q: float, r: float) -> tuple[int, float, float]:
+def locate(
+    patches: Patches, triangle: int, p: float, q: float, r: float
+) -> tuple[int, float, float]:
     """Return the face of a point of a triangle, by its barycentric coordinates, and (u, v) there."""
     polygon = int(patches.polygons[triangle])
     face = int(patches.first_faces[polygon])
@@ -283,10 +279,7 @@ def _bilinear(patches: Patches, polygon: int, face: int, u: float, v: float) -> 
     cx, cy = _corner(patches, polygon, face, 2)
     dx, dy = _corner(patches, polygon, face, 3)
     s, t = 1.0 - u, 1.0 - v
-    return (
-        s * t * ax + u * t * bx + u * v * cx + s * v * dx,
-        s * t * ay + u * t * by + u * v * cy + s * v * dy,
-    )
+    return s * t * ax + u * t * bx + u * v * cx + s * v * dx, s * t * ay + u * t * by + u * v * cy + s * v * dy
 
 
 @kernel

@@ -111,9 +111,7 @@ class PtexFile:
         if header["magic"] != MAGIC:
             raise self._refusal("it does not begin as Ptex files do", "is no .ptx file")
         if header["version"] != VERSION:
-            raise ModelError(
-                f"{self.path.name} is of Ptex version {header['version']}; octex reads {VERSION}"
-            )
+            raise ModelError(f"{self.path.name} is of Ptex version {header['version']}; octex reads {VERSION}")
         if header["mesh_type"] >= len(MESH_TYPES) or header["data_type"] >= len(DTYPES):
             raise self._refusal("an unknown kind of mesh or of numbers")
         self.mesh_type = MESH_TYPES[header["mesh_type"]]

@@ -140,9 +140,7 @@ class _PtexSource(Source):
         self._channels = tuple(made)
         values = np.concatenate(columns, axis=1, dtype=np.float32)
         ends = np.cumsum([0, *(form.components for form in made)])
-        colors = [
-            slice(a, b) for form, a, b in zip(made, ends, ends[1:], strict=False) if form.name != "alpha"
-        ]
+        colors = [slice(a, b) for form, a, b in zip(made, ends, ends[1:], strict=False) if form.name != "alpha"]
         alpha = [int(a) for form, a in zip(made, ends, strict=False) if form.name == "alpha"]
         # Colours are averaged by coverage: what is stored is that times them.
         self._alpha = alpha[0] if alpha else -1
@@ -236,9 +234,7 @@ def _fill(values: Float32s, starts: Int64s, pyramid: _Pyramid, is_triangle: bool
 
 
 @kernel
-def _fill_rims(
-    pyramid: _Pyramid, neighbors: Int32s, edges: Uint8s, subfaces: np.ndarray, modes: Int64s
-) -> None:
+def _fill_rims(pyramid: _Pyramid, neighbors: Int32s, edges: Uint8s, subfaces: np.ndarray, modes: Int64s) -> None:
     """Fill in what lies across the edges of quads; a rim's corners are the mean of what is beside them."""
     for face in range(neighbors.shape[0]):
         for level in range(pyramid.faces[face] + 1):
@@ -248,9 +244,7 @@ def _fill_rims(
                 length = u if edge % 2 == 0 else v
                 for i in range(length):
                     to = first + _rim(edge, i, u, v, width, 0)
-                    source = _across(
-                        pyramid, neighbors, edges, subfaces, face, level, edge, (i + 0.5) / length
-                    )
+                    source = _across(pyramid, neighbors, edges, subfaces, face, level, edge, (i + 0.5) / length)
                     if source < 0:
                         mode = modes[0] if edge % 2 == 1 else modes[1]
                         if mode == _BLACK:
@@ -335,14 +329,7 @@ def _evaluate(
 
 @inlined
 def _add(
-    pyramid: _Pyramid,
-    is_triangle: bool,
-    face: int,
-    level: int,
-    u: float,
-    v: float,
-    share: np.float32,
-    to: Float32s,
+    pyramid: _Pyramid, is_triangle: bool, face: int, level: int, u: float, v: float, share: np.float32, to: Float32s
 ) -> None:
     across, down = 1 << pyramid.log2[level, face, 0], 1 << pyramid.log2[level, face, 1]
     first, width = pyramid.firsts[level, face], across + 2
