@@ -15,12 +15,14 @@ The words
     residual    what a node's value has beyond the average of the cells below it
     layer       paint as a texture of its own: a channel, and how much of each cell it covers
     source      what a point's value comes from: images, functions, numbers, other models, points
+    patch       a disc of a surface, laid flat to be painted on in a picture
     fit         choosing the leaves' values so that the field meets the source
 
 The rooms, each of which knows only those before it
     tree        Morton codes, areas, placement; building, changing, searching and walking octrees
     nearest     nearest points of triangles and of clouds, how near meshes come
     field       what lies between the cells: which of them a lookup blends, and what weighs them
+    archive     the same in a third of the bytes: predicted, and coded by entropy
     texture     OctreeTexture: tree, channels and placement; lookups; the .octex file
     kernels     lookups of one point, for one's own compiled loops
     editing     what every change of a texture shares: averages, rows of split cells, refined cells
@@ -36,7 +38,7 @@ The rooms, each of which knows only those before it
     cli         the commands, and the pages of octex help
 
 Common ground: ahead, arrays, channels, checks, compare, container, errors, files, functions, jit,
-jit_cache, parallel.
+jit_cache, jit_parts, parallel.
 """
 
 from __future__ import annotations
@@ -46,6 +48,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from octex.baking.bake import bake as bake
+    from octex.baking.displaced import displace as displace
     from octex.baking.vertices import bake_vertices as bake_vertices
     from octex.conversion.apart import separate as separate
     from octex.conversion.convert import convert as convert
@@ -63,6 +66,8 @@ if TYPE_CHECKING:
     from octex.painting.region import Box as Box
     from octex.painting.region import Sphere as Sphere
     from octex.painting.region import fill as fill
+    from octex.painting.unwrap import Patch as Patch
+    from octex.painting.unwrap import unwrap as unwrap
     from octex.processing.blur import blur as blur
     from octex.processing.cast import cast as cast
     from octex.processing.combine import combine as combine
@@ -101,6 +106,7 @@ _HOMES = {
     "OctexError": ("octex.errors", "OctexError"),
     "OctreeTexture": ("octex.texture", "OctreeTexture"),
     "Painter": ("octex.painting.painter", "Painter"),
+    "Patch": ("octex.painting.unwrap", "Patch"),
     "PointCloud": ("octex.source.cloud", "PointCloud"),
     "Projection": ("octex.painting.pictures", "Projection"),
     "Ptex": ("octex.formats.ptex.source", "Ptex"),
@@ -118,6 +124,7 @@ _HOMES = {
     "convert_set": ("octex.conversion.sets", "convert_set"),
     "crop": ("octex.processing.resize", "crop"),
     "curves": ("octex.processing.tone", "curves"),
+    "displace": ("octex.baking.displaced", "displace"),
     "fill": ("octex.painting.region", "fill"),
     "levels": ("octex.processing.tone", "levels"),
     "load_surface": ("octex.source.load", "load_surface"),
@@ -132,6 +139,7 @@ _HOMES = {
     "resize": ("octex.processing.resize", "resize"),
     "separate": ("octex.conversion.apart", "separate"),
     "subdivide": ("octex.source.subdivided", "subdivide"),
+    "unwrap": ("octex.painting.unwrap", "unwrap"),
     "write_model": ("octex.formats.models", "write_model"),
     "write_ptex": ("octex.formats.ptex.export", "write_ptex"),
     "write_cameras": ("octex.view.camera_files", "write_cameras"),

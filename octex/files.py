@@ -10,6 +10,7 @@ import atexit
 import contextlib
 import errno
 import os
+import re
 import secrets
 import shutil
 import signal
@@ -24,6 +25,14 @@ from types import FrameType
 from typing import BinaryIO
 
 from octex.errors import ModelError, OctexError, OutputError
+
+try:
+    import fcntl
+except ImportError:  # on Windows
+    fcntl = None  # type: ignore[assignment]
+
+#: The names of files that are being written.
+_TEMPORARY = re.compile(r"\.octex-[0-9a-f]{16}")
 
 _undos: dict[object, Callable[[], None]] = {}
 
@@ -138,8 +147,8 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     """Open a new file that takes the place of ``path`` at the end of the block, whole or not at all.
 
     Where the system can do so, the new file has no name before it is complete, so that nothing is left of it
-    however the process ends. Raises OutputError if anything cannot be written (also for an OSError of the
-    block itself).
+    however the process ends; what killed processes left in the folder nevertheless is removed. Raises
+    OutputError if anything cannot be written (also for an OSError of the block itself).
     """
     target = Path(path)
     try:
@@ -152,13 +161,19 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
         temporary = real.with_name(f".octex-{secrets.token_hex(8)}")
         with undone_on_failure(lambda: temporary.unlink(missing_ok=True)):
             nameless = _nameless_file(real.parent)
-            with nameless or temporary.open("xb") as file:
+            with nameless or _named_file(temporary) as file:
+                if nameless:
+                    _lock(file)
                 yield file
                 file.flush()
                 os.fsync(file.fileno())
                 if nameless:
                     _name(file, temporary)
-            temporary.replace(real)
+                if fcntl:  # what holds a lock is nobody's leavings
+                    temporary.replace(real)
+            if not fcntl:  # systems without these locks do not rename what is open
+                temporary.replace(real)
+        _remove_leavings(real.parent)
     except OSError as error:
         reason = error.strerror or str(error)
         raise OutputError(
@@ -183,6 +198,42 @@ def _nameless_file(folder: Path) -> BinaryIO | None:
         with contextlib.suppress(OSError):
             return os.fdopen(os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666), "wb")
     return None
+
+
+def _named_file(path: Path) -> BinaryIO:
+    """Open a new file, locked, that is surely the one at its path."""
+    while True:
+        file = path.open("xb")
+        if _lock(file):
+            with contextlib.suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                    return file
+            file.close()  # taken for leavings before it was locked
+        else:
+            return file
+
+
+def _lock(file: BinaryIO) -> bool:
+    """Lock a file as long as it is open; say whether the system does so."""
+    if not fcntl:
+        return False
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX)
+    except OSError:  # some file systems have no locks
+        return False
+    return True
+
+
+def _remove_leavings(folder: Path) -> None:
+    """Remove the files that killed processes left half-written: those that nobody holds."""
+    if not fcntl:
+        return
+    with contextlib.suppress(OSError):
+        for entry in os.scandir(folder):
+            if _TEMPORARY.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
+                with contextlib.suppress(OSError), open_file(entry.path) as file:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    Path(entry.path).unlink()
 
 
 def _name(file: BinaryIO, path: Path) -> None:

@@ -19,15 +19,21 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
+from numba.core.codegen import JITCodeLibrary
+from numba.core.typing.npydecl import parse_dtype
 from numba.extending import intrinsic
+from numba.np.arrayobj import _empty_nd_impl
+
+from octex.jit_parts import USED_OF_LIBRARY, PartCompiler, PartContext, WholeCompiler
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 #: What is used of numba beyond what it documents, of its functions and of their caches on disk.
 _USED = "_compile_for_args", "_insert", "add_overload", "get_call_template", "overloads", "typeof_pyval"
 _USED_OF_CACHE = (
     *("_cache._cache_file.load", "_cache._cache_file.save", "_cache._cache_file._source_stamp"),
-    *("_cache.cache_path", "_cache.save_overload"),
+    *("_cache._impl.rebuild", "_cache.cache_path", "_cache.save_overload"),
 )
 #: New objects after which Python looks for garbage while kernels are compiled, which make hundreds of
 #: thousands: by its own 700, that takes a tenth of the time.
@@ -53,22 +59,31 @@ def inlined(function: Function) -> Function:
     of arrays (coherent lookups: 24 million a second instead of 4). Only kernels can call them: without what
     Python calls, octex compiles in six sevenths of the time.
     """
-    compiled: Any = _compiled(function, forceinline=True, _nrt=False, no_cpython_wrapper=True)
-    return _for_kernels(compiled)  # type: ignore[no-any-return]
+    return _part(function, forceinline=True, _nrt=False)
 
 
 def step(function: Function) -> Function:
-    """Compile ``function`` for kernels to call, as ``inlined`` does, but once for all of them."""
-    compiled: Any = _compiled(function, _nrt=False, no_cpython_wrapper=True)
-    return _for_kernels(compiled)  # type: ignore[no-any-return]
+    """Compile ``function`` for kernels to call, as ``inlined`` does, but not into each call."""
+    return _part(function, _nrt=False)
 
 
-def _for_kernels(compiled: Any) -> Any:
-    """Put a function out of Python's reach."""
+def part(function: Function) -> Function:
+    """Compile ``function`` for kernels to call. It may create arrays, as ``kernel`` lets it."""
+    return _part(function)
+
+
+def fused_part(function: Function) -> Function:
+    """Compile like ``part``, but let a product and a sum be one instruction, rounded once."""
+    return _part(function, fastmath={"contract"})
+
+
+def _part(function: Function, **options: Any) -> Function:
+    """Compile a function that only kernels can call."""
+    compiled: Any = _compiled(function, PartCompiler, no_cpython_wrapper=True, **options)
     if not DISABLED:
         compiled.add_overload = partial(_add_overload, compiled)
         compiled._compile_for_args = partial(_refuse, compiled.__name__)
-    return compiled
+    return compiled  # type: ignore[no-any-return]
 
 
 def _add_overload(compiled: Any, result: Any) -> None:
@@ -90,11 +105,12 @@ def fused_kernel(function: Function) -> Function:
     return _compiled(function, fastmath={"contract"})
 
 
-def _compiled(function: Function, **options: Any) -> Function:
+def _compiled(function: Function, by: type[Any] = WholeCompiler, **options: Any) -> Function:
     from octex.jit_cache import CodeFiles  # not above: nothing is compiled from it
 
     # Without the entry for C, which nobody calls, each version is a module less to compile.
-    compiler = partial(numba.njit, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)
+    plain = partial(numba.njit, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)
+    compiler = partial(plain, pipeline_class=by)
     used: tuple[str, ...] = (*_USED, *_USED_OF_CACHE)
     try:
         compiled: Any = compiler(cache=True)(function)
@@ -103,6 +119,7 @@ def _compiled(function: Function, **options: Any) -> Function:
     if DISABLED:
         return compiled  # type: ignore[no-any-return]
     missing = [name for name in used if not _has(compiled, name)]
+    missing += [name for name in USED_OF_LIBRARY if not hasattr(JITCodeLibrary, name)]
     if missing:
         # Code that is kept on disk by numba's rules alone may be stale.
         warnings.warn(
@@ -111,13 +128,15 @@ def _compiled(function: Function, **options: Any) -> Function:
             RuntimeWarning,
             stacklevel=3,
         )
-        return compiler(cache=False)(function)  # type: ignore[no-any-return]
+        return plain(cache=False)(function)  # type: ignore[no-any-return]
     compiled.get_call_template = partial(_call_template, compiled.get_call_template)
     compiled._compile_for_args = partial(_compile_for_args, compiled, compiled._compile_for_args, set())
     if used != _USED:
         kept = compiled._cache
         kept._cache_file = CodeFiles(kept.cache_path, function, kept._cache_file._source_stamp)
         kept.save_overload = partial(_keep, kept.save_overload)
+        if by is PartCompiler:
+            kept._impl.rebuild = partial(_rebuild_part, kept._impl.rebuild)
         compiled.compile = partial(_compile, compiled.compile, kept._cache_file)
     return compiled  # type: ignore[no-any-return]
 
@@ -125,6 +144,10 @@ def _compiled(function: Function, **options: Any) -> Function:
 def _compile(compile: Callable[..., Any], files: Any, signature: Any) -> Any:
     with files.turns():
         return compile(signature)
+
+
+def _rebuild_part(rebuild: Callable[..., Any], context: Any, kept: Any) -> Any:
+    return rebuild(PartContext(context), kept)
 
 
 def _keep(save: Callable[..., None], signature: Any, result: Any) -> None:
@@ -230,6 +253,14 @@ if DISABLED:
     def prefetch(array: np.ndarray[Any, Any], row: int) -> None:
         """Ask for the memory of a row of an array ahead of its use."""
 
+    def new_array(shape: Any, dtype: type[Scalar] | np.dtype[Scalar]) -> np.ndarray[Any, np.dtype[Scalar]]:
+        """Return an array that is not filled in."""
+        return np.empty(shape, dtype)
+
+    def new_zeros(shape: Any, dtype: type[Scalar] | np.dtype[Scalar]) -> np.ndarray[Any, np.dtype[Scalar]]:
+        """Return an array of zeros."""
+        return np.zeros(shape, dtype)
+
     def decoded(table: Any, code: Any) -> Any:
         """Return what ``table`` has for an unsigned code; a float32 number as it is."""
         return code if isinstance(code, np.floating) else table[code]
@@ -255,7 +286,7 @@ if DISABLED:
         return tuple(block)
 
     def spline_box(rows: Any, first: int, steps: Any, of_x: Any, of_y: Any, of_z: Any) -> Any:
-        """Return Σ of_z[k] · of_y[j] · of_x[i] · rows[first + (i, j, k) · steps], each 0 … 2: four float32."""
+        """Return Σ of_z[k] · of_y[j] · of_x[i] · rows[first + (i, j, k) · steps], 0 … 2: four float32."""
         z, y, x = np.ogrid[:3, :3, :3]
         block = rows[first + x * steps[0] + y * steps[1] + z * steps[2]]
         for weights in (of_z, of_y, of_x):
@@ -358,6 +389,42 @@ else:
             return context.get_dummy_value()
 
         return types.void(array, types.int64), codegen
+
+    # numba compiles its own ``empty`` and ``zeros`` anew for each type, in each process.
+
+    def _allocated(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        shape, kind = arguments[0], signature.args[0]
+        sizes, kinds = [shape], [kind]
+        if isinstance(kind, types.BaseTuple):
+            sizes, kinds = cgutils.unpack_tuple(builder, shape), list(kind)
+        pairs = zip(sizes, kinds, strict=True)
+        sizes = [context.cast(builder, size, own, types.intp) for size, own in pairs]
+        return _empty_nd_impl(context, builder, signature.return_type, sizes)
+
+    def _array_type(shape: Any, dtype: Any) -> Any:
+        dimensions = len(shape) if isinstance(shape, types.BaseTuple) else 1
+        return types.Array(parse_dtype(dtype), dimensions, "C")(shape, dtype)
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def new_array(_context: Any, shape: Any, dtype: Any) -> Any:
+        """Return an array that is not filled in."""
+
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return _allocated(context, builder, signature, arguments)._getvalue()
+
+        return _array_type(shape, dtype), codegen
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def new_zeros(_context: Any, shape: Any, dtype: Any) -> Any:
+        """Return an array of zeros."""
+
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            array = _allocated(context, builder, signature, arguments)
+            count = builder.mul(array.nitems, array.itemsize)
+            cgutils.memset(builder, array.data, count, 0)
+            return array._getvalue()
+
+        return _array_type(shape, dtype), codegen
 
     @intrinsic  # type: ignore[untyped-decorator]
     def decoded(_context: Any, table: Any, code: Any) -> Any:
@@ -613,8 +680,10 @@ else:
         return context.make_tuple(builder, signature.return_type, lanes)
 
     @intrinsic  # type: ignore[untyped-decorator]
-    def spline_box(_context: Any, rows: Any, _first: Any, steps: Any, of_x: Any, of_y: Any, of_z: Any) -> Any:
-        """Return Σ of_z[k] · of_y[j] · of_x[i] · rows[first + (i, j, k) · steps], each 0 … 2: four float32."""
+    def spline_box(
+        _context: Any, rows: Any, _first: Any, _steps: Any, of_x: Any, of_y: Any, of_z: Any
+    ) -> Any:
+        """Return Σ of_z[k] · of_y[j] · of_x[i] · rows[first + (i, j, k) · steps], 0 … 2: four float32."""
 
         def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             apart = [builder.extract_value(arguments[2], axis) for axis in range(3)]

@@ -1,4 +1,4 @@
-"""One level of a subdivision surface, by dictionaries: the rules of OpenSubdiv's documentation, not octex's code.
+"""One level of a subdivision surface, by dictionaries; from the rules of OpenSubdiv's documentation.
 
 Sharpness is 0 to 10, 10 for good. Faces are tuples of vertices; edges sorted pairs.
 """

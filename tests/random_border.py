@@ -90,6 +90,7 @@ def folder() -> Path:
         f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES
     ]
     (path / "model.obj").write_text("\n".join(lines))
+    octex.write_ptex(w.texture, w.surface, path / "written.ptx")
     return path
 
 
@@ -155,6 +156,8 @@ def calls() -> list[Call]:
         (w.texture.info, {}),
         (octex.PointCloud, {**points, "colors": rows / 10}),
         (octex.PointCloud.load, {"path": at / "cloud.xyz"}),
+        (octex.Patch, {**vars(octex.unwrap(w.surface, rows[0], 0.3, size=4))}),
+        (octex.Ptex, {"path": at / "written.ptx"}),
         (octex.Projection, {"image": w.picture.image, "camera": w.camera}),
         (octex.Sphere, {"center": (0.1, 0.1, 0.1), "radius": 0.5}),
         (sphere.covers, points),
@@ -204,6 +207,7 @@ def calls() -> list[Call]:
         (octex.convert_set, {"parts": {"a": w.surface}, **DEPTH, "fit": False}),
         (octex.crop, {**one, "low": (0, 0, 0), "high": (1, 1, 1)}),
         (octex.curves, {**one, "channel": "base_color", "points": [[0, 0], [1, 0.5]]}),
+        (octex.displace, {**painted, "channel": "base_color", "scale": 0.1, "most_triangles": 999}),
         (octex.fill, {**painted, "region": sphere, "color": (1, 0, 0)}),
         (octex.levels, one),
         (octex.load_surface, {"path": at / "model.obj"}),
@@ -217,6 +221,9 @@ def calls() -> list[Call]:
         (octex.read_cameras, {"path": at / "cameras.json"}),
         (octex.resize, {**one, "depth": 1}),
         (octex.separate, {"surface": w.surface, **DEPTH}),
+        (octex.subdivide, {"mesh": w.surface, "levels": 1}),
+        (octex.unwrap, {"surface": w.surface, "center": rows[0], "radius": 0.3, "size": 4}),
+        (octex.write_ptex, {**painted, "path": at / "written.ptx"}),
         (octex.write_model, {"surface": w.surface, "path": at / "written.obj", "unit": "foot"}),
         (octex.write_cameras, {"path": at / "written.json", "cameras": {"one": w.camera}}),
     ]

@@ -9,9 +9,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from numba import types
-from numba.core import caching, dispatcher, event
+from numba.core import caching, codegen, dispatcher, event
 
 from octex import jit, jit_cache
 from octex.field.sources import Group, Tables
@@ -198,6 +199,8 @@ def test_types_of_one_name_are_told_apart_by_their_modules() -> None:
         (caching.IndexDataCacheFile, "load"),
         (caching.IndexDataCacheFile, "save"),
         (caching.Cache, "cache_path"),
+        (codegen.JITCodeLibrary, "_finalize_final_module"),
+        (codegen.JITCodeLibrary, "_optimize_functions"),
     ],
 )
 def test_a_numba_without_what_octex_uses_is_named_and_nothing_is_kept(
@@ -214,6 +217,39 @@ def test_a_numba_without_what_octex_uses_is_named_and_nothing_is_kept(
     ):
         compiled: Any = jit.kernel(jit.low_bits.py_func)  # type: ignore[attr-defined]
     assert isinstance(compiled._cache, caching.NullCache)
+
+
+@needs_jit
+def test_what_only_kernels_call_is_kept_without_machine_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
+
+    def made() -> tuple[Any, Any]:
+        @jit.part
+        def reversed_of(numbers: Any) -> Any:
+            found = np.empty(numbers.size)
+            for n in range(numbers.size):
+                found[numbers.size - 1 - n] = numbers[n]
+            return found
+
+        @jit.kernel
+        def reverse(numbers: Any, factor: float) -> Any:
+            return reversed_of(numbers * factor)
+
+        return reversed_of, reverse
+
+    part, reverse = made()
+    assert reverse(np.arange(3.0), 1).tolist() == [2, 1, 0]
+    (code,) = part.overloads.values()
+    again, reverse = made()
+    assert reverse(np.arange(3.0), 1.5).tolist() == [3, 1.5, 0]  # another kernel, of the part that was kept
+    (kept,) = again.overloads.values()
+    assert code.library.get_pointer_to_function(code.fndesc.llvm_func_name) == 0
+    assert type(kept.library) is type(code.library)
+    assert kept.metadata is None  # read, not compiled
+    with pytest.raises(TypeError, match="in kernels only"):
+        again(np.arange(3.0))
 
 
 @needs_jit

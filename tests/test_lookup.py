@@ -70,6 +70,17 @@ def test_points_of_every_real_type_and_order_are_taken(points: Any) -> None:
     assert np.array_equal(texture.contains(points), texture.contains(np.array(points, np.float64)))
 
 
+@pytest.mark.parametrize("filter", FILTERS)
+@pytest.mark.parametrize("keep", [0.0, 0.3])
+def test_few_points_have_the_values_that_they_have_among_many(keep: float, filter: str) -> None:
+    texture = shell(3, keep)
+    points = np.random.default_rng(3).uniform(-0.1, 1.1, (200, 3)).astype(np.float32)
+    expected = texture.sample(points, filter=filter, threads=2)
+    for rows in (slice(0, 1), slice(1, 65), slice(65, 67), slice(67, 200)):
+        for given in (points[rows], points[rows].astype(np.float64)):
+            np.testing.assert_allclose(texture.sample(given, filter=filter), expected[rows], atol=2e-6)
+
+
 def test_whole_numbers_are_points_too() -> None:
     assert np.array_equal(eight_colors().sample([[0, 1, 0]]), eight_colors().sample([[0.0, 1.0, 0.0]]))
 

@@ -16,7 +16,7 @@ from octex.conversion.nearness import Decoded, far_cells
 from octex.conversion.patches import BARE, NEAR, near_cells
 from octex.conversion.prune import Finest, Pruned, limits_of, prune
 from octex.conversion.samples import MOST_POINTS, NORMAL_STEPS, PLACE_STEPS, Samples, lay_out
-from octex.jit import DISABLED, kernel, spline_rows
+from octex.jit import DISABLED, kernel, spline_box, spline_rows
 from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import FACING_FLAGS, SPLIT, SplitTable
 from octex.tree.morton import decode_cells, encode_cells
@@ -249,9 +249,21 @@ def _spline_rows(rows: Array, first: int, weights: Array) -> tuple[float, float,
     return spline_rows(rows, first, x, y, z)
 
 
+@kernel
+def _spline_box(rows: Array, first: int, weights: Array) -> tuple[float, float, float, float]:
+    x = weights[0, 0], weights[0, 1], weights[0, 2]
+    y = weights[1, 0], weights[1, 1], weights[1, 2]
+    z = weights[2, 0], weights[2, 1], weights[2, 2]
+    return spline_box(rows, first, (2, 8, 40), x, y, z)
+
+
 def test_rows_are_summed_under_products_of_weights():
     random = np.random.default_rng(0)
     rows, weights = random.random((40, 4)).astype(np.float32), random.random((3, 3)).astype(np.float32)
     block = rows[5:32].reshape(3, 3, 3, 4).astype(np.float64)
     expected = np.einsum("zyxc,x,y,z->c", block, *weights.astype(np.float64))
     np.testing.assert_allclose(_spline_rows(rows, 5, weights), expected, rtol=1e-5)
+    apart = np.zeros((6, 5, 4, 2, 4), np.float32)  # every other row of a box of 4 × 5 × 6
+    apart[2:5, 1:4, 1:, 1] = block
+    found = _spline_box(apart.reshape(-1, 4), 2 * 40 + 8 + 2 + 1, weights)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)

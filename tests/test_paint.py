@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from itertools import permutations
 from pathlib import Path
 from typing import Any
@@ -12,21 +11,19 @@ import numpy.typing as npt
 import pytest
 
 import octex
-from octex.channels import BASE_COLOR, decode
-from octex.conversion.samples import Samples
+from octex.channels import decode
 from octex.errors import ArgumentError
 from octex.painting.balance import exposures
 from octex.painting.cells import paint_of
-from octex.painting.centres import with_centres
+from octex.painting.layer import wanted_levels
 from octex.painting.merge import blended
 from octex.painting.pictures import BLENDS, Blend
-from octex.painting.source import COVERAGE, PaintSource
+from octex.painting.sharpened import sharpened
 from octex.parallel import pool_of
 from octex.texture import OctreeTexture
 from octex.tree.edit import boundary
 from octex.tree.layout import KEPT, SPLIT
 from octex.tree.morton import decode_cells
-from octex.tree.placement import Placement
 from tests.conftest import needs_jit
 from tests.painted import above, ball, centres, codes, one_color, picture_of, plain, square, together
 from tests.small_surfaces import sheet
@@ -63,6 +60,37 @@ def test_a_picture_painted_back_from_its_own_camera_is_what_is_seen() -> None:
     error = codes(texture.sample(rest, normals=normals)) - codes(image.reshape(-1, 4)[pixels, :3])
     assert np.sqrt((error**2).mean()) < 1.0
     assert set(texture.channels) == {"base_color"}
+
+
+def test_what_is_read_of_a_picture_has_its_pixels_as_means() -> None:
+    image = np.random.default_rng(4).uniform(0.3, 0.7, (20, 16, 4)).astype(np.float32)
+    image[..., 3] = 1.0
+    pixels = sharpened(image)
+    steps = (np.arange(8) + 0.5) / 8
+    taps = np.array([catmull_rom(steps, at) for at in range(-2, 3)])  # (pixels, places)
+    weights = taps.mean(axis=1)  # what a pixel's mean has of the pixels around
+    means = np.zeros((12, 8, 3))
+    for row, across in enumerate(weights):
+        for column, along in enumerate(weights):
+            means += across * along * pixels[2 + row : 14 + row, 2 + column : 10 + column, :3]
+    assert np.abs(means - image[4:16, 4:12, :3]).max() < 4e-3
+    blurred = sum(w * image[2 + n : 14 + n, 4:12, :3] for n, w in enumerate(weights))
+    assert np.abs(blurred - image[4:16, 4:12, :3]).max() > 0.02
+
+
+def catmull_rom(places: Array, pixel: int) -> Array:
+    """What pixels count for, that many beyond the one whose width is 0 … 1, at places in that."""
+    t = np.abs(places - 0.5 - pixel)
+    inner, outer = 1.5 * t**3 - 2.5 * t**2 + 1, -0.5 * t**3 + 2.5 * t**2 - 4 * t + 2
+    return np.where(t < 1, inner, np.where(t < 2, outer, 0.0))
+
+
+def test_pictures_are_not_sharpened_across_where_they_fade() -> None:
+    image = np.zeros((9, 9, 4), np.float32)
+    image[:, :4] = (0.2, 0.5, 0.8, 1.0)
+    image[:, 4:] = (0.1, 0.0, 0.3, 0.5)
+    image[7:] = 0.0
+    assert np.array_equal(sharpened(image), image)
 
 
 def test_nothing_but_what_is_seen_is_painted() -> None:
@@ -392,8 +420,8 @@ def test_the_order_of_pictures_in_one_blend_mode_does_not_matter(balance: Any) -
     surface, random = ball(12), np.random.default_rng(4)
     pictures = []
     for number, direction in enumerate([(0.1, 0.2, 1), (0.5, 0.1, 1), (-0.4, 0.3, 1)]):
-        camera = octex.Camera.fitted(surface.vertices, direction, size=(32, 32))
-        noise = random.integers(0, 256, (32, 32, 3)).astype(np.uint8)
+        camera = octex.Camera.fitted(surface.vertices, direction, size=(48, 48))
+        noise = random.integers(0, 256, (48, 48, 3)).astype(np.uint8)
         pictures.append(octex.Projection(noise, camera, opacity=1.0 - 0.2 * number))
     first = octex.paint(None, surface, pictures, max_depth=7, balance=balance)
     assert first.tree.n_leaves > 10_000
@@ -403,58 +431,6 @@ def test_the_order_of_pictures_in_one_blend_mode_does_not_matter(balance: Any) -
         for name, channel in first.channels.items():
             assert np.array_equal(other.channels[name].values, channel.values)
             assert np.array_equal(other.channels[name].split_values, channel.split_values)
-
-
-class Dots(PaintSource):
-    """Half grey, to be exact at given points, some at a time."""
-
-    def __init__(self, batches: list[tuple[Array, Array]]) -> None:
-        super().__init__(BASE_COLOR)
-        self._batches = batches
-
-    def touched(self) -> Array:
-        raise NotImplementedError
-
-    def on(self, chosen: Array) -> PaintSource:
-        raise NotImplementedError
-
-    def widths(self, triangles: Array, barycentric: Array) -> Array:  # noqa: ARG002
-        return np.ones(len(triangles), np.float32)
-
-    def evaluate(self, triangles: Array, barycentric: Array, widths: Array) -> Array:  # noqa: ARG002
-        return np.column_stack([barycentric, np.ones(len(triangles))]).astype(np.float32)
-
-    def centres(self) -> Iterator[tuple[Array, Array]]:
-        yield from self._batches
-
-
-def test_centres_of_every_picture_count_alike() -> None:
-    surface, random = plain(square()), np.random.default_rng(1)
-    batches = []
-    for _ in range(3):
-        triangles = random.integers(0, len(surface.triangles), 20).astype(np.int32)
-        batches.append((triangles, random.dirichlet(np.ones(3), 20)))
-    placement = Placement.around(surface.bounds, 4)
-    cells = octex.convert(surface, 4).tree.level_codes(4)
-    counts = 2 * len(cells)
-    samples = Samples(
-        4,
-        (BASE_COLOR, COVERAGE),
-        cells,
-        np.arange(0, counts + 1, 2),
-        np.zeros((counts, 3), np.uint16),
-        np.zeros((counts, 3), np.int8),
-        np.full(counts, 128, np.uint8),
-        np.zeros((counts, 4), np.float32),
-    )
-    found = with_centres(samples, Dots(batches), surface, placement)
-    assert (found.shares == 255).sum() == 60
-    assert set(found.shares.tolist()) == {255, 128, 128 // 16}
-    at_once = (np.concatenate([part[k] for part in batches]) for k in (0, 1))
-    for one, other in zip(
-        found, with_centres(samples, Dots([tuple(at_once)]), surface, placement), strict=True
-    ):
-        assert np.array_equal(one, other)
 
 
 def test_pictures_of_other_blend_modes_are_merged_one_after_another() -> None:
@@ -704,3 +680,19 @@ def test_pictures_get_cells_of_half_a_pixel_to_one_unless_they_may_be_finer() ->
         assert 0.5 < cell < 1.1
         finest = deepest.placement.size / 2**deepest.tree.max_depth * pixels_per_unit
         assert 0.25 < finest < 0.55
+
+
+def test_one_level_serves_where_pixels_vary_little() -> None:
+    # Cells as wide as these would be of levels 6.6, 7.5, 5.3 and 8.6.
+    widths = np.repeat([1 / 100, 1 / 180, 1 / 40, 1 / 400], [60, 20, 17, 3])
+    areas = np.ones(100)
+    found = wanted_levels(widths, areas, 1.0, 1.0)
+    assert found == (7, 9, False)
+    some = np.array([1 / 100, 1 / 180, 1 / 40, 1 / 400, 1 / 12, np.inf])
+    assert np.ceil(found.wanted(some, 1.0, 1.0)).tolist() == [7, 7, 7, 9, 4, 0]
+    assert wanted_levels(widths[:-3], areas[:-3], 1.0, 1.0) == (7, 7, True)
+    assert wanted_levels(widths, areas, 1.0, 1.0, 6) == (6, 6, True)
+    assert wanted_levels(widths[:0], areas[:0], 1.0, 1.0) == (0, 0, True)
+    surface, camera = ball(), above(4.0, 100)
+    layer = octex.project(surface, octex.Projection(one_color(camera, (1, 0, 0)), camera))
+    assert [level for level, (leaves, _) in enumerate(layer.tree.cells_by_depth()) if leaves] == [7]

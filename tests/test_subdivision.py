@@ -11,7 +11,6 @@ import octex
 from octex.cli.main import main
 from octex.errors import ArgumentError, ModelError
 from octex.source.corners import Polygons
-from octex.source.mesh import Mesh
 from octex.source.subdivision import Scheme, base_level, divided, limits
 from tests.conftest import needs_jit
 from tests.naive_subdivision import base, next_level
@@ -267,14 +266,17 @@ def test_what_cannot_be_subdivided_is_refused() -> None:
         octex.subdivide(CUBE, 1)  # type: ignore[type-var]
     with pytest.raises(ModelError, match="Loop's scheme takes none"):
         octex.subdivide(cage, 1, scheme="loop")
-    wide = octex.Surface.from_arrays(np.random.rand(3, 3), np.tile([[0, 1, 2]], (1000, 1)))
+    wide = octex.Surface.from_arrays(np.eye(3), np.tile([[0, 1, 2]], (1000, 1)))
     with pytest.raises(ModelError, match="10 levels make more than"):
         octex.subdivide(wide, 10)
-    with pytest.raises(ArgumentError, match="creases use vertices|edges of creases"):
-        octex.subdivide(cage, 1, creases=None) and Mesh(
-            CUBE, TRIANGLES,
-            creases=octex.Creases(np.array([[0, 9]]), np.ones(1), np.empty(0), np.empty(0)),  # type: ignore[arg-type]
-        )  # fmt: skip
+    nothing = np.empty(0)
+    for edges in ([[0, 9]], [[0, -1]], [[0, 0.5]], [[0]]):
+        wrong = octex.Creases(np.array(edges), np.ones(1), nothing, nothing)  # type: ignore[arg-type]
+        with pytest.raises(ArgumentError, match=r"creases"):
+            octex.subdivide(cage, 1, creases=wrong)
+    spiky = octex.Creases(np.empty((0, 2)), nothing, np.array([3]), np.array([np.nan]))  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="sharpness of vertices"):
+        octex.subdivide(cage, 1, creases=spiky)
 
 
 def test_levels_are_those_of_opensubdiv(models: Path) -> None:

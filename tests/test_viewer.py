@@ -20,7 +20,7 @@ from tests.conftest import needs_jit
 from tests.painted import ball
 from tests.small_surfaces import sheet
 
-SIZE = 96, 72
+SIZE = 64, 48
 FILTERS = "nearest", "linear", "quadratic"
 
 
@@ -87,7 +87,7 @@ def parity(page: Any, texture: OctreeTexture, surface: Surface) -> dict[str, flo
     is_split = texture.tree.split.cells.size > 0
     found = {}
     filters = ("nearest", "quadratic") if header["isMixed"] else FILTERS
-    looks = [(width, texture.tree.max_depth) for width in (0.0, -1.0, 0.003, 0.03, 0.2, 0.9)]
+    looks = [(width, texture.tree.max_depth) for width in (0.0, -1.0, 0.03)]
     for filter, facing, (width, level) in product(filters, {False, is_split}, [*looks, (0.0, 3), (0.2, 3)]):
         probe = Probe(page, texture, SIZE, filter=filter, width=width, facing=facing, level=level)
         case = f"{filter}, width {width}, facing {facing}, level {level}"
@@ -104,7 +104,7 @@ def compared(
     facing: bool,
     case: str,
 ) -> float:
-    assert probe.seen.sum() > 500
+    assert probe.seen.sum() > 300
     options: dict[str, Any] = {"width": probe.widths} if width else {}
     if facing:
         options["normals"] = probe.normals

@@ -80,7 +80,7 @@ def test_points_are_seen_as_rays_see_them_but_beside_edges(seed: int) -> None:
     wrong = (found > 0.5) != expected
     pixels, _ = camera.project(samples.points)
     margins = distances_to_edges(
-        visibility_of(surface.vertices, surface.triangles, camera)[0], view_of(camera), 9.0
+        visibility_of(surface.vertices, surface.triangles, camera), view_of(camera), 9.0
     )
     near_edge = margins[pixels[:, 1].astype(int), pixels[:, 0].astype(int)] < 2.5
     assert not wrong[~near_edge].any()
@@ -246,7 +246,7 @@ def test_feathers_fade_toward_the_rim_and_toward_edges_in_depth() -> None:
 
 def test_distances_to_edges_are_those_of_the_nearest_background() -> None:
     surface, camera = ball(), above(4.0, 80, 120.0)
-    found, _ = visibility_of(surface.vertices, surface.triangles, camera)
+    found = visibility_of(surface.vertices, surface.triangles, camera)
     distances = distances_to_edges(found, view_of(camera), 50.0)
     row, column = np.nonzero(found.triangle < 0)
     inside = np.argwhere(found.triangle >= 0)

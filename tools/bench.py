@@ -21,6 +21,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from bench_adaptive import adaptive
+from bench_archive import archive
 from bench_baking import baking
 from bench_conversion import boombox, large, torus
 from bench_filtered import far, footprints, pages, stretched
@@ -61,6 +62,7 @@ BENCHMARKS = {
         cloud,
         processing,
         baking,
+        archive,
     )
 }
 

@@ -20,7 +20,8 @@ def main() -> None:
     scene.render.engine = "CYCLES"
     scene.cycles.device = "CPU"
     scene.cycles.use_denoising = scene.cycles.use_adaptive_sampling = False
-    draw(scene, job)
+    for each in job["views"]:
+        draw(scene, each)
     print(json.dumps(bake(scene, job)))
 
 

@@ -80,8 +80,8 @@ def changed_faces(data: bytes, draw: random.Random) -> bytes:
         content[at] = draw.choice((draw.randrange(256), draw.randrange(14)))
     zipped = zlib.compress(bytes(content))
     header[name] = len(zipped)
-    extended = np.frombuffer(data[HEADER.itemsize : HEADER.itemsize + EXTENDED_HEADER.itemsize].ljust(40, b"\0"),
-                             EXTENDED_HEADER).copy()  # fmt: skip
+    second = data[HEADER.itemsize : HEADER.itemsize + EXTENDED_HEADER.itemsize]
+    extended = np.frombuffer(second.ljust(EXTENDED_HEADER.itemsize, b"\0"), EXTENDED_HEADER).copy()
     if extended["edits_at"][0]:
         extended["edits_at"] = int(extended["edits_at"][0]) + len(zipped) - size
     middle = extended.tobytes()[: first - HEADER.itemsize]
@@ -150,7 +150,9 @@ def main(arguments: list[str] | None = None) -> int:
                 result = "SLOW"
                 print(f"seed {number}: {spent:.2f} s")
             counts[result] += 1
-    print(", ".join(f"{count:,} {result}" for result, count in counts.most_common()), f"slowest {slowest:.2f} s")
+    print(
+        ", ".join(f"{count:,} {result}" for result, count in counts.most_common()), f"slowest {slowest:.2f} s"
+    )
     return 1 if counts["WRONG"] or counts["SLOW"] else 0
 
 

@@ -3,11 +3,11 @@
 
 usage: tools/ptex_peer.py SOURCE [FILE.ptx|FOLDER...] [--build FOLDER] [--random N] [--seed N] [--slides]
 
-SOURCE is a checkout of github.com/wdas/ptex, or a bare clone of it; it is built with ptex_peer.cpp into FOLDER
-by a C++ compiler, with zlib's headers. Each file is read by both, and so are N random contents, written by
-both; of what octex writes the library must read the texels, neighbours and metadata that were given, and its
-reductions may differ from octex's by rounding alone. --slides writes a file of 212,064 faces of 4² texels
-with noise, by both, and says their sizes and times. Exit code 1 if anything differs.
+SOURCE is a checkout of github.com/wdas/ptex, or a bare clone of it; it is built with ptex_peer.cpp into
+FOLDER by a C++ compiler, with zlib's headers. Each file is read by both, and so are N random contents,
+written by both; of what octex writes the library must read the texels, neighbours and metadata that were
+given, and its reductions may differ from octex's by rounding alone. --slides writes 212,064 faces of
+4² texels with noise, by both, and says their sizes and times. Exit code 1 if anything differs.
 """
 
 from __future__ import annotations
@@ -25,7 +25,12 @@ import numpy as np
 
 from octex.errors import ModelError
 from octex.formats.ptex.layout import (
-    BORDER_MODES, DTYPES, EDGE_FILTERS, MESH_TYPES, METADATA_TYPES, Faces,
+    BORDER_MODES,
+    DTYPES,
+    EDGE_FILTERS,
+    MESH_TYPES,
+    METADATA_TYPES,
+    Faces,
 )  # fmt: skip
 from octex.formats.ptex.reader import PtexFile
 from octex.formats.ptex.writer import Contents, write_contents
@@ -204,7 +209,7 @@ def random_contents(seed: int) -> Contents:
     edges = np.zeros((count, 4), np.uint8)
     sides = 3 if triangles else 4
     free = draw.permutation(count * sides)
-    for a, b in free[: len(free) // 2 * 2].reshape(-1, 2)[: count]:
+    for a, b in free[: len(free) // 2 * 2].reshape(-1, 2)[:count]:
         neighbors[a // sides, a % sides], edges[a // sides, a % sides] = b // sides, b % sides
         neighbors[b // sides, b % sides], edges[b // sides, b % sides] = a // sides, a % sides
     faces = Faces(log2, neighbors, edges, np.zeros(count, np.bool_))

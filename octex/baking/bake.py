@@ -10,13 +10,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int32s
+from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.baking.blocks import Blocks
+from octex.baking.fit import lacking
 from octex.baking.gutters import Gutter, fill_up, gutter_of
 from octex.baking.layout import ALIGNMENT, LAYOUTS, Layout, Layouts, neighbors
-from octex.baking.maps import Points, Values, alpha_mode, in_tangent_space, inputs_of, sampled, turned, unit
+from octex.baking.maps import (
+    BITS,
+    Bits,
+    Points,
+    Values,
+    alpha_mode,
+    average,
+    in_tangent_space,
+    inputs_of,
+    sampled,
+    turned,
+    unit,
+)
 from octex.baking.sheets import Sheet, coordinates_of, sheets_of
-from octex.baking.texels import Drawing, texel_points
+from octex.baking.texels import Drawing, Shown, Texels, texel_points
 from octex.channels import ALPHA, CHANNELS, NORMAL
 from octex.checks import as_choice, as_names, as_number, as_whole
 from octex.errors import ArgumentError, ModelError
@@ -32,10 +45,14 @@ from octex.tree.order import put_rows
 
 #: The smallest and the largest maps.
 _SMALLEST, _MOST = 64, 16384
+#: Most lookups along a side of a texel.
+_MOST_LOOKUPS = 8
 #: Rows of texels in one task.
 _BAND = 32
 #: How far gutters reach, in paddings: charts are two paddings apart, and what lies between is nearer to one.
 _REACH = 1.5
+#: Texels that differ by no more than this part in size see alike.
+_ALIKE = 0.25
 #: Texels of gutters in one task.
 _GUTTER = 1 << 16
 
@@ -50,6 +67,8 @@ def bake(
     texture_size: int | None = None,
     padding: int = 8,
     channels: Sequence[str] | None = None,
+    bits: Bits = 8,
+    supersample: int = 1,
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
@@ -75,6 +94,9 @@ def bake(
                  whose texels are about as large as the texture's finest cells, or smaller
     padding      texels between charts, 0 to 64
     channels     those that are baked, by name; by default all that materials have
+    bits         of a number of the maps: 8, or 16, sRGB where glTF has it; 32 are floats, linear light, which
+                 may be above 1, directions as (x + 1) / 2
+    supersample  each texel is the mean, in linear light, of so many lookups along each of its sides, 1 to 8
 
     Materials keep their names, whether they show both sides, and their alpha modes; in an atlas those that
     agree in the latter two become one. Where all are opaque and the texture has alpha below 1, they are masks
@@ -93,6 +115,9 @@ def bake(
     as_choice(uv, LAYOUTS, "uv")
     padding = as_whole(padding, "padding", 0, 64)
     names = _channels_of(texture, channels)
+    if bits not in BITS:
+        raise ArgumentError(f"bits must be 8, 16 or 32, not {bits!r}")
+    supersample = as_whole(supersample, "supersample", 1, _MOST_LOOKUPS)
     if texture_size is not None:
         texture_size = as_whole(texture_size, "texture_size", _SMALLEST, _MOST)
         if texture_size % ALIGNMENT:
@@ -111,7 +136,7 @@ def bake(
         sheets = sheets_of(texture, surface, names, uv, texture_size, padding, pool)
         coordinates = coordinates_of(sheets, len(surface.triangles))
         report("unwrap", 1, 1)
-        job = _job(texture, surface, other, sheets, coordinates, names)
+        job = _job(texture, surface, other, sheets, coordinates, names, bits, supersample)
         done, total = 0, sum(sheet.layout.height for sheet in sheets)
         materials: list[Material] = []
         owners = np.empty(len(surface.triangles), np.int32)
@@ -145,8 +170,8 @@ def _bake_sheet(job: _Job, sheet: Sheet, padding: int, pool: Executor, progress:
     maps = Values.of(job.names, layout.height, layout.width)
     taken = np.zeros(maps.areas.shape, np.bool_)
     ends = [*range(0, layout.height, _BAND), layout.height]
-    drawing = Drawing.of(layout)
-    tasks = [(job, shown, drawing, slice(*each), maps, taken) for each in pairwise(ends)]
+    drawing = Drawing.of(shown.sized(job.supersample * layout.width))
+    tasks = [(job, drawing, slice(*each), maps, taken) for each in pairwise(ends)]
     for _ in ordered_map(pool, _bake_band, tasks, stage="bake", progress=progress):
         pass
     if padding and not taken.all():
@@ -155,7 +180,8 @@ def _bake_sheet(job: _Job, sheet: Sheet, padding: int, pool: Executor, progress:
         fill_up(maps.values, (maps.areas > 0).astype(np.float32))
     used = layout.uv.values[layout.uv.rows]
     repeats = bool((used < 0.0).any() or (used > 1.0).any())
-    inputs = inputs_of(maps, REPEAT if repeats else CLAMP, pool)
+    part = lacking(job.supersample, _blur(job, shown))
+    inputs = inputs_of(maps, job.bits, part, REPEAT if repeats else CLAMP, pool)
     known = sheet.materials
     modes: list[AlphaMode] = ["opaque"] * len(known)
     if ALPHA.name in maps.lanes:
@@ -219,17 +245,22 @@ class _Job(NamedTuple):
     others: Int32s  # (m, 3)   the triangles beyond the sides of each, and which side it is there
     sides: Int32s  # (m, 3)
     names: list[str]
-    dPdx: Float64s  # (m, 3)
+    dPdx: Float64s  # (m, 3)   of what is looked up: a part of a texel
     dPdy: Float64s  # (m, 3)
     normals: Float64s  # (m, 3)
     sizes: Float64s  # (m,)   the edges of texels
+    is_fine: Bools  # (m,)   what is looked up is no more than a leaf
     blocks: Blocks | None
     frames: Frames | None
     has_modes: bool  # the model's materials say how alpha counts
+    bits: int
+    supersample: int  # lookups along each side of a texel
 
     def values(self, triangles: Int32s, rest: Float64s) -> tuple[dict[str, Float32s], Bools | None]:
         """Return the channels at texels of triangles, those that are there; and which are, None for all."""
-        derivatives = self.dPdx[triangles], self.dPdy[triangles]
+        derivatives = None
+        if not self.is_fine[triangles].all():
+            derivatives = self.dPdx[triangles], self.dPdy[triangles]
         return self.sampled(Points(rest, self.normals[triangles], derivatives))
 
     def sampled(self, points: Points) -> tuple[dict[str, Float32s], Bools | None]:
@@ -242,11 +273,11 @@ class _Job(NamedTuple):
 
 def _job(
     texture: OctreeTexture, surface: Surface, other: _Other | None, sheets: list[Sheet], coordinates: Corners,
-    names: list[str],
+    names: list[str], bits: int, supersample: int,
 ) -> _Job:  # fmt: skip
     rest, flat = surface.rest[surface.triangles], coordinates.values[coordinates.rows].astype(np.float64)
     for sheet in sheets:
-        flat[sheet.triangles] *= sheet.layout.width, sheet.layout.height
+        flat[sheet.triangles] *= supersample * sheet.layout.width, supersample * sheet.layout.height
     first, second = rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]
     one, two = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
     doubled = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]
@@ -257,43 +288,75 @@ def _job(
         frames = corner_frames(surface.rest, surface.triangles, normals, None, coordinates)
     dPdx = (first * two[:, 1:] - second * one[:, 1:]) * scale
     dPdy = (second * one[:, :1] - first * two[:, :1]) * scale
+    leaf = texture.placement.size / 2**texture.tree.max_depth
+    is_fine = (dPdx**2).sum(axis=1) + (dPdy**2).sum(axis=1) <= leaf**2
     normal = unit(np.cross(first, second))
     blocks = Blocks.of(texture, names, normal, dPdx, dPdy) if other is None else None
     others, sides = neighbors(surface)
     return _Job(
         texture, surface, other, others, sides, names, dPdx, dPdy, normal,
-        np.linalg.norm(np.cross(dPdx, dPdy), axis=1) ** 0.5, blocks, frames,
-        any(each.alpha_mode != "opaque" for sheet in sheets for each in sheet.materials),
+        supersample * np.linalg.norm(np.cross(dPdx, dPdy), axis=1) ** 0.5, is_fine, blocks, frames,
+        any(each.alpha_mode != "opaque" for sheet in sheets for each in sheet.materials), bits, supersample,
     )  # fmt: skip
 
 
-def _bake_band(task: tuple[_Job, Layout, Drawing, slice, Values, Bools]) -> None:
+def _blur(job: _Job, shown: Layout) -> float:
+    """Return how much of a mean's variance lookups show: those no wider than a leaf show the field itself."""
+    corners = shown.corners
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    areas = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    leaf = job.supersample * job.texture.placement.size / 2**job.texture.tree.max_depth
+    blur = 1.0 - np.minimum(leaf / np.maximum(job.sizes[shown.faces], leaf), 1.0) ** 2
+    return float((areas * blur).sum() / max(float(areas.sum()), 1e-300))
+
+
+def _bake_band(task: tuple[_Job, Drawing, slice, Values, Bools]) -> None:
     """Write the channels at the texels of some rows, and how much of these is covered."""
-    job, layout, drawing, band, maps, taken = task
-    which, drawn = drawing.rows(band.start, band.stop)
-    surface = job.surface
+    job, drawing, band, maps, taken = task
+    n, lanes = job.supersample, maps.values.shape[2]
+    which, drawn = drawing.rows(n * band.start, n * band.stop)
+    taken[band] = (drawn.triangles >= 0).reshape(-1, n, maps.areas.shape[1], n).any(axis=(1, 3))
+    values, areas = maps.values[band], maps.areas[band]
+    if n == 1:
+        areas[:] = drawn.areas
+        _bake_drawn(job, drawing, which, drawn, n * band.start, maps.lanes, values.reshape(-1, lanes), areas)
+        return
+    fine = np.zeros((drawn.areas.size, lanes), np.float32)
+    _bake_drawn(job, drawing, which, drawn, n * band.start, maps.lanes, fine, drawn.areas)
+    average(fine.reshape(*drawn.areas.shape, lanes), drawn.areas, n, values, areas)
+    if NORMAL.name in maps.lanes:
+        own = values[..., maps.lanes[NORMAL.name]]
+        own[:] = unit(own.reshape(-1, 3).astype(np.float64)).reshape(own.shape)
+
+
+def _bake_drawn(
+    job: _Job, drawing: Drawing, which: Int64s, drawn: Texels, first: int, lanes: Mapping[str, slice],
+    values: Float32s, areas: Float32s,
+) -> None:  # fmt: skip
+    """Write the channels where some rows of a map show something, from ``first`` on.
+
+    ``values`` (texels, lanes); where there is nothing after all ``areas`` become 0.
+    """
+    layout, surface = drawing.layout, job.surface
     shown = texel_points(
-        layout.corners[which], layout.faces[which], drawn, band.start, surface.rest, surface.triangles
+        layout.corners[which], layout.faces[which], drawn, first, surface.rest, surface.triangles
     )
-    taken[band], maps.areas[band] = drawn.triangles >= 0, drawn.areas
     if not shown.places.size:
         return
-    values, areas = maps.values[band].reshape(-1, maps.values.shape[2]), maps.areas[band].reshape(-1)
     missed = np.arange(shown.places.size)
     if job.blocks is not None:
         missed = job.blocks.look_up(shown, values)
     if missed.size:
-        triangles = shown.each()[missed]
-        found, there = job.values(triangles, shown.rest[missed])
+        found, there = job.values(shown.each()[missed], shown.rest[missed])
         places = shown.places[missed]
         if there is not None:
-            areas[places[~there]] = 0.0
+            areas.reshape(-1)[places[~there]] = 0.0
             places = places[there]
-        _put(found, places, maps.lanes, values)
+        _put(found, places, lanes, values)
     if job.frames is not None:
-        directions = np.take(values[:, maps.lanes[NORMAL.name]], shown.places, axis=0)
+        directions = np.take(values[:, lanes[NORMAL.name]], shown.places, axis=0)
         turned_in = in_tangent_space(directions, job.frames, shown.each(), shown.barycentric)
-        values[shown.places, maps.lanes[NORMAL.name]] = turned_in
+        values[shown.places, lanes[NORMAL.name]] = turned_in
 
 
 def _put(found: dict[str, Float32s], places: Int32s, lanes: Mapping[str, slice], values: Float32s) -> None:
@@ -301,9 +364,7 @@ def _put(found: dict[str, Float32s], places: Int32s, lanes: Mapping[str, slice],
     put_rows(np.concatenate([found[name] for name in lanes], axis=1), places, values)
 
 
-def _bake_gutter(
-    job: _Job, layout: Layout, taken: Bools, padding: int, maps: Values, pool: Executor
-) -> None:
+def _bake_gutter(job: _Job, layout: Layout, taken: Bools, padding: int, maps: Values, pool: Executor) -> None:
     """Write the channels around the charts, and count these texels as covered, in place."""
     mesh, reach = job.surface, math.ceil(_REACH * padding)
     gutter = gutter_of(layout, mesh.rest, mesh.triangles, job.others, job.sides, taken, reach)
@@ -317,18 +378,33 @@ def _bake_beside(job: _Job, gutter: Gutter, maps: Values) -> None:
 
     They are as large as the texels of the chart beside them, in the plane of the triangle that they show.
     """
-    normals = job.normals[gutter.triangles]
-    helper = np.where(np.abs(normals[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-    wide = unit(np.cross(normals, helper)) * job.sizes[gutter.beside][:, None]
+    gutter = Gutter._make(each[np.argsort(gutter.triangles, kind="stable")] for each in gutter)
+    values, areas = maps.values.reshape(-1, maps.values.shape[2]), maps.areas.reshape(-1)
+    places = gutter.rows * np.int32(maps.areas.shape[1]) + gutter.columns
     rest = job.surface.rest_at(gutter.triangles, gutter.barycentric)
-    found, there = job.sampled(Points(rest, normals, (wide, np.cross(normals, wide))))
-    if there is not None:
-        gutter = Gutter._make(each[there] for each in gutter)
+    areas[places] = 1.0
+    left = np.arange(places.size)
+    if job.blocks is not None and job.supersample == 1:
+        starts = np.flatnonzero(np.diff(gutter.triangles, prepend=-1)).astype(np.int32)
+        ends = np.append(starts, np.int32(places.size))
+        shown = Shown(places, rest, gutter.barycentric, ends, gutter.triangles[starts])
+        sizes = job.sizes[gutter.beside] / np.maximum(job.sizes[gutter.triangles], 1e-300)
+        is_unlike = np.abs(sizes - 1.0) > _ALIKE
+        is_unlike[job.blocks.look_up(shown, values)] = True
+        left = np.flatnonzero(is_unlike)
+    if left.size:
+        normals = job.normals[gutter.triangles[left]]
+        helper = np.where(np.abs(normals[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+        wide = unit(np.cross(normals, helper)) * job.sizes[gutter.beside[left]][:, None]
+        found, there = job.sampled(Points(rest[left], normals, (wide, np.cross(normals, wide))))
+        own = places[left]
+        if there is not None:
+            areas[own[~there]] = 0.0
+            own = own[there]
+        _put(found, own, maps.lanes, values)
     if job.frames is not None:
-        ends = ((gutter.triangles, gutter.barycentric), (gutter.beside, gutter.edges))
-        shading = [unit(job.frames.normals.at(*each)) for each in ends]
-        directions = turned(found[NORMAL.name], *shading)
-        found[NORMAL.name] = in_tangent_space(directions, job.frames, gutter.beside, gutter.edges)
-    height, width, lanes = maps.values.shape
-    _put(found, gutter.rows * np.int32(width) + gutter.columns, maps.lanes, maps.values.reshape(-1, lanes))
-    maps.areas[gutter.rows, gutter.columns] = 1.0
+        lanes = maps.lanes[NORMAL.name]
+        both = ((gutter.triangles, gutter.barycentric), (gutter.beside, gutter.edges))
+        shading = [unit(job.frames.normals.at(*each)) for each in both]
+        directions = turned(values[places, lanes], *shading)
+        values[places, lanes] = in_tangent_space(directions, job.frames, gutter.beside, gutter.edges)

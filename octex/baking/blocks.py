@@ -13,12 +13,10 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint32s
 from octex.baking.texels import Shown
-from octex.field.field import Field
 from octex.field.footprints import long_footprints, spread
-from octex.field.lookups import ChannelRows
 from octex.field.sinks import Codes
 from octex.field.splines import QUADRATIC
-from octex.field.stages import AREA_WEIGHTS, Facings, direction_of, face_cell, parts_of, view_of
+from octex.field.taps import AREA_WEIGHTS, Facings, direction_of, face_cell, parts_of, view_of
 from octex.field.tiles import Tiles, tile_row
 from octex.jit import decoded, inlined, kernel, popcount, spline_box, trailing_zeros
 from octex.texture import OctreeTexture
@@ -93,13 +91,15 @@ class Blocks(NamedTuple):
             return None
         alpha = rows["alpha"].codes if "alpha" in rows and rows["alpha"].is_alpha else None
         shape = long_footprints(dPdx, dPdy, 0.0, ANISOTROPY, 0.0)
-        origin, size = texture.placement
+        size = texture.placement.size
         levels = []
         parts: dict[int, list[tuple[Int64s, Float64s, Float32s]]] = {}
         for run, by_level in spread(np.zeros_like(dPdx), shape, size, texture.tree.max_depth, QUADRATIC):
             for level, looks in by_level.items():
                 owners = looks.owners.astype(np.int64) + run.start
-                parts.setdefault(level, []).append((owners, looks.points / size, looks.shares))
+                parts.setdefault(level, []).append(
+                    (owners, looks.points.astype(np.float64) / size, looks.shares)
+                )
         for level, found in sorted(parts.items()):
             owners, offsets, shares = (np.concatenate(each) for each in zip(*found, strict=True))
             starts = np.searchsorted(owners, np.arange(len(dPdx) + 1)).astype(np.int32)
@@ -109,9 +109,10 @@ class Blocks(NamedTuple):
             levels.append(_Level(here.tiles, here.facings, areas, Looks(starts, offsets, shares)))
         components = [texture.channels[name].format.components for name in names]
         firsts = np.cumsum([0, *components]).tolist()
+        codes, is_alpha = ([getattr(rows[name], word) for name in names] for word in ("codes", "is_alpha"))
+        facing = normals.astype(np.float32)
         return cls(
-            texture.placement, normals.astype(np.float32), levels, alpha, [rows[name].codes for name in names],
-            firsts[:-1], [rows[name].is_alpha for name in names], firsts[-1],
+            texture.placement, facing, levels, alpha, codes, firsts[:-1], is_alpha, firsts[-1]
         )  # fmt: skip
 
     def look_up(self, shown: Shown, values: Float32s) -> Int64s:
@@ -138,7 +139,7 @@ class Blocks(NamedTuple):
                 used = coefficients[: planes * n_cells]
                 used[:] = 0.0
                 used[::planes, 0] = room.totals[:n_cells]
-                cells, rows, weights = (each[:n_rows] for each in room[3:])
+                cells, rows, weights = room.cells[:n_rows], room.rows[:n_rows], room.weights[:n_rows]
                 covered = weights
                 if self.alpha is not None:
                     covered = np.empty_like(weights)

@@ -39,7 +39,7 @@ def gutter_of(
     nearest = np.full(taken.shape, np.inf, np.float32)
     border = np.full(taken.shape, -1, np.int32)
     of, starts = np.nonzero(layout.edges)
-    _find_nearest(layout.corners, of, starts, taken, float(padding), nearest, border)
+    find_nearest(layout.corners, of, starts, taken, float(padding), nearest, border)
     rows, columns = np.nonzero(border >= 0)
     chosen = border[rows, columns]
     triangles = np.empty(rows.size, np.int32)
@@ -63,7 +63,7 @@ def _nearest_on(ax: float, ay: float, bx: float, by: float, x: float, y: float) 
 
 
 @kernel
-def _find_nearest(
+def find_nearest(
     corners: Float64s, triangles: Int64s, sides: Int64s, taken: Bools, padding: float,
     nearest: Float32s, border: Int32s,
 ) -> None:  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from concurrent.futures import Executor
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -33,6 +33,10 @@ _CLEAR, _SOLID, _MOST_BETWEEN = 0.05, 0.95, 0.1
 _NUMBERS = ("base_color", "alpha", "roughness", "metallic", "emissive", "specular")
 #: Rows of texels that are encoded at once.
 _ENCODED = 16
+#: Bits of numbers in maps; those of floats.
+Bits = Literal[8, 16, 32]
+BITS: tuple[Bits, ...] = (8, 16, 32)
+_FLOAT = 32
 #: Directions shorter than this point nowhere; squared.
 _NOWHERE = 1e-12
 
@@ -140,36 +144,57 @@ class Values(NamedTuple):
         """Return zeros."""
         ends = np.cumsum([0, *(CHANNELS[name].components for name in names)]).tolist()
         lanes = {name: slice(*each) for name, each in zip(names, pairwise(ends), strict=True)}
-        return cls(lanes, np.zeros((height, width, ends[-1]), np.float32), np.zeros((height, width), np.float32))
+        return cls(
+            lanes, np.zeros((height, width, ends[-1]), np.float32), np.zeros((height, width), np.float32)
+        )
 
     def channel(self, name: str) -> Float32s:
         """Return one channel (height, width, components)."""
         return self.values[..., self.lanes[name]]
 
 
-def inputs_of(maps: Values, wrap: int, executor: Executor) -> dict[str, Input]:
-    """Return the inputs of materials whose images are maps of channels.
+@kernel
+def average(fine: Float32s, covered: Float32s, n: int, values: Float32s, areas: Float32s) -> None:
+    """Write the means of n² texels, by how much of each is ``covered``, and how much is of all."""
+    for row in range(areas.shape[0]):
+        for column in range(areas.shape[1]):
+            total = np.float32(0.0)
+            for lane in range(values.shape[2]):
+                values[row, column, lane] = 0.0
+            for part in range(n * n):
+                y, x = n * row + part // n, n * column + part % n
+                total += covered[y, x]
+                for lane in range(values.shape[2]):
+                    values[row, column, lane] += covered[y, x] * fine[y, x, lane]
+            areas[row, column] = total / np.float32(n * n)
+            for lane in range(values.shape[2] if total > np.float32(0.0) else 0):
+                values[row, column, lane] /= total
 
-    ``wrap`` is how coordinates beyond the unit square meet the images. What does not vary is a number.
+
+def inputs_of(maps: Values, bits: int, part: float, wrap: int, executor: Executor) -> dict[str, Input]:
+    """Return the inputs of materials whose images are maps of channels, with numbers of 8, 16 or 32 bits.
+
+    Texels are fitted to bilinear reading: ``part`` is what they lack (`fit.lacking`). ``wrap`` is how
+    coordinates beyond the unit square meet the images. What does not vary is a number.
     """
     inputs: dict[str, Input] = {}
     images: list[tuple[Texels, list[str]]] = []
-    encoding: list[tuple[Values, Mapping[str, Input], Texels, int]] = []
+    encoding: list[tuple[Values, int, float, Mapping[str, Input], Texels, int]] = []
     for channels in IMAGES.values():
         given = [name for name in channels if name in maps.lanes]
         if not given:
             continue
-        texels = np.empty((*maps.areas.shape, 4), np.uint16)
+        texels: Texels = np.empty((*maps.areas.shape, 4), np.float32 if bits == _FLOAT else np.uint16)
         images.append((texels, given))
         for name in given:
             form = CHANNELS[name]
             lanes = _lanes_of(channels, [name])
             strength = 1.0
-            if form.space == "srgb":
+            if form.space == "srgb" and bits != _FLOAT:
                 strength = max(1.0, largest(maps.values, maps.lanes[name].start, form.components))
             inputs[name] = Input((strength,) * form.components, Texture(texels, wrap, wrap), lanes)
         made = {name: inputs[name] for name in given}
-        encoding += [(maps, made, texels, first) for first in range(0, len(texels), _ENCODED)]
+        encoding += [(maps, bits, part, made, texels, first) for first in range(0, len(texels), _ENCODED)]
     list(ordered_map(executor, lambda each: _encode(*each), encoding))
     for texels, given in images:
         if given[0] in _NUMBERS and all((rows == texels[0, 0]).all() for rows in texels):
@@ -199,24 +224,35 @@ def _lanes_of(channels: tuple[str, ...], names: list[str]) -> tuple[int, ...]:
 
 def _number(given: Input, texels: Texels, space: ColorSpace) -> Input:
     """Return an input without its image, all of whose texels are alike."""
-    values = decode(texels[0, 0, list(given.lanes)], space)
+    values = decode(texels[0, 0, list(given.lanes)], "linear" if texels.dtype == np.float32 else space)
     return Input(tuple((values * given.factor).tolist()))
 
 
-def _encode(maps: Values, inputs: Mapping[str, Input], texels: Texels, first: int) -> None:
-    """Write rows of an image, from one on, that inputs read: fitted, as codes of 8 bits."""
+def _encode(
+    maps: Values, bits: int, part: float, inputs: Mapping[str, Input], texels: Texels, first: int
+) -> None:
+    """Write rows of an image, from one on, that inputs read: fitted, as codes of so many bits or floats."""
     rows = texels[first : first + _ENCODED]
     used = set()
     for name, given in inputs.items():
-        form, strength = CHANNELS[name], given.factor[0]
-        fitted = np.empty((*rows.shape[:2], form.components))
-        fit_rows(maps.values, maps.areas, first, maps.lanes[name].start, strength, fitted)
-        if strength > 1.0:
-            fitted /= strength
-        _put_codes(encode(fitted, "uint8", form.space), given.lanes[0], rows)
+        space, strength = CHANNELS[name].space, given.factor[0]
+        fitted = np.empty((*rows.shape[:2], len(given.lanes)))
+        lane, most = given.lanes[0], strength if bits != _FLOAT else np.inf
+        fit_rows(maps.values, maps.areas, part, first, maps.lanes[name].start, most, fitted)
+        lanes = slice(lane, lane + len(given.lanes))
+        if bits == _FLOAT:
+            rows[..., lanes] = 0.5 * fitted + 0.5 if space == "direction" else np.maximum(fitted, 0.0)
+        elif bits == 16:
+            rows[..., lanes] = encode(fitted / strength, "uint16", space)
+        else:
+            _put_codes(
+                encode(fitted / strength if strength > 1.0 else fitted, "uint8", space),
+                lane,
+                rows.view(np.uint16),
+            )
         used |= {*given.lanes}
     for lane in {*range(4)} - used:
-        rows[..., lane] = 65535
+        rows[..., lane] = 1.0 if bits == _FLOAT else 65535
 
 
 @kernel

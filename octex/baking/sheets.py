@@ -12,7 +12,7 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Int32s
 from octex.baking.atlas import atlas_layout
 from octex.baking.layout import BEYOND, Layout, Layouts, kept_layout, unit_area
-from octex.baking.texels import Drawing, Texels
+from octex.baking.texels import Drawing, Texels, barycentric_at
 from octex.channels import CHANNELS, ColorSpace, linear_to_srgb
 from octex.errors import ModelError
 from octex.parallel import ordered_map
@@ -202,7 +202,7 @@ def _differing(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Lay
     shown = drawn.triangles[rows, columns]
     other = (shown >= 0) & (layout.charts[shown] != layout.charts[own])
     own, shown, weights = own[other], shown[other], weights[other]
-    theirs = _barycentric(corners[shown], places[other])
+    theirs = barycentric_at(corners, shown, places[other])
     ends = (faces[own], weights), (faces[shown], theirs)
     rest = [at_corners(mesh.rest, *each) for each in ends]
     kept = [name for name in names if CHANNELS[name].space != "direction"]
@@ -218,17 +218,6 @@ def _differing(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Lay
     return float(differs.sum()) / _TRIED
 
 
-def _barycentric(corners: Float64s, places: Float64s) -> Float64s:
-    """Return barycentric coordinates (n, 3) of places of the map on triangles (n, 3, 2), kept on these."""
-    (bx, by), (cx, cy) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
-    x, y = (places - corners[:, 0]).T
-    doubled = bx * cy - by * cx
-    doubled = np.where(doubled != 0, doubled, 1.0)
-    q, r = (x * cy - y * cx) / doubled, (bx * y - by * x) / doubled
-    weights = np.clip(np.stack([1 - q - r, q, r], axis=1), 0.0, 1.0)
-    return np.asarray(weights / weights.sum(axis=1, keepdims=True), np.float64)
-
-
 def _as_seen(values: Float32s, space: ColorSpace) -> Float64s:
     return linear_to_srgb(np.clip(values, 0, 1)) if space == "srgb" else values.astype(np.float64)
 
@@ -241,7 +230,9 @@ def _drawn(layout: Layout, pool: Executor) -> Texels:
         which, drawn = drawing.rows(*rows)
         if not which.size:
             return drawn
-        return drawn._replace(triangles=np.where(drawn.triangles < 0, -1, which[drawn.triangles]).astype(np.int32))
+        return drawn._replace(
+            triangles=np.where(drawn.triangles < 0, -1, which[drawn.triangles]).astype(np.int32)
+        )
 
     parts = list(ordered_map(pool, draw, list(pairwise([*range(0, layout.height, _ROWS), layout.height]))))
     return Texels(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))

@@ -278,7 +278,7 @@ def _find_centroids(
 
 
 @inlined
-def barycentric_of(corners: Float64s, triangle: int, x: float, y: float) -> tuple[float, float, float]:
+def _barycentric(corners: Float64s, triangle: int, x: float, y: float) -> tuple[float, float, float]:
     """Return the barycentric coordinates of a point of the map on a triangle; thirds if it has no area."""
     ax, ay = corners[triangle, 0, 0], corners[triangle, 0, 1]
     bx, by = corners[triangle, 1, 0] - ax, corners[triangle, 1, 1] - ay
@@ -289,6 +289,21 @@ def barycentric_of(corners: Float64s, triangle: int, x: float, y: float) -> tupl
     q = ((x - ax) * cy - (y - ay) * cx) / doubled
     r = (bx * (y - ay) - by * (x - ax)) / doubled
     return 1.0 - q - r, q, r
+
+
+@kernel
+def barycentric_at(corners: Float64s, triangles: Int32s, places: Float64s) -> Float64s:
+    """Return the barycentric coordinates (n, 3) of places (n, 2) of a map on triangles (n,), kept on these.
+
+    ``corners`` (m, 3, 2) are all triangles' in the map.
+    """
+    found = np.empty((triangles.size, 3))
+    for n in range(triangles.size):
+        p, q, r = _barycentric(corners, int(triangles[n]), places[n, 0], places[n, 1])
+        p, q, r = max(p, 0.0), max(q, 0.0), max(r, 0.0)
+        total = p + q + r
+        found[n, 0], found[n, 1], found[n, 2] = p / total, q / total, r / total
+    return found
 
 
 @kernel
@@ -305,7 +320,7 @@ def _find_triangles(
                     column + np.float64(centroids[row, column, 0]),
                     first + row + np.float64(centroids[row, column, 1]),
                 )
-                p, q, r = barycentric_of(corners, int(triangles[row, column]), x, y)
+                p, q, r = _barycentric(corners, int(triangles[row, column]), x, y)
                 nearest[row, column] = min(p, min(q, r))
     for triangle in range(corners.shape[0]):
         top, bottom, left, right = _enter(corners, triangle, first, triangles.shape, lines)
@@ -319,7 +334,7 @@ def _find_triangles(
                     continue
                 x = column + np.float64(centroids[row - first, column, 0])
                 y = row + np.float64(centroids[row - first, column, 1])
-                p, q, r = barycentric_of(corners, triangle, x, y)
+                p, q, r = _barycentric(corners, triangle, x, y)
                 inside = min(p, min(q, r))
                 if inside > np.float64(nearest[row - first, column]):
                     nearest[row - first, column] = inside

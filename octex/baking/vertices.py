@@ -9,6 +9,7 @@ import numpy as np
 
 from octex.arrays import Array, Bools, Float32s, Float64s, Floats, Int32s, Int64s
 from octex.baking.maps import unit
+from octex.baking.tessellation import edges_of, in_order
 from octex.channels import ALPHA, BASE_COLOR, encode
 from octex.checks import as_choice, as_number, as_whole
 from octex.errors import ArgumentError
@@ -49,7 +50,7 @@ class _Points(NamedTuple):
     def with_middles(self, ends: Int64s, texture: OctreeTexture) -> _Points:
         """Return these points, and after them those in the middles of edges (k, 2)."""
         made = [_mixed(each, ends, _MIDDLE) for each in self[:4]]
-        numbers = welded(_in_order(self.places[ends])) + int(self.places.max()) + 1
+        numbers = welded(in_order(self.places[ends])) + int(self.places.max()) + 1
         added = (*made, self.between(ends, texture, _MIDDLE), numbers)
         return _Points._make(np.concatenate([a, b]) for a, b in zip(self, added, strict=True))
 
@@ -93,7 +94,7 @@ def bake_vertices(
     first = 0  # the first place that was made last: edges without one there are divided no more of themselves
     settled = np.empty((0, 3), np.int64)
     for _ in range(0 if subdivide is None else _MOST_ROUNDS):
-        edges, sides = _edges_of(triangles)
+        edges, sides = edges_of(triangles)
         lengths = np.linalg.norm(points.rest.take(edges[:, 0], 0) - points.rest.take(edges[:, 1], 0), axis=1)
         is_new = _any(points.places[edges] >= first)
         if longest is not None:
@@ -108,7 +109,7 @@ def bake_vertices(
             inside[inside] = _is_off(points, triangles[inside], texture, error, _ON_TRIANGLES)
             chosen = sides[inside].reshape(-1)
             halved[chosen] |= lengths[chosen] > shortest
-        places = _in_order(points.places[edges[halved]])
+        places = in_order(points.places[edges[halved]])
         near = _have_two(settled, points.places, places[places[:, 1] < first])
         ends, cut, others = _cut_at(np.concatenate([triangles, settled[near]]), points.places, places)
         if not len(ends) or len(triangles) + len(settled) + int((cut.middles >= 0).sum()) > most:
@@ -175,18 +176,6 @@ def _colors(texture: OctreeTexture, rest: Float64s, normals: Float64s) -> Float3
     return np.clip(colors, 0.0, 1.0)
 
 
-def _edges_of(triangles: Int64s) -> tuple[Int64s, Int64s]:
-    """Return the edges (k, 2) of triangles, each once, and which of them are each triangle's sides (m, 3)."""
-    ends = np.stack([triangles, triangles[:, [1, 2, 0]]], axis=-1).reshape(-1, 2)
-    edges, sides = distinct_rows(_in_order(ends))
-    return edges, sides.reshape(-1, 3)
-
-
-def _in_order(pairs: Int64s) -> Int64s:
-    """Return pairs (k, 2) with the lower number first; a sort takes ten times as long."""
-    return np.stack([np.minimum(pairs[:, 0], pairs[:, 1]), np.maximum(pairs[:, 0], pairs[:, 1])], axis=1)
-
-
 def _is_off(
     points: _Points, ends: Int64s, texture: OctreeTexture, error: float, places: Sequence[Sequence[float]]
 ) -> Bools:
@@ -226,8 +215,8 @@ def _cut_at(triangles: Int64s, places: Int64s, halved: Int64s) -> tuple[Int64s, 
     """
     near = _have_two(triangles, places, halved)
     some = triangles[near]
-    edges, sides = _edges_of(some)
-    own = _in_order(places[edges])
+    edges, sides = edges_of(some)
+    own = in_order(places[edges])
     is_cut = np.isin(own[:, 0] << 32 | own[:, 1], halved[:, 0] << 32 | halved[:, 1])
     numbers = np.full(len(edges), -1, np.int64)
     numbers[is_cut] = len(places) + np.arange(int(is_cut.sum()))

@@ -73,6 +73,11 @@ def edge_length(text: str) -> float | str:
     return text if text == "auto" else length(text)
 
 
+def real(text: str) -> float:
+    """Read a finite number."""
+    return _number(text, lambda number: abs(number) < float("inf"), "a finite number")
+
+
 def cells_apart(text: str) -> float:
     """Read how many cells parts are to be apart."""
     return _number(text, lambda number: 1.0 <= number <= 1e6, "a number of cells from 1 to a million")
@@ -160,6 +165,14 @@ def position(text: str) -> tuple[float, ...]:
     numbers = _numbers(text)
     if len(numbers) != 3:
         raise argparse.ArgumentTypeError(f"{text!r} is not X,Y,Z, like 0,0.5,1")
+    return numbers
+
+
+def disc(text: str) -> tuple[float, ...]:
+    """Read the centre of a disc and its radius, above zero."""
+    numbers = _numbers(text)
+    if len(numbers) != 4 or numbers[3] <= 0.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not X,Y,Z,RADIUS, like 0,0.5,1,0.2")
     return numbers
 
 

@@ -7,17 +7,22 @@ import json
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import octex
-from octex.cli.arguments import channel_names, edge_length, error_codes, whole_number
+from octex.cli.arguments import channel_names, edge_length, error_codes, real, whole_number
 from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
-from octex.cli.models import TEXTURE_ENDING, open_sound
+from octex.cli.models import TEXTURE_ENDING, TEXTURE_ENDINGS, open_sound
 from octex.cli.parser import RUNNING, Command, Parser, option, words_given
 from octex.cli.shape_options import SHAPE_OPTIONS, check_subdivision, shaped_model
 from octex.errors import ArgumentError, ExitCode
 
+if TYPE_CHECKING:
+    from octex.baking.maps import Bits
+    from octex.formats.images import ImageFormat
+
 _OF_IMAGES = (
-    *("--uv", "--texture-size", "--padding", "--channels", "--images"),
+    *("--uv", "--texture-size", "--padding", "--channels", "--images", "--supersample"),
     *("--source", "--max-distance"),
 )
 _OF_VERTICES = ("--subdivide", "--max-error")
@@ -28,6 +33,10 @@ BAKED_ENDINGS = (".glb", ".gltf", ".obj", *_USD, ".3mf")
 _ENDINGS = (*BAKED_ENDINGS, ".ply")
 _ALWAYS_VERTICES = (".ply", ".3mf")
 _WITH_UNIT = (*_USD, ".3mf")
+#: How images are stored, and the bits of a number in their maps.
+_IMAGES: dict[str, tuple[ImageFormat, Bits]] = {
+    "png": ("png", 8), "jpeg": ("jpeg", 8), "webp": ("webp", 8), "png16": ("png", 16), "exr": ("exr", 32),
+}  # fmt: skip
 _UNITS = ("meter", "centimeter", "millimeter", "inch", "foot")
 
 BAKE = Command(
@@ -65,7 +74,15 @@ BAKE = Command(
         option("--padding", "texels between charts (default 8)", metavar="N", type=whole_number),
         option("--channels", "those to bake, like base_color,normal", metavar="NAMES", type=channel_names),
         option(
-            "--images", "png (default), webp, smaller, or jpeg, with loss", choices=("png", "jpeg", "webp")
+            "--images",
+            "png (default); webp, smaller; jpeg, with loss; png16, of 16 bits; exr, floats (not in glTF)",
+            choices=tuple(_IMAGES),
+        ),
+        option(
+            "--supersample",
+            "lookups along each side of a texel, averaged (default 1)",
+            metavar="N",
+            type=whole_number,
         ),
         option(
             "--vertex-colors",
@@ -85,6 +102,14 @@ BAKE = Command(
             metavar="CODES",
             type=error_codes,
         ),
+        option(
+            "--displace",
+            "divide the model to the texture's cells, and move it along its normals by what a channel holds; "
+            "of colours by their luminance",
+            metavar="CHANNEL",
+        ),
+        option("--scale", "what 1 in that channel moves it by, in its units", metavar="S", type=real),
+        option("--middle", "what in that channel does not move it (default 0)", metavar="H", type=real),
         option(
             "--unit",
             f"what a length of 1 stands for in a .3mf or USD: {', '.join(_UNITS)} (default meter)",
@@ -117,7 +142,7 @@ def baking(options: argparse.Namespace, program: str) -> argparse.Namespace:
 def bake(options: argparse.Namespace, program: str) -> int:
     """Bake, as the options of octex bake say; return the exit code."""
     began = time.perf_counter()
-    if options.TEXTURE.suffix.lower() != TEXTURE_ENDING:
+    if options.TEXTURE.suffix.lower() not in TEXTURE_ENDINGS:
         raise ArgumentError(
             f"{options.TEXTURE}: is no {TEXTURE_ENDING} file; octex convert makes one of a model"
         )
@@ -128,11 +153,19 @@ def bake(options: argparse.Namespace, program: str) -> int:
         if word in others:
             raise ArgumentError(f"{word} has no meaning with {work}; see {program} --help")
     check_subdivision(options)
+    for word in ("scale", "middle"):
+        if getattr(options, word) is not None and options.displace is None:
+            raise ArgumentError(f"--{word} has no meaning without --displace")
+    if options.displace is not None and options.scale is None:
+        raise ArgumentError(f"--displace {options.displace} needs --scale: what 1 there moves the model by")
     if options.unit is not None and ending not in _WITH_UNIT:
         raise ArgumentError(f"--unit has no meaning for {options.OUTPUT}: such files state none")
     given = options.TEXTURE, options.MODEL, options.rest, options.source
     inputs = [path for path in given if path is not None]
     check_outputs([(options.OUTPUT, _ENDINGS, "OUTPUT")], inputs, force=options.force)
+    images, bits = _IMAGES[options.images or "png"]
+    if images == "exr" and ending in (".glb", ".gltf"):
+        raise ArgumentError(f"{options.OUTPUT}: glTF holds no exr images; write a .obj or .usdz, or png16")
     from octex.formats.models import check_extra
 
     check_extra(options.OUTPUT)
@@ -141,6 +174,11 @@ def bake(options: argparse.Namespace, program: str) -> int:
             texture = open_sound(options.TEXTURE)
             surface = shaped_model(options.MODEL, options, normals=True)
             source = None if options.source is None else octex.load_surface(options.source)
+        if options.displace is not None:
+            with progress.stage("displace"):
+                surface = octex.displace(
+                    surface, texture, options.displace, options.scale, middle=options.middle or 0.0
+                )
         if options.vertex_colors:
             with progress.stage("divide"):
                 error = 8.0 if options.max_error is None else options.max_error
@@ -157,12 +195,12 @@ def bake(options: argparse.Namespace, program: str) -> int:
                 texture_size=options.texture_size,
                 padding=8 if options.padding is None else options.padding,
                 channels=options.channels,
+                bits=bits,
+                supersample=1 if options.supersample is None else options.supersample,
                 progress=progress,
             )
         with progress.stage("write"):
-            octex.write_model(
-                baked, options.OUTPUT, images=options.images or "png", unit=options.unit or "meter"
-            )
+            octex.write_model(baked, options.OUTPUT, images=images, unit=options.unit or "meter")
     size = max(_sizes(baked), default=0)
     made = {
         "output": str(options.OUTPUT),

@@ -14,10 +14,19 @@ import octex
 from octex.ahead import ahead
 from octex.cli.bake import bake, baking
 from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
-from octex.cli.convert_options import COMMANDS, CONVERT, check_input, work_of
+from octex.cli.convert_options import COMMANDS, CONVERT, archive_error, check_input, work_of
 from octex.cli.diff import diff
 from octex.cli.inspect import info, validate
-from octex.cli.models import PTEX_ENDING, TEXTURE_ENDING, input_files, kind_of, read_model, settings_of, told_of
+from octex.cli.models import (
+    PTEX_ENDING,
+    TEXTURE_ENDING,
+    TEXTURE_ENDINGS,
+    input_files,
+    kind_of,
+    read_model,
+    settings_of,
+    told_of,
+)
 from octex.cli.overlaps import overlaps, separated_as_json, separated_text
 from octex.cli.parser import Parser
 from octex.cli.process import others_of, processed
@@ -36,7 +45,7 @@ if TYPE_CHECKING:
     from octex.texture import OctreeTexture
 
 COMMAND = "octree-convert"
-OUTPUT_ENDINGS = (TEXTURE_ENDING, ".ply", ".npz", PAGE_ENDING)
+OUTPUT_ENDINGS = (*TEXTURE_ENDINGS, ".ply", ".npz", PAGE_ENDING)
 
 
 def main(arguments: Sequence[str] | None = None, program: str = COMMAND, command: str = "convert") -> int:
@@ -47,7 +56,7 @@ def main(arguments: Sequence[str] | None = None, program: str = COMMAND, command
 def _main(arguments: Sequence[str] | None, program: str, command: str) -> int:
     options = Parser(program, CONVERT).parse_args([])
     vars(options).update(vars(Parser(program, COMMANDS[command]).parsed(arguments)))
-    if command == "edit" and options.INPUT.suffix.lower() != TEXTURE_ENDING:
+    if command == "edit" and options.INPUT.suffix.lower() not in TEXTURE_ENDINGS:
         raise InputError(f"{options.INPUT}: is no {TEXTURE_ENDING} file; octex convert makes one of a model")
     options.warm_up |= command == "warm-up"
     work = work_of(options, program)
@@ -108,9 +117,9 @@ def _convert(options: argparse.Namespace, program: str) -> int:
         if draw is not None:  # first: without room for it, no OUTPUT is left unannounced
             with progress.stage("draw"):
                 draw(surface, texture)
-        if options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
+        if options.OUTPUT.suffix.lower() in TEXTURE_ENDINGS:
             with progress.stage("write"):
-                texture.save(options.OUTPUT)
+                texture.save(options.OUTPUT, max_error=archive_error(options, kind))
         elif options.OUTPUT.suffix.lower() == ".npz":
             from octex.formats.npz import write_arrays
 

@@ -31,7 +31,14 @@ from octex.cli.arguments import (
     whole_number,
 )
 from octex.cli.bake import BAKED_ENDINGS
-from octex.cli.models import DEFAULT_FILTER, PTEX_ENDING, TEXTURE_ENDING, check_elsewhere, sources_of
+from octex.cli.models import (
+    ARCHIVE_ENDING,
+    DEFAULT_FILTER,
+    PTEX_ENDING,
+    TEXTURE_ENDINGS,
+    check_elsewhere,
+    sources_of,
+)
 from octex.cli.overlaps import SEPARATE_CELLS
 from octex.cli.parser import RUNNING, Command, Option, option, words_given
 from octex.cli.shape_options import SHAPE_OPTIONS, SHAPE_WORDS
@@ -49,8 +56,8 @@ _OPTIONS = (
     ),
     option(
         "OUTPUT",
-        "NAME.octex, or a coloured point a leaf, with normal: NAME.ply, or NAME.npz for numpy; NAME.html, a "
-        "page that shows it in any browser; with --parts a folder",
+        "NAME.octex; an archive of it, NAME.octz; a coloured point a leaf, with normal: NAME.ply, or "
+        "NAME.npz for numpy; NAME.html, a page that shows it in any browser; with --parts a folder",
         nargs="?",
         type=Path,
     ),
@@ -65,7 +72,8 @@ _OPTIONS = (
     ),
     option(
         "--max-error",
-        "merge leaves where lookups then stay this near to what they were, in 8-bit codes, like 2",
+        "merge leaves where lookups then stay this near to what they were, in 8-bit codes, like 2; from a "
+        "texture to NAME.octz, by how many codes of their own its whole numbers may move",
         metavar="CODES",
         type=error_codes,
     ),
@@ -78,7 +86,7 @@ _OPTIONS = (
     option("--no-fit", "store plain averages; lookups are then softer", action="store_true"),
     option(
         "--mesh",
-"the model that INPUT is a texture of: OUTPUT is it with images, .glb, .gltf, .obj or .usdz, "
+        "the model that INPUT is a texture of: OUTPUT is it with images, .glb, .gltf, .obj or .usdz, "
         "with vertex colours, .3mf (octex bake has more options), in a page, .html, or texels for its "
         "polygons, .ptx; where INPUT is a .ptx, the mesh that it was painted on",
         metavar="MODEL",
@@ -249,10 +257,12 @@ _OPTIONS = (
         metavar="SIZE",
         type=length,
     ),
-    option("--info", "say what an .octex file or a folder of --parts holds", metavar="FILE", type=Path),
+    option(
+        "--info", "say what an .octex or .octz file or a folder of --parts holds", metavar="FILE", type=Path
+    ),
     option(
         "--validate",
-        "check that an .octex file, or each in a folder of --parts, is a sound octree, or say what is broken",
+        "check that an .octex or .octz file, or each in a folder of --parts, is sound, or say what is broken",
         metavar="FILE",
         type=Path,
     ),
@@ -357,7 +367,9 @@ COMMANDS = {
         [
             option("INPUT", "an .octex file", metavar="TEXTURE", type=Path),
             option(
-                "OUTPUT", "NAME.octex, a coloured point a leaf: NAME.ply, or NAME.npz; NAME.html", type=Path
+                "OUTPUT",
+                "NAME.octex, NAME.octz, a coloured point a leaf: NAME.ply, or NAME.npz; NAME.html",
+                type=Path,
             ),
         ],
         _those(
@@ -441,7 +453,9 @@ def check_input(options: argparse.Namespace, kind: str, program: str) -> None:
     for word in given:
         if kind != "texture" and word in _OF_TEXTURES:
             raise ArgumentError(f"{options.INPUT}: {word} is for .octex textures; convert the model first")
-        if kind == "texture" and word not in _OF_ANYTHING | _OF_TEXTURES:
+        if word == "--max-error" and kind == "texture" and _is_archive(options):
+            archive_error(options, kind)
+        elif kind == "texture" and word not in _OF_ANYTHING | _OF_TEXTURES:
             raise ArgumentError(
                 f"{options.INPUT}: {word} needs the model, and this is a texture made from one"
             )
@@ -449,8 +463,9 @@ def check_input(options: argparse.Namespace, kind: str, program: str) -> None:
             raise ArgumentError(f"{word} needs a surface, and {options.INPUT} is points")
         if kind == "voxels" and word not in _OF_ANYTHING - {"--depth"}:
             raise ArgumentError(f"{options.INPUT}: {word} is not for voxels, which have their own depth")
-    is_same = not {"--depth", "--channels", "--dtype", *_OF_TEXTURES} & {*given}
-    if kind == "texture" and is_same and options.OUTPUT.suffix.lower() == TEXTURE_ENDING:
+    is_same = not {"--depth", "--channels", "--dtype", "--max-error", *_OF_TEXTURES} & {*given}
+    ending = options.OUTPUT.suffix.lower()
+    if kind == "texture" and is_same and ending in TEXTURE_ENDINGS and ending == options.INPUT.suffix.lower():
         raise ArgumentError(
             f"{options.INPUT}: is an octree texture already; --depth makes it coarser, --channels smaller; "
             f"see {program} --help"
@@ -459,3 +474,16 @@ def check_input(options: argparse.Namespace, kind: str, program: str) -> None:
         from octex.checks import as_depth
 
         as_depth(options.depth, "--depth")
+
+
+def archive_error(options: argparse.Namespace, kind: str) -> int:
+    """Return by how many codes an archive's values may move; raises ArgumentError for part of a code."""
+    if kind != "texture" or options.max_error is None:
+        return 0
+    if options.max_error != int(options.max_error):
+        raise ArgumentError(f"--max-error of {options.OUTPUT} must be a whole number of codes")
+    return int(options.max_error)
+
+
+def _is_archive(options: argparse.Namespace) -> bool:
+    return bool(options.OUTPUT.suffix.lower() == ARCHIVE_ENDING)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from octex.cli.common import Reporter, check_outputs, say
 from octex.cli.inspect import triple
-from octex.cli.models import TEXTURE_ENDING, input_files, open_sound, read_model
+from octex.cli.models import TEXTURE_ENDINGS, input_files, open_sound, read_model
 from octex.errors import ArgumentError, ExitCode
 
 if TYPE_CHECKING:
@@ -26,12 +26,12 @@ def diff(command: str, options: argparse.Namespace) -> int:
     if options.preview is not None:
         inputs = [*paths, *input_files(options)]
         check_outputs([(options.preview, (".png",), "--preview")], inputs, force=options.force)
-    if all(path.suffix.lower() == TEXTURE_ENDING for path in paths):
+    if all(path.suffix.lower() in TEXTURE_ENDINGS for path in paths):
         for word in _NEEDS_A_MODEL:
             if getattr(options, word) is not None:
                 option = f"--{word.replace('_', '-')}"
                 raise ArgumentError(f"{option} needs a model, but {paths[0]} and {paths[1]} are textures")
-    elif not any(path.suffix.lower() == TEXTURE_ENDING for path in paths):
+    elif not any(path.suffix.lower() in TEXTURE_ENDINGS for path in paths):
         raise ArgumentError(
             f"{paths[0]} and {paths[1]}: neither is an .octex file; convert one of them first"
         )
@@ -63,7 +63,7 @@ def _sides(paths: Sequence[Path], options: argparse.Namespace) -> list[Side]:
     sides: dict[Path, Side] = {}
     beside: list[str] = []
     for path in paths:
-        if path.suffix.lower() == TEXTURE_ENDING:
+        if path.suffix.lower() in TEXTURE_ENDINGS:
             sides[path] = texture = open_sound(path)
             beside = ["alpha"] if "alpha" in texture.channels else beside
     return [sides[path] if path in sides else read_model(path, options, beside) for path in paths]

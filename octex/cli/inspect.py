@@ -47,9 +47,13 @@ def _readable(information: dict[str, Any]) -> Iterator[str]:
     yield f"{'all':>5} {information['leaves']:15,} {information['nodes']:15,}"
     yield ""
     leaves = max(information["leaves"], 1)
-    yield f"{'part':24} {'bytes':>15} {'a leaf':>7}"
+    archive = information.get("archive", {})
+    if archive:
+        parts = {f"archive: {part}": size for part, size in archive.items()}
+        parts |= {"archive: total": sum(archive.values()), "as .octex": information["bytes"]["total"]}
+    yield f"{'part':32} {'bytes':>15} {'a leaf':>7}"
     for part, size in parts.items():
-        yield f"{part:24} {size:15,} {size / leaves:7.2f}"
+        yield f"{part:32} {size:15,} {size / leaves:7.2f}"
     if information["provenance"]:
         yield ""
     width = max(map(len, information["provenance"]), default=0)

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from octex.texture import OctreeTexture
 
 TEXTURE_ENDING = ".octex"
+ARCHIVE_ENDING = ".octz"
+TEXTURE_ENDINGS = TEXTURE_ENDING, ARCHIVE_ENDING
 PTEX_ENDING = ".ptx"
 DEFAULT_FILTER = "ewa"
 DEFAULT_CHANNEL = "base_color"  # what is painted
@@ -117,7 +119,7 @@ def kind_of(path: Path) -> str:
         if is_voxels(path):
             return "voxels"
         return "cloud" if is_cloud(path) else "model"
-    return "texture" if ending == TEXTURE_ENDING else "model"
+    return "texture" if ending in TEXTURE_ENDINGS else "model"
 
 
 def input_files(options: argparse.Namespace) -> list[Path]:

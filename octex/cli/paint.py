@@ -36,7 +36,7 @@ from octex.cli.models import (
 )
 from octex.cli.paint_options import PAINT, work_of
 from octex.cli.parser import Parser
-from octex.cli.shots import images_of, shots_of
+from octex.cli.shots import flat_shots, images_of, shots_of
 from octex.cli.view import view
 from octex.cli.view_options import previewing
 from octex.errors import ExitCode
@@ -71,12 +71,14 @@ def _paint(options: argparse.Namespace, program: str) -> int:
     _check_files(options)
     with Reporter(program, options.quiet) as progress:
         draw = previewing(options, options.MODEL)
-        shots, skipped = ([], []) if options.layer else shots_of(options, progress)
+        shots, skipped = ([], []) if options.layer or options.unwrap else shots_of(options, progress)
         texture = texture_of(options)
         if texture is None:
             progress.note(f"{new_texture(options)}: painting begins a new texture")
         with progress.stage("read"):
-            surface = read_posed(options)
+            surface = whole = read_posed(options)
+        if options.unwrap is not None:
+            surface, shots = flat_shots(options, whole, texture, progress)
         with workers() as executor:
             if options.refine_cameras:
                 shots = refined(options, surface, shots, executor, progress)
@@ -91,7 +93,7 @@ def _paint(options: argparse.Namespace, program: str) -> int:
             made = with_entries(made, surface, entries)
             if draw is not None:  # first: without room for it, nothing is left unannounced
                 with progress.stage("draw"):
-                    draw(*_previewed(surface, made, channel_of(layers[0])))
+                    draw(*_previewed(whole, made, channel_of(layers[0])))
             with progress.stage("write"):
                 if options.layer_out is not None:
                     with_entries(layers[0], surface, entries).save(options.layer_out)

@@ -12,6 +12,7 @@ from octex.cli.arguments import (
     blend,
     camera,
     color,
+    disc,
     mask_pattern,
     opacity,
     picture_size,
@@ -46,6 +47,13 @@ _OPTIONS = (
         "where the cameras are: transforms.json, a COLMAP folder, glTF, or what --camera-out wrote",
         metavar="FILE[#NAME]",
         type=camera,
+    ),
+    option(
+        "--unwrap",
+        "a disc of the surface laid flat, not a camera: its centre, and its radius along the surface; the "
+        "same for --view and for painting what it drew",
+        metavar="X,Y,Z,R",
+        type=disc,
     ),
     option("--out", "the painted texture, .octex; with --force also TEXTURE", metavar="NEW", type=Path),
     option(
@@ -173,7 +181,18 @@ _SHARED = {"MODEL", "TEXTURE", "--rest", "--force", "--quiet", "--json"} | SHAPE
 _MERGE = _SHARED | VIEW_WORDS | {"--out", "--blend", "--opacity", "--preview", "--threads"}
 _WORDS = {
     "painting": _MERGE
-    | {"IMAGE", "--camera", "--mask", "--masks", "--key", "--since", "--whole", "--channel", "--max-depth"}
+    | {
+        "IMAGE",
+        "--camera",
+        "--unwrap",
+        "--mask",
+        "--masks",
+        "--key",
+        "--since",
+        "--whole",
+        "--channel",
+        "--max-depth",
+    }
     | {
         "--max-angle",
         "--edge-feather",
@@ -190,7 +209,7 @@ _WORDS = {
     "--layer": _MERGE,
     "--view": _SHARED
     | VIEW_WORDS
-    | {"--shaded", "--empty-layer", "--camera-out", "--camera", "--size", "--channel"},
+    | {"--shaded", "--empty-layer", "--camera-out", "--camera", "--size", "--channel", "--unwrap"},
 }
 _NEEDED = {
     "painting": ("MODEL", "--camera", "--out"),
@@ -224,6 +243,7 @@ PAINT = Command(
         ["MODEL", "TEXTURE", "IMAGE", "--camera", "--out"],
         ["MODEL", "TEXTURE", "--layer", "--out"],
         ["MODEL", "TEXTURE", "--view"],
+        ["MODEL", "TEXTURE", "IMAGE", "--unwrap", "--out"],
     ],
 )
 
@@ -240,11 +260,17 @@ def work_of(options: argparse.Namespace, program: str) -> str:
             raise ArgumentError(f"{word} has no meaning with {work}; see {program} --help")
     check_subdivision(options)
     for word in _NEEDED[work]:
-        if word not in given:
+        if word not in given and not (word == "--camera" and options.unwrap is not None):
             raise ArgumentError(f"{word} is missing; see {program} --help")
     check_view_options(options)
     is_there = options.TEXTURE is not None and options.TEXTURE.exists()
-    if work == "--view" and options.camera is None and options.camera_out is None:
+    if options.unwrap is not None:
+        for word in ("--camera", "--camera-out", "--direction", "--zoom", "--frame"):
+            if word in given:
+                raise ArgumentError(f"{word} has no meaning with --unwrap, which says what is seen")
+        if work == "painting" and not options.IMAGE:
+            raise ArgumentError(f"IMAGE is missing; see {program} --help")
+    elif work == "--view" and options.camera is None and options.camera_out is None:
         raise ArgumentError(
             "--view without --camera needs --camera-out: without its camera a picture cannot be painted back"
         )

@@ -8,7 +8,7 @@ import time
 
 import octex
 from octex.cli.common import Reporter, bytes_text, check_outputs, say
-from octex.cli.models import PTEX_ENDING, TEXTURE_ENDING, open_sound
+from octex.cli.models import PTEX_ENDING, TEXTURE_ENDING, TEXTURE_ENDINGS, open_sound
 from octex.cli.shape_options import shaped_model
 from octex.errors import ArgumentError, ExitCode
 
@@ -16,8 +16,10 @@ from octex.errors import ArgumentError, ExitCode
 def write_ptex(options: argparse.Namespace, program: str) -> int:
     """Write a .ptx file, as the options of octree-convert --mesh say; return the exit code."""
     began = time.perf_counter()
-    if options.INPUT.suffix.lower() != TEXTURE_ENDING:
-        raise ArgumentError(f"{options.INPUT}: is no {TEXTURE_ENDING} file; octex convert makes one of a model")
+    if options.INPUT.suffix.lower() not in TEXTURE_ENDINGS:
+        raise ArgumentError(
+            f"{options.INPUT}: is no {TEXTURE_ENDING} file; octex convert makes one of a model"
+        )
     inputs = [path for path in (options.INPUT, options.mesh, options.rest) if path is not None]
     check_outputs([(options.OUTPUT, (PTEX_ENDING,), "OUTPUT")], inputs, force=options.force)
     with Reporter(program, options.quiet) as progress:

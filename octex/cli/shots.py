@@ -7,10 +7,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+import octex
 from octex.cli.common import Reporter
+from octex.cli.models import DEFAULT_CHANNEL, only
 from octex.errors import ArgumentError, CameraError, ImageError
 
 if TYPE_CHECKING:
+    from octex.painting.unwrap import Patch
+    from octex.source.surface import Surface
+    from octex.texture import OctreeTexture
     from octex.view.camera import Camera
     from octex.view.camera_files import Frame
 
@@ -76,6 +81,42 @@ def _size(path: Path, frame: Frame) -> tuple[int, int]:
     with path.open("rb") as file:
         is_turned = orientation_of(file.read()) > _LYING
     return (height, width) if is_turned else (width, height)
+
+
+def patch_of(
+    options: argparse.Namespace, surface: Surface, size: tuple[int, int], progress: Reporter
+) -> Patch:
+    """Lay flat what --unwrap says, and say where that is no disc."""
+    if size[0] != size[1]:
+        raise ArgumentError(f"pictures of a disc are square, not {size[0]} × {size[1]}")
+    *center, radius = options.unwrap
+    patch = octex.unwrap(surface, center, radius, up=options.up, size=size[0])
+    for fault in patch.faults:
+        progress.note(f"--unwrap: {fault}; paint reaches what is seen")
+    return patch
+
+
+def flat_shots(
+    options: argparse.Namespace, surface: Surface, texture: OctreeTexture | None, progress: Reporter
+) -> tuple[Surface, list[Shot]]:
+    """Return the surface with what --unwrap says laid flat, and pictures of that.
+
+    What has changed in them is found by drawing the view again.
+    """
+    from octex.cli.view import as_png, drawn
+    from octex.source.images.decode import image_size
+
+    paths = images_of(options)
+    masks = options.mask or [None]
+    masks = masks * len(paths) if len(masks) == 1 else masks
+    size = image_size(paths[0])
+    patch = patch_of(options, surface, size, progress)
+    since: Path | bytes | None = options.since
+    if since is None and texture is not None and not options.whole:
+        channel = options.channel or DEFAULT_CHANNEL
+        since = as_png(drawn(only(texture, channel), patch.surface, patch.camera, channel, shaded=False))
+    shots = [Shot(path, patch.camera, mask, since) for path, mask in zip(paths, masks, strict=True)]
+    return patch.surface, shots
 
 
 def _since(options: argparse.Namespace, frame: Frame) -> Path | bytes | None:

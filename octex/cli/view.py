@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import octex
 from octex.cli.common import Reporter, bytes_text, check_outputs, say
 from octex.cli.models import DEFAULT_CHANNEL, new_texture, only, posed_inputs, read_posed, texture_of
-from octex.cli.shots import frame_of
+from octex.cli.shots import frame_of, patch_of
 from octex.errors import ArgumentError, ExitCode
 from octex.files import replacing
 
@@ -46,7 +46,11 @@ def view(command: str, options: argparse.Namespace) -> int:
             progress.note(f"{new_texture(options)}: the model is drawn grey, in some light")
         with progress.stage("read"):
             surface = read_posed(options)
-        camera = _view_camera(options, surface, frame)
+        if options.unwrap is not None:
+            patch = patch_of(options, surface, options.size or DEFAULT_SIZE, progress)
+            surface, camera = patch.surface, patch.camera
+        else:
+            camera = _view_camera(options, surface, frame)
         if camera.is_distorted:
             progress.note(
                 "the camera's lens distorts; the picture is drawn without that, and fits the camera that "
@@ -55,11 +59,11 @@ def view(command: str, options: argparse.Namespace) -> int:
             camera = camera.undistorted
         with progress.stage("draw"):
             shaded = options.shaded or texture is None
-            codes = _draw(texture, surface, camera, options.channel or DEFAULT_CHANNEL, shaded)
+            codes = drawn(texture, surface, camera, options.channel or DEFAULT_CHANNEL, shaded)
         with progress.stage("write"):
-            pictures = {options.view: _png(codes)}
+            pictures = {options.view: as_png(codes)}
             if options.empty_layer is not None:
-                pictures[options.empty_layer] = _png(codes * 0)
+                pictures[options.empty_layer] = as_png(codes * 0)
             if options.camera_out is not None:  # of a layer no view is kept: all of it is paint
                 cameras = dict.fromkeys((path.name for path in pictures), camera)
                 octex.write_cameras(options.camera_out, cameras, {options.view.name: pictures[options.view]})
@@ -107,7 +111,7 @@ def _view_camera(options: argparse.Namespace, surface: Surface, frame: Frame | N
     return camera.zoomed(options.zoom) if options.zoom is not None else camera
 
 
-def _draw(
+def drawn(
     texture: OctreeTexture | None, surface: Surface, camera: Camera, channel: str, shaded: bool
 ) -> Uint8s:
     """Draw a channel, or grey, at the pixels' centres, ``shaded`` or not: codes (height, width, 4).
@@ -143,7 +147,8 @@ def _draw(
     return codes.reshape(camera.height, camera.width, 4)
 
 
-def _png(codes: Uint8s) -> bytes:
+def as_png(codes: Uint8s) -> bytes:
+    """Return codes (height, width, 4) as a file."""
     from PIL import Image
 
     file = io.BytesIO()

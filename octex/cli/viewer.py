@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import octex
 from octex.cli.arguments import port_number, whole_number
 from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
-from octex.cli.models import TEXTURE_ENDING, kind_of, open_sound
+from octex.cli.models import TEXTURE_ENDING, TEXTURE_ENDINGS, kind_of, open_sound
 from octex.cli.parser import RUNNING, Command, Parser, option, words_given
 from octex.errors import ArgumentError, ExitCode
 
@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None, program: str) -> int:
 
 
 def _view(options: argparse.Namespace, program: str) -> int:
-    is_texture = options.TEXTURE.suffix.lower() == TEXTURE_ENDING
+    is_texture = options.TEXTURE.suffix.lower() in TEXTURE_ENDINGS
     if is_texture and options.depth is not None:
         raise ArgumentError(f"{options.TEXTURE}: --depth is for models; the level is chosen in the page")
     if not is_texture and options.mesh is not None:
@@ -101,7 +101,7 @@ def _surface_of(options: argparse.Namespace, model: Path | None) -> Surface:
 def write_mesh_page(options: argparse.Namespace, program: str) -> int:
     """Write the page of a texture on its model, as octree-convert --mesh asks for it."""
     began = time.perf_counter()
-    if options.INPUT.suffix.lower() != TEXTURE_ENDING:
+    if options.INPUT.suffix.lower() not in TEXTURE_ENDINGS:
         raise ArgumentError(f"{options.INPUT}: is no {TEXTURE_ENDING} file; leave --mesh out for a model")
     if options.channels is not None:
         raise ArgumentError(f"--channels has no meaning for {options.OUTPUT}: edit the texture first")

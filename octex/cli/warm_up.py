@@ -52,6 +52,14 @@ end_header
 0 0.01 0
 3 0 1 2
 """
+_QUAD = """v 0 0 0
+v 1 0 0
+v 1 1 0
+v 0 1 0
+v 2 0 0
+f 1 2 3 4
+f 2 5 3
+"""
 
 
 def warm_up(progress: Progress) -> None:
@@ -69,7 +77,8 @@ def warm_up(progress: Progress) -> None:
         _take(surfaces[0])
         _separate(surfaces[0])
         _paint(surfaces[0], folder)
-        _bake(surfaces[0], folder)
+        _bake(surfaces, folder)
+        _ptex(folder)
         progress("compile", stages, stages)
 
 
@@ -100,6 +109,8 @@ def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
     octex.convert(surface, 6).save(folder / "needle.octex")
     texture = octex.open(folder / "needle.octex")
     texture.validate()
+    texture.save(folder / "needle.octz")
+    octex.open(folder / "needle.octz")
     for points in (samples.rest, samples.rest.astype(np.float32)):
         texture.contains(points)
         for filter in FILTERS:
@@ -173,14 +184,30 @@ def _paint(surface: octex.Surface, folder: Path) -> None:
     octex.fill(texture, surface, octex.Sphere((0.0, 0.0, 0.0), 0.1), (1.0, 0.0, 0.0))
 
 
-def _bake(surface: octex.Surface, folder: Path) -> None:
+def _bake(surfaces: list[octex.Surface], folder: Path) -> None:
     """Bake to images in atlases of both kinds, and write them."""
     from octex.baking import atlas
+    from octex.baking.texels import barycentric_at
 
+    surface, translucent = surfaces[0], surfaces[2]
     texture = octex.convert(surface, 3)
+    octex.bake(octex.convert(translucent, 3), translucent, uv="atlas", texture_size=64, supersample=2)
+    barycentric_at(np.zeros((1, 3, 2)), np.zeros(1, np.int32), np.zeros((1, 2)))
     atlas.projected(surface)
     octex.write_model(octex.bake(texture, surface, uv="atlas", texture_size=64), folder / "baked.glb")
     octex.bake_vertices(texture, surface, subdivide="auto")
+    octex.displace(surface, texture, "base_color", 0.01)
+
+
+def _ptex(folder: Path) -> None:
+    """Write texels for polygons, and convert them; paint on a piece that is laid flat."""
+    (folder / "quad.obj").write_text(_QUAD)
+    surface = octex.load_surface(folder / "quad.obj")
+    texture = octex.convert(surface, 3)
+    octex.write_ptex(texture, surface, folder / "quad.ptx")
+    octex.convert(octex.load_surface(folder / "quad.obj", sources=octex.Ptex(folder / "quad.ptx").sources), 3)
+    patch = octex.unwrap(surface, (0.5, 0.5, 0), 0.4, size=8)
+    octex.paint(texture, surface, octex.Projection(np.zeros((8, 8, 3), np.uint8), patch))
 
 
 def _process(texture: octex.OctreeTexture, surface: octex.Surface) -> None:

@@ -20,7 +20,7 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s, Int64s, Uint8s
 from octex.channels import LEAST_COVERAGE, ChannelFormat
-from octex.jit import inlined, kernel, popcount
+from octex.jit import inlined, kernel, new_array, popcount
 from octex.tree.layout import AREA_ONE, AREA_STEPS, POSITIVE_FACINGS
 
 #: Areas below this many faces come from contacts alone and are stored as none.
@@ -88,7 +88,7 @@ def sum_pieces(
 ) -> Float64s:
     """Add up the pieces of each entry. ``alpha`` is the column that holds coverage, or −1."""
     components = values.shape[1]
-    sums = np.empty((n_entries, components + 1), np.float64)
+    sums = new_array((n_entries, components + 1), np.float64)
     cleared = 0
     for i in range(entries.size):
         row = entries[i]
@@ -113,9 +113,9 @@ def sum_children(children: Sums) -> Sums:
     """Add up the cells of one level into their parents."""
     codes, flags, sums = children
     columns = sums.shape[1]
-    parent_codes = np.empty(codes.size, np.int64)
-    parent_flags = np.empty(codes.size, np.uint8)
-    parent_sums = np.empty(sums.shape, np.float64)
+    parent_codes = new_array(codes.size, np.int64)
+    parent_flags = new_array(codes.size, np.uint8)
+    parent_sums = new_array(sums.shape, np.float64)
     cells = 0
     entries = 0
     row = 0
@@ -195,14 +195,14 @@ def level_means(level: Sums, columns: SumColumns) -> Means:
         if seen & (seen >> 1) & POSITIVE_FACINGS:
             n_two_sided += 1
             n_rows += popcount(np.uint64(seen))
-    values = np.empty(n_cells * components, np.float64)
-    areas = np.empty(n_cells, np.uint8)
-    two_sided = np.empty(n_two_sided, np.int64)
-    facing_values = np.empty(n_rows * components, np.float64)
+    values = new_array(n_cells * components, np.float64)
+    areas = new_array(n_cells, np.uint8)
+    two_sided = new_array(n_two_sided, np.int64)
+    facing_values = new_array(n_rows * components, np.float64)
     starts = columns.first * n_cells + columns.place
     facing_starts = columns.first * n_rows + columns.place
-    facing_areas = np.empty(n_rows, np.uint8)
-    total = np.empty((1, components + 1), np.float64)
+    facing_areas = new_array(n_rows, np.uint8)
+    total = new_array((1, components + 1), np.float64)
     entry = 0
     row = 0
     cell = 0

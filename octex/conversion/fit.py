@@ -22,7 +22,7 @@ from octex.conversion.numbering import Leaves, Outside, members_of, number
 from octex.conversion.samples import SHARE_STEPS, Samples, sample_points
 from octex.conversion.solve import Codes, Equations, approach, covered, diagonal, residuals, sweep, transpose
 from octex.field.field import Field
-from octex.jit import kernel
+from octex.jit import kernel, new_zeros
 from octex.parallel import Progress, ordered_map
 from octex.texture.channel import Channel
 from octex.tree.octree import Octree
@@ -80,6 +80,7 @@ class Job(NamedTuple):
     heads: Heads | None  # if the leaves are all finest cells
     groups: list[Group]
     ranges: list[tuple[float, float]]  # of each group
+    unfitted: Collection[str]  # channels whose means stay
     is_facing: bool  # whether lookups are those with the samples' normals
 
 
@@ -137,7 +138,7 @@ def fitted(
         leaves = leaves.some(chosen, tree.n_cells)
     given = [channels[form.name] for form in samples.channels]
     values = [channel.values.copy() for channel in given]
-    job = _job(tree, given, samples, placement, leaves, is_facing=False)
+    job = _job(tree, given, samples, placement, leaves, unfitted, is_facing=False)
     for (first, end), parts in _fit_bricks(job, executor, progress):
         cells = leaves.where(first, end)
         for whole, part in zip(values, parts, strict=True):
@@ -167,7 +168,7 @@ def fitted_rows(
     given = [channels[form.name] for form in samples.channels]
     values = [channel.split_values.copy() for channel in given]
     after_cells = [channel._replace(kept_values=channel.split_values) for channel in given]
-    job = _job(tree, after_cells, samples, placement, rows, is_facing=True)
+    job = _job(tree, after_cells, samples, placement, rows, unfitted, is_facing=True)
     for (first, end), parts in _fit_bricks(job, executor, progress):
         for whole, part in zip(values, parts, strict=True):
             whole[rows.numbers(first, end) - tree.n_cells] = part
@@ -184,6 +185,7 @@ def _job(
     samples: Samples,
     placement: Placement,
     leaves: Leaves,
+    unfitted: Collection[str],
     *,
     is_facing: bool,
 ) -> Job:
@@ -195,7 +197,7 @@ def _job(
         heads = Heads.of(tiles, samples.codes)
     groups = _groups(samples.channels)
     ranges = [group.range(samples) for group in groups]
-    return Job(field, channels, samples, placement, leaves, heads, groups, ranges, is_facing)
+    return Job(field, channels, samples, placement, leaves, heads, groups, ranges, unfitted, is_facing)
 
 
 def _fit_bricks(
@@ -212,7 +214,7 @@ def _fit_bricks(
 @kernel
 def _cuts(firsts: Int64s, brick: int, most: int) -> Int64s:
     """Cut leaves into runs of about ``brick`` samples, of which a leaf has ``most`` at most."""
-    cuts = np.zeros(firsts.size + 1, np.int64)
+    cuts = new_zeros(firsts.size + 1, np.int64)
     n_cuts = 1
     size = 0
     for leaf in range(firsts.size - 1):
@@ -261,23 +263,27 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
     for group, limits in zip(job.groups, job.ranges, strict=True):
         components = len(group.columns)
         is_light = int(group.format.space in ("srgb", "linear"))
-        means, wanted = _four(values[:, group.columns]), _four(targets[:, group.columns])
-        found = means.copy()
-        rows = lookups.residuals(found, wanted, shares, components, is_light)
-        equations = equations or lookups.equations()
-        approach(equations, rows, found)
-        found[: lookups.unknowns][is_fixed] = means[: lookups.unknowns][is_fixed]
-        rows = lookups.residuals(found, wanted, shares, components, is_light)
-        sums, is_flat = diagonal(equations, rows, wanted)
-        sums[is_fixed] = 0.0
-        is_rounded = group.format.dtype == "uint8"
-        to_codes = Codes.of_bytes(group.format.space) if is_rounded else Codes.none()
-        for turn in range(SWEEPS):
-            codes = to_codes if turn >= FREE_SWEEPS else Codes.none()
-            sweep(equations, rows, sums, is_flat, means, components, *limits, codes, turn % 2, found)
-        values[:, group.columns] = found[:, :components]
+        wanted = _four(targets[:, group.columns])
+        if group.format.name not in job.unfitted:
+            means = _four(values[:, group.columns])
+            found = means.copy()
+            rows = lookups.residuals(found, wanted, shares, components, is_light)
+            equations = equations or lookups.equations()
+            approach(equations, rows, found)
+            found[: lookups.unknowns][is_fixed] = means[: lookups.unknowns][is_fixed]
+            rows = lookups.residuals(found, wanted, shares, components, is_light)
+            sums, is_flat = diagonal(equations, rows, wanted)
+            sums[is_fixed] = 0.0
+            is_rounded = group.format.dtype == "uint8"
+            to_codes = Codes.of_bytes(group.format.space) if is_rounded else Codes.none()
+            for turn in range(SWEEPS):
+                codes = to_codes if turn >= FREE_SWEEPS else Codes.none()
+                sweep(equations, rows, sums, is_flat, means, components, *limits, codes, turn % 2, found)
+            values[:, group.columns] = found[:, :components]
         if group.format.name == "alpha":
-            lookups, equations = lookups.covered(found[:, 0].copy()), None
+            coverage = values[:, group.columns[0]].copy()
+            if (coverage < 1.0).any():
+                lookups, equations = lookups.covered(coverage), None
             shares = shares * np.maximum(wanted[:, 0], np.float32(LEAST_COVERAGE))
     own = values[: brick[1] - brick[0]]
     ends = np.cumsum([channel.format.components for channel in job.channels])

@@ -26,7 +26,7 @@ from octex.conversion.pieces import Blocks, Pieces, bin_triangles, cut, most_pie
 from octex.conversion.samples import Samples, Taken, join, take_samples
 from octex.editing.codes import differ
 from octex.errors import ArgumentError, ModelError
-from octex.jit import kernel
+from octex.jit import kernel, new_array
 from octex.parallel import Progress, memory_size, ordered_map
 from octex.source.surface import Surface
 from octex.texture.channel import Channel
@@ -325,8 +325,8 @@ def is_degenerate(surface: Surface, placement: Placement) -> bool:
 @kernel
 def _count_degenerate(grid: Int32s, triangles: Int32s) -> tuple[int, float]:
     """Count the triangles that are degenerate on the grid; also add up all areas, in square grid steps."""
-    corners = np.empty((3, 3), np.int64)
-    normal = np.empty(3, np.int64)
+    corners = new_array((3, 3), np.int64)
+    normal = new_array(3, np.int64)
     count = 0
     doubled = 0.0
     for i in range(triangles.shape[0]):

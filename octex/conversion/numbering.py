@@ -9,7 +9,7 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Int32s, Int64s
 from octex.conversion.samples import Samples
 from octex.field.taps import Taps
-from octex.jit import inlined, kernel
+from octex.jit import inlined, kernel, new_array
 from octex.tree.octree import Octree
 
 
@@ -101,8 +101,8 @@ def members_of(firsts: Int64s, leaves: Int64s, most: int) -> tuple[Int64s, Float
     for leaf in leaves:
         count = firsts[leaf + 1] - firsts[leaf]
         total += count if count <= most else most + 1
-    members = np.empty(total, np.int64)
-    strides = np.empty(total, np.float32)
+    members = new_array(total, np.int64)
+    strides = new_array(total, np.float32)
     n = 0
     for leaf in leaves:
         count = firsts[leaf + 1] - firsts[leaf]

@@ -15,7 +15,7 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Int32s, Int64s, Uint8s
 from octex.channels import ColorSpace, decode_table
-from octex.jit import add_to_rows, inlined, kernel, weighted_rows
+from octex.jit import add_to_rows, inlined, kernel, new_array, new_zeros, part, weighted_rows
 
 #: λ: holds what the samples hardly see near its mean.
 SHRINK = np.float32(0.01)
@@ -62,9 +62,9 @@ class Codes(NamedTuple):
 @kernel
 def transpose(starts: Int64s, leaves: Int32s, weights: Float32s, unknowns: int) -> Equations:
     """List by unknown what ``starts`` lists by sample, without small weights and leaves not solved for."""
-    kept_starts = np.zeros(starts.size, np.int64)
-    kept_leaves = np.empty(leaves.size, np.int32)
-    kept_weights = np.empty(leaves.size, np.float32)
+    kept_starts = new_zeros(starts.size, np.int64)
+    kept_leaves = new_array(leaves.size, np.int32)
+    kept_weights = new_array(leaves.size, np.float32)
     kept = 0
     for sample in range(starts.size - 1):
         for i in range(starts[sample], starts[sample + 1]):
@@ -75,16 +75,16 @@ def transpose(starts: Int64s, leaves: Int32s, weights: Float32s, unknowns: int) 
     return by_unknown(kept_starts, kept_leaves[:kept], kept_weights[:kept], unknowns)
 
 
-@kernel
+@part
 def by_unknown(starts: Int64s, leaves: Int32s, weights: Float32s, unknowns: int) -> Equations:
     """List by unknown what ``starts`` lists by sample, in the samples' order."""
-    firsts = np.zeros(unknowns + 2, np.int64)
+    firsts = new_zeros(unknowns + 2, np.int64)
     for i in range(leaves.size):
         firsts[np.uint64(leaves[np.uint64(i)]) + np.uint64(2)] += 1
     for i in range(unknowns):
         firsts[i + 2] += firsts[i + 1]
-    samples = np.empty(leaves.size, np.int32)
-    found = np.empty(leaves.size, np.float32)
+    samples = new_array(leaves.size, np.int32)
+    found = new_array(leaves.size, np.float32)
     for sample in range(starts.size - 1):
         for i in range(np.uint64(starts[sample]), np.uint64(starts[sample + 1])):
             after = np.uint64(leaves[i]) + np.uint64(1)
@@ -150,7 +150,7 @@ def residuals(
     ``values`` (leaves, 4) and ``targets`` (samples, 4) have zeros where there is no component. The weight is
     the sample's share, times what sRGB's curve makes of it if ``is_light``.
     """
-    rows = np.empty((starts.size - 1, 4), np.float32)
+    rows = new_array((starts.size - 1, 4), np.float32)
     for sample in range(starts.size - 1):
         x, y, z, _ = weighted_rows(values, leaves, weights, starts[sample], starts[sample + 1])
         write_residual((x, y, z), targets, shares[sample], components, is_light, sample, rows)
@@ -161,8 +161,8 @@ def residuals(
 def diagonal(equations: Equations, rows: Float32s, targets: Float32s) -> tuple[Float32s, Bools]:
     """Return dᵢ of each unknown, and whether all its samples have one value."""
     starts, samples, weights = equations
-    sums = np.empty(starts.size - 1, np.float32)
-    is_flat = np.empty(starts.size - 1, np.bool_)
+    sums = new_array(starts.size - 1, np.float32)
+    is_flat = new_array(starts.size - 1, np.bool_)
     for leaf in range(starts.size - 1):
         total = np.float32(0)
         low_x = low_y = low_z = np.float32(np.inf)
@@ -270,7 +270,7 @@ def covered(starts: Int64s, leaves: Int32s, weights: Float32s, coverage: Float32
 
     Samples without coverage keep theirs.
     """
-    found = np.empty(weights.size, np.float32)
+    found = new_array(weights.size, np.float32)
     for sample in range(starts.size - 1):
         total = np.float32(0)
         for i in range(starts[sample], starts[sample + 1]):

@@ -150,7 +150,7 @@ def coarsest_near(tree: Octree, codes: Sequence[Int64s], finest: int) -> int:
     The cells are given level by level; beside it is what is so at its own level. ``finest`` if there is none.
     """
     for level, own in enumerate(with_all_above(codes)[:finest]):
-        where = locate(tree, np.sort(np.concatenate([own, boundary(own, level)])), level)
+        where = locate(tree, np.sort(np.concatenate([own, boundary(own, level)]), kind="stable"), level)
         is_kept = tree.arrays.flags[where.cells] & KEPT != 0
         if ((where.levels == level) & (where.is_leaf | is_kept)).any():
             return level

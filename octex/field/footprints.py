@@ -16,7 +16,7 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s
 from octex.field.splines import LINEAR
-from octex.jit import inlined, kernel
+from octex.jit import inlined, kernel, new_array
 from octex.tree.layout import MAX_DEPTH
 
 #: Looks made at once: few enough to stay in the processor's cache.
@@ -128,8 +128,8 @@ def passed_on(looks: Probes, left: Float32s, least: np.float32, more: Probes) ->
     count = n_more = more.shares.size
     for n in range(left.size):
         count += left[n] > least
-    points, owners = np.empty((count, 3), looks.points.dtype), np.empty(count, np.int32)
-    shares = np.empty(count, np.float32)
+    points, owners = new_array((count, 3), looks.points.dtype), new_array(count, np.int32)
+    shares = new_array(count, np.float32)
     at = m = 0
     for n in range(left.size + 1):
         is_last = n == left.size

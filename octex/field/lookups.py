@@ -31,6 +31,8 @@ _NO_TABLE = np.empty(0, np.float32)
 _NO_VECTORS = np.empty((0, 3), np.float32)
 _NO_BYTES = np.empty(0, np.uint8)
 _NO_NUMBERS = np.empty(0, np.int64)
+#: What `look_up_tiled` returns where tiles have all points.
+_ALL_FOUND = 0, 0, -1
 _NO_FACINGS = Facings(_NO_BYTES, np.empty(0, np.uint32), np.empty(0, np.uint32))
 
 
@@ -87,6 +89,37 @@ def look_up(
         for channel, answer in zip(channels, answers, strict=True)
     )
     return max(each.at(points) for each in alone)
+
+
+class PlainLookup:
+    """Leaves of one channel looked up by tiles, again and again: what points do not change is prepared."""
+
+    def __init__(self, search: Search, placement: Placement, channel: Weighed) -> None:
+        self._before = placement.origin, placement.size, _NO_VECTORS, channel
+        self._search = search
+        self._components = channel.codes.components
+
+    def at(self, points: Floats) -> Float32s | None:
+        """Return the values at rest positions (n, 3), float32 or float64, as kernels take them.
+
+        None where the leaves alone do not answer: `look_up` does, or finds what is wrong.
+        """
+        n = len(points)
+        answer = np.empty((n, self._components), np.float32)
+        lost = np.empty((2, n), np.int64)
+        found = look_up_tiled(self._search, points, _NO_NUMBERS, *self._before, answer, _NO_GRADIENTS, lost)
+        return answer if found == _ALL_FOUND else None
+
+
+def plain_lookup(
+    field: Field, placement: Placement, filter: str, channel: ChannelRows, alpha: ChannelRows | None
+) -> PlainLookup | None:
+    """Prepare plain lookups of a channel; None where leaves are not looked up by tiles."""
+    task = _Lookup(field, placement, Query(filter), [channel], alpha, [], [])
+    if not task.is_tiled:
+        return None
+    assert task._channel is not None
+    return PlainLookup(next(task._searches(field)), placement, task._channel)
 
 
 class _Lookup:

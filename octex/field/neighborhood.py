@@ -44,7 +44,7 @@ from octex.field.windows import (
     place_of,
     weigh_windows,
 )
-from octex.jit import inlined, kernel, trailing_zeros
+from octex.jit import inlined, kernel, new_array, trailing_zeros
 from octex.tree.layout import MAX_DEPTH, TreeArrays
 from octex.tree.morton import decode
 from octex.tree.octree import Octree
@@ -389,7 +389,7 @@ def _refine_cells(
     weights: Float32s,
 ) -> int:
     """Write the taps of cells from ``begin`` on, as many as fit; return how many are done."""
-    no_slopes = np.empty((0, 3), np.float32)
+    no_slopes = new_array((0, 3), np.float32)
     shift = MAX_DEPTH - level
     end = 0
     starts[0] = 0

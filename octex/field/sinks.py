@@ -8,7 +8,7 @@ import numpy as np
 
 from octex.arrays import ChannelValues, Float32s, Float64s, Floats, Int32s, Int64s, Uint32s
 from octex.field.taps import AT_ONCE, Taps, end_of, scale
-from octex.jit import decoded, fused_kernel, inlined, kernel, prefetch
+from octex.jit import decoded, fused_kernel, inlined, kernel, new_array, part, prefetch
 
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
@@ -40,7 +40,7 @@ class Flat(NamedTuple):
     first_row: int
 
 
-@kernel
+@part
 def flat_of(codes: Codes) -> Flat:
     """Flatten the values."""
     n_cells = codes.values.shape[0]
@@ -138,7 +138,7 @@ def _put_value(results: Float32s, at: int, components: int, a: float, b: float, 
         results[np.uint64(at + 3)] = d
 
 
-@kernel
+@part
 def take(rows: Uint32s, codes: Codes, results: Float32s) -> None:
     """Write the values of rows (points,), which are cells."""
     flat, components = flat_of(codes), codes.values.shape[1]
@@ -301,7 +301,7 @@ def weigh_by_alpha(taps: Taps, alpha: Codes, is_asked: bool, always: bool) -> No
     """
     flat = flat_of(alpha)
     end = end_of(taps)
-    parts = np.empty(end, np.float32)
+    parts = new_array(end, np.float32)
     least = np.float32(1.0)
     if not is_asked:
         _ask(taps, 0, taps.starts.size, alpha)

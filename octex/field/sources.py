@@ -15,7 +15,18 @@ from octex.arrays import Float32s, Float64s, Int32s, Int64s, Uint8s, Uint16s, Ui
 from octex.field.splines import quartic_slopes, quartic_weights, single_quadratic_weights
 from octex.field.taps import OFF, Ahead, Taps, ask_for, finish
 from octex.field.tiles import GROUP, Near, Tiles, code_in_tile, find_tiles, is_marked, new_near, tile_key
-from octex.jit import fused_kernel, inlined, kernel, popcount, prefetch, trailing_zeros
+from octex.jit import (
+    fused_kernel,
+    fused_part,
+    inlined,
+    kernel,
+    new_array,
+    new_zeros,
+    part,
+    popcount,
+    prefetch,
+    trailing_zeros,
+)
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import encode
 from octex.tree.search import UNITS
@@ -50,7 +61,7 @@ def _place_nearest(places: Float64s, begin: int, count: int, depth: int, near: N
         codes[np.uint64(n)] = code_in_tile(i & seven, j & seven, k & seven)
 
 
-@fused_kernel
+@fused_part
 def nearest_rows(
     tiles: Tiles, places: Float64s, last: int, found: Uint32s, empty: Int64s, ahead: Ahead
 ) -> int:
@@ -59,7 +70,7 @@ def nearest_rows(
     ``last`` is the largest cell number; ``ahead`` is asked for.
     Points that no cell of the tiles holds are listed in ``empty``; returns their number.
     """
-    near, codes = new_near(), np.zeros(GROUP, np.int32)
+    near, codes = new_near(), new_zeros(GROUP, np.int32)
     flat = places.reshape(-1)
     n_empty = 0
     for begin in range(0, places.shape[0], GROUP):
@@ -146,9 +157,9 @@ def linear_taps(
     """Find the taps of trilinear interpolation, from index ``end`` on. See `quadratic_taps`."""
     near = new_near()
     steps, octants, bits = (
-        np.zeros(3 * GROUP, np.float32),
-        np.zeros(8 * GROUP, np.uint8),
-        np.zeros(8 * GROUP, np.uint8),
+        new_zeros(3 * GROUP, np.float32),
+        new_zeros(8 * GROUP, np.uint8),
+        new_zeros(8 * GROUP, np.uint8),
     )
     flat = places.reshape(-1)
     gradient, one = taps.slopes.shape[0] > 0, np.float32(1.0)
@@ -236,18 +247,20 @@ class Group(NamedTuple):
     firsts: Int64s  # (27,)   the first stored child of each of its nodes, less all that the word has before
 
 
-@kernel
+@part
 def new_group(gradient: bool) -> Group:
     """Return a group that knows nothing. It serves one tree and one spline."""
+    latest = new_array(2, np.int64)
+    latest[0] = latest[1] = -1
     return Group(
         new_near(),
-        np.zeros(GROUP, np.uint8),
-        np.zeros(GROUP, np.uint8),
-        np.zeros(30 * GROUP, np.float32),
-        np.zeros(55 * GROUP if gradient else 0, np.float32),
-        np.full(2, -1, np.int64),
-        np.zeros(4, np.uint64),
-        np.zeros(27, np.int64),
+        new_zeros(GROUP, np.uint8),
+        new_zeros(GROUP, np.uint8),
+        new_zeros(30 * GROUP, np.float32),
+        new_zeros(55 * GROUP if gradient else 0, np.float32),
+        latest,
+        new_zeros(4, np.uint64),
+        new_zeros(27, np.int64),
     )
 
 
@@ -500,7 +513,7 @@ def quartic_taps(
     return end, n_empty, n_rim
 
 
-@kernel
+@part
 def nearest_around(
     tiles: Tiles,
     places: Float64s,

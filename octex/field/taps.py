@@ -21,7 +21,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from octex.arrays import ChannelValues, Float32s, Float64s, Floats, Int64s, Uint8s, Uint32s
-from octex.jit import decoded, inlined, kernel, popcount, prefetch, trailing_zeros
+from octex.jit import decoded, inlined, kernel, new_zeros, popcount, prefetch, trailing_zeros
 from octex.tree.areas import AREAS
 from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
 from octex.tree.octree import Octree
@@ -374,9 +374,9 @@ def face(
     coefficient and the first row of the split table are counted as; rows of that, as bytes, are asked for.
     """
     end = end_of(taps)
-    parts = np.zeros(9, np.float32)
-    shares, wanted = np.zeros((8, 3), np.float32), np.zeros(8, np.uint8)
-    mixed = np.zeros(AT_ONCE, np.int64)
+    parts = new_zeros(9, np.float32)
+    shares, wanted = new_zeros((8, 3), np.float32), new_zeros(8, np.uint8)
+    mixed = new_zeros(AT_ONCE, np.int64)
     for begin in range(0, taps.starts.size, AT_ONCE):
         n_mixed = 0
         for n in range(begin, min(begin + AT_ONCE, taps.starts.size)):

@@ -34,7 +34,18 @@ from octex.field.taps import (
     unit_of,
 )
 from octex.field.tiles import Tiles
-from octex.jit import decoded, fused_kernel, inlined, kernel, popcount, prefetch, trailing_zeros
+from octex.jit import (
+    decoded,
+    fused_part,
+    inlined,
+    kernel,
+    new_array,
+    new_zeros,
+    part,
+    popcount,
+    prefetch,
+    trailing_zeros,
+)
 from octex.tree.layout import SPLIT
 from octex.tree.search import Origin
 
@@ -157,7 +168,7 @@ def _add_to(sums: Sums, owner: np.uint64, factor: float, five: Five, components:
     sums.totals[owner] += factor * five[4]
 
 
-@fused_kernel
+@fused_part
 def add_averages(
     taps: Taps,
     areas: Uint8s,
@@ -192,7 +203,7 @@ def add_averages(
         _add_to(sums, np.uint64(owners[at]), factor, five, components)
 
 
-@fused_kernel
+@fused_part
 def add_facing(
     taps: Taps,
     areas: Uint8s,
@@ -208,8 +219,8 @@ def add_facing(
     The taps are cells, which weigh by their ``areas`` if there are any.
     """
     flat, components = flat_of(codes), codes.values.shape[1]
-    parts, of_rows = np.zeros(9, np.float32), np.zeros((8, 3), np.float32)
-    wanted, split = np.zeros(9, np.uint8), np.zeros(AT_ONCE, np.uint8)
+    parts, of_rows = new_zeros(9, np.float32), new_zeros((8, 3), np.float32)
+    wanted, split = new_zeros(9, np.uint8), new_zeros(AT_ONCE, np.uint8)
     for begin in range(0, taps.starts.size, AT_ONCE):
         end = min(begin + AT_ONCE, taps.starts.size)
         if facings.rows.size > 0:
@@ -268,24 +279,27 @@ class Weighed(NamedTuple):
     has_alpha: bool
 
 
-@kernel
+@part
 def _new_room(search: Search, points: int, is_split: bool, gradient: bool) -> tuple[Taps, Float64s, Int64s]:
     """Return room for the taps of points at once, of split cells too, for their places, and their numbers."""
     room = points * MOST_TILED[search.filter_code] + 8
     if is_split:
         room *= 1 + MOST_ROWS
     taps = Taps(
-        np.empty(room, np.uint32),
-        np.empty(room, np.float32),
-        np.empty((room if gradient else 0, 3), np.float32),
-        np.zeros(points, np.int64),
-        np.zeros(points, np.int64),
-        np.zeros(points, np.float32),
+        new_array(room, np.uint32),
+        new_array(room, np.float32),
+        new_array((room if gradient else 0, 3), np.float32),
+        new_zeros(points, np.int64),
+        new_zeros(points, np.int64),
+        new_zeros(points, np.float32),
     )
-    return taps, np.empty((points, 3)), np.arange(points)
+    numbers = new_array(points, np.int64)
+    for n in range(points):
+        numbers[n] = n
+    return taps, new_array((points, 3), np.float64), numbers
 
 
-@kernel
+@part
 def _find_taps(
     search: Search, places: Float64s, which: Int64s, taps: Taps, empty: Int64s, rim: Int64s, ahead: Ahead
 ) -> tuple[int, int]:
@@ -300,7 +314,7 @@ def _find_taps(
     return n_empty, n_rim
 
 
-@kernel
+@part
 def _read_ahead(search: Search, codes: Codes, alpha: Uint8s) -> Ahead:
     """Return what is read of cells."""
     flags = search.facings.flags if search.faces else search.facings.flags[:0]
@@ -334,14 +348,19 @@ def look_up_tiled(
     is_split = search.facings.rows.size > 0 and search.faces and not is_seen
     room, places, each = _new_room(search, step, is_split, gradient)
     some = step if is_some else 0
-    own_points, own_normals = np.empty((some, 3), points.dtype), np.empty((some, 3), np.float32)
-    own_values = np.empty((some, results.shape[1]), np.float32)
-    own_slopes = np.empty((some, gradients.shape[1], 3), np.float32)
+    own_points, own_normals = new_array((some, 3), points.dtype), new_array((some, 3), np.float32)
+    own_values = new_array((some, results.shape[1]), np.float32)
+    own_slopes = new_array((some, gradients.shape[1], 3), np.float32)
     alpha = channel.alpha.values if channel.has_alpha else channel.alpha.values[:0]
     ahead = _read_ahead(search, channel.codes, alpha.view(np.uint8))
     components = channel.codes.values.shape[1]
     seen = step if is_seen else 0
-    sums = Sums(np.empty((seen, components)), np.empty(seen), np.empty((0, components, 3)), np.empty((0, 3)))
+    sums = Sums(
+        new_array((seen, components), np.float64),
+        new_array(seen, np.float64),
+        new_array((0, components, 3), np.float64),
+        new_array((0, 3), np.float64),
+    )
     owners, shares = np.arange(seen, dtype=np.int32), np.ones(seen, np.float32)
     only_cells = search.filter_code == NEAREST and not (channel.has_alpha or search.faces or search.is_off)
     n_empty = n_rim = 0
@@ -412,7 +431,7 @@ def add_tiled(
     """
     step = max(min(_STEP, points.shape[0]), 1)
     room, places, each = _new_room(search, step, False, False)
-    facing = np.empty((step if search.faces else 0, 3), np.float32)
+    facing = new_array((step if search.faces else 0, 3), np.float32)
     ahead = _read_ahead(search, codes, search.areas[:0].reshape(0, 1))
     n_empty = n_rim = 0
     for begin in range(0, points.shape[0], step):
@@ -436,7 +455,7 @@ def add_tiled(
     return n_empty, n_rim
 
 
-@kernel
+@part
 def _of_points(taps: Taps, count: int) -> Taps:
     """Return the taps of fewer points."""
     starts, ends, covers = taps.starts[:count], taps.ends[:count], taps.covers[:count]

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Array, Int32s, Int64s, Uint8s, Uint32s, Uint64s
-from octex.jit import inlined, kernel, popcount, prefetch, trailing_zeros
+from octex.jit import inlined, kernel, new_zeros, part, popcount, prefetch, trailing_zeros
 from octex.tree.morton import cells_beside, decode, decode_cells
 from octex.tree.octree import Octree
 
@@ -124,7 +124,8 @@ def marked(tiles: Tiles, tree: Octree) -> Tiles:
         blocks = _distinct(tree.level_codes(level)[counts] >> 3 * max(level - depth + 2, 0))
         near = _distinct(octants >> 3 * up)
         for _ in range(2):
-            near = np.union1d(near, cells_beside(near, depth - 2 - up))
+            around = np.concatenate([near, cells_beside(near, depth - 2 - up)])
+            near = _distinct(np.sort(around, kind="stable"))
         _mark(tiles, np.intersect1d(blocks, near, assume_unique=True), up, reach, marks)
     return tiles._replace(marks=marks)
 
@@ -279,15 +280,17 @@ class Near(NamedTuple):
     latest: Int64s  # (3,)   the latest key, its slot, and which of its tiles are known
 
 
-@kernel
+@part
 def new_near() -> Near:
     """Return what knows nothing. It serves one tree."""
+    latest = new_zeros(3, np.int64)
+    latest[0] = -1
     return Near(
-        np.zeros(GROUP, np.int64),
-        np.zeros(GROUP, np.uint8),
-        np.zeros(GROUP, np.int64),
-        np.zeros(8 * (GROUP + 1), np.int64),
-        np.array([-1, 0, 0]),
+        new_zeros(GROUP, np.int64),
+        new_zeros(GROUP, np.uint8),
+        new_zeros(GROUP, np.int64),
+        new_zeros(8 * (GROUP + 1), np.int64),
+        latest,
     )
 
 

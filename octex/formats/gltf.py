@@ -13,7 +13,7 @@ import numpy as np
 from octex.arrays import Floats, Integers
 from octex.errors import ModelError
 from octex.files import replacing
-from octex.formats.images import ImageFormat, encoded_images, materials_of
+from octex.formats.images import ImageFormat, encoded_images, image_names, materials_of
 from octex.source.distinct import distinct_rows
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Input, Material, MaterialSource
@@ -37,6 +37,8 @@ def write_gltf(surface: Surface, path: Path, images: ImageFormat) -> None:
 
     Raises ModelError for a surface whose values glTF's materials cannot say.
     """
+    if images == "exr":
+        raise ModelError(f"{path.name}: glTF holds no exr images; write a .obj, or bake with 16 bits")
     content = _Content(images)
     content.add(surface, materials_of(surface))
     if path.suffix.lower() == ".glb":
@@ -66,9 +68,10 @@ class _Content:
         materials, owners = source.materials, source.triangle_materials
         primitives = []
         used = np.unique(owners).tolist()
-        self.images, self._numbers = encoded_images([materials[n] for n in used], self._format)
+        self._used = [materials[n] for n in used]
+        self.images, self._numbers = encoded_images(self._used, self._format)
         self._textures: dict[tuple[object, ...], int] = {}
-        self.json["materials"] = [self._material(materials[n]) for n in used]
+        self.json["materials"] = [self._material(each) for each in self._used]
         for number, material in enumerate(used):
             chosen = np.flatnonzero(owners == material)
             primitives.append({**self._primitive(surface, source, chosen), "material": number})
@@ -216,6 +219,10 @@ class _Content:
         self.json["bufferViews"] = self._views
         return json.dumps(self.json, separators=(",", ":")).encode()
 
+    def names(self, stem: str) -> list[str]:
+        """Return the names of the images' files."""
+        return image_names(self._used, stem, self.images)
+
     def embed(self, number: int) -> dict[str, Any]:
         """Put an image into the buffer, and return what names it."""
         data, ending = self.images[number]
@@ -244,7 +251,7 @@ def _write_glb(content: _Content, path: Path) -> None:
 
 
 def _write_files(content: _Content, path: Path) -> None:
-    names = [f"{path.stem}-{number}.{ending}" for number, (_, ending) in enumerate(content.images)]
+    names = content.names(path.stem)
     words = content.finish({"uri": f"{path.stem}.bin"}, lambda number: {"uri": names[number]})
     for name, (data, _) in zip(names, content.images, strict=True):
         with replacing(path.with_name(name)) as file:

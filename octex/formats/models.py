@@ -59,9 +59,11 @@ def write_model(
     ``path`` ends in .glb (one file), .gltf (a .bin and images are written beside it), .obj (a .mtl and
     images), .usdz (one file; of the extra ``usd``) or .usd, .usda, .usdc (images beside them); with vertex
     colours also in .ply, or .3mf for printing (of the extra ``3mf``). ``images`` is how maps are stored:
-    "png"; "webp", smaller, which fewer tools read, and none of USD; or with loss "jpeg" (those without
-    alpha). ``unit`` is what a length of 1 stands for, where a file states it: .3mf and USD. Positions are the
-    posed ones; normals are the surface's ``frames``, without which viewers shade it flat.
+    "png", of 16 bits where maps have that; "webp", smaller, which fewer tools read, and none of USD; with
+    loss "jpeg" (those without alpha); or "exr" (OpenEXR) for maps of floats, which glTF has none of. Images
+    of UDIM tiles are named by channel and tile: NAME-base_color.1001.png. ``unit`` is what a length of 1
+    stands for, where a file states it: .3mf and USD. Positions are the posed ones; normals are the surface's
+    ``frames``, without which viewers shade it flat.
 
     Each file is replaced whole or not at all. Raises ArgumentError for another ending, ModelError for values
     that the format cannot say, MissingExtraError, and OutputError if a file cannot be written.

@@ -10,7 +10,7 @@ import numpy as np
 from octex.channels import linear_to_srgb
 from octex.errors import ModelError
 from octex.files import replacing
-from octex.formats.images import ImageFormat, colors_of_vertices, image_file, materials_of
+from octex.formats.images import ImageFormat, colors_of_vertices, image_file, image_name, materials_of
 from octex.source.materials import Material
 from octex.source.surface import Surface
 
@@ -38,13 +38,10 @@ def write_obj(surface: Surface, path: Path, images: ImageFormat) -> None:
     coordinates = source.coordinates[0] if source.coordinates else None
     lines = [f"mtllib {path.stem}.mtl"]
     materials = []
+    written: dict[tuple[object, ...], str] = {}
     for number in used:
         materials.append(f"newmtl material{number}")
-        for line, name, data in _described(source.materials[number], f"{path.stem}-{number}", images):
-            materials.append(line)
-            if data:
-                with replacing(path.with_name(name)) as file:
-                    file.write(data)
+        materials += _described(source.materials[number], path, number, images, written)
     with replacing(path.with_suffix(".mtl")) as file:
         file.write("\n".join([*materials, ""]).encode())
     positions = surface.vertices
@@ -71,8 +68,10 @@ def write_obj(surface: Surface, path: Path, images: ImageFormat) -> None:
         file.write("\n".join([*lines, ""]).encode())
 
 
-def _described(material: Material, stem: str, images: ImageFormat) -> Iterator[tuple[str, str, bytes]]:
-    """Yield the lines of a material, and the names and contents of the image files that they name."""
+def _described(
+    material: Material, path: Path, number: int, images: ImageFormat, written: dict[tuple[object, ...], str]
+) -> Iterator[str]:
+    """Yield the lines of a material, and write its images; ``written`` are the names of those there are."""
     for channel, given in material.inputs.items():
         if channel not in _MAPS or (channel == "alpha" and material.alpha_mode == "opaque"):
             continue
@@ -82,8 +81,13 @@ def _described(material: Material, stem: str, images: ImageFormat) -> Iterator[t
         if given.texture is not None:
             if given.texture.slot != 0:
                 raise ModelError("an .obj file has one set of texture coordinates; write a .glb")
-            data, ending = image_file(given.texture.texels, given.lanes, images)
-            name = f"{stem}-{channel}.{ending}"
-            yield f"{word} {name}", name, data
+            key = id(given.texture.texels), given.lanes
+            if key not in written:
+                data, ending = image_file(given.texture.texels, given.lanes, images)
+                stem = image_name(path.stem, material, channel, f"{number}-{channel}")
+                written[key] = f"{stem}.{ending}"
+                with replacing(path.with_name(written[key])) as file:
+                    file.write(data)
+            yield f"{word} {written[key]}"
         if factor:
-            yield f"{factor} " + " ".join(f"{each:.7g}" for each in given.factor), "", b""
+            yield f"{factor} " + " ".join(f"{each:.7g}" for each in given.factor)

@@ -15,7 +15,7 @@ import numpy as np
 
 from octex.errors import ModelError
 from octex.files import replacing, scratch_folder
-from octex.formats.images import ImageFormat, encoded_images, materials_of
+from octex.formats.images import ImageFormat, encoded_images, image_names, materials_of
 from octex.formats.units import METERS, Unit
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Input, MaterialSource
@@ -50,12 +50,13 @@ def write_usd(surface: Surface, path: Path, images: ImageFormat, unit: Unit) -> 
     from pxr import Sdf, Usd, UsdGeom, UsdUtils
 
     if images == "webp":
-        raise ModelError(f"{path.name}: USD holds no webp images; write png or jpeg")
+        raise ModelError(f"{path.name}: USD holds no webp images; write png, jpeg or exr")
     source = materials_of(surface)
     used = np.unique(source.triangle_materials).tolist()
-    files, numbers = encoded_images([source.materials[n] for n in used], images)
+    materials = [source.materials[n] for n in used]
+    files, numbers = encoded_images(materials, images)
     is_package = path.suffix.lower() == ".usdz"
-    names = [f"{path.stem}-{number}.{ending}" for number, (_, ending) in enumerate(files)]
+    names = image_names(materials, path.stem, files)
     with scratch_folder() as folder:  # the library writes to paths only
         places = [f"./textures/{number}.{ending}" for number, (_, ending) in enumerate(files)]
         if is_package:
@@ -233,7 +234,7 @@ class _Materials:
         assert texture is not None
         scale, bias = _affine(name, inputs)
         number = self._numbers[id(texture.texels)]
-        space = _INPUTS[name][2]
+        space = "raw" if texture.texels.dtype == np.float32 else _INPUTS[name][2]  # floats are linear
         key = (at, number, space, *texture[1:], scale, bias)
         if key not in self._shaders:
             shader = self._shader(f"{at}/{name}", "UsdUVTexture")

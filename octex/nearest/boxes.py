@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Float32s, Float64s, Int64s
-from octex.jit import inlined, kernel, squares_to_boxes, trailing_zeros
+from octex.jit import inlined, kernel, new_array, new_zeros, part, squares_to_boxes, trailing_zeros
 from octex.tree.morton import encode
 
 WIDTH = 8
@@ -58,20 +58,20 @@ class Kept(NamedTuple):
     outer_ball: Float64s  # (5,)
 
 
-@kernel
+@part
 def new_search() -> Search:
     """Return room for a search."""
-    return Search(np.empty((_STACK, 2), np.int64), np.empty(_STACK, np.float32), np.empty(8, np.float32))
+    return Search(new_array((_STACK, 2), np.int64), new_array(_STACK, np.float32), new_array(8, np.float32))
 
 
-@kernel
+@part
 def new_kept(margin: float) -> Kept:
     """Return empty balls, to be made wider than asked for by about ``margin`` at first."""
-    balls = np.zeros((2, 5))
+    balls = new_zeros((2, 5), np.float64)
     balls[:, 3] = -1.0
     balls[0, 4], balls[1, 4] = margin, 4.0 * margin
-    nodes = np.empty((2, _MOST_KEPT), np.int64)
-    return Kept(nodes[0], nodes[1], np.zeros(2, np.int64), balls[0], balls[1])
+    nodes = new_array((2, _MOST_KEPT), np.int64)
+    return Kept(nodes[0], nodes[1], new_zeros(2, np.int64), balls[0], balls[1])
 
 
 def morton_order(positions: Float64s) -> Int64s:
@@ -102,7 +102,7 @@ def _index_bits(count: int) -> int:
 
 @kernel
 def _keys(positions: Float64s, low: Float64s, scale: float) -> Int64s:
-    keys = np.empty(len(positions), np.int64)
+    keys = new_array(len(positions), np.int64)
     for n in range(keys.size):
         i = int((positions[n, 0] - low[0]) * scale)
         j = int((positions[n, 1] - low[1]) * scale)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float64s
-from octex.jit import inlined, kernel
+from octex.jit import inlined, kernel, new_array, part
 from octex.nearest.boxes import morton_order
 
 
@@ -52,7 +52,7 @@ def gap(a: Boxes, b: Boxes, most: float) -> float:
 @kernel
 def _gap(few: Float64s, many: Float64s, low: Float64s, high: Float64s, most: float, stride: int) -> float:
     leaves = low.shape[0] // 2
-    stack = np.empty(64, np.int64)
+    stack = new_array(64, np.int64)
     best = most * most
     found = False
     for number in range(few.shape[0]):
@@ -92,7 +92,7 @@ def _box_distance(corners: Float64s, i: int, low: Float64s, high: Float64s, node
     return total
 
 
-@kernel
+@part
 def _triangle_distance(a: Float64s, i: int, b: Float64s, j: int) -> float:
     """Return the squared distance of two triangles: that of two edges or a corner and a face, or 0."""
     best = np.inf
@@ -121,7 +121,7 @@ def _dot(a: Float64s, b: Float64s, c: Float64s, d: Float64s) -> float:
     return product
 
 
-@kernel
+@part
 def _segment_distance(p: Float64s, q: Float64s, r: Float64s, s: Float64s) -> float:
     """Return the squared distance of two segments (Ericson, Real-Time Collision Detection, 5.1.9)."""
     a, e = _dot(p, q, p, q), _dot(r, s, r, s)
@@ -141,7 +141,7 @@ def _segment_distance(p: Float64s, q: Float64s, r: Float64s, s: Float64s) -> flo
     return total
 
 
-@kernel
+@part
 def _point_distance(p: Float64s, a: Float64s, b: Float64s, c: Float64s) -> float:
     """Return the squared distance of a point and a triangle's inside; infinite where an edge is nearer."""
     aa, ab, bb = _dot(a, b, a, b), _dot(a, b, a, c), _dot(a, c, a, c)
@@ -157,7 +157,7 @@ def _point_distance(p: Float64s, a: Float64s, b: Float64s, c: Float64s) -> float
     return total
 
 
-@kernel
+@part
 def _pierces(p: Float64s, q: Float64s, a: Float64s, b: Float64s, c: Float64s) -> bool:
     """Whether a segment goes through a triangle."""
     nx = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])

@@ -1,11 +1,12 @@
 """Paint: images projected through cameras onto a surface, and merged into a texture (paper 4).
 
 paint       all of it; painter: a session of strokes; region: spheres, boxes and functions filled
-pictures    images with cameras, checked and decoded; balance: their gains and vignetting
-agreement   masks of what only one picture saw; refine: cameras that are a little off
-consensus   by which numbers pictures agree best: least squares of balance and refine
+pictures    images with cameras, checked and decoded; sharpened: as values at points
+balance     gains and vignetting of pictures that overlap; agreement: masks of what only one of them saw
+refine      cameras that are a little off; consensus: least squares of what pictures say of the same points
+unwrap      a disc of the surface laid flat, for a camera
 projected   what pictures paint at points of the surface
-layer       these rasterized into a paint octree; near: the triangles around it; centres: of pixels, to fit to
+layer       these rasterized into a paint octree; near: the triangles around it
 merge       a layer blended into a texture, once for each cell
 raising     the texture brought to where paint is finer; cells, kept: paint beside coarser cells and on nodes
 averages    nodes above what was painted

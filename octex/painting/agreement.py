@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int32s
+from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.jit import inlined, kernel
 from octex.painting.pictures import masked
 from octex.painting.projected import Projected, Shot
@@ -56,7 +56,7 @@ def _differences(source: Projected, number: int) -> Float32s:
     width, height = shot.levels.sizes[0, 1:]
     rows, columns = -(-height // PATCH), -(-width // PATCH)
     found = np.full(rows * columns, np.nan, np.float32)
-    patches, triangles, barycentric = _seen_at(shot, rows, columns)
+    patches, triangles, barycentric = _seen_at(source, shot, rows, columns)
     own = source.with_shots([shot], [number])
     for first in range(0, len(patches), _POINTS):
         some = slice(first, first + _POINTS)
@@ -70,7 +70,7 @@ def _differences(source: Projected, number: int) -> Float32s:
     return found.reshape(rows, columns)
 
 
-def _seen_at(shot: Shot, rows: int, columns: int) -> tuple[Int32s, Int32s, Float64s]:
+def _seen_at(source: Projected, shot: Shot, rows: int, columns: int) -> tuple[Int64s, Int32s, Float64s]:
     """Return the patches in whose middle a picture sees the surface, and what it sees there."""
     y, x = np.mgrid[:rows, :columns].reshape(2, -1)
     places = np.column_stack([x + 0.5, y + 0.5]) * PATCH
@@ -86,11 +86,9 @@ def _seen_at(shot: Shot, rows: int, columns: int) -> tuple[Int32s, Int32s, Float
     triangles = shot.seen.triangle[j, i]
     found = np.flatnonzero(np.where(inside, triangles, -1) >= 0)
     patches = found[np.argsort(triangles[found], kind="stable")]
-    return (
-        patches.astype(np.int32),
-        triangles[patches],
-        shot.centres[j[patches], i[patches]].astype(np.float64),
-    )
+    seen = triangles[patches]
+    middles = np.column_stack([i[patches], j[patches]]) + 0.5
+    return patches, seen, source.barycentric_at(shot, seen, middles)
 
 
 @inlined

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from concurrent.futures import Executor
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from octex.arrays import Float32s
+from octex.errors import ArgumentError
 from octex.painting.near import Near
+from octex.painting.pictures import Projection
 from octex.painting.projected import Shading, Sight, shading_of, sight_of, stretches_of
+from octex.painting.unwrap import Patch
 from octex.source.surface import Surface
+from octex.texture import OctreeTexture
 from octex.tree.placement import Placement
 from octex.view.camera import Camera
 from octex.view.shading import corner_normals
@@ -61,6 +66,24 @@ class Ground:
                 self._sights[key] = sight
             found.append(sight)
         return found
+
+
+def laid_flat(
+    ground: Ground, given: list[Projection], texture: OctreeTexture | None
+) -> tuple[Ground, list[Projection]]:
+    """Return the ground, and pictures with cameras, for pictures through a patch: the surface lies flat.
+
+    Raises ArgumentError for a patch beside another one or a camera, and for one of another surface.
+    """
+    patch = next((each.camera for each in given if isinstance(each.camera, Patch)), None)
+    if patch is None:
+        return ground, given
+    if any(each.camera is not patch for each in given):
+        raise ArgumentError("pictures through a patch are painted by themselves, those of each in a call")
+    if len(patch.surface.triangles) != len(ground.surface.triangles):
+        raise ArgumentError(f"the patch is not of {ground.surface.name}; unwrap that")
+    surface = patch.surface if texture is None else patch.surface.placed_in(texture)
+    return Ground(surface), [replace(each, camera=patch.camera) for each in given]
 
 
 def _key(camera: Camera, feather: float) -> bytes:

@@ -15,8 +15,8 @@ from octex.editing.draft import Change
 from octex.errors import ArgumentError
 from octex.painting.agreement import agreeing
 from octex.painting.balance import BALANCES, Balance, balanced
-from octex.painting.ground import Ground
-from octex.painting.layer import CELLS, FINEST_CELLS, empty_texture, rasterize_paint, wanted_depth
+from octex.painting.ground import Ground, laid_flat
+from octex.painting.layer import CELLS, FINEST_CELLS, empty_texture, rasterize_paint, wanted_levels
 from octex.painting.merge import merged
 from octex.painting.pictures import Projection, check_projections, levels_of
 from octex.painting.projected import Projected, in_fixed_order, shot_of, terms_of
@@ -59,12 +59,16 @@ def paint(
     sees is painted: not what something hides, and not what faces away. The texture that is given stays as it
     is, which is the undo; None stands for one without any cell.
 
-    projections  pictures that follow each other with one blend mode are one layer: in each cell they are
-                 averaged, the finer one outweighing the coarser, and then merged once; their order does not
-                 matter
+    projections  pictures whose pixels are means of what they cover. Those that follow each other with one
+                 blend mode are one layer: in each cell they are averaged, the finer one outweighing the
+                 coarser by the fourth power of their pixels on the surface, and then merged once; their order
+                 does not matter
     channel      what is painted, of any type; colours are blended in linear light
     max_depth    the deepest level that paint goes to, at most that of cells a quarter to half as wide as the
-                 pixels; by default that at which they are half as wide to as wide as the pixels, or 14
+                 pixels; by default that at which they are half as wide to as wide as the pixels, or 14. The
+                 level that suits most of the surface serves where cells are then a quarter as wide to 1.5
+                 times as wide, too: lookups and the fit are faster in trees of even depth. Pixels are as wide
+                 as the root of the area that the finest one covers of the surface
     max_angle    degrees between the surface's normal and the way to the camera from which on no paint is
                  put; over the last 10 it fades. From 90 on all that faces the camera is painted in full.
                  The normal is the surface's own where it has ``frames``, else the mean of the triangles
@@ -128,7 +132,7 @@ def painted(
     options: Options,
 ) -> Iterator[tuple[OctreeTexture, Change | None]]:
     """Paint as `paint` does; yield what has become of the texture with each layer, and what has changed."""
-    given = check_projections(projections)
+    ground, given = laid_flat(ground, check_projections(projections), texture)
     for blend, group in groupby(given, key=lambda projection: projection.blend):
         pictures = list(group)
         opacity = max(picture.opacity for picture in pictures)
@@ -174,7 +178,7 @@ def project(
     as_surface(surface)
     given = check_projections(projections)
     format_of(like, channel)
-    ground = Ground(surface if like is None else surface.placed_in(like))
+    ground, given = laid_flat(Ground(surface if like is None else surface.placed_in(like)), given, like)
     with workers(threads, executor) as pool:
         return projected(
             ground, given, like, pool, as_progress(progress), channel=channel, max_depth=max_depth,
@@ -232,8 +236,10 @@ def projected(
     size = like.placement.size if like is not None else extent
     cells = CELLS if max_depth is None else FINEST_CELLS
     near = source.near_paint(_REACH)
-    finest = wanted_depth(near, size, FINEST_CELLS)
-    depth = min(wanted_depth(near, size, cells), deepest)
+    footprints = near.footprints()
+    finest = wanted_levels(*footprints, size, FINEST_CELLS).deepest
+    depths = wanted_levels(*footprints, size, cells, deepest)
+    depth = depths.deepest
     # Larger cells look farther around: by as many pixels as they are wide, and those of the level read.
     source = source.near_paint(_REACH << max(finest - depth, 0))
     placement = Placement.around(surface.bounds, depth) if like is None else like.placement
@@ -245,7 +251,7 @@ def projected(
     if pictures == "robust" or (pictures is None and len(shots) > 2):
         source = agreeing(source)
     return rasterize_paint(
-        ground, source, placement, depth, fit=fit, cells=cells, executor=executor, progress=report
+        ground, source, placement, depths, fit=fit, cells=cells, executor=executor, progress=report
     )
 
 

@@ -15,7 +15,9 @@ from octex.arrays import Array, Bools, Float32s, Float64s, Int64s
 from octex.channels import ChannelFormat, decode_table, linear_to_srgb
 from octex.checks import as_choice, as_items, as_number, as_path, as_reals, is_path
 from octex.errors import ArgumentError, ImageError
-from octex.jit import inlined
+from octex.jit import inlined, kernel
+from octex.painting.sharpened import sharpened
+from octex.painting.unwrap import Patch
 from octex.source.images.decode import as_texels, read_image_file
 from octex.source.images.orientation import orientation_of, turned
 from octex.source.images.pyramid import resized
@@ -45,7 +47,7 @@ class Projection:
                Its size is the camera's; its alpha, if it has one, is how opaque the paint is
                Files are turned upright as their EXIF orientation says, unless only as they are stored have
                they the camera's size
-    camera     where it was taken, or what it was painted over
+    camera     where it was taken, or what it was painted over; or a Patch, whose picture it is
     mask       another image of that size, white where paint goes, black where none does; grey is in between.
                Of one with transparency (a cut-out) that is the mask, whatever its colours
     opacity    0 … 1, multiplies the alpha
@@ -57,7 +59,7 @@ class Projection:
     """
 
     image: Image
-    camera: Camera
+    camera: Camera | Patch
     mask: Image | None = None
     opacity: float = 1.0
     blend: Blend = "over"
@@ -65,8 +67,10 @@ class Projection:
     key: Sequence[int] | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.camera, Camera):
-            raise ArgumentError(f"camera must be an octex.Camera, not {type(self.camera).__name__}")
+        if not isinstance(self.camera, (Camera, Patch)):
+            raise ArgumentError(
+                f"camera must be an octex.Camera or a Patch, not {type(self.camera).__name__}"
+            )
         object.__setattr__(self, "opacity", as_number(self.opacity, "opacity", 0.0, 1.0))
         as_choice(self.blend, BLENDS, "blend")
         if self.key is not None:
@@ -115,8 +119,7 @@ def levels_of(projection: Projection, form: ChannelFormat, scale: float = 1.0) -
     if projection.key is not None:
         factor = factor * ~_is_key(texels, projection.key)
     pixels[:, :, 3] *= np.clip(factor, 0.0, 1.0)
-    there = pixels[pixels[:, :, 3] > 0, :3]
-    ends = np.stack([there.min(axis=0), there.max(axis=0)]) if there.size else np.zeros((2, 3), np.float32)
+    ends = _ends(pixels)
     pixels[:, :, :3] *= pixels[:, :, 3:]
     levels = [pixels]
     while min(levels[-1].shape[:2]) > 1:
@@ -125,8 +128,25 @@ def levels_of(projection: Projection, form: ChannelFormat, scale: float = 1.0) -
     counts = [level.shape[0] * level.shape[1] for level in levels]
     firsts = np.cumsum([0, *counts[:-1]])
     sizes = [(first, level.shape[1], level.shape[0]) for first, level in zip(firsts, levels, strict=True)]
+    levels[0] = sharpened(pixels)
     rows = np.concatenate([level.reshape(-1, 4) for level in levels])
     return Levels(rows, np.array(sizes, np.int64), ends)
+
+
+@kernel
+def _ends(pixels: Float32s) -> Float32s:
+    """Return the least and the largest of each component where there is any alpha; zeros for none."""
+    ends = np.zeros((2, 3), np.float32)
+    is_first = True
+    for row in range(pixels.shape[0]):
+        for column in range(pixels.shape[1]):
+            if pixels[row, column, 3] > 0:
+                for part in range(3):
+                    value = pixels[row, column, part]
+                    ends[0, part] = value if is_first else min(value, ends[0, part])
+                    ends[1, part] = value if is_first else max(value, ends[1, part])
+                is_first = False
+    return ends
 
 
 def masked(levels: Levels, mask: Float32s) -> Levels:

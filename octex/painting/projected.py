@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from functools import cached_property, partial
 from typing import NamedTuple
@@ -48,7 +48,8 @@ _TRUSTED = 4.0
 #: Where what faces the camera shades as if it did not, it counts for so much of a cosine.
 _LEAST_COSINE = 1e-3
 #: How strongly the finer of two pictures outweighs the other: by this power of their pixels on the surface.
-_FINER = 2.0
+#: Of 12 pictures around a model 2 gives back 30.3 dB, 4 gives 31.0, the finest alone as much.
+_FINER = 4.0
 
 
 class Shot(NamedTuple):
@@ -60,7 +61,6 @@ class Shot(NamedTuple):
     levels: Levels
     seen: Visibility
     margins: Float32s  # (height, width)   to where the surface ends, in pixels; at most so far
-    centres: Float32s  # (height, width, 3)   barycentric coordinates of the pixels' centres
 
 
 class Sight(NamedTuple):
@@ -71,7 +71,6 @@ class Sight(NamedTuple):
     lens: Float64s
     seen: Visibility
     margins: Float32s
-    centres: Float32s
 
 
 class Terms(NamedTuple):
@@ -106,15 +105,15 @@ def sight_of(
 ) -> Sight:
     """Find what a camera sees of triangles (m, 3) of vertices (n, 3)."""
     pinhole = straight(camera)
-    seen, centres = visibility_of(vertices, triangles, pinhole, executor)
+    seen = visibility_of(vertices, triangles, pinhole, executor)
     view = view_of(pinhole)
     margins = distances_to_edges(seen, view, max(feather, _TRUSTED) + 1.0)
-    return Sight(view, camera.K, camera.lens, seen, margins, centres)
+    return Sight(view, camera.K, camera.lens, seen, margins)
 
 
 def shot_of(sight: Sight, levels: Levels) -> Shot:
     """Put a picture before what its camera sees."""
-    return Shot(sight.camera, sight.K, sight.lens, levels, sight.seen, sight.margins, sight.centres)
+    return Shot(sight.camera, sight.K, sight.lens, levels, sight.seen, sight.margins)
 
 
 def in_fixed_order(shots: Sequence[Shot]) -> list[Shot]:
@@ -277,12 +276,40 @@ class Projected(PaintSource):
         vertices, faces, _ = self._mesh
         return at_corners(vertices, faces[triangles], barycentric)
 
+    def barycentric_at(self, shot: Shot, triangles: Int32s, pixels: Float64s) -> Float64s:
+        """Return where on triangles (n,) a shot's camera without distortion sees them at pixels (n, 2)."""
+        vertices, faces, _ = self._mesh
+        corners = vertices[faces[triangles]] @ shot.camera.world_to_camera[:3, :3].T
+        corners += shot.camera.world_to_camera[:3, 3]
+        if not shot.camera.is_pinhole:
+            corners[..., 2] = 1.0
+        rays = np.column_stack([pixels, np.ones(len(pixels))]) @ shot.camera.inverse_k.T
+        sides = np.cross(corners[:, [1, 2, 0]], corners[:, [2, 0, 1]])
+        parts = np.maximum(
+            np.einsum("nck,nk->nc", sides, rays) * np.sign(np.linalg.det(corners))[:, None], 0.0
+        )
+        totals = parts.sum(axis=1, keepdims=True)
+        found: Float64s = np.where(totals > 0.0, parts / np.maximum(totals, 1e-300), 1.0 / 3.0)
+        return found
+
+    def footprints(self) -> tuple[Float32s, Float64s]:
+        """Return the edge of the finest pixel at points of triangles that own one, and the area for each.
+
+        The points are the triangles' corners and middles.
+        """
+        touched = self.touched()
+        vertices, triangles, _ = self._mesh
+        places = np.concatenate([np.eye(3), np.full((1, 3), 1 / 3)])
+        areas = face_normals(vertices, triangles[touched])[1] / len(places)
+        widths = self.widths(np.repeat(touched, len(places)), np.tile(places, (len(touched), 1)))
+        return widths, np.repeat(areas, len(places))
+
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of the finest pixel on triangles (n,), in rest units; infinity where none is."""
         return self.widths(triangles, np.full((len(triangles), 3), 1 / 3))
 
     def widths(self, triangles: Int32s, barycentric: Float64s) -> Float32s:
-        """Return how wide the finest pixel that looks toward points is there, across the view, in rest units.
+        """Return how wide the finest pixel that looks toward points is there, in rest units: its area's root.
 
         Infinity for points that no camera has before it.
         """
@@ -290,15 +317,6 @@ class Projected(PaintSource):
         for shot in self._shots:
             _narrow(shot, *self._mesh, self._terms.back_faces, triangles, barycentric, widths)
         return widths
-
-    def centres(self) -> Iterator[tuple[Int32s, Float64s]]:
-        """Yield what the centres of each shot's pixels see."""
-        for shot in self._shots:
-            pixels = np.flatnonzero(shot.seen.triangle.ravel() >= 0)
-            yield (
-                shot.seen.triangle.ravel()[pixels],
-                shot.centres.reshape(-1, 3)[pixels].astype(np.float64),
-            )
 
 
 def pixels_of_points(shot: Shot, points: Float64s) -> Float64s:
@@ -446,6 +464,7 @@ def _add(
     a = b = c = (0.0, 0.0, 0.0)
     plane = (0.0, 0.0, 0.0, 0.0)
     base = right = down = size = 0.0
+    is_away = False
     for n in range(triangles.size):
         triangle = int(triangles[n])
         if triangle != last:
@@ -455,6 +474,10 @@ def _add(
             c = transformed(view, vertices, faces[triangle, 2])
             plane = plane_through(a, b, c)
             base, right, down = nearness(view, plane)
+            toward = -plane[3] if view.is_pinhole else -plane[2]
+            is_away = not (abs(toward) if terms.back_faces else toward) > 0.0
+        if is_away:
+            continue
         x, y, z = _point(a, b, c, barycentric, n)
         if not z > 0.0:
             continue
@@ -617,9 +640,15 @@ def _narrow(
             c = transformed(view, vertices, faces[triangle, 2])
             plane = plane_through(a, b, c)
         x, y, z = _point(a, b, c, barycentric, n)
-        if not z > 0.0 or (not back_faces and not _facing(view, plane, x, y, z) > 0.0):
+        if not z > 0.0:
+            continue
+        cosine = _facing(view, plane, x, y, z)
+        if back_faces:
+            cosine = abs(cosine)
+        if not cosine > 0.0:
             continue
         u, v = _in_picture(shot, view, x, y, z)
         if 0.0 <= u < columns and 0.0 <= v < rows:
-            wide = np.float32(_pixel(view, z) * stretches[triangle])
+            cosine = max(cosine, _LEAST_COSINE)
+            wide = np.float32(_pixel(view, z) * stretches[triangle] / np.sqrt(cosine))
             widths[n] = min(widths[n], wide)

@@ -45,6 +45,7 @@ from octex.tree.edit import (
     boundary,
     locate,
     raised,
+    rebuilt,
     unchanged,
     with_all_above,
 )
@@ -165,6 +166,9 @@ def _raised(
     """Raise the tree; return also the paint with skirts, and the cells met below what is raised."""
     tree = texture.tree
     none = np.empty(0, np.int64)
+    if not tree.n_leaves:
+        depth = max((level for level, each in enumerate(paint) if each.codes.size), default=0)
+        return rebuilt(tree, [each.codes for each in paint[: depth + 1]]), paint, None
     shallowest = next((level for level, (leaves, _) in enumerate(tree.cells_by_depth()) if leaves), None)
     added: list[Int64s] = []
     below: list[Int64s] = []
@@ -220,7 +224,7 @@ def _raised(
         is_met = among(virtual[level], surface_cells)
         raised_ring, outer = virtual[level][is_met], virtual[level][~is_met]
         outer = outer[~is_within(outer, freed, level)]
-        ring = np.sort(np.concatenate([raised_ring, rings[level]]))
+        ring = np.sort(np.concatenate([raised_ring, rings[level]]), kind="stable")
         if (outer.size or absent[level].size) and level <= tree.max_depth:
             surface_cells = distinct(np.concatenate([surface_cells, _facing_cells(tree, is_skirt, level)]))
         skirt = skirt_of(outer, painted, ring, surface_cells, level)
@@ -230,7 +234,7 @@ def _raised(
         for top in distinct(roots).tolist():
             own = here[roots == top]
             extra.append(skirt_on_nothing(own, painted, ring, surface_cells, unraised[:level], level, top))
-        skirt = np.sort(np.concatenate([skirt, *extra]))
+        skirt = np.sort(np.concatenate([skirt, *extra]), kind="stable")
         skirt = skirt[~is_within(skirt, skirts, level) & ~among(skirt, new[level])]
         where = locate(tree, skirt, level)
         # What the surface meets in leaves beside kept nodes is not known: they might not stay as they are.
@@ -241,7 +245,9 @@ def _raised(
         is_free = ~is_within(skirt, painted, level)  # others are painted with the larger cells around them
         is_new = where.levels < level
         with_skirts.append(with_skirt(each, skirt[is_free], level, executor))
-        added[level] = np.sort(np.concatenate([added[level], skirt[is_free & is_new & ~where.is_leaf]]))
+        added[level] = np.sort(
+            np.concatenate([added[level], skirt[is_free & is_new & ~where.is_leaf]]), kind="stable"
+        )
         wanted.append(distinct(np.concatenate([below[level], raised_ring, skirt[is_new & where.is_leaf]])))
     kinds = met.codes, new, with_all_above(skirts)
     stored = [distinct(np.concatenate(each)) for each in zip(*kinds, strict=True)]

@@ -16,6 +16,7 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Int32s
 from octex.channels import BASE_COLOR
 from octex.checks import as_choice, as_whole
+from octex.errors import ArgumentError
 from octex.painting.balance import BALANCES, Balance, balanced
 from octex.painting.consensus import agreed_step, robust_weights
 from octex.painting.ground import Ground
@@ -77,6 +78,8 @@ def refine_cameras(
         as_choice(balance, BALANCES, "balance")
     if reference is not None:
         reference = as_whole(reference, "reference", 0, len(given) - 1)
+    if not all(isinstance(each.camera, Camera) for each in given):
+        raise ArgumentError("patches are where they were laid; only cameras are refined")
     ground, report = Ground(as_surface(surface)), as_progress(progress)
     if len(given) == 1:
         return [given[0].camera]

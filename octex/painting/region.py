@@ -15,7 +15,7 @@ from octex.checks import as_choice, as_depth, as_number, as_points, as_positive,
 from octex.errors import ArgumentError
 from octex.functions import answer
 from octex.painting.ground import Ground
-from octex.painting.layer import empty_texture, rasterize_paint
+from octex.painting.layer import Levels, empty_texture, rasterize_paint
 from octex.painting.merge import merged
 from octex.painting.paint import check_inside, format_of
 from octex.painting.pictures import BLENDS, Blend
@@ -163,7 +163,9 @@ def region_layer(
     placement = Placement.around(surface.bounds, depth) if texture is None else texture.placement
     source = RegionSource(form, value, surface.rest, surface.triangles, *_coverage(region, surface))
     check_inside(ground.surface, placement)
-    layer = rasterize_paint(ground, source, placement, depth, fit=False, executor=executor, progress=progress)
+    layer = rasterize_paint(
+        ground, source, placement, Levels(depth, depth), fit=False, executor=executor, progress=progress
+    )
     return texture or empty_texture([form], placement, ground.surface.bounds, ground.surface), layer
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -52,7 +51,3 @@ class PaintSource(Source):
     ) -> Float32s:
         """Return how wide the finest detail of the paint is at points (n,), in rest units; 0: any."""
         return np.zeros(len(triangles), np.float32)
-
-    def centres(self) -> Iterator[tuple[Int32s, Float64s]]:
-        """Yield points, as triangles (n,) and barycentric coordinates (n, 3), where paint is to be exact."""
-        return iter(())

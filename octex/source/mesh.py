@@ -72,7 +72,7 @@ class Mesh:
         self.uv = None if uv is None else _locked_corners(uv)
         self.frames = None if frames is None else _locked_frames(frames)
         self.polygons = None if polygons is None else _as_polygons(polygons, len(self.triangles), name)
-        self.creases = None if creases is None else _as_creases(creases, len(self.vertices), name)
+        self.creases = None if creases is None else as_creases(creases, len(self.vertices), name)
         self.name = name
         used = self._used(self.triangles)
         self.bounds: Float64s = locked(np.array([self.rest[used].min(axis=0), self.rest[used].max(axis=0)]))
@@ -291,14 +291,15 @@ def _as_polygons(polygons: Polygons, triangles: int, name: str) -> Polygons:
     return Polygons(*(_owned(array, np.int32) for array in polygons))
 
 
-def _as_creases(creases: Creases, vertices: int, name: str) -> Creases:
+def as_creases(creases: Creases, vertices: int, name: str) -> Creases:
     """Return creases that nobody else can change, or raise ModelError."""
     if not isinstance(creases, Creases):
         raise ArgumentError(f"{name}: creases must be Creases, or None")
     edges = as_reals(creases.edges, f"{name}: edges of creases", (-1, 2), most=vertices - 1)
     points = as_reals(creases.vertices, f"{name}: vertices of creases", (-1,), most=vertices - 1)
-    if (edges < 0).any() or (points < 0).any():
-        raise ArgumentError(f"{name}: creases use vertices that are not there, below 0")
+    for each in (edges, points):
+        if (each < 0).any() or (each != np.floor(each)).any():
+            raise ArgumentError(f"{name}: creases must name vertices by whole numbers from 0 on")
     sharp = as_reals(creases.sharpness, f"{name}: sharpness of creases", (len(edges),), most=1e30)
     spikes = as_reals(creases.spikes, f"{name}: sharpness of vertices", (len(points),), most=1e30)
     return Creases(

@@ -16,7 +16,7 @@ from octex.checks import as_choice, as_whole
 from octex.errors import ArgumentError, ModelError
 from octex.source.base import Source
 from octex.source.corners import Corners, Creases, Polygons
-from octex.source.mesh import Mesh
+from octex.source.mesh import Mesh, as_creases
 from octex.source.subdivision import SCHEMES, Level, Scheme, base_level, divided, limits
 from octex.source.surface import Surface
 from octex.source.welding import welded
@@ -57,8 +57,7 @@ def subdivide(
     as_choice(rest, RESTS, "rest")
     if scheme is not None:
         as_choice(scheme, SCHEMES, "scheme")
-    if not isinstance(creases, (Creases, type(None))):
-        raise ArgumentError(f"creases must be octex.Creases, not {creases!r}")
+    given = mesh.creases if creases is None else as_creases(creases, len(mesh.vertices), mesh.name)
     cage = _Cage(mesh)
     if scheme is None:
         scheme = "loop" if (cage.sizes == 3).all() else "catmull-clark"
@@ -71,7 +70,7 @@ def subdivide(
     values = mesh.vertices
     if is_posed and rest == "limit":
         values = np.concatenate([mesh.vertices, mesh.rest], axis=1)
-    level = cage.level(values, mesh.creases if creases is None else creases)
+    level = cage.level(values, given)
     for _ in range(levels):
         level = divided(level, scheme)
     values = limits(level, scheme)
@@ -140,10 +139,11 @@ class OnCage(Source):
         self._shares = shares
         self._hull = hull
         self._triangles = triangles
-        here, there = _sizes(hull, triangles), _sizes(rest, triangles)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratios = np.where((here > 0) & (there > 0), here / there, 1.0)
-        self._stretch = ratios.astype(np.float32)
+        self._stretch: Float32s = np.ones(len(triangles), np.float32)
+        if rest is not hull:
+            here, there = _sizes(hull, triangles), _sizes(rest, triangles)
+            known = (here > 0) & (there > 0)
+            self._stretch[known] = here[known] / there[known]
 
     @property
     def channels(self) -> tuple[ChannelFormat, ...]:
@@ -215,8 +215,8 @@ class _Cage:
         self.sizes: Int64s = sizes.astype(np.int64)
         used = mesh.triangles.ravel()
         self._places = welded(np.concatenate([mesh.vertices, mesh.rest], axis=1))
-        names, self._vertices = np.unique(self._places[used], return_index=True)
-        self._vertices = used[self._vertices]  # one of the mesh's at each place
+        names, at_places = np.unique(self._places[used], return_index=True)
+        self._vertices = used[at_places]  # one of the mesh's at each place
         self._names = np.full(int(self._places.max()) + 1, -1, np.int64)
         self._names[names] = np.arange(len(names))
         self.corners: Int64s = self._names[self._places[used[first]]]
@@ -276,7 +276,7 @@ class _Cage:
 
     def _holding(self, faces: Int64s, points: Float64s) -> Int64s:
         """Return the triangle of its face that holds each point (n, 2)."""
-        parents = self._order[self._starts[faces]]
+        parents: Int64s = self._order[self._starts[faces]]
         counts = self._counts[faces]
         best = np.full(len(faces), -np.inf)
         for k in range(int(counts.max()) if counts.max() > 1 else 0):

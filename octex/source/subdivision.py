@@ -78,7 +78,7 @@ def base_level(
         _keys(corners, corners[level.following], count), return_inverse=True, return_counts=True
     )
     sharpness = np.zeros(len(keys))
-    given = _keys(*creases[0].T, count)
+    given = _keys(creases[0][:, 0], creases[0][:, 1], count)
     places = np.minimum(np.searchsorted(keys, given), len(keys) - 1)
     known = keys[places] == given
     np.maximum.at(sharpness, places[known], creases[1][known])
@@ -170,7 +170,7 @@ def divided(level: Level, scheme: Scheme) -> Level:
         child_corners = np.concatenate([child_corners, inner[0]])
         child_sides = np.concatenate([child_sides, inner[1]])
         child_domain = np.concatenate([child_domain, inner[2]])
-        faces = np.concatenate([level.faces[owners], level.faces])
+        first_faces = np.concatenate([level.faces[owners], level.faces])
         second = np.stack([here, there], axis=1)
     else:
         centre_points = count + n_edges + owners
@@ -178,7 +178,7 @@ def divided(level: Level, scheme: Scheme) -> Level:
         child_sides = np.stack([halves, across, across[before], back], axis=1)
         flat = np.add.reduceat(domain, firsts, axis=0) / level.sizes[:, None]
         child_domain = np.stack([domain, between, flat[owners], between[before]], axis=1)
-        faces = level.faces[owners]
+        first_faces = level.faces[owners]
         second = np.stack([here, centre_points], axis=1)
     return Level(
         np.concatenate([moved, made, centres]),
@@ -189,7 +189,7 @@ def divided(level: Level, scheme: Scheme) -> Level:
         np.concatenate([np.repeat(softer, 2), np.zeros(len(second))]),
         np.concatenate([_softer(level.spikes), np.zeros(len(made) + len(centres))]),
         child_domain.reshape(-1, 2),
-        faces,
+        first_faces,
     )
 
 
@@ -266,10 +266,10 @@ def _around(level: Level, scheme: Scheme, chosen: Bools) -> Float64s:
         sharpness, spikes = softer, blunter
     diagonals = _sums(fan_at, far, count) if scheme == "catmull-clark" else None
     found = _smooth_limits(middle, _sums(at, rim, count), diagonals, valences)
-    sharp = sharpness > 0
-    kinds = _kind(np.bincount(at[sharp], minlength=count), spikes)
+    is_line = sharpness > 0
+    kinds = _kind(np.bincount(at[is_line], minlength=count), spikes)
     is_sharp = kinds != _SMOOTH
-    beside = _sums(at[sharp], rim[sharp], count)
+    beside = _sums(at[is_line], rim[is_line], count)
     found[is_sharp] = _sharp_limits(middle[is_sharp], beside[is_sharp], kinds[is_sharp])
     return found
 

@@ -48,6 +48,7 @@ Result = TypeVar("Result")
 FORMAT = "octex"
 FORMAT_VERSION = 1
 ENDING = ".octex"
+ARCHIVE_ENDING = ".octz"
 
 
 class Parts(NamedTuple):
@@ -67,6 +68,7 @@ class File(NamedTuple):
     mapping: mmap.mmap | None  # None: it was pickled or copied, and lies in memory
     tensors: dict[str, Array]  # those that octex does not know
     metadata: dict[str, str]
+    sizes: dict[str, int] | None = None  # of an archive: bytes of its streams
 
 
 def written(parts: Parts, file: File | None) -> tuple[dict[str, Array], dict[str, str]]:
@@ -128,6 +130,7 @@ def described(parts: Parts, file: File | None) -> dict[str, Any]:
             for level, (leaves, nodes) in enumerate(tree.cells_by_depth())
         ],
         "bytes": {**sizes, "total": sum(sizes.values())},
+        **({"archive": file.sizes} if file and file.sizes else {}),
         "channels": [channel.format._asdict() for channel in parts.channels.values()],
         "provenance": dict(parts.metadata),
     }

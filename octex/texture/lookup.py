@@ -64,7 +64,7 @@ def in_blocks(
     row that is not finite, or a width that is below zero; the answers are then written in part.
     """
     if _is_one_block(given, threads, executor):
-        fault, _ = _look_up_block(look_up, (given, answers))
+        fault, _ = _checked_block(look_up, (given, answers))
         _check(fault, 0, given)
         return
     for begin, found in each_block(given, answers, look_up, threads, executor):
@@ -82,13 +82,13 @@ def each_block(
     These are followed by what ``look_up`` adds to the list of answers that it is given.
     """
     if _is_one_block(given, threads, executor):
-        fault, found = _look_up_block(look_up, (given, list(answers)))
+        fault, found = _checked_block(look_up, (given, list(answers)))
         _check(fault, 0, given)
         yield 0, found
         return
     blocks = _Blocks(given, answers)
     with workers(threads, executor, len(blocks)) as pool:
-        for number, (fault, found) in enumerate(ordered_map(pool, partial(_look_up_block, look_up), blocks)):
+        for number, (fault, found) in enumerate(ordered_map(pool, partial(_checked_block, look_up), blocks)):
             _check(fault, number * BLOCK, given)
             yield number * BLOCK, found
 
@@ -166,7 +166,7 @@ def _check(fault: _Fault | None, begin: int, given: Given) -> None:
         raise ArgumentError(f"{name} must be {kind}, but {name}[{row}] is {given[name][row].tolist()}")
 
 
-def _look_up_block(look_up: LookUp, block: tuple[Given, list[Array]]) -> tuple[_Fault | None, list[Array]]:
+def _checked_block(look_up: LookUp, block: tuple[Given, list[Array]]) -> tuple[_Fault | None, list[Array]]:
     given, answers = block
     taken = {name: _as_kernels_take_it(array) for name, array in given.items()}
     for name, array in taken.items() if len(taken) > 1 else ():

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex import container
+from octex.archive.layout import is_archive
 from octex.arrays import Array, Bools, Float32s, Float64s, Int64s, Uint8s
 from octex.channels import decode
 from octex.checks import (
@@ -29,11 +30,21 @@ from octex.checks import (
 )
 from octex.errors import ArgumentError, InputError, TextureFileError
 from octex.field.field import Field
-from octex.field.lookups import ChannelRows, Query, TapList, joined, list_blends, look_up, rows_read
+from octex.field.lookups import (
+    ChannelRows,
+    PlainLookup,
+    Query,
+    TapList,
+    joined,
+    list_blends,
+    look_up,
+    plain_lookup,
+    rows_read,
+)
 from octex.field.splines import FILTERS
 from octex.texture.blend import NO_GRADIENTS, make_unit, mixed_cells, stored
 from octex.texture.channel import Channel
-from octex.texture.file import ENDING, File, Parts, described, taken, written
+from octex.texture.file import ARCHIVE_ENDING, ENDING, File, Parts, described, taken, written
 from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens, LookupOptions, SurfacePoints, placed
 from octex.texture.lookup import (
     Answers,
@@ -49,6 +60,12 @@ from octex.texture.spans import Spans, add_reads
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.search import in_leaves
+
+#: What ``sample`` takes for no blur, and for no sharpness, if nobody says.
+_NONE = 0.0
+#: Points that `OctreeTexture.sample` looks up the short way, and their types.
+_FEW = 64
+_TAKEN = {np.dtype(np.float32), np.dtype(np.float64)}
 
 
 class OctreeTexture:
@@ -66,6 +83,7 @@ class OctreeTexture:
         "_field",
         "_file",
         "_known_mixed",
+        "_known_plain",
         "_known_stored",
         "bounds",
         "channels",
@@ -90,6 +108,7 @@ class OctreeTexture:
         self.metadata = MappingProxyType(as_metadata(metadata))
         self._field = Field(tree)
         self._known_mixed: dict[tuple[str, int], tuple[float, Uint8s]] = {}
+        self._known_plain: dict[tuple[str, str], PlainLookup | None] = {}
         self._known_stored: dict[str, ChannelRows] = {}
         self._file: File | None = None
         given = as_entries(channels, "channels")
@@ -168,8 +187,8 @@ class OctreeTexture:
         dPdx: npt.ArrayLike | None = None,
         dPdy: npt.ArrayLike | None = None,
         anisotropy: float = ANISOTROPY,
-        blur: float = 0.0,
-        sharpness: float = 0.0,
+        blur: float = _NONE,
+        sharpness: float = _NONE,
         bleed_threshold: float = BLEED_THRESHOLD,
         normalize: bool = True,
         gradient: bool = False,
@@ -233,6 +252,14 @@ class OctreeTexture:
         widths and derivatives, for unknown channels and filters, listing those there are, for gradients of
         ``nearest``, and for an ``out`` that does not fit.
         """
+        if (
+            (width is normals is dPdx is dPdy is out is None and threads is None and executor is None)
+            and (gradient is False and normalize is True and blur is sharpness is _NONE)
+            and (anisotropy is ANISOTROPY and bleed_threshold is BLEED_THRESHOLD)
+        ):
+            answer = self._plain(points, channel, filter)
+            if answer is not None:
+                return answer
         lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
         gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
         footprint = {"width": width, "dPdx": dPdx, "dPdy": dPdy}
@@ -241,7 +268,7 @@ class OctreeTexture:
         if out is not None:
             check_apart(given.values(), answers.arrays)
         self._read_for(len(given["points"]))
-        look_up_block = self._look_up(answers.channels, lens, normalize)
+        look_up_block = self.block_lookup(answers.channels, lens, normalize)
         if len(answers.channels) > 2 or filter == "quartic":  # most of the time is waiting for memory
             look_up_block = partial(block_in_space, look_up_block, self.placement)
         task = given, answers.arrays, look_up_block, threads, executor
@@ -254,7 +281,32 @@ class OctreeTexture:
             in_blocks(*task)
         return answers.returned
 
-    def _look_up(self, names: Sequence[str], lens: Lens, normalize: bool) -> LookUp:
+    def _plain(self, points: Any, channel: Any, filter: Any) -> Float32s | None:
+        """Look up few points of the leaves the short way; None where that is not for them.
+
+        A call with one point takes a third of the time so.
+        """
+        if type(points) is not np.ndarray or points.ndim != 2 or not 0 < len(points) <= _FEW:
+            return None
+        flags = points.flags
+        is_taken = points.dtype in _TAKEN and flags.c_contiguous and flags.aligned
+        if not (is_taken and points.shape[1] == 3 and type(channel) is type(filter) is str):
+            return None
+        key = channel, filter
+        if key not in self._known_plain:
+            if channel not in self.channels or filter not in FILTERS:
+                return None
+            read = self._as_read(channel), self._alpha()
+            is_direction = self.channels[channel].format.space == "direction"  # made unit vectors
+            plain = None if is_direction else plain_lookup(self._field, self.placement, filter, *read)
+            self._known_plain[key] = plain
+        known = self._known_plain[key]
+        if known is None:
+            return None
+        self._read_for(len(points))
+        return known.at(points)
+
+    def block_lookup(self, names: Sequence[str], lens: Lens, normalize: bool) -> LookUp:
         """Return how a block of points is looked up: what `lookup.in_blocks` takes."""
         return partial(self._sampled, list(names), lens, normalize)
 
@@ -486,17 +538,33 @@ class OctreeTexture:
         texture._field = field
         return texture
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an ``.octex`` file; the same texture gives the same bytes.
+    def save(self, path: str | os.PathLike[str], *, max_error: int = 0) -> None:
+        """Write an ``.octex`` file, or an archive of it, ``.octz``; the same texture gives the same bytes.
 
-        Raises ArgumentError for another ending, OutputError if the file cannot be written; what stood at
-        ``path`` then still stands.
+        An ``.octex`` file is looked up where it lies. An archive has a third of its bytes or less, and is
+        decoded whole when it is opened; what comes back is the same, bit for bit. With ``max_error``,
+        0 … 255, the whole numbers of an archive's values may move by so many of their codes, averages too,
+        each by itself; floats do not move.
+
+        Raises ArgumentError for another ending, and for a ``max_error`` without an archive; TextureFileError
+        for a tree that is not sound, of which no archive can be made; OutputError if the file cannot be
+        written: what stood at ``path`` then still stands.
         """
         path = as_path(path)
-        if not path.name.lower().endswith(ENDING):
-            raise ArgumentError(f"{path}: a texture is saved as NAME{ENDING}")
+        max_error = as_whole(max_error, "max_error", 0, 255)
+        ending = path.suffix.lower()
+        if ending not in (ENDING, ARCHIVE_ENDING):
+            raise ArgumentError(f"{path}: a texture is saved as NAME{ENDING} or NAME{ARCHIVE_ENDING}")
+        if max_error and ending == ENDING:
+            raise ArgumentError(f"{path}: max_error is for archives, NAME{ARCHIVE_ENDING}")
         self._read_ahead()
-        container.write(path, *written(self._parts(), self._file))
+        tensors, metadata = written(self._parts(), self._file)
+        if ending == ENDING:
+            container.write(path, tensors, metadata)
+        else:
+            from octex.archive.write import write
+
+            write(path, tensors, metadata, list(self.channels), max_error)
 
     def validate(self) -> None:
         """Prove that the tree is sound and the values are finite.
@@ -515,7 +583,8 @@ class OctreeTexture:
     def info(self) -> dict[str, Any]:
         """Describe the texture as numbers and strings, ready for JSON. Lengths are in the model's units.
 
-        Reads no cell. ``bytes`` says where the bytes of its file go.
+        Reads no cell. ``bytes`` says where the bytes of its render file go; ``archive``, if it came from one,
+        where those of that go.
         """
         return described(self._parts(), self._file)
 
@@ -564,18 +633,29 @@ def _received(
 
 
 def open_texture(path: str | os.PathLike[str]) -> OctreeTexture:
-    """Open an ``.octex`` file. It is mapped: only its header is read, the rest when it is looked at.
+    """Open an ``.octex`` file, or an archive, ``.octz``, whatever their names.
+
+    The former is mapped: only its header is read, the rest when it is looked at. The latter is decoded whole:
+    into memory, or from 256 MB on into a temporary file, whose pages need not stay in memory.
 
     Raises TextureFileError for a file that is missing, damaged, of another type or of a newer version.
     """
     path = as_path(path)
     if os.path.isdir(path):  # noqa: PTH112  # a name too long is none, and no error
         raise TextureFileError(f"{path}: is a folder; octex.TextureSet.open opens a texture set")
-    contents = container.read(path)
-    tensors, metadata = dict(contents.tensors), dict(contents.metadata)
+    mapping: mmap.mmap | None = None
+    sizes: dict[str, int] | None = None
+    if is_archive(path):
+        from octex.archive.read import read
+
+        archived = read(path)
+        tensors, metadata, sizes = dict(archived.tensors), dict(archived.metadata), archived.sizes
+    else:
+        contents = container.read(path)
+        mapping, tensors, metadata = contents.mapping, dict(contents.tensors), dict(contents.metadata)
     try:
         texture = OctreeTexture(*taken(tensors, metadata))
     except InputError as error:
         raise TextureFileError(f"{path}: {error}") from error
-    texture._file = File(str(path), contents.mapping, tensors, metadata)
+    texture._file = File(str(path), mapping, tensors, metadata, sizes)
     return texture

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Bools, Int64s, Uint8s, Uint64s
-from octex.jit import inlined, kernel, popcount
+from octex.jit import inlined, kernel, new_zeros, popcount
 from octex.tree.layout import FACING_FLAGS, KEPT, MAX_DEPTH, KeptTable, TreeArrays
 from octex.tree.morton import cells_beside
 from octex.tree.octree import Octree, distinct
@@ -64,7 +64,9 @@ def _locate(
     arrays: TreeArrays, codes: Int64s, level: int, cells: Int64s, levels: Int64s, nodes: Int64s
 ) -> None:
     deepest = min(level, arrays.level_cells.size - 2)
-    path = np.zeros((MAX_DEPTH + 1, 2), np.int64)  # cell and node at each level on the way to the code before
+    path = new_zeros(
+        (MAX_DEPTH + 1, 2), np.int64
+    )  # cell and node at each level on the way to the code before
     path[0, 1] = 0 if arrays.groups.shape[0] > 0 else -1
     reached, previous = 0, np.int64(0)
     for n in range(codes.size):
@@ -147,10 +149,10 @@ def raised(
         children = (split_codes[:, None] << 3 | np.arange(8)).reshape(-1)
         children = children[among(children, met[level])]
         on = among(children, needed[level]) & among(children, below)
-        leaves.append(np.sort(np.concatenate([own[~may], children[~on], added[level]])))
-        split_codes = np.sort(np.concatenate([own[may], children[on]]))
+        leaves.append(np.sort(np.concatenate([own[~may], children[~on], added[level]]), kind="stable"))
+        split_codes = np.sort(np.concatenate([own[may], children[on]]), kind="stable")
         is_free = among(split_codes >> 3, free) | among(split_codes, freed[level])
-        keeping.append(np.sort(np.concatenate([split_codes[~is_free], above_added[level]])))
+        keeping.append(np.sort(np.concatenate([split_codes[~is_free], above_added[level]]), kind="stable"))
         free = split_codes[is_free]
     edited = rebuilt(tree, leaves)
     return _keeping(edited, keeping)

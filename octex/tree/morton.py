@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Int64s, Uint64s
-from octex.jit import kernel, popcount
+from octex.jit import kernel, new_array, new_zeros, part, popcount
 
 
-@kernel
+@part
 def spread(value: int) -> int:
     """Move bit b of a 21-bit number to bit 3·b."""
     value = value & 0x1FFFFF
@@ -23,7 +23,7 @@ def spread(value: int) -> int:
     return (value | value << 2) & 0x1249249249249249  # every third bit
 
 
-@kernel
+@part
 def gather(code: int) -> int:
     """Undo spread: collect every third bit, from bit 0 on."""
     value = code & 0x1249249249249249
@@ -34,13 +34,13 @@ def gather(code: int) -> int:
     return (value | value >> 32) & 0x1FFFFF
 
 
-@kernel
+@part
 def encode(i: int, j: int, k: int) -> int:
     """Morton code of cell (i, j, k), each coordinate of at most 21 bits."""
     return spread(i) | spread(j) << 1 | spread(k) << 2
 
 
-@kernel
+@part
 def decode(code: int) -> tuple[int, int, int]:
     """Cell (i, j, k) of a Morton code."""
     return gather(code), gather(code >> 1), gather(code >> 2)
@@ -75,8 +75,8 @@ def _blocks_beside(codes: Int64s, level: int) -> tuple[Int64s, Uint64s]:
     end, count = (1 << level) - 1, 0
     for n in range(codes.size):
         count += n == 0 or codes[n] >> 6 != codes[n - 1] >> 6
-    blocks, masks = np.empty(27 * count, np.int64), np.empty(27 * count, np.uint64)
-    around = np.zeros(27, np.uint64)
+    blocks, masks = new_array(27 * count, np.int64), new_array(27 * count, np.uint64)
+    around = new_zeros(27, np.uint64)
     n = made = 0
     while n < codes.size:
         block = codes[n] >> 6
@@ -125,7 +125,7 @@ def _write_cells(blocks: Int64s, masks: Uint64s, without: Int64s, found: Int64s)
 
 @kernel
 def _encode_all(i: Int64s, j: Int64s, k: Int64s) -> Int64s:
-    codes = np.empty(i.size, np.int64)
+    codes = new_array(i.size, np.int64)
     for n in range(i.size):
         codes[n] = encode(i[n], j[n], k[n])
     return codes
@@ -133,7 +133,7 @@ def _encode_all(i: Int64s, j: Int64s, k: Int64s) -> Int64s:
 
 @kernel
 def _decode_all(codes: Int64s) -> Int64s:
-    cells = np.empty((codes.size, 3), np.int64)
+    cells = new_array((codes.size, 3), np.int64)
     for n in range(codes.size):
         cells[n, 0], cells[n, 1], cells[n, 2] = decode(codes[n])
     return cells

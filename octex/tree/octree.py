@@ -11,7 +11,7 @@ import numpy.typing as npt
 from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s, Uint64s
 from octex.checks import as_depth
 from octex.errors import ArgumentError
-from octex.jit import kernel, popcount, trailing_zeros
+from octex.jit import kernel, new_array, new_zeros, popcount, trailing_zeros
 from octex.tree.layout import KEPT, MAX_CELLS, MAX_DEPTH, KeptTable, SplitTable, TreeArrays
 from octex.tree.validate import check_layout, check_meaning
 
@@ -240,8 +240,11 @@ def _count_before(cells: Uint32s, end: int) -> int:
 
 
 def distinct(codes: Int64s) -> Int64s:
-    """Return codes in ascending order, each once: in a seventieth of np.unique's time."""
-    codes = np.sort(codes)
+    """Return codes in ascending order, each once: in a seventieth of np.unique's time.
+
+    Codes that already are, or a few runs of such, are the fastest: sorting by merging takes 1 to 6 ns each.
+    """
+    codes = np.sort(codes, kind="stable")
     is_first = np.ones(codes.size, np.bool_)
     np.not_equal(codes[1:], codes[:-1], out=is_first[1:])
     return codes[is_first]
@@ -294,9 +297,9 @@ def _first_fault(codes: Int64s, depths: Uint8s) -> int:
 def _parents(nodes: Int64s, leaves: Int64s) -> tuple[Int64s, Uint8s, Uint8s]:
     """Merge the nodes and leaves of a level; return their parents' codes, node masks and leaf masks."""
     n_cells = nodes.size + leaves.size
-    codes = np.empty(n_cells, np.int64)
-    node_masks = np.empty(n_cells, np.uint8)
-    leaf_masks = np.empty(n_cells, np.uint8)
+    codes = new_array(n_cells, np.int64)
+    node_masks = new_array(n_cells, np.uint8)
+    leaf_masks = new_array(n_cells, np.uint8)
     n, next_node, next_leaf = -1, 0, 0
     parent = np.int64(-1)
     node_mask = leaf_mask = 0
@@ -348,8 +351,8 @@ def _cut(groups: Uint64s, first: int, end: int) -> None:
 @kernel
 def _children(groups: Uint64s, first: int, end: int, codes: Int64s, n_children: int) -> tuple[Int64s, Bools]:
     """Codes of the children of nodes first … end−1, whose codes are given, and which of them are nodes."""
-    child_codes = np.zeros(n_children, np.int64)
-    is_node = np.zeros(n_children, np.bool_)
+    child_codes = new_zeros(n_children, np.int64)
+    is_node = new_zeros(n_children, np.bool_)
     n = 0
     for node in range(first, min(end, first + codes.size)):
         g, shift = node >> 3, np.uint64(8 * (node & 7))

@@ -6,7 +6,7 @@ import numpy as np
 
 from octex.arrays import Uint8s, Uint32s, Uint64s
 from octex.errors import ArgumentError, TextureFileError
-from octex.jit import kernel, popcount
+from octex.jit import kernel, new_zeros, popcount
 from octex.tree.layout import (
     FACING_FLAGS,
     KEPT,
@@ -184,7 +184,7 @@ def _facing_fault(arrays: TreeArrays) -> int:
     """First node's cell whose facings are not its children's together, or −1; needs a sound structure."""
     groups = arrays.groups
     n_nodes = int(arrays.level_nodes[-1])
-    cell_of = np.zeros(max(n_nodes, 1), np.int64)
+    cell_of = new_zeros(max(n_nodes, 1), np.int64)
     next_node = next_cell = 1
     for node in range(n_nodes if arrays.level_cells.size > 2 else 0):
         facings = 0

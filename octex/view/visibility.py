@@ -53,15 +53,12 @@ def visibility_of(
     triangles: Int32s,
     camera: Camera,
     executor: Executor | None = None,
-) -> tuple[Visibility, Float32s]:
-    """Find what the pixels of a camera without distortion see of triangles (m, 3) of vertices (n, 3).
-
-    Returns also where on its triangle each centre lies, (height, width, 3).
-    """
-    seen, barycentric, _ = z_buffer(vertices, triangles, camera, executor)
+) -> Visibility:
+    """Find what the pixels of a camera without distortion see of triangles (m, 3) of vertices (n, 3)."""
+    seen = z_buffer(vertices, triangles, camera, executor).triangle
     planes = np.zeros((*seen.shape, 3), np.float32)
     _find_planes(vertices, triangles, view_of(camera), seen, planes)
-    return Visibility(seen, planes), barycentric
+    return Visibility(seen, planes)
 
 
 def straight(camera: Camera) -> Camera:

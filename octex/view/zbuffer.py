@@ -18,7 +18,7 @@ import numpy.typing as npt
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
 from octex.checks import as_points
 from octex.errors import ArgumentError
-from octex.jit import kernel
+from octex.jit import kernel, new_array, new_zeros, part
 from octex.parallel import cpu_count, ordered_map
 from octex.view.camera import Camera
 
@@ -106,9 +106,9 @@ def _to_screen(
 
     Other vertices, behind the camera or far outside the picture, have pixel coordinates times w.
     """
-    screen = np.empty((len(positions), 4))
-    snapped = np.zeros(len(positions), np.bool_)
-    outside = np.zeros(len(positions), np.uint8)
+    screen = new_array((len(positions), 4), np.float64)
+    snapped = new_zeros(len(positions), np.bool_)
+    outside = new_zeros(len(positions), np.uint8)
     for n in range(len(positions)):
         for row in range(4):
             # Not a matrix product: vertices at one position must land on the same bits.
@@ -133,7 +133,7 @@ def _to_screen(
     return screen, snapped, outside
 
 
-@kernel
+@part
 def _edge(
     screen: Float64s, snapped: Bools, p: Index, q: Index
 ) -> tuple[float, float, float, float, float, float]:
@@ -159,7 +159,7 @@ def _edge(
     return 0.0, 0.0, sign * (py * qw - pw * qy), sign * (pw * qx - px * qw), sign * (px * qy - py * qx), 1.0
 
 
-@kernel
+@part
 def _orientation(screen: Float64s, snapped: Bools, a: Index, b: Index, c: Index) -> float:
     """Return 1 or −1 for the two sides of a triangle, 0 for one without area in the picture."""
     if snapped[a] and snapped[b] and snapped[c]:
@@ -172,7 +172,7 @@ def _orientation(screen: Float64s, snapped: Bools, a: Index, b: Index, c: Index)
     return float(np.sign(ax * (by * cw - bw * cy) + ay * (bw * cx - bx * cw) + aw * (bx * cy - by * cx)))
 
 
-@kernel
+@part
 def _homogeneous(screen: Float64s, snapped: Bools, vertex: Index) -> tuple[float, float, float]:
     x, y, w = screen[vertex, 0], screen[vertex, 1], screen[vertex, 2]
     if snapped[vertex]:
@@ -180,7 +180,7 @@ def _homogeneous(screen: Float64s, snapped: Bools, vertex: Index) -> tuple[float
     return x, y, w
 
 
-@kernel
+@part
 def _pixel_range(
     screen: Float64s,
     snapped: Bools,
@@ -199,7 +199,7 @@ def _pixel_range(
     return max(int(np.ceil(low - 0.5)), first), min(int(np.floor(high - 0.5)) + 1, end)
 
 
-@kernel
+@part
 def _covers(value: float, across: float, down: float) -> bool:
     """Tell whether a point is inside an edge, or on it if it is a left edge or a level top edge."""
     return value > 0.0 or (value == 0.0 and (across > 0.0 or (across == 0.0 and down > 0.0)))
@@ -218,8 +218,8 @@ def _draw(
     depths: Float64s,
 ) -> None:
     height, width = seen.shape
-    edges = np.empty((3, 6))
-    row_constant = np.empty(3)
+    edges = new_array((3, 6), np.float64)
+    row_constant = new_array(3, np.float64)
     for number in range(len(triangles)):
         a, b, c = (
             np.int64(triangles[number, 0]),

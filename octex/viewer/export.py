@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 #: Modules in the order in which each knows those before it.
 _NAMES = "data", "octree", "mesh", "camera", "controls", "connection", "gpu", "viewer"
 MODULES = [f"{name}.js" for name in _NAMES]
-SHADERS = ["walk.glsl", "light.glsl", "depth.frag"]
+SHADERS = ["walk.glsl", "light.glsl", "screen.vert", "places.frag"]
 SHADERS += [f"{name}.{stage}" for name in ("surface", "cubes") for stage in ("vert", "frag")]
 _PAGE = files(__name__.rpartition(".")[0]) / "page"
 #: Deflate's level for files, which are packed once.

@@ -6,19 +6,19 @@ import json
 import os
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from typing import NamedTuple
 
 import numpy as np
 
 from octex.arrays import Array, Float64s, Int8s, Int32s, Int64s
-from octex.channels import ALPHA, BASE_COLOR, ONE, ColorSpace, encode
-from octex.checks import as_choice, as_names, as_path, as_whole
+from octex.channels import ALPHA, BASE_COLOR, ColorSpace, encode
+from octex.checks import as_choice, as_flag, as_names, as_path, as_whole
 from octex.errors import ArgumentError, ModelError
 from octex.formats.ptex.layout import DTYPES, LONGEST_LOG2, MESH_TYPES, QUAD, TRIANGLE
 from octex.formats.ptex.patches import Patches, faces_of, patches_of, place, stretches
 from octex.formats.ptex.source import CHANNELS_KEY
 from octex.formats.ptex.writer import Contents, write_contents
 from octex.parallel import Progress, as_progress, workers
+from octex.source.subdivided import subdivide
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
 from octex.tree.search import nearest_cells
@@ -29,14 +29,9 @@ _TOGETHER = 1 << 19
 #: Where on a face, along u and v, the octree's cells are looked at.
 _LOOKED_AT = (0.02, 0.25, 0.5, 0.75, 0.98)
 _MOST_TEXELS = 2**34
-
-
-class _Texels(NamedTuple):
-    """Where the centres of some faces' texels lie."""
-
-    rest: Float64s  # (n, 3)
-    normals: Float64s  # (n, 3)
-    widths: Float64s  # (n,)   0 where the octree's cells are as wide
+#: Texels that are so many times as wide as the octree's cells hold averages; others the field at their
+#: centres, which a spline between them meets better.
+_WIDE = 2.0
 
 
 def write_ptex(
@@ -47,17 +42,20 @@ def write_ptex(
     channels: Sequence[str] | None = None,
     dtype: str | None = None,
     texels: int | None = None,
+    limit: bool = False,
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> None:
     """Write a texture as a .ptx file for the polygons of its surface.
 
-    A mesh of triangles becomes triangular faces. Any other becomes quads: a polygon that is none is a face for
-    each of its corners, as Ptex has it. Along u and along v a face has that power of two of texels which is
-    next to the octree's finest cells on it, where the face is stretched most; ``texels`` is how many there may
-    be in all, for which every face gets coarser or finer alike. Neighbours are those that share an edge at
-    rest, and go along it in opposite directions; other edges are borders.
+    A mesh of triangles becomes triangular faces. Any other becomes quads: a polygon that is none is a face
+    for each of its corners, as Ptex has it. Along u and along v a face has that power of two of texels which
+    is next to the octree's finest cells on it, where the face is stretched most; ``texels`` is how many there
+    may be in all, for which every face gets coarser or finer alike. With ``limit`` stretch is measured on the
+    surface that the polygons are a cage of, Catmull and Clark's, as posed: faces that spread out on it get
+    more. Neighbours are those that share an edge
+    at rest, and go along it in opposite directions; other edges are borders.
 
     ``channels`` are by default ``base_color`` and ``alpha``, as far as there are any; the file notes which
     numbers are which. ``dtype`` is uint8, uint16, float16 or float32, by default what the channels are stored
@@ -80,7 +78,10 @@ def write_ptex(
     kind = _dtype(texture, names, dtype)
     report = as_progress(progress)
     patches = patches_of(surface)
-    log2 = _sizes(texture, surface, patches, texels)
+    lengths = (
+        _limit_lengths(surface, patches) if as_flag(limit, "limit") else stretches(patches, surface.rest)
+    )
+    log2 = _sizes(texture, surface, patches, lengths, texels)
     faces = faces_of(surface, patches, log2)
     spaces: list[ColorSpace] = []
     for name in names:
@@ -125,9 +126,40 @@ def _dtype(texture: OctreeTexture, names: Sequence[str], dtype: str | None) -> s
     return max(kinds, key=DTYPES.index)
 
 
-def _sizes(texture: OctreeTexture, surface: Surface, patches: Patches, texels: int | None) -> Int8s:
-    """Return how many texels faces get along u and v (faces, 2), as powers of two."""
-    lengths = stretches(patches, surface.rest)
+def _limit_lengths(surface: Surface, patches: Patches) -> Float64s:
+    """Return the greatest lengths (faces, 2) of derivatives along u and v on the limit surface.
+
+    They are those of chords of a fourth of a quad's side, which stay finite at extraordinary vertices.
+    Triangles have those of their edges.
+    """
+    if patches.is_triangle:
+        return stretches(patches, surface.vertices)
+    divided = subdivide(surface, 2)
+    _, _, vertices = divided.loops()
+    corners = divided.vertices[vertices].reshape(-1, 4, 3)
+    sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+    along = np.maximum(sides[:, :2], sides[:, 2:])
+    # A level has a face for each corner of the one before, which is its first; those of quads turn with it.
+    number = np.arange(len(along))
+    corner = number // 4
+    polygon = np.searchsorted(patches.first_corners, corner, side="right") - 1
+    within = corner - patches.first_corners[polygon]
+    is_whole = np.diff(patches.first_faces)[polygon] == 1
+    is_turned = (number % 2 == 1) != (is_whole & (within % 2 == 1))
+    along[is_turned] = along[is_turned, ::-1]
+    lengths = np.zeros((patches.count, 2))
+    faces = patches.first_faces[polygon] + np.where(is_whole, 0, within)
+    np.maximum.at(lengths, faces, along * np.where(is_whole, 4.0, 2.0)[:, None])
+    return lengths
+
+
+def _sizes(
+    texture: OctreeTexture, surface: Surface, patches: Patches, lengths: Float64s, texels: int | None
+) -> Int8s:
+    """Return how many texels faces get along u and v (faces, 2), as powers of two.
+
+    ``lengths`` (faces, 2) are those of the derivatives along these.
+    """
     finest = np.full(patches.count, np.inf)
     numbers = np.arange(patches.count, dtype=np.int32)
     for v in _LOOKED_AT:
@@ -200,9 +232,9 @@ def _looked_up(
         end = min(begin + _TOGETHER, len(values))
         report("sample", begin, len(values))
         first, last = np.searchsorted(ends, [begin, end - 1], side="right")
-        faces = np.repeat(
-            np.arange(first, last + 1, dtype=np.int32), counts[first : last + 1]
-        )[begin - (ends[first] - counts[first]) :][: end - begin]
+        faces = np.repeat(np.arange(first, last + 1, dtype=np.int32), counts[first : last + 1])[
+            begin - (ends[first] - counts[first]) :
+        ][: end - begin]
         within = np.arange(begin, end) - (ends - counts)[faces]
         triangles, barycentric = _placed(patches, faces, _centres(patches, log2[faces], within))
         there = np.flatnonzero(triangles >= 0)
@@ -210,7 +242,7 @@ def _looked_up(
             continue
         rest = surface.rest_at(triangles[there], barycentric[there])
         edges = (lengths[faces[there]] / np.exp2(log2[faces[there]])).prod(axis=1) ** 0.5
-        widths = np.where(edges > _cell_edges(texture, rest), edges, 0.0)
+        widths = np.where(edges > _WIDE * _cell_edges(texture, rest), edges, 0.0)
         corners = surface.rest[surface.triangles[triangles[there]]]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         found = texture.sample(rest, list(names), normals=normals, width=widths, executor=executor)
@@ -233,6 +265,3 @@ def _centres(patches: Patches, log2: Int8s, within: Int64s) -> Float64s:
     is_tip = column + row > last
     cells = np.stack([np.where(is_tip, last - row, column), np.where(is_tip, last - column, row)], axis=1)
     return (cells + np.where(is_tip, 2 / 3, 1 / 3)[:, None]) / sides
-
-
-assert set(DTYPES) == set(ONE)

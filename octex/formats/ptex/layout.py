@@ -81,7 +81,12 @@ FACE_INFO = np.dtype(
     ]
 )  # fmt: skip
 LEVEL_INFO = np.dtype([("bytes", "<u8"), ("header", "<u4"), ("faces", "<u4")])
-assert (HEADER.itemsize, EXTENDED_HEADER.itemsize, FACE_INFO.itemsize, LEVEL_INFO.itemsize) == (64, 40, 20, 16)
+assert (HEADER.itemsize, EXTENDED_HEADER.itemsize, FACE_INFO.itemsize, LEVEL_INFO.itemsize) == (
+    64,
+    40,
+    20,
+    16,
+)
 
 
 class Faces(NamedTuple):
@@ -126,7 +131,9 @@ def reduced_order(log2: Int8s, is_constant: Bools) -> tuple[Int64s, Int64s]:
     key = np.where(is_constant, 1, log2.min(axis=1))
     order = np.argsort(-key, kind="stable")
     deepest = int(key.max(initial=2))
-    return order, np.array([len(key), *((key > level + 1).sum() for level in range(1, deepest - 1))], np.int64)
+    return order, np.array(
+        [len(key), *((key > level + 1).sum() for level in range(1, deepest - 1))], np.int64
+    )
 
 
 def tile_log2(u_log2: int, v_log2: int, pixel: int) -> tuple[int, int]:

@@ -53,8 +53,8 @@ def patches_of(mesh: Mesh, mesh_type: str | None = None) -> Patches:
     is_triangle = mesh_type == MESH_TYPES[TRIANGLE]
     if is_triangle and (counts != 3).any():
         raise ModelError(
-            f"{mesh.name} has polygons of {int(counts.max())} corners, and the .ptx is for a mesh of triangles; "
-            "give the mesh that it was painted on"
+            f"{mesh.name} has polygons of {int(counts.max())} corners, and the .ptx is for a mesh of "
+            "triangles; give the mesh that it was painted on"
         )
     has = np.zeros(len(sizes), np.bool_)
     has[known] = True
@@ -90,9 +90,15 @@ def _planes(positions: Float64s, first: Int64s) -> Float64s:
         x = y = z = 0.0
         for i in range(begin, end):
             j = i + 1 if i + 1 < end else begin
-            x += (positions[i, 1] - positions[j, 1]) * (positions[i, 2] + positions[j, 2] - 2 * positions[begin, 2])
-            y += (positions[i, 2] - positions[j, 2]) * (positions[i, 0] + positions[j, 0] - 2 * positions[begin, 0])
-            z += (positions[i, 0] - positions[j, 0]) * (positions[i, 1] + positions[j, 1] - 2 * positions[begin, 1])
+            x += (positions[i, 1] - positions[j, 1]) * (
+                positions[i, 2] + positions[j, 2] - 2 * positions[begin, 2]
+            )
+            y += (positions[i, 2] - positions[j, 2]) * (
+                positions[i, 0] + positions[j, 0] - 2 * positions[begin, 0]
+            )
+            z += (positions[i, 0] - positions[j, 0]) * (
+                positions[i, 1] + positions[j, 1] - 2 * positions[begin, 1]
+            )
         axis = 2
         if abs(x) >= abs(y) and abs(x) >= abs(z):
             axis = 0
@@ -106,8 +112,8 @@ def _planes(positions: Float64s, first: Int64s) -> Float64s:
 def neighbors_of(mesh: Mesh, patches: Patches) -> tuple[Int32s, Uint8s]:
     """Return the face across each edge of each face (faces, 4), −1 for none, and which edge that is there.
 
-    Vertices at one place at rest are one. An edge that other than two polygons share, or that two go along the
-    same way, is a border: no neighbour turns it over.
+    Vertices at one place at rest are one. An edge that other than two polygons share, or that two go along
+    the same way, is a border: no neighbour turns it over.
     """
     place = first_equal(mesh.rest)[patches.corners]
     first, sizes = patches.first_corners, np.diff(patches.first_corners)
@@ -135,7 +141,7 @@ def neighbors_of(mesh: Mesh, patches: Patches) -> tuple[Int32s, Uint8s]:
     edges = np.zeros((patches.count, 4), np.uint8)
     base = patches.first_faces[polygon]
     whole = is_whole[polygon]
-    # What another polygon meets first along an edge, going the other way: the face, or the subface at its end.
+    # What another polygon meets first along an edge, going the other way: the face, or the subface there.
     met_face = np.where(whole, base, base + (within + 1) % sizes[polygon])
     met_edge = np.where(whole, within, 3)
     crossed = np.flatnonzero(across >= 0)
@@ -143,7 +149,7 @@ def neighbors_of(mesh: Mesh, patches: Patches) -> tuple[Int32s, Uint8s]:
     own = whole[crossed]
     face, edge = base[crossed[own]], within[crossed[own]]
     neighbors[face, edge], edges[face, edge] = met_face[there[own]], met_edge[there[own]]
-    # Halves of an edge of another polygon: its first half is edge 0 of one subface, its second edge 3 of the next.
+    # Of an edge of another polygon the first half is edge 0 of a subface, the second edge 3 of the next.
     halves, there = crossed[~own], there[~own]
     start = base[halves] + within[halves]
     end = base[halves] + (within[halves] + 1) % sizes[polygon[halves]]
@@ -174,15 +180,15 @@ def check_fit(mesh: Mesh, patches: Patches, faces: Faces, name: str) -> None:
     """Raise ModelError for a mesh whose faces are not those of a .ptx file, or are in another order."""
     if patches.count != len(faces.log2):
         raise ModelError(
-            f"{mesh.name} has {patches.count:,} faces, and {name} has {len(faces.log2):,}: the mesh is not the "
-            "one that it was painted on; give that, with its polygons as they were"
+            f"{mesh.name} has {patches.count:,} faces, and {name} has {len(faces.log2):,}: the mesh is not "
+            "the one that it was painted on; give that, with its polygons as they were"
         )
     neighbors, _ = neighbors_of(mesh, patches)
     both = (neighbors >= 0) & (faces.neighbors >= 0)
     if both.any() and (neighbors == faces.neighbors)[both].mean() < 0.5:
         raise ModelError(
-            f"{mesh.name} has as many faces as {name}, but in another order: other faces are neighbours there; "
-            "give the mesh that it was painted on"
+            f"{mesh.name} has as many faces as {name}, but in another order: other faces are neighbours "
+            "there; give the mesh that it was painted on"
         )
 
 
@@ -238,9 +244,7 @@ def _inverse(patches: Patches, polygon: int, face: int, x: float, y: float) -> t
 
 
 @inlined
-def locate(
-    patches: Patches, triangle: int, p: float, q: float, r: float
-) -> tuple[int, float, float]:
+def locate(patches: Patches, triangle: int, p: float, q: float, r: float) -> tuple[int, float, float]:
     """Return the face of a point of a triangle, by its barycentric coordinates, and (u, v) there."""
     polygon = int(patches.polygons[triangle])
     face = int(patches.first_faces[polygon])
@@ -279,12 +283,15 @@ def _bilinear(patches: Patches, polygon: int, face: int, u: float, v: float) -> 
     cx, cy = _corner(patches, polygon, face, 2)
     dx, dy = _corner(patches, polygon, face, 3)
     s, t = 1.0 - u, 1.0 - v
-    return s * t * ax + u * t * bx + u * v * cx + s * v * dx, s * t * ay + u * t * by + u * v * cy + s * v * dy
+    return (
+        s * t * ax + u * t * bx + u * v * cx + s * v * dx,
+        s * t * ay + u * t * by + u * v * cy + s * v * dy,
+    )
 
 
 @kernel
 def place(patches: Patches, faces: Int32s, uv: Float64s, triangles: Int32s, barycentric: Float64s) -> None:
-    """Fill in which points of triangles (n,) are those of faces (n,) at (u, v) (n, 2); −1 where there are none.
+    """Fill in which points of triangles (n,) are those of faces (n,) at (u, v) (n, 2); −1 for none.
 
     They are found on the polygons' planes, and never outside of a triangle.
     """

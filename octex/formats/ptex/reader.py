@@ -111,7 +111,9 @@ class PtexFile:
         if header["magic"] != MAGIC:
             raise self._refusal("it does not begin as Ptex files do", "is no .ptx file")
         if header["version"] != VERSION:
-            raise ModelError(f"{self.path.name} is of Ptex version {header['version']}; octex reads {VERSION}")
+            raise ModelError(
+                f"{self.path.name} is of Ptex version {header['version']}; octex reads {VERSION}"
+            )
         if header["mesh_type"] >= len(MESH_TYPES) or header["data_type"] >= len(DTYPES):
             raise self._refusal("an unknown kind of mesh or of numbers")
         self.mesh_type = MESH_TYPES[header["mesh_type"]]
@@ -434,7 +436,7 @@ class PtexFile:
 
 
 def all_texels(file: PtexFile) -> tuple[Array, Int8s]:
-    """Return the texels (k, channels) of all faces, one of constant faces, and their sides (faces, 2) as log2.
+    """Return the texels (k, channels) of all faces, one of constant ones, and log2 of their sides (faces, 2).
 
     Raises ModelError for a file that is too short to hold so many.
     """

@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int8s, Int32s, Int64s, Uint8s
+from octex.arrays import Bools, Float32s, Float64s, Int8s, Int32s, Int64s, Uint8s
 from octex.channels import ALPHA, BASE_COLOR, CHANNELS, ONE, ChannelFormat, decode
 from octex.checks import as_choice
 from octex.errors import ModelError
-from octex.formats.ptex.layout import BORDER_MODES
+from octex.formats.ptex.layout import BORDER_MODES, Faces
 from octex.formats.ptex.patches import Patches, check_fit, locate, patches_of, stretches
 from octex.formats.ptex.reader import PtexFile, all_texels
 from octex.jit import inlined, kernel
@@ -25,7 +25,7 @@ from octex.source.spatial import Placeable
 
 #: The metadata in which octex notes the channels that the numbers of a texel are, as JSON.
 CHANNELS_KEY = "octex:channels"
-#: A box as wide as w texels varies as much as bilinear reading among texels of w / √3.
+#: A box as wide as w texels varies as much as linear reading among texels of w / √3.
 _FINER = 3.0
 _BLACK, _PERIODIC = BORDER_MODES.index("black"), BORDER_MODES.index("periodic")
 
@@ -35,11 +35,12 @@ class Ptex(Placeable):
 
     Its channels are those that octex noted, if it wrote the file; else one number a texel is a grey
     ``base_color``, three are its components, and what the file calls alpha, or the last of two or four, is
-    ``alpha``. Whole numbers are sRGB codes for colours; floats are linear light. Between texels values are
-    bilinear, across the edges of quads as well; of triangles they are continuous within a face.
+    ``alpha``. Whole numbers are sRGB codes for colours; floats are linear light. Between the texels of quads
+    lies a spline (Catmull and Rom) that goes on across their edges, by a texel beyond each; triangles are
+    linear between the centres and the corners of texels, and continuous within a face.
 
-    Use it for one channel, ``{"base_color": ptex}``, or for all that there are, ``sources``. Raises ModelError
-    as ``PtexFile`` does, and for a file of other channels.
+    Use it for one channel, ``{"base_color": ptex}``, or for all that there are, ``sources``. Raises
+    ModelError as ``PtexFile`` does, and for a file of other channels.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -78,7 +79,7 @@ def _forms_of(file: PtexFile) -> list[tuple[ChannelFormat, list[int]]]:
     others = [channel for channel in range(file.n_channels) if channel != alpha]
     if len(others) not in (1, 3):
         raise ModelError(
-            f"{file.path.name} has {file.n_channels} numbers a texel, and octex knows 1 to 4 as a colour and alpha"
+            f"{file.path.name} has {file.n_channels} numbers a texel; octex knows 1 to 4: colour and alpha"
         )
     lanes = others if len(others) == 3 else others * 3
     made = [(BASE_COLOR, lanes)]
@@ -140,8 +141,9 @@ class _PtexSource(Source):
         self._channels = tuple(made)
         values = np.concatenate(columns, axis=1, dtype=np.float32)
         ends = np.cumsum([0, *(form.components for form in made)])
-        colors = [slice(a, b) for form, a, b in zip(made, ends, ends[1:], strict=False) if form.name != "alpha"]
-        alpha = [int(a) for form, a in zip(made, ends, strict=False) if form.name == "alpha"]
+        spans = list(zip(made, ends.tolist(), ends.tolist()[1:], strict=False))
+        colors = [slice(a, b) for form, a, b in spans if form.name != ALPHA.name]
+        alpha = [a for form, a, _ in spans if form.name == ALPHA.name]
         # Colours are averaged by coverage: what is stored is that times them.
         self._alpha = alpha[0] if alpha else -1
         self._weighted = np.zeros(values.shape[1], np.bool_)
@@ -152,8 +154,7 @@ class _PtexSource(Source):
             values[:, self._weighted] *= np.maximum(values[:, self._alpha, None], 2.0**-20)
         self._range = values.min(axis=0), values.max(axis=0)  # which the spline may leave
         modes = np.array([BORDER_MODES.index(mode) for mode in file.border_modes])
-        self._pyramid = _pyramid(values, log2, file.faces.neighbors, file.faces.edges, file.faces.subfaces, modes,
-                                 self._patches.is_triangle)  # fmt: skip
+        self._pyramid = _pyramid(values, log2, file.faces, modes, self._patches.is_triangle)
         self._lengths = stretches(self._patches, mesh.rest)
 
     def is_on(self, mesh: Mesh) -> bool:
@@ -182,10 +183,7 @@ class _PtexSource(Source):
         return other
 
 
-def _pyramid(
-    values: Float32s, log2: Int8s, neighbors: Int32s, edges: Uint8s, subfaces: np.ndarray, modes: Int64s,
-    is_triangle: bool,
-) -> _Pyramid:  # fmt: skip
+def _pyramid(values: Float32s, log2: Int8s, faces: Faces, modes: Int64s, is_triangle: bool) -> _Pyramid:
     levels = int(log2.max()) + 1
     sides = np.maximum(log2[None] - np.arange(levels)[:, None, None], 0).astype(np.int8)
     counts = ((np.int64(1) << sides.astype(np.int64)) + 2).prod(axis=2)
@@ -197,7 +195,7 @@ def _pyramid(
     starts = np.cumsum(np.int64(1) << log2.sum(axis=1, dtype=np.int64))
     _fill(values, np.concatenate([[0], starts[:-1]]), made, is_triangle)
     if not is_triangle:
-        _fill_rims(made, neighbors, edges, subfaces, modes)
+        _fill_rims(made, faces.neighbors, faces.edges, faces.subfaces, modes)
     return made
 
 
@@ -234,7 +232,7 @@ def _fill(values: Float32s, starts: Int64s, pyramid: _Pyramid, is_triangle: bool
 
 
 @kernel
-def _fill_rims(pyramid: _Pyramid, neighbors: Int32s, edges: Uint8s, subfaces: np.ndarray, modes: Int64s) -> None:
+def _fill_rims(pyramid: _Pyramid, neighbors: Int32s, edges: Uint8s, subfaces: Bools, modes: Int64s) -> None:
     """Fill in what lies across the edges of quads; a rim's corners are the mean of what is beside them."""
     for face in range(neighbors.shape[0]):
         for level in range(pyramid.faces[face] + 1):
@@ -244,7 +242,9 @@ def _fill_rims(pyramid: _Pyramid, neighbors: Int32s, edges: Uint8s, subfaces: np
                 length = u if edge % 2 == 0 else v
                 for i in range(length):
                     to = first + _rim(edge, i, u, v, width, 0)
-                    source = _across(pyramid, neighbors, edges, subfaces, face, level, edge, (i + 0.5) / length)
+                    source = _across(
+                        pyramid, neighbors, edges, subfaces, face, level, edge, (i + 0.5) / length
+                    )
                     if source < 0:
                         mode = modes[0] if edge % 2 == 1 else modes[1]
                         if mode == _BLACK:
@@ -278,9 +278,15 @@ def _rim(edge: int, i: int, u: int, v: int, width: int, inside: int) -> int:
 
 @inlined
 def _across(
-    pyramid: _Pyramid, neighbors: Int32s, edges: Uint8s, subfaces: np.ndarray, face: int, level: int, edge: int,
+    pyramid: _Pyramid,
+    neighbors: Int32s,
+    edges: Uint8s,
+    subfaces: Bools,
+    face: int,
+    level: int,
+    edge: int,
     along: float,
-) -> int:  # fmt: skip
+) -> int:
     """Return the texel across an edge at a part of its length, −1 if nothing is there."""
     other, there = int(neighbors[face, edge]), int(edges[face, edge])
     if other < 0:
@@ -329,7 +335,14 @@ def _evaluate(
 
 @inlined
 def _add(
-    pyramid: _Pyramid, is_triangle: bool, face: int, level: int, u: float, v: float, share: np.float32, to: Float32s
+    pyramid: _Pyramid,
+    is_triangle: bool,
+    face: int,
+    level: int,
+    u: float,
+    v: float,
+    share: np.float32,
+    to: Float32s,
 ) -> None:
     across, down = 1 << pyramid.log2[level, face, 0], 1 << pyramid.log2[level, face, 1]
     first, width = pyramid.firsts[level, face], across + 2
@@ -350,7 +363,7 @@ def _add(
 
 @inlined
 def _cubic(t: np.float32) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Return the weights of four texels (Catmull and Rom): values between them are less blurred than linear."""
+    """Return the weights of four texels (Catmull and Rom): less blurred between them than linear."""
     half, one = np.float32(0.5), np.float32(1.0)
     square, s = t * t, one - t
     return (

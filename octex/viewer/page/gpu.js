@@ -5,13 +5,13 @@ import { readShader } from "./data.js";
 
 export const FILTERS = ["nearest", "linear", "quadratic"];
 const KINDS = { srgb: 0, linear: 0, data: 1, direction: 2 };
-const FILES = ["walk.glsl", "light.glsl", "surface.vert", "surface.frag", "depth.frag", "cubes.vert", "cubes.frag"];
+const FILES = ["walk.glsl", "light.glsl", "screen.vert", "places.frag", "surface.vert", "surface.frag", "cubes.vert", "cubes.frag"];
 const PARTS = "xyzw";
 const MATERIALS = ["base_color", "metallic", "roughness", "occlusion", "emissive", "specular", "normal"];
 const STAGES = {
-  surface: ["surface.vert", ["walk.glsl", "light.glsl", "surface.frag"]],
-  probe: ["surface.vert", ["walk.glsl", "surface.frag"]],
-  depth: ["surface.vert", ["depth.frag"]],
+  places: ["surface.vert", ["places.frag"]],
+  surface: ["screen.vert", ["walk.glsl", "light.glsl", "surface.frag"]],
+  probe: ["screen.vert", ["walk.glsl", "surface.frag"]],
   cubes: ["cubes.vert", ["walk.glsl", "light.glsl", "cubes.frag"]],
 };
 const BACKGROUND = [0.925, 0.93, 0.94, 1];
@@ -26,7 +26,7 @@ export class Gpu {
     this.shaders = shaders;
     this.octree = octree;
     this.mesh = mesh;
-    this.gl = canvas.getContext("webgl2", { antialias: true, alpha: false, powerPreference: "high-performance" });
+    this.gl = canvas.getContext("webgl2", { antialias: false, alpha: false, powerPreference: "high-performance" });
     if (!this.gl) throw new Error("this browser has no WebGL2");
     this.build();
   }
@@ -55,7 +55,7 @@ export class Gpu {
     if (octree.depth >= 0) this.upload({ nodes: [0, octree.nodes[octree.depth]], cells: [0, last], entries: [0, octree.entries.length / 2] });
     if (this.mesh) this.takeMesh(this.mesh);
     this.cubes = null;
-    this.probed = null;
+    this.pictures = {};
   }
 
   texture(format, rows) {
@@ -109,7 +109,7 @@ export class Gpu {
 
   compiled(kind, look, planes) {
     const { gl, shaders } = this, handle = gl.createProgram(), [vertex, fragment] = STAGES[kind];
-    const head = `#version 300 es\n${kind === "depth" ? "precision highp float;" : this.defines(kind, look, planes)}\n`;
+    const head = `#version 300 es\n${this.defines(kind, look, planes)}\n`;
     const body = fragment.map((name) => shaders[name]).join("");
     const all = body.replace(/^.*\{N\}.*$/gm, (line) => Array.from({ length: planes }, (_, n) => line.replaceAll("{N}", n)).join("\n"));
     const sources = [[gl.VERTEX_SHADER, `#version 300 es\n${shaders[vertex]}`], [gl.FRAGMENT_SHADER, head + all]];
@@ -166,7 +166,7 @@ export class Gpu {
     return Math.max(0, ...known) + 1;
   }
 
-  setTree(program, look, planes) {
+  setTree(program, look, planes, places = null) {
     const { gl } = this;
     const bind = (unit, texture, name) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
@@ -176,6 +176,7 @@ export class Gpu {
     bind(0, this.nodes.texture, "u_nodes");
     this.planes.slice(0, planes).forEach((plane, n) => bind(n + 1, plane.texture, `u_plane${n}`));
     bind(planes + 1, this.tables.texture, "u_tables");
+    places?.textures.forEach((texture, n) => bind(planes + 2 + n, texture, ["u_places", "u_ways"][n]));
     gl.activeTexture(gl.TEXTURE0);
     const { kept, split } = this.octree.tables, nCells = this.octree.cells.at(-1);
     gl.uniform3ui(program.at("u_kept"), 0, kept, nCells);
@@ -200,41 +201,57 @@ export class Gpu {
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.enable(gl.DEPTH_TEST);
     if (look.cubes || !this.mesh) this.drawCubes(look, camera);
-    else this.drawSurface(look, camera);
+    else this.drawSurface(look, camera, width, height);
   }
 
-  drawSurface(look, camera) {
-    const { gl } = this, planes = this.planesFor(look), count = this.mesh.triangles.length;
-    const passes = this.channel("alpha") ? 2 : 1;
+  // Draw where the surface rests that each pixel sees; of one pixel, or of all.
+  drawPlaces(look, camera, target, width, height, pixel = null) {
+    const { gl } = this;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
+    gl.viewport(0, 0, target.width, target.height);
+    for (const number of [0, 1]) gl.clearBufferuiv(gl.COLOR, number, [0, 0, 0, 0]);
+    gl.clearBufferfi(gl.DEPTH_STENCIL, 0, 1, 0);
+    gl.enable(gl.DEPTH_TEST);
+    gl.enable(gl.STENCIL_TEST);
+    gl.stencilFunc(gl.ALWAYS, 1, 255);
+    gl.stencilOp(gl.KEEP, gl.KEEP, gl.REPLACE);
+    this.setCamera(this.program("places", look, 0), camera, pixel, [width, height]);
     gl.bindVertexArray(this.surface);
-    gl.depthFunc(gl.LEQUAL);
-    if (passes === 1) {
-      this.setCamera(this.program("depth", look, planes), camera);
-      gl.colorMask(false, false, false, false);
-      gl.drawElements(gl.TRIANGLES, count, gl.UNSIGNED_INT, 0);
-      gl.colorMask(true, true, true, true);
-    }
+    gl.drawElements(gl.TRIANGLES, this.mesh.triangles.length, gl.UNSIGNED_INT, 0);
+    gl.bindVertexArray(null);
+    gl.disable(gl.DEPTH_TEST);
+    gl.stencilFunc(gl.EQUAL, 1, 255);
+    gl.stencilOp(gl.KEEP, gl.KEEP, gl.KEEP);
+  }
+
+  // Run a program for the pixels that see the surface.
+  drawSeen() {
+    this.gl.drawArrays(this.gl.TRIANGLES, 0, 3);
+    this.gl.disable(this.gl.STENCIL_TEST);
+  }
+
+  drawSurface(look, camera, width, height) {
+    const { gl } = this, planes = this.planesFor(look), places = this.target("places", width, height, 2), picture = this.target("picture", width, height, 1, places);
+    this.drawPlaces(look, camera, places, width, height);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, picture.buffer);
+    gl.clearColor(...BACKGROUND);
+    gl.clear(gl.COLOR_BUFFER_BIT);
     const program = this.program("surface", look, planes);
-    this.setTree(program, look, planes);
-    this.setCamera(program, camera);
+    this.setTree(program, look, planes, places);
+    gl.uniformMatrix4fv(program.at("u_view"), false, camera.view);
     gl.uniform1i(program.at("u_kind"), KINDS[this.channel(look.channel)?.space] ?? 0);
     gl.uniform1i(program.at("u_footprints"), look.footprints ? 1 : 0);
-    gl.uniform1f(program.at("u_finer"), 1);
     const marked = look.marked ?? { index: [0, 0, 0], edge: 0 };
     gl.uniform3fv(program.at("u_marked"), marked.index.map((n) => n * marked.edge));
     gl.uniform1f(program.at("u_markedEdge"), marked.edge);
-    for (let pass = 0; pass < passes; pass++) {
-      gl.uniform1i(program.at("u_pass"), pass);
-      if (pass === 1) {
-        gl.enable(gl.BLEND);
-        gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
-        gl.depthMask(false);
-      }
-      gl.drawElements(gl.TRIANGLES, count, gl.UNSIGNED_INT, 0);
-    }
+    gl.enable(gl.BLEND);
+    gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE);
+    this.drawSeen();
     gl.disable(gl.BLEND);
-    gl.depthMask(true);
-    gl.bindVertexArray(null);
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, picture.buffer);
+    gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, null);
+    gl.blitFramebuffer(0, 0, width, height, 0, 0, width, height, gl.COLOR_BUFFER_BIT, gl.NEAREST);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   }
 
   // Cells of a level as cubes; returns how many.
@@ -278,50 +295,53 @@ export class Gpu {
 
   // Rest positions, footprints and looked-up values of pixels: of one, or of a whole picture.
   probe(look, camera, { width, height, pixel = null, plane = 0, footprint = -1 }) {
-    const { gl } = this, size = [width, height];
-    const [w, h] = pixel ? [1, 1] : size;
-    if (this.probed?.w !== w || this.probed.h !== h) this.makeProbe(w, h);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.probed.target);
-    gl.viewport(0, 0, w, h);
-    gl.clearBufferuiv(gl.COLOR, 0, [0, 0, 0, 0]);
-    gl.clearBufferuiv(gl.COLOR, 1, [0, 0, 0, 0]);
-    gl.clearBufferuiv(gl.COLOR, 2, [0, 0, 0, 0]);
-    gl.clearBufferfi(gl.DEPTH_STENCIL, 0, 1, 0);
-    gl.enable(gl.DEPTH_TEST);
-    const planes = this.planes.length, program = this.program("probe", look, planes);
-    this.setTree(program, look, planes);
-    this.setCamera(program, camera, pixel, size);
-    gl.uniform1f(program.at("u_finer"), 1);
-    gl.uniform1f(program.at("u_width"), look.footprints ? footprint : 0);
-    gl.uniform1i(program.at("u_plane"), plane);
-    gl.bindVertexArray(this.surface);
-    gl.drawElements(gl.TRIANGLES, this.mesh.triangles.length, gl.UNSIGNED_INT, 0);
-    gl.bindVertexArray(null);
-    const read = (number) => {
+    const { gl } = this, planes = this.planes.length, [w, h] = pixel ? [1, 1] : [width, height];
+    const places = this.target("probed places", w, h, 2), values = this.target("probed values", w, h, 2, places);
+    this.drawPlaces(look, camera, places, width, height, pixel);
+    const read = (target, number) => {
       const bits = new Uint32Array(4 * w * h);
+      gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
       gl.readBuffer(gl.COLOR_ATTACHMENT0 + number);
       gl.readPixels(0, 0, w, h, gl.RGBA_INTEGER, gl.UNSIGNED_INT, bits);
       return new Float32Array(bits.buffer);
     };
-    const found = { places: read(0), values: read(1), normals: read(2) };
+    gl.bindFramebuffer(gl.FRAMEBUFFER, values.buffer);
+    for (const number of [0, 1]) gl.clearBufferuiv(gl.COLOR, number, [0, 0, 0, 0]);
+    const program = this.program("probe", look, planes);
+    this.setTree(program, look, planes, places);
+    gl.uniform1f(program.at("u_width"), look.footprints ? footprint : 0);
+    gl.uniform1i(program.at("u_plane"), plane);
+    this.drawSeen();
+    const found = { places: read(places, 0), values: read(values, 0), normals: read(values, 1) };
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     return found;
   }
 
-  makeProbe(w, h) {
-    const { gl } = this, target = gl.createFramebuffer();
-    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
-    for (let number = 0; number < 3; number++) {
-      const buffer = gl.createRenderbuffer();
-      gl.bindRenderbuffer(gl.RENDERBUFFER, buffer);
-      gl.renderbufferStorage(gl.RENDERBUFFER, gl.RGBA32UI, w, h);
-      gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + number, gl.RENDERBUFFER, buffer);
+  // Textures to draw to and to read: two of four whole numbers a pixel, or one of colours; of each name the latest
+  // size is kept. Depth and what the surface covers may be another target's.
+  target(name, width, height, count, shared = null) {
+    const { gl } = this, known = this.pictures[name];
+    if (known?.width === width && known.height === height && (!shared || known.depth === shared.depth)) return known;
+    if (known) {
+      known.textures.forEach((texture) => gl.deleteTexture(texture));
+      if (!shared) gl.deleteRenderbuffer(known.depth);
+      gl.deleteFramebuffer(known.buffer);
     }
-    const depth = gl.createRenderbuffer();
+    const buffer = gl.createFramebuffer(), depth = shared?.depth ?? gl.createRenderbuffer(), textures = [];
+    gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
+    for (let number = 0; number < count; number++) {
+      const texture = gl.createTexture();
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+      gl.texStorage2D(gl.TEXTURE_2D, 1, count === 1 ? gl.RGBA8 : gl.RGBA32UI, width, height);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+      gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + number, gl.TEXTURE_2D, texture, 0);
+      textures.push(texture);
+    }
     gl.bindRenderbuffer(gl.RENDERBUFFER, depth);
-    gl.renderbufferStorage(gl.RENDERBUFFER, gl.DEPTH24_STENCIL8, w, h);
+    if (!shared) gl.renderbufferStorage(gl.RENDERBUFFER, gl.DEPTH24_STENCIL8, width, height);
     gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.DEPTH_STENCIL_ATTACHMENT, gl.RENDERBUFFER, depth);
-    gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1, gl.COLOR_ATTACHMENT2]);
-    this.probed = { target, w, h };
+    gl.drawBuffers(textures.map((_, number) => gl.COLOR_ATTACHMENT0 + number));
+    return (this.pictures[name] = { buffer, textures, depth, width, height });
   }
 }

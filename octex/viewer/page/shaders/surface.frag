@@ -1,63 +1,45 @@
-// The surface, coloured by the field at its rest positions.
+// The surface, coloured by the field at its rest positions, which places.frag has drawn.
 
-in vec3 v_rest;
-in vec3 v_seen;
-in vec3 v_normal;
-in vec3 v_restNormal;
+uniform highp usampler2D u_places;
+uniform highp usampler2D u_ways;
 
-uniform bool u_footprints;  // averages over what a pixel covers; else leaves
-uniform float u_finer;  // the side of a footprint in pixels as they are drawn
-
-// The side of the square that a pixel covers, in root cells; a long one is shortened by half.
-float footprint() {
-  vec3 x = dFdx(v_rest), y = dFdy(v_rest);
-  float a = dot(x, x), b = dot(x, y), c = dot(y, y);
-  float apart = sqrt((a - c) * (a - c) + 4.0 * b * b);
-  float longer = sqrt(0.5 * (a + c + apart)), shorter = sqrt(max(0.5 * (a + c - apart), 0.0));
-  return max(shorter, 0.5 * longer) * u_finer;
+vec3 unpacked(uint bits) {
+  vec2 flat2 = unpackSnorm2x16(bits);
+  vec3 way = vec3(flat2, 1.0 - abs(flat2.x) - abs(flat2.y));
+  if (way.z < 0.0) way.xy = (1.0 - abs(way.yx)) * vec2(way.x < 0.0 ? -1.0 : 1.0, way.y < 0.0 ? -1.0 : 1.0);
+  return normalize(way);
 }
-
-#ifdef FACING
-// Which way the side that is seen faces, at rest.
-vec3 facing() {
-  vec3 seen = cross(dFdx(v_rest), dFdy(v_rest));
-#ifdef POSED
-  return seen;
-#else
-  return dot(seen, v_restNormal) < 0.0 ? -v_restNormal : v_restNormal;
-#endif
-}
-#endif
 
 #ifdef PROBE
 
-layout(location = 0) out uvec4 o_place;  // bits of the rest position and of the footprint's side
-layout(location = 1) out uvec4 o_value;  // bits of the plane that is asked for, or of alpha and the fetches
-layout(location = 2) out uvec4 o_normal;  // bits of the way that is looked at
+layout(location = 0) out uvec4 o_value;  // bits of the plane that is asked for, or of alpha and the fetches
+layout(location = 1) out uvec4 o_way;  // bits of the side that is looked at
 uniform int u_plane;
 uniform float u_width;  // below 0: the footprint
 
 void main() {
-  float width = u_width < 0.0 ? footprint() : u_width;
-  vec3 normal = vec3(0.0);
+  ivec2 at = ivec2(gl_FragCoord.xy);
+  vec4 place = uintBitsToFloat(texelFetch(u_places, at, 0));
+  o_value = o_way = uvec4(0u);
+  if (place.w <= 0.0) return;
+  vec3 side = unpacked(texelFetch(u_ways, at, 0).z);
 #ifdef FACING
-  normal = facing();
-  face(normal);
+  face(side);
 #endif
-  lookUp(v_rest, width);
-  o_normal = floatBitsToUint(vec4(normal, 0.0));
-  o_place = floatBitsToUint(vec4(v_rest, width));
+  lookUp(place.xyz, u_width < 0.0 ? place.w : u_width);
   vec4 value = vec4(g_alpha, float(g_fetches), g_cover, 1.0);
   if (u_plane == {N}) value = g_sum{N};
   o_value = floatBitsToUint(value);
+  o_way = floatBitsToUint(vec4(side, 0.0));
 }
 
 #else
 
 layout(location = 0) out vec4 o_color;
 
+uniform bool u_footprints;  // averages over what a pixel covers; else leaves
 uniform int u_kind;  // of the channel that is shown: 0 light, 1 data, 2 directions
-uniform int u_pass;  // 0: what covers; 1: what is translucent
+uniform mat4 u_view;
 uniform vec3 u_marked;  // the lowest corner of the cell that is marked
 uniform float u_markedEdge;  // its edge; 0: none
 
@@ -80,41 +62,27 @@ uniform float u_markedEdge;  // its edge; 0: none
 #define OCCLUSION 1.0
 #endif
 
-#ifdef NORMAL
-// The normal that a texture has, which is of the surface at rest, on the surface as it is posed.
-vec3 posedNormal(vec3 normal) {
-  vec3 stored = 2.0 * NORMAL - 1.0;
-  vec3 x = dFdx(v_rest), y = dFdy(v_rest), u = dFdx(v_seen), v = dFdy(v_seen);
-  vec3 across = cross(x, y), flat_ = cross(u, v);
-  float area = dot(across, across), seen = length(flat_);
-  if (area <= 0.0 || seen <= 0.0 || dot(stored, stored) < 1e-6) return normal;
-  float alongX = dot(cross(stored, y), across) / area, alongY = dot(cross(x, stored), across) / area;
-  float size = sqrt(sqrt(area) / seen);
-  vec3 turned = (alongX * u + alongY * v) * size * size + dot(stored, across) / sqrt(area) * flat_ / seen;
-  return normalize(turned);
-}
-#endif
-
 void main() {
-  vec3 normal = normalize(v_normal);
-  vec3 toward = normalize(-v_seen);
-  vec3 flatNormal = normalize(cross(dFdx(v_seen), dFdy(v_seen)));
-  if (dot(flatNormal, toward) < 0.0) flatNormal = -flatNormal;
-  if (dot(normal, flatNormal) < 0.0) normal = -normal;
-  float width = footprint();
+  ivec2 at = ivec2(gl_FragCoord.xy);
+  vec4 place = uintBitsToFloat(texelFetch(u_places, at, 0));
+  o_color = vec4(0.0);
+  if (place.w <= 0.0) return;
+  uvec4 ways = texelFetch(u_ways, at, 0);
+  vec3 normal = unpacked(ways.x), toward = unpacked(ways.y);
 #ifdef FACING
-  face(facing());
+  face(unpacked(ways.z));
 #endif
-  lookUp(v_rest, u_footprints ? width : 0.0);
-  if (u_pass == 0 ? g_alpha < 0.5 : g_alpha >= 0.5) discard;
+  lookUp(place.xyz, u_footprints ? place.w : 0.0);
   vec3 shown;
 #if defined(SHOWS_LIT)
-#ifdef NORMAL
-  normal = posedNormal(normal);
+#if defined(NORMAL) && !defined(POSED)
+  vec3 stored = 2.0 * NORMAL - 1.0;
+  if (dot(stored, stored) > 1e-4) {
+    stored = normalize(mat3(u_view) * stored);
+    normal = dot(stored, normal) < 0.0 ? -stored : stored;
+  }
 #endif
-  vec3 light = lit(
-    BASE_COLOR, METALLIC, ROUGHNESS, OCCLUSION, SPECULAR, normal, toward
-  );
+  vec3 light = lit(BASE_COLOR, METALLIC, ROUGHNESS, OCCLUSION, SPECULAR, normal, toward);
   shown = toSrgb(toneMapped(light + EMISSIVE));
 #elif defined(SHOWS_UNLIT)
   shown = toSrgb(BASE_COLOR + EMISSIVE);
@@ -123,20 +91,19 @@ void main() {
   if (u_kind == 2) shown = 0.5 * normalize(2.0 * shown - 1.0) + 0.5;
   if (u_kind == 0) shown = toSrgb(shown);
 #else
-  uvec2 cell = leafAt(v_rest, u_depth);
+  uvec2 cell = leafAt(place.xyz, u_depth);
   shown = levelColor(cell.y);
 #ifdef SHOWS_FACING
-  shown = facingColor(uint(texelFetch(FLAGS_PLANE, ivec2(cell.x & ROW, cell.x >> 12u), 0).FLAGS_PART * 255.0 + 0.5));
+  ivec2 texel = ivec2(cell.x & ROW, cell.x >> 12u);
+  shown = facingColor(uint(texelFetch(FLAGS_PLANE, texel, 0).FLAGS_PART * 255.0 + 0.5));
 #endif
   shown *= 0.55 + 0.45 * max(dot(normal, toward), 0.0);
 #endif
-  if (u_markedEdge > 0.0 && u_markedEdge <= 1.0) {
-    vec3 inside = (v_rest - u_marked) / u_markedEdge;
-    if (all(greaterThanEqual(inside, vec3(0.0))) && all(lessThanEqual(inside, vec3(1.0)))) {
-      shown = mix(shown, vec3(1.0, 0.85, 0.1), 0.35);
-    }
+  vec3 inside = (place.xyz - u_marked) / max(u_markedEdge, 1e-9);
+  if (u_markedEdge > 0.0 && all(greaterThanEqual(inside, vec3(0.0))) && all(lessThanEqual(inside, vec3(1.0)))) {
+    shown = mix(shown, vec3(1.0, 0.85, 0.1), 0.45);
   }
-  o_color = vec4(shown, u_pass == 0 ? 1.0 : g_alpha);
+  o_color = vec4(shown, g_alpha);
 }
 
 #endif

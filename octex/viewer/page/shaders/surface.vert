@@ -14,7 +14,6 @@ out vec3 v_seen;  // in view space
 out vec3 v_normal;
 out vec3 v_restNormal;  // where the model is not posed
 
-invariant gl_Position;
 
 void main() {
   vec4 seen = u_view * vec4(a_position, 1.0);

@@ -37,6 +37,11 @@ struct Eight {
   uvec4 low, high;
 };
 
+// The first becomes the last.
+Eight turned(Eight of) {
+  return Eight(uvec4(of.low.yzw, of.high.x), uvec4(of.high.yzw, of.low.x));
+}
+
 // What is looked up are the sums g_sumN under weights; these are their sums: with alpha and without, and that
 // of alpha itself.
 float g_total = 0.0, g_cover = 0.0, g_alpha = 0.0;
@@ -174,7 +179,7 @@ uvec2 nodeAt(uint number) {
   return texelFetch(u_nodes, ivec2(number & ROW, number >> 12u), 0).xy;
 }
 
-// The children of one node, weighed by their places along the axes.
+// Take the children of one node, weighed by their places along the axes.
 void children(uvec2 words, vec2 x, vec2 y, vec2 z, bool averages) {
   uint mask = (words.x | words.y) & 255u;
   if (mask == 0u || x.x + x.y <= 0.0 || y.x + y.y <= 0.0 || z.x + z.y <= 0.0) return;
@@ -183,8 +188,7 @@ void children(uvec2 words, vec2 x, vec2 y, vec2 z, bool averages) {
   vec4 low = plane * z.x, high = plane * z.y;
   for (int octant = 0; octant < 8; octant++) {
     if ((mask & 1u) != 0u) {
-      float weight = low.x;
-      if (weight > 0.0) tap(cell, weight, averages);
+      if (low.x > 0.0) tap(cell, low.x, averages);
       cell++;
     }
     mask >>= 1u;
@@ -192,10 +196,9 @@ void children(uvec2 words, vec2 x, vec2 y, vec2 z, bool averages) {
   }
 }
 
-// The stored cell that is nearest to the point, among the children of one node.
+// Find the stored cell that is nearest to the point, among the children of one node.
 void nearestChild(uvec2 words, vec2 x, vec2 y, vec2 z, inout float least, inout uint nearest) {
-  uint mask = (words.x | words.y) & 255u;
-  uint cell = words.x >> 8u;
+  uint mask = (words.x | words.y) & 255u, cell = words.x >> 8u;
   for (uint octant = 0u; octant < 8u; octant++) {
     if ((mask >> octant & 1u) == 0u) continue;
     float away = x[octant & 1u] + y[octant >> 1u & 1u] + z[octant >> 2u];
@@ -219,49 +222,37 @@ void gather(Eight first, Eight second, vec3 inside, uvec3 parity, float share, b
   vec3 begin = vec3(parity) - 1.5 - inside;
   vec4 steps = vec4(0.0, 1.0, 2.0, 3.0);
   vec4 x = steps + begin.x, y = steps + begin.y, z = steps + begin.z;
-  if (u_filter == NEAREST) {
-    x = distances(x), y = distances(y), z = distances(z);
-    float least = 1e5;
-    uint nearest = 0u;
-    nearestChild(uvec2(first.low.x, second.low.x), x.xy, y.xy, z.xy, least, nearest);
-    nearestChild(uvec2(first.low.y, second.low.y), x.zw, y.xy, z.xy, least, nearest);
-    nearestChild(uvec2(first.low.z, second.low.z), x.xy, y.zw, z.xy, least, nearest);
-    nearestChild(uvec2(first.low.w, second.low.w), x.zw, y.zw, z.xy, least, nearest);
-    nearestChild(uvec2(first.high.x, second.high.x), x.xy, y.xy, z.zw, least, nearest);
-    nearestChild(uvec2(first.high.y, second.high.y), x.zw, y.xy, z.zw, least, nearest);
-    nearestChild(uvec2(first.high.z, second.high.z), x.xy, y.zw, z.zw, least, nearest);
-    nearestChild(uvec2(first.high.w, second.high.w), x.zw, y.zw, z.zw, least, nearest);
-    if (least < 1e5) tap(nearest, share, averages);
-    return;
+  bool isNearest = u_filter == NEAREST;
+  if (isNearest) x = distances(x), y = distances(y), z = distances(z);
+  else x = kernel(x), y = kernel(y), z = kernel(z) * share;
+  float least = 1e5;
+  uint nearest = 0u;
+  for (int parent = 0; parent < 8; parent++) {
+    // Vectors are turned, as components chosen by a number take long.
+    uvec2 words = uvec2(first.low.x, second.low.x);
+    if (isNearest) nearestChild(words, x.xy, y.xy, z.xy, least, nearest);
+    else children(words, x.xy, y.xy, z.xy, averages);
+    first = turned(first);
+    second = turned(second);
+    x = x.zwxy;
+    if ((parent & 1) == 1) y = y.zwxy;
+    if (parent == 3) z = z.zwxy;
   }
-  x = kernel(x), y = kernel(y), z = kernel(z) * share;
-  children(uvec2(first.low.x, second.low.x), x.xy, y.xy, z.xy, averages);
-  children(uvec2(first.low.y, second.low.y), x.zw, y.xy, z.xy, averages);
-  children(uvec2(first.low.z, second.low.z), x.xy, y.zw, z.xy, averages);
-  children(uvec2(first.low.w, second.low.w), x.zw, y.zw, z.xy, averages);
-  children(uvec2(first.high.x, second.high.x), x.xy, y.xy, z.zw, averages);
-  children(uvec2(first.high.y, second.high.y), x.zw, y.xy, z.zw, averages);
-  children(uvec2(first.high.z, second.high.z), x.xy, y.zw, z.zw, averages);
-  children(uvec2(first.high.w, second.high.w), x.zw, y.zw, z.zw, averages);
+  if (least < 1e5) tap(nearest, share, averages);
 }
 
-// Read a block's nodes: all, or those that have children in the block below.
-void readBlock(Eight block, bvec3 other, uvec3 side, bool all, out Eight first, out Eight second) {
-  bvec2 x = bvec2(all || !other.x || side.x == 0u, all || !other.x || side.x == 1u);
-  bvec2 y = bvec2(all || !other.y || side.y == 0u, all || !other.y || side.y == 1u);
-  bvec2 z = bvec2(all || !other.z || side.z == 0u, all || !other.z || side.z == 1u);
-  uvec2 a = x.x && y.x && z.x ? nodeAt(block.low.x) : uvec2(0u);
-  uvec2 b = x.y && y.x && z.x ? nodeAt(block.low.y) : uvec2(0u);
-  uvec2 c = x.x && y.y && z.x ? nodeAt(block.low.z) : uvec2(0u);
-  uvec2 d = x.y && y.y && z.x ? nodeAt(block.low.w) : uvec2(0u);
-  first.low = uvec4(a.x, b.x, c.x, d.x);
-  second.low = uvec4(a.y, b.y, c.y, d.y);
-  a = x.x && y.x && z.y ? nodeAt(block.high.x) : uvec2(0u);
-  b = x.y && y.x && z.y ? nodeAt(block.high.y) : uvec2(0u);
-  c = x.x && y.y && z.y ? nodeAt(block.high.z) : uvec2(0u);
-  d = x.y && y.y && z.y ? nodeAt(block.high.w) : uvec2(0u);
-  first.high = uvec4(a.x, b.x, c.x, d.x);
-  second.high = uvec4(a.y, b.y, c.y, d.y);
+// Read those nodes of a block that are needed.
+void readBlock(Eight block, uint needed, out Eight first, out Eight second) {
+  first = second = Eight(uvec4(0u), uvec4(0u));
+  for (int node = 0; node < 8; node++) {
+    uvec2 words = (needed & 1u) != 0u ? nodeAt(block.low.x) : uvec2(0u);
+    first.low.x = words.x;
+    second.low.x = words.y;
+    first = turned(first);
+    second = turned(second);
+    block = turned(block);
+    needed >>= 1u;
+  }
 }
 
 // For each child of the block below, the word of its parent.
@@ -312,6 +303,9 @@ void addLooks(vec3 point, ivec2 levels, vec2 shares, int leaves) {
     if (shares.x > 0.0) tap(0u, weight * shares.x, leaves > 0);
   }
   uvec3 parity = fixedPoint >> 22u & 1u;
+  // The parents of the finest cells that are looked at; above them only what they descend from is read.
+  ivec3 finest = ivec3(fixedPoint >> uint(23 - levels.y));
+  ivec3 low = (finest - 1) >> 1;
   Eight block = Eight(uvec4(0u), uvec4(0u));
   uint root = (1u - parity.x) + 2u * (1u - parity.y);
   uvec4 at = uvec4(equal(uvec4(0u, 1u, 2u, 3u), uvec4(root)));
@@ -321,8 +315,18 @@ void addLooks(vec3 point, ivec2 levels, vec2 shares, int leaves) {
     bool looks = level == levels.x || level == levels.y;
     uvec3 side = level < 23 ? fixedPoint >> uint(22 - level) & 1u : uvec3(0u);
     bvec3 other = notEqual(side, parity);
+    uint needed = 255u;
+    if (!looks) {
+      // The block above a level begins one node before the point's, or with it where the level's number is odd.
+      ivec3 begin = ivec3(fixedPoint >> uint(24 - level)) - 1 + ivec3(parity);
+      int up = levels.y - level;
+      bvec3 lower = equal(low >> up, begin), upper = equal((low + 1) >> up, begin + 1);
+      needed = (lower.x ? 0x55u : 0u) | (upper.x ? 0xAAu : 0u);
+      needed &= (lower.y ? 0x33u : 0u) | (upper.y ? 0xCCu : 0u);
+      needed &= (lower.z ? 0x0Fu : 0u) | (upper.z ? 0xF0u : 0u);
+    }
     Eight first, second;
-    readBlock(block, other, side, looks, first, second);
+    readBlock(block, needed, first, second);
     if (looks) {
       float share = level == levels.x ? shares.x : shares.y;
       vec3 inside = point * float(1 << level) - vec3(fixedPoint >> uint(23 - level));
@@ -534,11 +538,12 @@ void lookUp(vec3 point, float width) {
     levels.y = shares.y > 0.0 ? levels.x + 1 : levels.x;
   }
   int leaves = width > 0.0 ? u_depth : 0;
-  addAll(point, levels, shares, leaves);
-  // Off the surface: the averages of the deepest level that has one there.
-  while (g_cover <= 0.0 && levels.x > 0) {
+  // Off the surface it is the averages of the deepest level that has one there.
+  for (;;) {
+    addAll(point, levels, shares, leaves);
+    if (g_cover > 0.0 || levels.x == 0) break;
     levels = ivec2(levels.x - 1);
-    addAll(point, levels, vec2(1.0, 0.0), leaves);
+    shares = vec2(1.0, 0.0);
   }
   float scale = g_total > 0.0 ? 1.0 / g_total : 0.0;
   g_sum{N} *= scale;

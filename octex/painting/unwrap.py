@@ -1,8 +1,9 @@
 """A piece of a surface, laid flat: the discrete exponential map around a point.
 
-Distances and directions from the centre spread over triangles like a wave (Novotni and Klein 2002): two corners
-of a triangle say where, in its plane, the centre would lie; the third is as far from there as it is from the
-centre, in the direction between those of the two. Schmidt, Grimm and Wyvill (2006) paint by such maps.
+Distances and directions from the centre spread over triangles like a wave (Novotni and Klein 2002): two
+corners of a triangle say where, in its plane, the centre would lie; the third is as far from there as it is
+from the centre, in the direction between those of the two. Schmidt, Grimm and Wyvill (2006) paint by such
+maps.
 """
 
 from __future__ import annotations
@@ -76,7 +77,12 @@ class Patch:
 
 
 def unwrap(
-    surface: Surface, center: npt.ArrayLike, radius: float, *, up: npt.ArrayLike | None = None, size: int = 1024
+    surface: Surface,
+    center: npt.ArrayLike,
+    radius: float,
+    *,
+    up: npt.ArrayLike | None = None,
+    size: int = 1024,
 ) -> Patch:
     """Lay a disc of a posed surface flat, to be painted on in a picture (Benson & Davis 2002, 6.1).
 
@@ -109,7 +115,7 @@ def unwrap(
         )
     weld = _welded(surface)
     faces = weld[surface.triangles]
-    flat, border = _spread(surface.vertices, faces, start, at, radius, wanted)
+    flat, border = _spread(surface.vertices, faces, start, found.barycentric[0], at, radius, wanted)
     reach = np.linalg.norm(flat, axis=1)
     inside = (reach < radius)[faces].any(axis=1) & np.isfinite(reach)[faces].all(axis=1)
     inside[start] = True
@@ -136,19 +142,28 @@ def _welded(surface: Surface) -> Int64s:
 
 
 def _spread(
-    vertices: Float64s, faces: Int64s, start: int, at: Float64s, radius: float, up: Float64s | None
+    vertices: Float64s,
+    faces: Int64s,
+    start: int,
+    barycentric: Float64s,
+    at: Float64s,
+    radius: float,
+    up: Float64s | None,
 ) -> tuple[Float64s, Bools]:
     """Return where vertices lie (n, 2), NaN where the wave did not come, and which are on borders."""
     flat = np.full((len(vertices), 2), np.nan)
-    normals = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
+    normals = np.cross(
+        vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]]
+    )
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     units = normals / np.where(lengths > 0, lengths, 1)
     near = np.flatnonzero(np.isin(faces, faces[start]).any(axis=1) & (lengths[:, 0] > 0))
-    mean = normals[near].sum(axis=0)
     normal = units[start]
     is_flat = bool((units[near] @ normal > np.cos(np.radians(_FLAT))).all())
-    if is_flat:
-        normal = mean / np.linalg.norm(mean)
+    if is_flat:  # as round as what is around: between the corners' normals
+        corners = [normals[near[(faces[near] == each).any(axis=1)]].sum(axis=0) for each in faces[start]]
+        normal = sum(w * each / np.linalg.norm(each) for w, each in zip(barycentric, corners, strict=True))
+        normal /= np.linalg.norm(normal)
     if not normal.any():
         raise ModelError("the surface has no area at the centre; choose another")
     if up is None or not np.linalg.norm(np.cross(up, normal)) > 1e-9 * np.linalg.norm(up):
@@ -209,7 +224,7 @@ def _propagate(
                 if other == vertex or given[other]:
                     continue
                 third = faces[face, 0] + faces[face, 1] + faces[face, 2] - vertex - other
-                if third == vertex or third == other:
+                if third == vertex or third == other:  # noqa: SIM109  (kernels have no such tuples)
                     continue
                 has_two = distances[third] < np.inf
                 distance, angle = _stepped(vertices, vertex, third, other, distances, angles, has_two)

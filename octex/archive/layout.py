@@ -1,0 +1,130 @@
+r"""The archive of a texture: what is on disk.
+
+    8 bytes     89 4F 43 54 5A 0D 0A 1A: "\x89OCTZ\r\n\x1a"
+    u32         the format's version, 1
+    u32         bytes of the directory
+    u64         where it begins: after the streams, at the end of the file
+    u32         CRC-32 of the directory
+    u32         CRC-32 of the 28 bytes before
+    …           streams, coarse levels first, without gaps
+    …           the directory
+
+The directory is three lengths (u32), and as many bytes: the head, JSON compressed with zlib; the models, one
+stream of numbers (see entropy); and a record for each block.
+
+A block is the children of nodes 4096·n … 4096·n + 4095 of one level. It has a stream for their structure and
+flags, one for their areas, and one for each channel; it is decoded with nothing but the levels above it. Its
+record is u32s: how many of the children are nodes, how many children there are, and of each stream its bytes
+and their CRC-32. After the levels come blocks of 4096 split cells (areas of rows, then each channel), of 4096
+kept nodes (each channel), and other tensors in pieces of a megabyte, compressed with xz.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from typing import NamedTuple
+
+import numpy as np
+
+from octex.arrays import Array, Int64s, Uint8s
+from octex.files import open_file
+from octex.tree.layout import SplitTable, TreeArrays
+from octex.tree.split import counts_of
+
+MAGIC = b"\x89OCTZ\r\n\x1a"
+FORMAT = "octex archive"
+FORMAT_VERSION = 1
+#: Nodes of a block, a multiple of eight: blocks of one level share no group. Also split cells, kept nodes.
+BLOCK = 4096
+PIECE = 1 << 20
+START = 32
+_IN_MEMORY = 1 << 28
+
+TREE = tuple(f"tree/{name}" for name in TreeArrays._fields)
+SPLIT = tuple(f"split/{name}" for name in SplitTable._fields)
+KEPT = "kept/cells"
+
+
+def is_archive(path: str | os.PathLike[str]) -> bool:
+    """Say whether a file begins as an archive does."""
+    with suppress(OSError), open_file(path) as file:
+        return file.read(len(MAGIC)) == MAGIC
+    return False
+
+
+class Block(NamedTuple):
+    """The children of some nodes of a level."""
+
+    level: int  # of the nodes
+    first: int
+    last: int
+
+
+class Named(NamedTuple):
+    """A channel's arrays as bytes (rows, components, bytes of a value)."""
+
+    values: Uint8s
+    split_values: Uint8s
+    kept_values: Uint8s
+
+
+def blocks(level_nodes: Int64s, level: int) -> Iterator[Block]:
+    """Yield the blocks of a level's nodes."""
+    begin, end = int(level_nodes[level]), int(level_nodes[level + 1])
+    while begin < end:
+        last = min((begin // BLOCK + 1) * BLOCK, end)
+        yield Block(level, begin, last)
+        begin = last
+
+
+def parts(count: int) -> Iterator[slice]:
+    """Yield runs of split cells or kept nodes."""
+    for begin in range(0, count, BLOCK):
+        yield slice(begin, min(begin + BLOCK, count))
+
+
+def as_bytes(array: Array) -> Uint8s:
+    """Return values (rows, components) as bytes (rows, components, size)."""
+    rows, components = array.shape
+    return array.view(np.uint8).reshape(rows, components, array.dtype.itemsize)
+
+
+def named(tensors: Mapping[str, Array], name: str) -> Named:
+    """Return a channel's arrays; those that are not there have no rows."""
+    values = as_bytes(tensors[f"channels/{name}"])
+    return Named(
+        values,
+        *(
+            as_bytes(tensors[key]) if key in tensors else values[:0]
+            for key in (f"split/channels/{name}", f"kept/channels/{name}")
+        ),
+    )
+
+
+def known_names(tensors: Mapping[str, Array], channels: Sequence[str]) -> set[str]:
+    """Return the names of the tensors that are not coded as they are."""
+    found = {*TREE, *SPLIT, KEPT}
+    for name in channels:
+        found |= {f"channels/{name}", f"split/channels/{name}", f"kept/channels/{name}"}
+    return found & tensors.keys()
+
+
+def room(count: int) -> Uint8s:
+    """Return so many zeros: in memory, or if they are many in a temporary file, whose pages may leave it."""
+    if count <= _IN_MEMORY:
+        return np.zeros(count, np.uint8)
+    with tempfile.TemporaryFile() as file:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(file.fileno(), 0, count)  # a page without room would end the process
+        else:
+            file.truncate(count)
+        return np.frombuffer(mmap.mmap(file.fileno(), count), np.uint8)
+
+
+def first_rows(facings: Uint8s) -> Int64s:
+    """Return the first row of each split cell, then the number of rows."""
+    return np.concatenate([np.zeros(1, np.int64), np.cumsum(counts_of(facings))])

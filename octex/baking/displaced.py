@@ -1,0 +1,227 @@
+"""Displacement: a surface divided to a texture's cells, and moved along its normals by a channel."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+
+from octex.arrays import Float32s, Float64s, Int32s, Int64s
+from octex.baking.tessellation import Tessellation, edges_of, tessellated
+from octex.channels import ChannelFormat
+from octex.checks import as_choice, as_number, as_positive, as_whole
+from octex.errors import ArgumentError
+from octex.jit import inlined, kernel
+from octex.source.corners import Corners, Frames
+from octex.source.mesh import FARTHEST
+from octex.source.subdivided import OnCage
+from octex.source.surface import Surface, as_surface
+from octex.source.tangents import carried
+from octex.source.welding import welded
+from octex.texture import OctreeTexture, as_texture
+from octex.view.shading import corner_normals
+
+#: How much light of each component weighs in a colour's height (ITU-R BT.709).
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+#: The field's gradient is averaged so often over the triangles around each vertex, over about a cell: its
+#: values are those of a fit, which fluctuate from cell to cell. Of a sphere's normals a third of the error.
+_ROUNDS = 3
+#: An edge is divided at most so often.
+_MOST_LEVELS = 10
+
+
+def displace(
+    surface: Surface,
+    texture: OctreeTexture,
+    channel: str,
+    scale: float,
+    *,
+    middle: float = 0.0,
+    cell: float | None = None,
+    most_triangles: int = 20_000_000,
+) -> Surface:
+    """Return a surface moved along its normals by a channel of its texture, and divided to the cells.
+
+    p + scale · (h − middle) · n: h is what the channel holds, of colours their luminance, and n the surface's
+    own shading normal (``frames``), else the mean of the triangles around, in the pose. Edges are halved at
+    rest until none is longer than ``cell``, by default the texture's finest cell; neighbours divide a shared
+    edge alike. Rest positions stay those of the surface undisplaced, as do its texture coordinates and its
+    source. New normals, ``posed_frames()``, are those of the displaced surface, by the gradient of the field,
+    averaged over about a cell.
+
+    Raises ArgumentError for a channel that is not there or is of directions, for numbers out of range, for
+    more than ``most_triangles``, and where the displacement is not finite.
+    """
+    as_surface(surface)
+    as_texture(texture)
+    as_choice(channel, texture.channels, "channel of the texture")
+    form = texture.channels[channel].format
+    if form.space == "direction":
+        raise ArgumentError(f"{channel} is directions; displacement is by numbers or colours")
+    scale = as_number(scale, "scale", -FARTHEST, FARTHEST)
+    middle = as_number(middle, "middle", -FARTHEST, FARTHEST)
+    finest = texture.placement.size / 2**texture.tree.max_depth
+    cell = finest if cell is None else as_positive(cell, "cell")
+    most = as_whole(most_triangles, "most_triangles", 1, 2**31 - 1)
+    resting = surface.placed_in(texture).rest
+    places = welded(np.concatenate([surface.vertices, surface.rest, resting], axis=1)).astype(np.int64)
+    triangles = places[surface.triangles]
+    parts = _parts(triangles, resting, surface, cell, most)
+    corners, rest_corners = surface.vertices[surface.triangles], resting[surface.triangles]
+    normals = _normals(surface, triangles)
+    posed, undisplaced = parts.spread(corners), parts.spread(rest_corners)
+    rest = undisplaced if resting is surface.rest else parts.spread(surface.rest[surface.triangles])
+    directions = parts.spread(normals)
+    lengths = np.linalg.norm(directions, axis=1)
+    directions /= np.where(lengths > 0, lengths, 1)[:, None]
+    facing = parts.spread(corner_normals(resting, surface.triangles, 180.0).astype(np.float64))
+    heights, slopes = _heights(texture, form, undisplaced, facing, scale, middle)
+    with np.errstate(over="ignore", invalid="ignore"):
+        moved = posed + heights[:, None] * directions
+    if not (np.abs(moved) <= FARTHEST).all():
+        first = undisplaced[int(np.argmin((np.abs(moved) <= FARTHEST).all(axis=1)))]
+        raise ArgumentError(
+            f"{surface.name}: {channel} displaces to what is not finite, at {first.tolist()} at rest; "
+            "repair the texture, or give another scale"
+        )
+    sums, counts = np.empty_like(slopes), np.empty(len(slopes), np.int64)
+    for _ in range(_ROUNDS):
+        _even_out(parts.triangles, slopes, sums, counts)
+    bent = np.zeros_like(moved)
+    _bend(
+        parts.owners, parts.points, corners, rest_corners, normals, directions, lengths, heights, slopes,
+        bent,
+    )  # fmt: skip
+    sizes = np.linalg.norm(bent, axis=1, keepdims=True)
+    bent = np.where(sizes > 0, bent / np.where(sizes > 0, sizes, 1), directions)
+    frames = carried(_frames(bent, parts), parts.triangles, moved, rest)
+    uv = None
+    if surface.uv is not None:
+        own = surface.uv.values[surface.uv.rows[parts.parents]]
+        values = np.einsum("mkc,mcx->mkx", parts.shares, own).reshape(-1, 2).astype(np.float32)
+        uv = Corners(values, np.arange(len(values), dtype=np.int32).reshape(-1, 3))
+    source = OnCage(surface.source, parts.parents, parts.shares, rest, rest, parts.triangles)
+    said = json.dumps({"channel": channel, "scale": scale, "middle": middle})
+    return Surface(
+        moved, parts.triangles, source, rest=rest, uv=uv, frames=frames, name=surface.name,
+        provenance={**surface.provenance, "displaced": said},
+    )  # fmt: skip
+
+
+def _parts(triangles: Int64s, rest: Float64s, surface: Surface, cell: float, most: int) -> Tessellation:
+    """Divide triangles (m, 3) of places until no edge is longer than a cell."""
+    at = np.empty((int(triangles.max()) + 1, 3))
+    at[triangles] = rest[surface.triangles]
+    edges, sides = edges_of(triangles)
+    lengths = np.linalg.norm(at[edges[:, 0]] - at[edges[:, 1]], axis=1)
+    with np.errstate(over="ignore"):
+        levels = np.ceil(np.log2(np.clip(lengths / cell * (1 - 1e-9), 1.0, FARTHEST))).astype(np.int64)
+    finest = levels[sides].max(axis=1)
+    if finest.max() > _MOST_LEVELS or (count := int((4**finest).sum())) > most:
+        number = f"{count:,}" if finest.max() <= _MOST_LEVELS else f"4^{finest.max()} for a triangle"
+        raise ArgumentError(
+            f"{surface.name} divided to cells of {cell:g} is too many triangles, {number}; give a larger cell"
+        )
+    return tessellated(triangles, levels, (edges, sides))
+
+
+def _normals(surface: Surface, triangles: Int64s) -> Float64s:
+    """Return posed unit normals at the corners of triangles (m, 3, 3), one for each place."""
+    frames = surface.posed_frames()
+    if frames is None:
+        return corner_normals(surface.vertices, surface.triangles, 180.0).astype(np.float64)
+    given = frames.normals.values[frames.normals.rows].reshape(-1, 3)
+    sums = np.stack([np.bincount(triangles.ravel(), column) for column in given.T], axis=1)
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.asarray((sums / np.where(lengths > 0, lengths, 1))[triangles])
+
+
+def _heights(
+    texture: OctreeTexture, form: ChannelFormat, rest: Float64s, facing: Float64s, scale: float, middle: float
+) -> tuple[Float64s, Float64s]:
+    """Return how far vertices move (n,), and how that changes by rest position (n, 3)."""
+    values, gradients = texture.sample(rest, form.name, normals=facing, gradient=True)
+    weights = _LUMINANCE if form.components == 3 else np.eye(form.components)[0]
+    with np.errstate(over="ignore", invalid="ignore"):  # refused where it is used
+        heights = scale * (values.astype(np.float64) @ weights - middle)
+        return heights, scale * np.einsum("ncx,c->nx", gradients.astype(np.float64), weights)
+
+
+@kernel
+def _even_out(triangles: Int32s, values: Float64s, sums: Float64s, counts: Int64s) -> None:
+    """Put the means of values (n, 3) over the triangles around each vertex in their place."""
+    sums[:] = 0.0
+    counts[:] = 0
+    for t in range(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        for axis in range(3):
+            mean = (values[a, axis] + values[b, axis] + values[c, axis]) / 3.0
+            sums[a, axis] += mean
+            sums[b, axis] += mean
+            sums[c, axis] += mean
+        counts[a] += 1
+        counts[b] += 1
+        counts[c] += 1
+    for n in range(len(values)):
+        for axis in range(3):
+            if counts[n] > 0:
+                values[n, axis] = sums[n, axis] / counts[n]
+
+
+@kernel
+def _bend(
+    owners: Int64s,
+    points: Int64s,
+    corners: Float64s,
+    rest: Float64s,
+    normals: Float64s,
+    directions: Float64s,
+    lengths: Float64s,
+    heights: Float64s,
+    slopes: Float64s,
+    bent: Float64s,
+) -> None:
+    """Add up the normals of the displaced surface at vertices (n, 3), a unit vector for each parent there.
+
+    Of each parent two sides are moved along: a tangent t there becomes t + (∂h) n + h ∂n.
+    """
+    for p in range(len(points)):
+        t, v = owners[p], points[p]
+        nx, ny, nz = directions[v, 0], directions[v, 1], directions[v, 2]
+        turn = heights[v] / max(lengths[v], 1e-30)
+        ax, ay, az = _moved(t, 1, corners, normals, turn)
+        bx, by, bz = _moved(t, 2, corners, normals, turn)
+        rise = fall = 0.0
+        for axis in range(3):
+            rise += slopes[v, axis] * (rest[t, 1, axis] - rest[t, 0, axis])
+            fall += slopes[v, axis] * (rest[t, 2, axis] - rest[t, 0, axis])
+        rise -= ax * nx + ay * ny + az * nz
+        fall -= bx * nx + by * ny + bz * nz
+        ax, ay, az = ax + rise * nx, ay + rise * ny, az + rise * nz
+        bx, by, bz = bx + fall * nx, by + fall * ny, bz + fall * nz
+        x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        size = np.sqrt(x * x + y * y + z * z)
+        if size > 0.0:
+            bent[v, 0] += x / size
+            bent[v, 1] += y / size
+            bent[v, 2] += z / size
+
+
+@inlined
+def _moved(t: int, k: int, corners: Float64s, normals: Float64s, turn: float) -> tuple[float, float, float]:
+    """Return a side of a parent with what the change of the normal along it adds."""
+    return (
+        corners[t, k, 0] - corners[t, 0, 0] + turn * (normals[t, k, 0] - normals[t, 0, 0]),
+        corners[t, k, 1] - corners[t, 0, 1] + turn * (normals[t, k, 1] - normals[t, 0, 1]),
+        corners[t, k, 2] - corners[t, 0, 2] + turn * (normals[t, k, 2] - normals[t, 0, 2]),
+    )
+
+
+def _frames(normals: Float64s, parts: Tessellation) -> Frames:
+    """Return normals of vertices as frames, with tangents that mean nothing."""
+    axes = np.where(np.abs(normals[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    tangents: Float32s = np.ones((len(normals), 4), np.float32)
+    across = np.cross(normals, axes)
+    tangents[:, :3] = across / np.linalg.norm(across, axis=1, keepdims=True)
+    rows = parts.triangles
+    return Frames(Corners(normals.astype(np.float32), rows), Corners(tangents, rows))

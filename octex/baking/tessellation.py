@@ -1,0 +1,107 @@
+"""Triangles divided into smaller ones, each edge by itself, so that neighbours meet at the same vertices."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from octex.arrays import Float64s, Int32s, Int64s
+from octex.source.distinct import distinct_rows
+
+
+class Tessellation(NamedTuple):
+    """Triangles in others, their parents. Points are listed once for each parent that they lie on."""
+
+    triangles: Int32s  # (m, 3)   vertices
+    parents: Int64s  # (m,)
+    shares: Float64s  # (m, 3, 3)   barycentric coordinates of their corners there
+    points: Int64s  # (p,)   the vertex of each point
+    owners: Int64s  # (p,)   the parent that it lies on
+    places: Float64s  # (p, 3)   and its barycentric coordinates there
+    vertices: int  # how many
+
+    def spread(self, corners: Float64s) -> Float64s:
+        """Return values (vertices, k) of those at the corners of parents (t, 3, k), in the middle between."""
+        made = np.empty((self.vertices, corners.shape[2]))
+        made[self.points] = np.einsum("pc,pck->pk", self.places, corners[self.owners])
+        return made
+
+
+def tessellated(triangles: Int64s, levels: Int64s, edges: tuple[Int64s, Int64s]) -> Tessellation:
+    """Divide triangles (t, 3) so that each edge has 2ˡ parts.
+
+    ``edges`` are those of triangles, (e, 2) vertices, and which of them are each triangle's sides (t, 3);
+    ``levels`` (e,) are their l. A triangle is divided as its finest edge says; along coarser ones the
+    vertices of finer rows meet at the nearest of theirs.
+    """
+    ends, sides = edges
+    count = int(triangles.max()) + 1
+    firsts = count + np.cumsum(2**levels - 1) - (2**levels - 1)  # the first vertex between an edge's ends
+    count += int((2**levels - 1).sum())
+    depth = levels[sides].max(axis=1)
+    parts = []
+    for level in np.unique(depth).tolist():
+        own = np.flatnonzero(depth == level)
+        n = 2**level
+        grid, fine = _grid(n)
+        numbers = np.empty((len(own), len(grid)), np.int64)
+        inside = (grid > 0).all(axis=1)
+        inner = int(inside.sum())
+        numbers[:, inside] = count + np.arange(len(own) * inner).reshape(len(own), inner)
+        count += len(own) * inner
+        places = np.broadcast_to(grid / n, (len(own), *grid.shape)).copy()
+        for side in range(3):
+            a, b, c = side, (side + 1) % 3, (side + 2) % 3
+            rim = np.flatnonzero(grid[:, c] == 0)
+            edge = sides[own, side]
+            step = (n >> levels[edge])[:, None]  # rows of the grid a part of the edge
+            along = (grid[rim, b] + step // 2) // step
+            most = (2 ** levels[edge])[:, None]
+            is_turned = (ends[edge, 0] != triangles[own, a])[:, None]
+            between = firsts[edge][:, None] - 1 + np.where(is_turned, most - along, along)
+            corners = triangles[own]
+            numbers[:, rim] = np.where(
+                along == 0, corners[:, a, None], np.where(along == most, corners[:, b, None], between)
+            )
+            places[:, rim, b] = along * step / n
+            places[:, rim, a] = 1 - places[:, rim, b]
+        made = numbers[:, fine].reshape(-1, 3)
+        wide = (made[:, 0] != made[:, 1]) & (made[:, 1] != made[:, 2]) & (made[:, 2] != made[:, 0])
+        parts.append(
+            (
+                made[wide].astype(np.int32),
+                np.repeat(own, len(fine))[wide],
+                places[:, fine].reshape(-1, 3, 3)[wide],
+                numbers.ravel(),
+                np.repeat(own, len(grid)),
+                places.reshape(-1, 3),
+            )
+        )
+    joined = [np.concatenate(each) for each in zip(*parts, strict=True)]
+    return Tessellation._make([*joined, count])
+
+
+def edges_of(triangles: Int64s) -> tuple[Int64s, Int64s]:
+    """Return the edges (k, 2) of triangles, each once, and which of them are each triangle's sides (m, 3)."""
+    ends = np.stack([triangles, triangles[:, [1, 2, 0]]], axis=-1).reshape(-1, 2)
+    edges, sides = distinct_rows(in_order(ends))
+    return edges, sides.reshape(-1, 3)
+
+
+def in_order(pairs: Int64s) -> Int64s:
+    """Return pairs (k, 2) with the lower number first; a sort takes ten times as long."""
+    return np.stack([np.minimum(pairs[:, 0], pairs[:, 1]), np.maximum(pairs[:, 0], pairs[:, 1])], axis=1)
+
+
+def _grid(n: int) -> tuple[Int64s, Int64s]:
+    """Return the points (k, 3) of a triangle in n rows, barycentric in nths, and its triangles (n², 3)."""
+    i, j = np.mgrid[: n + 1, : n + 1].reshape(2, -1)
+    known = i + j <= n
+    i, j = i[known], j[known]
+    numbers = np.full((n + 2, n + 2), -1)
+    numbers[i, j] = np.arange(len(i))
+    up = np.stack([numbers[i, j], numbers[i + 1, j], numbers[i, j + 1]], axis=1)
+    down = np.stack([numbers[i + 1, j], numbers[i + 1, j + 1], numbers[i, j + 1]], axis=1)
+    triangles = np.concatenate([up[(up >= 0).all(axis=1)], down[(down >= 0).all(axis=1)]])
+    return np.stack([n - i - j, i, j], axis=1), triangles

@@ -1,3 +1,0 @@
-// Nothing but depth: what is hidden is then not looked up.
-
-void main() {}

@@ -1,0 +1,173 @@
+"""Discs of surfaces, laid flat: against exact exponential maps, and painted on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import octex
+from octex.channels import linear_to_srgb
+from octex.cli import paint as command
+from octex.errors import ArgumentError, ModelError
+from tests.solids import colored, cube, sphere
+
+CENTER = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
+
+
+def ball(segments: int = 96) -> octex.Surface:
+    return colored(sphere((0, 0, 0), 1.0, segments))
+
+
+def tube(around: int = 96, along: int = 49) -> octex.Surface:
+    """A cylinder of radius 1 around y, 4 long, without ends."""
+    angle, y = np.meshgrid(np.arange(around) / around * 2 * np.pi, np.linspace(-2, 2, along), indexing="ij")
+    vertices = np.stack([np.sin(angle), y, np.cos(angle)], axis=-1).reshape(-1, 3)
+    i, j = (each.ravel() for each in np.meshgrid(np.arange(around), np.arange(along - 1), indexing="ij"))
+    a, b = i * along + j, (i + 1) % around * along + j
+    return octex.Surface.from_arrays(
+        vertices, np.concatenate([np.stack([a, b, b + 1], 1), np.stack([a, b + 1, a + 1], 1)])
+    )
+
+
+def on_ball(points: np.ndarray, center: np.ndarray) -> np.ndarray:
+    """Return the sphere's exact map around a point, with y up in the picture."""
+    right = np.cross((0, 1, 0), center)
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(center, right)])
+    units = points / np.linalg.norm(points, axis=1, keepdims=True)
+    flat = units @ axes.T
+    lengths = np.linalg.norm(flat, axis=1, keepdims=True)
+    return flat / np.where(lengths > 0, lengths, 1) * np.arccos(np.clip(units @ center, -1, 1))[:, None]
+
+
+def on_tube(points: np.ndarray, center: np.ndarray) -> np.ndarray:
+    """Return the cylinder's exact map around a point."""
+    turn = np.arctan2(points[:, 0], points[:, 2]) - np.arctan2(center[0], center[2])
+    return np.stack([(turn + np.pi) % (2 * np.pi) - np.pi, points[:, 1] - center[1]], axis=1)
+
+
+@pytest.mark.parametrize("radius", [0.3, 0.8, 1.2])
+def test_a_disc_of_a_sphere_is_its_exponential_map_to_a_hundredth_of_the_radius(radius: float) -> None:
+    patch = octex.unwrap(ball(), CENTER, radius)
+    inside = np.linalg.norm(patch.coordinates, axis=1) <= radius
+    exact = on_ball(patch.surface.rest[inside], patch.center / np.linalg.norm(patch.center))
+    assert np.linalg.norm(patch.coordinates[inside] - exact, axis=1).max() <= 0.01 * radius
+    assert patch.faults == []
+
+
+@pytest.mark.parametrize("radius", [0.4, 1.5])
+def test_a_disc_of_a_cylinder_is_its_exponential_map_to_a_hundredth_of_the_radius(radius: float) -> None:
+    patch = octex.unwrap(tube(), (0.3, 0.1, 1.0), radius)
+    inside = np.linalg.norm(patch.coordinates, axis=1) <= radius
+    exact = on_tube(patch.surface.rest[inside], patch.center)
+    assert np.linalg.norm(patch.coordinates[inside] - exact, axis=1).max() <= 0.01 * radius
+    assert patch.faults == []
+
+
+def test_a_disc_over_the_edge_of_a_cube_goes_on_straight() -> None:
+    patch = octex.unwrap(colored(cube((0, 0, 0))), (1.0, 0.5, 0.9), 0.3)
+    points = patch.surface.rest[patch.surface.triangles[patch.triangles]].reshape(-1, 3)
+    flat = patch.coordinates[patch.surface.triangles[patch.triangles]].reshape(-1, 2)
+    front = points[:, 2] == 1.0
+    across = np.where(front, 0.1 + 1.0 - points[:, 0], 0.9 - points[:, 2])
+    on_two = front | (points[:, 0] == 1.0)
+    known = on_two & (np.linalg.norm(flat, axis=1) < 2)
+    sign = np.where(front, -1.0, 1.0)
+    assert np.allclose(flat[known, 0], (across * sign)[known], atol=1e-9)
+    assert np.allclose(flat[known, 1], points[known, 1] - 0.5, atol=1e-9)
+
+
+def test_borders_and_folds_are_said() -> None:
+    patch = octex.unwrap(tube(), (0.0, 1.5, 1.0), 1.0)
+    assert patch.meets_border
+    assert patch.faults == ["the surface ends within it"]
+    around = octex.unwrap(colored(cube((0, 0, 0))), (1.0, 0.5, 0.5), 2.0)
+    assert around.folded.size
+    assert "fold over" in repr(around)
+
+
+def test_vertices_at_one_place_are_one() -> None:
+    whole = tube()
+    torn = octex.Surface.from_arrays(
+        whole.vertices[whole.triangles].reshape(-1, 3), np.arange(3 * len(whole.triangles)).reshape(-1, 3)
+    )
+    one, other = (octex.unwrap(each, (0.3, 0.1, 1.0), 0.5) for each in (whole, torn))
+    assert np.array_equal(one.triangles, other.triangles)
+    corners = [each.coordinates[each.surface.triangles[each.triangles]] for each in (one, other)]
+    assert np.allclose(*corners, atol=1e-12)
+    assert not other.meets_border
+
+
+def test_what_cannot_be_unwrapped_is_refused() -> None:
+    with pytest.raises(ModelError, match="farther than the radius"):
+        octex.unwrap(ball(12), (5, 0, 0), 1.0)
+    with pytest.raises(ArgumentError, match="radius"):
+        octex.unwrap(ball(12), (1, 0, 0), 0.0)
+    with pytest.raises(ArgumentError, match="center"):
+        octex.unwrap(ball(12), (1, np.nan, 0), 1.0)
+    patch = octex.unwrap(ball(12), (1, 0, 0), 0.5, size=4)
+    picture = octex.Projection(np.zeros((4, 4, 3), np.uint8), patch)
+    with pytest.raises(ArgumentError, match="is not of"):
+        octex.project(ball(24), picture)
+    other = octex.Projection(np.zeros((4, 4, 3), np.uint8), octex.unwrap(ball(12), (1, 0, 0), 0.5, size=4))
+    with pytest.raises(ArgumentError, match="by themselves"):
+        octex.project(ball(12), [picture, other])
+
+
+def waves(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return sRGB colours of a flat picture."""
+    return np.stack([np.sin(6 * x), np.cos(5 * y + 2 * x), np.sin(7 * (x + y))], axis=-1) * 0.35 + 0.5
+
+
+@pytest.mark.parametrize(
+    ("make", "exact", "center"), [(ball, on_ball, CENTER), (tube, on_tube, (0.3, 0.1, 1.0))]
+)
+def test_what_is_painted_on_a_disc_lies_there(make, exact, center) -> None:  # type: ignore[no-untyped-def]
+    surface, radius, size = make(), 0.7, 256
+    patch = octex.unwrap(surface, center, radius, size=size)
+    at = ((np.arange(size) + 0.5) / size * 2 - 1) * radius
+    picture = np.rint(waves(at[None, :] + 0 * at[:, None], -at[:, None] + 0 * at) * 255).astype(np.uint8)
+    texture = octex.convert(surface, 6, sources={"base_color": 0.25})
+    painted = octex.paint(texture, surface, octex.Projection(picture, patch))
+    points = surface.scatter(100_000)
+    middle = patch.center / np.linalg.norm(patch.center) if make is ball else patch.center
+    flat = exact(points.rest, middle)
+    reach = np.linalg.norm(flat, axis=1)
+    inside = reach < 0.95 * radius
+    found = linear_to_srgb(painted.sample(points.rest[inside]))
+    error = 255 * (found - waves(*flat[inside].T))
+    assert np.sqrt((error**2).mean()) <= 2.0
+    beside = reach > 1.6 * radius
+    assert np.array_equal(painted.sample(points.rest[beside]), texture.sample(points.rest[beside]))
+
+
+def test_the_command_draws_a_disc_flat_and_paints_it_back(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    surface = tube(48, 25)
+    lines = [f"v {x} {y} {z}" for x, y, z in surface.vertices.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (surface.triangles + 1).tolist()]
+    model, before, after = tmp_path / "tube.obj", tmp_path / "tube.octex", tmp_path / "painted.octex"
+    model.write_text("\n".join(lines))
+    octex.convert(octex.load_surface(model), 5, sources={"base_color": 0.25}).save(before)
+    view, disc = tmp_path / "view.png", "--unwrap=0,0,1,0.5"
+    assert command.main([str(model), str(before), disc, "--view", str(view), "--size", "64,64"]) == 0
+    picture = np.array(Image.open(view))
+    assert picture.shape == (64, 64, 4)
+    assert (picture[32, 32] == [137, 137, 137, 255]).all()
+    picture[24:40, 32:] = [255, 0, 0, 255]
+    Image.fromarray(picture).save(view)
+    assert command.main([str(model), str(before), str(view), disc, "--out", str(after)]) == 0
+    painted = octex.open(after)
+    angle = 0.25
+    seen = painted.sample(
+        [[np.sin(angle), 0, np.cos(angle)], [-np.sin(angle), 0, np.cos(angle)], [0, 0.4, 1]]
+    )
+    assert np.allclose(seen[0], [1, 0, 0], atol=0.03)
+    assert np.allclose(seen[1:], 0.25, atol=0.03)
+    capsys.readouterr()
+    assert command.main([str(model), str(before), disc, "--view", str(view), "--size", "64,32"]) == 2
+    assert "square" in capsys.readouterr().err
