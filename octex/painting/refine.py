@@ -30,8 +30,6 @@ from octex.view.camera import Camera
 _POINTS = 10_000
 #: Levels of pictures, each twice as coarse, that are read one after the other, and steps on each.
 _LEVELS, _STEPS = (3, 2, 1, 0), 8
-#: On so many of them light is balanced anew.
-_BALANCED = 2
 #: A step in which no camera moves by so many pixels is the last of its level.
 _STILL = 0.005
 #: From what difference of square roots of light on a picture may count for less: at the finest level, and so
@@ -78,25 +76,21 @@ def refine_cameras(
         as_choice(balance, BALANCES, "balance")
     if reference is not None:
         reference = as_whole(reference, "reference", 0, len(given) - 1)
-    if not all(isinstance(each.camera, Camera) for each in given):
+    cameras = [each.camera for each in given if isinstance(each.camera, Camera)]
+    if len(cameras) < len(given):
         raise ArgumentError("patches are where they were laid; only cameras are refined")
     ground, report = Ground(as_surface(surface)), as_progress(progress)
     if len(given) == 1:
-        return [given[0].camera]
+        return cameras
     with workers(threads, executor) as pool:
         levels = list(pool.map(lambda each: levels_of(each, BASE_COLOR), given))
-        cameras = [each.camera for each in given]
         order, stays = _ordered(ground, cameras, levels, reference, pool)
         cameras, levels = [cameras[n] for n in order], [levels[n] for n in order]
-        gains = np.ones((len(given), 3), np.float32)
         for done, level in enumerate(_LEVELS):
             report("refine", done, len(_LEVELS))
             source = _source(ground, cameras, levels, pool)
-            if balance is not None and done < _BALANCED:
-                source = balanced(source.with_gains(gains), surface, balance, stays)
-                levels = [shot.levels for shot in source.shots]
-                gains = source.gains * gains
-            source = source.with_gains(gains)
+            if balance is not None:
+                source = balanced(source, surface, balance, stays)
             cameras = _agreeing(source, surface, cameras, level, stays)
         report("refine", len(_LEVELS), len(_LEVELS))
     found = dict(zip(order, cameras, strict=True))
