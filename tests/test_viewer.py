@@ -164,7 +164,7 @@ def sharp(page: Any) -> bytes:
 
 @needs_jit
 def test_each_control_changes_the_picture_and_the_first_view_comes_back(browser: Any, small: Path) -> None:
-    page = opened(browser, file_url(small), (720, 480))
+    page = opened(browser, file_url(small), (900, 480))
     page.evaluate("viewer.finest = 1")
     canvas = page.locator("canvas")
     canvas.focus()
@@ -209,7 +209,7 @@ def test_each_control_changes_the_picture_and_the_first_view_comes_back(browser:
 def test_under_the_cursor_is_the_cell_that_a_lookup_finds(browser: Any, small: Path) -> None:
     surface = colored(ball(8))
     texture = octex.convert(surface, depth=4)
-    page = opened(browser, file_url(small), (720, 480))
+    page = opened(browser, file_url(small), (900, 480))
     size = page.evaluate("[viewer.canvas.clientWidth, viewer.canvas.clientHeight]")
     found = page.evaluate("viewer.pick(viewer.canvas.clientWidth / 2, viewer.canvas.clientHeight / 2 - 30)")
     assert found["level"] == 4
@@ -243,7 +243,7 @@ def test_the_file_loads_nothing_and_obeys_its_own_policy(browser: Any, small: Pa
 
 @needs_jit
 def test_a_lost_context_is_restored(browser: Any, small: Path) -> None:
-    page = opened(browser, file_url(small), (720, 480))
+    page = opened(browser, file_url(small), (900, 480))
     page.evaluate("viewer.finest = 1")
     before = sharp(page)
     page.evaluate("(globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context')).loseContext()")

@@ -62,6 +62,8 @@ class Served:
 def served(tmp_path: Path) -> Iterator[Served]:
     found = Served(tmp_path)
     yield found
+    if found.thread.is_alive():
+        events(found).close()  # a page that comes and goes: then it stops
     found.thread.join(10)
     assert not found.thread.is_alive()
 
