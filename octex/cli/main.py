@@ -89,7 +89,8 @@ def _overview() -> str:
         "",
         f"{PROGRAM} COMMAND --help shows a command's usual options and examples, --help-all every option;",
         f"{PROGRAM} help TOPIC prints a page on one of these:",
-        f"  {', '.join(TOPICS)}.",
+        f"  {', '.join(TOPICS[:9])},",
+        f"  {', '.join(TOPICS[9:])}.",
     ]
     return "\n".join(lines)
 
