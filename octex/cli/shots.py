@@ -115,7 +115,9 @@ def flat_shots(
     if since is None and texture is not None and not options.whole:
         channel = options.channel or DEFAULT_CHANNEL
         since = as_png(drawn(only(texture, channel), patch.surface, patch.camera, channel, shaded=False))
-    shots = [Shot(path, patch.camera, mask, since) for path, mask in zip(paths, masks, strict=True)]
+    shots = [
+        Shot(path, patch.camera, mask, since, path.stem) for path, mask in zip(paths, masks, strict=True)
+    ]
     return patch.surface, shots
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from itertools import groupby
-from typing import Literal, TypedDict, get_args
+from typing import Literal, TypedDict, cast, get_args
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from octex.parallel import Progress, as_progress, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
 from octex.tree.placement import Placement
+from octex.view.camera import Camera
 
 #: What becomes of several pictures that see a place.
 Pictures = Literal["average", "robust"]
@@ -225,7 +226,7 @@ def projected(
         executor.submit(levels_of, projection, form, scale)
         for projection, scale in zip(given, scales, strict=True)
     ]
-    sights = ground.sights([projection.camera for projection in given], edge_feather, executor)
+    sights = ground.sights([cast(Camera, each.camera) for each in given], edge_feather, executor)
     shots = [shot_of(sight, level.result()) for sight, level in zip(sights, levels, strict=True)]
     report("look", len(given), len(given))
     chosen = None if reference is None else shots[reference]

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from functools import cached_property, partial
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -96,7 +96,7 @@ def take_shot(
     Raises as `levels_of` does.
     """
     levels = executor.submit(levels_of, projection, form, scale)
-    sight = sight_of(vertices, triangles, projection.camera, feather, executor)
+    sight = sight_of(vertices, triangles, cast(Camera, projection.camera), feather, executor)
     return shot_of(sight, levels.result())
 
 
