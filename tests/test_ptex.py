@@ -191,10 +191,10 @@ def test_neighbours_share_an_edge_and_polygons_are_a_face_for_each_corner(house:
     surface = octex.load_surface(house)
     patches = patches_of(surface)
     neighbors, edges = neighbors_of(surface, patches)
-    assert patches.count == 4 + 5 + 5
+    assert patches.n_faces == 4 + 5 + 5
     assert np.array_equal(patches.owners, [0, 1, 2, 3, *[4] * 5, *[5] * 5])
     # Points on an edge of a face are those on the neighbour's, from its other end.
-    for face in range(patches.count):
+    for face in range(patches.n_faces):
         for edge in range(4):
             other = neighbors[face, edge]
             if other < 0:
