@@ -32,6 +32,8 @@ _POLICY = (
 )
 #: Seconds for a request to arrive, between signs of life to a page, and without any page until the end.
 _PATIENCE, _BEAT, _ALONE = 10.0, 1.0, 30.0
+#: By how much longer the first page is waited for: browsers may take long to start.
+_FIRST = 20
 
 
 class Viewer:
@@ -54,7 +56,7 @@ class Viewer:
         self._lock = threading.Lock()
         self._state = self._stamp()
         self._packed = pack(open_texture(), surface, title=path.name)
-        self._pages = 0
+        self._pages, self._had_page = 0, False
         self._left = time.monotonic()
         self._ended = threading.Event()
         self.token = secrets.token_urlsafe(16)
@@ -72,14 +74,17 @@ class Viewer:
         return f"http://{_ADDRESS}:{self.port}/{self.token}/"
 
     def run(self, alone: float = _ALONE) -> None:
-        """Serve until there was no page for some seconds, or until the process is told to end."""
+        """Serve until there was no page for some seconds, or until the process is told to end.
+
+        The first page is waited for 20 times as long.
+        """
         thread = threading.Thread(
             target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True
         )
         thread.start()
         self._left = time.monotonic()
         try:
-            while self._pages or time.monotonic() - self._left < alone:
+            while self._pages or time.monotonic() - self._left < alone * (1 if self._had_page else _FIRST):
                 time.sleep(0.1)
         finally:
             self._ended.set()
@@ -118,6 +123,7 @@ class Viewer:
         """Tell a page of changes until it is gone."""
         with self._lock:
             self._pages += 1
+            self._had_page = True
         told = "", ""
         try:
             while not self._ended.wait(_BEAT if told[0] else 0):
@@ -152,10 +158,9 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = _PATIENCE
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Log what http.server itself refuses; requests that are answered are not worth a line."""
-        if (args and str(args[0]).startswith(("code ", "Request timed out"))) or format.startswith(
-            ("code ", "Request")
-        ):
+        """Log what http.server itself refuses, and requests of which no more comes; others need no line."""
+        is_half = format.startswith("Request timed out") and bool(getattr(self, "raw_requestline", b""))
+        if is_half or format.startswith("code "):
             self.viewer.refuse(_printable(format % args))
 
     def do_GET(self) -> None:
@@ -203,6 +208,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
         self.wfile.write(body)
+        self.raw_requestline = b""  # what is waited for next is another request, or none
 
     def _begin(self, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
         self.send_response(status)
