@@ -218,6 +218,7 @@ def calls() -> list[Call]:
         (octex.open, {"path": at / "texture.octex"}),
         (octex.paint, {"texture": w.texture, **pictures}),
         (octex.project, pictures),
+        (octex.refine_cameras, {"surface": w.surface, "projections": [w.picture, w.picture], "reference": 0}),
         (octex.read_cameras, {"path": at / "cameras.json"}),
         (octex.resize, {**one, "depth": 1}),
         (octex.separate, {"surface": w.surface, **DEPTH}),
