@@ -152,6 +152,7 @@ def calls() -> list[Call]:
         (octex.open(at / "texture.octex").blocks, points),
         (w.texture.level, {"level": 1}),
         (w.texture.save, {"path": at / "saved.octex"}),
+        (w.texture.save, {"path": at / "saved.octz", "max_error": 1}),
         (w.texture.validate, {}),
         (w.texture.info, {}),
         (octex.PointCloud, {**points, "colors": rows / 10}),

@@ -90,7 +90,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def beside(baked: octex.Surface, far: octex.Camera, size: int, pixels: int) -> np.ndarray:
-    """Return the corners of a box around what is nearest to a camera, half a texel a pixel wide."""
+    """Return corners of a box around what is nearest to a camera: half a texel a pixel wide."""
     assert baked.uv is not None
     flat = baked.uv.values[baked.uv.rows].astype(np.float64) * size
     texels = np.abs(np.cross(flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0])).sum() / 2

@@ -4,6 +4,7 @@ layout      where triangles lie in a map: at coordinates of their own, and the e
 atlas       coordinates for any surface: charts, flattened and packed
 sheets      which triangles share maps: those of a material, or all
 texels      which point of the surface a texel shows
+blocks      the field at texels, some of a triangle at a time
 gutters     what stands around charts
 fit         texels that read like the field between them
 maps        the channels at these points, as images of a material
