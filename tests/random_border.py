@@ -275,7 +275,8 @@ def variations(given: Any) -> list[Any]:
             array.reshape(-1)[0] = value
         locked = given.copy()
         locked.flags.writeable = False
-        types = [given.astype(dtype) for dtype in ("f2", "f4", ">f8", "i8", "u1", "c16", "O", "U8", "g")]
+        with np.errstate(invalid="ignore"):  # not a number, as a whole one
+            types = [given.astype(dtype) for dtype in ("f2", "f4", ">f8", "i8", "u1", "c16", "O", "U8", "g")]
         parts = [given[:0], given[:-1], given[::-1], given.T, given[None], np.asfortranarray(given)]
         return [*spoiled, locked, *types, *parts, given.tolist()]
     if isinstance(given, (tuple, list)) and given:

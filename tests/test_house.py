@@ -114,12 +114,8 @@ def test_a_module_imports_only_from_the_rows_above_and_its_own(module: str) -> N
 @pytest.mark.parametrize("module", MODULES)
 def test_each_big_package_has_one_user(module: str) -> None:
     packages = {name.split(".")[0] for name in imports(module)}
-    if module not in (
-        "jit",
-        "jit_cache",
-        "jit_parts",
-        "cli/common",
-    ):  # which compile, keep what is, and say it
+    # These compile, keep what is compiled, and say that there is compiling.
+    if module not in ("jit", "jit_cache", "jit_parts", "cli/common"):
         assert not packages & {"numba", "llvmlite"}
     if not module.startswith("source/"):
         assert not packages & {"trimesh", "manifold3d"}

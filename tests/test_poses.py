@@ -268,7 +268,7 @@ def test_a_pose_is_an_option_of_each_command_that_reads_models(
     out = str(tmp_path / "a.octex")
     for words in (
         ["convert", file, out],
-        ["paint", file, "--view", str(tmp_path / "view.png")],
+        ["paint", file, "--view", str(tmp_path / "view.png"), "--camera-out", str(tmp_path / "c.json")],
     ):
         assert main([*words, "--pose", "B@1"]) == 2
         assert "has no animation 'B'; it has A (0 to 2.0 s)" in capsys.readouterr().err

@@ -19,8 +19,13 @@ import tempfile
 import time
 from pathlib import Path
 
-import octex
-from octex.texture import OctreeTexture
+import numpy as np
+
+from octex.channels import BASE_COLOR
+from octex.texture import Channel, OctreeTexture
+from octex.tree.morton import encode_cells
+from octex.tree.octree import Octree
+from octex.tree.placement import Placement
 
 
 def main() -> int:
@@ -39,11 +44,16 @@ def main() -> int:
 
 
 def textures() -> list[OctreeTexture]:
-    """Make two textures whose files differ in every array."""
-    surface = octex.Surface.from_arrays(
-        [[0, 0, 0], [1, 0, 0.2], [0.2, 1, 0.1]], [[0, 1, 2]], colors=[[255, 0, 0], [0, 255, 0], [0, 0, 255]]
-    )
-    return [octex.convert(surface, 6, fit=False), octex.convert(surface, 7, fit=False)]
+    """Make two textures, a flat sheet of cells each, whose files differ in every array."""
+    made = []
+    for depth in (6, 7):
+        x, y = np.divmod(np.arange(4**depth), 1 << depth)
+        tree = Octree.from_leaves(np.sort(encode_cells(np.stack([x, y, np.zeros_like(x)], axis=1))), depth)
+        values = np.random.default_rng(depth).integers(0, 256, (tree.n_cells, 3), dtype=np.uint8)
+        channel = Channel(BASE_COLOR, values, values[:0], values[:0])
+        placement = Placement((0.0, 0.0, 0.0), 1.0)
+        made.append(OctreeTexture(tree, {"base_color": channel}, placement, [[0] * 3, [1] * 3]))
+    return made
 
 
 def killed(made: list[OctreeTexture], folder: Path, count: int, chance: random.Random) -> list[str]:

@@ -92,19 +92,23 @@ class Numbers:
     """Numbers that are read from the first to the last; beyond the last it raises ValueError."""
 
     def __init__(self, numbers: Int64s) -> None:
-        self._numbers = numbers
+        self._numbers: list[int] = numbers.tolist()
         self._at = 0
+
+    def next(self) -> int:
+        """Return the next number."""
+        if self._at == len(self._numbers):
+            raise ValueError
+        self._at += 1
+        return self._numbers[self._at - 1]
 
     def take(self, count: int) -> Int64s:
         """Return the next numbers."""
-        if self._at + count > self._numbers.size:
-            raise ValueError
-        self._at += count
-        return self._numbers[self._at - count : self._at]
+        return np.array([self.next() for _ in range(count)], np.int64)
 
     def at_end(self) -> bool:
         """Say whether none is left."""
-        return self._at == self._numbers.size
+        return self._at == len(self._numbers)
 
 
 def read(numbers: Numbers, codings: dict[str, values.Coding]) -> Models:
@@ -156,11 +160,11 @@ def _from_runs(numbers: Numbers, count: int) -> Int64s:
     found = np.zeros(count, np.int64)
     at = 0
     while at < count:
-        (number,) = numbers.take(1).tolist()
+        number = numbers.next()
         found[at] = number
         at += 1
         if number == 0:
-            at += int(numbers.take(1)[0])
+            at += numbers.next()
     if at != count:
         raise ValueError
     return found
@@ -183,7 +187,7 @@ def _listed(sizes: Int64s) -> Int64s:
 def _from_list(numbers: Numbers, count: int) -> Int64s:
     found = np.zeros((count, 256), np.int64)
     for row in found:
-        (used,) = numbers.take(1).tolist()
+        used = numbers.next()
         if used > 256:
             raise ValueError
         if used:
