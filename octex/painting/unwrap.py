@@ -182,7 +182,9 @@ def _spread(
     distances[known] = np.linalg.norm(flat[known], axis=1)
     angles = np.zeros(len(vertices))
     angles[known] = np.arctan2(flat[known, 1], flat[known, 0])
-    _propagate(vertices, faces, first, order // 3, known, _BEYOND * radius, distances, angles)
+    sides = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
+    reach = _BEYOND * radius + float(np.sqrt((sides * sides).sum(axis=2).max()))
+    _propagate(vertices, faces, first, order // 3, known, reach, distances, angles)
     there = np.isfinite(distances)
     flat[there] = distances[there, None] * np.stack([np.cos(angles[there]), np.sin(angles[there])], axis=1)
     return flat, _border_vertices(faces, len(vertices))
