@@ -107,17 +107,15 @@ def flat_shots(
     from octex.source.images.decode import image_size
 
     paths = images_of(options)
-    masks = options.mask or [None]
-    masks = masks * len(paths) if len(masks) == 1 else masks
+    masks = _masks(options, paths)
     size = image_size(paths[0])
     patch = patch_of(options, surface, size, progress)
     since: Path | bytes | None = options.since
     if since is None and texture is not None and not options.whole:
         channel = options.channel or DEFAULT_CHANNEL
         since = as_png(drawn(only(texture, channel), patch.surface, patch.camera, channel, shaded=False))
-    shots = [
-        Shot(path, patch.camera, mask, since, path.stem) for path, mask in zip(paths, masks, strict=True)
-    ]
+    pairs = zip(paths, masks, strict=True)
+    shots = [Shot(path, patch.camera, mask, since, path.name) for path, mask in pairs]
     return patch.surface, shots
 
 
