@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from octex.painting.paint import project as project
     from octex.painting.painter import Painter as Painter
     from octex.painting.pictures import Projection as Projection
+    from octex.painting.refine import refine_cameras as refine_cameras
     from octex.painting.region import Box as Box
     from octex.painting.region import Sphere as Sphere
     from octex.painting.region import fill as fill
@@ -134,6 +135,7 @@ _HOMES = {
     "paint": ("octex.painting.paint", "paint"),
     "project": ("octex.painting.paint", "project"),
     "read_cameras": ("octex.view.camera_files", "read_cameras"),
+    "refine_cameras": ("octex.painting.refine", "refine_cameras"),
     "resize": ("octex.processing.resize", "resize"),
     "separate": ("octex.conversion.apart", "separate"),
     "subdivide": ("octex.source.subdivided", "subdivide"),

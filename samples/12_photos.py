@@ -36,7 +36,7 @@ def main(folder: Path) -> None:
     cameras = [octex.Camera.fitted(head, side, size=(2 * SIZE, 2 * SIZE)) for side in SIDES]
     photos = [photo(surface, camera, light) for camera, light in zip(cameras, LIGHTS, strict=True)]
     pictures = [octex.Projection(image, camera) for image, camera in zip(photos, cameras, strict=True)]
-    texture = octex.paint(None, surface, pictures, max_depth=DEPTH, balance=True)
+    texture = octex.paint(None, surface, pictures, max_depth=DEPTH, balance="full")
     shown = [encode(p[::2, ::2, :3] + (1 - p[::2, ::2, 3:]), "uint8", "srgb") for p in photos]
     view = octex.Camera.fitted(head, (0.5, 0.3, 1), size=(SIZE * 3 // 2, SIZE))
     looks = texture_shader(texture), source_shader(surface)

@@ -17,12 +17,7 @@
 #include <unistd.h>
 
 enum { NONE, LEAF, NODE, BELOW }; /* BELOW: in a leaf of a level above */
-
-typedef struct {
-    const unsigned char *data;
-    char dtype[4];
-    uint64_t shape[3];
-} Array;
+typedef struct { const unsigned char *data; char dtype[4]; uint64_t shape[3]; } Array;
 
 typedef struct {
     Array groups, cells, flags, kept, values, kept_values, alpha, kept_alpha;
@@ -86,9 +81,8 @@ static void open_file(const char *path, const char *channel, File *file) {
     if (content == MAP_FAILED) fail("cannot map the file");
     memcpy(&length, content, 8);
     if (length > bytes - 8) fail("cut off");
-    char *header = malloc(length + 1);
+    char *header = calloc(length + 1, 1);
     memcpy(header, content + 8, length);
-    header[length] = 0;
     const unsigned char *begin = content + 8 + length;
     uint64_t room = bytes - 8 - length;
     const char *format = value_of(header, "format"), *version = value_of(header, "format_version");
@@ -175,7 +169,7 @@ static void go_down(const File *file, int deepest, int level, int64_t middles[][
         int64_t place[3], offset[3];
         int step[3] = {1, 3, 9};
         const Cell *parent = windows[level ? level - 1 : 0];
-        memset(cell, 0, sizeof *cell);
+        *cell = (Cell){0};
         for (int a = 0; a < 3; a++) {
             place[a] = middle[a] + n / step[a] % 3 - 1;
             cell->low[a] = place[a] * ((int64_t)1 << (21 - level));
@@ -201,8 +195,8 @@ static void go_down(const File *file, int deepest, int level, int64_t middles[][
             }
         }
         if (cell->kind != BELOW) cell->level = level;
-        memset(cell->h, 0, sizeof cell->h);
         double weight = 1;
+        memset(cell->h, 0, sizeof cell->h);
         if (level && (parent->kind != NODE || is_kept(file, parent))) {
             double refined[10] = {0};
             for (int o = 0; o < 8; o++) { /* the parent, and the next one on each axis */
@@ -272,8 +266,9 @@ static void look_up(const File *file, const double *rest, int is_nearest, double
                     if (d < least || (d == least && is_before(&window[n], best))) best = &window[n];
                 }
             }
-            for (int n = 0; n < file->components; n++)
-                value[n] = decoded(&file->values, best->cell * file->components + n, file->space);
+            Cell row;
+            set_own(file, best->cell, 0, 1, row.h);
+            memcpy(value, row.h + 5, 4 * sizeof *value);
             return;
         }
         double total[10] = {0}, spline[3][3];
@@ -299,8 +294,6 @@ int main(int count, char **words) {
     open_file(words[1], words[2], &file);
     while (scanf("%lf %lf %lf", &rest[0], &rest[1], &rest[2]) == 3) {
         look_up(&file, rest, !strcmp(words[3], "nearest"), value);
-        for (int n = 0; n < file.components; n++) printf(n ? " %.9g" : "%.9g", value[n]);
-        putchar('\n');
+        for (int n = 0; n < file.components; n++) printf("%.9g%c", value[n], n + 1 < file.components ? ' ' : '\n');
     }
-    return 0;
 }

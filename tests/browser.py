@@ -69,7 +69,8 @@ class Probe:
         self.seen = values[:, 3] == 1
         self.places = places[self.seen, :3]
         self.points = texture.placement.to_rest(self.places.astype(np.float64))
-        self.widths = places[self.seen, 3].astype(np.float64) * texture.placement.size
+        widths = places[self.seen, 3] if self._footprint < 0 else np.full(len(self.points), self._footprint)
+        self.widths = widths.astype(np.float32).astype(np.float64) * texture.placement.size
         self.normals = normals[self.seen, :3]
         self.alpha, self.fetches = values[self.seen, 0], values[self.seen, 1]
 

@@ -434,7 +434,7 @@ def draw_paint(random: Random, run: Run) -> Step:
     blend = one_of(random, (*BLENDS, "over"))
     shots = [projection(random, blend) for _ in range(int(random.integers(1, 4)))]
     if len(shots) > 1 and random.random() < 0.3:
-        options["balance"] = True
+        options["balance"] = one_of(random, ("'gain'", "'full'"))
     pictures = shots[0] if len(shots) == 1 else f"[{', '.join(shots)}]"
     line = call("texture = octex.paint", "texture", "surface", "pictures", **options)
     code = call("octex.project", "surface", "pictures", like="texture", **options)

@@ -488,6 +488,7 @@ def test_all_that_works_in_parallel_says_so_in_the_same_words() -> None:
             "mix",
             "paint",
             "project",
+            "refine_cameras",
         ],
         *["resize", "sample", "taps"],
     }

@@ -18,7 +18,7 @@ import pytest
 from PIL import Image
 
 import octex
-from octex.cli.arguments import BLENDS, camera
+from octex.cli.arguments import BALANCES, BLENDS, PICTURES, camera
 from octex.cli.convert import main as convert
 from octex.cli.models import DEFAULT_CHANNEL
 from octex.cli.paint import COMMAND, main
@@ -537,7 +537,8 @@ def test_the_options_of_painting_reach_the_library(
         return project(*arguments, **options)
 
     monkeypatch.setattr(octex, "project", projected)
-    more = "--max-depth 3 --max-angle 60 --edge-feather 1.5 --balance --back-faces --no-fit --threads 2"
+    more = "--max-depth 3 --max-angle 60 --edge-feather 1.5 --balance gain --pictures average --back-faces"
+    more += " --no-fit --threads 2"
     result(capsys, *scene.shot, "--out", tmp_path / "out.octex", *more.split(), "--channel", "base_color")
     for name in ("like", "executor", "progress"):
         assert seen.pop(name) is not None
@@ -546,7 +547,9 @@ def test_the_options_of_painting_reach_the_library(
         "max_depth": 3,
         "max_angle": 60.0,
         "edge_feather": 1.5,
-        "balance": True,
+        "pictures": "average",
+        "balance": "gain",
+        "reference": None,
         "back_faces": True,
         "fit": False,
     }
@@ -877,7 +880,7 @@ def test_paint_that_more_than_doubles_a_texture_is_announced(
             (f"m.glb t.octex --layer l.octex --out o.octex {words}", f"{word} has no meaning with --layer")
             for words, word in [
                 ("a.png", "IMAGE"),
-                ("--balance", "--balance"),
+                ("--balance full", "--balance"),
                 ("--camera c", "--camera"),
                 ("--mask m.png", "--mask"),
                 ("--channel alpha", "--channel"),
@@ -968,9 +971,11 @@ def test_the_help_lists_every_option_and_exit_code(capsys: pytest.CaptureFixture
 
 
 def test_the_help_names_the_librarys_defaults() -> None:
-    from octex.painting import paint, pictures
+    from octex.painting import balance, paint, pictures
 
     assert pictures.BLENDS == BLENDS
+    assert paint.PICTURES == PICTURES
+    assert balance.BALANCES == BALANCES
     text = " ".join(Parser(COMMAND, PAINT).help_text().split())
     defaults = {name: each.default for name, each in inspect.signature(paint.project).parameters.items()}
     assert defaults["channel"] == DEFAULT_CHANNEL
@@ -1028,10 +1033,10 @@ def test_a_model_is_drawn_edited_and_painted_from_a_checkout(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     "arguments",
     [
-        "m.glb t.octex a.png b.png --camera c.json --out n.octex --mask m.png --balance",
-        "--camera c.json m.glb --balance t.octex a.png --mask m.png b.png --out n.octex",
-        "m.glb --mask m.png t.octex --out n.octex a.png --camera c.json --balance b.png",
-        "--balance --out=n.octex --mask m.png --camera=c.json -- m.glb t.octex a.png b.png",
+        "m.glb t.octex a.png b.png --camera c.json --out n.octex --mask m.png --balance full",
+        "--camera c.json m.glb --balance full t.octex a.png --mask m.png b.png --out n.octex",
+        "m.glb --mask m.png t.octex --out n.octex a.png --camera c.json --balance full b.png",
+        "--balance=full --out=n.octex --mask m.png --camera=c.json -- m.glb t.octex a.png b.png",
     ],
 )
 def test_options_may_stand_anywhere(arguments: str) -> None:
@@ -1045,5 +1050,5 @@ def test_options_may_stand_anywhere(arguments: str) -> None:
         "camera": (Path("c.json"), None),
         "out": Path("n.octex"),
         "mask": [Path("m.png")],
-        "balance": True,
+        "balance": "full",
     }

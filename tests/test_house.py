@@ -64,7 +64,7 @@ _NAMES = """
 Box Camera Creases MappedImage OctexError OctreeTexture Painter Patch PointCloud Projection Ptex
 Sphere Surface TextureSet Transfer Voxels __version__ bake bake_vertices blur cast combine convert
 convert_set crop curves displace fill levels load_surface merge mix paint project read_cameras
-resize separate subdivide unwrap write_cameras write_model write_ptex
+refine_cameras resize separate subdivide unwrap write_cameras write_model write_ptex
 """
 EXPORTED = _NAMES.split()
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]

@@ -13,7 +13,7 @@ import pytest
 import octex
 from octex.channels import decode
 from octex.errors import ArgumentError
-from octex.painting.balance import balanced
+from octex.painting.balance import exposures
 from octex.painting.cells import paint_of
 from octex.painting.layer import wanted_levels
 from octex.painting.merge import blended
@@ -415,8 +415,8 @@ def test_the_finer_of_two_pictures_outweighs_the_other() -> None:
     np.testing.assert_allclose(other, sampled, atol=1e-6)
 
 
-@pytest.mark.parametrize("balance", [False, True])
-def test_the_order_of_pictures_in_one_blend_mode_does_not_matter(balance: bool) -> None:
+@pytest.mark.parametrize("balance", [None, "gain", "full"])
+def test_the_order_of_pictures_in_one_blend_mode_does_not_matter(balance: Any) -> None:
     surface, random = ball(12), np.random.default_rng(4)
     pictures = []
     for number, direction in enumerate([(0.1, 0.2, 1), (0.5, 0.1, 1), (-0.4, 0.3, 1)]):
@@ -473,7 +473,7 @@ def test_balance_makes_pictures_agree() -> None:
         return float(np.sqrt(((codes(found.sample(samples.rest)) - codes(truth))[seen] ** 2).mean()))
 
     plain_error, off = error(images), error(changed)
-    mended = error(changed, balance=True)
+    mended = error(changed, balance="full")
     assert off > 2 * plain_error + 1
     assert mended < plain_error + 0.3 * (off - plain_error)
 
@@ -494,7 +494,7 @@ def test_pictures_that_do_not_overlap_keep_their_gains() -> None:
             shots.append(take_shot(picture, form, *mesh, 0.0, 1.0, pool))
     stretches = stretches_of(surface.vertices, surface.rest, surface.triangles)
     source = Projected(shots, form, terms_of(75, 0, False), surface.vertices, surface.triangles, stretches)
-    np.testing.assert_allclose(balanced(source, surface), np.ones((2, 3)), atol=1e-6)
+    np.testing.assert_allclose(exposures(source, surface, "full", None), np.zeros((2, 5)), atol=1e-6)
 
 
 # --- steps and refusals

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import struct
 import sys
+import zlib
 from contextlib import nullcontext as nothing
 from pathlib import Path
 from types import ModuleType
@@ -137,6 +139,43 @@ def test_damaged_files_are_refused_or_read(tmp_path: Path) -> None:
     assert results == {"read", "refused"}
 
 
+def test_edits_that_were_appended_count(tmp_path: Path) -> None:
+    peer = tool("ptex_peer")
+    faces = peer.Faces(
+        np.full((3, 2), 1, np.int8),
+        np.full((3, 4), -1, np.int32),
+        np.zeros((3, 4), np.uint8),
+        np.zeros(3, np.bool_),
+    )
+    texels = np.arange(12, dtype=np.uint8)[:, None]
+    path = tmp_path / "made.ptx"
+    with workers(1) as executor:
+        write_contents(peer.Contents("quad", faces, texels, metadata={"by": "me"}), path, executor)
+    record = struct.pack("<bbBB4i", 1, 0, 0, 0, -1, -1, -1, -1)
+    block = zlib.compress(bytes([70, 80]))
+    face = struct.pack("<I", 1) + record + struct.pack("<I", len(block) | 1 << 30) + bytes([75]) + block
+    flat = struct.pack("<I", 2) + record[:3] + b"\x01" + record[4:] + struct.pack("<I", 0) + bytes([9])
+    entry = b"\x03by\0\0" + struct.pack("<I", 4) + b"you\0"
+    zipped = zlib.compress(entry)
+    note = struct.pack("<II", len(zipped), len(entry)) + zipped
+    edits = b"".join(
+        struct.pack("<BI", kind, len(each)) + each for kind, each in ((0, face), (0, flat), (1, note))
+    )
+    data = bytearray(path.read_bytes() + edits)
+    data[64 + 24 : 64 + 32] = struct.pack("<Q", len(edits))
+    path.write_bytes(data)
+    with PtexFile(path) as file:
+        assert file.texels(0).ravel().tolist() == [0, 1, 2, 3]
+        assert file.texels(1).tolist() == [[[70], [80]]]
+        assert file.texels(2).tolist() == [[[9], [9]]]
+        assert file.constants[1:].tolist() == [[75], [9]]
+        assert file.metadata == {"by": "you"}
+    for end in (1, 30, 60):
+        path.write_bytes(data[:-end])
+        with pytest.raises(ModelError, match="ends early"):
+            PtexFile(path)
+
+
 @pytest.mark.parametrize("broken", ["nothing", "folder", "text"])
 def test_what_is_no_ptex_file_is_named(broken: str, tmp_path: Path) -> None:
     path = tmp_path / "broken.ptx"
@@ -152,10 +191,10 @@ def test_neighbours_share_an_edge_and_polygons_are_a_face_for_each_corner(house:
     surface = octex.load_surface(house)
     patches = patches_of(surface)
     neighbors, edges = neighbors_of(surface, patches)
-    assert patches.count == 4 + 5 + 5
+    assert patches.n_faces == 4 + 5 + 5
     assert np.array_equal(patches.owners, [0, 1, 2, 3, *[4] * 5, *[5] * 5])
     # Points on an edge of a face are those on the neighbour's, from its other end.
-    for face in range(patches.count):
+    for face in range(patches.n_faces):
         for edge in range(4):
             other = neighbors[face, edge]
             if other < 0:

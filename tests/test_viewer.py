@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import threading
 from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
@@ -11,17 +13,19 @@ import numpy as np
 import pytest
 
 import octex
+from octex.errors import ArgumentError
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.viewer import write_page
+from octex.viewer import Viewer, write_page
+from octex.viewer.export import MODULES, page_text
 from octex.viewer.pack import pack
 from tests.browser import Probe, chromium, file_url, opened
 from tests.conftest import needs_jit
 from tests.painted import ball
 from tests.small_surfaces import sheet
+from tests.small_textures import shell
 
-SIZE = 64, 48
-FILTERS = "nearest", "linear", "quadratic"
+SIZE = 48, 36
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +57,7 @@ def adaptive() -> tuple[OctreeTexture, Surface]:
 def painted() -> tuple[OctreeTexture, Surface]:
     surface = colored(ball())
     texture = octex.convert(surface, depth=4)
-    red = octex.fill(texture, surface, octex.Sphere((0.3, 0.3, 0.8), 0.4), (1.0, 0.1, 0.0), depth=6)
+    red = octex.fill(texture, surface, octex.Sphere((0.3, 0.3, 0.8), 0.4), (1.0, 0.1, 0.0), max_depth=6)
     return red, surface
 
 
@@ -84,11 +88,18 @@ def test_each_pixel_is_what_a_lookup_there_gives(name: str, browser: Any, tmp_pa
 def parity(page: Any, texture: OctreeTexture, surface: Surface) -> dict[str, float]:
     """Compare all channels, filters, widths, levels and sides; return the largest differences, of 255."""
     header = pack(texture, surface, title="").header
-    is_split = texture.tree.split.cells.size > 0
+    is_split = texture.tree.split.cells.size > 1
     found = {}
-    filters = ("nearest", "quadratic") if header["isMixed"] else FILTERS
-    looks = [(width, texture.tree.max_depth) for width in (0.0, -1.0, 0.03)]
-    for filter, facing, (width, level) in product(filters, {False, is_split}, [*looks, (0.0, 3), (0.2, 3)]):
+    deepest = texture.tree.max_depth
+    looks = [("quadratic", width, deepest) for width in (0.0, -1.0, 0.03)]
+    looks += [
+        ("quadratic", 0.0, 3),
+        ("quadratic", 0.2, 3),
+        ("nearest", 0.0, deepest),
+        ("nearest", -1.0, deepest),
+    ]
+    looks += [] if header["isMixed"] else [("linear", 0.0, deepest), ("linear", -1.0, deepest)]
+    for facing, (filter, width, level) in product({False, is_split}, looks):
         probe = Probe(page, texture, SIZE, filter=filter, width=width, facing=facing, level=level)
         case = f"{filter}, width {width}, facing {facing}, level {level}"
         found[case] = compared(probe, texture.level(level), header, filter, width, facing, case)
@@ -104,7 +115,7 @@ def compared(
     facing: bool,
     case: str,
 ) -> float:
-    assert probe.seen.sum() > 300
+    assert probe.seen.sum() > 100
     options: dict[str, Any] = {"width": probe.widths} if width else {}
     if facing:
         options["normals"] = probe.normals
@@ -124,8 +135,188 @@ def compared(
             values = probe.plane(plane)[:, slot : slot + components]
         if channel["space"] == "direction":
             values = 2 * values - 1
-        away = 255 * np.abs(values - expected[channel["name"]]).max(axis=1)[is_compared]
+        away = 255 * np.abs(values - expected[channel["name"]]).max(axis=1)
+        if "alpha" in expected and channel["name"] != "alpha":  # what is seen is multiplied by it
+            away *= expected["alpha"][:, 0]
+        away = away[is_compared]
         assert away.max() <= 2.0, f"{channel['name']}, {case}: {away.max()}"
         assert (away > 1.0).mean() <= 0.001, f"{channel['name']}, {case}: {(away > 1.0).mean()}"
         worst = max(worst, float(away.max()))
     return worst
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A page of a small ball."""
+    path = tmp_path_factory.mktemp("page") / "ball.html"
+    surface = colored(ball(8))
+    write_page(octex.convert(surface, depth=4), path, surface, title="ball.octex")
+    return path
+
+
+def sharp(page: Any) -> bytes:
+    """The picture, once it stands still."""
+    page.evaluate("viewer.move()")
+    page.wait_for_function("viewer.isSharp && !viewer.asked", timeout=60_000)
+    found: bytes = page.locator("canvas").screenshot()
+    return found
+
+
+@needs_jit
+def test_each_control_changes_the_picture_and_the_first_view_comes_back(browser: Any, small: Path) -> None:
+    page = opened(browser, file_url(small), (720, 480))
+    page.evaluate("viewer.finest = 1")
+    before = sharp(page)
+    canvas = page.locator("canvas")
+    canvas.focus()
+    for keys in (["ArrowLeft"], ["ArrowUp"], ["+"], ["-", "-"], ["Shift+ArrowLeft"], ["1"]):
+        for key in keys:
+            page.keyboard.press(key)
+        assert sharp(page) != before
+    page.evaluate("viewer.camera.reset(0.55, 0.3)")
+    page.keyboard.press("0")
+    assert sharp(page) == before
+    box = canvas.bounding_box()
+    for button in ("left", "right"):
+        page.mouse.move(box["x"] + 100, box["y"] + 100)
+        page.mouse.down(button=button)
+        page.mouse.move(box["x"] + 140, box["y"] + 120)
+        page.mouse.up(button=button)
+        assert sharp(page) != before
+        page.evaluate("viewer.camera.reset(0.55, 0.3)")
+    page.mouse.wheel(0, -300)
+    assert sharp(page) != before
+    page.evaluate("viewer.camera.reset(0.55, 0.3); viewer.move()")
+    pictures = {sharp(page)}
+    for value in ("unlit", "channel base_color", "channel roughness", "depth", "facing"):
+        page.select_option("#shown", value)
+        pictures.add(sharp(page))
+    page.select_option("#shown", "unlit")
+    page.select_option("#filter", "nearest")
+    pictures.add(sharp(page))
+    page.locator("#level").fill("2")
+    pictures.add(sharp(page))
+    page.keyboard.press("c")
+    page.check("#cubes")
+    pictures.add(sharp(page))
+    assert len(pictures) == 9
+    assert page.complaints == []
+    page.close()
+
+
+@needs_jit
+def test_under_the_cursor_is_the_cell_that_a_lookup_finds(browser: Any, small: Path) -> None:
+    surface = colored(ball(8))
+    texture = octex.convert(surface, depth=4)
+    page = opened(browser, file_url(small), (720, 480))
+    size = page.evaluate("[viewer.canvas.clientWidth, viewer.canvas.clientHeight]")
+    found = page.evaluate("viewer.pick(viewer.canvas.clientWidth / 2, viewer.canvas.clientHeight / 2 - 30)")
+    assert found["level"] == 4
+    assert page.evaluate("viewer.pick(1, 1)") is None
+    rest = np.array([found["rest"]])
+    assert texture.contains(rest).all()
+    index = np.floor(texture.placement.to_texture_space(rest)[0] * 16)
+    np.testing.assert_array_equal(found["index"], index)
+    base = next(each for each in found["channels"] if each["name"] == "base_color")
+    np.testing.assert_array_equal(base["codes"], texture.channels["base_color"].values[found["cell"]])
+    page.mouse.move(size[0] / 2, size[1] / 2 - 30)
+    page.wait_for_function("document.getElementById('cell').textContent.includes('level 4')")
+    page.close()
+
+
+@needs_jit
+def test_the_file_loads_nothing_and_obeys_its_own_policy(browser: Any, small: Path) -> None:
+    asked: list[str] = []
+    page = browser.new_page()
+    page.on("request", lambda request: asked.append(request.url))
+    complaints: list[str] = []
+    page.on("console", lambda line: line.type == "error" and complaints.append(line.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.goto(file_url(small))
+    page.wait_for_selector("#progress-box", state="hidden", timeout=60_000)
+    assert page.locator("h1").inner_text() == "ball.octex"
+    assert [url for url in asked if not url.startswith(("file:", "blob:", "data:"))] == []
+    assert complaints == []
+    page.close()
+
+
+@needs_jit
+def test_a_lost_context_is_restored(browser: Any, small: Path) -> None:
+    page = opened(browser, file_url(small), (720, 480))
+    page.evaluate("viewer.finest = 1")
+    before = sharp(page)
+    page.evaluate("(globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context')).loseContext()")
+    page.wait_for_function("document.getElementById('status').textContent.includes('lost')")
+    page.evaluate("lose.restoreContext()")
+    page.wait_for_function("document.getElementById('status').textContent === ''")
+    page.evaluate("viewer.move()")
+    assert sharp(page) == before
+    page.close()
+
+
+@needs_jit
+def test_without_webgl2_the_page_says_so(browser: Any, small: Path) -> None:
+    page = browser.new_page(bypass_csp=True)
+    page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
+    page.goto(file_url(small))
+    page.wait_for_selector("#message", state="visible")
+    assert "this browser has no WebGL2" in page.locator("#message").inner_text()
+    page.close()
+
+
+@needs_jit
+@pytest.mark.parametrize("size", [(1280, 720), (390, 844)])
+def test_controls_are_named_and_within_the_window(browser: Any, small: Path, size: tuple[int, int]) -> None:
+    page = opened(browser, file_url(small), size)
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    height = page.evaluate("viewer.canvas.clientHeight")
+    assert height >= size[1] * 0.4
+    unnamed = """[...document.querySelectorAll("select, input, button, progress, canvas")]
+      .filter((each) => !(each.labels?.length || each.ariaLabel || each.textContent.trim()))
+      .map((each) => each.id)"""
+    assert page.evaluate(unnamed) == []
+    page.close()
+
+
+@needs_jit
+def test_a_changed_texture_is_shown_anew_and_a_lost_server_is_said(browser: Any, tmp_path: Path) -> None:
+    surface, path = colored(ball(8)), tmp_path / "ball.octex"
+    octex.convert(surface, depth=4).save(path)
+    lines: list[str] = []
+    viewer = Viewer(lambda: octex.open(path), path, surface, log=lines.append)
+    thread = threading.Thread(target=viewer.run, kwargs={"alone": 1.0})
+    thread.start()
+    page = opened(browser, viewer.url)
+    assert page.evaluate("viewer.header.depth") == 4
+    octex.convert(surface, depth=3).save(path)
+    page.wait_for_function("globalThis.viewer?.header?.depth === 3", timeout=60_000)
+    assert lines == []
+    page.close()
+    thread.join(10)
+    assert not thread.is_alive()
+
+
+def test_a_page_of_limited_size_leaves_the_finest_levels_out(tmp_path: Path) -> None:
+    texture = shell(5, keep=0.0)
+    whole = write_page(texture, tmp_path / "whole.html")
+    size = (tmp_path / "whole.html").stat().st_size
+    assert not any("to fit" in note for note in whole)
+    notes = write_page(texture, tmp_path / "cut.html", max_size=size - 1)
+    assert notes[0] == f"depth 4 of 5, to fit {size - 1:,} bytes"
+    assert (tmp_path / "cut.html").stat().st_size < size
+    with pytest.raises(
+        ArgumentError, match=r"the page takes .* bytes without any level; allow more than 100"
+    ):
+        write_page(texture, tmp_path / "none.html", max_size=100)
+
+
+def test_no_two_modules_of_the_page_have_a_name_in_common() -> None:
+    names = [
+        name
+        for module in MODULES
+        for name in re.findall(
+            r"^(?:export )?(?:async )?(?:function|class|const|let) (\w+)", page_text(module), re.M
+        )
+    ]
+    assert len(names) == len(set(names))
+    assert len(names) > 20

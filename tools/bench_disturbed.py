@@ -1,5 +1,7 @@
 """What a ring of pictures gives back when it is disturbed: exposures, strangers, cameras a little off, noise.
 
+Each time it is painted as an average, and then as well as octex can: robust, balanced, with refined cameras.
+
 Picture 0 is never exposed otherwise and its camera is never moved: it says how light the whole is, and where.
 """
 
@@ -7,10 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from time import process_time
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from bench_tools import Report
 
 import octex
 from octex.channels import linear_to_srgb, srgb_to_linear
@@ -121,14 +125,97 @@ def noisy(ring: Ring) -> Ring:
     return ring._replace(pictures=made)
 
 
-def shifts(cameras: Sequence[octex.Camera], truth: Sequence[octex.Camera], surface: octex.Surface) -> Array:
-    """Return by how many pixels (root of the mean square) points of a surface land elsewhere, per camera."""
-    points = surface.scatter(2_000, seed=5).points
+def shifts(cameras: Sequence[octex.Camera], truth: Sequence[octex.Camera], points: Points) -> Array:
+    """Return by how many pixels (root of the mean square) points that a camera sees land elsewhere."""
     found = []
-    for camera, true in zip(cameras, truth, strict=True):
-        apart = camera.project(points)[0] - true.project(points)[0]
+    for camera, true, seen in zip(cameras, truth, points.seen, strict=True):
+        apart = camera.project(points.samples.points[seen])[0] - true.project(points.samples.points[seen])[0]
         found.append(np.sqrt((apart**2).sum(1).mean()))
     return np.array(found)
+
+
+#: What octex is told for each disturbance, and by how many dB it may then stay below the clean ring.
+_TOLD: Mapping[str, tuple[Mapping[str, Any], bool, float]] = {
+    "exposed": ({"balance": "full", "reference": 0}, False, 1.0),
+    "strangers": ({}, False, 1.5),
+    "1 pixel off": ({}, True, 1.5),
+    "2 pixels off": ({}, True, 1.5),
+    "all together": ({"balance": "full", "reference": 0}, True, 4.0),
+}
+#: No figure counts for more, in dB.
+_CLEAN = 40.0
+#: Ghosts are what differs by more codes from the clean ring, at most at so many of the points, in percent.
+_GHOST, _GHOSTS = 8.0, 0.5
+#: How many pictures must see a point that ghosts are looked for at, and how many of them may be disturbed.
+_SEEN, _DISTURBED = 4, 1
+
+
+class Points(NamedTuple):
+    """Where painted textures are compared with the truth."""
+
+    samples: Any
+    truth: Array  # (n, components), codes
+    seen: Array  # (pictures, n), whether a picture sees a point
+
+
+def disturbed(
+    report: Report,
+    name: str,
+    surface: octex.Surface,
+    ring: Ring,
+    depth: int,
+    points: Points,
+) -> None:
+    """Paint a ring as it is and disturbed, as an average and as well as octex can; print a table."""
+
+    def painted(given: Ring, **options: Any) -> tuple[Array, float]:
+        texture = octex.paint(None, surface, given.projections(), max_depth=depth, **options)
+        found = texture.sample(points.samples.rest, normals=points.samples.normals)
+        found = 255 * linear_to_srgb(np.clip(found, 0, 1))
+        error = (found - points.truth)[points.seen.any(axis=0)]
+        return found, float(20 * np.log10(255 / np.sqrt((error**2).mean())))
+
+    clean, level = painted(ring)
+    wanted = min(level, _CLEAN)
+    rows = [["as it is", f"{painted(ring, pictures='average')[1]:.1f}", f"{level:.1f}", "", "", "", ""]]
+    verdicts = []
+    for what, (given, hidden) in disturbances(ring.pictures, ring.cameras, surface).items():
+        options, refines, below = _TOLD[what]
+        averaged = painted(given, pictures="average")[1]
+        off = ["", ""]
+        began = process_time()
+        if refines:
+            before = shifts(given.cameras, ring.cameras, points).max()
+            cameras = octex.refine_cameras(surface, given.projections(), reference=0)
+            given = given._replace(cameras=cameras)
+            after = shifts(cameras, ring.cameras, points).max()
+            off = [f"{before:.2f}", f"{after:.2f}"]
+            verdicts.append((report.at_most, f"{what}, pixels left", float(after), 0.25, ""))
+        found, figure = painted(given, **options)
+        spent = process_time() - began
+        ghosts = ""
+        if hidden is not None:
+            many = _few_disturbed(ring, hidden, points)
+            share = 100 * float((np.abs(found - clean).max(axis=1)[many] > _GHOST).mean())
+            ghosts = f"{share:.2f} %"
+            if not refines:
+                verdicts.append((report.at_most, f"{what}, points with ghosts", share, _GHOSTS, "%"))
+        rows.append([what, f"{averaged:.1f}", f"{figure:.1f}", *off, ghosts, f"{spent:.0f} s"])
+        verdicts.append((report.at_most, f"{what}, below clean", wanted - figure, below, "dB"))
+    report.table([name, "averaged, dB", "octex, dB", "off, pixels", "refined", "ghosts", "cpu"], rows)
+    for judge, what, value, target, unit in verdicts:
+        judge(f"ring: {name}, {what}", value, target, unit)
+
+
+def _few_disturbed(ring: Ring, hidden: Sequence[Array], points: Points) -> Array:
+    """Say which points enough pictures see, of which few are disturbed there."""
+    count = np.zeros(points.seen.shape[1], np.int64)
+    for camera, there, seen in zip(ring.cameras, hidden, points.seen, strict=True):
+        pixels, _ = camera.project(points.samples.points)
+        i, j = np.clip(pixels.astype(np.int64), 0, [camera.width - 1, camera.height - 1]).T
+        count += seen & there[j, i]
+    many: Array = (points.seen.sum(axis=0) >= _SEEN) & (count <= _DISTURBED)
+    return many
 
 
 def disturbances(

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from bench_disturbed import Points, Ring, disturbed
 from bench_inputs import painted_torus, torus
 from bench_tools import HERE, Report, Setup, Worker
 
@@ -26,7 +27,7 @@ _MAX_ANGLE = 75.0
 
 
 def ring(setup: Setup, report: Report) -> None:
-    """Twelve pictures of a model painted onto its bare mesh, beside the model's own texture."""
+    """Twelve pictures of a model painted onto its bare mesh, as they are and disturbed."""
     size, points = (96, 5_000) if setup.quick else (1024, 200_000)
     report.title(
         f"ring: 12 pictures of {size}² pixels, unlit, painted onto the bare mesh; cells as wide as pixels"
@@ -42,32 +43,22 @@ def ring(setup: Setup, report: Report) -> None:
         width = float(np.concatenate(widths).mean())
         depth = int(np.round(np.log2(np.ptp(surface.bounds, axis=0).max() / width)))
         samples = surface.scatter(points, seed=3)
-        seen = seen_by(surface, cameras, samples)
+        each = np.stack([seen_by(surface, [camera], samples) for camera in cameras])
+        seen = each.any(axis=0)
         truth = _codes(octex.convert(surface, depth).sample(samples.rest, normals=samples.normals))
-        found = {}
-        gains = np.random.default_rng(0).uniform(0.8, 1.2, (12, 3)).astype(np.float32)
-        exposed = [image * np.append(gain, 1) for image, gain in zip(pictures, gains, strict=True)]
-        for what, images, balance in (
-            ("as they are", pictures, False),
-            ("exposed differently", exposed, False),
-            ("balanced", exposed, True),
-        ):
-            shots = [octex.Projection(image, camera) for image, camera in zip(images, cameras, strict=True)]
-            began = perf_counter()
-            texture = octex.paint(None, surface, shots, max_depth=depth, balance=balance)
-            spent = perf_counter() - began
-            error = _codes(texture.sample(samples.rest, normals=samples.normals)) - truth
-            found[what] = 20 * np.log10(255 / np.sqrt((error[seen] ** 2).mean()))
-            painted = texture.contains(samples.rest)
-            report.line(
-                f"{name}, depth {depth}, {what}",
-                f"{found[what]:.1f} dB, {spent:.1f} s, {texture.tree.n_leaves:,} leaves",
-            )
-            if what == "as they are":
-                report.at_least(f"ring: {name}", found[what], 34, "dB")
-                report.at_most(f"ring: {name}, not painted", 100 * float((~painted[seen]).mean()), 0.5, "%")
-        lost = found["as they are"] - found["balanced"]
-        report.at_most(f"ring: {name}, lost to exposures, balanced", lost, 1.0, "dB")
+        given = Ring(pictures, cameras)
+        began = perf_counter()
+        texture = octex.paint(None, surface, given.projections(), max_depth=depth)
+        spent = perf_counter() - began
+        error = _codes(texture.sample(samples.rest, normals=samples.normals)) - truth
+        found = 20 * np.log10(255 / np.sqrt((error[seen] ** 2).mean()))
+        painted = texture.contains(samples.rest)
+        report.line(
+            f"{name}, depth {depth}", f"{found:.1f} dB, {spent:.1f} s, {texture.tree.n_leaves:,} leaves"
+        )
+        report.at_least(f"ring: {name}", found, 34, "dB")
+        report.at_most(f"ring: {name}, not painted", 100 * float((~painted[seen]).mean()), 0.5, "%")
+        disturbed(report, name, surface, given, depth, Points(samples, truth, each))
 
 
 def painting(setup: Setup, report: Report) -> None:

@@ -9,7 +9,8 @@ A seed makes a small texture, saves it, and damages the file: blindly (bytes cha
 knowing its structure (any field of a header, any element of an array, any number of an archive's models,
 with every checksum made right again). It is then opened, described, validated, looked up in every way, cut to
 a level and saved. A finding is what is no OctexError (an end of the process, more than 20 s or 4 GB of
-memory, any other exception), and a file that validates although its structure is not that of its leaves.
+memory, any other exception), a file that validates although its structure is not that of its leaves, and one
+whose archive comes back otherwise.
 """
 
 from __future__ import annotations
@@ -81,14 +82,16 @@ def _batch(first: int, end: int, keep: Path | None) -> tuple[int, list[tuple[str
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
-        os.close(reading)
-        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-        with os.fdopen(writing, "w", buffering=1) as pipe, tempfile.TemporaryDirectory() as folder:
-            for seed in range(first, end):
-                signal.alarm(SECONDS)
-                word, text = attempt(seed, Path(folder), keep)
-                pipe.write(json.dumps([word, text]) + "\n")
-        os._exit(0)
+        try:
+            os.close(reading)
+            resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+            with os.fdopen(writing, "w", buffering=1) as pipe, tempfile.TemporaryDirectory() as folder:
+                for seed in range(first, end):
+                    signal.alarm(SECONDS)
+                    pipe.write(json.dumps(attempt(seed, Path(folder), keep)) + "\n")
+            os._exit(0)
+        finally:
+            os._exit(70)
     os.close(writing)
     with os.fdopen(reading) as pipe:
         told = [tuple(json.loads(line)) for line in pipe]
@@ -102,7 +105,7 @@ def _batch(first: int, end: int, keep: Path | None) -> tuple[int, list[tuple[str
 def warm_up(folder: Path) -> None:
     """Compile what is needed, on files that are sound: processes that are forked later have it."""
     for seed in range(16):
-        for ending in (".octex", ".octz"):
+        for ending in (".octz", ".octex"):
             random = np.random.default_rng(seed)
             made(random).save(folder / f"good{ending}")
             use(folder / f"good{ending}", random)
@@ -149,8 +152,12 @@ def use(path: Path, random: Random) -> str:
             twin = Octree.from_levels(leaves).arrays
             if not all(np.array_equal(*pair) for pair in zip(twin[:3], texture.tree.arrays[:3], strict=True)):
                 raise AssertionError("it validates, but its structure is not that of its leaves")
-        texture.save(path.with_name("again.octz"))
-        octex.open(path.with_name("again.octz"))
+        again = [path.with_name(f"again{ending}") for ending in (".octz", ".octex", ".2.octex")]
+        texture.save(again[0])
+        texture.save(again[1])
+        octex.open(again[0]).save(again[2])
+        if again[1].read_bytes() != again[2].read_bytes():
+            raise AssertionError("its archive comes back as another file")
     return word
 
 
@@ -309,7 +316,8 @@ def archive(content: bytes, random: Random) -> bytes:
         case 1:
             count = int.from_bytes(model[:4], "little")
             numbers = entropy.decoded_numbers(np.frombuffer(model[4:], "<u4").astype(np.uint32), count)
-            assert numbers is not None
+            if numbers is None:
+                raise ValueError
             for at in random.integers(0, count, int(random.choice([1, 3, 50]))).tolist():
                 numbers[at] = int(random.choice([0, 1, 2, 255, 256, 4095, 4096, 65536, 2**31, 2**32 - 2]))
             model = count.to_bytes(4, "little") + entropy.encoded_numbers(numbers).tobytes()

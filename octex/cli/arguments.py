@@ -12,13 +12,16 @@ from octex.cli.functions import FunctionName, function_name
 #: What octex stores (octex.channels.ONE), how it reads images (octex.source.images.filters.FILTERS), lays
 #: them on surfaces (octex.source.mapping.KINDS) and along what (octex.source.mapped.FRAMES), how paint meets
 #: what is there (octex.painting.pictures.BLENDS), and what steers the depth but channels
-#: (octex.conversion.detail.STRETCH).
+#: (octex.conversion.detail.STRETCH); what becomes of several pictures (octex.painting.paint.PICTURES) and
+#: how they are made to agree (octex.painting.balance.BALANCES).
 DTYPES = ("uint8", "uint16", "float16", "float32")
 FILTERS = ("nearest", "bilinear", "bicubic", "trilinear", "ripmap", "sat", "ewa")
 PROJECTIONS = ("planar", "box", "cylindrical", "spherical")
 AXES = ("x", "-x", "y", "-y", "z", "-z")
 BLENDS = ("over", "multiply", "screen", "add", "erase", "replace")
 STRETCH = "stretch"
+PICTURES = ("average", "robust")
+BALANCES = ("gain", "full")
 
 #: The widest and highest picture that is drawn: as large as octex reads.
 MOST_PIXELS = 16384
@@ -126,6 +129,16 @@ def source(text: str) -> tuple[str, Given]:
     except ValueError:
         return name, function_name(given) or Path(given)
     return name, numbers[0] if len(numbers) == 1 else numbers
+
+
+def pictures(text: str) -> str:
+    """Read what becomes of several pictures."""
+    return _one_of(text, PICTURES)
+
+
+def balance(text: str) -> str:
+    """Read how pictures are made to agree."""
+    return _one_of(text, BALANCES)
 
 
 def mask_pattern(text: str) -> str:

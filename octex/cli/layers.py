@@ -35,7 +35,9 @@ def projected(
     """Project pictures; return what to merge them into, None for nothing yet, and the layer that they are."""
     settings: dict[str, Any] = {
         "fit": not options.no_fit,
+        "pictures": options.pictures,
         "balance": options.balance,
+        "reference": _reference(options, shots),
         "back_faces": options.back_faces,
         "executor": executor,
         "progress": progress,
@@ -69,6 +71,30 @@ def projected(
     return texture, [layer]
 
 
+def refined(
+    options: argparse.Namespace,
+    surface: Surface,
+    shots: Sequence[Shot],
+    executor: Executor | None,
+    progress: Reporter,
+) -> list[Shot]:
+    """Return pictures with cameras by which they agree best."""
+    names = [shot.name for shot in shots]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None and options.save_cameras is not None:
+        raise ArgumentError(
+            f"--save-cameras: {twice!r} is the camera of several pictures; refine these apart"
+        )
+    cameras = octex.refine_cameras(
+        surface,
+        [_projection(options, shot) for shot in shots],
+        reference=_reference(options, shots),
+        executor=executor,
+        progress=progress,
+    )
+    return [shot._replace(camera=camera) for shot, camera in zip(shots, cameras, strict=True)]
+
+
 def _projection(options: argparse.Namespace, shot: Shot) -> Projection:
     since: Any = shot.since
     if isinstance(since, bytes):
@@ -78,6 +104,20 @@ def _projection(options: argparse.Namespace, shot: Shot) -> Projection:
     return octex.Projection(
         shot.path, shot.camera, shot.mask, blend=options.blend or "over", since=since, key=options.key
     )
+
+
+def _reference(options: argparse.Namespace, shots: Sequence[Shot]) -> int | None:
+    """Return the number of the picture that stays as light as it is."""
+    if options.reference is None:
+        return None
+    paths = [shot.path for shot in shots]
+    for found in (
+        [each == options.reference for each in paths],
+        [e.name == options.reference.name for e in paths],
+    ):
+        if sum(found) == 1:
+            return found.index(True)
+    raise ArgumentError(f"--reference {options.reference} is none of the pictures, or several of them")
 
 
 def _background_value(options: argparse.Namespace) -> tuple[float, ...]:

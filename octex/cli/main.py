@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import textwrap
 from collections.abc import Sequence
 from difflib import get_close_matches
 
@@ -89,7 +90,7 @@ def _overview() -> str:
         "",
         f"{PROGRAM} COMMAND --help shows a command's usual options and examples, --help-all every option;",
         f"{PROGRAM} help TOPIC prints a page on one of these:",
-        f"  {', '.join(TOPICS)}.",
+        *textwrap.wrap(f"{', '.join(TOPICS)}.", 100, initial_indent="  ", subsequent_indent="  "),
     ]
     return "\n".join(lines)
 

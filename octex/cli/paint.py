@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import octex
 from octex.ahead import ahead
 from octex.cli.common import (
     Reporter,
@@ -21,7 +22,7 @@ from octex.cli.common import (
     run,
     say,
 )
-from octex.cli.layers import channel_of, empty_like, entries_of, merged, projected, with_entries
+from octex.cli.layers import channel_of, empty_like, entries_of, merged, projected, refined, with_entries
 from octex.cli.models import (
     DEFAULT_CHANNEL,
     TEXTURE_ENDING,
@@ -79,6 +80,8 @@ def _paint(options: argparse.Namespace, program: str) -> int:
         if options.unwrap is not None:
             surface, shots = flat_shots(options, whole, texture, progress)
         with workers() as executor:
+            if options.refine_cameras:
+                shots = refined(options, surface, shots, executor, progress)
             if options.layer:
                 layers = [open_sound(path) for path in options.layer]
             else:
@@ -94,6 +97,8 @@ def _paint(options: argparse.Namespace, program: str) -> int:
             with progress.stage("write"):
                 if options.layer_out is not None:
                     with_entries(layers[0], surface, entries).save(options.layer_out)
+                if options.save_cameras is not None:
+                    octex.write_cameras(options.save_cameras, {shot.name: shot.camera for shot in shots})
                 made.save(options.out)
     if made is base:
         reasons = [
@@ -114,6 +119,8 @@ def _check_files(options: argparse.Namespace) -> None:
     outputs: list[tuple[Path, tuple[str, ...], str]] = [(options.out, (TEXTURE_ENDING,), "--out")]
     if options.layer_out is not None:
         outputs.append((options.layer_out, (TEXTURE_ENDING,), "--layer-out"))
+    if options.save_cameras is not None:
+        outputs.append((options.save_cameras, (".json",), "--save-cameras"))
     if options.preview is not None:
         outputs.append((options.preview, (".png",), "--preview"))
     others = [*images_of(options), *(options.mask or []), *(options.layer or [])]

@@ -8,6 +8,7 @@ from pathlib import Path
 from octex.cli.arguments import (
     BLENDS,
     angle,
+    balance,
     blend,
     camera,
     color,
@@ -15,6 +16,7 @@ from octex.cli.arguments import (
     mask_pattern,
     opacity,
     picture_size,
+    pictures,
     pixels,
     whole_number,
 )
@@ -103,7 +105,33 @@ _OPTIONS = (
         metavar="PIXELS",
         type=pixels,
     ),
-    option("--balance", "multiply pictures so that overlapping ones agree", action="store_true"),
+    option(
+        "--pictures",
+        "of several that see a place: average, or robust, which leaves out what does not agree with most "
+        "(default: robust for three or more)",
+        metavar="MODE",
+        type=pictures,
+    ),
+    option(
+        "--balance",
+        "make overlapping pictures agree: gain multiplies each; full multiplies each component, and undoes "
+        "vignetting",
+        metavar="MODE",
+        type=balance,
+    ),
+    option(
+        "--reference",
+        "the picture that --balance leaves as light as it is, and --refine-cameras where it is (default: the "
+        "median gain is 1, and the camera that shares most stays)",
+        metavar="IMAGE",
+        type=Path,
+    ),
+    option(
+        "--refine-cameras",
+        "turn, move and zoom the cameras a little, by which overlapping pictures agree best",
+        action="store_true",
+    ),
+    option("--save-cameras", "keep the refined cameras, for --camera", metavar="JSON", type=Path),
     option("--back-faces", "paint also what faces away", action="store_true"),
     option("--no-fit", "store plain averages; lookups are then softer", action="store_true"),
     option(
@@ -168,7 +196,11 @@ _WORDS = {
     | {
         "--max-angle",
         "--edge-feather",
+        "--pictures",
         "--balance",
+        "--reference",
+        "--refine-cameras",
+        "--save-cameras",
         "--back-faces",
         "--no-fit",
         "--background",
@@ -252,6 +284,12 @@ def work_of(options: argparse.Namespace, program: str) -> str:
     if options.blend == "erase" and not is_there:
         what = "there is no TEXTURE" if options.TEXTURE is None else f"{options.TEXTURE}: does not exist"
         raise ArgumentError(f"{what}; there is nothing to erase")
+    if options.reference is not None and options.balance is None and not options.refine_cameras:
+        raise ArgumentError(
+            "--reference has no meaning without --balance or --refine-cameras; give one of them"
+        )
+    if options.save_cameras is not None and not options.refine_cameras:
+        raise ArgumentError("--save-cameras has no meaning without --refine-cameras; give both")
     if options.mask is not None and options.masks is not None:
         raise ArgumentError("--mask and --masks both say what the masks are; give one of them")
     if options.mask is not None and len(options.mask) not in (1, len(options.IMAGE)):

@@ -35,6 +35,7 @@ class Shot(NamedTuple):
     camera: Camera
     mask: Path | None
     since: Path | bytes | None  # the picture as it was: what has not changed is not painted
+    name: str  # of its frame
 
 
 def shots_of(options: argparse.Namespace, progress: Reporter) -> tuple[list[Shot], list[str]]:
@@ -51,7 +52,7 @@ def shots_of(options: argparse.Namespace, progress: Reporter) -> tuple[list[Shot
             raise ImageError(f"{error} (for frame {frame.name!r} of {frame.file})") from None
         try:
             since = _since(options, frame)
-            shots.append(Shot(path, frame.camera(size), mask, since))
+            shots.append(Shot(path, frame.camera(size), mask, since, frame.name))
         except CameraError as error:
             raise CameraError(f"{path}: {error}") from None
     return shots, missing
@@ -114,7 +115,9 @@ def flat_shots(
     if since is None and texture is not None and not options.whole:
         channel = options.channel or DEFAULT_CHANNEL
         since = as_png(drawn(only(texture, channel), patch.surface, patch.camera, channel, shaded=False))
-    shots = [Shot(path, patch.camera, mask, since) for path, mask in zip(paths, masks, strict=True)]
+    shots = [
+        Shot(path, patch.camera, mask, since, path.stem) for path, mask in zip(paths, masks, strict=True)
+    ]
     return patch.surface, shots
 
 

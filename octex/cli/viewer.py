@@ -16,6 +16,7 @@ from octex.cli.arguments import port_number, whole_number
 from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
 from octex.cli.models import TEXTURE_ENDING, TEXTURE_ENDINGS, kind_of, open_sound
 from octex.cli.parser import RUNNING, Command, Parser, option, words_given
+from octex.cli.shape_options import SHAPE_OPTIONS, SHAPE_WORDS, check_subdivision, shaped_model
 from octex.errors import ArgumentError, ExitCode
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ VIEW = Command(
             type=Path,
         ),
         option("--rest", "the undeformed model, of the same topology", metavar="MODEL", type=Path),
+        *SHAPE_OPTIONS,
         option(
             "--depth",
             f"levels below the root, if a model is converted (default {_DEFAULT_DEPTH})",
@@ -59,6 +61,11 @@ def _view(options: argparse.Namespace, program: str) -> int:
     is_texture = options.TEXTURE.suffix.lower() in TEXTURE_ENDINGS
     if is_texture and options.depth is not None:
         raise ArgumentError(f"{options.TEXTURE}: --depth is for models; the level is chosen in the page")
+    if is_texture and options.mesh is None:
+        for word in words_given(options):
+            if word in SHAPE_WORDS | {"--rest"}:
+                raise ArgumentError(f"{word} has no meaning without --mesh")
+    check_subdivision(options)
     if not is_texture and options.mesh is not None:
         raise ArgumentError(f"{options.TEXTURE}: is no {TEXTURE_ENDING} file, so --mesh has no meaning")
     if not is_texture and kind_of(options.TEXTURE) != "model":
@@ -66,15 +73,15 @@ def _view(options: argparse.Namespace, program: str) -> int:
     with limited(options.threads), Reporter(program, options.quiet) as progress:
         surface = None
         if is_texture:
-            if options.mesh is not None or options.rest is not None:
+            if options.mesh is not None:
                 with progress.stage("read"):
-                    surface = _surface_of(options, options.mesh)
+                    surface = shaped_model(options.mesh, options, normals=True)
 
             def read() -> OctreeTexture:
                 return open_sound(options.TEXTURE)
         else:
             with progress.stage("read"):
-                surface = octex.load_surface(options.TEXTURE, options.rest)
+                surface = shaped_model(options.TEXTURE, options)
             depth = _DEFAULT_DEPTH if options.depth is None else options.depth
             texture = octex.convert(surface, depth=depth, progress=progress)
 
@@ -92,12 +99,6 @@ def _view(options: argparse.Namespace, program: str) -> int:
     return ExitCode.DONE
 
 
-def _surface_of(options: argparse.Namespace, model: Path | None) -> Surface:
-    if model is None:
-        raise ArgumentError("--rest has no meaning without --mesh")
-    return octex.load_surface(model, options.rest, normals=True)
-
-
 def write_mesh_page(options: argparse.Namespace, program: str) -> int:
     """Write the page of a texture on its model, as octree-convert --mesh asks for it."""
     began = time.perf_counter()
@@ -109,7 +110,8 @@ def write_mesh_page(options: argparse.Namespace, program: str) -> int:
     check_outputs([(options.OUTPUT, (PAGE_ENDING,), "OUTPUT")], inputs, force=options.force)
     with limited(options.threads), Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
-            texture, surface = open_sound(options.INPUT), _surface_of(options, options.mesh)
+            texture = open_sound(options.INPUT)
+            surface = shaped_model(options.mesh, options, normals=True)
         notes = write_page(texture, surface, options, progress)
     made = {
         "output": str(options.OUTPUT),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -175,6 +176,10 @@ def _paint(surface: octex.Surface, folder: Path) -> None:
     octex.convert(surface, 2).save(folder / "coarse.octex")
     for texture in (None, octex.open(folder / "coarse.octex")):
         octex.paint(texture, surface, picture)
+    octex.refine_cameras(surface, [picture] * 2)
+    octex.paint(None, surface, [picture] * 3, balance="full")
+    lens = replace(camera, distortion=(0.01, 0.0, 0.0, 0.0))
+    octex.paint(None, surface, [replace(picture, camera=lens)] * 3)
     _process(octex.open(folder / "coarse.octex"), surface)
     octex.fill(texture, surface, octex.Sphere((0.0, 0.0, 0.0), 0.1), (1.0, 0.0, 0.0))
 

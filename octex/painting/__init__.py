@@ -1,7 +1,9 @@
 """Paint: images projected through cameras onto a surface, and merged into a texture (paper 4).
 
 paint       all of it; painter: a session of strokes; region: spheres, boxes and functions filled
-pictures    images with cameras, checked and decoded; sharpened: as values at points; balance: their gains
+pictures    images with cameras, checked and decoded; sharpened: as values at points
+balance     gains and vignetting of pictures that overlap; agreement: masks of what only one of them saw
+refine      cameras that are a little off; consensus: least squares of what pictures say of the same points
 unwrap      a disc of the surface laid flat, for a camera
 projected   what pictures paint at points of the surface
 layer       these rasterized into a paint octree; near: the triangles around it

@@ -1,59 +1,115 @@
-"""Pictures that overlap made to agree: a gain for each picture and component."""
+"""Pictures that overlap made to agree: gains, white balance and vignetting of each."""
 
 from __future__ import annotations
 
+from typing import Literal, get_args
+
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s
-from octex.painting.projected import Projected
+from octex.arrays import Float32s, Float64s
+from octex.painting.consensus import agreed_step, robust_weights
+from octex.painting.pictures import Levels
+from octex.painting.projected import Projected, pixels_of_points
 from octex.source.surface import Surface
 
+#: What is evened out: one gain for each picture; or gains of each component, and what is lost in the corners.
+Balance = Literal["gain", "full"]
+BALANCES: tuple[Balance, ...] = get_args(Balance)
+
 #: Points of the surface that pictures are compared at.
-_POINTS = 30_000
+_POINTS = 10_000
 #: Over how many pixels they are read there: what is a pixel out of place matters less.
 _WIDTH = 6.0
 #: Values that tell of no gain: too dark, or cut off.
 _DARKEST, _LIGHTEST = 0.004, 0.97
-#: Rounds of least squares, and from what difference of logarithms on a pair counts for less each time.
-_ROUNDS, _FAR = 6, 0.05
+#: Rounds of least squares, and from what difference of logarithms on a picture may count for less.
+_ROUNDS, _FAR = 10, 0.02
+#: How strongly, for each point, vignetting is held at none, and gains at one.
+_HOLD, _HOLD_GAIN = 1e-4, 1e-9
 
 
-def balanced(source: Projected, surface: Surface) -> Float32s:
-    """Return gains (pictures, 3), by which pictures agree best where more than one sees the surface.
+def balanced(source: Projected, surface: Surface, balance: Balance, reference: int | None) -> Projected:
+    """Return the same paint with pictures that agree best where more than one sees the surface.
 
-    Least squares of the differences of logarithms, those that are far off weighing less (Huber). The gains'
-    logarithms sum to zero, so that the whole stays as light as it is; pictures that overlap no other keep 1.
+    Robust least squares of logarithms of light. The shot ``reference`` keeps its gain; without one the median
+    of the gains is 1. Pictures that overlap no other keep theirs.
+    """
+    numbers = exposures(source, surface, balance, reference)
+    gains = np.exp(numbers[:, :3]).astype(np.float32)
+    shots = [
+        shot._replace(levels=evened(shot.levels, row[3:])) if row[3:].any() else shot
+        for shot, row in zip(source.shots, numbers, strict=True)
+    ]
+    return source.with_shots(shots).with_gains(gains)
+
+
+def exposures(source: Projected, surface: Surface, balance: Balance, reference: int | None) -> Float64s:
+    """Return what to add to the logarithms of pictures (pictures, 5): three components; times r², and r⁴.
+
+    r is the distance from the picture's middle, 1 in its corners.
     """
     samples = surface.scatter(_POINTS)
-    widths = source.widths(samples.triangles, samples.barycentric)
+    where = samples.triangles, samples.barycentric
+    widths = source.widths(*where)
     widths = np.where(np.isfinite(widths), widths * np.float32(_WIDTH), np.float32(0))
-    paint, weights = source.each(samples.triangles, samples.barycentric, widths)
-    gains = np.ones((len(paint), 3), np.float32)
-    for component in range(3):
-        values = paint[:, :, component].astype(np.float64)
-        usable = (weights > 0) & (values > _DARKEST) & (values < _LIGHTEST)
-        logs = np.log(np.where(usable, values, 1.0))
-        gains[:, component] = np.exp(_solved(logs, usable))
-    return gains
-
-
-def _solved(logs: Float64s, usable: Bools) -> Float64s:
-    """Return what to add to each row (pictures, points) so that rows agree where both are usable."""
-    count = len(logs)
-    found = np.zeros(count)
-    pairs = [(i, j) for i in range(count) for j in range(i) if (usable[i] & usable[j]).any()]
-    apart = {(i, j): (logs[i] - logs[j])[usable[i] & usable[j]] for i, j in pairs}
+    paint, weights = source.each(*where, widths)
+    seen = np.flatnonzero((weights > 0).sum(axis=0) > 1)
+    paint, weights = paint[:, seen], weights[:, seen]
+    points = source.positions(samples.triangles[seen], samples.barycentric[seen])
+    squares = np.stack([_radii(shot.levels, pixels_of_points(shot, points)) for shot in source.shots]) ** 2
+    usable = (weights > 0)[..., None] & (paint > _DARKEST) & (paint < _LIGHTEST)
+    logs = np.log(np.where(usable, paint, 1.0)).astype(np.float64).reshape(len(paint), -1)
+    counted = usable.reshape(logs.shape).astype(np.float64)
+    slopes = _slopes(np.repeat(squares, 3, axis=1), balance)
+    found = np.zeros((len(paint), slopes.shape[2]))
+    hold = np.full_like(found, _HOLD_GAIN)
+    hold[:, slopes.shape[2] - 2 if balance == "full" else 1 :] = _HOLD
     for _ in range(_ROUNDS):
-        matrix, right = np.zeros((count, count)), np.zeros(count)
-        for i, j in pairs:
-            distance = np.abs(apart[i, j] + found[i] - found[j])
-            weights = np.minimum(1.0, _FAR / np.maximum(distance, 1e-12))
-            total, moment = weights.sum(), (weights * apart[i, j]).sum()
-            matrix[i, i] += total
-            matrix[j, j] += total
-            matrix[i, j] -= total
-            matrix[j, i] -= total
-            right[i] -= moment
-            right[j] += moment
-        found = np.linalg.pinv(matrix, hermitian=True) @ right
+        values = logs + (slopes @ found[:, :, None])[..., 0]
+        counts, _ = robust_weights(values, counted, _FAR)
+        ridge = hold * max(counts.sum() / len(counts), 1.0)
+        found += agreed_step(slopes, values, counts, ridge)
+    if balance == "gain":
+        found = np.concatenate([np.repeat(found, 3, axis=1), np.zeros((len(found), 2))], axis=1)
+    lone = counted.sum(axis=1) == 0
+    if reference is not None:
+        found[:, :3] -= found[reference, :3]
+    elif not lone.all():
+        found[:, :3] -= np.median(found[~lone, :3], axis=0)
+    found[lone] = 0.0
     return found
+
+
+def _slopes(squares: Float64s, balance: Balance) -> Float64s:
+    """Return how logarithms (pictures, points · 3) change with each number."""
+    if balance == "gain":
+        return np.ones((*squares.shape, 1))
+    component = np.arange(squares.shape[1]) % 3
+    found = np.zeros((*squares.shape, 5))
+    found[:, np.arange(squares.shape[1]), component] = 1.0
+    found[..., 3], found[..., 4] = squares, squares**2
+    return found
+
+
+def _radii(levels: Levels, pixels: Float64s) -> Float64s:
+    """Return how far pixel coordinates (n, 2) are from a picture's middle, 1 in its corners."""
+    half = levels.sizes[0, 1:] / 2
+    found: Float64s = np.linalg.norm(np.nan_to_num(pixels) - half, axis=1) / np.linalg.norm(half)
+    return np.minimum(found, 1.0)
+
+
+def evened(levels: Levels, vignetting: Float64s) -> Levels:
+    """Return a picture times exp(a·r² + b·r⁴)."""
+    pixels = levels.pixels.copy()
+    a, b = vignetting.tolist()
+    factors = []
+    for first, width, height in levels.sizes.tolist():
+        y, x = (np.arange(count) + 0.5 - count / 2 for count in (height, width))
+        scale = levels.sizes[0, 1:] / (width, height)
+        squares = ((x * scale[0]) ** 2 + (y[:, None] * scale[1]) ** 2) / (levels.sizes[0, 1:] ** 2 / 4).sum()
+        factor = np.exp(squares * (a + b * squares)).astype(np.float32)
+        pixels[first : first + width * height, :3] *= factor.reshape(-1, 1)
+        factors += [factor.min(), factor.max()]
+    low, high = levels.range * np.float32(min(factors)), levels.range * np.float32(max(factors))
+    ends: Float32s = np.stack([np.minimum(low[0], high[0]), np.maximum(low[1], high[1])])
+    return levels._replace(pixels=pixels, range=ends)

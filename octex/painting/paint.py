@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from itertools import groupby
-from typing import TypedDict
+from typing import Literal, TypedDict, cast, get_args
 
 import numpy as np
 
 from octex.channels import ALPHA, BASE_COLOR, CHANNELS, ChannelFormat
-from octex.checks import as_choice, as_depth, as_flag, as_number
+from octex.checks import as_choice, as_depth, as_flag, as_number, as_whole
 from octex.editing.draft import Change
 from octex.errors import ArgumentError
-from octex.painting.balance import balanced
+from octex.painting.agreement import agreeing
+from octex.painting.balance import BALANCES, Balance, balanced
 from octex.painting.ground import Ground, laid_flat
 from octex.painting.layer import CELLS, FINEST_CELLS, empty_texture, rasterize_paint, wanted_levels
 from octex.painting.merge import merged
@@ -23,6 +24,11 @@ from octex.parallel import Progress, as_progress, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
 from octex.tree.placement import Placement
+from octex.view.camera import Camera
+
+#: What becomes of several pictures that see a place.
+Pictures = Literal["average", "robust"]
+PICTURES: tuple[Pictures, ...] = get_args(Pictures)
 
 #: Pictures get no deeper than this on their own: cells of a 16,000th of the model.
 _DEEPEST = 14
@@ -39,7 +45,9 @@ def paint(
     max_depth: int | None = None,
     max_angle: float = 75.0,
     edge_feather: float = 0.0,
-    balance: bool = False,
+    pictures: Pictures | None = None,
+    balance: Balance | None = None,
+    reference: int | None = None,
     back_faces: bool = False,
     fit: bool = True,
     threads: int | None = None,
@@ -67,7 +75,13 @@ def paint(
                  The normal is the surface's own where it has ``frames``, else the mean of the triangles
                  around that are within 40 degrees of each other, so that round things fade evenly
     edge_feather  pixels over which paint fades towards the picture's rim and towards edges in depth
-    balance      multiply each picture, by component, so that overlapping ones agree
+    pictures     what becomes of several that see a place: ``average``, of all; or ``robust``, which leaves
+                 out what does not agree with most of three or more, such as passers-by, by patches of 4
+                 pixels; what is left out of all is not painted. Default: ``robust`` for three or more
+    balance      make overlapping pictures agree: ``gain`` multiplies each; ``full`` multiplies each component
+                 of it, and undoes what is lost towards the corners
+    reference    the picture, by its number, that ``balance`` leaves as light as it is; by default the median
+                 of the gains is 1
     back_faces   paint also what faces away
     fit          store what makes the field meet the pictures, as ``convert`` does, instead of plain means
     progress     is called with a stage's name, the units done and the units in all
@@ -85,7 +99,8 @@ def paint(
     ground = Ground(surface if texture is None else surface.placed_in(as_texture(texture)))
     options: Options = {
         "channel": channel, "max_depth": max_depth, "max_angle": max_angle, "edge_feather": edge_feather,
-        "balance": balance, "back_faces": back_faces, "fit": fit,
+        "pictures": pictures, "balance": balance, "reference": reference, "back_faces": back_faces,
+        "fit": fit,
     }  # fmt: skip
     with workers(threads, executor) as pool:
         steps = painted(texture, ground, projections, pool, as_progress(progress), options)
@@ -102,7 +117,9 @@ class Options(TypedDict, total=False):
     max_depth: int | None
     max_angle: float
     edge_feather: float
-    balance: bool
+    pictures: Pictures | None
+    balance: Balance | None
+    reference: int | None
     back_faces: bool
     fit: bool
 
@@ -140,7 +157,9 @@ def project(
     max_depth: int | None = None,
     max_angle: float = 75.0,
     edge_feather: float = 0.0,
-    balance: bool = False,
+    pictures: Pictures | None = None,
+    balance: Balance | None = None,
+    reference: int | None = None,
     back_faces: bool = False,
     fit: bool = True,
     threads: int | None = None,
@@ -164,7 +183,8 @@ def project(
     with workers(threads, executor) as pool:
         return projected(
             ground, given, like, pool, as_progress(progress), channel=channel, max_depth=max_depth,
-            max_angle=max_angle, edge_feather=edge_feather, balance=balance, back_faces=back_faces, fit=fit,
+            max_angle=max_angle, edge_feather=edge_feather, pictures=pictures, balance=balance,
+            reference=reference, back_faces=back_faces, fit=fit,
         )  # fmt: skip
 
 
@@ -179,7 +199,9 @@ def projected(
     max_depth: int | None = None,
     max_angle: float = 75.0,
     edge_feather: float = 0.0,
-    balance: bool = False,
+    pictures: Pictures | None = None,
+    balance: Balance | None = None,
+    reference: int | None = None,
     back_faces: bool = False,
     fit: bool = True,
 ) -> OctreeTexture:
@@ -187,8 +209,14 @@ def projected(
     surface, form = ground.surface, format_of(like, channel)
     max_angle = as_number(max_angle, "max_angle", 0.0, 180.0)
     edge_feather = as_number(edge_feather, "edge_feather", 0.0, 1e6)
-    balance, back_faces = as_flag(balance, "balance"), as_flag(back_faces, "back_faces")
+    back_faces = as_flag(back_faces, "back_faces")
+    if balance is not None:
+        as_choice(balance, BALANCES, "balance")
+    if reference is not None:
+        reference = as_whole(reference, "reference", 0, len(given) - 1)
     fit = as_flag(fit, "fit")
+    if pictures is not None:
+        as_choice(pictures, PICTURES, "pictures")
     deepest = _DEEPEST if max_depth is None else as_depth(max_depth, "max_depth")
     terms = terms_of(max_angle, edge_feather, back_faces)
     largest = max(projection.opacity for projection in given) or 1.0
@@ -198,9 +226,10 @@ def projected(
         executor.submit(levels_of, projection, form, scale)
         for projection, scale in zip(given, scales, strict=True)
     ]
-    sights = ground.sights([projection.camera for projection in given], edge_feather, executor)
+    sights = ground.sights([cast(Camera, each.camera) for each in given], edge_feather, executor)
     shots = [shot_of(sight, level.result()) for sight, level in zip(sights, levels, strict=True)]
     report("look", len(given), len(given))
+    chosen = None if reference is None else shots[reference]
     shots = in_fixed_order(shots)
     mesh = surface.vertices, surface.triangles
     source = Projected(shots, form, terms, *mesh, ground.stretches, shading=ground.shading)
@@ -217,8 +246,11 @@ def projected(
     placement = Placement.around(surface.bounds, depth) if like is None else like.placement
     if like is not None:
         check_inside(surface, placement)
-    if balance and len(shots) > 1:
-        source = source.with_gains(balanced(source, surface))
+    if balance is not None and len(shots) > 1:
+        number = next((number for number, shot in enumerate(shots) if shot is chosen), None)
+        source = balanced(source, surface, balance, number)
+    if pictures == "robust" or (pictures is None and len(shots) > 2):
+        source = agreeing(source)
     return rasterize_paint(
         ground, source, placement, depths, fit=fit, cells=cells, executor=executor, progress=report
     )

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import PIL.Image
 
-from octex.arrays import Array, Bools, Float32s, Int64s
+from octex.arrays import Array, Bools, Float32s, Float64s, Int64s
 from octex.channels import ChannelFormat, decode_table, linear_to_srgb
 from octex.checks import as_choice, as_items, as_number, as_path, as_reals, is_path
 from octex.errors import ArgumentError, ImageError
@@ -147,6 +147,33 @@ def _ends(pixels: Float32s) -> Float32s:
                     ends[1, part] = value if is_first else max(value, ends[1, part])
                 is_first = False
     return ends
+
+
+def masked(levels: Levels, mask: Float32s) -> Levels:
+    """Return a picture with its alpha multiplied by a mask of any size, 0 … 1, between whose pixels it fades.
+
+    A mask's pixels cover the picture, the last ones perhaps more than that.
+    """
+    pixels = np.empty_like(levels.pixels)
+    width, height = levels.sizes[0, 1:]
+    rows, columns = mask.shape
+    step = max(-(-height // rows), -(-width // columns))
+    for first, across, down in levels.sizes.tolist():
+        y = (np.arange(down) + 0.5) * (height / down / step) - 0.5
+        x = (np.arange(across) + 0.5) * (width / across / step) - 0.5
+        part = _between(_between(mask, y).T, x).T
+        some = slice(first, first + across * down)
+        pixels[some] = levels.pixels[some] * part.reshape(-1, 1)
+    return levels._replace(pixels=pixels)
+
+
+def _between(values: Float32s, places: Float64s) -> Float32s:
+    """Return rows of values, linear between them and the same beyond the last ones."""
+    places = np.clip(places, 0, len(values) - 1)
+    first = np.minimum(places.astype(np.int64), max(len(values) - 2, 0))
+    part = (places - first).astype(np.float32)[:, None]
+    found: Float32s = values[first] * (1 - part) + values[np.minimum(first + 1, len(values) - 1)] * part
+    return found
 
 
 def _name_of(image: Image, otherwise: str) -> str:

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from functools import cached_property, partial
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -16,9 +16,10 @@ from octex.conversion.pieces import Blocks
 from octex.jit import inlined, kernel
 from octex.painting.pictures import Levels, Projection, levels_of, read_paint
 from octex.painting.source import PaintSource
+from octex.source.corners import at_corners
 from octex.source.surface import Surface
 from octex.view.camera import Camera
-from octex.view.lens import distorted, is_bent
+from octex.view.lens import distort, distorted, is_bent
 from octex.view.shading import corner_normals_of, face_normals
 from octex.view.visibility import (
     View,
@@ -95,7 +96,7 @@ def take_shot(
     Raises as `levels_of` does.
     """
     levels = executor.submit(levels_of, projection, form, scale)
-    sight = sight_of(vertices, triangles, projection.camera, feather, executor)
+    sight = sight_of(vertices, triangles, cast(Camera, projection.camera), feather, executor)
     return shot_of(sight, levels.result())
 
 
@@ -187,6 +188,21 @@ class Projected(PaintSource):
         self._mesh = vertices, triangles, stretches
         self._gains = np.ones((len(self._shots), 3), np.float32) if gains is None else gains
 
+    @property
+    def shots(self) -> list[Shot]:
+        """The shots that paint."""
+        return self._shots
+
+    @property
+    def gains(self) -> Float32s:
+        """Factors of each shot's components (shots, 3)."""
+        return self._gains
+
+    def with_shots(self, shots: Sequence[Shot], numbers: Sequence[int] | None = None) -> Projected:
+        """Return paint from other shots, which have the gains of these, or of some by their numbers."""
+        gains = self._gains if numbers is None else self._gains[list(numbers)]
+        return Projected(shots, self._channels[0], self._terms, *self._mesh, gains, self._shading)
+
     def with_gains(self, gains: Float32s) -> Projected:
         """Return the same paint with other gains."""
         return Projected(self._shots, self._channels[0], self._terms, *self._mesh, gains, self._shading)
@@ -255,6 +271,27 @@ class Projected(PaintSource):
             paint[number] = sums[:, :3] / np.maximum(sums[:, 3:], 1e-300)
         return paint, weights
 
+    def positions(self, triangles: Int32s, barycentric: Float64s) -> Float64s:
+        """Return where points are on the posed surface (n, 3)."""
+        vertices, faces, _ = self._mesh
+        return at_corners(vertices, faces[triangles], barycentric)
+
+    def barycentric_at(self, shot: Shot, triangles: Int32s, pixels: Float64s) -> Float64s:
+        """Return where on triangles (n,) a shot's camera without distortion sees them at pixels (n, 2)."""
+        vertices, faces, _ = self._mesh
+        corners = vertices[faces[triangles]] @ shot.camera.world_to_camera[:3, :3].T
+        corners += shot.camera.world_to_camera[:3, 3]
+        if not shot.camera.is_pinhole:
+            corners[..., 2] = 1.0
+        rays = np.column_stack([pixels, np.ones(len(pixels))]) @ shot.camera.inverse_k.T
+        sides = np.cross(corners[:, [1, 2, 0]], corners[:, [2, 0, 1]])
+        parts = np.maximum(
+            np.einsum("nck,nk->nc", sides, rays) * np.sign(np.linalg.det(corners))[:, None], 0.0
+        )
+        totals = parts.sum(axis=1, keepdims=True)
+        found: Float64s = np.where(totals > 0.0, parts / np.maximum(totals, 1e-300), 1.0 / 3.0)
+        return found
+
     def footprints(self) -> tuple[Float32s, Float64s]:
         """Return the edge of the finest pixel at points of triangles that own one, and the area for each.
 
@@ -280,6 +317,19 @@ class Projected(PaintSource):
         for shot in self._shots:
             _narrow(shot, *self._mesh, self._terms.back_faces, triangles, barycentric, widths)
         return widths
+
+
+def pixels_of_points(shot: Shot, points: Float64s) -> Float64s:
+    """Return the pixel coordinates (n, 2) of posed points in a shot's picture; NaN where it has none."""
+    x, y, z = shot.camera.world_to_camera[:3, :3] @ points.T + shot.camera.world_to_camera[:3, 3:]
+    if shot.camera.is_pinhole:
+        with np.errstate(all="ignore"):
+            slopes = np.column_stack([x, y]) / np.where(z > 0.0, z, np.nan)[:, None]
+        places = np.empty_like(slopes)
+        distort(shot.lens, np.ascontiguousarray(slopes), places)
+    else:
+        places = np.column_stack([x, y])
+    return places @ shot.K[:2, :2].T + shot.K[:2, 2]
 
 
 def stretches_of(vertices: Float64s, rest: Float64s, triangles: Int32s) -> Float32s:

@@ -168,7 +168,8 @@ def _raised(
     none = np.empty(0, np.int64)
     if not tree.n_leaves:
         depth = max((level for level, each in enumerate(paint) if each.codes.size), default=0)
-        return rebuilt(tree, [each.codes for each in paint[: depth + 1]]), paint, None
+        paint = paint[: depth + 1]
+        return rebuilt(tree, [each.codes for each in paint]), paint, None
     shallowest = next((level for level, (leaves, _) in enumerate(tree.cells_by_depth()) if leaves), None)
     added: list[Int64s] = []
     below: list[Int64s] = []
@@ -178,7 +179,7 @@ def _raised(
     tops: list[tuple[int, Int64s]] = []
     for level, each in enumerate(paint):
         where = locate(tree, each.codes, level)
-        is_missing = (where.levels < level) | (tree.n_leaves == 0)
+        is_missing = where.levels < level
         below.append(each.codes[is_missing & where.is_leaf])
         added.append(each.codes[is_missing & ~where.is_leaf])
         tops += _above(below[-1], where.of(is_missing & where.is_leaf), level)

@@ -130,7 +130,7 @@ def unwrap(
         (size, size), pose=pose, convention="opengl", pixels_per_unit=size / (2 * radius)
     )
     ends = border & (reach < radius)
-    meets = bool(_has_border(faces[triangles], ends))
+    meets = bool(ends[faces[triangles]].any())
     return Patch(camera, posed, at, radius, coordinates, triangles, folded.astype(np.int32), meets)
 
 
@@ -309,11 +309,6 @@ def _border_vertices(faces: Int64s, count: int) -> Bools:
     border = np.zeros(count, np.bool_)
     border[ends[counts == 1]] = True
     return border
-
-
-def _has_border(faces: Int64s, ends: Bools) -> bool:
-    """Say whether some corner of triangles is an end."""
-    return bool(ends[faces].any())
 
 
 def _flat_surface(

@@ -147,7 +147,7 @@ def _limit_lengths(surface: Surface, patches: Patches) -> Float64s:
     is_whole = np.diff(patches.first_faces)[polygon] == 1
     is_turned = (number % 2 == 1) != (is_whole & (within % 2 == 1))
     along[is_turned] = along[is_turned, ::-1]
-    lengths = np.zeros((patches.count, 2))
+    lengths = np.zeros((patches.n_faces, 2))
     faces = patches.first_faces[polygon] + np.where(is_whole, 0, within)
     np.maximum.at(lengths, faces, along * np.where(is_whole, 4.0, 2.0)[:, None])
     return lengths
@@ -160,13 +160,13 @@ def _sizes(
 
     ``lengths`` (faces, 2) are those of the derivatives along these.
     """
-    finest = np.full(patches.count, np.inf)
-    numbers = np.arange(patches.count, dtype=np.int32)
+    finest = np.full(patches.n_faces, np.inf)
+    numbers = np.arange(patches.n_faces, dtype=np.int32)
     for v in _LOOKED_AT:
         for u in _LOOKED_AT:
             if patches.is_triangle and u + v > 1.0:
                 continue
-            uv = np.tile([u, v], (patches.count, 1))
+            uv = np.tile([u, v], (patches.n_faces, 1))
             triangles, barycentric = _placed(patches, numbers, uv)
             there = np.flatnonzero(triangles >= 0)
             rest = surface.rest_at(triangles[there], barycentric[there])
@@ -183,7 +183,7 @@ def _sizes(
 
     most = _MOST_TEXELS if texels is None else as_whole(texels, "texels", 1, _MOST_TEXELS)
     if total(-60.0) > most:
-        raise ArgumentError(f"texels must be {patches.count} at least, one for each face, not {most}")
+        raise ArgumentError(f"texels must be {patches.n_faces} at least, one for each face, not {most}")
     if texels is None:
         if total(0.0) > most:
             raise ModelError(f"{surface.name} would have {total(0.0):.3g} texels; say how many there may be")

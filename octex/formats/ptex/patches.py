@@ -34,7 +34,7 @@ class Patches(NamedTuple):
     triangles: Int32s  # (triangles,)  those of each polygon
 
     @property
-    def count(self) -> int:
+    def n_faces(self) -> int:
         """How many faces there are."""
         return int(self.first_faces[-1])
 
@@ -137,8 +137,8 @@ def neighbors_of(mesh: Mesh, patches: Patches) -> tuple[Int32s, Uint8s]:
     is_whole = sizes == 4
     if patches.is_triangle:
         is_whole = np.ones_like(is_whole)
-    neighbors = np.full((patches.count, 4), -1, np.int32)
-    edges = np.zeros((patches.count, 4), np.uint8)
+    neighbors = np.full((patches.n_faces, 4), -1, np.int32)
+    edges = np.zeros((patches.n_faces, 4), np.uint8)
     base = patches.first_faces[polygon]
     whole = is_whole[polygon]
     # What another polygon meets first along an edge, going the other way: the face, or the subface there.
@@ -178,9 +178,9 @@ def subfaces_of(patches: Patches) -> Bools:
 
 def check_fit(mesh: Mesh, patches: Patches, faces: Faces, name: str) -> None:
     """Raise ModelError for a mesh whose faces are not those of a .ptx file, or are in another order."""
-    if patches.count != len(faces.log2):
+    if patches.n_faces != len(faces.log2):
         raise ModelError(
-            f"{mesh.name} has {patches.count:,} faces, and {name} has {len(faces.log2):,}: the mesh is not "
+            f"{mesh.name} has {patches.n_faces:,} faces, and {name} has {len(faces.log2):,}: the mesh is not "
             "the one that it was painted on; give that, with its polygons as they were"
         )
     neighbors, _ = neighbors_of(mesh, patches)

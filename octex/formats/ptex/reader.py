@@ -159,7 +159,8 @@ class PtexFile:
         ).copy()
         self._read_edits(extended, at if not has_metadata else self._large_end)
         self._check_faces()
-        self.faces: Faces = Faces(*map(locked, unpacked_faces(self._info)))
+        log2, neighbors, across, subfaces = unpacked_faces(self._info)
+        self.faces = Faces(locked(log2), locked(neighbors), locked(across), locked(subfaces))
         self.is_constant: Bools = locked(self._info["flags"] & IS_CONSTANT != 0)
         self._order: dict[int, Int64s] = {}
         self._headers: dict[int, tuple[Uint32s, Int64s]] = {}

@@ -173,8 +173,9 @@ class _PtexSource(Source):
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of a texel on triangles (n,), in rest units."""
         faces = self._patches.first_faces[self._patches.polygons[triangles]]
-        edges = (self._lengths[faces] / np.exp2(self._pyramid.log2[0, faces])).min(axis=1)
-        return edges.astype(np.float32)
+        edges = self._lengths[faces] / np.exp2(self._pyramid.log2[0, faces])
+        finest: Float32s = edges.min(axis=1).astype(np.float32)
+        return finest
 
     def with_rest(self, rest: Float64s) -> _PtexSource:
         """Return the same texels with widths measured on other rest positions (n, 3)."""

@@ -6,6 +6,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -46,6 +47,8 @@ from octex.parallel import ordered_map
 _TRIED = 512
 #: Faces that are encoded together have about so many bytes.
 _TOGETHER = 1 << 20
+#: Faces of less bytes are encoded by one thread: between blocks so short others would wait for each other.
+_SHARED = 4096
 #: By how many bits that promise may err; differences are the better guess.
 _UNSURE = 32
 
@@ -135,8 +138,15 @@ def _levels(contents: Contents, is_constant: Bools, executor: Executor) -> tuple
     places = np.empty_like(order)
     places[order] = np.arange(len(order))
     encode = partial(_encoded_group, texels, alpha, is_triangle)
-    groups = list(_groups(faces.log2, firsts, ~is_constant, texels.shape[1] * dtype.itemsize))
-    for group, (averages, found) in zip(groups, ordered_map(executor, encode, groups), strict=True):
+    pixel = texels.shape[1] * dtype.itemsize
+    groups = list(_groups(faces.log2, firsts, ~is_constant, pixel))
+    small = [each for each in groups if pixel << each.u + each.v < _SHARED]
+    large = [each for each in groups if pixel << each.u + each.v >= _SHARED]
+    done = chain(
+        zip(large, ordered_map(executor, encode, large), strict=True),
+        zip(small, map(encode, small), strict=True),
+    )
+    for group, (averages, found) in done:
         sums[group.faces] = averages
         for level, (group_words, group_blocks) in enumerate(found):
             numbers = group.faces if level == 0 else places[group.faces]
@@ -228,14 +238,14 @@ def _blocks(values: Array) -> tuple[Uint32s, list[bytes]]:
             encodings[is_other] = DIFFERENCED
             blocks = [zlib.compress(chosen[at : at + size], 6, 9) for at in range(0, len(chosen), size)]
         else:
-            pairs = zip(map(zlib.compress, kept), map(zlib.compress, other), strict=True)
             blocks = []
-            for number, (plain, differenced) in enumerate(pairs):
+            for number, (row, steps_of_row) in enumerate(zip(kept, other, strict=True)):
+                plain, differenced = zlib.compress(row.tobytes()), zlib.compress(steps_of_row.tobytes())
                 blocks.append(min(differenced, plain, key=len))
                 if len(differenced) <= len(plain):
                     encodings[number] = DIFFERENCED
     else:
-        blocks = [zlib.compress(row) for row in kept]
+        blocks = [zlib.compress(row.tobytes()) for row in kept]
     whole = np.ascontiguousarray(values).view(np.uint8).reshape(count, -1, values.shape[3] * little.itemsize)
     for number in np.flatnonzero((whole == whole[:, :1]).all(axis=(1, 2))).tolist():
         blocks[number] = whole[number, 0].tobytes()

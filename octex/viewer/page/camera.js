@@ -4,6 +4,8 @@ const MOST_TILT = Math.PI / 2 - 0.001;
 
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+
 export class Camera {
   constructor(low, high) {
     this.low = low;
@@ -34,10 +36,8 @@ export class Camera {
   }
 
   get axes() {
-    const back = this.backward;
-    const right = [Math.cos(this.turn), 0, -Math.sin(this.turn)];
-    const up = [back[1] * right[2] - back[2] * right[1], back[2] * right[0] - back[0] * right[2], back[0] * right[1] - back[1] * right[0]];
-    return [right, up, back];
+    const back = this.backward, right = [Math.cos(this.turn), 0, -Math.sin(this.turn)];
+    return [right, cross(back, right), back];
   }
 
   get position() {
@@ -46,7 +46,8 @@ export class Camera {
 
   get view() {
     const [x, y, z] = this.axes, at = this.position;
-    return new Float32Array([x[0], y[0], z[0], 0, x[1], y[1], z[1], 0, x[2], y[2], z[2], 0, -dot(x, at), -dot(y, at), -dot(z, at), 1]);
+    const columns = [0, 1, 2].map((n) => [x[n], y[n], z[n], 0]);
+    return new Float32Array([...columns.flat(), -dot(x, at), -dot(y, at), -dot(z, at), 1]);
   }
 
   // Of the whole picture; or of one pixel (column, row, from the upper left) of one that is so wide and high.

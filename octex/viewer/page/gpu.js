@@ -5,7 +5,8 @@ import { readShader } from "./data.js";
 
 export const FILTERS = ["nearest", "linear", "quadratic"];
 const KINDS = { srgb: 0, linear: 0, data: 1, direction: 2 };
-const FILES = ["walk.glsl", "light.glsl", "screen.vert", "places.frag", "surface.vert", "surface.frag", "cubes.vert", "cubes.frag"];
+const FILES = ["walk.glsl", "light.glsl", "screen.vert", "places.frag"];
+for (const name of ["surface", "cubes"]) FILES.push(`${name}.vert`, `${name}.frag`);
 const PARTS = "xyzw";
 const MATERIALS = ["base_color", "metallic", "roughness", "occlusion", "emissive", "specular", "normal"];
 const STAGES = {
@@ -52,7 +53,8 @@ export class Gpu {
     );
     this.tables = this.texture(gl.RG32UI, rows(octree.entries, 2));
     const last = octree.tables.kept + octree.tables.split ? octree.planes[0].length / 4 : octree.cells[octree.depth + 1];
-    if (octree.depth >= 0) this.upload({ nodes: [0, octree.nodes[octree.depth]], cells: [0, last], entries: [0, octree.entries.length / 2] });
+    const entries = [0, octree.entries.length / 2];
+    if (octree.depth >= 0) this.upload({ nodes: [0, octree.nodes[octree.depth]], cells: [0, last], entries });
     if (this.mesh) this.takeMesh(this.mesh);
     this.cubes = null;
     this.pictures = {};
@@ -111,27 +113,32 @@ export class Gpu {
     const { gl, shaders } = this, handle = gl.createProgram(), [vertex, fragment] = STAGES[kind];
     const head = `#version 300 es\n${this.defines(kind, look, planes)}\n`;
     const body = fragment.map((name) => shaders[name]).join("");
-    const all = body.replace(/^.*\{N\}.*$/gm, (line) => Array.from({ length: planes }, (_, n) => line.replaceAll("{N}", n)).join("\n"));
+    const repeated = (line) => Array.from({ length: planes }, (_, n) => line.replaceAll("{N}", n)).join("\n");
+    const all = body.replace(/^.*\{N\}.*$/gm, repeated);
+    const check = (is, log) => {
+      if (!gl.isContextLost() && !is) throw new Error(`${kind}: ${log}`);
+    };
     const sources = [[gl.VERTEX_SHADER, `#version 300 es\n${shaders[vertex]}`], [gl.FRAGMENT_SHADER, head + all]];
     for (const [type, source] of sources) {
       const shader = gl.createShader(type);
       gl.shaderSource(shader, source);
       gl.compileShader(shader);
       gl.attachShader(handle, shader);
-      if (!gl.isContextLost() && !gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(`${kind}: ${gl.getShaderInfoLog(shader)}`);
+      check(gl.getShaderParameter(shader, gl.COMPILE_STATUS), gl.getShaderInfoLog(shader));
     }
     gl.linkProgram(handle);
-    if (!gl.isContextLost() && !gl.getProgramParameter(handle, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(handle));
+    check(gl.getProgramParameter(handle, gl.LINK_STATUS), gl.getProgramInfoLog(handle));
     const places = {};
     return { handle, at: (name) => (places[name] ??= gl.getUniformLocation(handle, name)) };
   }
 
   // Where channels are, among the first planes, and what is shown, as the shaders name it.
   defines(kind, look, planes) {
-    const lines = [`#define PLANES ${planes}`, `#define SHOWS_${look.shown.toUpperCase()}`, kind === "probe" ? "#define PROBE" : ""];
+    const lines = [`#define PLANES ${planes}`, `#define SHOWS_${look.shown.toUpperCase()}`];
     const { isMixed, split, kept, mesh } = this.octree.header;
     const facing = look.facing && kind !== "cubes";
-    const flags = { MIXED: isMixed, KEPT: isMixed && kept > 0, FACING: facing, SPLIT: facing && split[0] > 0, POSED: mesh?.posed };
+    const flags = { PROBE: kind === "probe", MIXED: isMixed, KEPT: isMixed && kept > 0, POSED: mesh?.posed };
+    Object.assign(flags, { FACING: facing, SPLIT: facing && split[0] > 0 });
     for (const [name, is] of Object.entries(flags)) if (is) lines.push(`#define ${name}`);
     const define = (name, text) => lines.push(`#define ${name} ${text}`);
     const part = ({ at: [, slot], components }) => PARTS.slice(slot, slot + Math.min(components, 3));
@@ -231,7 +238,8 @@ export class Gpu {
   }
 
   drawSurface(look, camera, width, height) {
-    const { gl } = this, planes = this.planesFor(look), places = this.target("places", width, height, 2), picture = this.target("picture", width, height, 1, places);
+    const { gl } = this, planes = this.planesFor(look);
+    const places = this.target("places", width, height, 2), picture = this.target("picture", width, height, 1, places);
     this.drawPlaces(look, camera, places, width, height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, picture.buffer);
     gl.clearColor(...BACKGROUND);

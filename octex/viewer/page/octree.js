@@ -8,7 +8,7 @@ const bitsSet = new Uint8Array(256).map((_, n) => n.toString(2).replaceAll("0", 
 export function planes(bytes, count, at) {
   const numbers = new Uint32Array(count);
   for (let n = 0; n < count; n++) {
-    numbers[n] = bytes[at + n] | (bytes[at + count + n] << 8) | (bytes[at + 2 * count + n] << 16) | (bytes[at + 3 * count + n] << 24);
+    for (let place = 3; place >= 0; place--) numbers[n] = (numbers[n] << 8) | bytes[at + place * count + n];
   }
   return numbers;
 }

@@ -17,10 +17,12 @@ const element = (id) => document.getElementById(id);
 class Viewer {
   constructor() {
     this.canvas = element("picture");
-    this.look = { shown: "lit", channel: "base_color", filter: "quadratic", level: 0, footprints: true, cubes: false, facing: true, marked: null };
+    this.look = { shown: "lit", channel: "base_color", filter: "quadratic", level: 0 };
+    Object.assign(this.look, { footprints: true, facing: true, cubes: false, marked: null });
     this.cost = 0; // milliseconds a pixel, as measured
     this.pictures = 0;
     this.isSharp = false;
+    this.finest = 2; // drawn pixels a pixel, at most, along both axes
   }
 
   async open() {
@@ -31,6 +33,7 @@ class Viewer {
     this.camera = new Camera(...this.bounds());
     this.look.level = this.gpu.deepest;
     this.describe();
+    element("panel").open = !matchMedia("(max-width: 720px)").matches;
     control(this.canvas, this.camera, () => this.move());
     this.listen();
     const total = header.chunks.reduce((sum, chunk) => sum + chunk.bytes, header.mesh?.bytes ?? 0);
@@ -170,13 +173,15 @@ class Viewer {
     const full = Math.min(window.devicePixelRatio || 1, 2);
     const pixels = this.canvas.clientWidth * this.canvas.clientHeight * full * full;
     const part = this.cost ? Math.sqrt(FRAME / (this.cost * pixels)) : 0.4;
-    const scale = isStill ? 1 : Math.min(Math.max(part, 0.08), 1);
+    // Where there is time, a picture that stands still is drawn larger than it is shown: its edges are then smooth.
+    const finest = this.cost * pixels * this.finest ** 2 < STILL ? this.finest : 1;
+    const scale = isStill ? finest : Math.min(Math.max(part, 0.08), 1);
     try {
       if (!(isStill && this.isSharp)) this.draw(full * scale);
     } catch (error) {
       return fail(error);
     }
-    this.isSharp = scale === 1;
+    this.isSharp = isStill;
     if (!this.isSharp || this.turning) this.again();
   }
 
@@ -222,17 +227,22 @@ class Viewer {
     const found = this.octree.cellAt(point, Math.min(look.level, this.octree.depth));
     const looked = {};
     for (const plane of new Set(channels.map((channel) => channel.at[0]))) looked[plane] = ask(plane).values;
+    const part = ({ at: [plane, slot], components }) => Array.from(looked[plane].slice(slot, slot + components));
     const known = channels.map((channel) => ({
       name: channel.name,
       space: channel.space,
       codes: this.octree.codes(channel, found.cell),
-      values: channel.name === "alpha" ? [values[0]] : Array.from(looked[channel.at[0]].slice(channel.at[1], channel.at[1] + channel.components)),
+      values: channel.name === "alpha" ? [values[0]] : part(channel),
     }));
     return { ...found, point, rest: point.map((p, axis) => origin[axis] + size * p), fetches: values[1], channels: known };
   }
 
   tell(found) {
-    const rows = [];
+    const rows = [], pixels = this.canvas.width * this.canvas.height;
+    if (this.cost * pixels < FRAME && this.look.marked?.cell !== found?.cell) {
+      this.look.marked = found;
+      this.move();
+    }
     if (found) {
       rows.push(["at rest", found.rest.map((p) => p.toPrecision(5)).join(", ")]);
       rows.push(["cell", `${found.cell.toLocaleString("en")}, level ${found.level}`]);

@@ -8,7 +8,6 @@ uniform mat4 u_view;
 uniform vec3 u_low;  // the root cell's lowest corner in the world
 uniform float u_edge;  // and its edge
 uniform vec3 u_camera;  // in texture space
-uniform float u_cut;  // cells beyond this part of the root's x are left out
 
 flat out vec3 v_normal;
 flat out uint v_number;

@@ -91,7 +91,7 @@ void main() {
   if (u_kind == 2) shown = 0.5 * normalize(2.0 * shown - 1.0) + 0.5;
   if (u_kind == 0) shown = toSrgb(shown);
 #else
-  uvec2 cell = leafAt(place.xyz, u_depth);
+  uvec3 cell = leafAt(place.xyz, u_depth);
   shown = levelColor(cell.y);
 #ifdef SHOWS_FACING
   ivec2 texel = ivec2(cell.x & ROW, cell.x >> 12u);

@@ -45,6 +45,7 @@ Eight turned(Eight of) {
 // What is looked up are the sums g_sumN under weights; these are their sums: with alpha and without, and that
 // of alpha itself.
 float g_total = 0.0, g_cover = 0.0, g_alpha = 0.0;
+bool g_ignoresAlpha = false;
 
 // What one cell adds to the sums, for a weight of 1.
 float r_total, r_cover, r_alpha;
@@ -65,7 +66,7 @@ void readRow(uint row, float weight) {
   r_cover += weight;
 #ifdef ALPHA
   r_alpha += weight * ALPHA;
-  weight *= ALPHA;
+  if (!g_ignoresAlpha) weight *= ALPHA;
 #endif
   r_total += weight;
   r_sum{N} += weight * value{N};
@@ -303,9 +304,8 @@ void addLooks(vec3 point, ivec2 levels, vec2 shares, int leaves) {
     if (shares.x > 0.0) tap(0u, weight * shares.x, leaves > 0);
   }
   uvec3 parity = fixedPoint >> 22u & 1u;
-  // The parents of the finest cells that are looked at; above them only what they descend from is read.
-  ivec3 finest = ivec3(fixedPoint >> uint(23 - levels.y));
-  ivec3 low = (finest - 1) >> 1;
+  // The parents of the cells that the first look takes; above them only what they descend from is read.
+  ivec3 low = (ivec3(fixedPoint >> uint(23 - levels.x)) - 1) >> 1;
   Eight block = Eight(uvec4(0u), uvec4(0u));
   uint root = (1u - parity.x) + 2u * (1u - parity.y);
   uvec4 at = uvec4(equal(uvec4(0u, 1u, 2u, 3u), uvec4(root)));
@@ -319,7 +319,7 @@ void addLooks(vec3 point, ivec2 levels, vec2 shares, int leaves) {
     if (!looks) {
       // The block above a level begins one node before the point's, or with it where the level's number is odd.
       ivec3 begin = ivec3(fixedPoint >> uint(24 - level)) - 1 + ivec3(parity);
-      int up = levels.y - level;
+      int up = levels.x - level;
       bvec3 lower = equal(low >> up, begin), upper = equal((low + 1) >> up, begin + 1);
       needed = (lower.x ? 0x55u : 0u) | (upper.x ? 0xAAu : 0u);
       needed &= (lower.y ? 0x33u : 0u) | (upper.y ? 0xCCu : 0u);
@@ -339,10 +339,10 @@ void addLooks(vec3 point, ivec2 levels, vec2 shares, int leaves) {
   }
 }
 
-// The leaf that holds a point, or the deepest cell above it: its number and its level.
-uvec2 leafAt(vec3 point, int last) {
+// The leaf that holds a point, or the deepest cell above it: its number, its level, and 1 if it is a node.
+uvec3 leafAt(vec3 point, int last) {
   uvec3 place = min(uvec3(clamp(point, 0.0, 1.0) * FINEST), uvec3(FINEST - 1.0));
-  uvec2 found = uvec2(0u);
+  uvec3 found = uvec3(0u, 0u, !u_leafRoot);
   uint node = 1u;
   for (int level = 1; level <= last; level++) {
     uvec2 words = nodeAt(node);
@@ -351,8 +351,8 @@ uvec2 leafAt(vec3 point, int last) {
     uint mask = (words.x | words.y) & 255u;
     if ((mask >> octant & 1u) == 0u) break;
     uint below = (1u << octant) - 1u;
-    found = uvec2((words.x >> 8u) + bitsOf(mask & below), level);
-    if ((words.x >> octant & 1u) == 0u) break;
+    found = uvec3((words.x >> 8u) + bitsOf(mask & below), level, words.x >> octant & 1u);
+    if (found.z == 0u) break;
     node = (words.y >> 8u) + bitsOf(words.x & below) + 1u;
   }
   return found;
@@ -380,7 +380,8 @@ void put(int at, float weight) {
 }
 
 // Chaikin's rule along a line of three cells: of a cell's halves each takes a quarter of its neighbour.
-#define LINE(M, V) { V a = M[i], b = M[j], c = M[k]; M[i] = mix(a, b, low.x); M[j] = mix(odd ? b : a, odd ? c : b, low.y); M[k] = mix(b, c, low.z); }
+#define MIXED_LINE(M) M[i] = mix(a, b, low.x), M[j] = mix(odd ? b : a, odd ? c : b, low.y), M[k] = mix(b, c, low.z)
+#define LINE(M, V) { V a = M[i], b = M[j], c = M[k]; MIXED_LINE(M); }
 
 void refine(uvec3 parity) {
   int step = 1;
@@ -510,8 +511,8 @@ void addAll(vec3 point, ivec2 levels, vec2 shares, int leaves) {
     if (shares[look] <= 0.0) continue;
     bool averages = levels[look] < leaves;
     if (u_filter == NEAREST) {
-      uvec2 cell = leafAt(point, levels[look]);
-      tap(cell.x, shares[look], averages && int(cell.y) == levels[look]);
+      uvec3 cell = leafAt(point, levels[look]);
+      tap(cell.x, shares[look], averages && cell.z == 1u);
     } else {
       addMixed(point, levels[look], shares[look], averages);
     }
@@ -541,6 +542,14 @@ void lookUp(vec3 point, float width) {
   // Off the surface it is the averages of the deepest level that has one there.
   for (;;) {
     addAll(point, levels, shares, leaves);
+#ifdef ALPHA
+    // Where alpha is zero throughout, values do not weigh by it.
+    if (g_cover > 0.0 && g_total <= 0.0 && !g_ignoresAlpha) {
+      g_ignoresAlpha = true;
+      g_cover = g_alpha = 0.0;
+      continue;
+    }
+#endif
     if (g_cover > 0.0 || levels.x == 0) break;
     levels = ivec2(levels.x - 1);
     shares = vec2(1.0, 0.0);

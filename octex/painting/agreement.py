@@ -1,0 +1,182 @@
+"""Which pictures agree where several see the surface: masks without what only one of them saw.
+
+A picture is looked at in patches. At each the colours of all pictures that see that place, as wide as the
+patch, have a mode: the colour that most of them are near to. A picture that is far from it saw something
+else, a passer-by or a reflection, and is masked there; where no more than two see, as it is around. What is
+masked in all of them no picture has seen.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from octex.jit import inlined, kernel
+from octex.painting.pictures import masked
+from octex.painting.projected import Projected, Shot
+from octex.view.lens import is_bent, undistort
+
+#: Pixels of a patch, each way.
+PATCH = 4
+#: Of how many pictures the mode is sought at least: of two none is right.
+_LEAST = 3
+#: A picture's say grows with its weight, by this power: three that see a place aslant outvote one from ahead.
+_SAY = 0.125
+#: Pictures differ by noise, and by what is out of place: more than so many times their third quartile of
+#: differences is another thing, which lies in this range of codes.
+_TIMES, _LEAST_FAR, _MOST_FAR = 3.0, 16.0, 40.0
+#: So far apart, in codes, colours support each other by a fourth.
+_APART = 10.0
+#: A mode is none unless others say so too: this much of the picture's own say.
+_SUPPORT = 0.5
+#: Patches are masked where so much of what is around is far off.
+_MAJORITY = 0.5
+#: So many points are looked at together.
+_POINTS = 1 << 17
+
+
+def agreeing(source: Projected) -> Projected:
+    """Return the same paint, its pictures masked where they do not agree with the others."""
+    found = [_differences(source, number) for number in range(len(source.shots))]
+    known = np.concatenate([each[np.isfinite(each)] for each in found])
+    if not known.size:
+        return source
+    far = float(np.clip(_TIMES * np.quantile(known, 0.75), _LEAST_FAR, _MOST_FAR))
+    masks = [_mask(differences, far) for differences in found]
+    shots = [
+        shot if mask.all() else shot._replace(levels=masked(shot.levels, mask))
+        for shot, mask in zip(source.shots, masks, strict=True)
+    ]
+    return source.with_shots(shots)
+
+
+def _differences(source: Projected, number: int) -> Float32s:
+    """Return by how many codes a picture is off what most say, per patch; NaN where that is not known."""
+    shot = source.shots[number]
+    width, height = shot.levels.sizes[0, 1:]
+    rows, columns = -(-height // PATCH), -(-width // PATCH)
+    found = np.full(rows * columns, np.nan, np.float32)
+    patches, triangles, barycentric = _seen_at(source, shot, rows, columns)
+    own = source.with_shots([shot], [number])
+    for first in range(0, len(patches), _POINTS):
+        some = slice(first, first + _POINTS)
+        where = triangles[some], barycentric[some]
+        widths = own.widths(*where)
+        widths = np.where(np.isfinite(widths), PATCH * widths, np.float32(0)).astype(np.float32)
+        colors, weights = source.each(*where, widths)
+        differences = np.empty(len(patches[some]), np.float32)
+        find_differences(colors, weights, number, differences)
+        found[patches[some]] = differences
+    return found.reshape(rows, columns)
+
+
+def _seen_at(source: Projected, shot: Shot, rows: int, columns: int) -> tuple[Int64s, Int32s, Float64s]:
+    """Return the patches in whose middle a picture sees the surface, and what it sees there."""
+    y, x = np.mgrid[:rows, :columns].reshape(2, -1)
+    places = np.column_stack([x + 0.5, y + 0.5]) * PATCH
+    places = np.minimum(places, shot.levels.sizes[0, 1:] - 0.5)
+    if is_bent(shot.lens):
+        bent = np.linalg.solve(shot.K, np.column_stack([places, np.ones(len(places))]).T)[:2].T
+        slopes = np.empty_like(bent)
+        undistort(shot.lens, np.ascontiguousarray(bent), slopes)
+        places = slopes @ shot.camera.K[:2, :2].T + shot.camera.K[:2, 2]
+    high, wide = shot.seen.triangle.shape
+    inside = np.asarray(np.logical_and(places >= 0, places < [wide, high]).all(axis=1))
+    i, j = np.where(inside[:, None], places, 0.0).astype(np.int64).T
+    triangles = shot.seen.triangle[j, i]
+    found = np.flatnonzero(np.where(inside, triangles, -1) >= 0)
+    patches = found[np.argsort(triangles[found], kind="stable")]
+    seen = triangles[patches]
+    middles = np.column_stack([i[patches], j[patches]]) + 0.5
+    return patches, seen, source.barycentric_at(shot, seen, middles)
+
+
+@inlined
+def _apart(colors: Float32s, i: int, j: int, n: int) -> np.float32:
+    """Return by how many codes, of a square root of light, two colours differ in their worst component."""
+    most = np.float32(0.0)
+    for component in range(3):
+        a = np.sqrt(max(colors[i, n, component], np.float32(0.0)))
+        b = np.sqrt(max(colors[j, n, component], np.float32(0.0)))
+        most = max(most, abs(a - b))
+    return np.float32(255.0) * most
+
+
+@inlined
+def nearness_of(codes: float) -> float:
+    """Return how much colours so many codes apart support each other: 1 … 0 (Geman & McClure 1985)."""
+    share = codes / _APART
+    return float(1.0 / (1.0 + share * share) ** 2)
+
+
+@kernel
+def find_differences(colors: Float32s, weights: Float32s, own: int, found: Float32s) -> None:
+    """Write by how many codes a picture is off the mode of all (pictures, n); NaN where none is known.
+
+    The mode is the picture's colour which the others support most, each by its say.
+    """
+    count = len(weights)
+    for n in range(found.size):
+        found[n] = np.nan
+        if not weights[own, n] > 0.0:
+            continue
+        several = 0
+        largest = np.float32(0.0)
+        for i in range(count):
+            if weights[i, n] > 0.0:
+                several += 1
+                largest = max(largest, weights[i, n])
+        if several < _LEAST:
+            continue
+        best, most, alone = -1, 0.0, 0.0
+        for i in range(count):
+            if not weights[i, n] > 0.0:
+                continue
+            say = np.float64(weights[i, n] / largest) ** _SAY
+            support = say
+            for j in range(count):
+                if j != i and weights[j, n] > 0.0:
+                    its = np.float64(weights[j, n] / largest) ** _SAY
+                    support += its * nearness_of(np.float64(_apart(colors, i, j, n)))
+            if support > most:
+                best, most, alone = i, support, say
+        if most - alone >= _SUPPORT * alone:
+            found[n] = _apart(colors, best, own, n)
+
+
+def _mask(differences: Float32s, far: float) -> Float32s:
+    """Return a mask (rows, columns), 0 or 1, of patches that are near what most say."""
+    known = np.isfinite(differences)
+    if not known.any():
+        return np.ones(differences.shape, np.float32)
+    is_far = np.where(known, np.nan_to_num(differences) > far, False).astype(np.float32)
+    share = _around(is_far) / np.maximum(_around(known.astype(np.float32)), 1e-9)
+    unlike = _filled(np.where(known, share, 0).astype(np.float32), known) > _MAJORITY
+    found: Float32s = (_around(unlike.astype(np.float32)) == 0).astype(np.float32)
+    return found
+
+
+def _around(values: Float32s) -> Float32s:
+    """Return the sums of 3 × 3 patches."""
+    wide = np.pad(values, 1)
+    rows = wide[:-2] + wide[1:-1] + wide[2:]
+    found: Float32s = rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]
+    return found
+
+
+def _filled(values: Float32s, known: Bools) -> Float32s:
+    """Fill what is not known from what is around it: means of ever larger patches, from the large ones down.
+
+    (Gortler et al., "The Lumigraph", 1996: push and pull.)
+    """
+    if known.all() or min(values.shape) < 2:
+        return values if known.all() else np.where(known, values, values[known].mean() if known.any() else 0)
+    rows, columns = values.shape
+    pad = ((0, rows % 2), (0, columns % 2))
+    shape = (rows + 1) // 2, 2, (columns + 1) // 2, 2
+    weights = np.pad(known.astype(np.float32), pad).reshape(shape).sum(axis=(1, 3))
+    sums = np.pad(np.where(known, values, 0), pad).reshape(shape).sum(axis=(1, 3))
+    coarse = _filled((sums / np.maximum(weights, 1)).astype(np.float32), weights > 0)
+    above = np.repeat(np.repeat(coarse, 2, axis=0), 2, axis=1)[:rows, :columns]
+    found: Float32s = np.where(known, values, above)
+    return found

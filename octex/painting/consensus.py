@@ -1,0 +1,77 @@
+"""What pictures say of the same points, each by numbers of its own: those by which they agree best."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from octex.arrays import Float64s
+
+#: Residuals beyond this much of their scale count for less and less; the scale is that of the half nearest.
+_SCALES = 2.0
+#: So many points are added together.
+_POINTS = 4_000
+
+
+def consensus(values: Float64s, weights: Float64s) -> Float64s:
+    """Return the weighted mean of each point (n,) over pictures (pictures, n); 0 where none has a weight."""
+    totals = weights.sum(axis=0)
+    mean: Float64s = (weights * values).sum(axis=0) / np.maximum(totals, 1e-300)
+    return mean
+
+
+def robust_weights(values: Float64s, weights: Float64s, least: float) -> tuple[Float64s, float]:
+    """Return weights (pictures, n) that are less where a value is far from most at its point; and the scale.
+
+    The middle is the weighted median, the scale the median distance from it, ``least`` or more, and weights
+    fall as Geman & McClure's (1985): a tenth at 1.5 scales of two.
+    """
+    middle = _medians(values, weights)
+    several = (weights > 0).sum(axis=0) > 1
+    far = np.abs(values - middle)
+    counted = (weights > 0) & several
+    scale = max(least, _SCALES * float(np.median(far[counted])) if counted.any() else least)
+    found = np.where(counted, weights / (1.0 + (far / scale) ** 2) ** 2, 0.0)
+    return found, scale
+
+
+def _medians(values: Float64s, weights: Float64s) -> Float64s:
+    """Return the weighted median of each point, between two values where it lies there."""
+    order = np.argsort(values, axis=0, kind="stable")
+    ranked = np.take_along_axis(values, order, axis=0)
+    sums = np.cumsum(np.take_along_axis(weights, order, axis=0), axis=0)
+    half = sums[-1] / 2
+    low, high = (sums < half * (1 - 1e-9)).sum(axis=0), (sums <= half * (1 + 1e-9)).sum(axis=0)
+    rows = np.arange(values.shape[1])
+    last = len(values) - 1
+    middle: Float64s = (ranked[np.minimum(low, last), rows] + ranked[np.minimum(high, last), rows]) / 2
+    return middle
+
+
+def agreed_step(slopes: Float64s, values: Float64s, weights: Float64s, ridge: Float64s) -> Float64s:
+    """Return the changes (pictures, numbers) by which values agree best with what all say of each point.
+
+    Least squares of weights · (values + slopes · changes − consensus)², the consensus of each point being
+    free: slopes (pictures, n, numbers), values and weights (pictures, n). ``ridge`` (pictures, numbers) is
+    how strongly each change is held at 0; that of a picture that stays is infinite.
+    """
+    pictures, count, numbers = slopes.shape
+    size = pictures * numbers
+    matrix, right = np.zeros((size, size)), np.zeros(size)
+    for first in range(0, count, _POINTS):
+        some = slice(first, first + _POINTS)
+        of, weight = slopes[:, some], weights[:, some]
+        apart = values[:, some] - consensus(values[:, some], weight)
+        weighted = of * weight[..., None]
+        for i in range(pictures):
+            own = slice(i * numbers, (i + 1) * numbers)
+            matrix[own, own] += weighted[i].T @ of[i]
+            right[own] -= weighted[i].T @ apart[i]
+        rows = weighted.transpose(1, 0, 2).reshape(-1, size)
+        rows /= np.sqrt(np.maximum(weight.sum(axis=0), 1e-300))[:, None]
+        matrix -= rows.T @ rows
+    stays = np.isinf(ridge.ravel())
+    matrix[np.diag_indices(size)] += np.where(stays, 0.0, ridge.ravel())
+    free = np.flatnonzero(~stays)
+    found = np.zeros(size)
+    found[free] = np.linalg.pinv(matrix[np.ix_(free, free)], rcond=1e-12, hermitian=True) @ right[free]
+    return found.reshape(pictures, numbers)
