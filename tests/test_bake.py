@@ -568,8 +568,8 @@ def test_maps_of_more_bits_are_written_whole(images: Any, tmp_path: Path) -> Non
         file.close()
         np.testing.assert_array_equal(found.reshape(expected.shape), expected)
     read, points = octex.load_surface(tmp_path / "a.obj"), baked.scatter(2000)
-    for name in names:
-        np.testing.assert_allclose(read.evaluate(points, name), baked.evaluate(points, name), atol=1e-4)
+    for name in names:  # between texels colours weigh by alpha where that is in the same image
+        np.testing.assert_allclose(read.evaluate(points, name), baked.evaluate(points, name), atol=2e-2)
     fewer = octex.bake(octex.convert(surface, 4), surface, texture_size=64, channels=names)
     assert psnr(baked.evaluate(points), fewer.evaluate(points)) > 50.0
     with pytest.raises(ModelError, match="exr"):
