@@ -88,7 +88,7 @@ def ring(count: int = 8, size: int = 96) -> tuple[octex.Surface, list[octex.Came
 
 
 def projections(images: list[Array], cameras: list[octex.Camera]) -> list[octex.Projection]:
-    return projections(images, cameras)
+    return [octex.Projection(*pair) for pair in zip(images, cameras, strict=True)]
 
 
 def error(found: octex.OctreeTexture, surface: octex.Surface) -> float:
@@ -109,7 +109,7 @@ def test_a_passer_by_is_left_out_in_any_order_of_pictures() -> None:
     averaged = error(octex.paint(None, surface, shots, max_depth=5, pictures="average"), surface)
     robust = octex.paint(None, surface, shots, max_depth=5)
     assert averaged > 4 * clean
-    assert error(robust, surface) < clean + 0.15 * (averaged - clean)
+    assert error(robust, surface) < clean + 0.1 * (averaged - clean)
     other = octex.paint(None, surface, shots[::-1], max_depth=5, pictures="robust")
     assert np.array_equal(other.channels["base_color"].values, robust.channels["base_color"].values)
 

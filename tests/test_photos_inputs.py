@@ -14,6 +14,7 @@ from octex.channels import BASE_COLOR, srgb_to_linear
 from octex.cli.paint import main
 from octex.errors import ArgumentError
 from octex.painting.pictures import Projection, levels_of
+from octex.painting.sharpened import sharpened
 from octex.source.images.orientation import orientation_of, turned
 from octex.source.images.png import SIGNATURE
 from octex.texture import open_texture
@@ -33,6 +34,11 @@ def pixels_of(projection: Projection) -> Array:
     return rows.reshape(camera.height, camera.width, 4)
 
 
+def held(light: Array) -> Array:
+    """What the finest level of an opaque picture of so much light holds."""
+    return sharpened(np.concatenate([light, np.ones_like(light[..., :1])], axis=2).astype(np.float32))
+
+
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_pictures_are_turned_as_pillow_turns_them(tmp_path: Path, orientation: int) -> None:
     image = PIL.Image.fromarray(np.random.default_rng(0).integers(0, 256, (4, 6, 3), np.uint8))
@@ -47,7 +53,7 @@ def test_pictures_are_turned_as_pillow_turns_them(tmp_path: Path, orientation: i
     np.testing.assert_array_equal(turned(np.asarray(image), orientation), upright)
     camera = wide(upright.shape[1], upright.shape[0])
     found = pixels_of(Projection(tmp_path / "a.png", camera))
-    np.testing.assert_allclose(found[..., :3], srgb_to_linear(upright / 255), atol=1e-5)
+    np.testing.assert_allclose(found, held(srgb_to_linear(upright / 255)), atol=1e-5)
 
 
 def test_a_picture_that_fits_its_camera_only_as_it_is_stored_is_not_turned(tmp_path: Path) -> None:
@@ -57,7 +63,7 @@ def test_a_picture_that_fits_its_camera_only_as_it_is_stored_is_not_turned(tmp_p
     image.save(tmp_path / "a.jpg", exif=exif)
     stored = np.asarray(PIL.Image.open(tmp_path / "a.jpg"))
     found = pixels_of(Projection(tmp_path / "a.jpg", wide()))
-    np.testing.assert_allclose(found[..., :3], srgb_to_linear(stored / 255), atol=1e-5)
+    np.testing.assert_allclose(found, held(srgb_to_linear(stored / 255)), atol=1e-5)
     with pytest.raises(ArgumentError, match="has 6×4 pixels, its camera 5×5"):
         levels_of(Projection(tmp_path / "a.jpg", wide(5, 5)), BASE_COLOR)
 
@@ -91,11 +97,11 @@ def test_pictures_of_16_bits_keep_them_and_floats_are_linear_light(tmp_path: Pat
     pytest.importorskip("OpenImageIO")
     codes = np.random.default_rng(2).integers(0, 65536, (4, 6, 3), np.uint16)
     write_deep(tmp_path / "a.png", codes)
-    found = pixels_of(Projection(tmp_path / "a.png", wide()))[..., :3]
-    np.testing.assert_allclose(found, srgb_to_linear(codes / 65535), atol=1e-6)
+    found = pixels_of(Projection(tmp_path / "a.png", wide()))
+    np.testing.assert_allclose(found, held(srgb_to_linear(codes / 65535)), atol=2e-6)
     light = np.random.default_rng(3).uniform(0, 4, (4, 6, 3)).astype(np.float32)
     write_deep(tmp_path / "a.exr", light)
-    np.testing.assert_array_equal(pixels_of(Projection(tmp_path / "a.exr", wide()))[..., :3], light)
+    np.testing.assert_array_equal(pixels_of(Projection(tmp_path / "a.exr", wide())), held(light))
 
 
 def write_deep(path: Path, values: Array) -> None:

@@ -47,16 +47,19 @@ def _medians(values: Float64s, weights: Float64s) -> Float64s:
     return middle
 
 
-def agreed_step(slopes: Float64s, values: Float64s, weights: Float64s, ridge: Float64s) -> Float64s:
+def agreed_step(
+    slopes: Float64s, values: Float64s, weights: Float64s, ridge: Float64s, pull: Float64s | None = None
+) -> Float64s:
     """Return the changes (pictures, numbers) by which values agree best with what all say of each point.
 
     Least squares of weights · (values + slopes · changes − consensus)², the consensus of each point being
     free: slopes (pictures, n, numbers), values and weights (pictures, n). ``ridge`` (pictures, numbers) is
-    how strongly each change is held at 0; that of a picture that stays is infinite.
+    how strongly each change is held at 0; that of a picture that stays is infinite. ``pull`` (pictures,
+    numbers) is half the slope of what else is to be least.
     """
     pictures, count, numbers = slopes.shape
     size = pictures * numbers
-    matrix, right = np.zeros((size, size)), np.zeros(size)
+    matrix, right = np.zeros((size, size)), np.zeros(size) if pull is None else -pull.ravel()
     for first in range(0, count, _POINTS):
         some = slice(first, first + _POINTS)
         of, weight = slopes[:, some], weights[:, some]

@@ -2,7 +2,8 @@
 
 Points of the surface are read in all pictures that see them, from coarse to fine. Each camera turns, moves
 and zooms a little (Gauss-Newton steps), so that pictures differ least from what all say of a point; what is
-far off counts for less (Zhou & Koltun, "Color Map Optimization", 2014, solved for all cameras at once).
+far off counts for less (Zhou & Koltun, "Color Map Optimization", 2014, solved for all cameras at once, with
+steps undone that make it worse). A camera of which pictures tell too little stays as it was given.
 """
 
 from __future__ import annotations
@@ -10,15 +11,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int32s
+from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.channels import BASE_COLOR
 from octex.checks import as_choice, as_whole
 from octex.errors import ArgumentError
 from octex.painting.balance import BALANCES, Balance, balanced
-from octex.painting.consensus import agreed_step, robust_weights
+from octex.painting.consensus import agreed_step, consensus, robust_weights
 from octex.painting.ground import Ground
 from octex.painting.pictures import Levels, Projection, check_projections, levels_of
 from octex.painting.projected import Projected, Shot, in_fixed_order, shot_of, terms_of
@@ -28,15 +30,23 @@ from octex.view.camera import Camera
 
 #: Points of the surface that are compared.
 _POINTS = 10_000
-#: Levels of pictures, each twice as coarse, that are read one after the other, and steps on each.
-_LEVELS, _STEPS = (3, 2, 1, 0), 8
-#: A step in which no camera moves by so many pixels is the last of its level.
+#: Levels of pictures, each twice as coarse, that are read one after the other, and tries on each.
+_LEVELS, _TRIES = (2, 1, 0), 12
+#: A step in which no number of a camera changes by so many pixels is the last of its level.
 _STILL = 0.005
 #: From what difference of square roots of light on a picture may count for less: at the finest level, and so
 #: much more at each coarser one, where pictures that are off differ most at the edges that tell of it.
-_FAR = 0.04
-#: How strongly, of what there is, cameras are held where they are: what pictures do not tell stays.
-_HOLD = 1e-4
+_FAR = 0.1
+#: Within so many pixels of a level of where the surface ends, pictures are mixed with what is behind it.
+_RIM = 2.0
+#: By how many pixels cameras are expected to be off, by what a square root of light is off besides, and what
+#: share of the points tells something of its own.
+_OFF, _NOISE, _OWN = 4.0, 0.02, 0.01
+#: How much a step is damped, of what there is; what becomes of that after a step that was right, and wrong.
+_DAMPING, _RIGHT, _WRONG = 1e-4, 0.2, 10.0
+#: A camera is moved where what its picture differs by from the others, 0 to 1, falls to so much of what it
+#: was, and by so much.
+_BETTER, _BY = 0.7, 0.002
 #: What is seen at such an angle to the surface's normal, in degrees, or more, is not compared.
 _MAX_ANGLE = 75.0
 #: Numbers of a camera that change: turns about three axes, moves along them, zoom.
@@ -49,7 +59,7 @@ def refine_cameras(
     surface: Surface,
     projections: Projection | Sequence[Projection],
     *,
-    balance: Balance | None = "full",
+    balance: Balance | None = "gain",
     reference: int | None = None,
     threads: int | None = None,
     executor: Executor | None = None,
@@ -57,8 +67,8 @@ def refine_cameras(
 ) -> list[Camera]:
     """Return the cameras of pictures, turned, moved and zoomed a little so that the pictures agree best.
 
-    For cameras that are a few pixels off, not for such that look elsewhere. The pictures' own light, masks
-    and order do not matter.
+    For cameras that are a few pixels off, not for such that look elsewhere. A camera stays as it is where its
+    picture would not agree clearly better with the others. The pictures' light and order do not matter.
 
     surface      what the cameras see, at its posed positions
     balance      how pictures are made to agree in light before they are compared, as for ``paint``
@@ -71,30 +81,47 @@ def refine_cameras(
 
     Raises ArgumentError and ImageError as ``paint`` does.
     """
-    given = check_projections(projections)
+    shown = check_projections(projections)
     if balance is not None:
         as_choice(balance, BALANCES, "balance")
     if reference is not None:
-        reference = as_whole(reference, "reference", 0, len(given) - 1)
-    cameras = [each.camera for each in given if isinstance(each.camera, Camera)]
-    if len(cameras) < len(given):
+        reference = as_whole(reference, "reference", 0, len(shown) - 1)
+    cameras = [each.camera for each in shown if isinstance(each.camera, Camera)]
+    if len(cameras) < len(shown):
         raise ArgumentError("patches are where they were laid; only cameras are refined")
     ground, report = Ground(as_surface(surface)), as_progress(progress)
-    if len(given) == 1:
+    if len(shown) == 1:
         return cameras
     with workers(threads, executor) as pool:
-        levels = list(pool.map(lambda each: levels_of(each, BASE_COLOR), given))
-        order, stays = _ordered(ground, cameras, levels, reference, pool)
-        cameras, levels = [cameras[n] for n in order], [levels[n] for n in order]
-        for done, level in enumerate(_LEVELS):
-            report("refine", done, len(_LEVELS))
+        levels = list(pool.map(lambda each: levels_of(each, BASE_COLOR), shown))
+        order, fixed = _ordered(ground, cameras, levels, reference, pool)
+        began, levels = [cameras[n] for n in order], [levels[n] for n in order]
+        samples = surface.scatter(_POINTS)
+        cameras, numbers = list(began), np.zeros((len(order), _NUMBERS))
+        stays = np.zeros(len(order), np.bool_) if reference is None else np.array(order) == reference
+
+        def views(cameras: list[Camera], level: int, balance: Balance | None) -> _Views:
             source = _source(ground, cameras, levels, pool)
             if balance is not None:
-                source = balanced(source, surface, balance, stays)
-            cameras = _agreeing(source, surface, cameras, level, stays)
+                source = balanced(source, surface, balance, fixed)
+            says = _says(source, samples.triangles, samples.barycentric, _RIM * 2**level)
+            pictures = [_read(shot, level) for shot in source.shots]
+            return _Views(began, samples.points, pictures, source.gains, says)
+
+        for done, level in enumerate(_LEVELS):
+            report("refine", done, len(_LEVELS))
+            given = views(cameras, level, balance)
+            if not stays.any():
+                stays[np.argmax((given.says * (given.says > 0).sum(axis=0)).sum(axis=1))] = True
+            numbers = _agreeing(given, numbers, stays, _FAR * (level + 1))
+            cameras = [_moved(*each, samples.points) for each in zip(began, numbers, strict=True)]
+        light: Balance | None = balance and "full"
+        before, after = views(began, 0, light), views(cameras, 0, light)
+        is_better = _better(before, after, numbers) & ~stays
+        cameras = [each[1 if moves else 0] for *each, moves in zip(began, cameras, is_better, strict=True)]
         report("refine", len(_LEVELS), len(_LEVELS))
     found = dict(zip(order, cameras, strict=True))
-    return [found[number] for number in range(len(given))]
+    return [found[number] for number in range(len(shown))]
 
 
 def _ordered(
@@ -122,43 +149,114 @@ def _source(
     )  # fmt: skip
 
 
-def _agreeing(
-    source: Projected, surface: Surface, cameras: list[Camera], level: int, stays: int | None
-) -> list[Camera]:
-    """Return cameras by which what pictures hold at a level agrees best."""
-    samples = surface.scatter(_POINTS)
-    where = samples.triangles, samples.barycentric
-    points = source.positions(*where)
-    says = _says(source, *where)
-    fixed = int(np.argmax((says * (says > 0).sum(axis=0)).sum(axis=1))) if stays is None else stays
-    pictures = [_read(shot, level) for shot in source.shots]
-    for _ in range(_STEPS):
-        values, slopes = [], []
-        for picture, camera, gains, say in zip(pictures, cameras, source.gains, says, strict=True):
-            value, slope = np.zeros((len(points), 3)), np.zeros((len(points), 3, _NUMBERS))
-            value[say > 0], slope[say > 0] = _seen(picture, camera, points[say > 0], gains)
-            values.append(value.ravel())
-            slopes.append(slope.reshape(-1, _NUMBERS))
-        value, slope = np.stack(values), np.stack(slopes)
-        weights = np.repeat(says, 3, axis=1) * np.isfinite(value)
-        value, slope = np.nan_to_num(value), np.nan_to_num(slope)
-        weights, _ = robust_weights(value, weights, _FAR * (level + 1))
-        strength = np.einsum("in,inp->ip", weights, slope**2).max(axis=1, keepdims=True)
-        ridge = np.broadcast_to(np.maximum(_HOLD * strength, 1e-12), (len(cameras), _NUMBERS)).copy()
-        ridge[fixed] = np.inf
-        step = agreed_step(slope, value, weights, ridge)
-        cameras = [_moved(each, own, points) for each, own in zip(cameras, step, strict=True)]
-        if np.abs(step).max() < _STILL * 2**level:
+class _Views(NamedTuple):
+    """Pictures at a level, and who sees which points."""
+
+    cameras: Sequence[Camera]  # as given
+    points: Float64s  # (n, 3)
+    pictures: Sequence[Float32s]
+    gains: Float32s
+    says: Float64s  # (pictures, n)
+
+    def seen(self, numbers: Float64s) -> tuple[Float64s, Float64s]:
+        """Return what pictures show (pictures, n · 3), and how that changes with numbers of cameras."""
+        values = np.full((*self.says.shape, 3), np.nan)
+        slopes = np.zeros((*values.shape, _NUMBERS))
+        for n, say in enumerate(self.says > 0):
+            some = self.points[say]
+            values[n, say], slopes[n, say] = _seen(
+                self.pictures[n], self.cameras[n], some, self.points, numbers[n], self.gains[n]
+            )
+        return values.reshape(len(values), -1), np.nan_to_num(slopes).reshape(len(slopes), -1, _NUMBERS)
+
+
+def _agreeing(views: _Views, numbers: Float64s, stays: Bools, far: float) -> Float64s:
+    """Return numbers of cameras by which what pictures hold agrees best (Levenberg-Marquardt)."""
+    values, slopes = views.seen(numbers)
+    says = np.repeat(views.says, 3, axis=1) * np.isfinite(values)
+    _, far = robust_weights(np.nan_to_num(values), says, far)
+    held = np.full(numbers.shape, (_NOISE / _OFF) ** 2 / _OWN)
+
+    def cost(values: Float64s, numbers: Float64s) -> float:
+        return far**2 * float((says * _apart(values, says, far)).sum()) + float((held * numbers**2).sum())
+
+    least, damping = cost(values, numbers), _DAMPING
+    for _ in range(_TRIES):
+        weights, known = says * np.isfinite(values), np.nan_to_num(values)
+        weights = weights / (1.0 + ((known - _middle(known, weights, far)) / far) ** 2) ** 2
+        ridge = held + damping * np.einsum("in,inp->ip", weights, slopes**2).max(axis=1, keepdims=True)
+        ridge[stays] = np.inf
+        step = agreed_step(slopes, known, weights, ridge, held * numbers)
+        tried = views.seen(numbers + step)
+        now = cost(tried[0], numbers + step)
+        if now < least:
+            least, numbers, (values, slopes), damping = now, numbers + step, tried, damping * _RIGHT
+        else:
+            damping *= _WRONG
+        if np.abs(step).max() < _STILL:
             break
-    return cameras
+    return numbers
 
 
-def _says(source: Projected, triangles: Int32s, barycentric: Float64s) -> Float64s:
-    """Return how much pictures say of points (pictures, n): the better they see them, to 1; at least two."""
+def _middle(values: Float64s, says: Float64s, far: float) -> Float64s:
+    """Return what most pictures say of points (n,)."""
+    weights, _ = robust_weights(values, says, far)
+    return consensus(values, weights)
+
+
+def _apart(values: Float64s, says: Float64s, far: float) -> Float64s:
+    """Return how far pictures are from what most say, 0 to 1 (pictures, n); 1 where they show no more."""
+    known = np.isfinite(values)
+    values = np.where(known, values, 0.0)
+    apart = ((values - _middle(values, says * known, far)) / far) ** 2
+    return np.where(known, apart / (1.0 + apart), 1.0)
+
+
+def _better(before: _Views, after: _Views, numbers: Float64s) -> Bools:
+    """Say which pictures agree clearly better with the others where their cameras have numbers than without.
+
+    Each time as light is evened out best: what other light explains moves no camera.
+    """
+    old, new = before.seen(np.zeros_like(numbers))[0], after.seen(numbers)[0]
+    says = np.repeat(np.minimum(before.says, after.says), 3, axis=1) * np.isfinite(old)
+    says *= (says > 0).sum(axis=0) > 1
+    found = np.zeros(len(numbers), np.bool_)
+    for n, own in enumerate(says):
+        alone = new.copy()
+        alone[n] = old[n]
+        total = float(own.sum())
+        then, first, now = (float((own * _apart(each, says, _FAR)[n]).sum()) for each in (alone, old, new))
+        least = min(then, first)
+        found[n] = now < min(_BETTER * least, least - _BY * total)
+    return found
+
+
+def _says(source: Projected, triangles: Int32s, barycentric: Float64s, rim: float) -> Float64s:
+    """Return how much pictures say of points (pictures, n): the better they see them, to 1; at least two.
+
+    Nothing within ``rim`` pixels of where the surface ends.
+    """
     _, weights = source.each(triangles, barycentric, source.widths(triangles, barycentric))
+    points = source.positions(triangles, barycentric)
+    for shot, own in zip(source.shots, weights, strict=True):
+        own *= _margins(shot, points) >= rim
     share = weights / np.maximum(weights.max(axis=0), 1e-30)
     says: Float64s = np.where((weights > 0).sum(axis=0) > 1, share.astype(np.float64) ** 0.25, 0.0)
     return says
+
+
+def _margins(shot: Shot, points: Float64s) -> Float64s:
+    """Return how many pixels points (n, 3) are from where the surface ends, as a shot knows it."""
+    height, width = shot.margins.shape
+    x, y, z = shot.camera.world_to_camera[:3, :3] @ points.T + shot.camera.world_to_camera[:3, 3:]
+    if not shot.camera.is_pinhole:
+        z = np.ones_like(z)
+    with np.errstate(all="ignore"):
+        places = (np.linalg.inv(shot.camera.inverse_k) @ np.stack([x / z, y / z, np.ones_like(z)]))[:2]
+    ends = np.array([[width - 1], [height - 1]])
+    j, i = np.clip(np.nan_to_num(places), 0, ends).astype(np.int64)
+    found: Float64s = shot.margins[i, j].astype(np.float64)
+    return found
 
 
 def _read(shot: Shot, level: int) -> Float32s:
@@ -173,10 +271,12 @@ def _read(shot: Shot, level: int) -> Float32s:
     return np.concatenate([light, right, down], axis=2)
 
 
-def _seen(picture: Float32s, camera: Camera, points: Float64s, gains: Float32s) -> tuple[Float64s, Float64s]:
+def _seen(
+    picture: Float32s, camera: Camera, points: Float64s, around: Float64s, numbers: Float64s, gains: Float32s
+) -> tuple[Float64s, Float64s]:
     """Return what a picture shows of points (n, 3), and how that changes with the camera's numbers."""
     height, width = picture.shape[:2]
-    pixels, _ = camera.project(points)
+    pixels, _ = _moved(camera, numbers, around).project(points)
     places = pixels * [width / camera.width, height / camera.height] - 0.5
     inside = ((places >= 0) & (places <= [width - 1, height - 1])).all(axis=1)
     i, j = np.where(inside[:, None], np.floor(np.nan_to_num(places)), 0).astype(np.int64).T
@@ -188,9 +288,9 @@ def _seen(picture: Float32s, camera: Camera, points: Float64s, gains: Float32s) 
     read = np.where(inside[:, None], read, np.nan) * np.tile(np.sqrt(gains), 3)
     slopes = np.empty((len(points), 3, _NUMBERS))
     for number in range(_NUMBERS):
-        step = np.zeros(_NUMBERS)
-        step[number] = _TRIAL
-        there, _ = _moved(camera, step, points).project(points)
+        step = numbers.copy()
+        step[number] += _TRIAL
+        there, _ = _moved(camera, step, around).project(points)
         moved = (there - pixels) * [width / camera.width, height / camera.height] / _TRIAL
         slopes[..., number] = read[:, 3:6] * moved[:, :1] + read[:, 6:] * moved[:, 1:]
     return read[:, :3], slopes
