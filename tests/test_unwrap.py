@@ -169,5 +169,8 @@ def test_the_command_draws_a_disc_flat_and_paints_it_back(
     assert np.allclose(seen[0], [1, 0, 0], atol=0.03)
     assert np.allclose(seen[1:], 0.25, atol=0.03)
     capsys.readouterr()
-    assert command.main([str(model), str(before), disc, "--view", str(view), "--size", "64,32"]) == 2
+    assert (
+        command.main([str(model), str(before), disc, "--view", str(tmp_path / "b.png"), "--size", "64,32"])
+        == 2
+    )
     assert "square" in capsys.readouterr().err
