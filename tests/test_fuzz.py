@@ -10,6 +10,9 @@ import pytest
 
 from tests.conftest import needs_jit
 
+#: Seeds that found something once.
+FOUND = (2461, 2794)
+
 TOOLS = Path(__file__).parent.parent / "tools"
 
 pytestmark = [needs_jit, pytest.mark.skipif(sys.platform != "linux", reason="the fuzzer forks")]
@@ -21,7 +24,7 @@ def test_damaged_files_of_many_seeds_are_refused_or_answer(
     monkeypatch.syspath_prepend(str(TOOLS))
     import fuzz_files
 
-    outcomes = [fuzz_files.attempt(seed, tmp_path) for seed in range(150)]
+    outcomes = [fuzz_files.attempt(seed, tmp_path) for seed in (*range(150), *FOUND)]
     assert [what for word, what in outcomes if word == "FOUND"] == []
     words = [word for word, _ in outcomes]
     assert min(words.count("refused"), words.count("sound")) > 5  # it reaches both ends

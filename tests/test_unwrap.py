@@ -123,14 +123,15 @@ def waves(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("make", "exact", "center"), [(ball, on_ball, CENTER), (tube, on_tube, (0.3, 0.1, 1.0))]
+    ("make", "exact", "center", "depth"),
+    [(ball, on_ball, CENTER, 6), (tube, on_tube, (0.3, 0.1, 1.0), 7)],  # cells of one size
 )
-def test_what_is_painted_on_a_disc_lies_there(make, exact, center) -> None:  # type: ignore[no-untyped-def]
+def test_what_is_painted_on_a_disc_lies_there(make, exact, center, depth) -> None:  # type: ignore[no-untyped-def]
     surface, radius, size = make(), 0.7, 256
     patch = octex.unwrap(surface, center, radius, size=size)
     at = ((np.arange(size) + 0.5) / size * 2 - 1) * radius
     picture = np.rint(waves(at[None, :] + 0 * at[:, None], -at[:, None] + 0 * at) * 255).astype(np.uint8)
-    texture = octex.convert(surface, 6, sources={"base_color": 0.25})
+    texture = octex.convert(surface, depth, sources={"base_color": 0.25})
     painted = octex.paint(texture, surface, octex.Projection(picture, patch))
     points = surface.scatter(100_000)
     middle = patch.center / np.linalg.norm(patch.center) if make is ball else patch.center
@@ -169,5 +170,8 @@ def test_the_command_draws_a_disc_flat_and_paints_it_back(
     assert np.allclose(seen[0], [1, 0, 0], atol=0.03)
     assert np.allclose(seen[1:], 0.25, atol=0.03)
     capsys.readouterr()
-    assert command.main([str(model), str(before), disc, "--view", str(view), "--size", "64,32"]) == 2
+    assert (
+        command.main([str(model), str(before), disc, "--view", str(tmp_path / "b.png"), "--size", "64,32"])
+        == 2
+    )
     assert "square" in capsys.readouterr().err

@@ -47,6 +47,9 @@ MEMORY = 4 << 30
 SECONDS = 20
 EDGES = (0, 1, 7, 255, 2**31 - 1, 2**32 - 1, 2**32, 2**48, 2**63 - 1, 2**64 - 1)
 Random = np.random.Generator
+#: What comes of reading a file that was damaged before.
+_UNREADABLE = (ValueError, KeyError, IndexError, TypeError, OverflowError, MemoryError)
+_UNREADABLE += (struct.error, zlib.error, lzma.LZMAError)
 
 
 def main() -> int:
@@ -224,7 +227,7 @@ def damaged(random: Random, folder: Path) -> tuple[bytes, str]:
     for _ in range(int(random.choice([1, 1, 1, 2, 5]))):
         try:
             content = way(content, random)
-        except (ValueError, KeyError, IndexError, struct.error, zlib.error, lzma.LZMAError, TypeError):
+        except _UNREADABLE:
             content = blind(content, random)  # what was damaged before is read no more
     return content, f"{path.suffix} {way.__name__}"
 

@@ -274,6 +274,7 @@ _PROJECTION = {"--project", "--project-axis", "--project-center", "--project-siz
 _ELSEWHERE = {"--transfer", "--cloud", "--radius", "--max-distance", "--max-angle"}
 _MATERIALS = {"--channels", "--source", "--filter", "--rest", "--also", "--bounds", "--edge"}
 _MATERIALS |= _PROJECTION | _ELSEWHERE | SHAPE_WORDS
+_MATERIALS |= {"--ptex"}  # what an INPUT is that is a .ptx
 #: What makes another texture of a texture alone.
 _OF_TEXTURES = {"--crop", "--combine", "--mix", "--blur", "--levels"}
 #: In the order in which they are done.

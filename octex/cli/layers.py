@@ -100,7 +100,8 @@ def _projection(options: argparse.Namespace, shot: Shot) -> Projection:
     if isinstance(since, bytes):
         from octex.source.images.decode import decode_image
 
-        since = decode_image(since, f"the view in {options.camera[0]}")
+        where = "of --unwrap" if options.camera is None else f"in {options.camera[0]}"
+        since = decode_image(since, f"the view {where}")
     return octex.Projection(
         shot.path, shot.camera, shot.mask, blend=options.blend or "over", since=since, key=options.key
     )

@@ -11,6 +11,7 @@ from weakref import ref
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, Uint32s
+from octex.errors import TextureFileError
 from octex.field.bricks import Tree
 from octex.field.neighborhood import walked_taps
 from octex.field.sinks import list_taps
@@ -148,14 +149,19 @@ class Field:
         """Yield the tiles that lookups search, one after the other, for what those before do not have.
 
         Off the surface that are the averages of the deepest level that has any there; `nearest` looks around
-        the cell that should hold the point first.
+        the cell that should hold the point first. Raises TextureFileError for a damaged tree.
         """
         tiles = self.tiles_for(filter_code)
         assert tiles is not None
         yield tiles
         for level in range(tiles.depth - (filter_code != NEAREST), -1, -1):
             above = self.level(level).tiles
-            assert above is not None  # as all leaves have one depth, or had it before they were painted
+            if (
+                above is None
+            ):  # all leaves have one depth, or had it before they were painted: it has no other cells
+                raise TextureFileError(
+                    f"level {level}: its nodes and leaves are not those that the groups count"
+                )
             yield above
 
     def prepare(self, filter_code: int) -> None:

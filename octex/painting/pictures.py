@@ -18,6 +18,7 @@ from octex.errors import ArgumentError, ImageError
 from octex.jit import inlined, kernel
 from octex.painting.sharpened import sharpened
 from octex.painting.unwrap import Patch
+from octex.source.images.cubic import catmull_rom
 from octex.source.images.decode import as_texels, read_image_file
 from octex.source.images.orientation import orientation_of, turned
 from octex.source.images.pyramid import resized
@@ -265,25 +266,13 @@ def read_paint(
 
 
 @inlined
-def _cubic(t: np.float32) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    half, one = np.float32(0.5), np.float32(1.0)
-    square, s = t * t, one - t
-    return (
-        -half * t * s * s,
-        one - half * square * (np.float32(5.0) - np.float32(3.0) * t),
-        half * t * (one + np.float32(4.0) * t - np.float32(3.0) * square),
-        -half * square * s,
-    )
-
-
-@inlined
 def _bicubic(
     levels: Levels, level: int, x: float, y: float
 ) -> tuple[np.float32, np.float32, np.float32, np.float32]:
     start, width, height = levels.sizes[level, 0], levels.sizes[level, 1], levels.sizes[level, 2]
     u, v = x - 0.5, y - 0.5
     i, j = int(np.floor(u)), int(np.floor(v))
-    of_x, of_y = _cubic(np.float32(u - i)), _cubic(np.float32(v - j))
+    of_x, of_y = catmull_rom(np.float32(u - i)), catmull_rom(np.float32(v - j))
     none = np.float32(0.0)
     a = b = c = d = none
     for row in range(4):

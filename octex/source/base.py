@@ -66,6 +66,27 @@ class Source(ABC):
         return Combined(dict.fromkeys(names, self), [self])
 
 
+class OfAnother(Source):
+    """Gives another source's values, found at other triangles: its channels and gaps are that one's."""
+
+    _source: Source
+
+    @property
+    def channels(self) -> tuple[ChannelFormat, ...]:
+        """The channels, in the order of the values' columns."""
+        return self._source.channels
+
+    @property
+    def has_gaps(self) -> bool:
+        """Whether the other source may know nothing of some points."""
+        return self._source.has_gaps
+
+    @property
+    def alpha_is_coverage(self) -> bool:
+        """Whether the other's ``alpha`` says no more than where it knows something."""
+        return self._source.alpha_is_coverage
+
+
 def in_order(names: Sequence[str]) -> list[str]:
     """Return names of channels in the order in which textures hold them; others last."""
     known = list(CHANNELS)

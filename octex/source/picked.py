@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from octex.arrays import Float32s, Float64s, Int32s
-from octex.channels import ChannelFormat
-from octex.source.base import Source
+from octex.source.base import OfAnother, Source
 
 
-class Picked(Source):
+class Picked(OfAnother):
     """The source of a whole surface, for a surface of some of its triangles.
 
     ``triangles`` (k,) and ``vertices`` (v,) are their numbers in the whole, ``rest`` (n, 3) the whole's rest
@@ -21,21 +20,6 @@ class Picked(Source):
         self._triangles = triangles
         self._vertices = vertices
         self._rest = rest
-
-    @property
-    def channels(self) -> tuple[ChannelFormat, ...]:
-        """The channels, in the order of the values' columns."""
-        return self._source.channels
-
-    @property
-    def has_gaps(self) -> bool:
-        """Whether the whole's source may know nothing of some points."""
-        return self._source.has_gaps
-
-    @property
-    def alpha_is_coverage(self) -> bool:
-        """Whether the whole's ``alpha`` says no more than where it knows something."""
-        return self._source.alpha_is_coverage
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""

@@ -11,10 +11,9 @@ from typing import Literal, NamedTuple, TypeVar
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from octex.channels import ChannelFormat
 from octex.checks import as_choice, as_whole
 from octex.errors import ArgumentError, ModelError
-from octex.source.base import Source
+from octex.source.base import OfAnother, Source
 from octex.source.corners import Corners, Creases, Polygons
 from octex.source.mesh import Mesh, as_creases
 from octex.source.subdivision import SCHEMES, Level, Scheme, base_level, divided, limits
@@ -117,7 +116,7 @@ def _triangles(level: Level, scheme: Scheme, cage: _Cage) -> tuple[Int64s, Int64
     return np.repeat(np.arange(len(corners)), 2), np.repeat(corners[:, 0], 2)[:, None] + within
 
 
-class OnCage(Source):
+class OnCage(OfAnother):
     """The source of a cage, for a mesh whose triangles lie on the cage's.
 
     ``parents`` (m,) are the cage's triangles that each lies on, ``shares`` (m, 3, 3) its corners in
@@ -144,21 +143,6 @@ class OnCage(Source):
             here, there = _sizes(hull, triangles), _sizes(rest, triangles)
             known = (here > 0) & (there > 0)
             self._stretch[known] = here[known] / there[known]
-
-    @property
-    def channels(self) -> tuple[ChannelFormat, ...]:
-        """The channels, in the order of the values' columns."""
-        return self._source.channels
-
-    @property
-    def has_gaps(self) -> bool:
-        """Whether the cage's source may know nothing of some points."""
-        return self._source.has_gaps
-
-    @property
-    def alpha_is_coverage(self) -> bool:
-        """Whether the cage's ``alpha`` says no more than where it knows something."""
-        return self._source.alpha_is_coverage
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""

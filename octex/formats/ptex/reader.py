@@ -92,6 +92,11 @@ class PtexFile:
     ) -> None:
         self.close()
 
+    def __del__(self) -> None:
+        """Close a file that nobody closed."""
+        if hasattr(self, "_file"):
+            self._file.close()
+
     def __repr__(self) -> str:
         kind = f"{self.n_channels} × {self.dtype.name}"
         return f"<PtexFile {self.path.name!r} of {self.n_faces:,} {self.mesh_type} faces, {kind}>"

@@ -19,6 +19,7 @@ from octex.formats.ptex.patches import Patches, check_fit, locate, patches_of, s
 from octex.formats.ptex.reader import PtexFile, all_texels
 from octex.jit import inlined, kernel
 from octex.source.base import Source
+from octex.source.images.cubic import catmull_rom
 from octex.source.materials import light_format
 from octex.source.mesh import Mesh
 from octex.source.spatial import Placeable
@@ -352,7 +353,7 @@ def _add(
         return
     x, y = u * across + 0.5, v * down + 0.5
     i, j = min(int(x), across), min(int(y), down)
-    of_x, of_y = _cubic(np.float32(x - i)), _cubic(np.float32(y - j))
+    of_x, of_y = catmull_rom(np.float32(x - i)), catmull_rom(np.float32(y - j))
     for row in range(4):
         start = first + min(max(j + row - 1, 0), down + 1) * width
         for column in range(4):
@@ -360,19 +361,6 @@ def _add(
             weight = share * of_y[row] * of_x[column]
             for k in range(to.size):
                 to[k] += weight * pyramid.pixels[at, k]
-
-
-@inlined
-def _cubic(t: np.float32) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Return the weights of four texels (Catmull and Rom): less blurred between them than linear."""
-    half, one = np.float32(0.5), np.float32(1.0)
-    square, s = t * t, one - t
-    return (
-        -half * t * s * s,
-        one - half * square * (np.float32(5.0) - np.float32(3.0) * t),
-        half * t * (one + np.float32(4.0) * t - np.float32(3.0) * square),
-        -half * square * s,
-    )
 
 
 @inlined
