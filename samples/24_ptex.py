@@ -1,7 +1,6 @@
 """A cage of polygons with Ptex: an octree texture as texels for each polygon, and back.
 
-A box with a pentagonal roof, painted by a function of position: by its octree texture; by the .ptx that was
-written of it; and by that with a sixteenth of the texels, each drawn as it is.
+A box with a pentagonal roof, by its octree texture; by the .ptx of it; by one of a sixteenth of the texels.
 
     python samples/24_ptex.py [FOLDER]      writes FOLDER/house.obj, .ptx and ptex.png (default: out)
 """
@@ -42,9 +41,8 @@ def main(folder: Path) -> None:
         octex.write_ptex(texture, model, folder / "house.ptx", texels=texels)
         read = octex.load_surface(folder / "house.obj", sources=octex.Ptex(folder / "house.ptx").sources)
         pictures.append(render(read, camera, source_shader(read)))
-    Image.fromarray(np.hstack([encode(each, "uint8", "srgb")[..., :3] for each in pictures])).save(
-        folder / "ptex.png"
-    )
+    codes = [encode(each, "uint8", "srgb")[..., :3] for each in pictures]
+    Image.fromarray(np.hstack(codes)).save(folder / "ptex.png")
     print(f"{folder / 'house.ptx'}: 14 faces of six polygons, and the octree texture beside it")
 
 

@@ -269,7 +269,7 @@ def odd_values() -> list[Any]:
 
 def variations(given: Any) -> list[Any]:
     """Return what is nearly what an argument takes."""
-    if isinstance(given, np.ndarray):
+    if isinstance(given, np.ndarray) and given.size:
         spoiled = [given.astype(np.float64) for _ in range(6)]
         for array, value in zip(spoiled, (np.nan, np.inf, -np.inf, 1e308, 1e-312, -1), strict=True):
             array.reshape(-1)[0] = value

@@ -215,7 +215,7 @@ def recorded(function):
     wrapper.kernel = function.__module__ + "." + function.__name__
     return wrapper
 
-decorators = {"kernel", "inlined", "summing_kernel", "fused_kernel"}
+decorators = {"kernel", "inlined", "step", "part", "fused_part", "summing_kernel", "fused_kernel"}
 for name in decorators:
     setattr(jit, name, recorded)
 names = [module.name for module in pkgutil.walk_packages(octex.__path__, "octex.")]

@@ -13,6 +13,7 @@ from octex.channels import BASE_COLOR, NORMAL, ROUGHNESS, srgb_to_linear
 from octex.errors import ArgumentError, ImageError
 from octex.jit import kernel
 from octex.painting.pictures import Levels, Projection, check_projections, levels_of, read_paint
+from octex.painting.sharpened import sharpened
 from tests.painted import above
 
 
@@ -28,6 +29,11 @@ def projection(image: Any, **options: Any) -> Projection:
     return Projection(image, camera, **options)
 
 
+def values(means: Any) -> Any:
+    """Return what opaque pixels with these means have at their centres (height, width, 4)."""
+    return sharpened(np.concatenate([means, np.ones_like(means[..., :1])], axis=2).astype(np.float32))
+
+
 def test_colours_are_decoded_as_their_channel_has_them() -> None:
     codes = np.random.default_rng(0).integers(0, 256, (6, 6, 3), np.uint8)
     for form, expected in (
@@ -36,7 +42,7 @@ def test_colours_are_decoded_as_their_channel_has_them() -> None:
         (NORMAL, codes / 127.5 - 1),
     ):
         levels = levels_of(projection(codes), form)
-        np.testing.assert_allclose(levels.pixels[:36, :3].reshape(6, 6, 3), expected, atol=1e-4)
+        np.testing.assert_allclose(levels.pixels[:36].reshape(6, 6, 4), values(expected), atol=1e-4)
         assert (levels.pixels[:36, 3] == 1).all()
 
 
@@ -54,11 +60,12 @@ def test_alpha_and_mask_multiply_and_colours_with_them() -> None:
 
 def test_a_pixel_is_read_exactly_at_its_centre() -> None:
     image = np.random.default_rng(2).random((8, 8, 3)).astype(np.float32)
-    levels = levels_of(projection(image), BASE_COLOR)
+    levels, expected = levels_of(projection(image), BASE_COLOR), values(image)
+    expected[..., :3] = expected[..., :3].clip(image.min((0, 1)), image.max((0, 1)))  # no colour is new
     for row in range(8):
         for column in range(8):
             found = _read(levels, column + 0.5, row + 0.5, 0.3)
-            np.testing.assert_allclose(found, [*image[row, column], 1], atol=1e-6)
+            np.testing.assert_allclose(found, expected[row, column], atol=1e-6)
 
 
 @pytest.mark.parametrize("width", [0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 7.0, 100.0])
@@ -112,7 +119,7 @@ def test_projections_that_make_no_sense_are_refused() -> None:
         Projection(image, camera, opacity=1.5)
     with pytest.raises(ArgumentError, match="unknown blend 'dissolve'; there are: over, multiply"):
         Projection(image, camera, blend="dissolve")  # type: ignore[arg-type]
-    with pytest.raises(ArgumentError, match=r"camera must be an octex\.Camera, not ndarray"):
+    with pytest.raises(ArgumentError, match=r"camera must be an octex\.Camera or a Patch, not ndarray"):
         Projection(image, np.eye(4))  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="there is no projection"):
         check_projections([])

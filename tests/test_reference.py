@@ -151,10 +151,15 @@ def barycentric_of(positions: Floats, corners: Floats) -> Floats:
     return np.stack([1 - second - third, second, third], axis=1)
 
 
+_COMPRESSED = b"KHR_draco_mesh_compression", b"EXT_meshopt_compression"
+
+
 def usable(folder: Path) -> Iterator[Path]:
     """Yield the models that octex takes; what is broken on purpose is left to another test."""
     for path in sorted(folder.rglob("*")):
         if path.suffix in (".gltf", ".glb") and "fragile" not in path.parts:
+            if any(word in path.read_bytes() for word in _COMPRESSED):  # the reference decodes none
+                continue
             try:
                 octex.load_surface(path)
             except octex.OctexError:

@@ -170,7 +170,7 @@ def test_make_droid_writes_the_droid(
         ("23_displacement.py", ["displacement.png"], "the ball, and displaced to"),
         ("24_ptex.py", ["house.obj", "house.ptx", "ptex.png"], "14 faces of six polygons"),
         ("25_unwrap.py", ["unwrap.png"], "painted flat"),
-        ("26_photographs.py", ["photographs.png", "photographs.glb"], "painted robustly, and the truth"),
+        ("26_photographs.py", ["photographs.glb", "photographs.png"], "painted robustly, and the truth"),
     ],
 )
 def test_the_numbered_scripts_run_from_anywhere(

@@ -129,7 +129,7 @@ def attempt(seed: int, folder: Path, keep: Path | None = None) -> tuple[str, str
 
 
 def use(path: Path, random: Random) -> str:
-    """Do everything with a file that may be damaged; raises what is no OctexError."""
+    """Do everything with a file that may be damaged; raises what is no OctexError, or any if it validates."""
     try:
         texture = octex.open(path)
     except OctexError:
@@ -140,15 +140,11 @@ def use(path: Path, random: Random) -> str:
         word = "sound"
     except OctexError:
         word = "unsound"
-    low, high = (np.clip(corner, -1e6, 1e6) for corner in texture.bounds)
-    points = np.concatenate([low + (high - low) * random.random((24, 3)), random.normal(0, 1, (8, 3))])
-    normals = random.normal(0, 1, points.shape)
-    for channel in texture.channels:
-        for filter in FILTERS:
-            texture.sample(points, channel, filter)
-        texture.sample(points, channel, normals=normals, width=0.1)
-    texture.contains(points)
-    texture.level(2).sample(points, next(iter(texture.channels), "base_color")) if texture.channels else None
+    try:
+        look_up(texture, random)
+    except OctexError:
+        if word == "sound":
+            raise
     if word == "sound":
         leaves = [codes[~is_node] for codes, is_node in texture.tree.walk()]
         if any(codes.size for codes in leaves):
@@ -162,6 +158,20 @@ def use(path: Path, random: Random) -> str:
         if again[1].read_bytes() != again[2].read_bytes():
             raise AssertionError("its archive comes back as another file")
     return word
+
+
+def look_up(texture: OctreeTexture, random: Random) -> None:
+    """Look up every channel in every way, at points on the model and off it."""
+    low, high = (np.clip(corner, -1e6, 1e6) for corner in texture.bounds)
+    points = np.concatenate([low + (high - low) * random.random((24, 3)), random.normal(0, 1, (8, 3))])
+    normals = random.normal(0, 1, points.shape)
+    for channel in texture.channels:
+        for filter in FILTERS:
+            texture.sample(points, channel, filter)
+        texture.sample(points, channel, normals=normals, width=0.1)
+    texture.contains(points)
+    if texture.channels:
+        texture.level(2).sample(points, next(iter(texture.channels)))
 
 
 # What is damaged.

@@ -166,7 +166,7 @@ def _raised(
     """Raise the tree; return also the paint with skirts, and the cells met below what is raised."""
     tree = texture.tree
     none = np.empty(0, np.int64)
-    if not tree.n_leaves:
+    if paint and not tree.n_leaves:
         depth = max((level for level, each in enumerate(paint) if each.codes.size), default=0)
         paint = paint[: depth + 1]
         return rebuilt(tree, [each.codes for each in paint]), paint, None

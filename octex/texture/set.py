@@ -182,7 +182,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
         if out is not None:
             check_apart(given.values(), answers.arrays)
         look_ups = {
-            part: texture.block_lookup(answers.channels, lens, normalize) for part, texture in used.items()
+            part: texture._block_lookup(answers.channels, lens, normalize) for part, texture in used.items()
         }
         in_blocks(given, answers.arrays, partial(_by_part, look_ups), threads, executor)
         return answers.returned

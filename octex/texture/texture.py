@@ -268,7 +268,7 @@ class OctreeTexture:
         if out is not None:
             check_apart(given.values(), answers.arrays)
         self._read_for(len(given["points"]))
-        look_up_block = self.block_lookup(answers.channels, lens, normalize)
+        look_up_block = self._block_lookup(answers.channels, lens, normalize)
         if len(answers.channels) > 2 or filter == "quartic":  # most of the time is waiting for memory
             look_up_block = partial(block_in_space, look_up_block, self.placement)
         task = given, answers.arrays, look_up_block, threads, executor
@@ -306,7 +306,7 @@ class OctreeTexture:
         self._read_for(len(points))
         return known.at(points)
 
-    def block_lookup(self, names: Sequence[str], lens: Lens, normalize: bool) -> LookUp:
+    def _block_lookup(self, names: Sequence[str], lens: Lens, normalize: bool) -> LookUp:
         """Return how a block of points is looked up: what `lookup.in_blocks` takes."""
         return partial(self._sampled, list(names), lens, normalize)
 
