@@ -102,6 +102,8 @@ def _surfaces(folder: Path) -> list[octex.Surface]:
 
 
 def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
+    from octex.archive.values import TERMS, fitted
+
     samples = surface.scatter(100)
     for channel in surface.channels:
         surface.evaluate(samples, channel.name, width=0.1)
@@ -111,6 +113,10 @@ def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
     texture.validate()
     texture.save(folder / "needle.octz")
     octex.open(folder / "needle.octz")
+    cells = 5 * TERMS  # fewer are not fitted
+    fitted(
+        np.zeros((cells, 1, TERMS), np.int64), np.zeros((cells, 1), np.int64), np.zeros(cells, np.uint8), 0
+    )
     for points in (samples.rest, samples.rest.astype(np.float32)):
         texture.contains(points)
         for filter in FILTERS:
@@ -171,6 +177,8 @@ def _separate(surface: octex.Surface) -> None:
 
 def _paint(surface: octex.Surface, folder: Path) -> None:
     """Paint onto nothing, and onto a texture that is coarser than the pictures."""
+    from octex.painting.agreement import find_differences
+
     camera = octex.Camera.fitted(surface.vertices, (0.4, 0.3, 1.0), size=(16, 4))
     picture = octex.Projection(np.full((4, 16, 4), 128, np.uint8), camera)
     octex.convert(surface, 2).save(folder / "coarse.octex")
@@ -178,6 +186,9 @@ def _paint(surface: octex.Surface, folder: Path) -> None:
         octex.paint(texture, surface, picture)
     octex.refine_cameras(surface, [picture] * 2)
     octex.paint(None, surface, [picture] * 3, balance="full")
+    find_differences(
+        np.zeros((3, 1, 3), np.float32), np.zeros((3, 1), np.float32), 0, np.zeros(1, np.float32)
+    )
     lens = replace(camera, distortion=(0.01, 0.0, 0.0, 0.0))
     octex.paint(None, surface, [replace(picture, camera=lens)] * 3)
     _process(octex.open(folder / "coarse.octex"), surface)
