@@ -6,7 +6,7 @@ import argparse
 import json
 import time
 import webbrowser
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,9 +17,10 @@ from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, 
 from octex.cli.models import TEXTURE_ENDING, TEXTURE_ENDINGS, kind_of, open_sound
 from octex.cli.parser import RUNNING, Command, Parser, option, words_given
 from octex.cli.shape_options import SHAPE_OPTIONS, SHAPE_WORDS, check_subdivision, shaped_model
-from octex.errors import ArgumentError, ExitCode
+from octex.errors import ArgumentError, ExitCode, OctexError
 
 if TYPE_CHECKING:
+    from octex.source.motion import Motion
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
@@ -71,17 +72,19 @@ def _view(options: argparse.Namespace, program: str) -> int:
     if not is_texture and kind_of(options.TEXTURE) != "model":
         raise ArgumentError(f"{options.TEXTURE}: has no surface; octex convert makes a texture of it")
     with limited(options.threads), Reporter(program, options.quiet) as progress:
-        surface = None
+        surface = motion = None
         if is_texture:
             if options.mesh is not None:
                 with progress.stage("read"):
                     surface = shaped_model(options.mesh, options, normals=True)
+                    motion = motion_of(options.mesh, options, progress.note)
 
             def read() -> OctreeTexture:
                 return open_sound(options.TEXTURE)
         else:
             with progress.stage("read"):
                 surface = shaped_model(options.TEXTURE, options)
+                motion = motion_of(options.TEXTURE, options, progress.note)
             depth = _DEFAULT_DEPTH if options.depth is None else options.depth
             texture = octex.convert(surface, depth=depth, progress=progress)
 
@@ -90,7 +93,8 @@ def _view(options: argparse.Namespace, program: str) -> int:
 
         from octex.viewer import Viewer
 
-        viewer = Viewer(read, options.TEXTURE, surface, port=options.port or 0, log=progress.note)
+        port = options.port or 0
+        viewer = Viewer(read, options.TEXTURE, surface, motion=motion, port=port, log=progress.note)
     say(viewer.url)
     if not options.no_browser:
         webbrowser.open(viewer.url)
@@ -112,7 +116,7 @@ def write_mesh_page(options: argparse.Namespace, program: str) -> int:
         with progress.stage("read"):
             texture = open_sound(options.INPUT)
             surface = shaped_model(options.mesh, options, normals=True)
-        notes = write_page(texture, surface, options, progress)
+        notes = write_page(texture, surface, options, progress, options.mesh)
     made = {
         "output": str(options.OUTPUT),
         "bytes": options.OUTPUT.stat().st_size,
@@ -129,15 +133,47 @@ def write_mesh_page(options: argparse.Namespace, program: str) -> int:
 
 
 def write_page(
-    texture: OctreeTexture, surface: Surface | None, options: argparse.Namespace, progress: Reporter
+    texture: OctreeTexture,
+    surface: Surface | None,
+    options: argparse.Namespace,
+    progress: Reporter,
+    model: Path | None = None,
 ) -> list[str]:
-    """Write OUTPUT as a page; return what it shows otherwise than the texture has it."""
+    """Write OUTPUT as a page; return what it shows otherwise than the texture has it.
+
+    ``model`` is the surface's file, by default INPUT.
+    """
     from octex.viewer import write_page
 
+    notes: list[str] = []
+    motion = None if surface is None else motion_of(model or options.INPUT, options, notes.append)
     title = options.INPUT.name
-    return write_page(
-        texture, options.OUTPUT, surface, title=title, max_size=options.max_size, progress=progress
+    return notes + write_page(
+        texture,
+        options.OUTPUT,
+        surface,
+        motion=motion,
+        title=title,
+        max_size=options.max_size,
+        progress=progress,
     )
+
+
+def motion_of(path: Path, options: argparse.Namespace, tell: Callable[[str], None]) -> Motion | None:
+    """Return how a model moves, if the page can show that; else tell why not, if it does move."""
+    from octex.source.load import load_motion
+
+    if getattr(options, "also", None):
+        return None
+    try:
+        motion = load_motion(path)
+    except OctexError as error:
+        tell(f"no animations: {error}")
+        return None
+    if motion is not None and options.subdiv_levels is not None:
+        tell("no animations: they do not move subdivided models")
+        return None
+    return motion
 
 
 def check_page_options(options: argparse.Namespace) -> None:

@@ -16,6 +16,7 @@ implicit    where a function is zero, as triangles
 parts       what hangs together, and what intersects or nearly touches
 welding     vertices at one place; distinct: rows of numbers, each once
 separation  such parts, moved apart at rest
+motion      how a model moves over time
 load        any model file as a surface
 alone       settings of the whole process, changed for a moment
 """

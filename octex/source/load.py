@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,12 @@ from octex.checks import as_choice, as_entries, as_flag, as_names, as_path, as_t
 from octex.errors import ArgumentError, ModelError, ModelWarning, OctexError
 from octex.files import read_bytes, reading
 from octex.source.images.filters import FILTERS
-from octex.source.models.gltf import load_gltf
+from octex.source.models.gltf import load_gltf, load_gltf_motion
 from octex.source.models.meshfiles import load_off, load_ply, load_stl
 from octex.source.models.obj import load_obj
 from octex.source.models.options import Options
 from octex.source.models.usd import load_usd
+from octex.source.motion import Motion
 from octex.source.surface import Surface
 
 _READERS: dict[str, Callable[[Path, Options], Surface]] = {
@@ -87,6 +89,19 @@ def load_surface(
     return surface.completed(own, names, filter)
 
 
+def load_motion(path: str | os.PathLike[str], rate: float = 30.0) -> Motion | None:
+    """Return the animations of a model, of ``rate`` frames a second; None if it has none.
+
+    Vertices are those of ``load_surface``, in its order. Raises ModelError for skins and morph targets that
+    are broken; animations that are stand in the motion's ``faults``.
+    """
+    file = as_path(path)
+    if file.suffix.lower() not in (".glb", ".gltf"):
+        return None
+    with _parsing(file):
+        return load_gltf_motion(file, rate)
+
+
 def at_rest(surface: Surface, rest: str | os.PathLike[str] | npt.ArrayLike) -> Surface:
     """Return the same surface at the rest positions of another model file or of an array.
 
@@ -112,21 +127,27 @@ def _read(path: Path, options: Options) -> Surface:
     if reader is None:
         endings = ", ".join(MODEL_ENDINGS)
         raise ModelError(f"{path.name or path} is not a model that octex reads; it reads {endings}")
+    with _parsing(path):
+        data = read_bytes(path)
+        if not data:
+            raise ModelError(f"{path.name} is empty; export the model again")
+        digest = hashlib.sha256(data)
+        del data
+        surface = reader(path, options)
+    surface.provenance = {"source": path.name, "sha256": digest.hexdigest(), **surface.provenance}
+    return surface
+
+
+@contextmanager
+def _parsing(path: Path) -> Iterator[None]:
+    """Say in one line whatever a damaged file makes the parsers do."""
     try:
         with reading(path):
-            data = read_bytes(path)
-            if not data:
-                raise ModelError(f"{path.name} is empty; export the model again")
-            digest = hashlib.sha256(data)
-            del data
-            surface = reader(path, options)
+            yield
     except (OctexError, ModelWarning):  # warnings may be errors
         raise
     except Exception as error:
-        # Whatever a damaged file makes the parsers do, the user reads one line.
         raise ModelError(f"{path.name} is malformed ({_reason(error)}); export it again") from error
-    surface.provenance = {"source": path.name, "sha256": digest.hexdigest(), **surface.provenance}
-    return surface
 
 
 def _reason(error: Exception) -> str:

@@ -17,17 +17,32 @@ from octex.viewer.pack import Packed, pack
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from octex.source.motion import Motion
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
 #: Modules in the order in which each knows those before it.
-_NAMES = "data", "octree", "mesh", "camera", "controls", "connection", "gpu", "viewer"
+_NAMES = (
+    "elements",
+    "data",
+    "octree",
+    "mesh",
+    "motion",
+    "camera",
+    "controls",
+    "connection",
+    "gpu",
+    "player",
+    "viewer",
+)
 MODULES = [f"{name}.js" for name in _NAMES]
-SHADERS = ["walk.glsl", "light.glsl", "screen.vert", "places.frag"]
+SHADERS = ["ways.glsl", "walk.glsl", "light.glsl", "screen.vert", "places.frag"]
 SHADERS += [f"{name}.{stage}" for name in ("surface", "cubes") for stage in ("vert", "frag")]
 _PAGE = files(__name__.rpartition(".")[0]) / "page"
 #: Deflate's level for files, which are packed once.
 _SMALLEST = 9
+#: What part of a page's size animations may take.
+_SHARE = 0.25
 
 
 def page_text(name: str) -> str:
@@ -40,28 +55,29 @@ def write_page(
     path: Path,
     surface: Surface | None = None,
     *,
+    motion: Motion | None = None,
     title: str = "octex",
     max_size: int | None = None,
     progress: Progress = silent,
 ) -> list[str]:
     """Write a page that shows a texture on the surface that it is of; without one, its cells.
 
-    ``max_size``, in bytes, leaves out the finest levels until the file is no larger. Returns what the page
+    ``motion`` is how the surface moves. ``max_size``, in bytes, leaves out the finest levels until the file
+    is no larger; of that animations take a quarter at most. Returns what the page
     shows otherwise than the texture has it. Raises ArgumentError if it does not fit without any level, or
     for a surface that is not the texture's; OutputError if the file cannot be written.
     """
-    level = texture.tree.max_depth
+    level = deepest = texture.tree.max_depth
+    room = None if max_size is None else int(_SHARE * max_size)
     progress("pack", 0, 1)
     while True:
-        packed = pack(texture.level(level), surface, title=title, level=_SMALLEST)
-        if level < texture.tree.max_depth:
-            packed.header["notes"].insert(
-                0, f"depth {level} of {texture.tree.max_depth}, to fit {max_size:,} bytes"
-            )
+        packed = pack(texture.level(level), surface, title=title, motion=motion, level=_SMALLEST, room=room)
+        if level < deepest:
+            packed.header["notes"].insert(0, f"depth {level} of {deepest}, to fit {max_size:,} bytes")
         page = _inlined(packed).encode()
         if max_size is None or len(page) <= max_size:
             break
-        level = min(level, packed.header["depth"]) - 1
+        level = _level_within(packed, len(page) - max_size)
         if level < 0:
             raise ArgumentError(
                 f"the page takes {len(page):,} bytes without any level; allow more than {max_size:,}"
@@ -70,6 +86,19 @@ def write_page(
         file.write(page)
     progress("pack", 1, 1)
     return list(packed.header["notes"])
+
+
+def _level_within(packed: Packed, excess: int) -> int:
+    """Return the deepest level with which a page may be smaller by ``excess`` bytes; −1 if none is left."""
+    level: int = packed.header["depth"]
+    for chunk in reversed(packed.header["chunks"]):
+        if excess <= 0:
+            break
+        if chunk["levels"] is not None:  # else rows of all levels' cells, of which few may remain
+            first = chunk["levels"][0]
+            level = first - 1 if first else level - 1
+        excess -= chunk["bytes"] * 4 // 3  # base64
+    return level
 
 
 def _inlined(packed: Packed) -> str:
@@ -81,9 +110,7 @@ def _inlined(packed: Packed) -> str:
         "img-src blob: data:; base-uri 'none'; form-action 'none'"
     )
     data = {"header": json.dumps(packed.header).replace("<", "\\u003c")}
-    data |= {f"levels-{n}": base64.b64encode(chunk).decode() for n, chunk in enumerate(packed.chunks)}
-    if packed.mesh:
-        data["mesh"] = base64.b64encode(packed.mesh).decode()
+    data |= {name: base64.b64encode(stream).decode() for name, stream in packed.streams.items()}
     blocks = [
         f'<script type="text/plain" id="shader-{name}">{page_text(f"shaders/{name}")}</script>'
         for name in SHADERS

@@ -12,13 +12,13 @@ Numbers of cells and nodes follow from the masks, as in octex.tree.layout. Value
 are cast. The last chunk holds the rows of kept nodes and of split cells, if there are any.
 
 The mesh is one stream: positions in whole numbers of 2⁻ᵇ of a cube's edge, each less the one before it;
-normals as points of an octahedron, likewise; triangles by how far back each vertex is from the next new one.
-Numbers of more than a byte are stored as planes of bytes, the lowest first.
+normals as points of an octahedron, likewise; where it moves, the surface's vertices; triangles by how far
+back each vertex is from the next new one.
+Numbers of more than a byte are stored as planes of bytes, the lowest first. For how it moves see ``moves``.
 """
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterator
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -30,8 +30,11 @@ from octex.channels import ChannelFormat
 from octex.processing.cast import cast
 from octex.tree.layout import FACING_FLAGS
 from octex.view.shading import corner_normals
+from octex.viewer.moves import packed_motion
+from octex.viewer.streams import deflated, planes, zigzag
 
 if TYPE_CHECKING:
+    from octex.source.motion import Motion
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
@@ -42,23 +45,26 @@ _FIRST = 20_000
 
 
 class Packed(NamedTuple):
-    """What a page shows: a header, ready for JSON, and streams of deflate."""
+    """What a page shows: a header, ready for JSON, and streams by their names."""
 
     header: dict[str, Any]
-    chunks: list[bytes]  # of the texture
-    mesh: bytes  # empty if there is none
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of all streams."""
-        return sum(map(len, self.chunks)) + len(self.mesh)
+    streams: dict[str, bytes]
 
 
-def pack(texture: OctreeTexture, surface: Surface | None, *, title: str, level: int = 6) -> Packed:
-    """Pack a texture, and the surface that it is of, with deflate's ``level`` 1 to 9.
+def pack(
+    texture: OctreeTexture,
+    surface: Surface | None,
+    *,
+    title: str,
+    motion: Motion | None = None,
+    level: int = 6,
+    room: int | None = None,
+) -> Packed:
+    """Pack a texture, the surface that it is of and how that moves, with deflate's ``level`` 1 to 9.
 
-    The header's ``notes`` say what the page shows otherwise than lookups have it. Raises ArgumentError for a
-    surface that is not the texture's.
+    The header's ``notes`` say what the page shows otherwise than lookups have it. ``motion`` has
+    fewer frames, or is left out, where it takes more than ``room`` bytes. Raises ArgumentError for a surface
+    that is not the texture's.
     """
     if surface is not None:
         surface = surface.placed_in(texture)
@@ -66,18 +72,12 @@ def pack(texture: OctreeTexture, surface: Surface | None, *, title: str, level: 
     tree = texture.tree
     formats = [each.format for each in texture.channels.values()]
     slots = _slots(formats)
-    cells, chunks = tree.arrays.level_cells.tolist(), []
-    starts = [0, *(k for k in range(1, tree.max_depth + 1) if cells[k + 1] > _FIRST), tree.max_depth + 1]
-    parts = list(_levels(texture))
-    for first, end in pairwise(dict.fromkeys(starts)):
-        chunks.append(_deflated(b"".join(parts[first:end]), level))
-    chunk_levels = list(pairwise(dict.fromkeys(starts)))
     header: dict[str, Any] = {
         "title": title,
         "depth": tree.max_depth,
         "origin": list(texture.placement.origin),
         "size": texture.placement.size,
-        "levelCells": cells,
+        "levelCells": tree.arrays.level_cells.tolist(),
         "levelNodes": tree.arrays.level_nodes.tolist(),
         "leaves": tree.n_leaves,
         "channels": [
@@ -87,24 +87,39 @@ def pack(texture: OctreeTexture, surface: Surface | None, *, title: str, level: 
         "area": slots["area"],
         "flags": slots["flags"],
         "planes": slots["planes"],
-        "chunks": [
-            {"levels": [first, end], "bytes": len(chunk)}
-            for (first, end), chunk in zip(chunk_levels, chunks, strict=True)
-        ],
+        "chunks": [],
         "notes": notes,
         "isMixed": _is_mixed(texture),
         "kept": tree.kept.cells.size,
         "split": [tree.split.cells.size, tree.split.areas.size],
     }
-    if tree.kept.cells.size + tree.split.cells.size:
-        chunks.append(_deflated(_tables(texture), level))
-        header["chunks"].append({"bytes": len(chunks[-1])})
-    mesh = b""
+    streams: dict[str, bytes] = {}
+    for levels, stream in _chunks(texture):
+        name = f"levels-{len(streams)}"
+        streams[name] = deflated(stream, level)
+        header["chunks"].append({"levels": levels, "bytes": len(streams[name])})
     if surface is not None:
-        header["mesh"], stream = _packed_mesh(texture, surface)
-        mesh = _deflated(stream, level)
-        header["mesh"]["bytes"] = len(mesh)
-    return Packed(header, chunks, mesh)
+        if motion is not None:
+            moves = packed_motion(motion, surface, level, room)
+            notes += moves.notes
+            if moves.header:
+                header["motion"], streams["motion"] = moves.header, moves.stream
+        header["mesh"], stream = _packed_mesh(texture, surface, "motion" in streams)
+        streams["mesh"] = deflated(stream, level)
+        header["mesh"]["bytes"] = len(streams["mesh"])
+    return Packed(header, streams)
+
+
+def _chunks(texture: OctreeTexture) -> Iterator[tuple[list[int] | None, bytes]]:
+    """Yield streams and the levels that are in them, the first and one beyond the last; None for tables."""
+    tree = texture.tree
+    cells = tree.arrays.level_cells.tolist()
+    starts = [0, *(k for k in range(1, tree.max_depth + 1) if cells[k + 1] > _FIRST), tree.max_depth + 1]
+    parts = list(_levels(texture))
+    for first, end in pairwise(dict.fromkeys(starts)):
+        yield [first, end], b"".join(parts[first:end])
+    if tree.kept.cells.size + tree.split.cells.size:
+        yield None, _tables(texture)
 
 
 def _prepared(texture: OctreeTexture) -> tuple[OctreeTexture, list[str]]:
@@ -138,7 +153,7 @@ def _tables(texture: OctreeTexture) -> bytes:
     facings = split.facings & np.uint8(FACING_FLAGS)
     owners = np.concatenate([kept.cells, np.repeat(split.cells, np.bitwise_count(facings))])
     steps = [np.diff(cells.astype(np.int64), prepend=0) for cells in (kept.cells, split.cells)]
-    parts = [_planes(np.concatenate(steps)), facings.tobytes()]
+    parts = [planes(np.concatenate(steps)), facings.tobytes()]
     for channel in texture.channels.values():
         rows = np.concatenate([channel.kept_values, channel.split_values])
         parts.append(np.ascontiguousarray((rows - channel.values[owners]).T).tobytes())
@@ -209,8 +224,8 @@ def _apart(values: Array) -> Uint8s:
     return np.stack([values[:, 0] - green, green, values[:, 2] - green], axis=1)
 
 
-def _packed_mesh(texture: OctreeTexture, surface: Surface) -> tuple[dict[str, Any], bytes]:
-    """Return what a mesh's stream holds, and the stream."""
+def _packed_mesh(texture: OctreeTexture, surface: Surface, moves: bool) -> tuple[dict[str, Any], bytes]:
+    """Return what a mesh's stream holds, and the stream; of one that ``moves`` it names vertices' owners."""
     faces = surface.triangles
     is_posed = surface.rest is not surface.vertices
     if surface.frames is None or is_posed:
@@ -227,21 +242,24 @@ def _packed_mesh(texture: OctreeTexture, surface: Surface) -> tuple[dict[str, An
         low, edge = used.min(axis=0), float(np.ptp(used, axis=0).max()) or 1.0
         posed = np.rint((surface.vertices - low) / edge * (1 << bits)).astype(np.int32)
         columns.append(posed[faces.ravel()])
+    if moves:
+        columns.append(faces.reshape(-1, 1))
     corners = np.concatenate(columns, axis=1)
     rows, triangles = _by_first_use(corners)
     steps_back = np.maximum.accumulate(triangles) - triangles
     is_new = np.diff(np.maximum.accumulate(triangles), prepend=-1) > 0
     back = np.where(is_new, 0, steps_back + 1)
-    parts = [_planes(_zigzag(np.diff(rows[:, column], prepend=0))) for column in range(rows.shape[1])]
+    parts = [planes(zigzag(np.diff(rows[:, column], prepend=0))) for column in range(rows.shape[1])]
     header = {
         "vertices": len(rows),
         "triangles": len(faces),
         "bits": bits,
         "posed": is_posed,
+        "moves": moves,
         "low": low.tolist(),
         "edge": edge,
     }
-    return header, b"".join([*parts, _planes(back)])
+    return header, b"".join([*parts, planes(back)])
 
 
 def _by_first_use(corners: Int32s) -> tuple[Int32s, Int64s]:
@@ -261,18 +279,3 @@ def _octahedral(normals: Array) -> Int32s:
     signs = np.where(flat[:, :2] < 0, -1.0, 1.0)
     folded = (1 - np.abs(flat[:, 1::-1])) * signs
     return np.asarray(np.rint(np.where(flat[:, 2:] < 0, folded, flat[:, :2]) * 1023), np.int32)
-
-
-def _zigzag(numbers: Array) -> Int64s:
-    numbers = numbers.astype(np.int64)
-    return (numbers << 1) ^ (numbers >> 63)
-
-
-def _planes(numbers: Array) -> bytes:
-    """Return whole numbers (n,), not negative, as four planes of bytes."""
-    return np.ascontiguousarray(numbers.astype("<u4").view(np.uint8).reshape(-1, 4).T).tobytes()
-
-
-def _deflated(stream: bytes, level: int) -> bytes:
-    packer = zlib.compressobj(level, zlib.DEFLATED, -15, 9)
-    return packer.compress(stream) + packer.flush()

@@ -19,6 +19,7 @@ from octex.viewer.pack import Packed, pack
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from octex.source.motion import Motion
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
@@ -37,7 +38,7 @@ _FIRST = 20
 
 
 class Viewer:
-    """Serves a texture, and the mesh that it is of, to pages of this machine.
+    """Serves a texture, the mesh that it is of and how that moves, to pages of this machine.
 
     ``open_texture`` reads the texture: anew when ``path``, its file, has changed. ``log`` is called with a
     line for each refusal. ``port`` 0 is any that is free. Raises OutputError if it is taken.
@@ -49,13 +50,15 @@ class Viewer:
         path: Path,
         surface: Surface | None,
         *,
+        motion: Motion | None = None,
         port: int = 0,
         log: Callable[[str], None] = print,
     ) -> None:
         self._open, self._path, self._surface, self._log = open_texture, path, surface, log
+        self._motion = motion
         self._lock = threading.Lock()
         self._state = self._stamp()
-        self._packed = pack(open_texture(), surface, title=path.name)
+        self._packed = self._pack()
         self._pages, self._had_page = 0, False
         self._left = time.monotonic()
         self._ended = threading.Event()
@@ -100,9 +103,12 @@ class Viewer:
         with self._lock:
             stamp = self._stamp()
             if stamp != self._state:
-                self._packed = pack(self._open(), self._surface, title=self._path.name)
+                self._packed = self._pack()
                 self._state = stamp
             return self._packed
+
+    def _pack(self) -> Packed:
+        return pack(self._open(), self._surface, title=self._path.name, motion=self._motion)
 
     def version(self) -> tuple[str, str]:
         """Return the name of the file's state as pages know it, and what is wrong with it, if anything is."""
@@ -227,12 +233,10 @@ class _Handler(BaseHTTPRequestHandler):
         except OctexError as error:
             self._answer(str(error).encode(), "text/plain", HTTPStatus.SERVICE_UNAVAILABLE)
             return
-        streams = {f"levels-{number}": chunk for number, chunk in enumerate(packed.chunks)}
-        streams |= {"mesh": packed.mesh} if packed.mesh else {}
         if name == "header":
             self._answer(json.dumps(packed.header).encode(), "application/json")
-        elif name in streams:
-            self._answer(streams[name], "application/octet-stream")
+        elif name in packed.streams:
+            self._answer(packed.streams[name], "application/octet-stream")
         else:
             self._refuse(HTTPStatus.NOT_FOUND, "there is no such data")
 

@@ -22,9 +22,11 @@ from octex.source.materials import MaterialSource
 from octex.source.models.gltf_animation import fields_at
 from octex.source.models.gltf_file import Document, as_object
 from octex.source.models.gltf_materials import Bound, read_materials
+from octex.source.models.gltf_motion import Placed, motion_of
 from octex.source.models.gltf_pose import Pose
 from octex.source.models.gltf_scene import local_matrix, scene_nodes
 from octex.source.models.options import EVERYTHING, Options
+from octex.source.motion import Motion
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames, transformed
 
@@ -45,6 +47,13 @@ def load_gltf(path: Path, options: Options = EVERYTHING) -> Surface:
     document = Document(path)
     document.refuse_extensions()
     return _Scene(document, options).surface()
+
+
+def load_gltf_motion(path: Path, rate: float) -> Motion | None:
+    """Return the animations of a .gltf or .glb file, None if it has none: see ``gltf_motion``."""
+    document = Document(path)
+    document.refuse_extensions()
+    return _Scene(document, Options(materials=False)).motion(rate)
 
 
 class _Shape(NamedTuple):
@@ -89,12 +98,7 @@ class _Scene:
 
     def surface(self) -> Surface:
         document = self._document
-        shown = [
-            (instance, shape)
-            for instance in self._instances()
-            for shape in self._mesh(instance.mesh)
-            if len(shape.triangles)
-        ]
+        shown = self._shown()
         placed = [(instance.matrix, shape) for instance, shape in shown]
         if not placed:
             raise ModelError(f"{document.name} has no triangles; octex needs a surface, not points or lines")
@@ -166,6 +170,26 @@ class _Scene:
             name=document.name,
             provenance=self._provenance(),
         )
+
+    def motion(self, rate: float) -> Motion | None:
+        """Return how all vertices move, so many frames a second; None without animations."""
+        placed = [
+            Placed(
+                instance.node, instance.copy, instance.matrix, shape.positions, shape.targets,
+                partial(self._attribute, shape), shape.name,
+            )
+            for instance, shape in self._shown()
+        ]  # fmt: skip
+        return motion_of(self._document, placed, rate)
+
+    def _shown(self) -> list[tuple[_Instance, _Shape]]:
+        """List the primitives of the scene that have triangles, where nodes show them."""
+        return [
+            (instance, shape)
+            for instance in self._instances()
+            for shape in self._mesh(instance.mesh)
+            if len(shape.triangles)
+        ]
 
     def _provenance(self) -> dict[str, str]:
         """Return what the file says of its origin and licence, and the digests of the files it refers to."""

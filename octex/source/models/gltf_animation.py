@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -56,7 +55,7 @@ def fields_at(document: Document, pose: str) -> dict[int, Json]:
     ``pose`` is NAME@SECONDS; the name of an animation, or its number. Raises ArgumentError for an animation
     or a time that the file lacks, ModelError for a broken animation.
     """
-    names = _names(document)
+    names = animation_names(document)
     name, at, seconds = pose.rpartition("@")
     number = names.index(name) if name in names else None
     if name.isdecimal() and int(name) < len(names) and number is None:
@@ -66,8 +65,8 @@ def fields_at(document: Document, pose: str) -> dict[int, Json]:
     if not at or number is None:
         what = f"has no animation {name!r}" if at else f"cannot be posed as {pose!r}: give NAME@SECONDS"
         raise ArgumentError(f"{document.name} {what}; it has {_listed(document)}")
-    channels = _channels(document, number)
-    length = _length(channels)
+    moves = Moves(document, number)
+    length = moves.length
     try:
         time = float(np.float32(seconds))  # in which files keep times
     except ValueError:
@@ -77,10 +76,26 @@ def fields_at(document: Document, pose: str) -> dict[int, Json]:
             f"{document.name}: animation {name!r} has no time {seconds!r}: seconds from 0 to "
             f"{_seconds(length)}; it has {_listed(document)}"
         )
-    fields: dict[int, Json] = {}
-    for node, path, sampler in channels:
-        fields.setdefault(node, {})[path] = sampler.at(time).tolist()
-    return fields
+    return moves.fields_at(time)
+
+
+class Moves:
+    """What an animation changes over time. Raises ModelError for a broken one."""
+
+    def __init__(self, document: Document, number: int) -> None:
+        self._channels = _channels(document, number)
+
+    @property
+    def length(self) -> float:
+        """How long it takes, in seconds."""
+        return max((float(sampler.times[-1]) for _, _, sampler in self._channels), default=0.0)
+
+    def fields_at(self, time: float) -> dict[int, Json]:
+        """Return the fields of animated nodes by their numbers, as the function of that name does."""
+        fields: dict[int, Json] = {}
+        for node, path, sampler in self._channels:
+            fields.setdefault(node, {})[path] = sampler.at(time).tolist()
+        return fields
 
 
 def lengths_of(document: Document) -> dict[str, float]:
@@ -88,10 +103,11 @@ def lengths_of(document: Document) -> dict[str, float]:
 
     Raises ModelError for a broken one.
     """
-    return {name: _length(_channels(document, number)) for number, name in enumerate(_names(document))}
+    return {name: Moves(document, n).length for n, name in enumerate(animation_names(document))}
 
 
-def _names(document: Document) -> list[str]:
+def animation_names(document: Document) -> list[str]:
+    """Return the names of all animations, numbers for those without."""
     animations = document.items("animations")
     return [str(as_object(each, document.name).get("name", n)) for n, each in enumerate(animations)]
 
@@ -104,10 +120,6 @@ def _listed(document: Document) -> str:
 
 def _seconds(time: float) -> str:
     return str(np.float32(time))
-
-
-def _length(channels: Sequence[tuple[int, str, Sampler]]) -> float:
-    return max((float(sampler.times[-1]) for _, _, sampler in channels), default=0.0)
 
 
 def _channels(document: Document, number: int) -> list[tuple[int, str, Sampler]]:

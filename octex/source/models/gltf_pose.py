@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from octex.arrays import Array, Float64s
+from octex.arrays import Array, Float64s, Int64s
 from octex.errors import ModelError
 from octex.source.models.gltf_file import Document
 from octex.source.models.gltf_scene import scene_nodes
@@ -41,38 +41,53 @@ class Pose:
         ``instance`` (4, 4) is that of EXT_mesh_gpu_instancing, ``targets`` are the primitive's, and ``read``
         reads its attributes. Raises ModelError for weights and joints that do not fit.
         """
-        moved = self._morphed(node, positions, targets, name)
-        joints = None if "skin" not in self._nodes[node] else self._joints_of(self._nodes[node]["skin"])
+        what = f"{self._document.name}: {name}"
+        bones, weights = self.bones(node, instance), self.weights(node, len(targets), what)
+        moved = positions
+        for weight, offsets in zip(weights, self.offsets(targets, len(positions), what), strict=True):
+            if offsets is not None:
+                moved = moved + weight * offsets
         with np.errstate(over="ignore", invalid="ignore"):  # the surface refuses what is not finite
-            if joints is None:
-                matrix = self._matrices[node] @ instance
-                return moved @ matrix[:3, :3].T + matrix[:3, 3]
-            # What a skin moves stands where its joints are, wherever its own node is (3.7.3.3).
-            skinned = _skinned(moved, joints, read, f"{self._document.name}: {name}")
-            return skinned @ instance[:3, :3].T + instance[:3, 3]
+            if not self.is_skinned(node):
+                return moved @ bones[0, :3, :3].T + bones[0, :3, 3]
+            return _skinned(moved, bones, *influences(read, len(bones), what))
 
-    def _morphed(self, node: int, positions: Float64s, targets: Sequence[Json], name: str) -> Float64s:
+    def is_skinned(self, node: int) -> bool:
+        """Say whether a skin moves a node's mesh; else the node alone does."""
+        return "skin" in self._nodes[node]
+
+    def bones(self, node: int, instance: Float64s) -> Float64s:
+        """Return what takes a node's vertices to the scene (b, 4, 4): its skin's joints, or itself."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            if not self.is_skinned(node):
+                return (self._matrices[node] @ instance)[None]
+            # What a skin moves stands where its joints are, wherever its own node is (3.7.3.3).
+            return np.asarray(instance @ self._joints_of(self._nodes[node]["skin"]))
+
+    def weights(self, node: int, count: int, what: str) -> list[float]:
+        """Return the weights of a node's ``count`` morph targets. Raises ModelError for another count."""
         record = self._nodes[node]
         mesh = self._document.item("meshes", record["mesh"])
-        weights = record.get("weights", mesh.get("weights", [0.0] * len(targets)))
-        what = f"{self._document.name}: {name}"
-        if len(weights) != len(targets):
+        weights: list[float] = record.get("weights", mesh.get("weights", [0.0] * count))
+        if len(weights) != count:
             raise ModelError(
-                f"{what} has {len(targets)} morph targets, and nodes[{node}] weights of {len(weights)}; "
+                f"{what} has {count} morph targets, and nodes[{node}] weights of {len(weights)}; "
                 "export it again"
             )
-        moved = positions
-        for number, (weight, target) in enumerate(zip(weights, targets, strict=True)):
+        return weights
+
+    def offsets(self, targets: Sequence[Json], count: int, what: str) -> Iterator[Float64s | None]:
+        """Yield by how much each of a primitive's targets moves its vertices (count, 3), or None."""
+        for number, target in enumerate(targets):
             if "POSITION" not in target:
+                yield None
                 continue
             offsets = self._document.accessor(target["POSITION"], (3,))
-            if len(offsets) != len(positions):
+            if len(offsets) != count:
                 raise ModelError(
-                    f"{what}: targets[{number}] moves {len(offsets)} of {len(positions)} vertices; "
-                    "export it again"
+                    f"{what}: targets[{number}] moves {len(offsets)} of {count} vertices; export it again"
                 )
-            moved = moved + weight * offsets
-        return moved
+            yield offsets
 
     def _joints_of(self, number: int) -> Float64s:
         """Return what takes vertices at rest to where a skin's joints (j, 4, 4) have them."""
@@ -100,8 +115,21 @@ class Pose:
         return self._joints[number]
 
 
-def _skinned(positions: Float64s, joints: Float64s, read: Reader, what: str) -> Float64s:
-    """Return vertices (n, 3) moved by joints (j, 4, 4), as their attributes weigh these."""
+def _skinned(positions: Float64s, joints: Float64s, numbers: Int64s, weights: Float64s) -> Float64s:
+    """Return vertices (n, 3) moved by joints (j, 4, 4), as ``numbers`` and ``weights`` (n, k) blend them."""
+    moved = np.zeros_like(positions)
+    for number, weight in zip(numbers.T, weights.T, strict=True):
+        matrices = joints[number]
+        turned = np.einsum("nij,nj->ni", matrices[:, :3, :3], positions) + matrices[:, :3, 3]
+        moved += weight[:, None] * turned
+    return moved
+
+
+def influences(read: Reader, n_joints: int, what: str) -> tuple[Int64s, Float64s]:
+    """Return the joints (n, k) that move vertices, and their weights (n, k), whose sums are 1.
+
+    Raises ModelError for weights that do not sum to 1, and joints that are not there.
+    """
     numbers, weights = _influences(read, what)
     sums = weights.sum(axis=1)
     bad = ~((np.abs(sums - 1) <= _ROUNDING) & (weights >= 0).all(axis=1))
@@ -111,19 +139,13 @@ def _skinned(positions: Float64s, joints: Float64s, read: Reader, what: str) -> 
             f"{what}: the weights of vertex {first} are {weights[first].tolist()}, which do not sum to 1; "
             "export it with normalized weights"
         )
-    if not (numbers < len(joints)).all():
-        first = int(np.argmax((numbers >= len(joints)).any(axis=1)))
+    if not (numbers < n_joints).all():
+        first = int(np.argmax((numbers >= n_joints).any(axis=1)))
         raise ModelError(
             f"{what}: vertex {first} is moved by joint {int(numbers[first].max())}, but its skin has "
-            f"{len(joints)}; export it again"
+            f"{n_joints}; export it again"
         )
-    weights = weights / sums[:, None]
-    moved = np.zeros_like(positions)
-    for number, weight in zip(numbers.astype(np.int64).T, weights.T, strict=True):
-        matrices = joints[number]
-        turned = np.einsum("nij,nj->ni", matrices[:, :3, :3], positions) + matrices[:, :3, 3]
-        moved += weight[:, None] * turned
-    return moved
+    return numbers.astype(np.int64), weights / sums[:, None]
 
 
 def _influences(read: Reader, what: str) -> tuple[Array, Float64s]:

@@ -5,14 +5,14 @@ import { readShader } from "./data.js";
 
 export const FILTERS = ["nearest", "linear", "quadratic"];
 const KINDS = { srgb: 0, linear: 0, data: 1, direction: 2 };
-const FILES = ["walk.glsl", "light.glsl", "screen.vert", "places.frag"];
+const FILES = ["ways.glsl", "walk.glsl", "light.glsl", "screen.vert", "places.frag"];
 for (const name of ["surface", "cubes"]) FILES.push(`${name}.vert`, `${name}.frag`);
 const PARTS = "xyzw";
 const MATERIALS = ["base_color", "metallic", "roughness", "occlusion", "emissive", "specular", "normal"];
 const STAGES = {
-  places: ["surface.vert", ["places.frag"]],
-  surface: ["screen.vert", ["walk.glsl", "light.glsl", "surface.frag"]],
-  probe: ["screen.vert", ["walk.glsl", "surface.frag"]],
+  places: ["surface.vert", ["ways.glsl", "places.frag"]],
+  surface: ["screen.vert", ["ways.glsl", "walk.glsl", "light.glsl", "surface.frag"]],
+  probe: ["screen.vert", ["ways.glsl", "walk.glsl", "surface.frag"]],
   cubes: ["cubes.vert", ["walk.glsl", "light.glsl", "cubes.frag"]],
 };
 const BACKGROUND = [0.925, 0.93, 0.94, 1];
@@ -56,6 +56,7 @@ export class Gpu {
     const entries = [0, octree.entries.length / 2];
     if (octree.depth >= 0) this.upload({ nodes: [0, octree.nodes[octree.depth]], cells: [0, last], entries });
     if (this.mesh) this.takeMesh(this.mesh);
+    if (this.motion) this.takeMotion(this.motion);
     this.cubes = null;
     this.pictures = {};
   }
@@ -100,9 +101,49 @@ export class Gpu {
     gl.bindVertexArray(null);
   }
 
+  // Take what moves the mesh: a texel an entry of its vertices, and of each animation one a row of a bone.
+  takeMotion(motion) {
+    const { gl } = this;
+    this.motion = motion;
+    this.links = this.numbers(motion.links);
+    this.frames = new Map();
+    gl.bindVertexArray(this.surface);
+    gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ARRAY_BUFFER, motion.linksOf(this.mesh.owners), gl.STATIC_DRAW);
+    gl.enableVertexAttribArray(3);
+    gl.vertexAttribIPointer(3, 4, gl.UNSIGNED_INT, 0, 0);
+    gl.bindVertexArray(null);
+  }
+
+  // A texture of numbers, four in a texel.
+  numbers(values) {
+    const { gl } = this, made = this.texture(gl.RGBA32F, Math.ceil(values.length / 4 / ROW));
+    const padded = new Float32Array(4 * ROW * made.rows);
+    padded.set(values);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, ROW, made.rows, gl.RGBA, gl.FLOAT, padded);
+    return made.texture;
+  }
+
+  // Where the mesh is: at a time of an animation.
+  setMotion(program, { animation, time }) {
+    const { gl, motion } = this;
+    if (!this.frames.has(animation)) this.frames.set(animation, this.numbers(motion.animations[animation].texels));
+    const { before, after, share } = motion.at(animation, time);
+    [this.links, this.frames.get(animation)].forEach((texture, unit) => {
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+      gl.uniform1i(program.at(["u_links", "u_frames"][unit]), unit);
+    });
+    gl.activeTexture(gl.TEXTURE0);
+    gl.uniform2i(program.at("u_frame"), before, after);
+    gl.uniform1f(program.at("u_share"), share);
+    gl.uniform1i(program.at("u_firstTarget"), 3 * motion.header.bones);
+    gl.uniform4f(program.at("u_root"), ...this.octree.header.origin, this.octree.header.size);
+  }
+
   // A program that draws or probes, for what is shown.
   program(kind, look, planes) {
-    const key = [kind, planes, look.shown, look.channel, look.facing].join();
+    const key = [kind, planes, look.shown, look.channel, look.facing, Boolean(look.moved)].join();
     if (!this.programs.has(key)) this.programs.set(key, this.compiled(kind, look, planes));
     const program = this.programs.get(key);
     this.gl.useProgram(program.handle);
@@ -118,7 +159,7 @@ export class Gpu {
     const check = (is, log) => {
       if (!gl.isContextLost() && !is) throw new Error(`${kind}: ${log}`);
     };
-    const sources = [[gl.VERTEX_SHADER, `#version 300 es\n${shaders[vertex]}`], [gl.FRAGMENT_SHADER, head + all]];
+    const sources = [[gl.VERTEX_SHADER, head + shaders[vertex]], [gl.FRAGMENT_SHADER, head + all]];
     for (const [type, source] of sources) {
       const shader = gl.createShader(type);
       gl.shaderSource(shader, source);
@@ -135,9 +176,10 @@ export class Gpu {
   // Where channels are, among the first planes, and what is shown, as the shaders name it.
   defines(kind, look, planes) {
     const lines = [`#define PLANES ${planes}`, `#define SHOWS_${look.shown.toUpperCase()}`];
-    const { isMixed, split, kept, mesh } = this.octree.header;
+    const { isMixed, split, kept, mesh, motion } = this.octree.header;
     const facing = look.facing && kind !== "cubes";
-    const flags = { PROBE: kind === "probe", MIXED: isMixed, KEPT: isMixed && kept > 0, POSED: mesh?.posed };
+    const flags = { PROBE: kind === "probe", MIXED: isMixed, KEPT: isMixed && kept > 0 };
+    Object.assign(flags, { MOVED: look.moved, FROM_REST: motion?.start === "rest", POSED: mesh?.posed || look.moved });
     Object.assign(flags, { FACING: facing, SPLIT: facing && split[0] > 0 });
     for (const [name, is] of Object.entries(flags)) if (is) lines.push(`#define ${name}`);
     const define = (name, text) => lines.push(`#define ${name} ${text}`);
@@ -222,7 +264,9 @@ export class Gpu {
     gl.enable(gl.STENCIL_TEST);
     gl.stencilFunc(gl.ALWAYS, 1, 255);
     gl.stencilOp(gl.KEEP, gl.KEEP, gl.REPLACE);
-    this.setCamera(this.program("places", look, 0), camera, pixel, [width, height]);
+    const program = this.program("places", look, 0);
+    this.setCamera(program, camera, pixel, [width, height]);
+    if (look.moved) this.setMotion(program, look.moved);
     gl.bindVertexArray(this.surface);
     gl.drawElements(gl.TRIANGLES, this.mesh.triangles.length, gl.UNSIGNED_INT, 0);
     gl.bindVertexArray(null);

@@ -2,22 +2,23 @@
 
 import { planes } from "./octree.js";
 
+export const signed = (number) => (number >>> 1) ^ -(number & 1);
+
 function summed(numbers) {
   const found = new Int32Array(numbers.length);
-  for (let n = 0, sum = 0; n < numbers.length; n++) {
-    sum += (numbers[n] >>> 1) ^ -(numbers[n] & 1);
-    found[n] = sum;
-  }
+  for (let n = 0, sum = 0; n < numbers.length; n++) found[n] = sum += signed(numbers[n]);
   return found;
 }
 
-// Positions at rest in the root cell and in the world, normals, all (n, 3), and triangles.
+// Positions at rest in the root cell and in the world, normals, all (n, 3); triangles; of a mesh that moves the
+// surface's vertices, which own these.
 export function unpackedMesh(header, bytes) {
   const { vertices: count, low, edge } = header;
   let at = 0;
   const column = () => summed(planes(bytes, count, (at += 4 * count) - 4 * count));
   const columns = (n) => Array.from({ length: n }, column);
   const steps = columns(3), flat = columns(2), posed = header.posed ? columns(3) : steps;
+  const owners = header.moves ? column() : null;
   const rest = new Float32Array(3 * count), positions = new Float32Array(3 * count), normals = new Float32Array(3 * count);
   const scale = 2 ** -header.bits;
   for (let n = 0; n < count; n++) {
@@ -33,5 +34,5 @@ export function unpackedMesh(header, bytes) {
   }
   const back = planes(bytes, 3 * header.triangles, at), triangles = new Uint32Array(back.length);
   for (let n = 0, next = 0; n < back.length; n++) triangles[n] = back[n] === 0 ? next++ : next - back[n];
-  return { rest, positions, normals, triangles };
+  return { rest, positions, normals, triangles, owners };
 }

@@ -3,22 +3,23 @@
 import { Camera } from "./camera.js";
 import { control } from "./controls.js";
 import { readHeader, readStream } from "./data.js";
+import { element } from "./elements.js";
 import { Gpu, readShaders } from "./gpu.js";
 import { unpackedMesh } from "./mesh.js";
+import { Motion } from "./motion.js";
 import { Octree } from "./octree.js";
+import { Player } from "./player.js";
 import { watch } from "./connection.js";
 
 const STILL = 160; // milliseconds without a change, after which a sharp picture is drawn
 const FRAME = 80; // milliseconds that a picture may take while it moves
 const TURN = 0.35; // radians a second, of the turntable
 
-const element = (id) => document.getElementById(id);
-
 class Viewer {
   constructor() {
     this.canvas = element("picture");
     this.look = { shown: "lit", channel: "base_color", filter: "quadratic", level: 0 };
-    Object.assign(this.look, { footprints: true, facing: true, cubes: false, marked: null });
+    Object.assign(this.look, { footprints: true, facing: true, cubes: false, marked: null, moved: null });
     this.cost = 0; // milliseconds a pixel, as measured
     this.pictures = 0;
     this.isSharp = false;
@@ -36,7 +37,8 @@ class Viewer {
     element("panel").open = !matchMedia("(max-width: 720px)").matches;
     control(this.canvas, this.camera, () => this.move());
     this.listen();
-    const total = header.chunks.reduce((sum, chunk) => sum + chunk.bytes, header.mesh?.bytes ?? 0);
+    const parts = [...header.chunks, header.mesh, header.motion].filter(Boolean);
+    const total = parts.reduce((sum, part) => sum + part.bytes, 0);
     let done = 0;
     const progress = (bytes) => {
       element("progress").value = (done += bytes) / total;
@@ -56,6 +58,11 @@ class Viewer {
       progress(chunk.bytes);
       this.move();
       await new Promise((resume) => requestAnimationFrame(resume));
+    }
+    if (header.motion) {
+      this.gpu.takeMotion(new Motion(header.motion, await readStream("motion")));
+      this.player = new Player(header.motion, (moved) => this.play(moved));
+      progress(header.motion.bytes);
     }
     this.isComplete = true;
     this.move();
@@ -127,8 +134,11 @@ class Viewer {
     element("save").addEventListener("click", () => this.save());
     document.addEventListener("keydown", (event) => {
       const isTyping = event.target.matches("select, input") || event.ctrlKey || event.metaKey || event.altKey;
-      const id = { c: "cubes", t: "turntable", s: "save" }[event.key];
-      if (id && !isTyping && !element(id).disabled) element(id).click();
+      const id = { c: "cubes", t: "turntable", s: "save", " ": "play" }[event.key];
+      const isPressed = event.key === " " && event.target.matches("button, summary");
+      if (!id || isTyping || isPressed || !element(id).checkVisibility()) return;
+      event.preventDefault();
+      if (!element(id).disabled) element(id).click();
     });
     new ResizeObserver(() => this.move()).observe(this.canvas);
     this.canvas.addEventListener("pointermove", (event) => event.buttons || this.point(event));
@@ -146,6 +156,17 @@ class Viewer {
     });
   }
 
+  // Draw the mesh as an animation has it; what the camera may see is then all that it ever reaches.
+  play(moved) {
+    if (moved?.animation !== this.look.moved?.animation) {
+      const [low, high] = this.bounds(), reach = this.header.motion.animations[moved?.animation]?.bounds;
+      this.camera.low = low.map((x, n) => Math.min(x, reach?.[0][n] ?? x));
+      this.camera.high = high.map((x, n) => Math.max(x, reach?.[1][n] ?? x));
+    }
+    this.look.moved = moved;
+    this.move();
+  }
+
   turn(on) {
     this.turning = on ? performance.now() : null;
   }
@@ -154,11 +175,11 @@ class Viewer {
   move() {
     this.changed = performance.now();
     this.isSharp = false;
-    if (!this.asked) this.asked = requestAnimationFrame(() => this.frame());
+    this.again();
   }
 
   again() {
-    this.asked = requestAnimationFrame(() => this.frame());
+    this.asked ||= requestAnimationFrame(() => this.frame());
   }
 
   frame() {
@@ -169,6 +190,7 @@ class Viewer {
       this.camera.orbit(((now - this.turning) / 1000) * TURN, 0);
       this.turning = this.changed = now;
     }
+    if (this.player?.step(now)) this.changed = now;
     const isStill = now - this.changed > STILL && this.isComplete;
     const full = Math.min(window.devicePixelRatio || 1, 2);
     const pixels = this.canvas.clientWidth * this.canvas.clientHeight * full * full;

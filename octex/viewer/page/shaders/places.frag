@@ -1,16 +1,13 @@
 // What the pixels of a picture see: rest positions and directions. Looked up are then pixels, each once, and not
 // what hides behind them, nor pixels' neighbours for each of many small triangles.
 
-precision highp float;
-precision highp int;
-
 in vec3 v_rest;
 in vec3 v_seen;
 in vec3 v_normal;
 in vec3 v_restNormal;
 
 layout(location = 0) out uvec4 o_place;  // bits of the rest position and of the footprint's side
-layout(location = 1) out uvec4 o_ways;  // unit vectors in bytes: the normal, towards the camera, the side at rest
+layout(location = 1) out uvec4 o_ways;  // unit vectors in bytes: the normal, towards the camera, the side at rest, across
 
 // The side of the square that a pixel covers, in root cells; a long one is shortened by half.
 float footprint() {
@@ -21,11 +18,11 @@ float footprint() {
   return max(max(shorter, 0.5 * longer), 1e-9);
 }
 
-// A unit vector on an unfolded octahedron.
-uint packed(vec3 way) {
-  vec2 flat2 = way.xy / (abs(way.x) + abs(way.y) + abs(way.z));
-  if (way.z < 0.0) flat2 = (1.0 - abs(flat2.yx)) * vec2(flat2.x < 0.0 ? -1.0 : 1.0, flat2.y < 0.0 ? -1.0 : 1.0);
-  return packSnorm2x16(flat2);
+// Where a direction across the surface at rest points in view space, by what both do along the picture's axes.
+vec3 carried(vec3 way) {
+  vec3 x = dFdx(v_rest), y = dFdy(v_rest);
+  float a = dot(x, x), b = dot(x, y), c = dot(y, y), p = dot(x, way), q = dot(y, way);
+  return (c * p - b * q) * dFdx(v_seen) + (a * q - b * p) * dFdy(v_seen);
 }
 
 void main() {
@@ -38,6 +35,11 @@ void main() {
   side = dot(side, v_restNormal) < 0.0 ? -v_restNormal : v_restNormal;
 #endif
   float size = length(side);
+  side = size > 0.0 ? side / size : vec3(0.0, 0.0, 1.0);
+  vec3 across = normal;
+#ifdef POSED
+  across = carried(tangent(side));
+#endif
   o_place = floatBitsToUint(vec4(v_rest, footprint()));
-  o_ways = uvec4(packed(normal), packed(toward), packed(size > 0.0 ? side / size : vec3(0.0, 0.0, 1.0)), 0u);
+  o_ways = uvec4(packed(normal), packed(toward), packed(side), packed(across));
 }

@@ -3,13 +3,6 @@
 uniform highp usampler2D u_places;
 uniform highp usampler2D u_ways;
 
-vec3 unpacked(uint bits) {
-  vec2 flat2 = unpackSnorm2x16(bits);
-  vec3 way = vec3(flat2, 1.0 - abs(flat2.x) - abs(flat2.y));
-  if (way.z < 0.0) way.xy = (1.0 - abs(way.yx)) * vec2(way.x < 0.0 ? -1.0 : 1.0, way.y < 0.0 ? -1.0 : 1.0);
-  return normalize(way);
-}
-
 #ifdef PROBE
 
 layout(location = 0) out uvec4 o_value;  // bits of the plane that is asked for, or of alpha and the fetches
@@ -62,6 +55,16 @@ uniform float u_markedEdge;  // its edge; 0: none
 #define OCCLUSION 1.0
 #endif
 
+#ifdef POSED
+// A direction at rest as it is posed: `side` is the surface's normal at rest, `normal` that in view space, in which
+// `across` is what became of the side's tangent.
+vec3 turned(vec3 way, vec3 side, vec3 across, vec3 normal) {
+  vec3 x = tangent(side), y = cross(side, x);
+  across = normalize(across - dot(across, normal) * normal);
+  return dot(way, x) * across + dot(way, y) * cross(normal, across) + dot(way, side) * normal;
+}
+#endif
+
 void main() {
   ivec2 at = ivec2(gl_FragCoord.xy);
   vec4 place = uintBitsToFloat(texelFetch(u_places, at, 0));
@@ -75,10 +78,15 @@ void main() {
   lookUp(place.xyz, u_footprints ? place.w : 0.0);
   vec3 shown;
 #if defined(SHOWS_LIT)
-#if defined(NORMAL) && !defined(POSED)
+#ifdef NORMAL
   vec3 stored = 2.0 * NORMAL - 1.0;
   if (dot(stored, stored) > 1e-4) {
-    stored = normalize(mat3(u_view) * stored);
+#ifdef POSED
+    stored = turned(stored, unpacked(ways.z), unpacked(ways.w), normal);
+#else
+    stored = mat3(u_view) * stored;
+#endif
+    stored = normalize(stored);
     normal = dot(stored, normal) < 0.0 ? -stored : stored;
   }
 #endif

@@ -1,0 +1,3 @@
+// The page's elements by their names.
+
+export const element = (id) => document.getElementById(id);
