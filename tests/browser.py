@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+import octex
 from octex.texture import OctreeTexture
 
 Floats = npt.NDArray[np.float32]
@@ -91,3 +92,15 @@ class Probe:
 
 def file_url(path: Path) -> str:
     return path.resolve().as_uri()
+
+
+def camera_of(page: Any, size: tuple[int, int]) -> octex.Camera:
+    """Return the page's camera for pictures of a size."""
+    view, fov, aspect = page.evaluate(
+        "[Array.from(viewer.camera.view), viewer.camera.fov, viewer.camera.aspect]"
+    )
+    pose = np.linalg.inv(np.array(view, np.float64).reshape(4, 4).T)
+    pose[:3, :3] = np.linalg.qr(pose[:3, :3])[0] * np.sign(np.diag(np.linalg.qr(pose[:3, :3])[1]))
+    high = np.tan(fov / 2)
+    focal = size[0] / 2 / (high * aspect), size[1] / 2 / high
+    return octex.Camera.pinhole(size, pose=pose, convention="opengl", focal=focal)

@@ -16,7 +16,7 @@ from octex.source.load import load_motion
 from octex.source.motion import Animation, Motion
 from octex.viewer import write_page
 from octex.viewer.pack import pack
-from tests.browser import Probe, chromium, file_url, opened
+from tests.browser import Probe, camera_of, chromium, file_url, opened
 from tests.command import result
 from tests.conftest import needs_jit
 from tests.test_poses import broken, moving
@@ -107,18 +107,6 @@ def test_motion_has_fewer_frames_where_there_is_little_room(tmp_path: Path) -> N
     assert none.header["notes"][0].startswith("no animations: they take")
 
 
-def camera_of(page: Any) -> octex.Camera:
-    """The page's camera for pictures of SIZE."""
-    view, fov, aspect = page.evaluate(
-        "[Array.from(viewer.camera.view), viewer.camera.fov, viewer.camera.aspect]"
-    )
-    pose = np.linalg.inv(np.array(view, np.float64).reshape(4, 4).T)
-    pose[:3, :3] = np.linalg.qr(pose[:3, :3])[0] * np.sign(np.diag(np.linalg.qr(pose[:3, :3])[1]))
-    high = np.tan(fov / 2)
-    focal = SIZE[0] / 2 / (high * aspect), SIZE[1] / 2 / high
-    return octex.Camera.pinhole(SIZE, pose=pose, convention="opengl", focal=focal)
-
-
 @needs_jit
 @pytest.mark.parametrize("path", ["rotation", "weights"])
 def test_pixels_see_the_posed_model_and_the_colours_of_where_it_rests(
@@ -140,7 +128,7 @@ def test_pixels_see_the_posed_model_and_the_colours_of_where_it_rests(
         )
         probe = Probe(page, texture, SIZE, moved={"animation": 0, "time": time})
         assert len(probe.points) != len(still) or not np.allclose(probe.points, still)
-        compare_seen(posed, camera_of(page), probe)
+        compare_seen(posed, camera_of(page, SIZE), probe)
         page.evaluate("viewer.camera.orbit(0.5, 0.1)")
     values = Probe(page, texture, SIZE, moved={"animation": 0, "time": 1.4})
     base = next(

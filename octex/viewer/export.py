@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from octex.errors import ArgumentError
 from octex.files import replacing
 from octex.parallel import Progress, silent
+from octex.viewer.maps import maps_of
 from octex.viewer.pack import Packed, pack
 
 if TYPE_CHECKING:
@@ -31,18 +32,20 @@ _NAMES = (
     "camera",
     "controls",
     "connection",
+    "source",
     "gpu",
     "player",
+    "divider",
     "viewer",
 )
 MODULES = [f"{name}.js" for name in _NAMES]
-SHADERS = ["ways.glsl", "walk.glsl", "light.glsl", "screen.vert", "places.frag"]
+SHADERS = ["ways.glsl", "walk.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"]
 SHADERS += [f"{name}.{stage}" for name in ("surface", "cubes") for stage in ("vert", "frag")]
 _PAGE = files(__name__.rpartition(".")[0]) / "page"
 #: Deflate's level for files, which are packed once.
 _SMALLEST = 9
-#: What part of a page's size animations may take.
-_SHARE = 0.25
+#: What part of a page's size animations may take, and images likewise, before base64.
+_SHARE = 0.25 * 3 / 4
 
 
 def page_text(name: str) -> str:
@@ -63,15 +66,19 @@ def write_page(
     """Write a page that shows a texture on the surface that it is of; without one, its cells.
 
     ``motion`` is how the surface moves. ``max_size``, in bytes, leaves out the finest levels until the file
-    is no larger; of that animations take a quarter at most. Returns what the page
+    is no larger; of that animations take a quarter at most, and images of the source
+    likewise. Returns what the page
     shows otherwise than the texture has it. Raises ArgumentError if it does not fit without any level, or
     for a surface that is not the texture's; OutputError if the file cannot be written.
     """
     level = deepest = texture.tree.max_depth
     room = None if max_size is None else int(_SHARE * max_size)
+    maps = None if surface is None else maps_of(surface, small=True, room=room)
     progress("pack", 0, 1)
     while True:
-        packed = pack(texture.level(level), surface, title=title, motion=motion, level=_SMALLEST, room=room)
+        packed = pack(
+            texture.level(level), surface, title=title, motion=motion, maps=maps, level=_SMALLEST, room=room
+        )
         if level < deepest:
             packed.header["notes"].insert(0, f"depth {level} of {deepest}, to fit {max_size:,} bytes")
         page = _inlined(packed).encode()
@@ -98,7 +105,7 @@ def _level_within(packed: Packed, excess: int) -> int:
             first = chunk["levels"][0]
             level = first - 1 if first else level - 1
         excess -= chunk["bytes"] * 4 // 3  # base64
-    return level
+    return min(level, int(packed.header["depth"]) - 1)
 
 
 def _inlined(packed: Packed) -> str:

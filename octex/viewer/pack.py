@@ -12,8 +12,9 @@ Numbers of cells and nodes follow from the masks, as in octex.tree.layout. Value
 are cast. The last chunk holds the rows of kept nodes and of split cells, if there are any.
 
 The mesh is one stream: positions in whole numbers of 2⁻ᵇ of a cube's edge, each less the one before it;
-normals as points of an octahedron, likewise; where it moves, the surface's vertices; triangles by how far
-back each vertex is from the next new one.
+normals as points of an octahedron, likewise; where it moves, the surface's vertices; where it has
+maps, coordinates in them and colours (``maps``); triangles by how far back each vertex is from the next new
+one.
 Numbers of more than a byte are stored as planes of bytes, the lowest first. For how it moves see ``moves``.
 """
 
@@ -30,6 +31,7 @@ from octex.channels import ChannelFormat
 from octex.processing.cast import cast
 from octex.tree.layout import FACING_FLAGS
 from octex.view.shading import corner_normals
+from octex.viewer.maps import Maps
 from octex.viewer.moves import packed_motion
 from octex.viewer.streams import deflated, planes, zigzag
 
@@ -57,10 +59,11 @@ def pack(
     *,
     title: str,
     motion: Motion | None = None,
+    maps: Maps | None = None,
     level: int = 6,
     room: int | None = None,
 ) -> Packed:
-    """Pack a texture, the surface that it is of and how that moves, with deflate's ``level`` 1 to 9.
+    """Pack a texture, the surface that it is of, how that moves and its maps; deflate's ``level`` is 1 to 9.
 
     The header's ``notes`` say what the page shows otherwise than lookups have it. ``motion`` has
     fewer frames, or is left out, where it takes more than ``room`` bytes. Raises ArgumentError for a surface
@@ -104,7 +107,11 @@ def pack(
             notes += moves.notes
             if moves.header:
                 header["motion"], streams["motion"] = moves.header, moves.stream
-        header["mesh"], stream = _packed_mesh(texture, surface, "motion" in streams)
+        if maps is not None:
+            header["source"] = maps.header
+            streams |= {f"map-{number}": image for number, image in enumerate(maps.images)}
+            notes += maps.notes
+        header["mesh"], stream = _packed_mesh(texture, surface, "motion" in streams, maps)
         streams["mesh"] = deflated(stream, level)
         header["mesh"]["bytes"] = len(streams["mesh"])
     return Packed(header, streams)
@@ -224,14 +231,17 @@ def _apart(values: Array) -> Uint8s:
     return np.stack([values[:, 0] - green, green, values[:, 2] - green], axis=1)
 
 
-def _packed_mesh(texture: OctreeTexture, surface: Surface, moves: bool) -> tuple[dict[str, Any], bytes]:
+def _packed_mesh(
+    texture: OctreeTexture, surface: Surface, moves: bool, maps: Maps | None
+) -> tuple[dict[str, Any], bytes]:
     """Return what a mesh's stream holds, and the stream; of one that ``moves`` it names vertices' owners."""
-    faces = surface.triangles
+    order = np.arange(len(surface.triangles)) if maps is None else maps.order
+    faces = surface.triangles[order]
     is_posed = surface.rest is not surface.vertices
     if surface.frames is None or is_posed:
         normals = corner_normals(surface.vertices, faces)
     else:
-        normals = surface.frames.normals.values[surface.frames.normals.rows]
+        normals = surface.frames.normals.values[surface.frames.normals.rows[order]]
     bits = min(max(20, texture.tree.max_depth + 8), 24)
     rest = texture.placement.to_texture_space(surface.rest)
     steps = np.rint(np.clip(rest, 0.0, 1.0) * (1 << bits)).astype(np.int32)
@@ -244,6 +254,8 @@ def _packed_mesh(texture: OctreeTexture, surface: Surface, moves: bool) -> tuple
         columns.append(posed[faces.ravel()])
     if moves:
         columns.append(faces.reshape(-1, 1))
+    if maps is not None:
+        columns.append(maps.columns[order].reshape(3 * len(faces), -1))
     corners = np.concatenate(columns, axis=1)
     rows, triangles = _by_first_use(corners)
     steps_back = np.maximum.accumulate(triangles) - triangles

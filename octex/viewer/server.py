@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from octex.errors import OctexError, OutputError
 from octex.viewer.export import MODULES, SHADERS, page_text
+from octex.viewer.maps import maps_of
 from octex.viewer.pack import Packed, pack
 
 if TYPE_CHECKING:
@@ -56,6 +57,7 @@ class Viewer:
     ) -> None:
         self._open, self._path, self._surface, self._log = open_texture, path, surface, log
         self._motion = motion
+        self._maps = None if surface is None else maps_of(surface)
         self._lock = threading.Lock()
         self._state = self._stamp()
         self._packed = self._pack()
@@ -108,7 +110,7 @@ class Viewer:
             return self._packed
 
     def _pack(self) -> Packed:
-        return pack(self._open(), self._surface, title=self._path.name, motion=self._motion)
+        return pack(self._open(), self._surface, title=self._path.name, motion=self._motion, maps=self._maps)
 
     def version(self) -> tuple[str, str]:
         """Return the name of the file's state as pages know it, and what is wrong with it, if anything is."""

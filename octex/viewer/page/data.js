@@ -18,17 +18,22 @@ export async function readHeader() {
 }
 
 export async function readStream(name) {
-  const element = embedded(name);
-  if (element) {
-    const text = atob(element.textContent.trim());
+  return inflated((await readFile(name)).stream());
+}
+
+// A file as it is: what a stream holds deflated, or an image.
+export async function readFile(name) {
+  const part = embedded(name);
+  if (part) {
+    const text = atob(part.textContent.trim());
     const bytes = new Uint8Array(text.length);
     for (let n = 0; n < text.length; n++) bytes[n] = text.charCodeAt(n);
-    element.textContent = "";
-    return inflated(new Blob([bytes]).stream());
+    part.textContent = "";
+    return new Blob([bytes]);
   }
   const response = await fetch(`data/${name}`, { cache: "no-store" });
   if (!response.ok) throw new Error(await response.text());
-  return inflated(response.body);
+  return response.blob();
 }
 
 export async function readShader(name) {

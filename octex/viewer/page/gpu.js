@@ -5,12 +5,13 @@ import { readShader } from "./data.js";
 
 export const FILTERS = ["nearest", "linear", "quadratic"];
 const KINDS = { srgb: 0, linear: 0, data: 1, direction: 2 };
-const FILES = ["ways.glsl", "walk.glsl", "light.glsl", "screen.vert", "places.frag"];
+const FILES = ["ways.glsl", "walk.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"];
 for (const name of ["surface", "cubes"]) FILES.push(`${name}.vert`, `${name}.frag`);
 const PARTS = "xyzw";
 const MATERIALS = ["base_color", "metallic", "roughness", "occlusion", "emissive", "specular", "normal"];
 const STAGES = {
   places: ["surface.vert", ["ways.glsl", "places.frag"]],
+  source: ["surface.vert", ["source.frag"]],
   surface: ["screen.vert", ["ways.glsl", "walk.glsl", "light.glsl", "surface.frag"]],
   probe: ["screen.vert", ["ways.glsl", "walk.glsl", "surface.frag"]],
   cubes: ["cubes.vert", ["walk.glsl", "light.glsl", "cubes.frag"]],
@@ -57,6 +58,7 @@ export class Gpu {
     if (octree.depth >= 0) this.upload({ nodes: [0, octree.nodes[octree.depth]], cells: [0, last], entries });
     if (this.mesh) this.takeMesh(this.mesh);
     if (this.motion) this.takeMotion(this.motion);
+    this.source?.build(gl);
     this.cubes = null;
     this.pictures = {};
   }
@@ -90,15 +92,24 @@ export class Gpu {
     this.mesh = mesh;
     this.surface = gl.createVertexArray();
     gl.bindVertexArray(this.surface);
-    [mesh.rest, mesh.positions, mesh.normals].forEach((array, place) => {
+    const attribute = (place, array, components, type) => {
       gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
       gl.bufferData(gl.ARRAY_BUFFER, array, gl.STATIC_DRAW);
       gl.enableVertexAttribArray(place);
-      gl.vertexAttribPointer(place, 3, gl.FLOAT, false, 0, 0);
-    });
+      gl.vertexAttribPointer(place, components, type, type !== gl.FLOAT, 0, 0);
+    };
+    [mesh.rest, mesh.positions, mesh.normals].forEach((array, place) => attribute(place, array, 3, gl.FLOAT));
+    if (mesh.uv) attribute(4, mesh.uv, 2, gl.FLOAT);
+    if (mesh.colors) attribute(5, mesh.colors, 3, gl.UNSIGNED_BYTE);
+    gl.vertexAttrib3f(5, 1, 1, 1);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, mesh.triangles, gl.STATIC_DRAW);
     gl.bindVertexArray(null);
+  }
+
+  takeSource(source) {
+    this.source = source;
+    source.build(this.gl);
   }
 
   // Take what moves the mesh: a texel an entry of its vertices, and of each animation one a row of a bone.
@@ -143,7 +154,7 @@ export class Gpu {
 
   // A program that draws or probes, for what is shown.
   program(kind, look, planes) {
-    const key = [kind, planes, look.shown, look.channel, look.facing, Boolean(look.moved)].join();
+    const key = [kind, planes, look.shown, look.channel, look.facing, Boolean(look.moved), this.showsSource(look)].join();
     if (!this.programs.has(key)) this.programs.set(key, this.compiled(kind, look, planes));
     const program = this.programs.get(key);
     this.gl.useProgram(program.handle);
@@ -180,6 +191,7 @@ export class Gpu {
     const facing = look.facing && kind !== "cubes";
     const flags = { PROBE: kind === "probe", MIXED: isMixed, KEPT: isMixed && kept > 0 };
     Object.assign(flags, { MOVED: look.moved, FROM_REST: motion?.start === "rest", POSED: mesh?.posed || look.moved });
+    Object.assign(flags, { SOURCE: kind === "source", BESIDE: kind === "surface" && this.showsSource(look) });
     Object.assign(flags, { FACING: facing, SPLIT: facing && split[0] > 0 });
     for (const [name, is] of Object.entries(flags)) if (is) lines.push(`#define ${name}`);
     const define = (name, text) => lines.push(`#define ${name} ${text}`);
@@ -198,6 +210,12 @@ export class Gpu {
     const [plane, slot] = this.octree.header.flags;
     if (plane < planes) lines.push(`#define FLAGS_PLANE u_plane${plane}`, `#define FLAGS_PART ${PARTS[slot]}`);
     return lines.join("\n");
+  }
+
+  // Whether the source is shown beside the octree.
+  showsSource(look) {
+    const isColor = ["lit", "unlit"].includes(look.shown) || (look.shown === "channel" && look.channel === "base_color");
+    return Boolean(this.source && isColor && look.divider > 0);
   }
 
   channel(name) {
@@ -225,7 +243,8 @@ export class Gpu {
     bind(0, this.nodes.texture, "u_nodes");
     this.planes.slice(0, planes).forEach((plane, n) => bind(n + 1, plane.texture, `u_plane${n}`));
     bind(planes + 1, this.tables.texture, "u_tables");
-    places?.textures.forEach((texture, n) => bind(planes + 2 + n, texture, ["u_places", "u_ways"][n]));
+    const drawn = ["u_places", "u_ways", "u_source"];
+    places?.forEach((texture, n) => bind(planes + 2 + n, texture, drawn[n]));
     gl.activeTexture(gl.TEXTURE0);
     const { kept, split } = this.octree.tables, nCells = this.octree.cells.at(-1);
     gl.uniform3ui(program.at("u_kept"), 0, kept, nCells);
@@ -283,13 +302,16 @@ export class Gpu {
 
   drawSurface(look, camera, width, height) {
     const { gl } = this, planes = this.planesFor(look);
-    const places = this.target("places", width, height, 2), picture = this.target("picture", width, height, 1, places);
+    const places = this.target("places", width, height, [gl.RGBA32UI, gl.RGBA32UI]), drawn = [...places.textures];
+    const picture = this.target("picture", width, height, [gl.RGBA8], places);
     this.drawPlaces(look, camera, places, width, height);
+    if (this.showsSource(look)) drawn.push(this.drawSource(look, camera, places));
     gl.bindFramebuffer(gl.FRAMEBUFFER, picture.buffer);
     gl.clearColor(...BACKGROUND);
     gl.clear(gl.COLOR_BUFFER_BIT);
     const program = this.program("surface", look, planes);
-    this.setTree(program, look, planes, places);
+    this.setTree(program, look, planes, drawn);
+    gl.uniform1f(program.at("u_divider"), look.divider * width);
     gl.uniformMatrix4fv(program.at("u_view"), false, camera.view);
     gl.uniform1i(program.at("u_kind"), KINDS[this.channel(look.channel)?.space] ?? 0);
     gl.uniform1i(program.at("u_footprints"), look.footprints ? 1 : 0);
@@ -304,6 +326,24 @@ export class Gpu {
     gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, null);
     gl.blitFramebuffer(0, 0, width, height, 0, 0, width, height, gl.COLOR_BUFFER_BIT, gl.NEAREST);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  }
+
+  // Draw what the model's own images have of what is seen; returns the texture.
+  drawSource(look, camera, places) {
+    const { gl } = this, { width, height } = places;
+    const target = this.target("source", width, height, [gl.SRGB8_ALPHA8], places);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
+    gl.enable(gl.DEPTH_TEST);
+    gl.depthFunc(gl.LEQUAL);
+    const program = this.program("source", look, 0);
+    this.setCamera(program, camera);
+    if (look.moved) this.setMotion(program, look.moved);
+    gl.bindVertexArray(this.surface);
+    this.source.draw(gl, program);
+    gl.bindVertexArray(null);
+    gl.depthFunc(gl.LESS);
+    gl.disable(gl.DEPTH_TEST);
+    return target.textures[0];
   }
 
   // Cells of a level as cubes; returns how many.
@@ -348,7 +388,8 @@ export class Gpu {
   // Rest positions, footprints and looked-up values of pixels: of one, or of a whole picture.
   probe(look, camera, { width, height, pixel = null, plane = 0, footprint = -1 }) {
     const { gl } = this, planes = this.planes.length, [w, h] = pixel ? [1, 1] : [width, height];
-    const places = this.target("probed places", w, h, 2), values = this.target("probed values", w, h, 2, places);
+    const two = [gl.RGBA32UI, gl.RGBA32UI], places = this.target("probed places", w, h, two);
+    const values = this.target("probed values", w, h, two, places);
     this.drawPlaces(look, camera, places, width, height, pixel);
     const read = (target, number) => {
       const bits = new Uint32Array(4 * w * h);
@@ -360,7 +401,7 @@ export class Gpu {
     gl.bindFramebuffer(gl.FRAMEBUFFER, values.buffer);
     for (const number of [0, 1]) gl.clearBufferuiv(gl.COLOR, number, [0, 0, 0, 0]);
     const program = this.program("probe", look, planes);
-    this.setTree(program, look, planes, places);
+    this.setTree(program, look, planes, places.textures);
     gl.uniform1f(program.at("u_width"), look.footprints ? footprint : 0);
     gl.uniform1i(program.at("u_plane"), plane);
     this.drawSeen();
@@ -369,9 +410,9 @@ export class Gpu {
     return found;
   }
 
-  // Textures to draw to and to read: two of four whole numbers a pixel, or one of colours; of each name the latest
-  // size is kept. Depth and what the surface covers may be another target's.
-  target(name, width, height, count, shared = null) {
+  // Textures to draw to and to read; of each name the latest size is kept. Depth and what the surface covers may be
+  // another target's.
+  target(name, width, height, formats, shared = null) {
     const { gl } = this, known = this.pictures[name];
     if (known?.width === width && known.height === height && (!shared || known.depth === shared.depth)) return known;
     if (known) {
@@ -381,10 +422,10 @@ export class Gpu {
     }
     const buffer = gl.createFramebuffer(), depth = shared?.depth ?? gl.createRenderbuffer(), textures = [];
     gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
-    for (let number = 0; number < count; number++) {
+    for (const [number, format] of formats.entries()) {
       const texture = gl.createTexture();
       gl.bindTexture(gl.TEXTURE_2D, texture);
-      gl.texStorage2D(gl.TEXTURE_2D, 1, count === 1 ? gl.RGBA8 : gl.RGBA32UI, width, height);
+      gl.texStorage2D(gl.TEXTURE_2D, 1, format, width, height);
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
       gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + number, gl.TEXTURE_2D, texture, 0);

@@ -10,9 +10,15 @@ function summed(numbers) {
   return found;
 }
 
+function interleaved(columns, Kind, scale) {
+  const found = new Kind(columns.length * columns[0].length);
+  columns.forEach((column, k) => column.forEach((x, n) => (found[columns.length * n + k] = x * scale)));
+  return found;
+}
+
 // Positions at rest in the root cell and in the world, normals, all (n, 3); triangles; of a mesh that moves the
-// surface's vertices, which own these.
-export function unpackedMesh(header, bytes) {
+// surface's vertices, which own these; of one with maps coordinates (n, 2), and colours (n, 3) in sRGB's codes.
+export function unpackedMesh(header, bytes, source) {
   const { vertices: count, low, edge } = header;
   let at = 0;
   const column = () => summed(planes(bytes, count, (at += 4 * count) - 4 * count));
@@ -20,6 +26,8 @@ export function unpackedMesh(header, bytes) {
   const steps = columns(3), flat = columns(2), posed = header.posed ? columns(3) : steps;
   const owners = header.moves ? column() : null;
   const rest = new Float32Array(3 * count), positions = new Float32Array(3 * count), normals = new Float32Array(3 * count);
+  const uv = source ? interleaved(columns(2), Float32Array, 2 ** -source.bits) : null;
+  const colors = source?.hasColors ? interleaved(columns(3), Uint8Array, 1) : null;
   const scale = 2 ** -header.bits;
   for (let n = 0; n < count; n++) {
     for (let axis = 0; axis < 3; axis++) {
@@ -34,5 +42,5 @@ export function unpackedMesh(header, bytes) {
   }
   const back = planes(bytes, 3 * header.triangles, at), triangles = new Uint32Array(back.length);
   for (let n = 0, next = 0; n < back.length; n++) triangles[n] = back[n] === 0 ? next++ : next - back[n];
-  return { rest, positions, normals, triangles, owners };
+  return { rest, positions, normals, triangles, owners, uv, colors };
 }

@@ -2,13 +2,15 @@
 
 import { Camera } from "./camera.js";
 import { control } from "./controls.js";
-import { readHeader, readStream } from "./data.js";
+import { readFile, readHeader, readStream } from "./data.js";
+import { Divider } from "./divider.js";
 import { element } from "./elements.js";
 import { Gpu, readShaders } from "./gpu.js";
 import { unpackedMesh } from "./mesh.js";
 import { Motion } from "./motion.js";
 import { Octree } from "./octree.js";
 import { Player } from "./player.js";
+import { Source } from "./source.js";
 import { watch } from "./connection.js";
 
 const STILL = 160; // milliseconds without a change, after which a sharp picture is drawn
@@ -19,7 +21,7 @@ class Viewer {
   constructor() {
     this.canvas = element("picture");
     this.look = { shown: "lit", channel: "base_color", filter: "quadratic", level: 0 };
-    Object.assign(this.look, { footprints: true, facing: true, cubes: false, marked: null, moved: null });
+    Object.assign(this.look, { footprints: true, facing: true, cubes: false, marked: null, moved: null, divider: 0 });
     this.cost = 0; // milliseconds a pixel, as measured
     this.pictures = 0;
     this.isSharp = false;
@@ -38,14 +40,15 @@ class Viewer {
     control(this.canvas, this.camera, () => this.move());
     this.listen();
     const parts = [...header.chunks, header.mesh, header.motion].filter(Boolean);
-    const total = parts.reduce((sum, part) => sum + part.bytes, 0);
+    const images = header.source?.bytes ?? [];
+    const total = [...parts.map((part) => part.bytes), ...images].reduce((sum, bytes) => sum + bytes, 0);
     let done = 0;
     const progress = (bytes) => {
       element("progress").value = (done += bytes) / total;
       element("progress-box").hidden = done >= total;
     };
     if (header.mesh) {
-      this.gpu.takeMesh(unpackedMesh(header.mesh, await readStream("mesh")));
+      this.gpu.takeMesh(unpackedMesh(header.mesh, await readStream("mesh"), header.source));
       this.camera = Object.assign(this.camera, new Camera(...this.bounds()));
       this.camera.aspect = this.canvas.clientWidth / this.canvas.clientHeight;
       this.camera.reset();
@@ -63,6 +66,19 @@ class Viewer {
       this.gpu.takeMotion(new Motion(header.motion, await readStream("motion")));
       this.player = new Player(header.motion, (moved) => this.play(moved));
       progress(header.motion.bytes);
+    }
+    if (header.source) {
+      const options = { premultiplyAlpha: "none", colorSpaceConversion: "none" };
+      const read = async (bytes, number) => {
+        const image = await createImageBitmap(await readFile(`map-${number}`), options);
+        progress(bytes);
+        return image;
+      };
+      this.gpu.takeSource(new Source(header.source, await Promise.all(images.map(read))));
+      this.divider = new Divider((place) => {
+        this.look.divider = place ?? 0;
+        this.move();
+      });
     }
     this.isComplete = true;
     this.move();
@@ -134,7 +150,7 @@ class Viewer {
     element("save").addEventListener("click", () => this.save());
     document.addEventListener("keydown", (event) => {
       const isTyping = event.target.matches("select, input") || event.ctrlKey || event.metaKey || event.altKey;
-      const id = { c: "cubes", t: "turntable", s: "save", " ": "play" }[event.key];
+      const id = { b: "beside", c: "cubes", t: "turntable", s: "save", " ": "play" }[event.key];
       const isPressed = event.key === " " && event.target.matches("button, summary");
       if (!id || isTyping || isPressed || !element(id).checkVisibility()) return;
       event.preventDefault();

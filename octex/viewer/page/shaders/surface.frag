@@ -39,6 +39,16 @@ uniform float u_markedEdge;  // its edge; 0: none
 #ifndef BASE_COLOR
 #define BASE_COLOR vec3(0.6)
 #endif
+#ifdef BESIDE
+uniform sampler2D u_source;  // the base colour as source.frag has drawn it
+uniform float u_divider;  // pixels on its left show that
+
+vec3 beside(vec3 looked, ivec2 at) {
+  return float(at.x) < u_divider ? texelFetch(u_source, at, 0).rgb : looked;
+}
+#else
+#define beside(looked, at) looked
+#endif
 #ifndef EMISSIVE
 #define EMISSIVE vec3(0.0)
 #endif
@@ -90,12 +100,12 @@ void main() {
     normal = dot(stored, normal) < 0.0 ? -stored : stored;
   }
 #endif
-  vec3 light = lit(BASE_COLOR, METALLIC, ROUGHNESS, OCCLUSION, SPECULAR, normal, toward);
+  vec3 light = lit(beside(BASE_COLOR, at), METALLIC, ROUGHNESS, OCCLUSION, SPECULAR, normal, toward);
   shown = toSrgb(toneMapped(light + EMISSIVE));
 #elif defined(SHOWS_UNLIT)
-  shown = toSrgb(BASE_COLOR + EMISSIVE);
+  shown = toSrgb(beside(BASE_COLOR, at) + EMISSIVE);
 #elif defined(SHOWS_CHANNEL)
-  shown = CHANNEL;
+  shown = beside(CHANNEL, at);
   if (u_kind == 2) shown = 0.5 * normalize(2.0 * shown - 1.0) + 0.5;
   if (u_kind == 0) shown = toSrgb(shown);
 #else

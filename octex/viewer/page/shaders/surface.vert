@@ -14,6 +14,16 @@ out vec3 v_seen;  // in view space
 out vec3 v_normal;
 out vec3 v_restNormal;  // where the model is not posed
 
+invariant gl_Position;
+
+#ifdef SOURCE
+layout(location = 4) in vec2 a_uv;
+layout(location = 5) in vec3 a_color;  // sRGB
+
+out vec2 v_uv;
+out vec3 v_color;  // light
+#endif
+
 #ifdef MOVED
 layout(location = 3) in uvec4 a_links;  // the vertex's first bone and how many, its first target and how many
 
@@ -58,6 +68,10 @@ void main() {
   position = u_root.xyz + u_root.w * a_rest;
 #endif
   move(position, normal);
+#endif
+#ifdef SOURCE
+  v_uv = a_uv;
+  v_color = mix(a_color / 12.92, pow((a_color + 0.055) / 1.055, vec3(2.4)), greaterThan(a_color, vec3(0.04045)));
 #endif
   vec4 seen = u_view * vec4(position, 1.0);
   v_rest = a_rest;

@@ -1,0 +1,123 @@
+"""The base colour's own images, to be seen beside the octree, and where the mesh has them.
+
+Images are PNG, or WebP where a page is to be small. The mesh's stream has the coordinates of each of its
+vertices in them, in whole numbers of 2⁻ᵇ, and vertex colours as sRGB codes, where the model has such; its
+triangles are sorted by material.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import PIL.Image
+
+from octex.arrays import Array, Float64s, Int64s, Uint8s
+from octex.channels import encode
+from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Texels
+from octex.source.materials import Input, MaterialSource
+
+if TYPE_CHECKING:
+    from octex.source.surface import Surface
+
+_QUALITY = 75  # of WebP
+#: By how many bits coordinates are finer than texels, in small pages and in others.
+_FINER_SMALL, _FINER = 2, 6
+_WRAPS = {REPEAT: "repeat", MIRROR: "mirror", CLAMP: "clamp"}
+_MOST = 1 << 30
+_WHITE = Input((1.0, 1.0, 1.0))
+
+
+class Maps(NamedTuple):
+    """What the page shows as the source."""
+
+    order: Int64s  # (m,)   triangles, those of a material together
+    columns: Array  # (m, 3, k)   of their corners: coordinates, and colours if there are any
+    header: dict[str, Any]
+    images: list[bytes]
+    notes: list[str]
+
+
+def maps_of(surface: Surface, *, small: bool = False, room: int | None = None) -> Maps | None:
+    """Return the base colour's images; None if its materials have none.
+
+    Those of a ``small`` page lose a little, and are halved until they take no more than ``room`` bytes.
+    """
+    source = surface.source
+    if not isinstance(source, MaterialSource):
+        return None
+    used = np.unique(source.triangle_materials).tolist()
+    inputs = {number: source.materials[number].inputs.get("base_color", _WHITE) for number in used}
+    textures = [each.texture for each in inputs.values() if each.texture is not None]
+    if not textures:
+        return None
+    texels = {
+        (id(each.texels), given.lanes): each.texels for given in inputs.values() if (each := given.texture)
+    }
+    images, divisor = _files(texels, small, room)
+    order = np.argsort(source.triangle_materials, kind="stable")
+    places = list(texels)
+    parts, first = [], 0
+    for number in used:
+        count = int((source.triangle_materials == number).sum())
+        given = inputs[number]
+        part: dict[str, Any] = {"first": first, "count": count, "factor": list(given.factor)}
+        if given.texture is not None:
+            part["image"] = places.index((id(given.texture.texels), given.lanes))
+            part["wraps"] = [_WRAPS[given.texture.wrap_u], _WRAPS[given.texture.wrap_v]]
+            part["isNearest"] = given.texture.nearest
+        parts.append(part)
+        first += count
+    coordinates = np.zeros((len(surface.triangles), 3, 2))
+    for number in used:
+        texture = inputs[number].texture
+        if texture is not None:
+            chosen = source.triangle_materials == number
+            corners = source.coordinates[texture.slot]
+            coordinates[chosen] = corners.values[corners.rows[chosen]]
+    side = max(max(each.shape[:2]) for each in texels.values())
+    bits = math.ceil(math.log2(side)) + (_FINER_SMALL if small else _FINER)
+    bits = min(bits, math.floor(math.log2(_MOST / max(float(np.abs(coordinates).max()), 1.0))))
+    columns = [np.rint(coordinates * (1 << bits)).astype(np.int32)]
+    has_colors = source.colors is not None and bool((source.colors.values[:, :3] != 1.0).any())
+    if has_colors:
+        assert source.colors is not None
+        colors = encode(np.clip(source.colors.values[:, :3], 0.0, 1.0), "uint8", "srgb")
+        columns.append(colors[source.colors.rows].astype(np.int32))
+    header = {"bits": bits, "hasColors": has_colors, "parts": parts, "bytes": [len(each) for each in images]}
+    notes = [f"source: images at 1/{divisor} of their size"] if divisor > 1 else []
+    return Maps(order, np.concatenate(columns, axis=2), header, images, notes)
+
+
+def _files(
+    texels: dict[tuple[int, tuple[int, ...]], Texels], small: bool, room: int | None
+) -> tuple[list[bytes], int]:
+    """Return image files, and the number that their sides were divided by to fit."""
+    divisor = 1
+    pictures = [PIL.Image.fromarray(_codes(each, lanes)) for (_, lanes), each in texels.items()]
+    while True:
+        files = [_file(picture, small) for picture in pictures]
+        if room is None or sum(map(len, files)) <= room or max(max(each.size) for each in pictures) == 1:
+            return files, divisor
+        divisor *= 2
+        pictures = [each.reduce(2) for each in pictures]
+
+
+def _file(picture: PIL.Image.Image, small: bool) -> bytes:
+    file = io.BytesIO()
+    if small:
+        picture.save(file, "WEBP", quality=_QUALITY, method=6)
+    else:
+        picture.save(file, "PNG", compress_level=1)
+    return file.getvalue()
+
+
+def _codes(texels: Texels, lanes: tuple[int, ...]) -> Uint8s:
+    """Return sRGB codes (height, width, 3)."""
+    chosen = texels[..., list(lanes)]
+    if chosen.dtype == np.uint16:
+        return np.asarray((chosen.astype(np.uint32) + 128) // 257, np.uint8)
+    light: Float64s = np.clip(chosen, 0.0, 1.0)
+    return np.asarray(encode(light, "uint8", "srgb"), np.uint8)
