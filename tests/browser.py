@@ -104,3 +104,33 @@ def camera_of(page: Any, size: tuple[int, int]) -> octex.Camera:
     high = np.tan(fov / 2)
     focal = size[0] / 2 / (high * aspect), size[1] / 2 / high
     return octex.Camera.pinhole(size, pose=pose, convention="opengl", focal=focal)
+
+
+def differences(
+    probe: Probe, texture: OctreeTexture, header: dict[str, Any], filter: str, width: float, facing: bool
+) -> dict[str, Floats]:
+    """Return by how much of 255 pixels (n,) differ from lookups where they see the surface, by channel.
+
+    Left out are those of ``nearest`` that are within 10⁻⁶ of a cell's face.
+    """
+    options: dict[str, Any] = {"width": probe.widths} if width else {}
+    if facing:
+        options["normals"] = probe.normals
+    elif width:
+        options["bleed_threshold"] = 10.0
+    expected = texture.sample(probe.points, list(texture.channels), filter, normalize=False, **options)
+    cell = 2.0**-texture.tree.max_depth
+    is_inner = np.abs(probe.places / cell - np.rint(probe.places / cell)).min(axis=1) > 1e-6 / cell
+    found = {}
+    for channel in header["channels"]:
+        plane, slot = channel["at"]
+        values = probe.alpha[:, None]
+        if channel["name"] != "alpha":
+            values = probe.plane(plane)[:, slot : slot + channel["components"]]
+        if channel["space"] == "direction":
+            values = 2 * values - 1
+        away = 255 * np.abs(values - expected[channel["name"]]).max(axis=1)
+        if "alpha" in expected and channel["name"] != "alpha":  # what is seen is multiplied by it
+            away *= expected["alpha"][:, 0]
+        found[channel["name"]] = away[is_inner] if filter == "nearest" else away
+    return found

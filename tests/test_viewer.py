@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from itertools import product
@@ -19,8 +21,8 @@ from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.viewer import Viewer, write_page
 from octex.viewer.export import MODULES, page_text
-from octex.viewer.pack import pack
-from tests.browser import Probe, chromium, file_url, opened
+from octex.viewer.pack import _prepared, pack
+from tests.browser import Probe, chromium, differences, file_url, opened
 from tests.command import refusal, result
 from tests.conftest import needs_jit
 from tests.painted import ball
@@ -73,7 +75,19 @@ def covered() -> tuple[OctreeTexture, Surface]:
     return octex.convert(surface, depth=5), surface
 
 
-MADE = {each.__name__: each for each in (even, adaptive, painted, thin, covered)}
+def floating() -> tuple[OctreeTexture, Surface]:
+    """Light up to 3, data from −2 on and 16-bit colours."""
+    surface = colored(ball(), emissive=lambda p: 1.5 + 1.5 * np.sin(9 * p))
+    texture = octex.convert(
+        surface, depth=5, dtype={"base_color": "uint16", "emissive": "float16", "roughness": "float32"}
+    )
+    data = texture.channels["roughness"]
+    wide = data._replace(values=5 * data.values - 2, split_values=5 * data.split_values - 2)
+    channels = {**texture.channels, "roughness": wide}
+    return OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, texture.metadata), surface
+
+
+MADE = {each.__name__: each for each in (even, adaptive, painted, thin, covered, floating)}
 
 
 @needs_jit
@@ -90,14 +104,16 @@ def test_each_pixel_is_what_a_lookup_there_gives(name: str, browser: Any, tmp_pa
 def parity(page: Any, texture: OctreeTexture, surface: Surface) -> dict[str, float]:
     """Compare all channels, filters, widths, levels and sides; return the largest differences, of 255."""
     header = pack(texture, surface, title="").header
+    texture = _prepared(texture)[0]  # of 8 bits, 0 to 1
     is_split = texture.tree.split.cells.size > 1
     found = {}
     deepest = texture.tree.max_depth
     looks = [("quadratic", 0.0, deepest), ("quadratic", -1.0, deepest), ("quadratic", 0.2, 3)]
     looks += [("nearest", -1.0, deepest)]
+    looks += [("linear", 0.0, deepest)]
     if not header["isMixed"]:  # which takes long without a GPU
         looks += [("quadratic", 0.03, deepest), ("quadratic", 0.0, 3), ("nearest", 0.0, deepest)]
-        looks += [("linear", 0.0, deepest), ("linear", -1.0, deepest)]
+        looks += [("linear", -1.0, deepest)]
     for facing, (filter, width, level) in product({False, is_split}, looks):
         probe = Probe(page, texture, SIZE, filter=filter, width=width, facing=facing, level=level)
         case = f"{filter}, width {width}, facing {facing}, level {level}"
@@ -115,31 +131,10 @@ def compared(
     case: str,
 ) -> float:
     assert probe.seen.sum() > 100
-    options: dict[str, Any] = {"width": probe.widths} if width else {}
-    if facing:
-        options["normals"] = probe.normals
-    elif width:
-        options["bleed_threshold"] = 10.0
-    names = list(texture.channels)
-    expected = texture.sample(probe.points, names, filter, normalize=False, **options)
     worst = 0.0
-    cell = np.full(3, 2.0**-texture.tree.max_depth)
-    is_inner = np.abs(probe.places / cell - np.rint(probe.places / cell)).min(axis=1) > 1e-6 / cell[0]
-    is_compared = is_inner if filter == "nearest" else np.ones_like(is_inner)
-    for channel in header["channels"]:
-        plane, slot = channel["at"]
-        components = channel["components"]
-        values = probe.alpha[:, None]
-        if channel["name"] != "alpha":
-            values = probe.plane(plane)[:, slot : slot + components]
-        if channel["space"] == "direction":
-            values = 2 * values - 1
-        away = 255 * np.abs(values - expected[channel["name"]]).max(axis=1)
-        if "alpha" in expected and channel["name"] != "alpha":  # what is seen is multiplied by it
-            away *= expected["alpha"][:, 0]
-        away = away[is_compared]
-        assert away.max() <= 2.0, f"{channel['name']}, {case}: {away.max()}"
-        assert (away > 1.0).mean() <= 0.001, f"{channel['name']}, {case}: {(away > 1.0).mean()}"
+    for name, away in differences(probe, texture, header, filter, width, facing).items():
+        assert away.max() <= 2.0, f"{name}, {case}: {away.max()}"
+        assert (away > 1.0).mean() <= 0.001, f"{name}, {case}: {(away > 1.0).mean()}"
         worst = max(worst, float(away.max()))
     return worst
 
@@ -293,6 +288,50 @@ def test_a_changed_texture_is_shown_anew_and_a_lost_server_is_said(browser: Any,
     page.close()
     thread.join(10)
     assert not thread.is_alive()
+
+
+@needs_jit
+def test_a_page_whose_server_ends_says_so_and_goes_on_with_the_next_one(browser: Any, tmp_path: Path) -> None:
+    surface, path = colored(ball(8)), tmp_path / "ball.octex"
+    octex.convert(surface, depth=3).save(path)
+    code = (
+        "import sys, octex, pathlib, octex.viewer; path = pathlib.Path(sys.argv[1]);"
+        "viewer = octex.viewer.Viewer(lambda: octex.open(path), path, None, port=int(sys.argv[2]));"
+        "viewer.token = sys.argv[3]; print(viewer.port, flush=True); viewer.run()"
+    )
+
+    def served(port: int) -> subprocess.Popen[str]:
+        words = [sys.executable, "-c", code, str(path), str(port), "t" * 22]
+        return subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+
+    first = served(0)
+    assert first.stdout is not None
+    port = int(first.stdout.readline())
+    page = opened(browser, f"http://127.0.0.1:{port}/{'t' * 22}/", (600, 400))
+    assert page.locator("#status").inner_text() == ""
+    first.kill()
+    first.wait()
+    page.wait_for_function("document.getElementById('status').textContent.includes('lost')", timeout=20_000)
+    page.keyboard.press("ArrowLeft")  # what has come is still shown
+    octex.convert(surface, depth=2).save(path)
+    second = served(port)
+    page.wait_for_function("globalThis.viewer?.header?.depth === 2", timeout=60_000)
+    assert page.locator("#status").inner_text() == ""
+    page.close()
+    second.kill()
+    second.wait()
+
+
+def test_floats_are_shown_in_the_range_that_they_have() -> None:
+    texture, surface = floating()
+    header = pack(texture, surface, title="").header
+    ranges = {each["name"]: each["range"] for each in header["channels"]}
+    assert ranges["base_color"] == [0, 1]
+    values = texture.channels["emissive"].values, texture.channels["roughness"].values
+    assert ranges["emissive"] == [0, values[0].max()]
+    assert ranges["roughness"] == [values[1].min(), values[1].max()]
+    assert "base color: shown with 8 bits, 0 to 1" in header["notes"]
+    assert f"emissive: shown with 8 bits, 0 to {values[0].max():.4g}" in header["notes"]
 
 
 def test_a_page_of_limited_size_leaves_the_finest_levels_out(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 _QUALITY = 75  # of WebP
 #: By how many bits coordinates are finer than texels, in small pages and in others.
 _FINER_SMALL, _FINER = 2, 6
+_LEAST_BITS = 12
 _WRAPS = {REPEAT: "repeat", MIRROR: "mirror", CLAMP: "clamp"}
 _MOST = 1 << 30
 _WHITE = Input((1.0, 1.0, 1.0))
@@ -78,7 +79,7 @@ def maps_of(surface: Surface, *, small: bool = False, room: int | None = None) -
             corners = source.coordinates[texture.slot]
             coordinates[chosen] = corners.values[corners.rows[chosen]]
     side = max(max(each.shape[:2]) for each in texels.values())
-    bits = math.ceil(math.log2(side)) + (_FINER_SMALL if small else _FINER)
+    bits = max(math.ceil(math.log2(side)) + (_FINER_SMALL if small else _FINER), _LEAST_BITS)
     bits = min(bits, math.floor(math.log2(_MOST / max(float(np.abs(coordinates).max()), 1.0))))
     columns = [np.rint(coordinates * (1 << bits)).astype(np.int32)]
     has_colors = source.colors is not None and bool((source.colors.values[:, :3] != 1.0).any())

@@ -9,7 +9,8 @@ Each chunk holds some levels, coarse ones first, as one stream of raw deflate. O
                              parent's; of colours red and blue are stored less green
 
 Numbers of cells and nodes follow from the masks, as in octex.tree.layout. Values are 8-bit codes; other types
-are cast. The last chunk holds the rows of kept nodes and of split cells, if there are any.
+are cast, floats from the range that they have. The last chunk holds the rows of kept nodes and of split
+cells, if there are any.
 
 The mesh is one stream: positions in whole numbers of 2⁻ᵇ of a cube's edge, each less the one before it;
 normals as points of an octahedron, likewise; where it moves, the surface's vertices; where it has
@@ -29,6 +30,7 @@ import numpy as np
 from octex.arrays import Array, Float64s, Int32s, Int64s, Uint8s
 from octex.channels import ChannelFormat
 from octex.processing.cast import cast
+from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import FACING_FLAGS
 from octex.view.shading import corner_normals
 from octex.viewer.maps import Maps
@@ -38,7 +40,6 @@ from octex.viewer.streams import deflated, planes, zigzag
 if TYPE_CHECKING:
     from octex.source.motion import Motion
     from octex.source.surface import Surface
-    from octex.texture import OctreeTexture
 
 #: Cells that the page's numbers, of 24 bits, can name; of a deeper tree the finest levels are left out.
 MOST_CELLS = 1 << 24
@@ -71,7 +72,7 @@ def pack(
     """
     if surface is not None:
         surface = surface.placed_in(texture)
-    texture, notes = _prepared(texture)
+    texture, ranges, notes = _prepared(texture)
     tree = texture.tree
     formats = [each.format for each in texture.channels.values()]
     slots = _slots(formats)
@@ -84,7 +85,13 @@ def pack(
         "levelNodes": tree.arrays.level_nodes.tolist(),
         "leaves": tree.n_leaves,
         "channels": [
-            {"name": form.name, "components": form.components, "space": form.space, "at": slots[form.name]}
+            {
+                "name": form.name,
+                "components": form.components,
+                "space": form.space,
+                "at": slots[form.name],
+                "range": ranges.get(form.name, [0.0, 1.0]),
+            }
             for form in formats
         ],
         "area": slots["area"],
@@ -129,13 +136,21 @@ def _chunks(texture: OctreeTexture) -> Iterator[tuple[list[int] | None, bytes]]:
         yield None, _tables(texture)
 
 
-def _prepared(texture: OctreeTexture) -> tuple[OctreeTexture, list[str]]:
-    """Return a texture as the page can show it, and what is then otherwise."""
+def _prepared(texture: OctreeTexture) -> tuple[OctreeTexture, dict[str, list[float]], list[str]]:
+    """Return a texture as the page can show it, what 0 and 1 stand for in it, and what is then otherwise."""
     notes: list[str] = []
-    others = [name for name, each in texture.channels.items() if each.format.dtype != "uint8"]
-    if others:
-        texture = cast(texture, dict.fromkeys(others, "uint8"))
-        notes.append(f"{', '.join(others)}: shown with 8 bits, 0 to 1")
+    ranges: dict[str, list[float]] = {}
+    channels = dict(texture.channels)
+    for name, channel in texture.channels.items():
+        if channel.format.dtype == "uint8":
+            continue
+        if channel.format.dtype.startswith("float") and channel.format.space != "direction":
+            channels[name], ranges[name] = _in_range(channel)
+        low, high = ranges.get(name, (-1 if channel.format.space == "direction" else 0, 1))
+        notes.append(f"{name.replace('_', ' ')}: shown with 8 bits, {low:.4g} to {high:.4g}")
+    if notes:
+        texture = OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, texture.metadata)
+        texture = cast(texture, "uint8")
     depth = texture.tree.max_depth
     cells = texture.tree.arrays.level_cells
     while depth and int(cells[depth + 1]) > MOST_CELLS:
@@ -143,9 +158,20 @@ def _prepared(texture: OctreeTexture) -> tuple[OctreeTexture, list[str]]:
     if depth < texture.tree.max_depth:
         notes.append(f"depth {depth} of {texture.tree.max_depth}: a page shows {MOST_CELLS:,} cells at most")
         texture = texture.level(depth)
-    if _is_mixed(texture):
-        notes.append("leaves of several depths: there is no linear filter")
-    return texture, notes
+    return texture, ranges, notes
+
+
+def _in_range(channel: Channel) -> tuple[Channel, list[float]]:
+    """Return a channel of floats from 0 to 1, and what these stand for: 0 and 1, or its least and largest."""
+    low, high = 0.0, 1.0
+    for values in channel[1:]:
+        if values.size:
+            low, high = min(low, float(values.min())), max(high, float(values.max()))
+    if (low, high) == (0.0, 1.0):
+        return channel, [low, high]
+    form = channel.format._replace(dtype="float32")
+    parts = [((values.astype(np.float64) - low) / (high - low)).astype(np.float32) for values in channel[1:]]
+    return Channel(form, *parts), [low, high]
 
 
 def _is_mixed(texture: OctreeTexture) -> bool:

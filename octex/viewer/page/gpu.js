@@ -154,7 +154,7 @@ export class Gpu {
 
   // A program that draws or probes, for what is shown.
   program(kind, look, planes) {
-    const key = [kind, planes, look.shown, look.channel, look.facing, Boolean(look.moved), this.showsSource(look)].join();
+    const key = [kind, planes, look.shown, look.channel, look.facing, Boolean(look.moved), this.showsSource(look), look.filter === "linear"].join();
     if (!this.programs.has(key)) this.programs.set(key, this.compiled(kind, look, planes));
     const program = this.programs.get(key);
     this.gl.useProgram(program.handle);
@@ -190,17 +190,20 @@ export class Gpu {
     const { isMixed, split, kept, mesh, motion } = this.octree.header;
     const facing = look.facing && kind !== "cubes";
     const flags = { PROBE: kind === "probe", MIXED: isMixed, KEPT: isMixed && kept > 0 };
+    Object.assign(flags, { LINEAR_MIXED: isMixed && look.filter === "linear" });
     Object.assign(flags, { MOVED: look.moved, FROM_REST: motion?.start === "rest", POSED: mesh?.posed || look.moved });
     Object.assign(flags, { SOURCE: kind === "source", BESIDE: kind === "surface" && this.showsSource(look) });
     Object.assign(flags, { FACING: facing, SPLIT: facing && split[0] > 0 });
     for (const [name, is] of Object.entries(flags)) if (is) lines.push(`#define ${name}`);
     const define = (name, text) => lines.push(`#define ${name} ${text}`);
     const part = ({ at: [, slot], components }) => PARTS.slice(slot, slot + Math.min(components, 3));
+    const inRange = ({ range: [low, high] }, value) =>
+      low === 0 && high === 1 ? value : `(${low.toExponential()} + ${(high - low).toExponential()} * ${value})`;
     for (const channel of this.octree.header.channels) {
       const { name, components, at } = channel;
       if (at[0] >= planes) continue;
       if (name === "alpha" && components === 1) define("ALPHA", `value${at[0]}.${part(channel)}`);
-      else if (MATERIALS.includes(name)) define(name.toUpperCase(), `g_sum${at[0]}.${part(channel)}`);
+      else if (MATERIALS.includes(name)) define(name.toUpperCase(), inRange(channel, `g_sum${at[0]}.${part(channel)}`));
       if (name !== look.channel) continue;
       const color = (from) => (components === 2 ? `vec3(${from}.${part(channel)}, 0.0)` : `vec3(${from}.${part(channel)})`);
       define("CHANNEL", name === "alpha" ? "vec3(g_alpha)" : color(`g_sum${at[0]}`));
@@ -227,7 +230,7 @@ export class Gpu {
     const read = ["alpha"];
     if (look.shown === "lit") read.push(...MATERIALS);
     if (look.shown === "unlit") read.push("base_color", "emissive");
-    if (look.shown === "channel") read.push(look.channel);
+    if (["channel", "spread"].includes(look.shown)) read.push(look.channel);
     const known = read.map((name) => this.channel(name)).filter(Boolean).map((channel) => channel.at[0]);
     if (look.shown === "facing" || look.facing || this.octree.header.kept) known.push(this.octree.header.flags[0]);
     return Math.max(0, ...known) + 1;

@@ -97,7 +97,7 @@ class Viewer {
   }
 
   describe() {
-    const { title, leaves, depth, channels, mesh, notes, isMixed, split } = this.header, { look } = this;
+    const { title, leaves, depth, channels, mesh, notes, split } = this.header, { look } = this;
     document.title = `${title} – octex`;
     element("title").textContent = title;
     const lines = [`${leaves.toLocaleString("en")} leaves, depth ${depth}`];
@@ -108,13 +108,15 @@ class Viewer {
     const choices = [["lit", "in studio light"], ["unlit", "colours as they are"]];
     if (!names.includes("base_color")) choices.length = 0;
     for (const name of names) choices.push([`channel ${name}`, name.replaceAll("_", " ")]);
+    for (const { name, space } of channels) {
+      if (space === "direction") choices.push([`spread ${name}`, `spread of ${name.replaceAll("_", " ")}s`]);
+    }
     choices.push(["depth", "depth of the leaves"], ["facing", "ways that cells face"]);
     element("shown").replaceChildren(...choices.map(([value, text]) => new Option(text, value)));
     if (!names.includes("base_color")) this.choose(choices[0][0]);
     element("level").max = this.gpu.deepest;
     element("level").value = look.level;
     element("level-text").textContent = `${look.level}`;
-    if (isMixed) element("filter").querySelector("[value=linear]").remove();
     element("facing").checked = look.facing = split[0] > 0;
     element("cubes").checked = !mesh;
     element("cubes").disabled = !mesh;
@@ -269,6 +271,7 @@ class Viewer {
     const known = channels.map((channel) => ({
       name: channel.name,
       space: channel.space,
+      range: channel.range,
       codes: this.octree.codes(channel, found.cell),
       values: channel.name === "alpha" ? [values[0]] : part(channel),
     }));
@@ -285,7 +288,11 @@ class Viewer {
       rows.push(["at rest", found.rest.map((p) => p.toPrecision(5)).join(", ")]);
       rows.push(["cell", `${found.cell.toLocaleString("en")}, level ${found.level}`]);
       rows.push(["index", found.index.join(", ")]);
-      for (const { name, codes } of found.channels) rows.push([name.replaceAll("_", " "), codes.join(", "), codes]);
+      for (const { name, codes, values, range } of found.channels) {
+        const [low, high] = range, isWide = low < 0 || high > 1;
+        const text = isWide ? values.map((x) => (low + (high - low) * x).toPrecision(3)) : codes;
+        rows.push([name.replaceAll("_", " "), text.join(", "), codes]);
+      }
     }
     element("cell").replaceChildren(...rows.flatMap(([name, text, codes]) => {
       const term = document.createElement("dt"), value = document.createElement("dd");

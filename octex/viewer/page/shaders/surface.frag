@@ -108,6 +108,8 @@ void main() {
   shown = beside(CHANNEL, at);
   if (u_kind == 2) shown = 0.5 * normalize(2.0 * shown - 1.0) + 0.5;
   if (u_kind == 0) shown = toSrgb(shown);
+#elif defined(SHOWS_SPREAD)
+  shown = vec3(1.0 - min(length(2.0 * CHANNEL - 1.0), 1.0));
 #else
   uvec3 cell = leafAt(place.xyz, u_depth);
   shown = levelColor(cell.y);

@@ -368,6 +368,11 @@ uint m_node[27];  // numbers of nodes, counted from 1; 0: none
 float m_weight[27];  // the coefficients' weights
 bool m_keeps[27];  // nodes that keep a coefficient
 #endif
+#ifdef LINEAR_MIXED
+// Linear interpolation refines leaves alone: what lies below them is made of leaves, and of nothing else.
+float m_color[27];  // how much of a cell comes from such
+bool m_leaf[27];  // leaves, and what lies below them
+#endif
 
 void put(int at, float weight) {
   m_total[at] = weight * r_total;
@@ -396,11 +401,30 @@ void refine(uvec3 parity) {
 #ifdef KEPT
       LINE(m_weight, float)
 #endif
+#ifdef LINEAR_MIXED
+      LINE(m_color, float)
+#endif
       LINE(m_sum{N}, vec4)
     }
     step *= 3;
   }
 }
+
+#ifdef LINEAR_MIXED
+// Leave in refined cells what lies below leaves: which are those of the level above.
+void keepBelow(bool leaves[27], uvec3 parity) {
+  for (int at = 0; at < 27; at++) {
+    ivec3 from = (ivec3(at % 3, at / 3 % 3, at / 9) + ivec3(parity) + 1) >> 1;
+    m_leaf[at] = leaves[from.x + 3 * from.y + 9 * from.z];
+    float scale = m_leaf[at] && m_color[at] > 0.0 ? 1.0 / m_color[at] : 0.0;
+    m_total[at] *= scale;
+    m_cover[at] *= scale;
+    m_alpha[at] *= scale;
+    m_sum{N}[at] *= scale;
+    m_color[at] = m_leaf[at] ? 1.0 : 0.0;
+  }
+}
+#endif
 
 // Go down to the first level, at most `last`, without nodes around the point; add what is there.
 void addMixed(vec3 point, int last, float share, bool averages) {
@@ -413,11 +437,19 @@ void addMixed(vec3 point, int last, float share, bool averages) {
 #ifdef KEPT
     m_keeps[at] = false;
 #endif
+#ifdef LINEAR_MIXED
+    m_color[at] = 0.0;
+    m_leaf[at] = false;
+#endif
   }
   bool isRootLeaf = u_leafRoot || last == 0;
   if (isRootLeaf) {
     read(0u, averages);
     put(13, 1.0);
+#ifdef LINEAR_MIXED
+    m_color[13] = 1.0;
+    m_leaf[13] = true;
+#endif
   } else {
     m_node[13] = 1u;
   }
@@ -430,7 +462,13 @@ void addMixed(vec3 point, int last, float share, bool averages) {
 #ifdef KEPT
     bool kept[27] = m_keeps;
 #endif
+#ifdef LINEAR_MIXED
+    bool leaves[27] = m_leaf;
+#endif
     if (filled) refine(parity);
+#ifdef LINEAR_MIXED
+    keepBelow(leaves, parity);
+#endif
     goesOn = false;
     for (int at = 0; at < 27; at++) {
       m_node[at] = 0u;
@@ -447,7 +485,7 @@ void addMixed(vec3 point, int last, float share, bool averages) {
       uvec2 words = nodeAt(number);
       uint cell = words.x >> 8u, node = words.y >> 8u;
       bool below = false;
-#ifdef KEPT
+#if defined(KEPT) && !defined(LINEAR_MIXED)
       below = kept[owner];
 #endif
       for (int octant = 0; octant < 8; octant++) {
@@ -464,6 +502,10 @@ void addMixed(vec3 point, int last, float share, bool averages) {
             read(cell, averages && isNode);
             put(at, weight);
             filled = true;
+#ifdef LINEAR_MIXED
+            m_color[at] = 1.0;
+            m_leaf[at] = true;
+#endif
           } else if (isNode || !below) {
             bool keeps = false;
 #ifdef KEPT
@@ -475,6 +517,9 @@ void addMixed(vec3 point, int last, float share, bool averages) {
                 readKept(cell);
                 put(at, weight);
                 filled = true;
+#ifdef LINEAR_MIXED
+                m_color[at] = 1.0;
+#endif
               }
             }
 #endif
@@ -491,7 +536,11 @@ void addMixed(vec3 point, int last, float share, bool averages) {
     }
   }
   vec3 inside = point * float(1 << level) - vec3(place >> uint(23 - level));
+#ifdef LINEAR_MIXED
+  vec3 low = max(0.5 - inside, 0.0), high = max(inside - 0.5, 0.0), middle = 1.0 - low - high;
+#else
   vec3 low = 0.5 * (1.0 - inside) * (1.0 - inside), high = 0.5 * inside * inside, middle = 1.0 - low - high;
+#endif
   for (int at = 0; at < 27; at++) {
     ivec3 index = ivec3(at % 3, at / 3 % 3, at / 9);
     float weight = share;
