@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Iterator
 from http.client import HTTPConnection
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -21,6 +22,7 @@ from octex.cli.main import main
 from octex.errors import ExitCode, OutputError
 from octex.texture import OctreeTexture
 from octex.viewer import Viewer, server
+from tests.painted import ball
 from tests.small_textures import eight_colors
 
 
@@ -193,12 +195,47 @@ def test_ctrl_c_ends_the_command(
     assert capfd.readouterr().out.startswith("http://127.0.0.1:")
 
 
+def test_of_a_folder_one_part_is_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def view(*words: str) -> dict[str, Any]:
+        found: list[dict[str, Any]] = []
+
+        def kept(viewer: Viewer) -> None:
+            viewer._server.server_close()
+            found.append(viewer.packed().header)
+
+        monkeypatch.setattr(Viewer, "run", kept)
+        assert main(["view", str(tmp_path / "set"), "--no-browser", "--quiet", *words]) == ExitCode.DONE
+        return found[0]
+
+    balls = ball(4), ball(2)
+    lines = [f"v {x} {y} {z}" for n, each in enumerate(balls) for x, y, z in each.vertices + 5 * n]
+    firsts = 1, 1 + len(balls[0].vertices)
+    lines += [
+        f"f {a} {b} {c}"
+        for first, each in zip(firsts, balls, strict=True)
+        for a, b, c in each.triangles + first
+    ]
+    (tmp_path / "two.obj").write_text("\n".join(lines))
+    two = octex.load_surface(tmp_path / "two.obj")
+    textures = octex.convert_set(two, depth=3)
+    textures.save(tmp_path / "set")
+    names = list(textures)
+    most = max(names, key=lambda name: textures[name].tree.n_leaves)
+    assert view()["leaves"] == textures[most].tree.n_leaves
+    for number, name in enumerate(names):
+        header = view("--part", name, "--mesh", str(tmp_path / "two.obj"))
+        assert header["leaves"] == textures[name].tree.n_leaves
+        assert header["mesh"]["triangles"] == (two.parts == number).sum()
+    assert main(["view", str(tmp_path / "set"), "--part", "none"]) == ExitCode.REFUSED
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["a.octex", "--depth", "3"], "a.octex: --depth is for models; the level is chosen in the page"),
         (["a.glb", "--mesh", "b.glb"], "a.glb: is no .octex file, so --mesh has no meaning"),
         (["a.octex", "--port", "0"], "argument --port: 0 is no port, 1 to 65535"),
+        (["a.octex", "--part", "x"], "a.octex: is no folder of parts, so --part has no meaning"),
         (["a.octex", "--rest", "b.glb"], "--rest has no meaning without --mesh"),
     ],
 )

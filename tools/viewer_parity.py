@@ -5,9 +5,9 @@ usage: tools/viewer_parity.py [MODEL …] [--depth 8] [--size 160x120]
 
 A row for each model (by default the droid, and four of OCTEX_TEST_MODELS where that is set), kind of tree,
 filter, width and side: pixels, the largest difference of 255 in any channel, the share of pixels beyond 1,
-the most fetches. Exit code 1 if any is beyond 2, or more than 0.1 % beyond 1. Kinds: even; adaptive, at 3
-codes; painted, a level more finely in a ball. Lookups of a side are compared where cells are split. Widths are in root cells;
-"footprint" is each pixel's own.
+the most fetches, of all channels together. Exit code 1 if any is beyond 2, or more than 0.1 % beyond 1.
+Kinds: even; adaptive, at 3 codes; painted, a level more finely in a ball. Lookups of a side are compared
+where cells are split. Widths are in root cells; "footprint" is each pixel's own.
 """
 
 from __future__ import annotations

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import octex
+from octex.checks import as_choice
 from octex.cli.arguments import port_number, whole_number
 from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
 from octex.cli.models import TEXTURE_ENDING, TEXTURE_ENDINGS, kind_of, open_sound
@@ -29,7 +30,11 @@ _DEFAULT_DEPTH = 9
 
 VIEW = Command(
     "Show a texture on its model in the browser, until the page is closed or Ctrl-C.",
-    [option("TEXTURE", "an .octex file, or a model, which is converted first", type=Path)],
+    [
+        option(
+            "TEXTURE", "an .octex file, a folder of --parts, or a model, which is converted first", type=Path
+        )
+    ],
     [
         option(
             "--mesh",
@@ -37,6 +42,7 @@ VIEW = Command(
             metavar="MODEL",
             type=Path,
         ),
+        option("--part", "the part of a folder that is shown (default: that of most leaves)", metavar="NAME"),
         option("--rest", "the undeformed model, of the same topology", metavar="MODEL", type=Path),
         *SHAPE_OPTIONS,
         option(
@@ -59,7 +65,10 @@ def main(arguments: Sequence[str] | None, program: str) -> int:
 
 
 def _view(options: argparse.Namespace, program: str) -> int:
-    is_texture = options.TEXTURE.suffix.lower() in TEXTURE_ENDINGS
+    is_set = options.TEXTURE.is_dir()
+    is_texture = is_set or options.TEXTURE.suffix.lower() in TEXTURE_ENDINGS
+    if options.part is not None and not is_set:
+        raise ArgumentError(f"{options.TEXTURE}: is no folder of parts, so --part has no meaning")
     if is_texture and options.depth is not None:
         raise ArgumentError(f"{options.TEXTURE}: --depth is for models; the level is chosen in the page")
     if is_texture and options.mesh is None:
@@ -78,8 +87,16 @@ def _view(options: argparse.Namespace, program: str) -> int:
                 with progress.stage("read"):
                     surface = shaped_model(options.mesh, options, normals=True)
                     motion = motion_of(options.mesh, options, progress.note)
+            if is_set:
+                name = _part_of(options.TEXTURE, options.part)
+                progress.note(f"part {name}")
+                motion = None  # its vertices are the whole model's
+                if surface is not None:
+                    surface = _surface_of(options.TEXTURE, name, surface)
 
             def read() -> OctreeTexture:
+                if is_set:
+                    return octex.TextureSet.open(options.TEXTURE)[name]
                 return open_sound(options.TEXTURE)
         else:
             with progress.stage("read"):
@@ -101,6 +118,23 @@ def _view(options: argparse.Namespace, program: str) -> int:
     with suppress(KeyboardInterrupt):
         viewer.run()
     return ExitCode.DONE
+
+
+def _part_of(folder: Path, name: str | None) -> str:
+    """Return the part of a set that is wanted, else that of most leaves."""
+    textures = octex.TextureSet.open(folder)
+    if name is None:
+        return max(textures, key=lambda each: textures[each].tree.n_leaves)
+    return as_choice(name, textures.names, f"part of {folder}:")
+
+
+def _surface_of(folder: Path, name: str, surface: Surface) -> Surface:
+    """Return the triangles of a part of a set."""
+    number = octex.TextureSet.open(folder).names.index(name)
+    parts = surface.parts
+    if number > parts.max():
+        raise ArgumentError(f"{surface.name} has {parts.max() + 1} parts, and {folder} others")
+    return surface.part((parts == number).nonzero()[0])
 
 
 def write_mesh_page(options: argparse.Namespace, program: str) -> int:
