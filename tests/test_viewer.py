@@ -70,14 +70,13 @@ def thin() -> tuple[OctreeTexture, Surface]:
     return octex.convert(surface, depth=5), surface
 
 
-def covered() -> tuple[OctreeTexture, Surface]:
-    surface = colored(ball(), alpha=lambda p: np.clip(0.6 + p[:, :1], 0.0, 1.0))
-    return octex.convert(surface, depth=5), surface
-
-
 def floating() -> tuple[OctreeTexture, Surface]:
-    """Light up to 3, data from −2 on and 16-bit colours."""
-    surface = colored(ball(), emissive=lambda p: 1.5 + 1.5 * np.sin(9 * p))
+    """Alpha; light up to 3, data from −2 on and 16-bit colours."""
+    surface = colored(
+        ball(),
+        alpha=lambda p: np.clip(0.6 + p[:, :1], 0.0, 1.0),
+        emissive=lambda p: 1.5 + 1.5 * np.sin(9 * p),
+    )
     texture = octex.convert(
         surface, depth=5, dtype={"base_color": "uint16", "emissive": "float16", "roughness": "float32"}
     )
@@ -87,7 +86,7 @@ def floating() -> tuple[OctreeTexture, Surface]:
     return OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, texture.metadata), surface
 
 
-MADE = {each.__name__: each for each in (even, adaptive, painted, thin, covered, floating)}
+MADE = {each.__name__: each for each in (even, adaptive, painted, thin, floating)}
 
 
 @needs_jit

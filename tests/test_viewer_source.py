@@ -117,6 +117,12 @@ def test_the_divider_is_moved_by_mouse_and_keys_and_shows_the_source_on_its_left
     )
     divider.press("End")
     sharp()
+    page.evaluate("(globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context')).loseContext()")
+    page.wait_for_function("viewer.isLost")
+    page.evaluate("lose.restoreContext()")
+    page.wait_for_function("!viewer.isLost")
+    sharp()
+    assert pictures.pop() == pictures[-1]  # images are there again
     divider.press("Home")
     page.uncheck("#beside")
     assert not divider.is_visible()

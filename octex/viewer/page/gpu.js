@@ -154,7 +154,8 @@ export class Gpu {
 
   // A program that draws or probes, for what is shown.
   program(kind, look, planes) {
-    const key = [kind, planes, look.shown, look.channel, look.facing, Boolean(look.moved), this.showsSource(look), look.filter === "linear"].join();
+    const parts = [look.facing, Boolean(look.moved), this.showsSource(look), this.isLinearMixed(look)];
+    const key = [kind, planes, look.shown, look.channel, ...parts].join();
     if (!this.programs.has(key)) this.programs.set(key, this.compiled(kind, look, planes));
     const program = this.programs.get(key);
     this.gl.useProgram(program.handle);
@@ -190,7 +191,7 @@ export class Gpu {
     const { isMixed, split, kept, mesh, motion } = this.octree.header;
     const facing = look.facing && kind !== "cubes";
     const flags = { PROBE: kind === "probe", MIXED: isMixed, KEPT: isMixed && kept > 0 };
-    Object.assign(flags, { LINEAR_MIXED: isMixed && look.filter === "linear" });
+    Object.assign(flags, { LINEAR_MIXED: this.isLinearMixed(look) });
     Object.assign(flags, { MOVED: look.moved, FROM_REST: motion?.start === "rest", POSED: mesh?.posed || look.moved });
     Object.assign(flags, { SOURCE: kind === "source", BESIDE: kind === "surface" && this.showsSource(look) });
     Object.assign(flags, { FACING: facing, SPLIT: facing && split[0] > 0 });
@@ -219,6 +220,10 @@ export class Gpu {
   showsSource(look) {
     const isColor = ["lit", "unlit"].includes(look.shown) || (look.shown === "channel" && look.channel === "base_color");
     return Boolean(this.source && isColor && look.divider > 0);
+  }
+
+  isLinearMixed(look) {
+    return this.octree.header.isMixed && look.filter === "linear";
   }
 
   channel(name) {
