@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 import octex
 from octex.baking import atlas
 from octex.baking.fit import fit_rows, lacking
-from octex.baking.gutters import fill_up, gutter_of
+from octex.baking.gutters import Borders, fill_up, gutter_of
 from octex.baking.layout import kept_layout, neighbors, unit_area
 from octex.baking.texels import draw_texels, texel_points
 from octex.channels import encode, linear_to_srgb
@@ -139,14 +139,17 @@ def test_beyond_an_edge_the_surface_goes_on_as_if_unfolded() -> None:
     others, sides = neighbors(surface)
     assert (others >= 0).all()
     taken = drawn.areas > 0
-    gutter = gutter_of(layout, surface.rest, surface.triangles, others, sides, taken, 6)
-    assert gutter.rows.size > 6 * 4 * 50
+    borders = Borders.of(layout, taken, 6)
+    gutter = gutter_of(borders, layout, surface.rest, surface.triangles, others, sides)
+    assert gutter.places.size > 6 * 4 * 50
     rest = surface.rest_at(gutter.triangles, gutter.barycentric)
     edges = surface.rest_at(gutter.beside, gutter.edges)
     texel = 1 / 64
     flat = np.array([layout.corners[t] for t in gutter.beside])
     at_edge = np.einsum("nk,nkx->nx", gutter.edges, flat)
-    away = np.linalg.norm(np.stack([gutter.columns + 0.5, gutter.rows + 0.5], axis=1) - at_edge, axis=1)
+    away = np.linalg.norm(
+        np.stack([gutter.places % 256 + 0.5, gutter.places // 256 + 0.5], axis=1) - at_edge, axis=1
+    )
     # Straight beyond a side, not around a corner: as far from the edge as in the map, on the face beyond.
     straight = gutter.edges.min(axis=1) == 0.0
     straight &= np.sort(gutter.edges, axis=1)[:, 1] > 1e-9
@@ -161,9 +164,8 @@ def test_where_the_surface_ends_gutters_show_its_edge() -> None:
     surface = Surface.from_arrays(square, [[0, 1, 2], [0, 2, 3]], uv=square[:, :2] * 0.5 + 0.25)
     layout = kept_layout(surface, 64)
     drawn = draw_texels(layout.corners, layout.charts, layout.edges, 64, 0, 64)
-    gutter = gutter_of(
-        layout, surface.rest, surface.triangles, *neighbors(surface), drawn.areas > 0, 4
-    )  # fmt: skip
+    borders = Borders.of(layout, drawn.areas > 0, 4)
+    gutter = gutter_of(borders, layout, surface.rest, surface.triangles, *neighbors(surface))
     rest = surface.rest_at(gutter.triangles, gutter.barycentric)
     on_edge = np.isclose(rest[:, :2], 0.0) | np.isclose(rest[:, :2], 1.0)
     assert on_edge.any(axis=1).all()

@@ -9,9 +9,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int32s, Uint8s, Uint16s
-from octex.baking.fit import fit_rows
-from octex.channels import ALPHA, CHANNELS, ColorSpace, decode, encode
+from octex.arrays import Bools, Float32s, Float64s, Int32s
+from octex.baking.fit import fit_codes, fit_rows
+from octex.channels import ALPHA, CHANNELS, ColorSpace, decode, encode, srgb8_encoder
 from octex.jit import inlined, kernel
 from octex.parallel import ordered_map
 from octex.source.corners import Frames
@@ -236,32 +236,24 @@ def _encode(
     used = set()
     for name, given in inputs.items():
         space, strength = CHANNELS[name].space, given.factor[0]
-        fitted = np.empty((*rows.shape[:2], len(given.lanes)))
-        lane, most = given.lanes[0], strength if bits != _FLOAT else np.inf
-        fit_rows(maps.values, maps.areas, part, first, maps.lanes[name].start, most, fitted)
-        lanes = slice(lane, lane + len(given.lanes))
-        if bits == _FLOAT:
-            rows[..., lanes] = 0.5 * fitted + 0.5 if space == "direction" else np.maximum(fitted, 0.0)
-        elif bits == 16:
+        lane, count, own = given.lanes[0], len(given.lanes), maps.lanes[name].start
+        used |= {*given.lanes}
+        most = strength if bits != _FLOAT else np.inf
+        planes = maps.values, maps.areas, part, first
+        if bits == 8:
+            half = 0.5 if space == "direction" else 0.0
+            coder = space == "srgb", half, *srgb8_encoder()
+            fit_codes(*planes, (own, count, lane), most, *coder, rows.view(np.uint16))
+            continue
+        fitted = np.empty((*rows.shape[:2], count))
+        fit_rows(*planes, own, most, fitted)
+        lanes = slice(lane, lane + count)
+        if bits == 16:
             rows[..., lanes] = encode(fitted / strength, "uint16", space)
         else:
-            _put_codes(
-                encode(fitted / strength if strength > 1.0 else fitted, "uint8", space),
-                lane,
-                rows.view(np.uint16),
-            )
-        used |= {*given.lanes}
+            rows[..., lanes] = 0.5 * fitted + 0.5 if space == "direction" else np.maximum(fitted, 0.0)
     for lane in {*range(4)} - used:
         rows[..., lane] = 1.0 if bits == _FLOAT else 65535
-
-
-@kernel
-def _put_codes(codes: Uint8s, first: int, texels: Uint16s) -> None:
-    """Write codes of 8 bits as codes of 16 to lanes from one on."""
-    for row in range(codes.shape[0]):
-        for column in range(codes.shape[1]):
-            for lane in range(codes.shape[2]):
-                texels[row, column, first + lane] = np.uint16(257) * np.uint16(codes[row, column, lane])
 
 
 def alpha_mode(alpha: Float32s) -> AlphaMode:
