@@ -181,8 +181,8 @@ def srgb8_code(value: float, guesses: Uint8s, thresholds: Float64s) -> int:
     """Return linear light as sRGB in 8 bits; the arrays are those of `srgb8_encoder`."""
     # The curve's steepest part crosses less than one code a bin, so the guess is at most one short.
     light = _unit(value)
-    guess = np.int64(guesses[np.uint64(light * _SRGB8_BINS)])
-    return int(guess + (light >= thresholds[guess]))
+    guess = np.uint64(guesses[np.uint64(np.int64(light * _SRGB8_BINS))])
+    return int(np.int64(guess) + (light >= thresholds[guess]))
 
 
 @kernel
