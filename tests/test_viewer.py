@@ -59,9 +59,13 @@ def adaptive() -> tuple[OctreeTexture, Surface]:
 
 
 def painted() -> tuple[OctreeTexture, Surface]:
-    surface = colored(ball())
+    """Finer in the middle of a thin sheet: nodes there are split, and keep what they were."""
+    surface = sheet(np.eye(3), 0.01)
     texture = octex.convert(surface, depth=4)
-    red = octex.fill(texture, surface, octex.Sphere((0.3, 0.3, 0.8), 0.4), (1.0, 0.1, 0.0), max_depth=6)
+    low, high = surface.bounds
+    middle = octex.Sphere((low + high) / 2, 0.25 * float((high - low).max()))
+    red = octex.fill(texture, surface, middle, (1.0, 0.1, 0.0), max_depth=6)
+    assert np.isin(red.tree.kept.cells, red.tree.split.cells).any()
     return red, surface
 
 
@@ -303,13 +307,16 @@ def test_a_page_whose_server_ends_says_so_and_goes_on_with_the_next_one(browser:
         words = [sys.executable, "-c", code, str(path), str(port), "t" * 22]
         return subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
 
+    def ended(server: subprocess.Popen[str]) -> None:
+        with server:
+            server.kill()
+
     first = served(0)
     assert first.stdout is not None
     port = int(first.stdout.readline())
     page = opened(browser, f"http://127.0.0.1:{port}/{'t' * 22}/", (600, 400))
     assert page.locator("#status").inner_text() == ""
-    first.kill()
-    first.wait()
+    ended(first)
     page.wait_for_function("document.getElementById('status').textContent.includes('lost')", timeout=20_000)
     page.keyboard.press("ArrowLeft")  # what has come is still shown
     octex.convert(surface, depth=2).save(path)
@@ -317,8 +324,7 @@ def test_a_page_whose_server_ends_says_so_and_goes_on_with_the_next_one(browser:
     page.wait_for_function("globalThis.viewer?.header?.depth === 2", timeout=60_000)
     assert page.locator("#status").inner_text() == ""
     page.close()
-    second.kill()
-    second.wait()
+    ended(second)
 
 
 def test_floats_are_shown_in_the_range_that_they_have() -> None:

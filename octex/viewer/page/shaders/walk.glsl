@@ -109,6 +109,23 @@ float ramp(float cosine) {
 }
 #endif
 
+#ifdef SPLIT
+// Read the rows of a split cell that are seen; says whether it is one.
+bool readSides(uint cell, uint flags, vec3 seen, float weight) {
+  float most = max(seen.x, max(seen.y, seen.z));
+  if ((flags & 128u) == 0u || (flags & 63u) == 0u || ramp(most) <= 0.0 || u_split.y == 0u) return false;
+  vec3 shares = max(seen - (most - 0.2), 0.0) * vec3(greaterThan(seen, vec3(0.0)));
+  shares /= shares.x + shares.y + shares.z;
+  uint entry = u_split.x + tableRow(cell, u_split.x, u_split.y);
+  uint first = u_split.z + texelFetch(u_tables, ivec2(entry & ROW, entry >> 12u), 0).y;
+  for (uint axis = 0u; axis < 3u; axis++) {
+    uint below = (1u << (2u * axis + g_away[axis])) - 1u;
+    if (shares[axis] > 0.0) readRow(first + bitsOf(flags & below), weight * shares[axis]);
+  }
+  return true;
+}
+#endif
+
 // Look at one cell: `averages` says that it weighs by the root of its area.
 void read(uint cell, bool averages) {
   r_total = r_cover = r_alpha = 0.0;
@@ -124,20 +141,9 @@ void read(uint cell, bool averages) {
   g_fetches++;
   uvec3 bits = uvec3(flags) >> (uvec3(0u, 2u, 4u) + g_away) & 1u;
   vec3 seen = g_cosines * vec3(bits);
-  float most = max(seen.x, max(seen.y, seen.z)), part = ramp(most);
-  weight *= ((flags & 63u) == 0u ? 1.0 : part) + AWAY;
+  weight *= ((flags & 63u) == 0u ? 1.0 : ramp(max(seen.x, max(seen.y, seen.z)))) + AWAY;
 #ifdef SPLIT
-  if ((flags & 128u) != 0u && (flags & 63u) != 0u && part > 0.0 && u_split.y > 0u) {
-    vec3 shares = max(seen - (most - 0.2), 0.0) * vec3(greaterThan(seen, vec3(0.0)));
-    shares /= shares.x + shares.y + shares.z;
-    uint entry = u_split.x + tableRow(cell, u_split.x, u_split.y);
-    uint first = u_split.z + texelFetch(u_tables, ivec2(entry & ROW, entry >> 12u), 0).y;
-    for (uint axis = 0u; axis < 3u; axis++) {
-      uint below = (1u << (2u * axis + g_away[axis])) - 1u;
-      if (shares[axis] > 0.0) readRow(first + bitsOf(flags & below), weight * shares[axis]);
-    }
-    return;
-  }
+  if (readSides(cell, flags, seen, weight)) return;
 #endif
 #endif
   readRow(cell, weight);
@@ -153,6 +159,9 @@ void readKept(uint cell) {
   uint flags = uint(texelFetch(FLAGS_PLANE, ivec2(cell & ROW, cell >> 12u), 0).FLAGS_PART * 255.0 + 0.5);
   vec3 seen = g_cosines * vec3(uvec3(flags) >> (uvec3(0u, 2u, 4u) + g_away) & 1u);
   weight = ((flags & 63u) == 0u ? 1.0 : ramp(max(seen.x, max(seen.y, seen.z)))) + AWAY;
+#ifdef SPLIT
+  if (readSides(cell, flags, seen, weight)) return;
+#endif
 #endif
   readRow(u_kept.z + tableRow(cell, u_kept.x, u_kept.y), weight);
 }
