@@ -33,12 +33,11 @@ def area_tables() -> tuple[Int64s, Uint8s, Uint8s]:
 @inlined
 def _code(area: int, areas: Int64s, steps: Uint8s) -> int:
     """Return the code of the largest area that is not above ``area``, below 2⁵²."""
-    bits = np.float64(area).view(np.int64)
+    bits = wide(np.float64(area).view(np.int64))
     code = AREA_ONE + AREA_STEPS * ((bits >> 52) - 1023 - _BITS) + wide(steps[bits >> 44 & 255]) - 1
     code = min(max(code, 0), 253)
     code += wide(areas[code + 1] <= area)
-    code += wide(areas[code + 1] <= area)
-    return code
+    return code + wide(areas[code + 1] <= area)
 
 
 @inlined
@@ -77,7 +76,7 @@ def code_areas(
     coder: Int64s,
     stream: Uint32s,
 ) -> None:
-    """Count, encode or decode the areas of cells from ``begin`` on; ``rows`` and ``cells`` are around them."""
+    """Count, encode or decode the areas of cells from ``begin`` on, around which lie ``rows`` and ``cells``."""
     work = coder[PASS]
     rest = whole = wide(0)
     left, node = 1, -1
@@ -119,7 +118,9 @@ def code_row_areas(
         while left:
             context = 480 + min(left, 3) - 1
             area = wide(areas[row])
-            area, rest = _code_area(work, area, whole, rest, left == 1, context, 3, tables, pool, coder, stream)
+            area, rest = _code_area(
+                work, area, whole, rest, left == 1, context, 3, tables, pool, coder, stream
+            )
             if work == DECODES:
                 areas[row] = area
             left -= 1

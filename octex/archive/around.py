@@ -160,7 +160,7 @@ def around_children(
 
 
 def shapes() -> Uint8s:
-    """Return a number 0 … 9 for how many axes have no, one or two of the cells across faces: 1, 4, 16 each."""
+    """Return numbers 0 … 9 for sums of 1, 4, 16 for each axis with no, one, two of the cells across faces."""
     numbers = np.zeros(64, np.uint8)
     combinations = [(a, b, c) for a in range(4) for b in range(4) for c in range(4) if a + b + c == 3]
     for number, (none, one, two) in enumerate(combinations):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -68,7 +68,7 @@ def code_children(content: Content, models: Models, block: Block, span: Span, st
     code_areas(rows, cells, arrays.areas, span.cell, areas, pools[3], *coded)
     streams.end()
     for (name, coding), pool in zip(models.codings.items(), pools[4:], strict=True):
-        coded = streams.begin(4 * len(rows) * coding.order.size)
+        coded = streams.begin(len(rows) * (4 * coding.order.size + 1))
         task = content.given[name].values, content.decoded[name].values, span.cell
         none = np.empty((0, 0, 0))
         values.code_values(rows, cells, *task, coding, values.STEPS, none, pool, *coded)
@@ -107,6 +107,6 @@ def _code_rows(
     for (name, coding), pool in zip(models.codings.items(), models.pools[4:], strict=True):
         coded = streams.begin(4 * owners.size * coding.order.size)
         given, decoded = content.given[name], content.decoded[name]
-        task: Any = decoded.values, rows_of(given), rows_of(decoded), first, kind
-        values.code_rows(owners, *task, coding, values.STEPS, pool, *coded)
+        task = rows_of(given), rows_of(decoded), first, kind, coding, values.STEPS, pool
+        values.code_rows(owners, decoded.values, *task, *coded)
         streams.end()

@@ -285,7 +285,9 @@ def pool_of(chosen: Uint8s, sizes: Int64s) -> Pool:
     """Return what kernels take of frequencies (tables, 256), each row's sum 4096."""
     starts = np.cumsum(sizes, axis=1) - sizes
     symbols = np.repeat(np.tile(np.arange(256, dtype=np.uint8), len(sizes)), sizes.reshape(-1))
-    return Pool(chosen, (sizes << 16 | starts).astype(np.uint32).reshape(-1), symbols, np.empty((0, 0), np.int64))
+    return Pool(
+        chosen, (sizes << 16 | starts).astype(np.uint32).reshape(-1), symbols, np.empty((0, 0), np.int64)
+    )
 
 
 @kernel
@@ -326,9 +328,7 @@ def shared_tables(counts: Int64s) -> tuple[Uint8s, Int64s]:
     own = counts[used]
     sums = own[np.argsort(-own.sum(axis=1), kind="stable")]
     least, nearest, sizes = np.inf, np.zeros(used.size, np.int64), np.ones((1, counts.shape[1]), np.int64)
-    for size in _SIZES:
-        if used.size == 0 or size >= 2 * used.size:
-            continue
+    for size in sorted({min(size, used.size) for size in _SIZES} - {0}, reverse=True):
         found = np.zeros(used.size, np.int64)
         for _ in range(3):
             sums = sums[np.argsort(-sums.sum(axis=1), kind="stable")][:size]

@@ -341,7 +341,7 @@ class _Streams:
             raise self.damaged()
         return found
 
-    def begin(self, most: int) -> tuple[Int64s, Uint32s]:
+    def begin(self, most: int) -> tuple[Int64s, Uint32s]:  # noqa: ARG002 (for those that write)
         """Return the next stream and its coder."""
         self._open = decoder(_words(self.next_bytes()))
         return self._open

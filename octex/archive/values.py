@@ -2,9 +2,9 @@
 
 A cell's value is guessed from its parent's: to that is added a weighted sum of how the cells across the
 parent's faces on its own side, those on the other side, three cells beside the cell, and its siblings so far
-differ from it, and of how far the guesses of the components before it were off. The weights are fitted to the
-texture, for nodes and for leaves, by how much the cells around the parent vary. What the guess is off by is
-coded by how much it may be. Where the cells around the parent are all as it is, one symbol says first
+differ from it, and of how far the components before it differ from their parents', and from their guesses.
+The weights are fitted to the texture, for parents of leaves alone and for others, by how much the cells
+around the parent vary. What the guess is off by is coded by how much it may be. Where the cells around the parent are all as it is, one symbol says first
 whether its children are, too.
 
 Values are compared as whole numbers: integers as they are, floats by their bits, in the order of what they
@@ -22,9 +22,9 @@ from octex.archive.entropy import DECODES, MEASURES, PASS, Pool, code_bits, code
 from octex.arrays import Float64s, Int64s, Uint8s, Uint32s
 from octex.jit import inlined, kernel
 
-#: What a guess weighs: sums of differences on the cell's side, on the other, beside; the mean of the siblings'
-#: so far; 3 components' errors.
-TERMS = 7
+#: What a guess weighs: sums of differences on the cell's side, on the other, beside; the mean of the
+#: siblings' so far; how 3 components were off, and differ.
+TERMS = 10
 _ERRORS = 4
 #: How much the cells around vary, in steps of the channel's unit: classes have weights, contexts tables.
 CLASSES = 5
@@ -142,10 +142,12 @@ def _code_number(
         off = number - guess
         if error:
             off = (off + error) // step if off >= 0 else -((error - off) // step)
-        if off < -half:
-            off += span
-        elif off >= span - half:
-            off -= span
+            if off < -half:
+                off += span
+            elif off >= span - half:
+                off -= span
+        else:
+            off = (off + half & most) - half
         sign = 2 * off if off >= 0 else -2 * off - 1
     if size == 1:
         sign = code_symbol(work, sign, context, pool, coder, stream)
@@ -204,8 +206,8 @@ def code_values(
     around, terms = np.zeros(4 * _AROUND, np.int64), np.zeros(TERMS + 1, np.int64)
     task = rows, cells, given, raw, begin, coding, steps, squares, pool, coder, stream
     # Bytes are read by code of their own, in which these are known.
-    if coding.size == 1 and coding.error == 0 and coding.unit == 0 and coder[PASS] == DECODES:
-        _code_cells(task, values, around, terms, DECODES, 1, 0, 0, 0)
+    if coding.size == 1 and coding.error == 0 and coding.unit == 0:
+        _code_cells(task, values, around, terms, coder[PASS], 1, 0, 0, 0)
     else:
         _code_cells(
             task, values, around, terms, coder[PASS], coding.size, coding.is_float, coding.error, coding.unit
@@ -334,7 +336,7 @@ def _code_cells(
         beside_y = wide(rows[np.uint64(t), 1]) * components
         beside_z = wide(rows[np.uint64(t), 2]) * components
         part = parts[np.uint64(left)]
-        noise = first_error = second_error = third_error = wide(0)
+        noise = first_off = second_off = third_off = first = second = third = wide(0)
         for j in range(components):
             at = _AROUND * j
             beside = values[np.uint64(beside_x + j)] + values[np.uint64(beside_y + j)]
@@ -346,8 +348,10 @@ def _code_cells(
             total += around[np.uint64(at + _SIBLINGS)] * mean
             if j:
                 own = around[np.uint64(at + _WEIGHTS)] + _ERRORS
-                total += weights[np.uint64(own)] * first_error
-                total += weights[np.uint64(own + 1)] * second_error + weights[np.uint64(own + 2)] * third_error
+                total += weights[np.uint64(own)] * first_off + weights[np.uint64(own + 3)] * first
+                if j > 1:
+                    total += weights[np.uint64(own + 1)] * second_off + weights[np.uint64(own + 4)] * second
+                    total += weights[np.uint64(own + 2)] * third_off + weights[np.uint64(own + 5)] * third
             guess = total >> WEIGHT_BITS
             value, number = around[np.uint64(at + _VALUE)], wide(0)
             if work != DECODES:
@@ -357,8 +361,9 @@ def _code_cells(
                 terms[0] = terms[1] = 0
                 for k in range(6):
                     terms[0 if _SIDES + k in (x, y, z) else 1] += around[at + _RAW + k]
-                terms[2], terms[3], terms[7] = beside - 3 * value, mean, number - value
-                terms[4], terms[5], terms[6] = first_error, second_error, third_error
+                terms[2], terms[3], terms[TERMS] = beside - 3 * value, mean, number - value
+                terms[4], terms[5], terms[6] = first_off, second_off, third_off
+                terms[7], terms[8], terms[9] = first, second, third
                 _measure(terms, off, 2.0**-unit, squares, around[at + _WEIGHTS] // TERMS)
             else:
                 most = around[np.uint64(at + _MOST)] + noise
@@ -370,11 +375,11 @@ def _code_cells(
             values[np.uint64(t * components + j)] = number
             around[np.uint64(at + _BEFORE)] = before + number - value
             if j == 0:
-                first_error = off
+                first_off, first = off, number - value
             elif j == 1:
-                second_error = off
+                second_off, second = off, number - value
             else:
-                third_error = off
+                third_off, third = off, number - value
             noise += 2 * abs(off) >> unit
 
 
