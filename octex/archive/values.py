@@ -4,8 +4,8 @@ A cell's value is guessed from its parent's: to that is added a weighted sum of 
 parent's faces on its own side, those on the other side, three cells beside the cell, and its siblings so far
 differ from it, and of how far the components before it differ from their parents', and from their guesses.
 The weights are fitted to the texture, for parents of leaves alone and for others, by how much the cells
-around the parent vary. What the guess is off by is coded by how much it may be. Where the cells around the parent are all as it is, one symbol says first
-whether its children are, too.
+around the parent vary. What the guess is off by is coded by how much it may be. Where the cells around the
+parent are all as it is, one symbol says first whether its children are, too.
 
 Values are compared as whole numbers: integers as they are, floats by their bits, in the order of what they
 stand for. Components of colours are coded green first.
