@@ -100,7 +100,7 @@ class Archive:
         stream = Stream(content[at + 4 : at + lengths[1]])
         numbers = stream.numbers(count)
         channels = self.head["channels"]
-        contexts = [1 << 15, 12, 2160, 516] + [44 * each["components"] + 2 for each in channels]
+        contexts = [1 << 15, 12, 2160, 2436] + [44 * each["components"] + 2 for each in channels]
         self.pools = [self.pool(numbers, each) for each in contexts]
         self.weights = [
             [near(next(numbers)) for _ in range(2 * 5 * 10 * each["components"])] for each in channels
@@ -155,7 +155,7 @@ class Archive:
                 rows = (self.flags[cell] & 63).bit_count()
                 rest = AREAS[self.areas[cell]]
                 for left in range(rows, 0, -1):
-                    context = 480 + min(left, 3) - 1
+                    context = 2400 + min(left, 3) - 1
                     rest, area = self.area(stream, self.areas[cell], rest, left, context, 3)
                     self.split_areas.append(area)
             stream.end()
@@ -258,8 +258,12 @@ class Archive:
                 across, outside = octant ^ 1 << axis, moved(place, 2 * axis + (octant >> axis & 1))
                 beyond = masks[own[outside]] >> across & 1 if outside in own else int(outside in cells)
                 counts[(masks[n] >> across & 1) + beyond] += 1
-            context = SHAPES.index(tuple(counts)) + 10 * (min(left, 4) - 1)  # type: ignore[arg-type]
-            rest, area = self.area(stream, whole, rest, left, context, 40)
+            around = [moved(place, k) for k in range(6)]
+            beside = [self.beside(n, octant, axis, around, own, masks, firsts) for axis in range(3)]
+            largest = max((self.areas[each] for each in beside if each is not None), default=0)
+            size = 1 + sum(step <= whole - largest for step in (6, 12, 20)) if largest else 0
+            context = SHAPES.index(tuple(counts)) + 10 * (min(left, 4) - 1) + 40 * size  # type: ignore[arg-type]
+            rest, area = self.area(stream, whole, rest, left, context, 200)
             self.areas.append(area)
         stream.end()
         for number in range(len(head["channels"])):

@@ -1,7 +1,8 @@
 """Areas of cells, from their parents' and their siblings'.
 
 The areas of a node's children make up its own. What is left of it, how many children are left, and which
-cells lie across the child's faces say what its area may be; that of the last child is nearly known.
+cells lie across the child's faces, and the largest of their areas, say what its area may be; that of the last
+child is nearly known.
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ from octex.arrays import Int64s, Uint8s, Uint32s
 from octex.jit import inlined, kernel
 from octex.tree.layout import AREA_ONE, AREA_STEPS
 
-#: Contexts: 10 shapes, 4 numbers of children left, 12 parts of the area that is left; then 36 of split rows.
-CONTEXTS = 480 + 36
+#: Contexts: 10 shapes, 4 numbers of children left, 5 of the largest area beside, 12 parts of the area that is
+#: left; then 36 of split rows.
+CONTEXTS = 2400 + 36
 _BITS = 30  # of an area of one
 #: From so many steps of area below all of it on, what is left is a smaller part.
 _PARTS = np.array([4, 6, 9, 12, 17, 20, 25, 33, 36, 41, 49])
@@ -88,9 +90,16 @@ def code_areas(
             rest = tables[0][whole]
         about = wide(rows[t, ABOUT])
         left = about >> 4 & 15
-        context = (about & 15) + 10 * (min(left, 4) - 1)
+        beside = wide(0)
+        for axis in range(3):
+            other = wide(rows[t, axis])
+            if other < rows.shape[0]:
+                beside = max(beside, wide(areas[begin + other]))
+        below = whole - beside
+        size = 0 if beside == 0 else 1 + wide(below >= 6) + wide(below >= 12) + wide(below >= 20)
+        context = (about & 15) + 10 * (min(left, 4) - 1) + 40 * size
         area = wide(areas[begin + t])
-        area, rest = _code_area(work, area, whole, rest, left == 1, context, 40, tables, pool, coder, stream)
+        area, rest = _code_area(work, area, whole, rest, left == 1, context, 200, tables, pool, coder, stream)
         if work == DECODES:
             areas[begin + t] = area
 
@@ -116,7 +125,7 @@ def code_row_areas(
         for place in range(6):
             left += wide(facings[n]) >> place & 1
         while left:
-            context = 480 + min(left, 3) - 1
+            context = 2400 + min(left, 3) - 1
             area = wide(areas[row])
             area, rest = _code_area(
                 work, area, whole, rest, left == 1, context, 3, tables, pool, coder, stream

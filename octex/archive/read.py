@@ -51,6 +51,8 @@ _OTHERS = ("uint", "int", "float")
 #: The longest head, in bytes of JSON, and the most that xz may take.
 _LONGEST_HEAD = 100_000_000
 _MOST_FOR_XZ = 1 << 26
+#: Numbers of models that a byte of their stream may say; those of an empty texture have about 1,000.
+_MOST_OF_A_BYTE = 1 << 12
 
 
 class _DamagedError(Exception):
@@ -165,7 +167,7 @@ def _words(stream: bytes) -> Uint16s:
 def _numbers(model: bytes, codings: dict[str, values.Coding]) -> Int64s:
     """Return the numbers of the models: how many there are, then their stream."""
     count = int.from_bytes(model[:4], "little")
-    if count > most_numbers(codings):
+    if count > min(most_numbers(codings), _MOST_OF_A_BYTE * len(model)):
         raise ValueError
     numbers = decoded_numbers(_words(model[4:]), count)
     if numbers is None:

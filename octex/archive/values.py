@@ -388,6 +388,8 @@ def _measure(terms: Int64s, off: int, scale: float, squares: Float64s, number: i
     """Add to the sums of least squares: terms by terms, the number wanted last; how many there are."""
     weight = 1.0 / (abs(off) * scale + 0.5)
     for n in range(TERMS + 1):
+        if terms[n] == 0:
+            continue
         weighted = weight * (terms[n] * scale)
         for m in range(min(n, TERMS - 1) + 1):
             squares[number, n, m] += weighted * (terms[m] * scale)
