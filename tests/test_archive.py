@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import octex
@@ -19,6 +19,7 @@ from octex.texture import Channel, OctreeTexture
 from octex.tree import morton
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
+from tests import naive_archive
 from tests.strategies import random_values, textures, with_random_data
 from tests.test_texture_file import assert_same
 
@@ -92,6 +93,39 @@ def test_an_archive_has_the_same_bytes_on_one_thread_and_from_what_was_opened(tm
     with at_most(1):
         octex.open(tmp_path / "a.octz").save(tmp_path / "b.octz")
     assert (tmp_path / "a.octz").read_bytes() == (tmp_path / "b.octz").read_bytes()
+
+
+def assert_read_naively(path: Path, texture: OctreeTexture) -> None:
+    found, tree = naive_archive.Archive(path.read_bytes()), texture.tree
+    assert found.flags == tree.arrays.flags.tolist()
+    assert found.areas == tree.arrays.areas.tolist()
+    assert found.split_areas == tree.split.areas.tolist()
+    for number, (head, channel) in enumerate(
+        zip(found.head["channels"], texture.channels.values(), strict=True)
+    ):
+        pairs = (
+            (found.values, channel.values),
+            (found.split_values, channel.split_values),
+            (found.kept_values, channel.kept_values),
+        )
+        for ours, theirs in pairs:
+            keys = found.keys(head, theirs.tobytes())
+            assert [key for row in ours[number] for key in row] == keys
+
+
+@settings(max_examples=15)
+@given(texture=textures(), error=st.sampled_from([0, 0, 1, 40]))
+def test_the_document_suffices_to_read_an_archive(
+    texture: OctreeTexture, error: int, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.mktemp("archive") / "a.octz"
+    texture.save(path, max_error=error)
+    assert_read_naively(path, octex.open(path))
+
+
+def test_the_document_suffices_to_read_a_smooth_archive(tmp_path: Path) -> None:
+    hilly(6).save(tmp_path / "a.octz")
+    assert_read_naively(tmp_path / "a.octz", octex.open(tmp_path / "a.octz"))
 
 
 def test_more_error_makes_an_archive_smaller(tmp_path: Path) -> None:

@@ -328,7 +328,7 @@ def archive(content: bytes, random: Random) -> bytes:
             text = json.dumps(odd(json.loads(text), random)).encode()
         case 1:
             count = int.from_bytes(model[:4], "little")
-            numbers = entropy.decoded_numbers(np.frombuffer(model[4:], "<u4").astype(np.uint32), count)
+            numbers = entropy.decoded_numbers(np.frombuffer(model[4:], "<u2"), count)
             if numbers is None:
                 raise ValueError
             for at in random.integers(0, count, int(random.choice([1, 3, 50]))).tolist():

@@ -1,11 +1,12 @@
 """The archive of a texture, ``.octz``: a third of a render file's bytes or less (paper 4.3.2).
 
 layout      what is on disk, drawn: streams in blocks, coarse levels first, and a directory
-entropy     symbols of known chances to words and back; tables of frequencies
+entropy     symbols of known frequencies to words and back; tables that contexts share
 around      what lies around a cell: what is known of it before it is decoded
 structure   which children a node has, and flags, after Tamminen and Samet
 areas       of cells, from what their siblings left of their parent's
 values      of channels, from their parents' and from what came before
 models      what the coders are told, chosen by what occurs
+blocks      the streams of a block, in order: the same for counting, encoding and decoding
 write, read a file; blocks of a level in parallel
 """

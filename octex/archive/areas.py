@@ -1,97 +1,107 @@
 """Areas of cells, from their parents' and their siblings'.
 
 The areas of a node's children make up its own. What is left of it, how many children are left, and which
-cells lie across the child's faces say what its area may be; that of the last child is nearly known.
+cells lie across the child's faces, and the largest of their areas, say what its area may be; that of the last
+child is nearly known.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from octex.archive.around import LEFT, PARENT, SHAPE
-from octex.archive.entropy import DECODES, FAULT, PASS, code_symbol, wide
-from octex.arrays import Int64s, Uint8s, Uint16s, Uint32s
-from octex.jit import kernel
+from octex.archive.around import ABOUT, OWN
+from octex.archive.entropy import DECODES, PASS, Pool, code_symbol, wide
+from octex.arrays import Int64s, Uint8s, Uint32s
+from octex.jit import inlined, kernel
 from octex.tree.layout import AREA_ONE, AREA_STEPS
 
-#: Contexts: 10 shapes, 4 numbers of children left, 12 parts of the area that is left; then 6 of split rows.
-CONTEXTS = 480 + 36
-#: Most tables that these share.
-TABLES = 64
+#: Contexts: 10 shapes, 4 numbers of children left, 5 of the largest area beside, 12 parts of the area that is
+#: left; then 36 of split rows.
+CONTEXTS = 2400 + 36
+_BITS = 30  # of an area of one
+#: From so many steps of area below all of it on, what is left is a smaller part.
+_PARTS = np.array([4, 6, 9, 12, 17, 20, 25, 33, 36, 41, 49])
 
 
-def linear_areas() -> Int64s:
-    """Return 2³⁰ times the areas of codes, in cell faces, whole."""
-    areas = np.rint(np.exp2((np.arange(256) - AREA_ONE) / AREA_STEPS + 30)).astype(np.int64)
+def area_tables() -> tuple[Int64s, Uint8s, Uint8s]:
+    """Return what kernels take: 2³⁰ times the areas of codes, whole; steps of an octave; parts of steps."""
+    areas = np.rint(np.exp2((np.arange(256) - AREA_ONE) / AREA_STEPS + _BITS)).astype(np.int64)
     areas[0] = 0
-    return areas
+    steps = np.floor(AREA_STEPS * np.log2(1 + (np.arange(256) + 0.5) / 256)).astype(np.uint8)
+    parts = 11 - np.searchsorted(_PARTS, np.arange(256), side="right")
+    return areas, steps, parts.astype(np.uint8)
+
+
+@inlined
+def _code(area: int, areas: Int64s, steps: Uint8s) -> int:
+    """Return the code of the largest area that is not above ``area``, below 2⁵²."""
+    bits = wide(np.float64(area).view(np.int64))
+    code = AREA_ONE + AREA_STEPS * ((bits >> 52) - 1023 - _BITS) + wide(steps[bits >> 44 & 255]) - 1
+    code = min(max(code, 0), 253)
+    code += wide(areas[code + 1] <= area)
+    return code + wide(areas[code + 1] <= area)
+
+
+@inlined
+def _code_area(
+    work: int,
+    area: int,
+    whole: int,
+    rest: int,
+    is_last: bool,
+    context: int,
+    span: int,
+    tables: tuple[Int64s, Uint8s, Uint8s],
+    pool: Pool,
+    coder: Int64s,
+    stream: Uint32s,
+) -> tuple[int, int]:
+    """Code an area as part of a whole; return it and what is left of the ``rest``."""
+    areas, steps, parts = tables
+    rest = max(rest, areas[whole] >> 8)
+    code = _code(rest, areas, steps)
+    part = wide(parts[min(max(whole - code, 0), 255)])
+    guess = code if is_last else whole
+    symbol = code_symbol(work, (area - guess) & 255, context + span * part, pool, coder, stream)
+    area = (guess + symbol) & 255
+    return area, rest - areas[area]
 
 
 @kernel
 def code_areas(
-    rows: Int64s,
+    rows: Uint32s,
+    cells: Int64s,
     areas: Uint8s,
     begin: int,
-    linear: Int64s,
-    shapes: Uint8s,
-    tables: Uint16s,
-    counts: Int64s,
-    starts: Int64s,
-    symbols: Uint8s,
+    tables: tuple[Int64s, Uint8s, Uint8s],
+    pool: Pool,
     coder: Int64s,
     stream: Uint32s,
 ) -> None:
-    """Count, encode or decode the areas of cells from ``begin`` on, around which lie ``rows``."""
+    """Count, encode or decode the areas of cells from ``begin`` on; ``rows``, ``cells`` lie around them."""
+    work = coder[PASS]
     rest = whole = wide(0)
-    left_before = 0
+    left, node = 1, -1
     for t in range(rows.shape[0]):
-        cell, left = begin + t, rows[t, LEFT]
-        parent = wide(areas[rows[t, PARENT]])
-        if left_before <= 1:
-            whole = 4 * linear[parent]
-            rest = whole
-        left_before = left
-        rest = max(rest, whole >> 8)
-        guess = _code(rest, linear) if left == 1 else parent
-        context = wide(shapes[rows[t, SHAPE] & 63]) + 10 * (min(left, 4) - 1) + 40 * _part(rest, whole)
-        symbol = (wide(areas[cell]) - guess) & 255
-        symbol = code_symbol(symbol, wide(tables[context]), counts, starts, symbols, coder, stream)
-        code = (guess + symbol) & 255
-        if coder[PASS] == DECODES:
-            areas[cell] = code
-        rest -= linear[code]
-        if coder[FAULT]:
-            return
-
-
-@kernel
-def _part(rest: int, whole: int) -> int:
-    """Return how much of an area is left, 0 … 11."""
-    part = 0
-    if whole > 0:
-        ratio = (rest << 6) // whole
-        if ratio < 4:
-            part = ratio
-        elif ratio < 16:
-            part = 4 + (ratio - 4) // 4
-        elif ratio < 48:
-            part = 7 + (ratio - 16) // 8
-        else:
-            part = 11
-    return part
-
-
-@kernel
-def _code(area: int, linear: Int64s) -> int:
-    """Return the code of the largest area that is not above ``area``."""
-    low, high = 0, 255
-    while low < high:
-        middle = low + high + 1 >> 1
-        if linear[middle] <= area:
-            low = middle
-        else:
-            high = middle - 1
-    return low
+        if left == 1:
+            node += 1
+            # A child's face is a quarter of its parent's: so many steps.
+            whole = min(wide(areas[cells[node, OWN]]) + 2 * AREA_STEPS, 255)
+            rest = tables[0][whole]
+        about = wide(rows[t, ABOUT])
+        left = about >> 4 & 15
+        beside = wide(0)
+        for axis in range(3):
+            other = wide(rows[t, axis])
+            if other < rows.shape[0]:
+                beside = max(beside, wide(areas[begin + other]))
+        below = whole - beside
+        size = 0 if beside == 0 else 1 + wide(below >= 6) + wide(below >= 12) + wide(below >= 20)
+        context = (about & 15) + 10 * (min(left, 4) - 1) + 40 * size
+        area = wide(areas[begin + t])
+        area, rest = _code_area(work, area, whole, rest, left == 1, context, 200, tables, pool, coder, stream)
+        if work == DECODES:
+            areas[begin + t] = area
 
 
 @kernel
@@ -101,54 +111,26 @@ def code_row_areas(
     areas: Uint8s,
     begin: int,
     cell_areas: Uint8s,
-    linear: Int64s,
-    tables: Uint16s,
-    counts: Int64s,
-    starts: Int64s,
-    symbols: Uint8s,
+    tables: tuple[Int64s, Uint8s, Uint8s],
+    pool: Pool,
     coder: Int64s,
     stream: Uint32s,
 ) -> None:
     """Likewise the areas of split cells' rows, from row ``begin`` on."""
-    row = begin
+    work, row = coder[PASS], begin
     for n in range(cells.size):
-        code = wide(cell_areas[cells[n]])
-        whole = linear[code]
-        rest = whole
-        facing = wide(facings[n])
+        whole = wide(cell_areas[cells[n]])
+        rest = tables[0][whole]
         left = 0
         for place in range(6):
-            left += facing >> place & 1
-        for place in range(left, 0, -1):
-            rest = max(rest, whole >> 8)
-            guess = _code(rest, linear) if place == 1 else code
-            context = 480 + (min(place, 3) - 1) + 3 * _part(rest, whole)
-            symbol = (wide(areas[row]) - guess) & 255
-            symbol = code_symbol(symbol, wide(tables[context]), counts, starts, symbols, coder, stream)
-            found = (guess + symbol) & 255
-            if coder[PASS] == DECODES:
-                areas[row] = found
-            rest -= linear[found]
+            left += wide(facings[n]) >> place & 1
+        while left:
+            context = 2400 + min(left, 3) - 1
+            area = wide(areas[row])
+            area, rest = _code_area(
+                work, area, whole, rest, left == 1, context, 3, tables, pool, coder, stream
+            )
+            if work == DECODES:
+                areas[row] = area
+            left -= 1
             row += 1
-            if coder[FAULT]:
-                return
-
-
-def shared_tables(counts: Int64s) -> Uint16s:
-    """Return which of TABLES each context uses: those whose symbols are spread alike share one (k-means)."""
-    used = np.flatnonzero(counts.any(axis=1))
-    chosen = np.zeros(len(counts), np.uint16)
-    if used.size <= TABLES:
-        chosen[used] = np.arange(used.size)
-        return chosen
-    own = counts[used].astype(np.float64)
-    order = np.argsort(-own.sum(axis=1), kind="stable")
-    centres = own[order[:TABLES]]
-    nearest = np.zeros(used.size, np.int64)
-    for _ in range(6):
-        chances = (centres + 0.02) / (centres + 0.02).sum(axis=1, keepdims=True)
-        nearest = np.argmax(own @ np.log2(chances).T, axis=1)
-        centres = np.zeros_like(centres)
-        np.add.at(centres, nearest, own)
-    chosen[used] = nearest
-    return chosen

@@ -1,32 +1,32 @@
 """What lies around the nodes of a block, and around their children.
 
-A block is a run of nodes of one level. Around a node are the 27 cells of its level that touch it, itself in
-the middle (number 13; x runs fastest): where each is stored, and which node it is. They are found from the
-root down, for the block's ancestors alone, so that a block needs the levels above it and nothing else.
+A block is a run of nodes of one level. Around a node are the six cells of its level that it shares faces
+with, in the order −x, +x, −y, +y, −z, +z. They are found from the root down, for the block's ancestors alone,
+so that a block needs the levels above it and nothing else.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from octex.arrays import Int64s, Uint8s, Uint64s
+from octex.arrays import Int64s, Uint8s, Uint32s, Uint64s
 from octex.jit import inlined, kernel, popcount
 from octex.tree.layout import TreeArrays
 
-# A row of what lies around a child: cells' numbers, its parent's where none is stored.
-PARENT = 0
-ABOVE = 1  # ten of the parent's level: across 3 faces, 3 edges and the corner on its side, 3 faces beyond
-BESIDE = 11  # three of its own level, stored before it in the same block: −x, −y, −z
-LEFT = 14  # how many children of the parent are left, with itself
-SHAPE = 15  # which of the six cells across its faces are there, for ``shapes``; bit 6: it is a node
-ROW = 16
+#: Where a node's own cell stands, after those around it; where there is none, its own stands there too.
+OWN = 6
+# A row of what is known of a child: which child of the block lies across its faces −x, −y and −z, the number
+# of children where none does; then ABOUT: bits 0 … 3 its shape, 4 … 7 how many children of its node are left,
+# with itself, 8 whether any of these is a node, 9 … 11 its octant.
+ABOUT = 3
 
 
 @inlined
 def children_of(groups: Uint64s, node: int) -> tuple[int, int, int, int]:
     """Return the masks of a node's children that are nodes, and leaves, its first child node and cell."""
+    group = np.uint64(node >> 3)
     shift = np.uint64(8 * (node & 7))
-    nodes, leaves, first = groups[node >> 3, 0], groups[node >> 3, 1], groups[node >> 3, 2]
+    nodes, leaves, first = groups[group, 0], groups[group, 1], groups[group, 2]
     below = (np.uint64(1) << shift) - np.uint64(1)
     return (
         int(np.int64(nodes >> shift & np.uint64(0xFF))),
@@ -42,41 +42,50 @@ def ones(mask: int) -> int:
     return popcount(np.uint64(mask))
 
 
-@inlined
-def place_beside(octant: int, dx: int, dy: int, dz: int) -> tuple[int, int]:
-    """Return which of a node's 27 holds the cell beside its child, and that cell's octant there."""
-    x, y, z = (octant & 1) + dx, (octant >> 1 & 1) + dy, (octant >> 2 & 1) + dz
-    place = (x + 2 >> 1) + 3 * (y + 2 >> 1) + 9 * (z + 2 >> 1)
-    return place, (x & 1) | (y & 1) << 1 | (z & 1) << 2
-
-
 @kernel
-def _descended(groups: Uint64s, begin: int, nodes: Int64s, first: int, last: int) -> tuple[Int64s, Int64s]:
-    """Return what lies around nodes ``first`` to ``last``, children of those from ``begin`` on."""
-    cells_below = np.full((last - first, 27), -1, np.int64)
-    nodes_below = np.full((last - first, 27), -1, np.int64)
+def _descended(
+    groups: Uint64s,
+    begin: int,
+    nodes: Int64s,
+    first: int,
+    last: int,
+    cells_below: Int64s,
+    nodes_below: Int64s,
+) -> None:
+    """Write what lies around nodes ``first`` to ``last``, children of those from ``begin`` on."""
+    inner, leaves = np.empty(7, np.int64), np.empty(7, np.int64)
+    next_node, next_cell = np.empty(7, np.int64), np.empty(7, np.int64)
     for row in range(nodes.shape[0]):
-        is_node, _, child, _ = children_of(groups, begin + row)
+        _, _, child, _ = children_of(groups, begin + row)
+        for k in range(7):
+            node = nodes[row, k] if k < OWN else begin + row
+            inner[k] = leaves[k] = 0
+            if node >= 0:
+                inner[k], leaves[k], next_node[k], next_cell[k] = children_of(groups, node)
         for octant in range(8):
-            if not is_node >> octant & 1:
+            if not inner[OWN] >> octant & 1:
                 continue
             if first <= child < last:
-                for n in range(27):
-                    place, inside = place_beside(octant, n % 3 - 1, n // 3 % 3 - 1, n // 9 - 1)
-                    if nodes[row, place] < 0:
-                        continue
-                    inner, leaves, next_node, next_cell = children_of(groups, nodes[row, place])
-                    below = (1 << inside) - 1
-                    if (inner | leaves) >> inside & 1:
-                        cells_below[child - first, n] = next_cell + ones((inner | leaves) & below)
-                        if inner >> inside & 1:
-                            nodes_below[child - first, n] = next_node + ones(inner & below)
+                own = child - first
+                cell = next_cell[OWN] + ones((inner[OWN] | leaves[OWN]) & ((1 << octant) - 1))
+                cells_below[own, OWN] = cell
+                for k in range(6):
+                    across = octant ^ 1 << (k >> 1)
+                    at = k if octant >> (k >> 1) & 1 == k & 1 else OWN  # else a sibling
+                    there, below = inner[at] | leaves[at], (1 << across) - 1
+                    is_there = there >> across & 1
+                    cells_below[own, k] = next_cell[at] + ones(there & below) if is_there else cell
+                    nodes_below[own, k] = (
+                        next_node[at] + ones(inner[at] & below) if inner[at] >> across & 1 else -1
+                    )
             child += 1
-    return cells_below, nodes_below
 
 
 def around_nodes(arrays: TreeArrays, level: int, first: int, last: int) -> tuple[Int64s, Int64s]:
-    """Return the cells and nodes (nodes, 27) around nodes of a level; −1 for none. Reads the levels above."""
+    """Return the cells (nodes, 7) and nodes (nodes, 6) around nodes of a level; −1 where there is no node.
+
+    Reads the levels above.
+    """
     runs = [(first, last)]
     for above in range(level - 1, -1, -1):
         low, high = int(arrays.level_nodes[above]), int(arrays.level_nodes[above + 1])
@@ -86,12 +95,13 @@ def around_nodes(arrays: TreeArrays, level: int, first: int, last: int) -> tuple
                 _parent(arrays.groups, low, high, runs[-1][1] - 1) + 1,
             )
         )
-    cells = np.full((1, 27), -1, np.int64)
-    cells[0, 13] = 0
-    nodes = cells.copy()
+    cells, nodes = np.zeros((1, 7), np.int64), np.full((1, 6), -1, np.int64)
     for above in range(level):
         begin, _ = runs[level - above]
-        cells, nodes = _descended(arrays.groups, begin, nodes, *runs[level - above - 1])
+        own = runs[level - above - 1]
+        around, count = nodes, own[1] - own[0]
+        cells, nodes = np.zeros((count, 7), np.int64), np.full((count, 6), -1, np.int64)
+        _descended(arrays.groups, begin, around, *own, cells, nodes)
     return cells, nodes
 
 
@@ -110,68 +120,49 @@ def _parent(groups: Uint64s, low: int, high: int, node: int) -> int:
 
 @kernel
 def around_children(
-    groups: Uint64s, first: int, last: int, cells: Int64s, nodes: Int64s, count: int
-) -> Int64s:
-    """Return a row (count, ROW) for each child of the nodes of a block, in order."""
-    rows = np.empty((count, ROW), np.int64)
+    groups: Uint64s, first: int, last: int, cells: Int64s, nodes: Int64s, shapes: Uint8s, rows: Uint32s
+) -> None:
+    """Write a row for each child of the nodes of a block, in order."""
+    masks, begins = np.zeros(7, np.int64), np.zeros(7, np.int64)
+    count = rows.shape[0]
+    begin = children_of(groups, first)[3]
     t = 0
     for node in range(first, last):
+        own = node - first
         inner, leaves, _, cell = children_of(groups, node)
         occupied = inner | leaves
-        own = node - first
-        left = ones(occupied)
+        masks[OWN], begins[OWN] = occupied, cell
+        for k in range(6):
+            beyond = nodes[own, k]
+            masks[k] = 0xFF if cells[own, k] != cells[own, OWN] else 0
+            begins[k] = -1
+            if first <= beyond < last:
+                inner2, leaves2, _, begins[k] = children_of(groups, beyond)
+                masks[k] = inner2 | leaves2
+        left, has_nodes = ones(occupied), int(inner != 0)
         for octant in range(8):
             if not occupied >> octant & 1:
                 continue
-            parent = cells[own, 13]
-            rows[t, PARENT] = parent
-            x = 1 if octant & 1 else -1
-            y = 3 if octant & 2 else -3
-            z = 9 if octant & 4 else -9
-            rows[t, ABOVE] = cells[own, 13 + x]
-            rows[t, ABOVE + 1] = cells[own, 13 + y]
-            rows[t, ABOVE + 2] = cells[own, 13 + z]
-            rows[t, ABOVE + 3] = cells[own, 13 + x + y]
-            rows[t, ABOVE + 4] = cells[own, 13 + x + z]
-            rows[t, ABOVE + 5] = cells[own, 13 + y + z]
-            rows[t, ABOVE + 6] = cells[own, 13 + x + y + z]
-            rows[t, ABOVE + 7] = cells[own, 13 - x]
-            rows[t, ABOVE + 8] = cells[own, 13 - y]
-            rows[t, ABOVE + 9] = cells[own, 13 - z]
-            for n in range(ABOVE, BESIDE):
-                if rows[t, n] < 0:
-                    rows[t, n] = parent
             shape = 0
             for axis in range(3):
-                bit = 1 << axis
-                # One of the two is a sibling; the other lies in the next node's cell.
-                other = occupied >> (octant ^ bit) & 1
-                step = (1, 3, 9)[axis] * (1 if octant & bit else -1)
-                beyond = nodes[own, 13 + step]
-                across, at = 0, parent
-                if first <= beyond < last:
-                    inner2, leaves2, _, cell2 = children_of(groups, beyond)
-                    there = inner2 | leaves2
-                    across = there >> (octant ^ bit) & 1
-                    if across and not octant & bit:
-                        at = cell2 + ones(there & ((1 << (octant ^ bit)) - 1))
-                elif cells[own, 13 + step] >= 0:
-                    across = 1
-                if octant & bit and other:
-                    at = cell + ones(occupied & ((1 << (octant ^ bit)) - 1))
-                rows[t, BESIDE + axis] = at
-                shape += 1 << 2 * (other + across)
-            rows[t, LEFT] = left
-            rows[t, SHAPE] = shape | (inner >> octant & 1) << 6
+                across = octant ^ 1 << axis
+                upper = octant >> axis & 1
+                beyond = 2 * axis + upper
+                shape += 1 << 2 * ((occupied >> across & 1) + (masks[beyond] >> across & 1))
+                at = OWN if upper else 2 * axis
+                beside = count
+                if masks[at] >> across & 1 and begins[at] >= 0:
+                    beside = begins[at] - begin + ones(masks[at] & ((1 << across) - 1))
+                rows[t, axis] = beside
+            rows[t, ABOUT] = shapes[shape] | left << 4 | has_nodes << 8 | octant << 9
             left -= 1
             t += 1
-    return rows
 
 
 def shapes() -> Uint8s:
-    """Return a number 0 … 9 for each SHAPE: how many axes have no, one or two of the cells across faces."""
+    """Return numbers 0 … 9 for sums of 1, 4, 16 for each axis with no, one, two of the cells across faces."""
     numbers = np.zeros(64, np.uint8)
     combinations = [(a, b, c) for a in range(4) for b in range(4) for c in range(4) if a + b + c == 3]
     for number, (none, one, two) in enumerate(combinations):
-        numbers[none + 4 * one + 16 * two] = number
+        numbers[none + 4 * one + 16 * two & 63] = number
     return numbers

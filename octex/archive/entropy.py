@@ -1,54 +1,68 @@
-"""The entropy coder: symbols of known probabilities to words of 32 bits and back, in one stream.
+"""The entropy coder: symbols of known frequencies to words of 16 bits and back, in one stream.
 
-rANS (Duda 2013, "Asymmetric numeral systems") with a state of 63 bits. Probabilities are of 4096. It writes
+rANS (Duda 2013, "Asymmetric numeral systems") with four states of 32 bits, which take turns, so that four
+symbols are decoded at once (Giesen 2014, "Interleaved entropy coders"). Frequencies are of 4096. It writes
 backward: the encoder lists where each symbol lies in the unit interval, and turns the list into words at the
-end; the decoder reads forward. Models may therefore adapt as they go.
+end; the decoder reads forward.
 
-A coder is an array of four whole numbers, STATE … FAULT. Encoding, a stream is the list of intervals, each
-``start << 16 | size``; decoding, it is the words.
+A coder is an array of whole numbers: the states, then PLACE … TURN. Encoding, a stream is the list of
+intervals, each ``state << 28 | start << 16 | size``; decoding, it is the words.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Int64s, Uint8s, Uint32s
+from octex.arrays import Float64s, Int64s, Uint8s, Uint16s, Uint32s
 from octex.jit import inlined, kernel
 
-#: Bits of a probability.
+#: Bits of a frequency.
 PRECISION = 12
 ONE = 1 << PRECISION
-_LEAST = 1 << 31  # the state is this or more between two symbols
-_WORD = (1 << 32) - 1
+STATES = 4
+_LEAST = 1 << 16  # a state is this or more between two symbols
+_WORD = _LEAST - 1
 
-# What a pass does.
-COUNTS, ENCODES, DECODES = 0, 1, 2
+# What a pass does. Of values it also measures how they differ.
+COUNTS, ENCODES, DECODES, MEASURES = 0, 1, 2, 3
 
-# What a coder is.
-STATE, PLACE, FAULT, PASS = 0, 1, 2, 3
+# What a coder is, after the states.
+PLACE, FAULT, PASS, TURN = 4, 5, 6, 7
+
+
+class Pool(NamedTuple):
+    """How symbols of some contexts are coded: what kernels take."""
+
+    chosen: Uint8s  # (contexts,)   the table of each
+    intervals: Uint32s  # (tables · 256,)   of a symbol: where it begins, and << 16 its frequency
+    symbols: Uint8s  # (tables · 4096,)
+    counts: Int64s  # (contexts, symbols)   how often which occurred
 
 
 def new_coder(work: int) -> Int64s:
     """Return a coder that begins."""
-    return np.array([_LEAST, 0, 0, work], np.int64)
+    return np.array([_LEAST] * STATES + [0, 0, work, 0], np.int64)
 
 
-def decoder(stream: Uint32s) -> Int64s:
-    """Return a coder that reads a stream, whose first two words are the state."""
-    coder = new_coder(DECODES)
-    if stream.size < 2 or stream[1] >> np.uint32(31):
-        coder[FAULT] = 1
-    else:
-        coder[STATE] = int(stream[1]) << 32 | int(stream[0])
-        coder[PLACE] = 2
-    return coder
+def decoder(words: Uint16s) -> tuple[Int64s, Uint32s]:
+    """Return a coder that reads words, and these as its stream, which ends with a zero.
+
+    The words begin with the states, low words first; there are none where all was certain.
+    """
+    coder, stream = new_coder(DECODES), np.zeros(words.size + 1, np.uint32)
+    stream[:-1] = words
+    if words.size >= 2 * STATES:
+        coder[:STATES] = stream[: 2 * STATES : 2] | stream[1 : 2 * STATES : 2] << np.uint32(16)
+        coder[PLACE] = 2 * STATES
+    return coder, stream
 
 
 def is_whole(coder: Int64s, stream: Uint32s) -> bool:
     """Say whether a stream was read to its end, where the encoder began."""
-    return bool(coder[FAULT] == 0 and coder[STATE] == _LEAST and coder[PLACE] == stream.size)
+    wanted = [_LEAST] * STATES + [stream.size - 1, 0]
+    return bool(coder[: FAULT + 1].tolist() == wanted)
 
 
 @inlined
@@ -58,41 +72,52 @@ def wide(number: Any) -> int:
 
 
 @inlined
-def put(start: int, size: int, coder: Int64s, stream: Uint32s) -> None:
+def _put(start: int, size: int, coder: Int64s, stream: Uint32s) -> None:
     """Note a symbol's interval; certain ones take nothing."""
+    turn = coder[TURN]
     if size < ONE:
-        stream[coder[PLACE]] = start << 16 | size
+        stream[coder[PLACE]] = turn << 28 | start << 16 | size
         coder[PLACE] += 1
+    coder[TURN] = (turn + 1) & (STATES - 1)
 
 
 @inlined
-def advance(start: int, size: int, coder: Int64s, stream: Uint32s) -> None:
-    """Take a symbol's interval off the state."""
-    state = size * (coder[STATE] >> PRECISION) + (coder[STATE] & (ONE - 1)) - start
-    if state < _LEAST:
-        if coder[PLACE] < stream.size:
-            state = state << 32 | wide(stream[coder[PLACE]])
-            coder[PLACE] += 1
-        else:
-            state = _LEAST
-            coder[FAULT] = 1
-    coder[STATE] = state
+def _low(coder: Int64s) -> int:
+    """Return what says which symbol is next."""
+    return wide(coder[coder[TURN] & (STATES - 1)] & (ONE - 1))
 
 
 @inlined
-def code_bit(bit: int, chance: int, coder: Int64s, stream: Uint32s) -> int:
-    """Encode or decode a bit that is 1 in ``chance`` of 4096 cases, 1 to 4095; return it."""
-    if coder[PASS] == DECODES:
-        bit = int(coder[STATE] & (ONE - 1) < chance)
-        if bit:
-            advance(0, chance, coder, stream)
-        else:
-            advance(chance, ONE - chance, coder, stream)
-    elif bit:
-        put(0, chance, coder, stream)
+def _take(start: int, size: int, coder: Int64s, stream: Uint32s) -> None:
+    """Take a symbol's interval off a state."""
+    turn = coder[TURN] & (STATES - 1)
+    state = coder[turn]
+    state = size * (state >> PRECISION) + (state & (ONE - 1)) - start
+    # Whether a word is wanted is as good as random: a branch would be missed. Beyond the end PLACE tells.
+    wants = wide(state < _LEAST)
+    place = coder[PLACE]
+    word = wide(stream[np.uint64(min(place, stream.size - 1))])
+    coder[turn] = state << 16 * wants | word & -wants
+    coder[PLACE] = place + wants
+    coder[TURN] = (turn + 1) & (STATES - 1)
+
+
+@inlined
+def code_symbol(work: int, symbol: int, context: int, pool: Pool, coder: Int64s, stream: Uint32s) -> int:
+    """Count, encode or decode a symbol in a context; return it. ``work`` is the coder's PASS."""
+    if work == COUNTS:
+        pool.counts[context, symbol] += 1
+        return symbol
+    table = wide(pool.chosen[np.uint64(context)])
+    if work == DECODES:
+        symbol = wide(pool.symbols[np.uint64(table << PRECISION | _low(coder))])
+    interval = wide(pool.intervals[np.uint64(table << 8 | symbol)])
+    start, size = interval & 0xFFFF, interval >> 16
+    if work == DECODES:
+        _take(start, size, coder, stream)
     else:
-        put(chance, ONE - chance, coder, stream)
-    return bit
+        _put(start, size, coder, stream)
+    return symbol
 
 
 @inlined
@@ -102,39 +127,46 @@ def code_bits(value: int, count: int, coder: Int64s, stream: Uint32s) -> int:
     found = 0
     while done < count:
         some = min(count - done, PRECISION)
-        size = ONE >> some
         if coder[PASS] == DECODES:
-            part = (coder[STATE] & (ONE - 1)) >> (PRECISION - some)
-            advance(part << (PRECISION - some), size, coder, stream)
+            part = _low(coder) >> (PRECISION - some)
+            _take(part << (PRECISION - some), ONE >> some, coder, stream)
         else:
             part = value >> done & ((1 << some) - 1)
-            put(part << (PRECISION - some), size, coder, stream)
+            _put(part << (PRECISION - some), ONE >> some, coder, stream)
         found |= part << done
         done += some
     return found
 
 
 @kernel
-def write_words(intervals: Uint32s, count: int, words: Uint32s) -> int:
+def _write_words(intervals: Uint32s, count: int, words: Uint16s) -> int:
     """Turn intervals into words, the last first, at the far end of ``words``; return where they begin."""
-    state, at = _LEAST, words.size
+    states = np.full(STATES, _LEAST, np.int64)
+    at = words.size
     for i in range(count - 1, -1, -1):
-        start, size = wide(intervals[i]) >> 16, wide(intervals[i]) & 0xFFFF
-        if state >= size << 51:
+        interval = wide(intervals[i])
+        turn, start, size = interval >> 28, interval >> 16 & (ONE - 1), interval & (2 * ONE - 1)
+        state = states[turn]
+        if state >= size << 20:
             at -= 1
             words[at] = state & _WORD
-            state >>= 32
-        state = (state // size << PRECISION) + state % size + start
-    words[at - 1] = state >> 32
-    words[at - 2] = state & _WORD
-    return at - 2
+            state >>= 16
+        whole = np.uint32(state) // np.uint32(size)
+        states[turn] = (wide(whole) << PRECISION) + state - wide(whole) * size + start
+    for turn in range(STATES - 1, -1, -1):
+        at -= 2
+        words[at] = states[turn] & _WORD
+        words[at + 1] = states[turn] >> 16
+    return at
 
 
-def words_of(coder: Int64s, intervals: Uint32s) -> Uint32s:
+def words_of(coder: Int64s, intervals: Uint32s) -> Uint16s:
     """Return the words of the intervals that a coder noted."""
     count = int(coder[PLACE])
-    words = np.empty(count + 2, np.uint32)  # an interval is 12 bits or less
-    return words[write_words(intervals, count, words) :]
+    if count == 0:
+        return np.empty(0, np.uint16)
+    words = np.empty(count + 2 * STATES, np.uint16)  # an interval is 12 bits or less
+    return words[_write_words(intervals, count, words) :]
 
 
 # Whole numbers without a table, for the tables themselves: how many bits one has, then these, each bit coded
@@ -144,72 +176,95 @@ _LENGTHS = 34
 
 
 @kernel
-def code_numbers(numbers: Int64s, chances: Int64s, coder: Int64s, stream: Uint32s) -> None:
-    """Encode or decode whole numbers below 2³² in place.
+def _code_numbers(numbers: Int64s, chances: Int64s, coder: Int64s, stream: Uint32s) -> None:
+    """Encode or decode whole numbers below 2³² in place: each 0 is followed by how many more there are.
 
-    ``chances`` (4, 34, 2) are those of the length's bits and of the highest bits below the first, by the
-    length of the number before.
+    ``chances`` (5, 34, 2) are those of the length's bits and of the highest bits below the first, by the
+    length of the number before; the last kind is that of runs.
     """
-    kind = 0
-    for i in range(numbers.size):
-        value = numbers[i] + 1
-        length = 0
-        if coder[PASS] != DECODES:
-            while value >> (length + 1):
-                length += 1
-        bits = 0
-        while bits < _LENGTHS - 1:
-            more = _adapted(int(bits < length), chances, kind, bits, 0, coder, stream)
-            if not more:
-                break
-            bits += 1
-        found = 1
-        if bits > 32:
-            coder[FAULT] = 1
+    kind = i = 0
+    while i < numbers.size:
+        numbers[i] = number = _code_number(numbers[i], kind, chances, coder, stream)
+        i += 1
+        kind = 0
+        while kind < _KINDS - 1 and number + 1 >> (kind + 1):
+            kind += 1
+        if number == 0:
+            more = 0
+            while coder[PASS] != DECODES and i + more < numbers.size and numbers[i + more] == 0:
+                more += 1
+            more = _code_number(more, _KINDS, chances, coder, stream)
+            if more > numbers.size - i:
+                coder[FAULT] = 1
+            i += more
+        if coder[FAULT]:
             return
-        for place in range(bits - 1, -1, -1):
-            bit = value >> place & 1
-            if place == bits - 1:
-                bit = _adapted(bit, chances, kind, bits, 1, coder, stream)
-            else:
-                bit = code_bits(bit, 1, coder, stream)
-            found = found << 1 | bit
-        numbers[i] = found - 1
-        kind = min(bits, _KINDS - 1)
+
+
+@inlined
+def _code_number(number: int, kind: int, chances: Int64s, coder: Int64s, stream: Uint32s) -> int:
+    value = number + 1
+    length = bits = 0
+    if coder[PASS] != DECODES:
+        while value >> (length + 1):
+            length += 1
+    while bits < _LENGTHS - 1:
+        if not _adapted(int(bits < length), chances, kind, bits, 0, coder, stream):
+            break
+        bits += 1
+    if bits == 0:
+        return 0
+    if bits > 32:
+        coder[FAULT] = 1
+        return 0
+    high = _adapted(value >> (bits - 1) & 1, chances, kind, bits, 1, coder, stream)
+    low = code_bits(value & ((1 << (bits - 1)) - 1), bits - 1, coder, stream)
+    return ((2 | high) << (bits - 1) | low) - 1
 
 
 @inlined
 def _adapted(
     bit: int, chances: Int64s, kind: int, length: int, part: int, coder: Int64s, stream: Uint32s
 ) -> int:
+    """Encode or decode a bit, 1 in so many of 4096 cases, 1 to 4095, which move to what is seen."""
     chance = chances[kind, length, part]
-    bit = code_bit(bit, chance, coder, stream)
-    chances[kind, length, part] = adapted(chance, bit, 4)
+    if coder[PASS] == DECODES:
+        bit = int(_low(coder) < chance)
+    start, size = (0, chance) if bit else (chance, ONE - chance)
+    if coder[PASS] == DECODES:
+        _take(start, size, coder, stream)
+    else:
+        _put(start, size, coder, stream)
+    chances[kind, length, part] = (
+        chance + ((ONE - 1 - chance) >> 4) if bit else max(chance - (chance >> 4), 1)
+    )
     return bit
 
 
-@inlined
-def adapted(chance: int, bit: int, shift: int) -> int:
-    """Return a bit's chance after it was seen: it moves to what was seen by 2⁻ˢʰⁱᶠᵗ of the way."""
-    return chance + ((ONE - 1 - chance) >> shift) if bit else max(chance - (chance >> shift), 1)
+def _new_chances() -> Int64s:
+    return np.full((_KINDS + 1, _LENGTHS, 2), ONE // 2, np.int64)
 
 
-def encoded_numbers(numbers: Int64s) -> Uint32s:
+def encoded_numbers(numbers: Int64s) -> Uint16s:
     """Return the stream of whole numbers (n,), 0 to 2³² − 2."""
-    coder, stream = new_coder(ENCODES), np.empty(66 * numbers.size, np.uint32)
-    code_numbers(numbers.copy(), np.full((_KINDS, _LENGTHS, 2), ONE // 2, np.int64), coder, stream)
+    coder, stream = new_coder(ENCODES), np.empty(120 * numbers.size, np.uint32)
+    _code_numbers(numbers.copy(), _new_chances(), coder, stream)
     return words_of(coder, stream)
 
 
-def decoded_numbers(stream: Uint32s, count: int) -> Int64s | None:
-    """Return so many numbers of a stream; None if it does not hold them."""
-    numbers, coder = np.zeros(count, np.int64), decoder(stream)
-    if coder[FAULT] == 0:
-        code_numbers(numbers, np.full((_KINDS, _LENGTHS, 2), ONE // 2, np.int64), coder, stream)
+def decoded_numbers(words: Uint16s, count: int) -> Int64s | None:
+    """Return so many numbers of a stream's words; None if it does not hold them."""
+    numbers, (coder, stream) = np.zeros(count, np.int64), decoder(words)
+    _code_numbers(numbers, _new_chances(), coder, stream)
     return numbers if is_whole(coder, stream) else None
 
 
-# Tables of symbols' frequencies.
+# Tables of symbols' frequencies, which contexts share.
+
+#: Most tables of a pool.
+TABLES = 64
+_SIZES = (64, 24, 8, 1)
+_SYMBOL_BITS = 7.0  # about what the frequency of a symbol takes
 
 
 def normalized(counts: Int64s) -> Int64s:
@@ -226,46 +281,66 @@ def normalized(counts: Int64s) -> Int64s:
     return found
 
 
+def pool_of(chosen: Uint8s, sizes: Int64s) -> Pool:
+    """Return what kernels take of frequencies (tables, 256), each row's sum 4096."""
+    starts = np.cumsum(sizes, axis=1) - sizes
+    symbols = np.repeat(np.tile(np.arange(256, dtype=np.uint8), len(sizes)), sizes.reshape(-1))
+    return Pool(
+        chosen, (sizes << 16 | starts).astype(np.uint32).reshape(-1), symbols, np.empty((0, 0), np.int64)
+    )
+
+
 @kernel
-def _look_up_tables(sizes: Int64s, starts: Int64s, symbols: Uint8s) -> None:
-    for row in range(sizes.shape[0]):
-        at = 0
-        for symbol in range(256):
-            starts[row, symbol] = at
-            for _ in range(sizes[row, symbol]):
-                symbols[row, at] = symbol
-                at += 1
-        starts[row, 256] = at
+def _choose_tables(counts: Int64s, bits: Float64s, chosen: Int64s, sums: Int64s) -> float:
+    """Choose for each context the table that codes its symbols in fewest bits; return how many all take.
+
+    ``bits`` (tables, symbols) are what tables take for a symbol; counts are added to their table's ``sums``.
+    """
+    total = 0.0
+    symbols = np.empty(counts.shape[1], np.int64)
+    for context in range(counts.shape[0]):
+        used = 0
+        for symbol in range(counts.shape[1]):
+            if counts[context, symbol]:
+                symbols[used] = symbol
+                used += 1
+        least = np.inf
+        for table in range(bits.shape[0]):
+            cost = 0.0
+            for n in range(used):
+                cost += bits[table, symbols[n]] * counts[context, symbols[n]]
+            if cost < least:
+                least, chosen[context] = cost, table
+        total += least
+        for n in range(used):
+            sums[chosen[context], symbols[n]] += counts[context, symbols[n]]
+    return total
 
 
-class Tables:
-    """Frequencies as kernels take them."""
+def shared_tables(counts: Int64s) -> tuple[Uint8s, Int64s]:
+    """Return which table each context uses (contexts,), and frequencies (tables, 256).
 
-    def __init__(self, sizes: Int64s) -> None:
-        self.sizes = sizes
-        self.starts = np.zeros((len(sizes), 257), np.int64)
-        self.symbols = np.zeros((len(sizes), ONE), np.uint8)
-        _look_up_tables(sizes, self.starts, self.symbols)
-
-
-@inlined
-def code_symbol(
-    symbol: int,
-    table: int,
-    counts: Int64s,
-    starts: Int64s,
-    symbols: Uint8s,
-    coder: Int64s,
-    stream: Uint32s,
-) -> int:
-    """Count, encode or decode a symbol of a table; return it."""
-    work = coder[PASS]
-    if work == COUNTS:
-        counts[table, symbol] += 1
-        return symbol
-    if work == DECODES:
-        symbol = wide(symbols[table, coder[STATE] & (ONE - 1)])
-        advance(starts[table, symbol], starts[table, symbol + 1] - starts[table, symbol], coder, stream)
-    else:
-        put(starts[table, symbol], starts[table, symbol + 1] - starts[table, symbol], coder, stream)
-    return symbol
+    Contexts whose symbols are spread alike share a table (k-means); there are as many tables as make them
+    and what they code smallest. Those that code most come first.
+    """
+    used = np.flatnonzero(counts.any(axis=1))
+    chosen = np.zeros(len(counts), np.uint8)
+    own = counts[used]
+    sums = own[np.argsort(-own.sum(axis=1), kind="stable")]
+    least, nearest, sizes = np.inf, np.zeros(used.size, np.int64), np.ones((1, counts.shape[1]), np.int64)
+    for size in sorted({min(size, used.size) for size in _SIZES} - {0}, reverse=True):
+        found = np.zeros(used.size, np.int64)
+        for _ in range(3):
+            sums = sums[np.argsort(-sums.sum(axis=1), kind="stable")][:size]
+            centres = sums + 0.02
+            bits = np.log2(centres.sum(axis=1, keepdims=True)) - np.log2(centres)
+            sums = np.zeros_like(sums)
+            total = _choose_tables(own, bits, found, sums)
+        total += _SYMBOL_BITS * np.count_nonzero(sums) + used.size * np.log2(size + 1)
+        if total < least:
+            least, nearest, sizes = total, found, sums
+    kept = sizes.any(axis=1)
+    chosen[used] = (np.cumsum(kept) - 1)[nearest]
+    frequencies = np.zeros((np.count_nonzero(kept), 256), np.int64)
+    frequencies[:, : counts.shape[1]] = sizes[kept]
+    return chosen, normalized(frequencies)

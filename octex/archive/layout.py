@@ -72,7 +72,7 @@ class Named(NamedTuple):
     kept_values: Uint8s
 
 
-def blocks(level_nodes: Int64s, level: int) -> Iterator[Block]:
+def blocks_of(level_nodes: Int64s, level: int) -> Iterator[Block]:
     """Yield the blocks of a level's nodes."""
     begin, end = int(level_nodes[level]), int(level_nodes[level + 1])
     while begin < end:

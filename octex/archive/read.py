@@ -15,9 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from octex.archive import values
-from octex.archive.areas import code_areas, code_row_areas, linear_areas
-from octex.archive.around import around_children, around_nodes, shapes
+from octex.archive import blocks, values
+from octex.archive.blocks import Content, Span
 from octex.archive.entropy import decoded_numbers, decoder, is_whole
 from octex.archive.layout import (
     BLOCK,
@@ -29,23 +28,22 @@ from octex.archive.layout import (
     SPLIT,
     START,
     TREE,
-    Block,
-    blocks,
+    blocks_of,
     first_rows,
     named,
     parts,
     room,
 )
-from octex.archive.models import Models, Numbers, most_numbers, no_counts
+from octex.archive.models import Models, most_numbers
 from octex.archive.models import read as read_models
-from octex.archive.structure import code_structure
-from octex.arrays import Array, Int64s, Uint8s, Uint32s
+from octex.arrays import Array, Int64s, Uint8s, Uint16s, Uint32s
 from octex.container import without_duplicates
 from octex.errors import ArgumentError, TextureFileError
 from octex.files import open_file
 from octex.parallel import ordered_map, workers
 from octex.tree import layout as tree_layout
 from octex.tree.layout import FACING_FLAGS, MAX_CELLS, MAX_DEPTH, KeptTable, SplitTable, TreeArrays
+from octex.tree.octree import no_kept, no_split
 from octex.tree.validate import check_layout
 
 _DTYPES = {"uint8": 1, "uint16": 2, "float16": 2, "float32": 4}
@@ -53,6 +51,8 @@ _OTHERS = ("uint", "int", "float")
 #: The longest head, in bytes of JSON, and the most that xz may take.
 _LONGEST_HEAD = 100_000_000
 _MOST_FOR_XZ = 1 << 26
+#: Numbers of models that a byte of their stream may say; those of an empty texture have about 1,000.
+_MOST_OF_A_BYTE = 1 << 12
 
 
 class _DamagedError(Exception):
@@ -116,12 +116,12 @@ def _decoded(content: mmap.mmap) -> Contents:
         head = _head(json.loads(text, object_pairs_hook=without_duplicates))
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError):
         raise _DamagedError("its head is damaged; copy it again") from None
+    _check_records(head, records.size)
     codings = {name: coding for name, _, coding, _ in head.channels}
     try:
         models = read_models(_numbers(model, codings), codings)
     except ValueError:
         raise _DamagedError("its models are damaged; copy it again") from None
-    _check_records(head, records.size)
     tensors = _room(head)
     decoding = _Decoding(content, begin, head, models, records, tensors)
     decoding.run()
@@ -129,8 +129,8 @@ def _decoded(content: mmap.mmap) -> Contents:
     return Contents(tensors, head.metadata, sizes)
 
 
-def _directory(content: mmap.mmap) -> tuple[int, bytes, Uint32s, Int64s]:
-    """Return where the directory begins, the head's text, the models' stream and the records."""
+def _directory(content: mmap.mmap) -> tuple[int, bytes, bytes, Int64s]:
+    """Return where the directory begins, the head's text, the models and the records."""
     first = content[:START]
     if first[:8] != MAGIC:
         raise _DamagedError("is no archive of octex")
@@ -146,7 +146,7 @@ def _directory(content: mmap.mmap) -> tuple[int, bytes, Uint32s, Int64s]:
     if zlib.crc32(directory) != int.from_bytes(first[24:28], "little"):
         raise _DamagedError("its directory is damaged; copy it again")
     lengths = np.frombuffer(directory, "<u4", 3).tolist()
-    if 12 + sum(lengths) != length or lengths[1] % 4 or lengths[2] % 4:
+    if 12 + sum(lengths) != length or lengths[1] < 4 or lengths[1] % 2 or lengths[2] % 4:
         raise _DamagedError("its directory is damaged; copy it again")
     inflate = zlib.decompressobj()
     try:
@@ -156,19 +156,23 @@ def _directory(content: mmap.mmap) -> tuple[int, bytes, Uint32s, Int64s]:
     if not inflate.eof or inflate.unused_data:
         raise _DamagedError("its head is damaged; copy it again")
     at = 12 + lengths[0]
-    model = np.frombuffer(directory[at : at + lengths[1]], "<u4").astype(np.uint32)
+    model = directory[at : at + lengths[1]]
     return begin, text, model, np.frombuffer(directory[at + lengths[1] :], "<u4").astype(np.int64)
 
 
-def _numbers(model: Uint32s, codings: dict[str, values.Coding]) -> Numbers:
-    """Return the numbers of the models' stream, which begins with how many there are."""
-    count = int(model[0]) if model.size else 0
-    if count > most_numbers(codings):
+def _words(stream: bytes) -> Uint16s:
+    return np.frombuffer(stream, "<u2", len(stream) // 2)
+
+
+def _numbers(model: bytes, codings: dict[str, values.Coding]) -> Int64s:
+    """Return the numbers of the models: how many there are, then their stream."""
+    count = int.from_bytes(model[:4], "little")
+    if count > min(most_numbers(codings), _MOST_OF_A_BYTE * len(model)):
         raise ValueError
-    numbers = decoded_numbers(model[1:], count)
+    numbers = decoded_numbers(_words(model[4:]), count)
     if numbers is None:
         raise ValueError
-    return Numbers(numbers)
+    return numbers
 
 
 def _head(given: Any) -> _Head:
@@ -228,7 +232,7 @@ def _channel(given: Any) -> tuple[str, np.dtype[Any], values.Coding, Uint8s]:
     is_float = dtype.startswith("float")
     if components < 1 or root.size != components * size or (error and is_float) or error >= 1 << 8 * size:
         raise ValueError
-    none = np.zeros((2 * components * values.CLASSES, values.TERMS), np.int64)
+    none = np.zeros(values.weights_of(components), np.int64)
     coding = values.Coding(values.order_of(components), size, int(is_float), error, unit, none)
     return name, np.dtype(dtype), coding, root.reshape(components, size)
 
@@ -318,6 +322,39 @@ def _room(head: _Head) -> dict[str, Array]:
     return tensors
 
 
+class _Streams:
+    """Streams of a block, read one after the other."""
+
+    def __init__(self, content: mmap.mmap, streams: list[_Stream]) -> None:
+        self._content = content
+        self._left = iter(streams)
+        self._stream: _Stream
+        self._open: tuple[Int64s, Uint32s]
+
+    def damaged(self) -> _DamagedError:
+        """Return the error for a stream that is not what was written."""
+        return _DamagedError(f"its bytes from {self._stream.begin} on are damaged; copy it again")
+
+    def next_bytes(self) -> bytes:
+        """Return the next stream's bytes."""
+        self._stream = next(self._left)
+        found = self._content[self._stream.begin : self._stream.begin + self._stream.length]
+        if zlib.crc32(found) != self._stream.checksum:
+            raise self.damaged()
+        return found
+
+    def begin(self, most: int) -> tuple[Int64s, Uint32s]:  # noqa: ARG002 (for those that write)
+        """Return the next stream and its coder."""
+        self._open = decoder(_words(self.next_bytes()))
+        return self._open
+
+    def end(self) -> None:
+        """Raise for a stream that was not read to its end."""
+        if self._stream.length % 2 or not is_whole(*self._open):
+            begin = self._stream.begin
+            raise _DamagedError(f"its bytes from {begin} on make no sense: damaged, or not by octex")
+
+
 class _Decoding:
     """The decoding of one archive."""
 
@@ -342,8 +379,6 @@ class _Decoding:
         self._at_byte = START
         self._arrays = TreeArrays(*(tensors[name] for name in TREE))
         self._channels = {name: named(tensors, name) for name, *_ in head.channels}
-        self._counts = no_counts({})
-        self._linear, self._shapes = linear_areas(), shapes()
 
     def run(self) -> None:
         """Decode everything."""
@@ -360,29 +395,24 @@ class _Decoding:
                 self._decode(self._level(level), executor)
             split, kept = self._tables()
             check_layout(arrays, split, kept)
+            content = self._content_of(split, kept)
             firsts = first_rows(split.facings)
-            streams = 1 + len(self._channels)
-            self._decode(
-                [
-                    partial(self._rows, split, part, firsts, self._streams(1, streams))
-                    for part in parts(split.cells.size)
-                ],
-                executor,
-            )
-            self._decode(
-                [
-                    partial(self._kept, kept, part, self._streams(2, streams - 1))
-                    for part in parts(kept.cells.size)
-                ],
-                executor,
-            )
-            self._decode(
-                [
-                    partial(self._piece, *piece, self._streams(len(self.sizes) - 1, 1)[0])
-                    for piece in _pieces(head)
-                ],
-                executor,
-            )
+            rows = partial(blocks.code_split, content, self._models)
+            kept_values = partial(blocks.code_kept, content, self._models)
+            channels = len(self._channels)
+            tasks: list[Callable[[], None]] = [
+                partial(rows, part, firsts, self._streams(1, 1 + channels))
+                for part in parts(split.cells.size)
+            ]
+            self._decode(tasks, executor)
+            tasks = [
+                partial(kept_values, part, self._streams(2, channels)) for part in parts(kept.cells.size)
+            ]
+            self._decode(tasks, executor)
+            tasks = [
+                partial(self._piece, *piece, self._streams(len(self.sizes) - 1, 1)) for piece in _pieces(head)
+            ]
+            self._decode(tasks, executor)
         if self._at_byte != self._end:
             raise _DamagedError("has bytes that belong to no block; copy it again")
 
@@ -395,7 +425,7 @@ class _Decoding:
         self._at_record += count
         return found
 
-    def _streams(self, first: int, count: int) -> list[_Stream]:
+    def _streams(self, first: int, count: int) -> _Streams:
         """Return the next streams of the file; the first is that of the so-manieth of ``sizes``."""
         found = []
         names = list(self.sizes)
@@ -406,59 +436,26 @@ class _Decoding:
             self.sizes[names[first + n]] += length
         if self._at_byte > self._end:
             raise _DamagedError("its blocks are longer than the file; copy it again")
-        return found
+        return _Streams(self._content, found)
 
-    def _bytes(self, stream: _Stream) -> bytes:
-        found = self._content[stream.begin : stream.begin + stream.length]
-        if zlib.crc32(found) != stream.checksum:
-            raise _DamagedError(f"its bytes from {stream.begin} on are damaged; copy it again")
-        return found
-
-    def _opened(self, stream: _Stream) -> tuple[Int64s, Uint32s]:
-        found = self._bytes(stream)
-        words = np.frombuffer(found, "<u4", len(found) // 4).astype(np.uint32)
-        return decoder(words), words
-
-    def _check(self, coder: Int64s, words: Uint32s, stream: _Stream) -> None:
-        if stream.length % 4 or not is_whole(coder, words):
-            raise _DamagedError(f"its bytes from {stream.begin} on make no sense: damaged, or not by octex")
+    def _content_of(self, split: SplitTable, kept: KeptTable) -> Content:
+        return Content(self._arrays, split, kept, self._channels, self._channels)
 
     def _level(self, level: int) -> list[Callable[[], None]]:
         """Return what decodes the children of a level's nodes."""
         arrays = self._arrays
         tasks: list[Callable[[], None]] = []
         node, cell = int(arrays.level_nodes[level + 1]), int(arrays.level_cells[level + 1])
-        for block in blocks(arrays.level_nodes, level):
+        content = self._content_of(no_split(), no_kept())
+        for block in blocks_of(arrays.level_nodes, level):
             nodes, cells = self._numbers(2)
             streams = self._streams(0, 2 + len(self._channels))
-            tasks.append(partial(self._block, block, node, cell, node + nodes, cell + cells, streams))
+            span = Span(node, cell, node + nodes, cell + cells)
+            tasks.append(partial(blocks.code_children, content, self._models, block, span, streams))
             node, cell = node + nodes, cell + cells
         if node != arrays.level_nodes[level + 2] or cell != arrays.level_cells[level + 2]:
             raise _DamagedError(f"level {level + 1} has not as many cells as its blocks; copy it again")
         return tasks
-
-    def _block(
-        self, block: Block, node: int, cell: int, end_node: int, end_cell: int, streams: list[_Stream]
-    ) -> None:
-        arrays, models = self._arrays, self._models
-        cells, nodes = around_nodes(arrays, *block)
-        may_be_nodes = block.level + 3 < arrays.level_cells.size
-        coder, words = self._opened(streams[0])
-        numbers = block.first, block.last, node, cell, end_node, end_cell
-        state = models.chances.copy(), self._counts.bits, coder, words
-        code_structure(arrays.groups, arrays.flags, *numbers, may_be_nodes, cells, nodes, *state)
-        self._check(coder, words, streams[0])
-        rows = around_children(arrays.groups, block.first, block.last, cells, nodes, end_cell - cell)
-        coder, words = self._opened(streams[1])
-        tables = models.area_tables, self._counts.areas, models.areas.starts, models.areas.symbols
-        code_areas(rows, arrays.areas, cell, self._linear, self._shapes, *tables, coder, words)
-        self._check(coder, words, streams[1])
-        for (name, (coding, own)), stream in zip(models.channels.items(), streams[2:], strict=True):
-            raw = self._channels[name].values
-            coder, words = self._opened(stream)
-            symbols = self._counts.areas, own.starts, own.symbols
-            values.code_values(rows, raw, raw, cell, coding, values.STEPS, *symbols, coder, words)
-            self._check(coder, words, stream)
 
     def _tables(self) -> tuple[SplitTable, KeptTable]:
         """Return the split table, without areas, and the kept nodes, by the flags."""
@@ -476,42 +473,15 @@ class _Decoding:
             raise _DamagedError("its split cells have other rows than its head says; copy it again")
         return split, kept
 
-    def _rows(self, split: SplitTable, part: slice, firsts: Int64s, streams: list[_Stream]) -> None:
-        models = self._models
-        cells, facings, first = split.cells[part], split.facings[part], int(firsts[part.start])
-        owners = np.repeat(cells, np.diff(firsts[part.start : part.stop + 1]))
-        coder, words = self._opened(streams[0])
-        tables = models.area_tables, self._counts.areas, models.areas.starts, models.areas.symbols
-        own = split.areas, first, self._arrays.areas, self._linear
-        code_row_areas(cells, facings, *own, *tables, coder, words)
-        self._check(coder, words, streams[0])
-        for name, stream in zip(self._channels, streams[1:], strict=True):
-            raw = self._channels[name].split_values
-            self._values(name, owners, raw, first, values.SPLIT_ROWS, stream)
-
-    def _kept(self, kept: KeptTable, part: slice, streams: list[_Stream]) -> None:
-        for name, stream in zip(self._channels, streams, strict=True):
-            raw = self._channels[name].kept_values
-            self._values(name, kept.cells[part], raw, part.start, values.KEPT_NODES, stream)
-
-    def _values(
-        self, name: str, owners: Uint32s, raw: Uint8s, first: int, kind: int, stream: _Stream
-    ) -> None:
-        coding, tables = self._models.channels[name]
-        coder, words = self._opened(stream)
-        task = owners, self._channels[name].values, raw, raw, first, kind, coding, values.STEPS
-        values.code_rows(*task, self._counts.areas, tables.starts, tables.symbols, coder, words)
-        self._check(coder, words, stream)
-
-    def _piece(self, name: str, begin: int, end: int, stream: _Stream) -> None:
-        found = self._bytes(stream)
+    def _piece(self, name: str, begin: int, end: int, streams: _Streams) -> None:
+        found = streams.next_bytes()
         try:
             inflate = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=_MOST_FOR_XZ)
             content = inflate.decompress(found, end - begin + 1)
         except lzma.LZMAError:
-            raise _DamagedError(f"its bytes from {stream.begin} on are damaged; copy it again") from None
+            raise streams.damaged() from None
         if len(content) != end - begin or not inflate.eof or inflate.unused_data:
-            raise _DamagedError(f"its bytes from {stream.begin} on are damaged; copy it again")
+            raise streams.damaged()
         self._tensors[name].reshape(-1).view(np.uint8)[begin:end] = np.frombuffer(content, np.uint8)
 
 

@@ -1,40 +1,37 @@
-"""Which children a node has, and what flags: bits, each by what is known around it.
+"""Which children a node has, which of them are leaves, and their flags, by what is known around.
 
-Of each node in turn, of each octant in turn: is it occupied; if so, is it a node; of the facings that the
-parent shows, which does it show; is it kept, if it is a node; is it split. A cell shows no facing that its
-parent does not.
+Of each node in turn: which of the four lower octants are occupied, which of the upper four; which children
+are leaves; then each child's flags. A cell shows no facing that its parent does not.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from octex.archive.around import children_of, ones, place_beside
-from octex.archive.entropy import COUNTS, DECODES, FAULT, PASS, adapted, code_bit, wide
+from octex.archive.around import OWN, children_of, ones
+from octex.archive.entropy import DECODES, FAULT, PASS, Pool, code_symbol, wide
 from octex.arrays import Int64s, Uint8s, Uint32s, Uint64s
-from octex.jit import inlined, kernel
-from octex.tree.layout import FACING_FLAGS, KEPT, POSITIVE_FACINGS, SPLIT
+from octex.jit import kernel
+from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
 
-# Contexts, one after the other.
-_OCCUPIED = 0  # 2¹³: 10 cells of the parent's level, 3 of the child's
-_IS_NODE = _OCCUPIED + (1 << 13)  # 3 · 4 · 4
-_FACING = _IS_NODE + 48  # 3 · 2 · 2 · 3 · 2 · 2
-_SPLIT = _FACING + 144  # 2 · 3 · 2 · 2
-_KEPT = _SPLIT + 24  # 2 · 3
-CONTEXTS = _KEPT + 6
-#: A bit's chance moves by 2⁻⁶ of the way at each.
-_SHIFT = 6
+#: Contexts, and symbols, of the three: 64 · 4 · 4 · 16 for each half; 3 · 4; 5 · 9 · 8 · 6.
+OCCUPIED = 1 << 15, 16
+LEAVES = 12, 256
+FLAGS = 2160, 256
 
 
-@inlined
-def _coded(bit: int, context: int, chances: Int64s, counts: Int64s, coder: Int64s, stream: Uint32s) -> int:
-    if coder[PASS] == COUNTS:
-        counts[context, bit] += 1
-        return bit
-    chance = chances[context]
-    bit = code_bit(bit, chance, coder, stream)
-    chances[context] = adapted(chance, bit, _SHIFT)
-    return bit
+def facing_tables() -> tuple[Uint8s, Uint8s]:
+    """Return bits (64, 64) of a mask that another has, close together from bit 0 on; and the way back."""
+    together, apart = np.zeros((64, 64), np.uint8), np.zeros((64, 64), np.uint8)
+    bits = np.arange(64)
+    for mask in range(64):
+        at = 0
+        for place in range(6):
+            if mask >> place & 1:
+                together[mask] |= ((bits >> place & 1) << at).astype(np.uint8)
+                apart[mask] |= ((bits >> at & 1) << place).astype(np.uint8)
+                at += 1
+    return together, apart
 
 
 @kernel
@@ -50,8 +47,8 @@ def code_structure(
     may_be_nodes: bool,
     cells: Int64s,
     nodes: Int64s,
-    chances: Int64s,
-    counts: Int64s,
+    facings: tuple[Uint8s, Uint8s],
+    pools: tuple[Pool, Pool, Pool],
     coder: Int64s,
     stream: Uint32s,
 ) -> None:
@@ -60,128 +57,80 @@ def code_structure(
     Decoding, it writes their masks and the groups' ranks, and their flags. Its children are numbered from
     ``next_node`` and ``next_cell`` on, up to the ends: what goes beyond sets FAULT.
     """
-    decodes = coder[PASS] == DECODES
+    work = coder[PASS]
+    decodes = work == DECODES
+    together, apart = facings
+    occupied_pool, leaves_pool, flags_pool = pools
+    # Of the block's nodes: which children they have, and which is the first.
+    masks, begins = np.zeros(last - first, np.int64), np.zeros(last - first, np.int64)
+    beside = np.zeros(6, np.int64)
+    kinds = 0  # of the children of the node before: nodes, mixed, leaves
     for node in range(first, last):
         own = node - first
-        shift = np.uint64(8 * (node & 7))
         is_node = is_leaf = 0
-        if decodes:
-            if node & 7 == 0:
-                groups[node >> 3, 0] = 0
-                groups[node >> 3, 1] = 0
-                groups[node >> 3, 2] = np.uint64(next_node) | np.uint64(next_cell) << np.uint64(32)
-        else:
+        if not decodes:
             is_node, is_leaf, _, _ = children_of(groups, node)
+        elif node & 7 == 0:
+            groups[node >> 3, 0] = 0
+            groups[node >> 3, 1] = 0
+            groups[node >> 3, 2] = np.uint64(next_node) | np.uint64(next_cell) << np.uint64(32)
+        faces = leaves_beside = 0
+        for k in range(6):
+            if cells[own, k] != cells[own, OWN]:
+                faces |= 1 << k
+                leaves_beside += wide(nodes[own, k] < 0)
+            beside[k] = 0
+            if k & 1 == 0 and nodes[own, k] >= first:
+                beside[k] = masks[nodes[own, k] - first]
+        x, y, z = beside[0], beside[2], beside[4]
         there = is_node | is_leaf
-        parent = wide(flags[cells[own, 13]])
+        context = ((faces << 2 | x >> 1 & 1 | x >> 2 & 2) << 2 | y >> 2 & 3) << 4 | z >> 4
+        low = code_symbol(work, there & 15, context, occupied_pool, coder, stream) & 15
+        context = ((faces << 2 | x >> 5 & 1 | x >> 6 & 2) << 2 | y >> 6 & 3) << 4 | low
+        high = code_symbol(work, there >> 4, 1 << 14 | context, occupied_pool, coder, stream) & 15
+        there = low | high << 4
+        leaves = there
+        if may_be_nodes:
+            symbol = 255 if is_leaf == there else is_leaf
+            symbol = code_symbol(work, symbol, 4 * kinds + min(leaves_beside, 3), leaves_pool, coder, stream)
+            leaves = symbol & there
+            kinds = 0 if leaves == 0 else 2 if leaves == there else 1
+        inner = there & ~leaves
+        masks[own], begins[own] = there, next_cell
+        if there == 0 or next_cell + ones(there) > end_cell or next_node + ones(inner) > end_node:
+            coder[FAULT] = 1
+            return
+        parent = wide(flags[cells[own, OWN]])
         shown = parent & FACING_FLAGS
-        many = min(ones(shown), 3)
-        inner = leaves = union = 0
-        before = -1  # the sibling before
+        many = min(ones(shown), 4)
+        union = split_before = 0
         for octant in range(8):
-            x = 1 if octant & 1 else -1
-            y = 3 if octant & 2 else -3
-            z = 9 if octant & 4 else -9
-            context = wide(cells[own, 13 + x] >= 0)
-            context |= wide(cells[own, 13 + y] >= 0) << 1
-            context |= wide(cells[own, 13 + z] >= 0) << 2
-            context |= wide(cells[own, 13 + x + y] >= 0) << 3
-            context |= wide(cells[own, 13 + x + z] >= 0) << 4
-            context |= wide(cells[own, 13 + y + z] >= 0) << 5
-            context |= wide(cells[own, 13 + x + y + z] >= 0) << 6
-            context |= wide(cells[own, 13 - x] >= 0) << 7
-            context |= wide(cells[own, 13 - y] >= 0) << 8
-            context |= wide(cells[own, 13 - z] >= 0) << 9
-            # Of the cells at −x, −y and −z, those of this block: flags set, and not; which are nodes.
-            some = other = split_beside = 0
-            known = node_beside = 0
-            for axis in range(3):
-                bit = 1 << axis
-                across = octant ^ bit
-                beside = -1
-                if octant & bit:
-                    if (inner | leaves) >> across & 1:
-                        beside = next_cell - ones((inner | leaves) >> across)
-                        node_beside += inner >> across & 1
-                else:
-                    dx, dy, dz = -(axis == 0), -(axis == 1), -(axis == 2)
-                    place, _ = place_beside(octant, dx, dy, dz)
-                    beyond = nodes[own, place]
-                    if first <= beyond < node:
-                        inner2, leaves2, _, cell2 = children_of(groups, beyond)
-                        if (inner2 | leaves2) >> across & 1:
-                            beside = cell2 + ones((inner2 | leaves2) & ((1 << across) - 1))
-                            node_beside += inner2 >> across & 1
-                if beside >= 0:
-                    context |= 1 << 10 + axis
-                    known += 1
-                    found = wide(flags[beside])
-                    some |= found
-                    other |= ~found
-                    split_beside |= found & SPLIT
-            is_there = _coded(there >> octant & 1, _OCCUPIED + context, chances, counts, coder, stream)
-            if not is_there:
+            if not there >> octant & 1:
                 continue
-            if next_cell >= end_cell:
-                coder[FAULT] = 1
-                return
-            inside = 0
-            if may_be_nodes:
-                siblings = 0 if before < 0 else 1 + (inner >> before & 1)
-                context = _IS_NODE + siblings + 3 * known + 12 * node_beside
-                inside = _coded(is_node >> octant & 1, context, chances, counts, coder, stream)
-                if inside and next_node >= end_node:
-                    coder[FAULT] = 1
-                    return
-                next_node += inside
-            flag = wide(flags[next_cell]) if not decodes else 0
-            last_flags = wide(flags[next_cell - 1])
-            facings = 0
-            for place in range(6):
-                if not shown >> place & 1:
-                    continue
-                sibling = 0 if before < 0 else 1 + (last_flags >> place & 1)
-                context = (many - 1) + 3 * (some >> place & 1) + 6 * (other >> place & 1) + 12 * sibling
-                context += 36 * (union >> place & 1) + 72 * wide(facings != 0)
-                facings |= (
-                    _coded(flag >> place & 1, _FACING + context, chances, counts, coder, stream) << place
-                )
-            union |= facings
-            both = wide((facings & facings >> 1 & POSITIVE_FACINGS) != 0)
-            sibling = 0 if before < 0 else 1 + (last_flags >> 7 & 1)
-            context = _SPLIT + (parent >> 7) + 2 * sibling + 6 * wide(split_beside != 0) + 12 * both
-            found = facings | _coded(flag >> 7 & 1, context, chances, counts, coder, stream) * SPLIT
-            if inside:
-                sibling = 0 if before < 0 else 1 + (last_flags >> 6 & 1)
-                context = _KEPT + (parent >> 6 & 1) + 2 * sibling
-                found |= _coded(flag >> 6 & 1, context, chances, counts, coder, stream) * KEPT
+            some = 0
+            for axis in range(3 if many > 1 else 0):
+                across = octant ^ 1 << axis
+                other = own if octant >> axis & 1 else nodes[own, 2 * axis] - first
+                if other >= 0 and masks[other] >> across & 1:
+                    some |= wide(flags[begins[other] + ones(masks[other] & ((1 << across) - 1))])
+            flag = 0 if decodes else wide(flags[next_cell])
+            symbol = wide(together[shown, flag & FACING_FLAGS]) | flag & (SPLIT | KEPT)
+            before = 0 if next_cell == begins[own] else 1 + (wide(together[shown, union]) & 7)
+            context = (many * 9 + before) * 8 + (wide(together[shown, some & FACING_FLAGS]) & 7)
+            context = context * 6 + 2 * split_before + (parent >> 7)
+            symbol = code_symbol(work, symbol, context, flags_pool, coder, stream)
             if decodes:
-                flags[next_cell] = found
-            inner |= inside << octant
-            leaves |= (1 - inside) << octant
-            before = octant
+                flag = wide(apart[shown, symbol & FACING_FLAGS]) | symbol & (SPLIT | KEPT)
+                if leaves >> octant & 1:
+                    flag &= ~KEPT
+                flags[next_cell] = flag
+            union |= flag & FACING_FLAGS
+            split_before = 1 + (flag >> 7)
             next_cell += 1
+        next_node += ones(inner)
         if decodes:
+            shift = np.uint64(8 * (node & 7))
             groups[node >> 3, 0] |= np.uint64(inner) << shift
             groups[node >> 3, 1] |= np.uint64(leaves) << shift
-            if inner | leaves == 0:
-                coder[FAULT] = 1
-                return
     if next_node != end_node or next_cell != end_cell:
         coder[FAULT] = 1
-
-
-def chances_of(counts: Int64s) -> Int64s:
-    """Return how likely bits (contexts, 2) are 1, in 63 steps of their logits, 0 where none was seen."""
-    seen = counts.sum(axis=1) > 0
-    chance = (counts[:, 1] + 0.4) / (counts.sum(axis=1) + 0.8)
-    steps = np.clip(np.rint(4 * np.log2(chance / (1 - chance))), -31, 31) + 32
-    return np.where(seen, steps, 0).astype(np.int64)
-
-
-def chances_from(steps: Int64s) -> Int64s:
-    """Return the chances of 4096 that steps stand for."""
-    logits = np.exp2((np.arange(64) - 32) / 4)
-    table = np.clip(np.rint(4096 * logits / (1 + logits)), 1, 4095).astype(np.int64)
-    found: Int64s = table[np.minimum(steps, 63)]
-    return found

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import lzma
 import os
+import threading
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from itertools import chain
@@ -14,10 +15,18 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from octex.archive import values
-from octex.archive.areas import code_areas, code_row_areas, linear_areas
-from octex.archive.around import SHAPE, around_children, around_nodes, shapes
-from octex.archive.entropy import COUNTS, ENCODES, encoded_numbers, new_coder, words_of
+from octex.archive import blocks, values
+from octex.archive.around import ABOUT, OWN, around_children, around_nodes, shapes
+from octex.archive.blocks import Content, Span
+from octex.archive.entropy import (
+    COUNTS,
+    ENCODES,
+    MEASURES,
+    encoded_numbers,
+    new_coder,
+    pool_of,
+    words_of,
+)
 from octex.archive.layout import (
     BLOCK,
     FORMAT,
@@ -30,38 +39,23 @@ from octex.archive.layout import (
     TREE,
     Block,
     Named,
-    blocks,
+    blocks_of,
     first_rows,
     known_names,
     named,
     parts,
     room,
 )
-from octex.archive.models import Counts, Models, made, no_counts, uncounted
-from octex.archive.structure import code_structure
+from octex.archive.models import Models, counting, made, no_counts
 from octex.arrays import Array, Int64s, Uint8s, Uint32s
 from octex.files import replacing
 from octex.parallel import ordered_map, workers
 from octex.tree.layout import KeptTable, SplitTable, TreeArrays
 from octex.tree.octree import Octree, no_kept, no_split
 
-#: Blocks that one task counts or encodes.
-_TOGETHER = 8
-#: About so many cells of nodes, and of leaves, are looked at to choose weights.
-_SAMPLE = 1 << 14
-
-
-class _Subject(NamedTuple):
-    """What is archived."""
-
-    arrays: TreeArrays
-    split: SplitTable
-    kept: KeptTable
-    channels: dict[str, Named]
-    decoded: dict[str, Named]  # as they will be read: the same arrays where nothing may move
-    codings: dict[str, values.Coding]
-    linear: Int64s
-    shapes: Uint8s
+#: About so many cells of nodes, and of leaves, are looked at to choose weights, so often.
+_SAMPLE = 1 << 13
+_ROUNDS = 3
 
 
 def write(
@@ -86,14 +80,13 @@ def write(
     others = {name: tensors[name] for name in tensors if name not in known_names(tensors, channels)}
     sampled = _sampled(arrays)
     codings = {
-        name: _coding(channel, tensors[f"channels/{name}"].dtype.kind == "f", errors[name], sampled, arrays)
+        name: _coding(channel, tensors[f"channels/{name}"].dtype.kind == "f", errors[name], sampled)
         for name, channel in given.items()
     }
     decoded = {name: _copied(channel) if errors[name] else channel for name, channel in given.items()}
-    subject = _Subject(arrays, split, kept, given, decoded, codings, linear_areas(), shapes())
+    content = Content(arrays, split, kept, given, decoded)
     with replacing(path) as file, workers() as executor:
-        counts = _counted(subject, executor)
-        models, numbers = made(counts, codings)
+        models, numbers = made(_counted(content, codings, executor), codings)
         head = {
             "format": FORMAT,
             "metadata": dict(metadata),
@@ -119,12 +112,12 @@ def write(
                 for name, array in others.items()
             ],
         }
-        _write_file(file, subject, models, head, numbers, others, executor)
+        _write_file(file, content, models, head, numbers, others, executor)
 
 
 def _write_file(
     file: BinaryIO,
-    subject: _Subject,
+    content: Content,
     models: Models,
     head: dict[str, Any],
     numbers: Int64s,
@@ -133,7 +126,7 @@ def _write_file(
 ) -> None:
     file.write(bytes(START))
     records: list[int] = []
-    encoded = chain.from_iterable(_encoded(subject, models, executor))
+    encoded = _Pass(content, lambda: models, ENCODES).all(executor)
     for numbers_of_children, streams in chain(encoded, _pieces(others)):
         records += numbers_of_children
         for stream in streams:
@@ -142,7 +135,7 @@ def _write_file(
     text = zlib.compress(
         json.dumps(head, ensure_ascii=False, separators=(",", ":")).encode("utf-8", "replace"), 9
     )
-    model = np.append(np.uint32(numbers.size), encoded_numbers(numbers)).astype("<u4").tobytes()
+    model = numbers.size.to_bytes(4, "little") + encoded_numbers(numbers).astype("<u2").tobytes()
     record = np.array(records, "<u4").tobytes()
     lengths = np.array([len(text), len(model), len(record)], "<u4").tobytes()
     begin = file.tell()
@@ -169,43 +162,51 @@ def _pieces(others: Mapping[str, Array]) -> Iterator[Encoded]:
 # The weights.
 
 
-def _sampled(arrays: TreeArrays) -> list[tuple[Block, Int64s]]:
-    """Return some blocks, all over the fine levels, and what lies around their children."""
-    chosen: list[Block] = []
+def _sampled(arrays: TreeArrays) -> list[tuple[Span, Uint32s, Int64s]]:
+    """Return the children of some nodes, all over the fine levels, and what lies around them."""
+    found = []
     for level in range(max(arrays.level_cells.size - 4, 0), arrays.level_cells.size - 2):
         begin, end = int(arrays.level_nodes[level]), int(arrays.level_nodes[level + 1])
         size = BLOCK // 8
         count = min(max(_SAMPLE // (4 * size), 1), -(-(end - begin) // size))
         for n in range(count):
             first = begin + (end - begin) * n // count
-            chosen.append(Block(level, first, min(first + size, end)))
-    return [(block, _rows(arrays, block)[0]) for block in chosen]
+            block = Block(level, first, min(first + size, end))
+            cells, nodes = around_nodes(arrays, *block)
+            span = _span(arrays, block)
+            rows = np.empty((span.end_cell - span.cell, 4), np.uint32)
+            around_children(arrays.groups, block.first, block.last, cells, nodes, shapes(), rows)
+            found.append((span, rows, cells))
+    return found
 
 
 def _coding(
-    channel: Named, is_float: bool, error: int, sampled: list[tuple[Block, Int64s]], arrays: TreeArrays
+    channel: Named, is_float: bool, error: int, sampled: list[tuple[Span, Uint32s, Int64s]]
 ) -> values.Coding:
-    _, components, size = channel.values.shape
-    order = values.order_of(components)
-    none = np.zeros((2 * components * values.CLASSES, values.TERMS), np.int64)
-    coding = values.Coding(order, size, int(is_float), error, 0, none)
-    terms, found, is_node = [], [], []
-    for block, rows in sampled:
-        own = np.zeros((len(rows), components, values.TERMS), np.int64)
-        differences = np.zeros((len(rows), components), np.int64)
-        begin = _children(arrays, block)[1]
-        values.gather(rows, channel.values, begin, coding, values.PARTS, own.reshape(-1), differences)
-        terms.append(own)
-        found.append(differences)
-        is_node.append((rows[:, SHAPE] >> 6).astype(np.uint8))
-    if not terms:
-        return coding
-    wanted = np.concatenate(found)
-    # Floats and 16 bits differ by far more steps than 8 bits do.
-    usual = int(np.median(np.abs(wanted))) if size > 1 else 0
-    unit = max(usual.bit_length() - 3, 0)
-    weights = values.fitted(np.concatenate(terms), wanted, np.concatenate(is_node), unit)
-    return coding._replace(unit=unit, weights=weights)
+    raw = channel.values
+    _, components, size = raw.shape
+    weights = np.zeros(values.weights_of(components), np.int64)
+    coding = values.Coding(values.order_of(components), size, int(is_float), 0, 0, weights)
+    if size > 1:  # floats and 16 bits differ by far more steps than 8 bits do
+        coding = coding._replace(unit=_unit(raw, coding, sampled))
+    pool = pool_of(np.zeros(0, np.uint8), np.zeros((0, 256), np.int64))
+    for _ in range(_ROUNDS):
+        squares = values.new_squares(components)
+        for span, rows, cells in sampled:
+            state = squares, pool, new_coder(MEASURES), np.empty(0, np.uint32)
+            values.code_values(rows, cells, raw, raw, span.cell, coding, values.STEPS, *state)
+        values.solve(squares, weights)
+    return coding._replace(error=error)
+
+
+def _unit(raw: Uint8s, coding: values.Coding, sampled: list[tuple[Span, Uint32s, Int64s]]) -> int:
+    """Return the unit in which values differ from their parents' by about eight, or none if that is less."""
+    usual = []
+    for span, rows, cells in sampled:
+        node = np.cumsum(np.append(1, rows[:-1, ABOUT] >> 4 & 15 == 1)) - 1
+        parents = values.numbers_of(raw[cells[node, OWN]], coding)
+        usual.append(np.abs(values.numbers_of(raw[span.cell : span.end_cell], coding) - parents).reshape(-1))
+    return max(int(np.median(np.concatenate(usual))).bit_length() - 3, 0) if usual else 0
 
 
 def _copied(channel: Named) -> Named:
@@ -218,13 +219,13 @@ def _copied(channel: Named) -> Named:
 # The blocks.
 
 
-def _children(arrays: TreeArrays, block: Block) -> tuple[int, int, int, int]:
+def _span(arrays: TreeArrays, block: Block) -> Span:
     """Return the first node and cell below a block, and those after its last."""
     node, cell = _first_below(arrays, block.first)
     if block.last < arrays.level_nodes[block.level + 1]:
-        return node, cell, *_first_below(arrays, block.last)
+        return Span(node, cell, *_first_below(arrays, block.last))
     below = block.level + 2
-    return node, cell, int(arrays.level_nodes[below]), int(arrays.level_cells[below])
+    return Span(node, cell, int(arrays.level_nodes[below]), int(arrays.level_cells[below]))
 
 
 def _first_below(arrays: TreeArrays, node: int) -> tuple[int, int]:
@@ -236,122 +237,80 @@ def _first_below(arrays: TreeArrays, node: int) -> tuple[int, int]:
     )
 
 
-def _rows(arrays: TreeArrays, block: Block) -> tuple[Int64s, Int64s, Int64s]:
-    """Return what lies around a block's children, and around its nodes."""
-    cells, nodes = around_nodes(arrays, *block)
-    _, begin, _, end = _children(arrays, block)
-    return around_children(arrays.groups, block.first, block.last, cells, nodes, end - begin), cells, nodes
+class _Streams:
+    """Streams that are counted or encoded."""
+
+    def __init__(self, work: int) -> None:
+        self._work = work
+        self._open: tuple[Int64s, Uint32s]
+        self.found: list[bytes] = []
+
+    def begin(self, most: int) -> tuple[Int64s, Uint32s]:
+        """Return a coder and room for so many intervals."""
+        self._open = new_coder(self._work), np.empty(most if self._work == ENCODES else 0, np.uint32)
+        return self._open
+
+    def end(self) -> None:
+        """Note the words of a stream."""
+        if self._work == ENCODES:
+            self.found.append(words_of(*self._open).astype("<u2").tobytes())
 
 
 class _Pass(NamedTuple):
     """What blocks are counted or encoded with."""
 
-    subject: _Subject
-    models: Models
+    content: Content
+    models: Callable[[], Models]
     work: int
 
-    def stream(self, most: int) -> tuple[Int64s, Uint32s]:
-        """Return a coder and room for so many intervals."""
-        return new_coder(self.work), np.empty(most if self.work == ENCODES else 0, np.uint32)
-
-    def block(self, block: Block, counts: Counts) -> Encoded:
+    def block(self, block: Block) -> Encoded:
         """Count or encode the children of nodes."""
-        subject, arrays, models = self.subject, self.subject.arrays, self.models
-        rows, cells, nodes = _rows(arrays, block)
-        node, cell, end_node, end_cell = _children(arrays, block)
-        numbers = block.first, block.last, node, cell, end_node, end_cell
-        may_be_nodes = block.level + 3 < arrays.level_cells.size
-        coder, stream = self.stream(80 * (block.last - block.first))
-        state = models.chances.copy(), counts.bits, coder, stream
-        code_structure(arrays.groups, arrays.flags, *numbers, may_be_nodes, cells, nodes, *state)
-        found = [(coder, stream)]
-        coder, stream = self.stream(len(rows))
-        tables = models.area_tables, counts.areas, models.areas.starts, models.areas.symbols
-        code_areas(rows, arrays.areas, cell, subject.linear, subject.shapes, *tables, coder, stream)
-        found.append((coder, stream))
-        for name, (coding, own) in models.channels.items():
-            coder, stream = self.stream(4 * len(rows) * coding.order.size)
-            given, decoded = subject.channels[name].values, subject.decoded[name].values
-            symbols = counts.channels[name], own.starts, own.symbols
-            values.code_values(rows, given, decoded, cell, coding, values.STEPS, *symbols, coder, stream)
-            found.append((coder, stream))
-        return [end_node - node, end_cell - cell], self.words(found)
+        span, streams = _span(self.content.arrays, block), _Streams(self.work)
+        blocks.code_children(self.content, self.models(), block, span, streams)
+        return [span.end_node - span.node, span.end_cell - span.cell], streams.found
 
-    def rows(self, chosen: slice, firsts: Int64s, counts: Counts) -> Encoded:
+    def split(self, chosen: slice, firsts: Int64s) -> Encoded:
         """Count or encode the rows of split cells."""
-        subject, models, split = self.subject, self.models, self.subject.split
-        cells, facings = split.cells[chosen], split.facings[chosen]
-        owners = np.repeat(cells, np.diff(firsts[chosen.start : chosen.stop + 1]))
-        first = int(firsts[chosen.start])
-        coder, stream = self.stream(owners.size)
-        tables = models.area_tables, counts.areas, models.areas.starts, models.areas.symbols
-        own = split.areas, first, subject.arrays.areas, subject.linear
-        code_row_areas(cells, facings, *own, *tables, coder, stream)
-        found = [(coder, stream)]
-        for name in models.channels:
-            given, decoded = subject.channels[name].split_values, subject.decoded[name].split_values
-            found.append(self.values(name, owners, given, decoded, first, values.SPLIT_ROWS, counts))
-        return [], self.words(found)
+        streams = _Streams(self.work)
+        blocks.code_split(self.content, self.models(), chosen, firsts, streams)
+        return [], streams.found
 
-    def kept(self, chosen: slice, counts: Counts) -> Encoded:
+    def kept(self, chosen: slice) -> Encoded:
         """Count or encode the values of kept nodes."""
-        subject, cells = self.subject, self.subject.kept.cells[chosen]
-        found = []
-        for name in self.models.channels:
-            given, decoded = subject.channels[name].kept_values, subject.decoded[name].kept_values
-            found.append(self.values(name, cells, given, decoded, chosen.start, values.KEPT_NODES, counts))
-        return [], self.words(found)
+        streams = _Streams(self.work)
+        blocks.code_kept(self.content, self.models(), chosen, streams)
+        return [], streams.found
 
-    def values(
-        self,
-        name: str,
-        owners: Uint32s,
-        given: Uint8s,
-        decoded: Uint8s,
-        first: int,
-        kind: int,
-        counts: Counts,
-    ) -> tuple[Int64s, Uint32s]:
-        """Count or encode rows of values by the cells that own them."""
-        coding, tables = self.models.channels[name]
-        coder, stream = self.stream(4 * owners.size * coding.order.size)
-        cells = self.subject.decoded[name].values
-        symbols = counts.channels[name], tables.starts, tables.symbols
-        task = owners, cells, given, decoded, first, kind, coding, values.STEPS
-        values.code_rows(*task, *symbols, coder, stream)
-        return coder, stream
-
-    def words(self, found: list[tuple[Int64s, Uint32s]]) -> list[bytes]:
-        """Return streams as bytes."""
-        return [] if self.work == COUNTS else [words_of(*each).tobytes() for each in found]
-
-    def several(self, each: Sequence[partial[Encoded]]) -> tuple[Counts, list[Encoded]]:
-        """Count or encode some blocks."""
-        counts = no_counts(self.subject.codings)
-        return counts, [one(counts=counts) for one in each]
-
-    def all(self, executor: Executor) -> Iterator[tuple[Counts, list[Encoded]]]:
-        """Count or encode all, level by level: those of a level, several at a time, in parallel."""
-        arrays, split = self.subject.arrays, self.subject.split
+    def all(self, executor: Executor) -> Iterator[Encoded]:
+        """Count or encode all, level by level: the blocks of a level in parallel."""
+        arrays, split = self.content.arrays, self.content.split
         tasks: list[list[partial[Encoded]]] = [
-            [partial(self.block, block) for block in blocks(arrays.level_nodes, level)]
+            [partial(self.block, block) for block in blocks_of(arrays.level_nodes, level)]
             for level in range(arrays.level_cells.size - 2)
         ]
         firsts = first_rows(split.facings)
-        tasks.append([partial(self.rows, part, firsts) for part in parts(split.cells.size)])
-        tasks.append([partial(self.kept, part) for part in parts(self.subject.kept.cells.size)])
+        tasks.append([partial(self.split, part, firsts) for part in parts(split.cells.size)])
+        tasks.append([partial(self.kept, part) for part in parts(self.content.kept.cells.size)])
         for level in tasks:
-            some = [level[n : n + _TOGETHER] for n in range(0, len(level), _TOGETHER)]
-            yield from ordered_map(executor, self.several, some, window=8)
+            yield from ordered_map(executor, _called, level)
 
 
-def _counted(subject: _Subject, executor: Executor) -> Counts:
-    counts = no_counts(subject.codings)
-    for found, _ in _Pass(subject, uncounted(subject.codings), COUNTS).all(executor):
-        counts.add(found)
-    return counts
+def _called(task: partial[Encoded]) -> Encoded:
+    return task()
 
 
-def _encoded(subject: _Subject, models: Models, executor: Executor) -> Iterator[list[Encoded]]:
-    for _, found in _Pass(subject, models, ENCODES).all(executor):
-        yield found
+def _counted(content: Content, codings: dict[str, values.Coding], executor: Executor) -> list[Int64s]:
+    """Return how often what occurs; each thread has counts of its own."""
+    found: list[list[Int64s]] = []
+    here = threading.local()
+
+    def own() -> Models:
+        if not hasattr(here, "models"):
+            counts = no_counts(codings)
+            found.append(counts)
+            here.models = counting(counts, codings)
+        return here.models  # type: ignore[no-any-return]
+
+    for _ in _Pass(content, own, COUNTS).all(executor):
+        pass
+    return [np.sum(each, axis=0) for each in zip(*found or [no_counts(codings)], strict=True)]

@@ -102,8 +102,6 @@ def _surfaces(folder: Path) -> list[octex.Surface]:
 
 
 def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
-    from octex.archive.values import TERMS, fitted
-
     samples = surface.scatter(100)
     for channel in surface.channels:
         surface.evaluate(samples, channel.name, width=0.1)
@@ -113,10 +111,6 @@ def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
     texture.validate()
     texture.save(folder / "needle.octz")
     octex.open(folder / "needle.octz")
-    cells = 5 * TERMS  # fewer are not fitted
-    fitted(
-        np.zeros((cells, 1, TERMS), np.int64), np.zeros((cells, 1), np.int64), np.zeros(cells, np.uint8), 0
-    )
     for points in (samples.rest, samples.rest.astype(np.float32)):
         texture.contains(points)
         for filter in FILTERS:
