@@ -128,35 +128,36 @@ def drawn(
 
     ``light`` and ``bump`` are as for ``preview.draw_preview``.
 
-    Alpha is the texture's, 0 beside the model; colours are not multiplied by it.
+    Alpha is the texture's, 0 beside the model; colours are not multiplied by it. Of what is not ``shaded``,
+    to be painted on, only the nearest layer is drawn; else what is behind shows through.
     """
     import numpy as np
 
     from octex.channels import encode
-    from octex.preview.pictures import lit, posed_normals, rest_normals, visible_hits
-    from octex.preview.shaders import Appearance, texture_shader
-    from octex.view.shading import corner_normals, face_normals
+    from octex.preview.pictures import film_surface, rest_normals, visible_hits
+    from octex.preview.shaders import Appearance, Hits, Shader, texture_shader
 
-    look = None
+    def grey(hits: Hits) -> Appearance:
+        return Appearance(np.full((len(hits.width), 3), 0.5))
+
+    look: Shader = grey
     if texture is not None:
         surface = surface.placed_in(texture)
         look = texture_shader(texture, channel, materials=light is not None, bump=bump)
+    codes = np.zeros((camera.height, camera.width, 4), np.uint8)
     if shaded:
-        faces, _ = face_normals(surface.vertices, surface.triangles)
-        smooth = corner_normals(surface.vertices, surface.triangles)
-    codes = np.zeros((camera.height * camera.width, 4), np.uint8)
-    for seen, hits in visible_hits(surface, camera, rest_normals(surface)):
-        appearance = Appearance(np.full((len(seen), 3), 0.5)) if look is None else look(hits)
-        if shaded:
-            points = surface.points_at(hits.triangles, hits.barycentric)
-            normals = np.einsum("nk,nkc->nc", hits.barycentric, smooth[hits.triangles])
-            others = posed_normals(surface, hits.triangles, appearance.normals)
-            appearance = lit(appearance, light, camera, points, faces[hits.triangles], normals, others)
-        codes[seen, :3] = encode(appearance.unlit(), "uint8", "srgb")
-        coverage = appearance.coverage
-        codes[seen, 3] = 255 if coverage is None else encode(coverage, "uint8", "data")
-    codes[codes[:, 3] == 0] = 0
-    return codes.reshape(camera.height, camera.width, 4)
+        color, coverage = film_surface(surface, camera, [look], 1, light)[0].exposure()
+        codes[..., :3] = encode(color / np.maximum(coverage, 1e-9), "uint8", "srgb")
+        codes[..., 3:] = encode(coverage, "uint8", "data")
+    else:
+        flat = codes.reshape(-1, 4)
+        for seen, hits in visible_hits(surface, camera, rest_normals(surface)):
+            appearance = look(hits)
+            flat[seen, :3] = encode(appearance.unlit(), "uint8", "srgb")
+            cover = appearance.coverage
+            flat[seen, 3] = 255 if cover is None else encode(cover, "uint8", "data")
+    codes[codes[..., 3] == 0] = 0
+    return codes
 
 
 def as_png(codes: Uint8s) -> bytes:
