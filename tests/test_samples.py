@@ -170,6 +170,7 @@ def test_make_droid_writes_the_droid(
         ("23_displacement.py", ["displacement.png"], "the ball, and displaced to"),
         ("24_ptex.py", ["house.obj", "house.ptx", "ptex.png"], "14 faces of six polygons"),
         ("25_unwrap.py", ["unwrap.png"], "painted flat"),
+        ("29_light.py", ["light.png"], "3 lights on"),
         ("26_photographs.py", ["photographs.glb", "photographs.png"], "painted robustly, and the truth"),
     ],
 )
