@@ -100,7 +100,7 @@ def unwrap(
     and says so: ``Patch.faults``. Around a handle or a limb, what lies behind it comes from both sides and
     meets where both are as far: triangles across that line fold, lie behind the others and are not painted.
     The distances are those on the mesh: of a sphere of 96 sides they are within a hundredth of the radius of
-    the sphere's own, of one of 48 within 2.3, where straight lines on its triangles miss by 3.3.
+    the sphere's own, of one of 48 within 2.3, where straight lines on its triangles miss by 3.4.
 
     Raises ModelError for a centre that is farther than the radius from the surface, ArgumentError for numbers
     out of range.
