@@ -42,6 +42,9 @@ SPECULAR = ChannelFormat("specular", 3, "srgb")
 NORMAL = ChannelFormat("normal", 3, "direction")
 DETAIL = ChannelFormat("detail", 1, "data")
 
+#: How much light of each component weighs in a colour's luminance (ITU-R BT.709).
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
 #: Averages weigh by alpha, but by no less: where nothing covers a cell its colour is still a mean.
 LEAST_COVERAGE = 2.0**-40
 

@@ -24,10 +24,7 @@ MODEL = Path(__file__).with_name("droid.glb")
 def main(folder: Path) -> None:
     model = octex.load_surface(MODEL, channels=["base_color"])
     texture = octex.convert(model, DEPTH)
-    heights = model.vertices[:, 1]
-    head = model.vertices[(heights > 0.43) & (heights < 0.66)]
-    middle = head.mean(axis=0)
-    patch = octex.unwrap(model, middle + np.array([0.05, 0.1, 0.1]), 0.1, size=SIZE)
+    patch = octex.unwrap(model, (0.004, 0.529, 0.18), 0.048, up=(0, 0, -1), size=SIZE)  # on its forehead
     flat = encode(render(patch.surface, patch.camera, texture_shader(texture)), "uint8", "srgb")
     drawn = Image.fromarray(flat)
     pen = ImageDraw.Draw(drawn)
@@ -36,7 +33,9 @@ def main(folder: Path) -> None:
         box = [SIZE / 2 - reach, SIZE / 2 - reach, SIZE / 2 + reach, SIZE / 2 + reach]
         pen.ellipse(box, outline=(220, 40, 30, 255), width=SIZE // 24)
     painted = octex.paint(texture, model, octex.Projection(drawn, patch, since=flat))
-    camera = octex.Camera.fitted(head, (0.5, 0.7, 1), size=(SIZE, SIZE))
+    _, height, depth = model.vertices.T
+    head = model.vertices[(height > 0.43) & (height < 0.6) & (depth > 0.1)]
+    camera = octex.Camera.fitted(head, (0.3, 1.0, 0.6), size=(SIZE, SIZE))
     after = encode(render(model, camera, texture_shader(painted)), "uint8", "srgb")
     folder.mkdir(parents=True, exist_ok=True)
     shown = [flat, np.array(drawn), after]

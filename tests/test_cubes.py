@@ -80,3 +80,18 @@ def test_cubes_at_behind_and_beside_the_camera_are_harmless(corner):
 def test_no_cubes_give_an_empty_picture():
     camera = Camera.pinhole(SIZE, pose=np.eye(4), convention="opencv", focal=10.0)
     assert (rasterize_cubes(np.zeros((0, 3)), np.zeros(0), camera).cube == -1).all()
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_layers_of_cubes_are_all_that_lie_behind_each_other(seed):
+    random = np.random.default_rng(seed)
+    camera = _camera("pinhole", _pose(random))
+    corners, edges = random.uniform(-2.0, 1.0, (6, 3)), random.uniform(0.2, 1.5, 6)
+    layer, seen = None, []
+    for _ in range(7):
+        layer = rasterize_cubes(corners, edges, camera, layer)
+        seen.append(layer.cube)
+    assert (seen[-1] < 0).all()
+    depths = np.array([rasterize_cubes(corners[n : n + 1], edges[n : n + 1], camera).depth for n in range(6)])
+    order = np.where(np.isfinite(np.sort(depths, axis=0)), np.argsort(depths, axis=0), -1)
+    assert np.array_equal(seen[:6], order)

@@ -265,3 +265,37 @@ def test_a_closed_surface_of_many_small_triangles_shows_only_its_front():
 def test_arrays_of_another_kind_are_refused(positions, triangles, complaint):
     with pytest.raises(ArgumentError, match=complaint):
         z_buffer(positions, triangles, _screen_camera(4, 4))
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_layers_are_all_that_lies_behind_each_other_by_depth(seed):
+    random = np.random.default_rng(seed)
+    camera = _screen_camera(9, 8)
+    positions = random.uniform([-3, -3, 1], [12, 12, 4], (24, 3))
+    triangles = np.arange(24, dtype=np.int32).reshape(8, 3)
+    triangles = np.vstack([triangles, triangles[:2, ::-1]])  # two lie at the same depth as others
+    layer, seen = None, []
+    for _ in range(len(triangles) + 1):
+        layer = z_buffer(positions, triangles, camera, behind=layer)
+        seen.append(layer.triangle.copy())
+    assert (seen[-1] < 0).all()
+    alone = [z_buffer(positions, one[None], camera) for one in triangles]
+    depths = np.array([each.depth for each in alone])
+    for row, column in np.ndindex(8, 9):
+        there = np.flatnonzero(np.isfinite(depths[:, row, column]))
+        order = sorted(there, key=lambda n: (round(depths[n, row, column], 9), n))
+        assert [layer[row, column] for layer in seen if layer[row, column] >= 0] == order
+
+
+def test_nothing_is_found_behind_what_is_taken_out():
+    camera, triangles = _screen_camera(4, 4), np.array([[0, 1, 2], [3, 4, 5]])
+    corners = np.array([[-9, -9], [30, -9], [-9, 30]])
+    positions = np.vstack([np.column_stack([corners, [z] * 3]) for z in (1.0, 2.0)])
+    first = z_buffer(positions, triangles, camera)
+    first.triangle[:2] = -1
+    with pool_of(2) as executor:
+        for workers in (None, executor):
+            second = z_buffer(positions, triangles, camera, workers, behind=first)
+            assert (second.triangle[:2] == -1).all()
+            assert (second.triangle[2:] == 1).all()
+            assert (second.depth[2:] == 2.0).all()

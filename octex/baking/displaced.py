@@ -8,7 +8,7 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s, Int64s
 from octex.baking.tessellation import Tessellation, edges_of, tessellated
-from octex.channels import ChannelFormat
+from octex.channels import LUMINANCE, ChannelFormat
 from octex.checks import as_choice, as_number, as_positive, as_whole
 from octex.errors import ArgumentError
 from octex.jit import inlined, kernel
@@ -21,8 +21,6 @@ from octex.source.welding import welded
 from octex.texture import OctreeTexture, as_texture
 from octex.view.shading import corner_normals
 
-#: How much light of each component weighs in a colour's height (ITU-R BT.709).
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 #: The field's gradient is averaged so often over the triangles around each vertex, over about a cell: its
 #: values are those of a fit, which fluctuate from cell to cell. Of a sphere's normals a third of the error.
 _ROUNDS = 3
@@ -141,7 +139,7 @@ def _heights(
 ) -> tuple[Float64s, Float64s]:
     """Return how far vertices move (n,), and how that changes by rest position (n, 3)."""
     values, gradients = texture.sample(rest, form.name, normals=facing, gradient=True)
-    weights = _LUMINANCE if form.components == 3 else np.eye(form.components)[0]
+    weights = LUMINANCE if form.components == 3 else np.eye(form.components)[0]
     with np.errstate(over="ignore", invalid="ignore"):  # refused where it is used
         heights = scale * (values.astype(np.float64) @ weights - middle)
         return heights, scale * np.einsum("ncx,c->nx", gradients.astype(np.float64), weights)

@@ -83,6 +83,19 @@ def cells_apart(text: str) -> float:
     return _number(text, lambda number: 1.0 <= number <= 1e6, "a number of cells from 1 to a million")
 
 
+def light(text: str) -> Path | str:
+    """Read the name of a picture of light from all around, or "studio"."""
+    return text if text == "studio" else Path(text)
+
+
+def bump(text: str) -> tuple[str, float]:
+    """Read CHANNEL=HEIGHT."""
+    name, equals, height = (part.strip() for part in text.partition("="))
+    if not (name and equals):
+        raise argparse.ArgumentTypeError(f"{text!r} is not CHANNEL=HEIGHT, like roughness=0.01")
+    return name, real(height)
+
+
 def error_codes(text: str) -> float:
     """Read a number of 8-bit codes: finite, 0 or more."""
     return _number(text, lambda number: 0.0 <= number < float("inf"), "a finite number from 0 on")

@@ -13,15 +13,18 @@ import octex
 from octex.cli.common import Reporter, bytes_text, check_outputs, say
 from octex.cli.models import DEFAULT_CHANNEL, new_texture, only, posed_inputs, read_posed, texture_of
 from octex.cli.shots import frame_of, patch_of
+from octex.cli.view_options import bump_of, light_of
 from octex.errors import ArgumentError, ExitCode
 from octex.files import replacing
 
 if TYPE_CHECKING:
     from octex.arrays import Uint8s
+    from octex.preview import Bump
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
     from octex.view.camera import Camera
     from octex.view.camera_files import Frame
+    from octex.view.environment import Environment
 
 DEFAULT_SIZE = (1024, 1024)
 _DIRECTION = (0.4, 0.3, 1.0)  # to the camera, where none is given
@@ -40,9 +43,9 @@ def view(command: str, options: argparse.Namespace) -> int:
     frame = _frame(options)
     with Reporter(command, options.quiet) as progress:
         texture = texture_of(options)
-        if texture is not None:
+        if texture is not None and (options.light is None and options.bump is None):
             texture = only(texture, options.channel or DEFAULT_CHANNEL)
-        else:
+        elif texture is None:
             progress.note(f"{new_texture(options)}: the model is drawn grey, in some light")
         with progress.stage("read"):
             surface = read_posed(options)
@@ -58,8 +61,9 @@ def view(command: str, options: argparse.Namespace) -> int:
             )
             camera = camera.undistorted
         with progress.stage("draw"):
-            shaded = options.shaded or texture is None
-            codes = drawn(texture, surface, camera, options.channel or DEFAULT_CHANNEL, shaded)
+            shaded = options.shaded or texture is None or options.light is not None
+            channel = options.channel or DEFAULT_CHANNEL
+            codes = drawn(texture, surface, camera, channel, shaded, light_of(options), bump_of(options))
         with progress.stage("write"):
             pictures = {options.view: as_png(codes)}
             if options.empty_layer is not None:
@@ -112,39 +116,48 @@ def _view_camera(options: argparse.Namespace, surface: Surface, frame: Frame | N
 
 
 def drawn(
-    texture: OctreeTexture | None, surface: Surface, camera: Camera, channel: str, shaded: bool
+    texture: OctreeTexture | None,
+    surface: Surface,
+    camera: Camera,
+    channel: str,
+    shaded: bool,
+    light: Environment | None = None,
+    bump: Bump | None = None,
 ) -> Uint8s:
     """Draw a channel, or grey, at the pixels' centres, ``shaded`` or not: codes (height, width, 4).
 
-    Alpha is the texture's, 0 beside the model; colours are not multiplied by it.
+    ``light`` and ``bump`` are as for ``preview.draw_preview``.
+
+    Alpha is the texture's, 0 beside the model; colours are not multiplied by it. Of what is not ``shaded``,
+    to be painted on, only the nearest layer is drawn; else what is behind shows through.
     """
     import numpy as np
 
     from octex.channels import encode
-    from octex.preview.pictures import rest_normals, visible_hits
-    from octex.preview.shaders import Appearance, texture_shader
-    from octex.view.shading import corner_normals, face_normals, light
+    from octex.preview.pictures import film_surface, rest_normals, visible_hits
+    from octex.preview.shaders import Appearance, Hits, Shader, texture_shader
 
-    look = None
+    def grey(hits: Hits) -> Appearance:
+        return Appearance(np.full((len(hits.width), 3), 0.5))
+
+    look: Shader = grey
     if texture is not None:
         surface = surface.placed_in(texture)
-        look = texture_shader(texture, channel)
+        look = texture_shader(texture, channel, materials=light is not None, bump=bump)
+    codes = np.zeros((camera.height, camera.width, 4), np.uint8)
     if shaded:
-        faces, _ = face_normals(surface.vertices, surface.triangles)
-        smooth = corner_normals(surface.vertices, surface.triangles)
-    codes = np.zeros((camera.height * camera.width, 4), np.uint8)
-    for seen, hits in visible_hits(surface, camera, rest_normals(surface)):
-        appearance = Appearance(np.full((len(seen), 3), 0.5)) if look is None else look(hits)
-        if shaded and appearance.reflected is not None:
-            points = surface.points_at(hits.triangles, hits.barycentric)
-            normals = np.einsum("nk,nkc->nc", hits.barycentric, smooth[hits.triangles])
-            lit = light(camera, points, faces[hits.triangles], normals)
-            appearance = appearance._replace(reflected=appearance.reflected * lit[:, None])
-        codes[seen, :3] = encode(appearance.unlit(), "uint8", "srgb")
-        coverage = appearance.coverage
-        codes[seen, 3] = 255 if coverage is None else encode(coverage, "uint8", "data")
-    codes[codes[:, 3] == 0] = 0
-    return codes.reshape(camera.height, camera.width, 4)
+        color, coverage = film_surface(surface, camera, [look], 1, light)[0].exposure()
+        codes[..., :3] = encode(color / np.maximum(coverage, 1e-9), "uint8", "srgb")
+        codes[..., 3:] = encode(coverage, "uint8", "data")
+    else:
+        flat = codes.reshape(-1, 4)
+        for seen, hits in visible_hits(surface, camera, rest_normals(surface)):
+            appearance = look(hits)
+            flat[seen, :3] = encode(appearance.unlit(), "uint8", "srgb")
+            cover = appearance.coverage
+            flat[seen, 3] = 255 if cover is None else encode(cover, "uint8", "data")
+    codes[codes[..., 3] == 0] = 0
+    return codes
 
 
 def as_png(codes: Uint8s) -> bytes:

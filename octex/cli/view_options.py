@@ -8,13 +8,15 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from octex.cli.arguments import length, position
+from octex.cli.arguments import bump, length, light, position, real
 from octex.cli.parser import option
 from octex.errors import ArgumentError
 
 if TYPE_CHECKING:
+    from octex.preview import Bump
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
+    from octex.view.environment import Environment
 
 VIEW_OPTIONS = (
     option(
@@ -29,6 +31,22 @@ VIEW_OPTIONS = (
         "draw so many times as large (default 1: the whole model)",
         metavar="TIMES",
         type=length,
+    ),
+    option(
+        "--light",
+        "draw in light from all around, reflected by metal, roughness and normal maps: a picture by latitude "
+        "and longitude, .hdr or .exr, or 'studio' (default: soft light on the colours alone)",
+        metavar="FILE",
+        type=light,
+    ),
+    option(
+        "--exposure", "make --light so many times twice as bright (default 0)", metavar="STOPS", type=real
+    ),
+    option(
+        "--bump",
+        "bend the normals as if a channel's 1 lay so much higher, in the model's units",
+        metavar="CHANNEL=HEIGHT",
+        type=bump,
     ),
     option("--frame", "draw through a camera of a glTF model, by its name", metavar="NAME"),
 )
@@ -51,7 +69,26 @@ def previewing(
     name = options.frame
     frame = None if name is None else frame_of(read_cameras(model), name, model)
     view = Viewpoint(options.direction, options.up or (0.0, 1.0, 0.0), options.zoom or 1.0, frame)
-    return partial(write_preview, options.preview, view=view)
+    return partial(write_preview, options.preview, view=view, light=light_of(options), bump=bump_of(options))
+
+
+def light_of(options: argparse.Namespace) -> Environment | None:
+    """Return the light that --light names; None without. Raises ImageError for a file that is no picture."""
+    if options.light is None:
+        return None
+    from octex.view.environment import Environment
+
+    exposure = options.exposure or 0.0
+    if options.light == "studio":
+        return Environment.studio(exposure)
+    return Environment.load(options.light, exposure, options.up or (0.0, 1.0, 0.0))
+
+
+def bump_of(options: argparse.Namespace) -> Bump | None:
+    """Return what bends the normals; None for nothing."""
+    from octex.preview import Bump
+
+    return None if options.bump is None else Bump(*options.bump)
 
 
 def check_view_options(options: argparse.Namespace) -> None:
@@ -62,5 +99,10 @@ def check_view_options(options: argparse.Namespace) -> None:
     for word, given in (("--direction", options.direction), ("--up", options.up)):
         if given is not None and options.frame is not None:
             raise ArgumentError(f"{word} and --frame both say where the camera is; give one of them")
+    is_view = getattr(options, "view", None) is not None
+    if is_view and options.bump is not None and options.light is None and not options.shaded:
+        raise ArgumentError("--bump has no meaning in a view without light: give --shaded or --light too")
+    if options.exposure is not None and options.light is None:
+        raise ArgumentError("--exposure has no meaning without --light")
     if options.direction is not None and not any(options.direction):
         raise ArgumentError("--direction must not be 0,0,0")

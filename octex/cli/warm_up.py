@@ -13,11 +13,12 @@ import octex
 from octex.files import scratch_folder
 from octex.formats.ply import write_points
 from octex.parallel import Progress
-from octex.preview import write_preview
+from octex.preview import Bump, write_preview
 from octex.source.vxz import unpack_vxz
 from octex.texture import FILTERS
 from octex.tree.morton import encode_cells
 from octex.tree.order import order_in_space, put_rows
+from octex.view.environment import Environment
 
 # A needle: few cells, but at a depth at which cells come in several blocks.
 _OBJ = """mtllib needle.mtl
@@ -71,7 +72,13 @@ def warm_up(progress: Progress) -> None:
             progress("compile", 2 * number, stages)
             _convert_and_look(surface, folder)
             progress("compile", 2 * number + 1, stages)
-            write_preview(folder / "model.png", surface, octex.convert(surface, 3), (64, 64))
+            texture = octex.convert(surface, 3)
+            write_preview(folder / "model.png", surface, texture, (64, 64))
+            bump = Bump("base_color", 0.01)
+            write_preview(
+                folder / "lit.png", surface, texture, (64, 64), light=Environment.studio(), bump=bump
+            )
+        Environment.studio().irradiance(surfaces[0].bounds)
         progress("compile", stages - 1, stages)
         _map(surfaces[0])
         _take(surfaces[0])

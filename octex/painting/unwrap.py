@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Bools, Float64s, Int32s, Int64s
+from octex.arrays import Bools, Float64s, Int32s, Int64s, Integers
 from octex.checks import as_positive, as_reals, as_whole
 from octex.errors import ModelError
 from octex.jit import inlined, kernel
@@ -26,6 +26,8 @@ from octex.view.camera import Camera
 _FLAT = 25.0
 #: The wave goes on beyond the radius, so that triangles across the rim have all corners.
 _BEYOND = 1.5
+#: Triangles that fold lie so much of the radius behind the others.
+_BEHIND = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +97,13 @@ def unwrap(
     size     pixels of its picture along each side, which the disc fills
 
     Vertices at one place are one. A disc that folds, or that the surface ends in, is made as far as it goes,
-    and says so: ``Patch.faults``. Raises ModelError for a centre that is farther than the radius from the
-    surface, ArgumentError for numbers out of range.
+    and says so: ``Patch.faults``. Around a handle or a limb, what lies behind it comes from both sides and
+    meets where both are as far: triangles across that line fold, lie behind the others and are not painted.
+    The distances are those on the mesh: of a sphere of 96 sides they are within a hundredth of the radius of
+    the sphere's own, of one of 48 within 2.3, where straight lines on its triangles miss by 3.4.
+
+    Raises ModelError for a centre that is farther than the radius from the surface, ArgumentError for numbers
+    out of range.
     """
     surface = as_surface(surface)
     middle = as_reals(center, "center", (3,), most=1e30)
@@ -123,7 +130,7 @@ def unwrap(
     a, b, c = np.moveaxis(flat[faces[triangles]], 1, 0)
     e, f = b - a, c - a
     folded = triangles[e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0] < 0]
-    posed, coordinates = _flat_surface(surface, faces, triangles, flat)
+    posed, coordinates = _flat_surface(surface, faces, triangles, folded, flat, _BEHIND * radius)
     pose = np.eye(4)
     pose[2, 3] = radius
     camera = Camera.orthographic(
@@ -314,26 +321,29 @@ def _border_vertices(faces: Int64s, count: int) -> Bools:
 
 
 def _flat_surface(
-    surface: Surface, faces: Int64s, triangles: Int32s, flat: Float64s
+    surface: Surface, faces: Int64s, triangles: Int32s, folded: Int32s, flat: Float64s, behind: float
 ) -> tuple[Surface, Float64s]:
     """Return the surface with its triangles of a disc posed flat, and others shrunk; and where vertices lie.
 
-    Triangles of the disc have vertices of their own, so that the others are shrunk whole.
+    Triangles of the disc have vertices of their own, so that the others are shrunk whole; and those that fold
+    have theirs, so far ``behind`` that they hide nothing.
     """
-    used = np.zeros(len(surface.vertices), np.bool_)
-    used[surface.triangles[triangles]] = True
-    count = int(used.sum())
-    names = np.cumsum(used) - 1 + len(surface.vertices)
+    count = len(surface.vertices)
     made = surface.triangles.copy()
-    made[triangles] = names[surface.triangles[triangles]]
-    weld = np.arange(len(surface.vertices))
+    every: list[Integers] = [np.arange(count)]
+    depths = [np.full(count, -1.0)]
+    for some, depth in ((np.setdiff1d(triangles, folded), 0.0), (folded, -behind)):
+        used = np.unique(surface.triangles[some])
+        made[some] = np.searchsorted(used, surface.triangles[some]) + sum(map(len, every))
+        every.append(used)
+        depths.append(np.full(len(used), depth))
+    vertices = np.concatenate(every)
+    weld = np.arange(count)
     weld[surface.triangles] = faces
-    coordinates = np.full((len(surface.vertices) + count, 2), np.nan)
-    coordinates[len(surface.vertices) :] = flat[weld[used]]
-    positions = np.zeros((len(coordinates), 3))
-    positions[len(surface.vertices) :, :2] = coordinates[len(surface.vertices) :]
-    positions[: len(surface.vertices), 2] = -1.0
-    rest = np.concatenate([surface.rest, surface.rest[used]])
+    coordinates = flat[weld[vertices]]
+    coordinates[:count] = np.nan
+    positions = np.column_stack([np.nan_to_num(coordinates), np.concatenate(depths)])
+    rest = surface.rest[vertices]
     posed = Surface(
         positions, made, surface.source, rest=rest, uv=surface.uv, polygons=surface.polygons,
         name=surface.name, provenance=surface.provenance,

@@ -7,5 +7,6 @@ from octex.preview.panels import draw_preview as draw_preview
 from octex.preview.panels import write_preview as write_preview
 from octex.preview.pictures import render as render
 from octex.preview.pictures import render_leaves as render_leaves
+from octex.preview.shaders import Bump as Bump
 from octex.preview.shaders import source_shader as source_shader
 from octex.preview.shaders import texture_shader as texture_shader

@@ -23,13 +23,14 @@ from octex.preview.pictures import (
     visible_hits,
     visible_level,
 )
-from octex.preview.shaders import Shader, Shown, source_shader, texture_shader
+from octex.preview.shaders import Bump, Shader, Shown, source_shader, texture_shader
 from octex.view.camera import Camera
 from octex.view.shading import background, face_normals
 
 if TYPE_CHECKING:
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
+    from octex.view.environment import Environment
 
 
 def write_preview(
@@ -39,13 +40,17 @@ def write_preview(
     size: tuple[int, int] = (1600, 880),
     supersample: int = 3,
     view: Viewpoint = USUAL,
+    light: Environment | None = None,
+    bump: Bump | None = None,
 ) -> None:
     """Write what ``draw_preview`` draws as a PNG file.
 
     What stood at ``path`` before is replaced when all is drawn, or not at all. Raises OutputError if the file
     cannot be written, and ArgumentError as ``draw_preview`` does.
     """
-    picture = Image.fromarray(draw_preview(surface, texture, size, supersample, view=view))
+    picture = Image.fromarray(
+        draw_preview(surface, texture, size, supersample, view=view, light=light, bump=bump)
+    )
     with replacing(path) as file:
         picture.save(file, "PNG")
 
@@ -57,6 +62,8 @@ def draw_preview(
     supersample: int = 3,
     note: str = "",
     view: Viewpoint = USUAL,
+    light: Environment | None = None,
+    bump: Bump | None = None,
 ) -> Uint8s:
     """Draw a picture, sRGB codes (height, width, 3), that shows at once whether a texture is right.
 
@@ -68,15 +75,20 @@ def draw_preview(
     supersample    samples along each side of a pixel
     note           what else the caption should say of the octree
     view           from where to look
+    light          from all around, reflected by metal, roughness, occlusion and normal maps; None: soft light
+                   from beside the camera on base colours alone, which look the same from model to model
+    bump           bends the normals, not those of cubes
 
-    Raises ArgumentError for neither a surface nor a texture, or if there is no leaf or no channel to show.
+    Raises ArgumentError for neither a surface nor a texture, if there is no leaf or no channel to show, and
+    for a bump of a channel that is not there.
     """
+    shown = _Showing(size, supersample, note, view, light, bump)
     if surface is not None:
         if texture is not None:
             surface = surface.placed_in(texture)
-        panels = _model_panels(surface, texture, size, supersample, note, view)
+        panels = _model_panels(surface, texture, shown)
     elif texture is not None:
-        panels = _leaf_panels(texture, size, supersample, note, view)
+        panels = _leaf_panels(texture, shown)
     else:
         raise ArgumentError("a preview needs a surface, or a texture, or both")
     room = caption_height(size[1])
@@ -93,40 +105,57 @@ class Panel(NamedTuple):
     subtitle: str
 
 
-def _model_panels(
-    surface: Surface,
-    texture: OctreeTexture | None,
-    size: tuple[int, int],
-    supersample: int,
-    note: str,
-    view: Viewpoint,
-) -> list[Panel]:
+class _Showing(NamedTuple):
+    """How panels are drawn, as ``draw_preview`` takes it."""
+
+    size: tuple[int, int]
+    supersample: int
+    note: str
+    view: Viewpoint
+    light: Environment | None
+    bump: Bump | None
+
+
+def _model_panels(surface: Surface, texture: OctreeTexture | None, how: _Showing) -> list[Panel]:
+    size = how.size
     stored = None if texture is None else texture.channels
     channel = Shown.of(
         form for form in surface.channels if stored is None or form.name in stored
     ).channel.name
-    looks = [source_shader(surface, channel)]
+    materials = how.light is not None
+    own = how.bump
+    if (
+        own is not None
+        and texture is not None
+        and own.channel not in [form.name for form in surface.channels]
+    ):
+        own = None  # a model without the channel is drawn smooth beside the texture that has it
+    looks = [source_shader(surface, channel, materials=materials, bump=own)]
     captions = [source_caption(surface, channel)]
     if texture is not None:
-        looks.append(texture_shader(texture, channel))
-        captions.append(texture_caption(texture, channel, note))
+        looks.append(texture_shader(texture, channel, materials=materials, bump=how.bump))
+        captions.append(texture_caption(texture, channel, how.note))
     camera = surface_camera(
-        surface, looks[0], (size[0] // len(looks), size[1]), caption_height(size[1]), view
+        surface,
+        source_shader(surface, channel),
+        (size[0] // len(looks), size[1]),
+        caption_height(size[1]),
+        how.view,
     )
-    films = film_surface(surface, camera, looks, supersample)
+    films = film_surface(surface, camera, looks, how.supersample, how.light)
     return [Panel(film.picture(), *caption) for film, caption in zip(films, captions, strict=True)]
 
 
-def _leaf_panels(
-    texture: OctreeTexture, size: tuple[int, int], supersample: int, note: str, view: Viewpoint
-) -> list[Panel]:
+def _leaf_panels(texture: OctreeTexture, how: _Showing) -> list[Panel]:
     channel = Shown.of(stored.format for stored in texture.channels.values()).channel.name
-    camera = leaf_camera([texture], channel, (size[0] // 2, size[1]), caption_height(size[1]), view)
+    width, height = how.size
+    camera = leaf_camera([texture], channel, (width // 2, height), caption_height(height), how.view)
     level = visible_level(texture, camera, pixels=10.0)
-    fine = render_leaves(texture, camera, supersample=supersample)
-    coarse = render_leaves(texture, camera, level=level, cubes=True, supersample=supersample)
+    samples, light = how.supersample, how.light
+    fine = render_leaves(texture, camera, supersample=samples, light=light, bump=how.bump)
+    coarse = render_leaves(texture, camera, level=level, cubes=True, supersample=samples, light=light)
     cells = count_text(texture.level(level).tree.n_leaves, "cell")
-    return [Panel(fine, *texture_caption(texture, channel, note)), Panel(coarse, f"level {level}", cells)]
+    return [Panel(fine, *texture_caption(texture, channel, how.note)), Panel(coarse, f"level {level}", cells)]
 
 
 def surface_camera(

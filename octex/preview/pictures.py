@@ -9,45 +9,111 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Floats, Int32s, Int64s
 from octex.errors import ArgumentError
-from octex.preview.shaders import Appearance, Hits, Shader, Shown
+from octex.preview.shaders import Appearance, Bump, Hits, Shader, Shown, bent, field_slopes
+from octex.source.corners import Corners, Frames
+from octex.source.tangents import carried
 from octex.tree.morton import decode_cells
 from octex.tree.normals import estimate_normals
 from octex.tree.walk import walk_leaves
 from octex.view.camera import Camera
 from octex.view.cubes import CubeBuffers, rasterize_cubes
-from octex.view.shading import background, corner_normals, face_normals, light
-from octex.view.zbuffer import z_buffer
+from octex.view.reflection import Material, reflected
+from octex.view.shading import background, corner_normals, face_normals
+from octex.view.shading import light as soft_light
+from octex.view.zbuffer import Buffers, z_buffer
 
 if TYPE_CHECKING:
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
+    from octex.view.environment import Environment
 
 #: Samples are coloured this many at a time, so that a large picture needs little memory.
 _BLOCK = 1 << 18
+#: So many layers are drawn where things are transparent ...
+_LAYERS = 64
+#: ... until no more than this shines through: a quarter of a code of sRGB's darkest light.
+_OPAQUE = 2.0**-12
+#: Of the faces of cubes, so much along each side is drawn as their edges.
+_EDGE = 0.05
 
 
-def render(surface: Surface, camera: Camera, look: Shader, supersample: int = 3) -> Float32s:
-    """Picture a surface in studio light; return linear light (height, width, 3).
+def render(
+    surface: Surface, camera: Camera, look: Shader, supersample: int = 3, light: Environment | None = None
+) -> Float32s:
+    """Picture a surface; return linear light (height, width, 3).
 
     supersample    samples along each side of a pixel; they are averaged in linear light
+    light          what lights it from all around; None: soft light from beside the camera, in which colours
+                   are matte
 
-    Where the look has coverage, only the nearest layer is drawn, over the background.
+    Where the look has coverage, what is behind shows through: layers by depth, up to 64, then the background.
     """
-    return film_surface(surface, camera, [look], supersample)[0].picture()
+    return film_surface(surface, camera, [look], supersample, light)[0].picture()
 
 
-def film_surface(surface: Surface, camera: Camera, looks: list[Shader], supersample: int) -> list[Film]:
-    """Expose a film to a surface for each look."""
+def film_surface(
+    surface: Surface,
+    camera: Camera,
+    looks: list[Shader],
+    supersample: int,
+    light: Environment | None = None,
+) -> list[Film]:
+    """Expose a film to a surface for each look, layer by layer where one of them lets light through."""
     faces, _ = face_normals(surface.vertices, surface.triangles)
     smooth = corner_normals(surface.vertices, surface.triangles)
     resting = rest_normals(surface) if _is_posed(surface) else smooth
     films = [Film(camera, supersample) for _ in looks]
-    for samples, hits in visible_hits(surface, camera.scaled(supersample), resting):
-        points = _between(hits.barycentric, surface.vertices[surface.triangles[hits.triangles]])
-        lit = light(camera, points, faces[hits.triangles], _between(hits.barycentric, smooth[hits.triangles]))
-        for film, look in zip(films, looks, strict=True):
-            film.add(samples, look(hits), lit)
+    fine, layer = camera.scaled(supersample), None
+    for _ in range(_LAYERS):
+        layer = z_buffer(surface.vertices, surface.triangles, fine, behind=layer)
+        opened = np.zeros(layer.triangle.shape, np.bool_)
+        for samples, hits in visible_hits(surface, fine, resting, layer):
+            points = _between(hits.barycentric, surface.vertices[surface.triangles[hits.triangles]])
+            normals = _between(hits.barycentric, smooth[hits.triangles])
+            for film, look in zip(films, looks, strict=True):
+                appearance = look(hits)
+                others = posed_normals(surface, hits.triangles, appearance.normals)
+                seen = lit(appearance, light, camera, points, faces[hits.triangles], normals, others)
+                opened.ravel()[samples] |= film.add(samples, seen)
+        if not opened.any():
+            break
+        layer.triangle[~opened] = -1
     return films
+
+
+def lit(
+    appearance: Appearance,
+    light: Environment | None,
+    camera: Camera,
+    points: Floats,
+    faces: Floats,
+    normals: Floats,
+    others: Floats | None = None,
+) -> Appearance:
+    """Return what points look like in a light: all of it reflected toward the camera.
+
+    ``points``, ``faces`` and ``normals`` (n, 3) as for ``shading.light``; ``others`` are normals instead.
+    """
+    if appearance.reflected is None:
+        return appearance
+    normals = normals if others is None else others
+    if light is None:
+        shade = soft_light(camera, points, faces, normals)
+        return appearance._replace(reflected=appearance.reflected * shade[:, None])
+    material = Material(appearance.reflected, appearance.metallic, appearance.roughness, appearance.occlusion)
+    return appearance._replace(reflected=reflected(light, camera, points, faces, normals, material))
+
+
+def posed_normals(surface: Surface, triangles: Int32s, normals: Floats | None) -> Floats | None:
+    """Return what normals at rest (n, 3), on triangles (n,), are on the posed surface."""
+    if normals is None or not _is_posed(surface):
+        return normals
+    rows = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
+    corners = surface.triangles[triangles]
+    resting, posed = surface.rest[corners].reshape(-1, 3), surface.vertices[corners].reshape(-1, 3)
+    each = Corners(np.repeat(normals, 3, axis=0).astype(np.float32), rows)
+    tangents = Corners(np.tile(np.array([1, 0, 0, 1], np.float32), (1, 1)), np.zeros_like(rows))
+    return carried(Frames(each, tangents), rows, resting, posed).normals.values[::3]
 
 
 def rest_normals(surface: Surface) -> Float32s:
@@ -59,12 +125,15 @@ def _is_posed(surface: Surface) -> bool:
     return not np.array_equal(surface.rest, surface.vertices)
 
 
-def visible_hits(surface: Surface, camera: Camera, normals: Float32s) -> Iterator[tuple[Int64s, Hits]]:
+def visible_hits(
+    surface: Surface, camera: Camera, normals: Float32s, buffers: Buffers | None = None
+) -> Iterator[tuple[Int64s, Hits]]:
     """Yield what the camera's pixels see, some at a time, with their numbers row by row.
 
-    ``normals`` are the surface's ``rest_normals``.
+    ``normals`` are the surface's ``rest_normals``; ``buffers`` say what is seen, by default the nearest.
     """
-    buffers = z_buffer(surface.vertices, surface.triangles, camera)
+    if buffers is None:
+        buffers = z_buffer(surface.vertices, surface.triangles, camera)
     # What is one wide on the posed model is so wide at rest.
     faces, posed_areas = face_normals(surface.vertices, surface.triangles)
     _, rest_areas = face_normals(surface.rest, surface.triangles)
@@ -96,23 +165,32 @@ def _at_rest(surface: Surface, triangles: Int32s, *steps: Float64s) -> Iterator[
 
 
 class Film:
-    """Gathers samples into pixels."""
+    """Gathers samples into pixels, those in front before those behind them."""
 
     def __init__(self, camera: Camera, supersample: int) -> None:
         self._shape = camera.height, camera.width
         self._supersample = supersample
         self._sums = np.zeros((4, camera.height * camera.width))
+        # What each sample lets through of what is behind.
+        self._passed = np.ones(camera.height * camera.width * supersample**2, np.float32)
 
-    def add(self, samples: Int64s, appearance: Appearance, lit: Floats) -> None:
-        """Add samples, numbered row by row in the supersampled picture."""
+    def add(self, samples: Int64s, appearance: Appearance) -> Bools:
+        """Add samples, numbered row by row in the supersampled picture, as they look in the light.
+
+        Returns whether more is seen behind each (n,).
+        """
         row, column = np.divmod(samples, self._shape[1] * self._supersample)
         pixel = row // self._supersample * self._shape[1] + column // self._supersample
-        coverage = np.ones(len(pixel)) if appearance.coverage is None else appearance.coverage
-        for colors, weights in ((appearance.reflected, lit * coverage), (appearance.emitted, coverage)):
+        passed = self._passed[samples]
+        own = np.float32(1.0) if appearance.coverage is None else appearance.coverage
+        coverage, left = passed * own, passed * (1.0 - own)
+        self._passed[samples] = left
+        for colors in (appearance.reflected, appearance.emitted):
             if colors is not None:
                 for total, color in zip(self._sums[:3], colors.T, strict=True):
-                    total += np.bincount(pixel, color * weights, len(total))
+                    total += np.bincount(pixel, color * coverage, len(total))
         self._sums[3] += np.bincount(pixel, coverage, self._sums.shape[1])
+        return np.asarray(left > _OPAQUE)
 
     def exposure(self) -> tuple[Float64s, Float64s]:
         """Return the pixels' sums (height, width, 3), already multiplied by their coverage, and that."""
@@ -168,10 +246,23 @@ class Leaves(NamedTuple):
         """Where their middles are (n, 3)."""
         return self.corners + self.edges[:, None] / 2
 
-    def appearance(self, texture: OctreeTexture, channel: str | None = None) -> Appearance:
-        """Return what a texture shows in their middles; ``channel`` as for ``source_shader``."""
-        shown = Shown.of((stored.format for stored in texture.channels.values()), channel)
-        return shown.appearance(texture.sample(self.centres, shown.names))
+    def appearance(
+        self,
+        texture: OctreeTexture,
+        channel: str | None = None,
+        *,
+        materials: bool = False,
+        bump: Bump | None = None,
+    ) -> Appearance:
+        """Return what a texture shows in their middles; as for ``texture_shader``."""
+        formats = (stored.format for stored in texture.channels.values())
+        shown = Shown.of(formats, channel, materials=materials)
+        appearance = shown.appearance(texture.sample(self.centres, shown.names))
+        if bump is None:
+            return appearance
+        normals = self.normals if appearance.normals is None else appearance.normals
+        slopes = field_slopes(texture, bump, self.centres, self.normals)
+        return appearance._replace(normals=bent(normals, slopes))
 
 
 def render_leaves(
@@ -182,19 +273,22 @@ def render_leaves(
     cubes: bool = False,
     supersample: int = 3,
     channel: str | None = None,
+    light: Environment | None = None,
+    bump: Bump | None = None,
 ) -> Float32s:
     """Picture the leaves of a texture as cubes; return linear light (height, width, 3).
 
     level      the finest to draw; default: the deepest whose cells are no smaller than a pixel
     cubes      light the faces of the cubes, instead of the surface that the leaves lie on
     channel    what to show, as for ``source_shader``
+    light      as for ``render``
+    bump       as for ``texture_shader``
     """
     texture = texture.level(visible_level(texture, camera) if level is None else level)
     leaves = Leaves.of(texture)
+    appearance = leaves.appearance(texture, channel, materials=light is not None, bump=bump)
     buffers = leaves.seen(camera.scaled(supersample))
-    return film_leaves(
-        leaves, leaves.appearance(texture, channel), buffers, camera, supersample, cubes=cubes
-    ).picture()
+    return film_leaves(leaves, appearance, buffers, camera, supersample, light, cubes=cubes).picture()
 
 
 def film_leaves(
@@ -203,28 +297,32 @@ def film_leaves(
     buffers: CubeBuffers,
     camera: Camera,
     supersample: int,
+    light: Environment | None = None,
     *,
     cubes: bool = False,
 ) -> Film:
     """Expose a film to leaves as they appear, or to their ``cubes``; ``buffers`` say what samples see."""
-    seen, axis, border, _ = buffers
     film = Film(camera, supersample)
-    drawn = np.flatnonzero(seen >= 0)
-    for first in range(0, len(drawn), _BLOCK):
-        samples = drawn[first : first + _BLOCK]
-        leaf = seen.ravel()[samples]
-        normals = np.eye(3)[axis.ravel()[samples]] if cubes else leaves.normals[leaf]
-        lit = light(camera, leaves.corners[leaf], normals, normals)
-        # Cubes with their edges drawn, so that they can be told apart.
-        on_edge = border.ravel()[samples, None] < (0.05 if cubes else 0.0)
-        edges = np.where(on_edge, np.float32(0.75), np.float32(1.0))
-        reflected, emitted, coverage = (None if part is None else part[leaf] for part in appearance)
-        here = Appearance(
-            None if reflected is None else reflected * edges,
-            None if emitted is None else emitted * edges,
-            coverage,
-        )
-        film.add(samples, here, lit)
+    for _ in range(_LAYERS):
+        opened = np.zeros(buffers.cube.shape, np.bool_)
+        drawn = np.flatnonzero(buffers.cube >= 0)
+        for first in range(0, len(drawn), _BLOCK):
+            samples = drawn[first : first + _BLOCK]
+            leaf = buffers.cube.ravel()[samples]
+            normals = np.eye(3)[buffers.axis.ravel()[samples]] if cubes else leaves.normals[leaf]
+            here = Appearance(*(None if part is None else part[leaf] for part in appearance))
+            others = None if cubes else here.normals
+            here = lit(here, light, camera, leaves.corners[leaf], normals, normals, others)
+            if cubes:  # with their edges drawn, so that they can be told apart
+                on_edge = buffers.border.ravel()[samples, None] < _EDGE
+                dimmed = np.where(on_edge, np.float32(0.75), np.float32(1.0))
+                colors = (None if part is None else part * dimmed for part in (here.reflected, here.emitted))
+                here = here._replace(**dict(zip(("reflected", "emitted"), colors, strict=True)))
+            opened.ravel()[samples] = film.add(samples, here)
+        if not opened.any():
+            break
+        behind = buffers._replace(cube=np.where(opened, buffers.cube, np.int32(-1)))
+        buffers = rasterize_cubes(leaves.corners, leaves.edges, camera.scaled(supersample), behind)
     return film
 
 

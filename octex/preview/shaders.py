@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from octex.arrays import Float32s, Float64s, Floats, Int32s
-from octex.channels import ALPHA, ChannelFormat, srgb_to_linear
+from octex.channels import ALPHA, BASE_COLOR, LUMINANCE, NORMAL, ChannelFormat, srgb_to_linear
 from octex.checks import as_choice
 from octex.compare import inside_cells
 from octex.errors import ArgumentError
@@ -36,7 +37,11 @@ class Appearance(NamedTuple):
 
     reflected: Floats | None = None  # (n, 3)   of white light; None: nothing
     emitted: Floats | None = None  # (n, 3)   whatever the light
-    coverage: Floats | None = None  # (n,)   the rest is background; None: all covered
+    coverage: Floats | None = None  # (n,)   the rest is what lies behind; None: all covered
+    normals: Floats | None = None  # (n, 3)   at rest, to light them by; None: those of the surface
+    metallic: Floats | None = None  # (n,)   as the fields of `octex.view.reflection.Material`
+    roughness: Floats | None = None  # (n,)
+    occlusion: Floats | None = None  # (n,)
 
     def unlit(self) -> Floats:
         """Return what is seen in white light (n, 3)."""
@@ -44,8 +49,19 @@ class Appearance(NamedTuple):
         return np.asarray(np.clip(sum(parts), 0.0, 1.0))
 
 
+#: The channels that say how light is reflected, beside base colour.
+_SCALARS = "metallic", "roughness", "occlusion"
+_REFLECTION = NORMAL.name, *_SCALARS
+
 #: Gives hits their appearance.
 Shader = Callable[[Hits], Appearance]
+
+
+class Bump(NamedTuple):
+    """A channel that bends the normals, as if the surface were displaced by it."""
+
+    channel: str
+    height: float  # of 1, in the model's units
 
 
 class Shown(NamedTuple):
@@ -55,10 +71,13 @@ class Shown(NamedTuple):
     names: list[str]  # all that are read
 
     @classmethod
-    def of(cls, formats: Iterable[ChannelFormat], channel: str | None = None) -> Shown:
+    def of(
+        cls, formats: Iterable[ChannelFormat], channel: str | None = None, *, materials: bool = False
+    ) -> Shown:
         """Choose ``channel``; or base colour; else the first colour, the first data, the first direction.
 
-        Alpha comes with it, and with base colour emitted light. Raises ArgumentError if there is none such.
+        Alpha comes with it, and with base colour emitted light, and for ``materials`` all that says how light
+        is reflected. Raises ArgumentError if there is none such.
         """
         known = {form.name: form for form in formats}
         if not known:
@@ -68,7 +87,9 @@ class Shown(NamedTuple):
             ranked = [name for kind in kinds for name, form in known.items() if form.space in kind]
             channel = "base_color" if "base_color" in known else ranked[0]
         as_choice(channel, known, "channel")
-        others = [ALPHA.name, "emissive"] if channel == "base_color" else [ALPHA.name]
+        others = [ALPHA.name]
+        if channel == BASE_COLOR.name:
+            others += ["emissive", *(_REFLECTION if materials else ())]
         return cls(known[channel], [channel, *(name for name in others if name in known and name != channel)])
 
     @property
@@ -87,7 +108,13 @@ class Shown(NamedTuple):
         shown = shown[:, :3] if shown.shape[1] > 2 else np.repeat(shown[:, :1], 3, axis=1)
         if self.is_lit:
             emissive = values.get("emissive")
-            return Appearance(shown, None if emissive is None else np.clip(emissive, 0.0, 1.0), coverage)
+            return Appearance(
+                shown,
+                None if emissive is None else np.clip(emissive, 0.0, 1.0),
+                coverage,
+                values.get(NORMAL.name),
+                *(None if name not in values else values[name][:, 0] for name in _SCALARS),
+            )
         if self.channel.space == "direction":
             lengths = np.linalg.norm(shown, axis=1, keepdims=True)
             shown = (shown / np.maximum(lengths, 1e-30) + 1) / 2
@@ -96,36 +123,129 @@ class Shown(NamedTuple):
         return Appearance(emitted=np.clip(shown, 0.0, 1.0), coverage=coverage)
 
 
-def source_shader(surface: Surface, channel: str | None = None) -> Shader:
+def source_shader(
+    surface: Surface, channel: str | None = None, *, materials: bool = False, bump: Bump | None = None
+) -> Shader:
     """Show a surface by its source, averaged over what each sample covers.
 
-    ``channel`` is shown as it is; by default base colour in the light, with what the surface emits, or else
-    the channel that is most like a colour. Raises ArgumentError for a channel that is not there.
+    channel      shown as it is; by default base colour in the light, with what the surface emits, or else the
+                 channel that is most like a colour
+    materials    with all that says how light is reflected: metallic, roughness, occlusion and normal
+    bump         bends the normals by how a channel changes from a sample to the next
+
+    Raises ArgumentError for a channel that is not there.
     """
-    shown = Shown.of(surface.channels, channel)
-    surface = surface.with_channels(shown.names)
+    shown = Shown.of(surface.channels, channel, materials=materials)
+    whole, surface = surface, surface.with_channels(shown.names)
+    height = None if bump is None else whole.with_channels([_bumping(bump, whole.channels)])
 
     def look(hits: Hits) -> Appearance:
         values = surface.evaluate_all(hits.triangles, hits.barycentric, hits.width)
-        return shown.appearance(by_channel(surface.channels, values))
+        appearance = shown.appearance(by_channel(surface.channels, values))
+        if height is None or bump is None:
+            return appearance
+        corners = height.rest[height.triangles[hits.triangles]]
+        rises = []
+        for step in (hits.dPdx, hits.dPdy):
+            ends = [
+                _luminance(
+                    by_channel(
+                        height.channels,
+                        height.evaluate_all(
+                            hits.triangles, hits.barycentric + way * _shares(corners, step), hits.width
+                        ),
+                    )[bump.channel]
+                )
+                for way in (-0.5, 0.5)
+            ]
+            rises.append(ends[1] - ends[0])
+        slopes = bump.height * _gradient(hits, *rises)
+        normals = hits.normals if appearance.normals is None else appearance.normals
+        return appearance._replace(normals=bent(normals, slopes))
 
     return look
 
 
-def texture_shader(texture: OctreeTexture, channel: str | None = None) -> Shader:
+def texture_shader(
+    texture: OctreeTexture,
+    channel: str | None = None,
+    *,
+    materials: bool = False,
+    bump: Bump | None = None,
+) -> Shader:
     """Show a surface by the field of a texture, averaged over what each sample covers, on the side it sees.
 
     What is translucent is not shown where the texture has no cell, though coarse averages reach there.
-    ``channel`` as for ``source_shader``. Raises ArgumentError for a channel that is not there.
+    ``channel`` and ``materials`` as for ``source_shader``; ``bump`` bends the normals by the field's own
+    gradient. Raises ArgumentError for a channel that is not there.
     """
-    shown = Shown.of((stored.format for stored in texture.channels.values()), channel)
+    formats = [stored.format for stored in texture.channels.values()]
+    shown = Shown.of(formats, channel, materials=materials)
     lies_on = inside_cells(texture) if ALPHA.name in shown.names else None
+    if bump is not None:
+        _bumping(bump, formats)
 
     def look(hits: Hits) -> Appearance:
         values = texture.sample(hits.rest, shown.names, dPdx=hits.dPdx, dPdy=hits.dPdy, normals=hits.normals)
         if lies_on is not None:
             finest = texture.placement.size / 2**texture.tree.max_depth
             values[ALPHA.name][~lies_on(hits.rest, np.full(len(hits.rest), finest))] = 0.0
-        return shown.appearance(values)
+        appearance = shown.appearance(values)
+        if bump is None:
+            return appearance
+        normals = hits.normals if appearance.normals is None else appearance.normals
+        slopes = field_slopes(texture, bump, hits.rest, hits.normals, hits.width)
+        return appearance._replace(normals=bent(normals, slopes))
 
     return look
+
+
+def _bumping(bump: Bump, formats: Iterable[ChannelFormat]) -> str:
+    """Return the channel that bends normals, or refuse one that is not there or is of directions."""
+    known = {form.name: form for form in formats}
+    as_choice(bump.channel, known, "channel to bend normals by")
+    if known[bump.channel].space == "direction":
+        raise ArgumentError(f"{bump.channel} is directions; normals are bent by numbers or colours")
+    return bump.channel
+
+
+def _luminance(values: Floats) -> Float64s:
+    """Return numbers (…,) of the components (…, k) of a channel."""
+    return np.asarray(values @ (LUMINANCE if values.shape[-1] == 3 else np.eye(values.shape[-1])[0]))
+
+
+def _shares(corners: Float64s, steps: Float64s) -> Float64s:
+    """Return how barycentric coordinates (n, 3) change by steps (n, 3) along triangles (n, 3, 3)."""
+    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    across = np.cross(one, other)
+    square = np.maximum(np.einsum("nc,nc->n", across, across), 1e-300)
+    second = np.einsum("nc,nc->n", np.cross(steps, other), across) / square
+    third = np.einsum("nc,nc->n", np.cross(one, steps), across) / square
+    return np.stack([-second - third, second, third], axis=1)
+
+
+def _gradient(hits: Hits, right: Float64s, down: Float64s) -> Float64s:
+    """Return the gradient (n, 3), along the surface at rest, of what rises so much from sample to sample."""
+    normal = np.cross(hits.dPdx, hits.dPdy)
+    square = np.maximum(np.einsum("nc,nc->n", normal, normal), 1e-300)[:, None]
+    ways = np.cross(hits.dPdy, normal) * right[:, None] + np.cross(normal, hits.dPdx) * down[:, None]
+    return np.asarray(ways / square)
+
+
+def field_slopes(
+    texture: OctreeTexture, bump: Bump, points: Floats, normals: Floats, width: npt.ArrayLike | None = None
+) -> Float64s:
+    """Return how the heights of a texture's field change by rest position (n, 3), at points (n, 3)."""
+    _, gradients = texture.sample(points, bump.channel, width=width, normals=normals, gradient=True)
+    return bump.height * _luminance(np.moveaxis(gradients.astype(np.float64), 1, 2))
+
+
+def bent(normals: Floats, slopes: Float64s) -> Float64s:
+    """Return normals (n, 3) bent against the slope of what is added along them.
+
+    (J. Blinn, "Simulation of Wrinkled Surfaces", 1978.)
+    """
+    normals = normals.astype(np.float64)
+    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    along = np.einsum("nc,nc->n", slopes, normals)[:, None] * normals
+    return np.asarray(normals - (slopes - along))

@@ -7,5 +7,7 @@ camera_files  cameras read and written: records, colmap, gltf
 zbuffer       the triangle that each pixel sees
 visibility    which points a camera sees
 cubes         cells drawn as cubes
-shading       light on what is seen
+shading       soft light on what is seen, and smooth normals
+environment   light from all around
+reflection    what materials reflect of that
 """

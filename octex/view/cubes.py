@@ -20,11 +20,14 @@ class CubeBuffers(NamedTuple):
     depth: Float64s  # (height, width)   along the camera's axis; inf where there is none
 
 
-def rasterize_cubes(corners: Float64s, edges: Float64s, camera: Camera) -> CubeBuffers:
+def rasterize_cubes(
+    corners: Float64s, edges: Float64s, camera: Camera, behind: CubeBuffers | None = None
+) -> CubeBuffers:
     """Find the cube seen at the centre of every pixel.
 
     corners    (n, 3) float64: each cube's corner of least coordinates, in the world
     edges      (n,) float64: how long its edges are
+    behind     what an earlier call found: found is what lies behind that, and nothing where that has no cube
 
     Of cubes at the same depth the first is seen. Cubes that reach to depth 0 or behind are not.
     """
@@ -42,7 +45,11 @@ def rasterize_cubes(corners: Float64s, edges: Float64s, camera: Camera) -> CubeB
     else:
         origins = to_world @ np.diag([1.0, 1.0, 0.0]) @ unproject
         directions = to_world @ np.diag([0.0, 0.0, 1.0])
-    _draw(corners, edges, camera.matrix, camera.position, origins, directions, *buffers)
+    last, depth = np.empty((0, 0), np.int32), np.empty((0, 0))
+    if behind is not None:
+        last, depth = behind.cube, behind.depth
+    matrix, position = camera.matrix, camera.position
+    _draw(corners, edges, matrix, position, origins, directions, last, depth, *buffers)
     return buffers
 
 
@@ -54,6 +61,8 @@ def _draw(
     position: Float64s,
     origins: Float64s,
     directions: Float64s,
+    before: Int32s,
+    depths_before: Float64s,
     cubes: Int32s,
     axes: Int8s,
     borders: Float32s,
@@ -85,6 +94,10 @@ def _draw(
                         enter, across = min(low, high), axis
                     leave = min(leave, max(low, high))
                 if across >= 0 and enter <= leave and enter < depths[row, column]:
+                    if len(before) > 0:
+                        last, further = before[row, column], enter - depths_before[row, column]
+                        if last < 0 or further < 0.0 or (further == 0.0 and n <= last):
+                            continue
                     depths[row, column] = enter
                     cubes[row, column] = n
                     axes[row, column] = across

@@ -44,7 +44,12 @@ class Buffers(NamedTuple):
 
 
 def z_buffer(
-    positions: npt.ArrayLike, triangles: npt.ArrayLike, camera: Camera, executor: Executor | None = None
+    positions: npt.ArrayLike,
+    triangles: npt.ArrayLike,
+    camera: Camera,
+    executor: Executor | None = None,
+    *,
+    behind: Buffers | None = None,
 ) -> Buffers:
     """Find the triangle seen at the centre of every pixel.
 
@@ -52,10 +57,12 @@ def z_buffer(
     triangles    (m, 3) numbers of positions; either side is seen; those without area are not
     camera       for several samples a pixel, ``camera.scaled``
     executor     spreads the work over bands of rows; it does not change the result
+    behind       what an earlier call found: found is what lies behind that, and nothing where that has no
+                 triangle (depth peeling: C. Everitt, "Interactive Order-Independent Transparency", 2001)
 
     A centre on the edge between two triangles belongs to exactly one of them (the top-left rule), whether
-    they share the edge's vertices or only positions. Of triangles at the same depth the first is seen. What
-    lies at depth 0 or behind is not.
+    they share the edge's vertices or only positions. Of triangles at the same depth the first is seen, and
+    the next one behind it. What lies at depth 0 or behind is not.
 
     Raises ArgumentError for other shapes, non-finite positions, or vertex numbers out of range.
     """
@@ -71,8 +78,10 @@ def z_buffer(
         raise ArgumentError(f"triangles must number vertices from 0 to {len(positions) - 1}")
     screen, snapped, outside = _to_screen(positions, camera.matrix, camera.width, camera.height)
     same = _SAME_DEPTH * float(np.abs(screen[:, 3]).max(initial=0.0))
+    if behind is None:
+        behind = Buffers(np.empty((0, 0), np.int32), np.empty((0, 0, 3), np.float32), np.empty((0, 0)))
     draw = partial(
-        _band, screen, snapped, outside, np.ascontiguousarray(corners, np.int32), same, camera.width
+        _band, screen, snapped, outside, np.ascontiguousarray(corners, np.int32), same, behind, camera.width
     )
     if executor is None:
         return draw((0, camera.height))
@@ -88,13 +97,15 @@ def _band(
     outside: Uint8s,
     triangles: Int32s,
     same_depth: float,
+    behind: Buffers,
     width: int,
     rows: tuple[int, int],
 ) -> Buffers:
     """Return what the pixels of some rows see."""
     shape = rows[1] - rows[0], width
     buffers = Buffers(np.full(shape, -1, np.int32), np.zeros((*shape, 3), np.float32), np.full(shape, np.inf))
-    _draw(screen, snapped, outside, triangles, same_depth, rows[0], *buffers)
+    last, depth = behind.triangle[slice(*rows)], behind.depth[slice(*rows)]
+    _draw(screen, snapped, outside, triangles, same_depth, rows[0], last, depth, *buffers)
     return buffers
 
 
@@ -213,11 +224,14 @@ def _draw(
     triangles: Int32s,
     same_depth: float,
     top: int,
+    before: Int32s,
+    depths_before: Float64s,
     seen: Int32s,
     barycentric: Float32s,
     depths: Float64s,
 ) -> None:
     height, width = seen.shape
+    is_behind = len(before) > 0
     edges = new_array((3, 6), np.float64)
     row_constant = new_array(3, np.float64)
     for number in range(len(triangles)):
@@ -275,6 +289,10 @@ def _draw(
                 in_a, in_b, in_c = in_a / total, in_b / total, in_c / total
                 depth = in_a * a_depth + in_b * b_depth + in_c * c_depth
                 if 0.0 < depth < depths[row - top, column] - same_depth:
+                    if is_behind:
+                        last, further = before[row - top, column], depth - depths_before[row - top, column]
+                        if last < 0 or further < -same_depth or (further <= same_depth and number <= last):
+                            continue
                     seen[row - top, column] = number
                     depths[row - top, column] = depth
                     barycentric[row - top, column, 0] = in_a

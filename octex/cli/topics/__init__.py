@@ -9,7 +9,7 @@ from octex.errors import ArgumentError
 #: In the order in which a reader may want them.
 TOPICS = (
     *("models", "surfaces", "viewer", "channels", "lookups", "filters", "adaptive", "parts"),
-    *("painting", "cameras", "processing", "baking", "ptex", "files", "figures"),
+    *("pictures", "painting", "cameras", "processing", "baking", "ptex", "files", "figures"),
 )
 
 

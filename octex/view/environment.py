@@ -1,0 +1,342 @@
+"""Light from all around: a picture by latitude and longitude, averaged as rough surfaces reflect it.
+
+Averages for each roughness are made ahead, as if looked at along the normal (B. Karis, "Real Shading in
+Unreal Engine 4", 2013), not by samples but by sums over all texels, coarser ones where the lobe is smooth.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octex.arrays import Float32s, Float64s, Int64s
+from octex.channels import decode
+from octex.checks import as_number, as_reals
+from octex.errors import ArgumentError
+from octex.jit import inlined, kernel
+from octex.source.images.decode import as_texels, read_image_file
+from octex.source.images.pyramid import Texels
+from octex.view.camera import Camera
+
+#: The widest picture that is kept: 0.35° a texel.
+_WIDEST = 1024
+#: Roughness rises by one of so many steps from table to table; the last but one is of roughness 1.
+_STEPS = 8
+#: How wide the table of each roughness is; the last is of what white matte surfaces reflect.
+_WIDTHS = (256, 128, 128, 64, 64, 64, 64, 64, 64)
+_TABLES = len(_WIDTHS) + 1
+#: Texels are divided until they are smaller than this part of their distance from the lobe, with its width.
+_SMALL = 0.15
+#: Of lobes no wider than this.
+_WIDEST_LOBE = 0.5
+#: The coarsest level of the picture has no fewer rows.
+_ROWS = 4
+_STUDIO_WIDTH = 256
+
+
+class Tables(NamedTuple):
+    """An environment as kernels read it."""
+
+    light: Float32s  # (texels, 3)   all tables, one after the other, row by row from the top
+    shapes: Int64s  # (tables, 3)   first texel, height and width
+    axes: Float64s  # (3, 3)   from directions of the world to those of the picture
+
+
+class Environment:
+    """Light that comes from far away, in every direction; make it with ``of``, ``load`` or ``studio``.
+
+    ``tables`` are what kernels read. An environment that ``follows`` the camera has its middle behind it.
+    """
+
+    def __init__(self, tables: Tables, *, follows: bool = False) -> None:
+        self.tables = tables
+        self.follows = follows
+
+    @classmethod
+    def of(
+        cls, picture: npt.ArrayLike, exposure: float = 0.0, up: npt.ArrayLike = (0.0, 1.0, 0.0)
+    ) -> Environment:
+        """Make one of a picture (height, width, 1 to 4): floats are linear light, integers sRGB codes.
+
+        Its top is ``up`` and its middle, with +y up, the direction +z, before which models face; what lies
+        right of that is −x (the latitude-longitude map of OpenEXR's ImfEnvmap.h). ``exposure``, in stops,
+        doubles the light for each; what is below 0, as of lossy files, is black. Raises ImageError for a
+        picture that cannot be used, ArgumentError for an exposure beyond 64 stops and an ``up`` of no length.
+        """
+        texels = as_texels(picture)
+        return cls._of(_as_light(texels), as_number(exposure, "exposure", -64.0, 64.0), up)
+
+    @classmethod
+    def load(
+        cls, path: str | Path, exposure: float = 0.0, up: npt.ArrayLike = (0.0, 1.0, 0.0)
+    ) -> Environment:
+        """Make one of an image file, ``.hdr``, ``.exr`` or another; else as ``of``."""
+        texels, _ = read_image_file(Path(path))
+        return cls._of(_as_light(texels), as_number(exposure, "exposure", -64.0, 64.0), up)
+
+    @classmethod
+    def _of(cls, light: Float64s, exposure: float, up: npt.ArrayLike) -> Environment:
+        tables = _tables(_resampled(np.maximum(light, 0.0)) * 2.0**exposure)
+        return cls(Tables(*tables, _axes_of(up)))
+
+    @classmethod
+    def studio(cls, exposure: float = 0.0) -> Environment:
+        """Return the built-in one: a lamp beside the camera, two strips, a bright ceiling; it follows it."""
+        tables = _tables(_studio() * 2.0 ** as_number(exposure, "exposure", -64.0, 64.0))
+        return cls(Tables(*tables, np.eye(3)), follows=True)
+
+    def seen_by(self, camera: Camera) -> Tables:
+        """Return the tables with the axes that they have for a camera."""
+        if not self.follows:
+            return self.tables
+        return self.tables._replace(
+            axes=np.ascontiguousarray(np.diag([1.0, -1.0, -1.0]) @ camera.world_to_camera[:3, :3])
+        )
+
+    def radiance(self, directions: npt.ArrayLike, roughness: float) -> Float64s:
+        """Return the light (n, 3) around directions (n, 3), averaged as a surface so rough reflects it."""
+        return self._read(directions, as_number(roughness, "roughness", 0.0, 1.0) * _STEPS)
+
+    def irradiance(self, normals: npt.ArrayLike) -> Float64s:
+        """Return what white matte surfaces with normals (n, 3) reflect (n, 3): irradiance over π."""
+        return self._read(normals, -1.0)
+
+    def _read(self, directions: npt.ArrayLike, level: float) -> Float64s:
+        given = as_reals(directions, "directions", (-1, 3))
+        unit = np.ascontiguousarray(given / np.linalg.norm(given, axis=1, keepdims=True), np.float64)
+        found = np.empty_like(unit)
+        _read_all(self.tables, unit, level, found)
+        return found
+
+
+def _as_light(texels: Texels) -> Float64s:
+    """Return linear light (height, width, 3) of texels, black where they are transparent."""
+    is_coded = texels.dtype != np.float32
+    colors = decode(texels[..., :3], "srgb" if is_coded else "linear").astype(np.float64)
+    return colors * decode(texels[..., 3:], "data")
+
+
+def _axes_of(up: npt.ArrayLike) -> Float64s:
+    """Return the rotation that takes ``up`` to +y, the shortest way."""
+    given = as_reals(up, "up", (3,))
+    length = float(np.linalg.norm(given))
+    if not 0.0 < length < np.inf:
+        raise ArgumentError("up must have a length")
+    x, y, z = given / length
+    if y < -1.0 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])
+    scale = 1.0 / (1.0 + y)
+    return np.array(
+        [[1 - x * x * scale, -x, -x * z * scale], [x, y, z], [-x * z * scale, -z, 1 - z * z * scale]]
+    )
+
+
+def _resampled(light: Float64s) -> Float64s:
+    """Return a picture of powers of two, no less than 4 × 8, by the means over texels' areas."""
+    height, width = light.shape[:2]
+    wide = 2 ** int(np.clip(np.floor(np.log2(width)), np.log2(2 * _ROWS), np.log2(_WIDEST)))
+    high = 2 ** int(np.clip(np.floor(np.log2(height)), np.log2(_ROWS), np.log2(wide)))
+    rows, columns = _means(height, high), _means(width, wide)
+    return np.asarray(
+        np.einsum("rh,hwc->rwc", rows, np.einsum("cw,hwk->hck", columns, light, optimize=True), optimize=True)
+    )
+
+
+def _means(many: int, few: int) -> Float64s:
+    """Return the matrix (few, many) of means over equal parts of a row of values."""
+    ends = np.linspace(0.0, many, few + 1)
+    first, last = ends[:-1, None], ends[1:, None]
+    at = np.arange(many)
+    shares = np.clip(np.minimum(last, at + 1) - np.maximum(first, at), 0.0, None)
+    return np.asarray(shares / shares.sum(axis=1, keepdims=True))
+
+
+@cache
+def _studio() -> Float64s:
+    """Return the built-in light; +z is toward the camera, x to its right, y up."""
+    directions = _directions(_STUDIO_WIDTH // 2, _STUDIO_WIDTH)
+    light = 0.34 + 0.30 * _ramp(directions[..., 1], -0.3, 0.9)
+    for centre, across, size, strength in (
+        ((-0.62, 0.60, 0.50), (0.30, 0.30), 0.10, 5.2),  # the key lamp
+        ((0.93, 0.20, 0.30), (0.10, 0.55), 0.06, 2.2),  # a strip at the right
+        ((-0.45, 0.35, -0.82), (0.12, 0.50), 0.06, 2.6),  # and one behind
+    ):
+        middle = np.array(centre) / np.linalg.norm(centre)
+        right = np.cross((0.0, 1.0, 0.0), middle)
+        right /= np.linalg.norm(right)
+        ahead = directions @ middle
+        u = np.abs(directions @ right) / np.maximum(ahead, 1e-3)
+        v = np.abs(directions @ np.cross(middle, right)) / np.maximum(ahead, 1e-3)
+        lamp = _ramp(u, across[0] + size, across[0]) * _ramp(v, across[1] + size, across[1]) * (ahead > 0)
+        light = light + strength * lamp
+    return np.repeat(light[..., None], 3, axis=2)
+
+
+def _ramp(values: Float64s, low: float, high: float) -> Float64s:
+    """Return 0 at ``low``, 1 at ``high``, and a smooth step between."""
+    t = np.clip((values - low) / (high - low), 0.0, 1.0)
+    return np.asarray(t * t * (3.0 - 2.0 * t))
+
+
+def _directions(height: int, width: int) -> Float64s:
+    """Return the directions (height, width, 3) of the middles of texels."""
+    latitude = np.pi * (0.5 - (np.arange(height) + 0.5) / height)[:, None]
+    longitude = np.pi * (1.0 - 2.0 * (np.arange(width) + 0.5) / width)[None]
+    rim = np.cos(latitude)
+    up = np.broadcast_to(np.sin(latitude), (height, width))
+    return np.stack([rim * np.sin(longitude), up, rim * np.cos(longitude)], axis=-1)
+
+
+def _tables(light: Float64s) -> tuple[Float32s, Int64s]:
+    """Return the tables of a picture of powers of two, for each roughness and for matte surfaces."""
+    pyramid, levels = _pyramid(light)
+    sizes = [light.shape[:2], *((max(wide // 2, 1), wide) for wide in _WIDTHS)]
+    tables = [light.reshape(-1, 3)]
+    for number, (high, wide) in enumerate(sizes[1:], 1):
+        directions = np.ascontiguousarray(_directions(high, wide).reshape(-1, 3))
+        found = np.empty_like(directions)
+        alpha = (number / _STEPS) ** 2 if number < _TABLES - 1 else 0.0
+        _gather(pyramid, levels, directions, alpha, found)
+        tables.append(found)
+    firsts = np.cumsum([0, *(len(table) for table in tables[:-1])])
+    shapes = np.column_stack([firsts, np.array(sizes)]).astype(np.int64)
+    return np.concatenate(tables).astype(np.float32), shapes
+
+
+def _pyramid(light: Float64s) -> tuple[Float64s, Int64s]:
+    """Return all levels' texels, finest first, and each level's first texel, height and width.
+
+    Rows are the mean light, its solid angle, the direction that most of the light comes from, and how far the
+    texel reaches.
+    """
+    rows: list[Float64s] = []
+    levels: list[tuple[int, int, int]] = []
+    first = 0
+    high, wide = light.shape[:2]
+    ends = np.sin(np.pi * (0.5 - np.arange(high + 1) / high))
+    solid = np.broadcast_to(((ends[:-1] - ends[1:]) * 2 * np.pi / wide)[:, None], (high, wide))
+    middle = _directions(high, wide)
+    least = 1e-3 * light.mean() + 1e-30  # where it is dark, directions are those of the middle
+    while True:
+        high, wide = light.shape[:2]
+        reach = np.full((high, wide), 0.5 * np.hypot(np.pi / high, 2 * np.pi / wide))
+        parts = light, solid[..., None], middle, reach[..., None]
+        rows.append(np.concatenate(parts, axis=2).reshape(-1, 8))
+        levels.append((first, high, wide))
+        first += high * wide
+        if high == _ROWS or wide == 2 * _ROWS:
+            return np.concatenate(rows), np.array(levels, np.int64)
+        middle = _of_four(middle * ((light.mean(axis=2) + least) * solid)[..., None])
+        middle /= np.linalg.norm(middle, axis=2, keepdims=True)
+        light, solid = _of_four(light * solid[..., None]), _of_four(solid[..., None])[..., 0]
+        light /= solid[..., None]
+
+
+def _of_four(values: Float64s) -> Float64s:
+    """Return the sums of two by two texels (height, width, k)."""
+    high, wide, parts = values.shape
+    return np.asarray(values.reshape(high // 2, 2, wide // 2, 2, parts).sum(axis=(1, 3)))
+
+
+@kernel
+def _gather(pyramid: Float64s, levels: Int64s, directions: Float64s, alpha: float, found: Float64s) -> None:
+    """Average light around directions (n, 3): by GGX's lobe of some alpha, or, if that is 0, by the cosine.
+
+    A texel is divided where it is large beside its distance from the lobe (Barnes & Hut, 1986).
+    """
+    coarsest = len(levels) - 1
+    stack = np.empty((256, 2), np.int64)
+    lobe = min(2.0 * alpha, _WIDEST_LOBE) if alpha > 0.0 else _WIDEST_LOBE
+    for n in range(len(directions)):
+        x, y, z = directions[n, 0], directions[n, 1], directions[n, 2]
+        red = green = blue = total = 0.0
+        for start in range(levels[coarsest, 1] * levels[coarsest, 2]):
+            count = 1
+            stack[0, 0], stack[0, 1] = coarsest, start
+            while count > 0:
+                count -= 1
+                level, texel = stack[count, 0], stack[count, 1]
+                at = levels[level, 0] + texel
+                dx, dy, dz = pyramid[at, 4] - x, pyramid[at, 5] - y, pyramid[at, 6] - z
+                square = dx * dx + dy * dy + dz * dz
+                if level > 0 and pyramid[at, 7] > _SMALL * (np.sqrt(square) + lobe):
+                    row, column = texel // levels[level, 2], texel % levels[level, 2]
+                    wide = levels[level - 1, 2]
+                    for part in range(4):
+                        stack[count, 0] = level - 1
+                        stack[count, 1] = (2 * row + (part >> 1)) * wide + 2 * column + (part & 1)
+                        count += 1
+                    continue
+                cosine = 1.0 - square / 2.0
+                if cosine <= 0.0:
+                    continue
+                weight = cosine * pyramid[at, 3]
+                if alpha > 0.0:
+                    # n·h of a lobe that is seen along its normal: its square is 1 less a quarter of that.
+                    spread = square / 4.0 + alpha * alpha * (1.0 - square / 4.0)
+                    weight /= spread * spread
+                red += weight * pyramid[at, 0]
+                green += weight * pyramid[at, 1]
+                blue += weight * pyramid[at, 2]
+                total += weight
+        found[n, 0], found[n, 1], found[n, 2] = red / total, green / total, blue / total
+
+
+@kernel
+def _read_all(tables: Tables, directions: Float64s, level: float, found: Float64s) -> None:
+    for n in range(len(directions)):
+        x, y, z = directions[n, 0], directions[n, 1], directions[n, 2]
+        if level < 0.0:
+            found[n] = matte_light(tables, x, y, z)
+        else:
+            found[n] = glossy_light(tables, level / _STEPS, x, y, z)
+
+
+@inlined
+def glossy_light(
+    tables: Tables, roughness: float, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Return the light around a unit direction, averaged as a surface of some roughness reflects it."""
+    level = roughness * _STEPS
+    below = min(int(level), _STEPS - 1)
+    part = level - below
+    a, b, c = _texel(tables, below, x, y, z)
+    if part == 0.0:
+        return a, b, c
+    d, e, f = _texel(tables, below + 1, x, y, z)
+    return a + (d - a) * part, b + (e - b) * part, c + (f - c) * part
+
+
+@inlined
+def matte_light(tables: Tables, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return what a white matte surface with a unit normal reflects."""
+    return _texel(tables, _STEPS + 1, x, y, z)
+
+
+@inlined
+def _texel(tables: Tables, table: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return a table's light in a direction, interpolated between four texels."""
+    axes, light = tables.axes, tables.light
+    right = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
+    up = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
+    ahead = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+    first, high, wide = tables.shapes[table, 0], tables.shapes[table, 1], tables.shapes[table, 2]
+    column = (0.5 - np.arctan2(right, ahead) / (2.0 * np.pi)) * wide - 0.5
+    row = (0.5 - np.arcsin(min(max(up, -1.0), 1.0)) / np.pi) * high - 0.5
+    row = min(max(row, 0.0), high - 1.0)
+    left, top = int(np.floor(column)), int(row)
+    across, down = column - left, row - top
+    below = min(top + 1, high - 1)
+    next_left, left = (left + 1) % wide, left % wide
+    red = green = blue = 0.0
+    for corner in range(4):
+        weight = (across if corner & 1 else 1.0 - across) * (down if corner & 2 else 1.0 - down)
+        at = first + (below if corner & 2 else top) * wide + (next_left if corner & 1 else left)
+        red += weight * light[at, 0]
+        green += weight * light[at, 1]
+        blue += weight * light[at, 2]
+    return red, green, blue

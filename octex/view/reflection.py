@@ -1,0 +1,165 @@
+"""What surfaces of some roughness and metal reflect of the light all around: glTF's GGX, image-based.
+
+The split sum: an average of the light around the mirrored ray times the lobe's whole reflectance (B. Karis,
+"Real Shading in Unreal Engine 4", 2013). What is scattered more than once between the facets, which a single
+scattering loses, comes from all around (C. Fdez-Agüera, "A Multiple-Scattering Microfacet Model for Real-Time
+Image-Based Lighting", JCGT 2019): what is white reflects all.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from octex.arrays import Float32s, Float64s, Floats
+from octex.jit import inlined, kernel
+from octex.view.camera import Camera
+from octex.view.environment import Environment, Tables, glossy_light, matte_light
+
+#: Of what is no metal, along the normal (glTF 2.0, appendix B).
+_DIELECTRIC = 0.04
+_SIZE = 32
+_BITS = 12
+_SAMPLES = 2**_BITS
+#: Normals that lean away are turned until their cosine with the way to the eye is this.
+_GRAZING = 1e-3
+
+
+class Material(NamedTuple):
+    """What surfaces are made of; None is glTF's own for a surface that is no metal."""
+
+    base_color: Floats  # (n, 3)   linear
+    metallic: Floats | None = None  # (n,)   None: 0
+    roughness: Floats | None = None  # (n,)   None: 1
+    occlusion: Floats | None = None  # (n,)   how much of the light reaches it; None: 1
+
+
+def reflected(
+    environment: Environment,
+    camera: Camera,
+    points: Floats,
+    faces: Floats,
+    normals: Floats,
+    material: Material,
+) -> Float32s:
+    """Return the light (n, 3) that points reflect toward a camera.
+
+    points     (n, 3) in the world
+    faces      (n, 3) normals of their triangles: they decide which side is seen
+    normals    (n, 3) normals to light them by, of the same side as the triangles'; of any length
+    """
+    lit = np.empty((len(points), 3), np.float32)
+    columns = np.ones((len(points), 6))
+    columns[:, :3] = material.base_color
+    columns[:, 3] = 0.0
+    for number, part in enumerate(material[1:], 3):
+        if part is not None:
+            columns[:, number] = part
+    np.clip(columns[:, 3:], 0.0, 1.0, out=columns[:, 3:])
+    perspective = camera.projection == "pinhole"
+    eye = camera.position if perspective else -camera.world_to_camera[2, :3]
+    points, faces, normals = (np.ascontiguousarray(array, np.float64) for array in (points, faces, normals))
+    tables = environment.seen_by(camera)
+    _reflect(tables, reflectances(), points, faces, normals, columns, eye, perspective, lit)
+    return lit
+
+
+@cache
+def reflectances() -> Float64s:
+    """Return (32, 32, 2) of cosine and roughness, by middles of 32 steps: A, B of the reflectance A·F₀ + B.
+
+    Sums over samples of the lobe with Smith's height-correlated shadowing and Schlick's Fresnel term.
+    """
+    middles = (np.arange(_SIZE) + 0.5) / _SIZE
+    index = np.arange(_SAMPLES, dtype=np.uint64)
+    turned = np.zeros(_SAMPLES)
+    for bit in range(_BITS):
+        turned += (index >> np.uint64(bit) & np.uint64(1)) / 2.0 ** (bit + 1)
+    azimuth, height = 2 * np.pi * (index + 0.5) / _SAMPLES, turned + 0.5 / _SAMPLES
+    table = np.empty((_SIZE, _SIZE, 2))
+    v = np.stack([np.sqrt(1 - middles**2), np.zeros(_SIZE), middles], axis=1)
+    for number, roughness in enumerate(middles):
+        square = roughness**4
+        up = np.sqrt((1 - height) / (1 + (square - 1) * height))
+        out = np.sqrt(np.maximum(1 - up**2, 0))
+        h = np.stack([out * np.cos(azimuth), out * np.sin(azimuth), up], axis=1)
+        toward = v @ h.T  # of each cosine and sample
+        mirrored = 2 * toward * up - middles[:, None]
+        is_seen = (mirrored > 0) & (toward > 0)
+        n_l, n_v = np.maximum(mirrored, 1e-12), middles[:, None]
+        shadow = n_l * np.sqrt(n_v**2 * (1 - square) + square) + n_v * np.sqrt(n_l**2 * (1 - square) + square)
+        weight = np.where(is_seen, 2 * n_l * toward / (shadow * up), 0.0)
+        fresnel = (1 - np.clip(toward, 0, 1)) ** 5
+        table[:, number, 0] = (weight * (1 - fresnel)).mean(axis=1)
+        table[:, number, 1] = (weight * fresnel).mean(axis=1)
+    return table
+
+
+@inlined
+def _reflectance(table: Float64s, cosine: float, roughness: float) -> tuple[float, float]:
+    row = min(max(cosine * _SIZE - 0.5, 0.0), _SIZE - 1.0)
+    column = min(max(roughness * _SIZE - 0.5, 0.0), _SIZE - 1.0)
+    i, j = min(int(row), _SIZE - 2), min(int(column), _SIZE - 2)
+    s, t = row - i, column - j
+    slope = bias = 0.0
+    for corner in range(4):
+        weight = (s if corner & 1 else 1.0 - s) * (t if corner & 2 else 1.0 - t)
+        slope += weight * table[i + (corner & 1), j + (corner >> 1), 0]
+        bias += weight * table[i + (corner & 1), j + (corner >> 1), 1]
+    return slope, bias
+
+
+@kernel
+def _reflect(
+    tables: Tables,
+    table: Float64s,
+    points: Float64s,
+    faces: Float64s,
+    normals: Float64s,
+    materials: Float64s,
+    eye: Float64s,
+    perspective: bool,
+    lit: Float32s,
+) -> None:
+    for n in range(len(points)):
+        vx, vy, vz = eye[0], eye[1], eye[2]
+        if perspective:
+            vx, vy, vz = vx - points[n, 0], vy - points[n, 1], vz - points[n, 2]
+        vx, vy, vz = _unit(vx, vy, vz)
+        side = 1.0 if faces[n, 0] * vx + faces[n, 1] * vy + faces[n, 2] * vz >= 0.0 else -1.0
+        x, y, z = _unit(normals[n, 0] * side, normals[n, 1] * side, normals[n, 2] * side)
+        cosine = x * vx + y * vy + z * vz
+        if cosine < _GRAZING:
+            lack = _GRAZING - cosine
+            x, y, z = _unit(x + lack * vx, y + lack * vy, z + lack * vz)
+            cosine = max(x * vx + y * vy + z * vz, _GRAZING)
+        metallic, roughness = materials[n, 3], materials[n, 4]
+        slope, bias = _reflectance(table, cosine, roughness)
+        double = 2.0 * cosine
+        glossy = glossy_light(tables, roughness, double * x - vx, double * y - vy, double * z - vz)
+        matte = matte_light(tables, x, y, z)
+        once, again = _scattered(_DIELECTRIC, slope, bias)
+        for c in range(3):
+            base = materials[n, c]
+            metal, metal_again = _scattered(base, slope, bias)
+            plain = once * glossy[c] + (again + base * (1.0 - once - again)) * matte[c]
+            shiny = metal * glossy[c] + metal_again * matte[c]
+            lit[n, c] = materials[n, 5] * (plain + (shiny - plain) * metallic)
+
+
+@inlined
+def _scattered(first: float, slope: float, bias: float) -> tuple[float, float]:
+    """Return the parts that are scattered once and more often, where ``first`` is along the normal."""
+    once = first * slope + bias
+    lost = 1.0 - slope - bias
+    average = first + (1.0 - first) / 21.0
+    return once, once * average / (1.0 - lost * average) * lost
+
+
+@inlined
+def _unit(x: float, y: float, z: float) -> tuple[float, float, float]:
+    length = np.sqrt(x * x + y * y + z * z)
+    scale = 1.0 / length if length > 0.0 else 0.0
+    return x * scale, y * scale, z * scale
