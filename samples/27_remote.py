@@ -34,8 +34,8 @@ class Server(BaseHTTPRequestHandler):
 
 
 def main(folder: Path) -> None:
-    surface = octex.load_surface(Path(__file__).parent / "droid.glb")
     folder.mkdir(parents=True, exist_ok=True)
+    surface = octex.load_surface(Path(__file__).parent / "droid.glb")
     octex.convert(surface, DEPTH).save(folder / "droid.octex")
     CONTENT[:] = (folder / "droid.octex").read_bytes()
     with ThreadingHTTPServer(("127.0.0.1", 0), Server) as server:
@@ -44,7 +44,6 @@ def main(folder: Path) -> None:
         for width in (texture.placement.size / 16, texture.placement.size / 64, None):
             texture.sample(surface.scatter(100), width=width)
             print(f"width {width}: {SENT[0]:,} of {len(CONTENT):,} bytes came")
-        server.shutdown()
 
 
 if __name__ == "__main__":
