@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from octex.arrays import Float32s, Float64s, Int8s, Int32s, Int64s, Uint8s, Uint16s
 from octex.channels import ChannelFormat
+from octex.conversion import large
 from octex.conversion.pieces import Pieces
 from octex.jit import inlined, kernel, new_array, popcount
 from octex.source.surface import Surface
@@ -129,8 +130,8 @@ def join(
     taken: Sequence[Taken],
 ) -> Samples:
     """Lay the samples of all runs end to end."""
-    counts, places, normals, shares, values = (np.concatenate(arrays) for arrays in zip(*taken, strict=True))
-    firsts = np.zeros(len(codes) + 1, np.int64)
+    counts, places, normals, shares, values = (large.joined(arrays) for arrays in zip(*taken, strict=True))
+    firsts = large.zeros(len(codes) + 1, np.int64)
     np.cumsum(counts, out=firsts[1:])
     return Samples(depth, channels, codes, firsts, places, normals, shares, values)
 
