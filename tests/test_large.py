@@ -131,7 +131,7 @@ def test_what_a_task_raises_comes_back(processes: Executor, tmp_path: Path) -> N
     with pytest.raises(InputError, match="it is not there"):
         octex.convert(surface, 5, path=tmp_path / "a.octex", executor=processes)
     assert not list(tmp_path.iterdir())
-    with pytest.raises(ArgumentError, match="cannot be sent to workers: .*define its functions in a module"):
+    with pytest.raises(ArgumentError, match=r"cannot be sent to workers: .*define its functions in a module"):
         octex.convert(
             torus().with_sources({"base_color": lambda points: points}),
             5,

@@ -145,6 +145,17 @@ def copied(array: Array) -> Array:
     return joined([array])
 
 
+def moved(given: Any) -> Any:
+    """Return the same with its arrays in a file."""
+    here = _current.get()
+    assert here is not None
+    path = here.new_path()
+    found = _load(path, _dump(given, path, here))
+    with suppress(OSError):
+        path.unlink()
+    return found
+
+
 class _Pickler(pickle.Pickler):
     """Names arrays that lie in files."""
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from functools import partial
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -46,6 +46,10 @@ TASK_PIECES = 400_000
 #: Little work is cut into so many tasks, of no fewer pieces than this.
 _TASKS, _LEAST_PIECES = 8, 20_000
 
+#: Files of parts that are joined to one.
+_JOINED = 16
+
+Rows = TypeVar("Rows", Sums, Taken)
 #: Says which blocks of a level are to be converted.
 Reached: TypeAlias = Callable[[Blocks, int], Bools]
 
@@ -155,9 +159,8 @@ def cell_levels(
     )
     runs = _even_runs(most_pieces(grid, surface.triangles, blocks, depth))
     converted = ordered_map(executor, partial(_convert_run, job), runs, stage="convert", progress=report)
-    parts = list(converted)
-    top = Sums(*(np.concatenate(arrays) for arrays in zip(*(part.top for part in parts), strict=True)))
-    upper, _ = climb(top, block_level, channels, columns)
+    parts = _gathered(converted)
+    upper, _ = climb(_joined_rows([part.top for part in parts]), block_level, channels, columns)
     levels = [[stored] for stored in reversed(upper)]
     levels += ([part.levels[step] for part in parts] for step in reversed(range(len(parts[0].levels))))
     codes = large.joined([part.codes for part in parts])
@@ -202,6 +205,55 @@ def _some(blocks: Blocks, chosen: Bools) -> Blocks:
     counts = np.diff(blocks.starts)
     starts = np.concatenate([[0], np.cumsum(counts[chosen])])
     return Blocks(blocks.codes[chosen], starts, blocks.members[np.repeat(chosen, counts)])
+
+
+def _gathered(parts: Iterable[Part]) -> list[Part]:
+    """Return all parts; where they come as files, many are joined, as each keeps its file open."""
+    if not large.is_mapped():
+        return list(parts)
+    found, some = [], []
+    for part in parts:
+        some.append(part)
+        if len(some) == _JOINED:
+            found.append(large.moved(_joined(some)))
+            some = []
+    return found + some
+
+
+def _joined(parts: Sequence[Part]) -> Part:
+    """Join parts that follow one another."""
+    taken = [part.taken for part in parts if part.taken is not None]
+    wanted = [part.wanted for part in parts if part.wanted is not None]
+    return Part(
+        np.concatenate([part.codes for part in parts]),
+        [
+            _joined_cells(cells, np.concatenate)
+            for cells in zip(*(part.levels for part in parts), strict=True)
+        ],
+        _joined_rows([part.top for part in parts]),
+        _joined_rows(taken) if taken else None,
+        np.concatenate(wanted) if wanted else None,
+    )
+
+
+def _joined_rows(parts: Sequence[Rows]) -> Rows:
+    """Lay the arrays of several tuples of them end to end."""
+    return type(parts[0])(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+
+def _joined_cells(parts: Sequence[LevelCells], join: Callable[[list[Array]], Array]) -> LevelCells:
+    """Join cells that follow one another."""
+    starts = np.cumsum([0, *(len(part.flags) for part in parts)])
+    channels = range(len(parts[0].values))
+    return LevelCells(
+        join([part.flags for part in parts]),
+        join([part.areas for part in parts]),
+        [join([part.values[n] for part in parts]) for n in channels],
+        join([part.split_cells + start for part, start in zip(parts, starts, strict=False)]),
+        join([part.split_facings for part in parts]),
+        join([part.split_areas for part in parts]),
+        [join([part.split_values[n] for part in parts]) for n in channels],
+    )
 
 
 class Run(NamedTuple):
@@ -316,22 +368,14 @@ def _stored(level: Sums, channels: Sequence[ChannelFormat], columns: SumColumns)
 
 def assemble(channels: Sequence[ChannelFormat], filled: CellLevels) -> tuple[Octree, dict[str, Channel]]:
     """Build the tree, and lay the parts of each level end to end."""
-    parts = [part for level in filled.levels for part in level]
-    starts = np.cumsum([0, *(len(part.flags) for part in parts)])
-    split = SplitTable(
-        np.concatenate([part.split_cells + start for part, start in zip(parts, starts, strict=False)]).astype(
-            np.uint32
-        ),
-        np.concatenate([part.split_facings for part in parts]),
-        np.concatenate([part.split_areas for part in parts]),
-    )
-    flags, areas = large.joined([part.flags for part in parts]), large.joined([part.areas for part in parts])
-    tree = Octree(TreeArrays(*_structure(filled), flags, areas), split)
+    cells = _joined_cells([part for level in filled.levels for part in level], large.joined)
+    split = SplitTable(cells.split_cells.astype(np.uint32), cells.split_facings, cells.split_areas)
+    tree = Octree(TreeArrays(*_structure(filled), cells.flags, cells.areas), split)
     values = {
         channel.name: Channel(
             channel,
-            large.joined([part.values[i] for part in parts]),
-            np.concatenate([part.split_values[i] for part in parts]),
+            cells.values[i],
+            cells.split_values[i],
             np.empty((0, channel.components), channel.dtype),
         )
         for i, channel in enumerate(channels)

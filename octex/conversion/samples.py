@@ -36,6 +36,8 @@ LEAST_WIDTH = 0.5
 LEAST_PART = 0.1
 #: Widths that differ by less than this factor count as one.
 SAME_WIDTH = 1.2
+#: Cells whose samples are counted at once.
+_RUN = 1 << 20
 
 
 class Samples(NamedTuple):
@@ -132,7 +134,9 @@ def join(
     """Lay the samples of all runs end to end."""
     counts, places, normals, shares, values = (large.joined(arrays) for arrays in zip(*taken, strict=True))
     firsts = large.zeros(len(codes) + 1, np.int64)
-    np.cumsum(counts, out=firsts[1:])
+    for begin in range(0, len(codes), _RUN):  # a sum over all of them would be made in memory first
+        end = min(begin + _RUN, len(codes))
+        firsts[begin + 1 : end + 1] = firsts[begin] + np.cumsum(counts[begin:end], dtype=np.int64)
     return Samples(depth, channels, codes, firsts, places, normals, shares, values)
 
 
