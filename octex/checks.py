@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from octex.arrays import Array, Float64s, Floats, Int64s
 from octex.errors import ArgumentError, OctexError
+from octex.files import size_of
 from octex.tree.layout import MAX_DEPTH
 
 Item = TypeVar("Item")
@@ -194,6 +195,16 @@ def as_choice(value: str, choices: Iterable[str], name: str) -> str:
         listing = ", ".join(known) or "none"
         raise ArgumentError(f"unknown {name} {value!r}; there are: {listing}")
     return value
+
+
+def as_bytes(size: int | str, name: str) -> int:
+    """Return a number of bytes, given as such or as a text like "2GB", or raise ArgumentError."""
+    if not isinstance(size, str):
+        return as_whole(size, name, 1, 1 << 53)
+    try:
+        return size_of(size)
+    except ValueError as error:
+        raise ArgumentError(f"{name}: {error}") from None
 
 
 def as_number(value: float, name: str, least: float, most: float) -> float:

@@ -14,7 +14,7 @@ import math
 import mmap
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
@@ -99,14 +99,26 @@ def read(path: str | os.PathLike[str]) -> Contents:
     try:
         with open_file(path) as file:
             length = os.fstat(file.fileno()).st_size
-            text = _read_header(file, length)
-            tensors, metadata = _parsed(text, length)
+            entries = _parsed(_read_header(file.read, length), length)
             mapping = _mapped(file)
-        return Contents({name: _view(mapping, *entry) for name, entry in tensors.items()}, metadata, mapping)
+        return _contents(mapping, *entries)
     except OSError as error:
         raise TextureFileError(f"{path}: cannot be read: {error.strerror or error}") from error
     except _HeaderError as error:
         raise TextureFileError(f"{path}: {error}") from error
+
+
+def read_mapped(mapping: mmap.mmap, name: str) -> Contents:
+    """Read the header of a file that is mapped already; ``name`` is for errors, which are as in ``read``."""
+    try:
+        mapping.seek(0)
+        return _contents(mapping, *_parsed(_read_header(mapping.read, len(mapping)), len(mapping)))
+    except _HeaderError as error:
+        raise TextureFileError(f"{name}: {error}") from error
+
+
+def _contents(mapping: mmap.mmap, entries: dict[str, _Entry], metadata: dict[str, str]) -> Contents:
+    return Contents({name: _view(mapping, *entry) for name, entry in entries.items()}, metadata, mapping)
 
 
 class _HeaderError(Exception):
@@ -121,13 +133,13 @@ class _Entry(NamedTuple):
     offset: int
 
 
-def _read_header(file: BinaryIO, file_length: int) -> bytes:
-    length = int.from_bytes(file.read(8), "little")
+def _read_header(read: Callable[[int], bytes], file_length: int) -> bytes:
+    length = int.from_bytes(read(8), "little")
     if file_length < 8 or not 2 <= length <= _LONGEST_HEADER:
         raise _HeaderError("is not an octree texture file (it does not begin with a safetensors header)")
     if length > file_length - 8:
         raise _HeaderError(f"is cut off inside its header ({file_length} bytes); copy or make it again")
-    return file.read(length)
+    return read(length)
 
 
 def _parsed(text: bytes, file_length: int) -> tuple[dict[str, _Entry], dict[str, str]]:

@@ -59,6 +59,15 @@ def open_file(path: str | os.PathLike[str]) -> BufferedReader:
         raise
 
 
+def size_of(text: str) -> int:
+    """Return a number of bytes, of a text like 20MB, 800 kB, 2GiB or 5000; raises ValueError for another."""
+    units = {"": 1, "b": 1, "kb": 1e3, "mb": 1e6, "gb": 1e9, "kib": 2**10, "mib": 2**20, "gib": 2**30}
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([a-z]*)\s*", text.lower())
+    if found is None or found[2] not in units or not 1 <= float(found[1]) * units[found[2]] < 2**53:
+        raise ValueError(f"{text!r} is no size, like 20MB")
+    return int(float(found[1]) * units[found[2]])
+
+
 def read_bytes(path: str | os.PathLike[str]) -> bytes:
     """Return the content of a file; raises what ``open_file`` does."""
     with open_file(path) as file:
@@ -182,9 +191,12 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
 
 @contextlib.contextmanager
-def scratch_folder() -> Iterator[Path]:
-    """Make a folder that is gone, with all that is in it, at the end of the block or of the process."""
-    folder = Path(tempfile.gettempdir()) / f"octex-{secrets.token_hex(8)}"
+def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
+    """Make a folder that is gone, with all that is in it, at the end of the block or of the process.
+
+    It lies in ``parent``, by default where temporary files do.
+    """
+    folder = (parent or Path(tempfile.gettempdir())) / f"octex-{secrets.token_hex(8)}"
     remove = partial(shutil.rmtree, folder, ignore_errors=True)
     with undone_on_failure(remove):
         folder.mkdir(mode=0o700)

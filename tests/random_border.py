@@ -203,6 +203,7 @@ def calls() -> list[Call]:
         (octex.cast, one),
         (octex.combine, two),
         (octex.convert, {"model": w.surface, **DEPTH, "fit": False}),
+        (octex.convert, {"model": w.surface, **DEPTH, "memory": 9, "path": at / "made.octex"}),
         (octex.convert, {"model": w.cloud, **DEPTH}),
         (octex.convert, {"model": octex.Voxels.load(at / "voxels.npz")}),
         (octex.convert_set, {"parts": {"a": w.surface}, **DEPTH, "fit": False}),

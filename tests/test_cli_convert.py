@@ -80,6 +80,15 @@ def test_the_result_does_not_depend_on_the_threads(
         assert out.read_bytes() == made.read_bytes()
 
 
+def test_a_texture_can_be_made_in_files(
+    model: Path, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result(capsys, model, tmp_path / "a.octex", "--depth", 4, "--memory", "9kB")
+    assert (tmp_path / "a.octex").read_bytes() == made.read_bytes()
+    refused = refusal(capsys, model, tmp_path / "b.ply", "--memory", "9kB")
+    assert refused.endswith("b.ply: a texture is converted to NAME.octex")
+
+
 def test_a_rest_mesh_places_the_texture(
     model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -35,7 +35,7 @@ ROWS = [
     {"tree"},
     {"nearest"},
     {"field"},
-    {"container"},
+    {"container", "remote"},
     {"archive"},
     {"texture"},
     {"kernels"},

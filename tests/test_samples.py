@@ -171,7 +171,8 @@ def test_make_droid_writes_the_droid(
         ("24_ptex.py", ["house.obj", "house.ptx", "ptex.png"], "14 faces of six polygons"),
         ("25_unwrap.py", ["unwrap.png"], "painted flat"),
         ("26_photographs.py", ["photographs.glb", "photographs.png"], "painted robustly, and the truth"),
-        ("29_light.py", ["light.png"], "3 lights on"),
+        ("27_remote.py", ["droid.octex"], "bytes came"),
+        ("28_light.py", ["light.png"], "3 lights on"),
     ],
 )
 def test_the_numbered_scripts_run_from_anywhere(
@@ -195,7 +196,7 @@ def test_the_numbered_scripts_run_from_anywhere(
 def test_every_numbered_script_is_tested_short_and_says_what_it_shows() -> None:
     scripts = sorted(SAMPLES.glob("[0-9]*.py"))
     assert [path.name[:2] for path in scripts] == [f"{i:02}" for i in range(1, len(scripts) + 1)]
-    assert len(scripts) == 29
+    assert len(scripts) == 28
     for path in scripts:
         text = path.read_text(encoding="utf-8")
         assert text.startswith('"""')

@@ -56,11 +56,12 @@ def port_number(text: str) -> int:
 
 def file_size(text: str) -> int:
     """Read a number of bytes: 20MB, 800kB, 5000."""
-    units = {"": 1, "b": 1, "kb": 1e3, "mb": 1e6, "gb": 1e9, "kib": 2**10, "mib": 2**20, "gib": 2**30}
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([a-z]*)\s*", text.lower())
-    if found is None or found[2] not in units or not 1 <= float(found[1]) * units[found[2]] < 2**53:
-        raise argparse.ArgumentTypeError(f"{text!r} is no size, like 20MB")
-    return int(float(found[1]) * units[found[2]])
+    from octex.files import size_of
+
+    try:
+        return size_of(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def length(text: str) -> float:

@@ -92,6 +92,8 @@ def _convert(options: argparse.Namespace, program: str) -> int:
     check_outputs(outputs, inputs, force=options.force)
     kind = kind_of(options.INPUT)
     check_input(options, kind, program)
+    if options.memory is not None and options.parts:
+        raise InputError("--memory is for one texture; leave out --parts")
     stages = ("convert", "preview") if options.preview is not None else ("convert",)
     is_shared = options.threads is None and kind == "model"
     with Reporter(program, options.quiet) as progress, ahead(*stages if is_shared else ()):
@@ -113,11 +115,14 @@ def _convert(options: argparse.Namespace, program: str) -> int:
                         surface, options.separate, depth=options.depth, cell=options.cell
                     )
                     model = surface
-            texture = octex.convert(model, **settings_of(options), progress=progress)
+            memory = {} if options.memory is None else {"memory": options.memory, "path": options.OUTPUT}
+            texture = octex.convert(model, **settings_of(options), **memory, progress=progress)
         if draw is not None:  # first: without room for it, no OUTPUT is left unannounced
             with progress.stage("draw"):
                 draw(surface, texture)
-        if options.OUTPUT.suffix.lower() in TEXTURE_ENDINGS:
+        if options.memory is not None:
+            pass  # it is written
+        elif options.OUTPUT.suffix.lower() in TEXTURE_ENDINGS:
             with progress.stage("write"):
                 texture.save(options.OUTPUT, max_error=archive_error(options, kind))
         elif options.OUTPUT.suffix.lower() == ".npz":

@@ -83,6 +83,13 @@ _OPTIONS = (
         "a level less); --source detail=mask.png paints one",
         metavar="stretch|CHANNEL",
     ),
+    option(
+        "--memory",
+        "if the conversion would take more, keep what is large in a folder beside OUTPUT, NAME.octex, "
+        "meanwhile",
+        metavar="SIZE",
+        type=file_size,
+    ),
     option("--no-fit", "store plain averages; lookups are then softer", action="store_true"),
     option(
         "--mesh",
@@ -290,7 +297,16 @@ _OF_ANYTHING |= VIEW_WORDS - {"--frame"} | {
 }
 _CONVERSION = "a conversion"
 _WORDS = {
-    _CONVERSION: {"--cell", "--max-error", "--detail", "--no-fit", "--separate", "--parts", "--frame"}
+    _CONVERSION: {
+        "--cell",
+        "--max-error",
+        "--detail",
+        "--memory",
+        "--no-fit",
+        "--separate",
+        "--parts",
+        "--frame",
+    }
     | _OF_ANYTHING
     | _OF_TEXTURES
     | _MATERIALS,

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import ExitStack
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +15,7 @@ import numpy.typing as npt
 import octex
 from octex.channels import ALPHA
 from octex.checks import (
+    as_bytes,
     as_depth,
     as_entries,
     as_flag,
@@ -24,23 +27,24 @@ from octex.checks import (
     is_path,
     is_several,
 )
-from octex.conversion import apart
+from octex.conversion import apart, large
 from octex.conversion.adapt import adapted, as_max_error
 from octex.conversion.detail import DetailFunction, channel_of, wanted_levels
 from octex.conversion.formats import Dtypes, formats_as
 from octex.conversion.gaps import without_gaps, without_opaque
-from octex.conversion.levels import assemble, cell_levels
+from octex.conversion.levels import assemble, cell_levels, memory_needed
 from octex.conversion.points import convert_points
 from octex.conversion.sides import fitters
 from octex.conversion.voxels import convert_voxels
 from octex.editing.split import refaced
-from octex.errors import ArgumentError, ModelError
+from octex.errors import ArgumentError, ModelError, OutputError
 from octex.parallel import Progress, as_progress, workers
 from octex.source.cloud import PointCloud, is_cloud
 from octex.source.load import at_rest, load_surface
 from octex.source.surface import Surface
 from octex.source.voxels import Voxels, is_voxels
-from octex.texture import OctreeTexture
+from octex.texture import OctreeTexture, open_texture
+from octex.texture.file import ENDING
 from octex.tree.placement import Placement
 
 DEFAULT_DEPTH = 10
@@ -66,6 +70,8 @@ def convert(
     max_error: float | None = None,
     detail: DetailFunction | str | None = None,
     separate: float | bool | None = None,
+    memory: int | str | None = None,
+    path: str | os.PathLike[str] | None = None,
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
@@ -106,18 +112,31 @@ def convert(
     surface: see ``detail.wanted_levels``. A channel that only steers is not stored if ``channels`` do not
     name it.
 
+    With ``path`` the texture is saved there, NAME.octex, and returned as opened from there. If the conversion
+    would take more than ``memory``, bytes or a text like "2GB", what is large lies in a folder beside that
+    file meanwhile, of whose pages the system keeps what memory has room for; the surface, its images and some
+    bytes a cell stay in memory: see `octex help files`. With an ``executor`` it lies there always, and is
+    passed to workers and back as names of files: they must see the folder under the same name, and a worker
+    that is lost is done without. The texture is the same, bit for bit. Neither goes with ``max_error``,
+    ``detail``, or sources with gaps.
+
     Points know only ``depth``, ``cell``, ``channels``, ``dtype`` and ``progress``; voxels of these neither
     ``depth`` nor ``cell``.
 
     ``separate`` moves parts apart at rest that come nearer to each other than so many finest cells (True: 3),
     so that they share none: see ``apart.separate``. Lookups then take ``Surface.rest_positions``.
 
-    Raises ModelError and ImageError for a model that cannot be used, ArgumentError for what is no model, a
-    depth out of range, a cell too small, more cells than can be numbered, unknown names, and an integer type
-    for a channel that goes above 1, for a ``max_error`` that is no number or negative, and a ``detail`` that
-    cannot be used.
+    Raises OutputError if ``path`` cannot be written, ModelError and ImageError for a model that cannot be
+    used, ArgumentError for what is no model, a depth out of range, a cell too small, more cells than can be
+    numbered, unknown names, and an integer type for a channel that goes above 1, for a ``max_error`` that is
+    no number or negative, a ``detail`` that cannot be used, a ``memory`` without a ``path``, and a ``path``
+    that does not end in .octex.
     """
     report = as_progress(progress)
+    target = None if path is None else _as_target(path)
+    if memory is not None and target is None:
+        raise ArgumentError("memory needs a path: where the texture is written, NAME.octex")
+    most_memory = None if memory is None else as_bytes(memory, "memory")
     most = None
     if max_error is not None:
         most = as_max_error(as_real(max_error, "max_error", "a number of 8-bit codes"))
@@ -136,6 +155,7 @@ def convert(
         of_surfaces = {
             "rest": rest, "sources": sources, "filter": filter, "max_error": max_error, "detail": detail,
             "separate": cells, "threads": threads, "executor": executor, "fit": None if fit else fit,
+            "memory": memory, "path": path,
         }  # fmt: skip
         for name, given in of_surfaces.items():
             if given is not None:
@@ -157,8 +177,24 @@ def convert(
     stored = formats_as(surface.channels, dtype, surface.name)
     placement, depth = placed(surface, depth, cell)
     wanted = None if detail is None else wanted_levels(detail, whole, depth)
-    with workers(threads, executor) as pool:
-        has_samples = fit or most is not None
+    has_samples = fit or most is not None
+    is_mapped = target is not None and executor is not None
+    if most_memory is not None and not is_mapped:
+        needed = memory_needed(surface, stored, placement, depth, has_samples=has_samples)
+        is_mapped = needed > most_memory
+    with ExitStack() as stack:
+        pool = stack.enter_context(workers(threads, executor))
+        if target is not None and is_mapped:
+            source = surface.source
+            if most is not None or detail is not None or source.has_gaps or source.alpha_is_coverage:
+                raise ArgumentError(
+                    f"{surface.name}: max_error, detail and sources with gaps need all of it in memory; "
+                    "leave out memory, and path if there is an executor"
+                )
+            folder = stack.enter_context(large.scratch(target.parent))
+            pool = large.Tasks(
+                pool, folder, is_here=executor is None or isinstance(executor, ThreadPoolExecutor)
+            )
         filled = cell_levels(
             surface, stored, placement, depth, pool, report, has_samples=has_samples, wanted=wanted
         )
@@ -189,22 +225,37 @@ def convert(
             tree, values, samples,
             max_error=most, wanted=deepest, fit=fitting, split=splitting, executor=pool, progress=report,
         )  # fmt: skip
-    if surface.source.alpha_is_coverage and not empty:
-        values = without_opaque(values)
-    options = {
-        **({"depth": depth} if cell is None else {"cell": float(cell)}),
-        "fit": fit,
-        **({} if most is None else {"max_error": most}),
-        **({} if detail is None else {"detail": detail if isinstance(detail, str) else "function"}),
-        "channels": {name: channel.format.dtype for name, channel in values.items()},
-        **({} if cells is None else {"separate": float(cells)}),
-        "triangles": len(surface.triangles),
-        "degenerate": degenerate,
-        **({"empty": empty} if empty else {}),
-    }
-    metadata = {**surface.provenance, "octex": octex.__version__, "convert": json.dumps(options)}
-    texture = OctreeTexture(tree, values, placement, surface.bounds, metadata)
-    return refaced(texture) if empty else texture
+        if surface.source.alpha_is_coverage and not empty:
+            values = without_opaque(values)
+        options = {
+            **({"depth": depth} if cell is None else {"cell": float(cell)}),
+            "fit": fit,
+            **({} if most is None else {"max_error": most}),
+            **({} if detail is None else {"detail": detail if isinstance(detail, str) else "function"}),
+            "channels": {name: channel.format.dtype for name, channel in values.items()},
+            **({} if cells is None else {"separate": float(cells)}),
+            "triangles": len(surface.triangles),
+            "degenerate": degenerate,
+            **({"empty": empty} if empty else {}),
+        }
+        metadata = {**surface.provenance, "octex": octex.__version__, "convert": json.dumps(options)}
+        texture = OctreeTexture(tree, values, placement, surface.bounds, metadata)
+        texture = refaced(texture) if empty else texture
+        if target is None:
+            return texture
+        texture.save(target)
+        del texture, tree, values, samples
+    return open_texture(target)
+
+
+def _as_target(path: str | os.PathLike[str]) -> Path:
+    """Return where a texture is to be written, or raise ArgumentError, or OutputError where it cannot be."""
+    target = as_path(path)
+    if target.suffix.lower() != ENDING:
+        raise ArgumentError(f"{target}: a texture is converted to NAME{ENDING}")
+    if not os.path.isdir(target.parent):  # noqa: PTH112  # a name too long is none, and no error
+        raise OutputError(f"{target}: there is no folder {target.parent}; make it first")
+    return target
 
 
 def as_fineness(depth: int | None, cell: float | None) -> tuple[int | None, float | None]:

@@ -118,13 +118,16 @@ class CubeLookups(NamedTuple):
 @kernel
 def _firsts(codes: Int64s) -> Int64s:
     """Return where cells of another cube begin, and the end."""
-    firsts = new_array(codes.size + 1, np.int64)
+    count = 0
+    for n in range(codes.size):
+        count += n == 0 or codes[n] >> _BITS != codes[n - 1] >> _BITS
+    firsts = new_array(count + 1, np.int64)
     count = 0
     for n in range(codes.size):
         firsts[count] = n
         count += n == 0 or codes[n] >> _BITS != codes[n - 1] >> _BITS
     firsts[count] = codes.size
-    return firsts[: count + 1].copy()
+    return firsts
 
 
 def _cubes(samples: Samples, heads: Heads, cells: Int64s) -> Cubes:

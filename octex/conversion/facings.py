@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from octex.arrays import Bools, Int8s, Int64s, Uint8s, Uint32s, Uint64s
+from octex.conversion import large
 from octex.conversion.coefficients import SPLIT_KIND
 from octex.field.field import Field, Listed
 from octex.jit import kernel, new_zeros, trailing_zeros
@@ -28,12 +29,12 @@ def kinds_around(tree: Octree) -> Uint64s:
     around what lies in it.
     """
     n_cells, firsts = tree.n_cells, tree.arrays.level_cells.tolist()
-    kinds, parents = np.empty(n_cells, np.uint64), np.zeros(n_cells, np.uint32)
-    octants = np.zeros(n_cells, np.uint8)
+    kinds, parents = large.empty(n_cells, np.uint64), large.zeros(n_cells, np.uint32)
+    octants = large.zeros(n_cells, np.uint8)
     _gather_kinds(tree.arrays.groups, tree.arrays.flags, n_cells - tree.n_leaves, kinds, parents, octants)
     field = Field(tree)
-    found = np.zeros(n_cells, np.uint64)
-    meets, codes = np.zeros(n_cells, np.bool_), np.zeros(n_cells, np.int64)  # codes of those looked at
+    found = large.zeros(n_cells, np.uint64)
+    meets, codes = large.zeros(n_cells, np.bool_), large.zeros(n_cells, np.int64)  # codes of those looked at
     for level, (first, end) in enumerate(pairwise(firsts)):
         chosen = np.flatnonzero(meets[parents[first:end]]) + first if level else np.arange(1)
         for begin in range(0, len(chosen), _BLOCK):

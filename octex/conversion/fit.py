@@ -17,6 +17,7 @@ import numpy as np
 
 from octex.arrays import Array, Bools, Float32s, Floats, Int32s, Int64s
 from octex.channels import CHANNELS, ChannelFormat, decode, encode
+from octex.conversion import large
 from octex.conversion.cubes import CubeLookups, Heads
 from octex.conversion.numbering import Leaves, Outside, members_of, number
 from octex.conversion.samples import SHARE_STEPS, Samples, sample_points
@@ -137,7 +138,7 @@ def fitted(
         samples = samples.of(np.flatnonzero(np.repeat(chosen, np.diff(finest))))
         leaves = leaves.some(chosen, tree.n_cells)
     given = [channels[form.name] for form in samples.channels]
-    values = [channel.values.copy() for channel in given]
+    values = [large.copied(channel.values) for channel in given]
     job = _job(tree, given, samples, placement, leaves, unfitted, is_facing=False)
     for (first, end), parts in _fit_bricks(job, executor, progress):
         cells = leaves.where(first, end)
@@ -214,7 +215,7 @@ def _fit_bricks(
 @kernel
 def _cuts(firsts: Int64s, brick: int, most: int) -> Int64s:
     """Cut leaves into runs of about ``brick`` samples, of which a leaf has ``most`` at most."""
-    cuts = new_zeros(firsts.size + 1, np.int64)
+    cuts = new_zeros(firsts[firsts.size - 1] // brick + 3, np.int64)
     n_cuts = 1
     size = 0
     for leaf in range(firsts.size - 1):

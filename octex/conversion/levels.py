@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from functools import partial
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+from octex.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint64s
 from octex.channels import ChannelFormat, encode
+from octex.conversion import large
 from octex.conversion.accumulate import (
     SumColumns,
     Sums,
@@ -30,8 +32,8 @@ from octex.jit import kernel, new_array
 from octex.parallel import Progress, memory_size, ordered_map
 from octex.source.surface import Surface
 from octex.texture.channel import Channel
-from octex.tree.layout import GRID_BITS, MAX_CELLS, SPLIT, SplitTable
-from octex.tree.octree import Octree
+from octex.tree.layout import GRID_BITS, MAX_CELLS, SPLIT, SplitTable, TreeArrays
+from octex.tree.octree import Octree, rank
 from octex.tree.placement import Placement
 
 #: Bytes of memory that a conversion takes at least for each cell, and for each byte of the cell's values
@@ -44,6 +46,10 @@ TASK_PIECES = 400_000
 #: Little work is cut into so many tasks, of no fewer pieces than this.
 _TASKS, _LEAST_PIECES = 8, 20_000
 
+#: Files of parts that are joined to one.
+_JOINED = 16
+
+Rows = TypeVar("Rows", Sums, Taken)
 #: Says which blocks of a level are to be converted.
 Reached: TypeAlias = Callable[[Blocks, int], Bools]
 
@@ -134,13 +140,8 @@ def cell_levels(
             f"{surface.name}: all {degenerate} triangles are degenerate (without area in steps of "
             f"{placement.size / 2**GRID_BITS:.3g}); there is nothing to convert"
         )
-    # A surface meets at least as many cells as its area has faces, unless it is folded within them.
-    least = min(faces * 4.0 ** (depth - GRID_BITS), 8.0**depth)
-    row = sum(channel.components * np.dtype(channel.dtype).itemsize for channel in channels)
-    per_cell = CELL_MEMORY + VALUE_MEMORY * row
-    if has_samples:
-        per_cell += SAMPLE_MEMORY + SAMPLE_VALUE_MEMORY * row
-    if least > min(MAX_CELLS, memory_size() / per_cell):
+    least, per_cell = _least_cells(faces, depth), _cell_memory(channels, has_samples)
+    if least > min(MAX_CELLS, math.inf if large.is_mapped() else memory_size() / per_cell):
         raise ArgumentError(
             f"depth {depth} needs about {least:.2g} cells for {surface.name}, more than fit into memory "
             "or can be numbered; use a smaller depth or a larger cell"
@@ -158,17 +159,44 @@ def cell_levels(
     )
     runs = _even_runs(most_pieces(grid, surface.triangles, blocks, depth))
     converted = ordered_map(executor, partial(_convert_run, job), runs, stage="convert", progress=report)
-    parts = list(converted)
-    top = Sums(*(np.concatenate(arrays) for arrays in zip(*(part.top for part in parts), strict=True)))
-    upper, _ = climb(top, block_level, channels, columns)
+    parts = _gathered(converted)
+    upper, _ = climb(_joined_rows([part.top for part in parts]), block_level, channels, columns)
     levels = [[stored] for stored in reversed(upper)]
     levels += ([part.levels[step] for part in parts] for step in reversed(range(len(parts[0].levels))))
-    codes = np.concatenate([part.codes for part in parts])
+    codes = large.joined([part.codes for part in parts])
     taken = [part.taken for part in parts if part.taken is not None]
     samples = join(depth, channels, codes, taken) if has_samples else None
     levels_wanted = [part.wanted for part in parts if part.wanted is not None]
     deepest = np.concatenate(levels_wanted) if wanted is not None else None
     return CellLevels(depth, codes, levels, samples, deepest, degenerate)
+
+
+def memory_needed(
+    surface: Surface,
+    channels: tuple[ChannelFormat, ...],
+    placement: Placement,
+    depth: int,
+    *,
+    has_samples: bool,
+) -> float:
+    """Return how many bytes of memory a conversion takes at least."""
+    _, faces = _count_degenerate(on_grid(surface.rest, placement), surface.triangles)
+    return _least_cells(faces, depth) * _cell_memory(channels, has_samples)
+
+
+def _least_cells(faces: float, depth: int) -> float:
+    """Bound the cells that a surface meets from below: as many as its area, in square grid steps, has faces.
+
+    It meets fewer only if it is folded within them.
+    """
+    return float(min(faces * 4.0 ** (depth - GRID_BITS), 8.0**depth))
+
+
+def _cell_memory(channels: tuple[ChannelFormat, ...], has_samples: bool) -> int:
+    """Return how many bytes of memory a conversion takes for each cell."""
+    row = sum(channel.components * np.dtype(channel.dtype).itemsize for channel in channels)
+    per_sample = SAMPLE_MEMORY + SAMPLE_VALUE_MEMORY * row if has_samples else 0
+    return CELL_MEMORY + VALUE_MEMORY * row + per_sample
 
 
 def _some(blocks: Blocks, chosen: Bools) -> Blocks:
@@ -177,6 +205,55 @@ def _some(blocks: Blocks, chosen: Bools) -> Blocks:
     counts = np.diff(blocks.starts)
     starts = np.concatenate([[0], np.cumsum(counts[chosen])])
     return Blocks(blocks.codes[chosen], starts, blocks.members[np.repeat(chosen, counts)])
+
+
+def _gathered(parts: Iterable[Part]) -> list[Part]:
+    """Return all parts; where they come as files, many are joined, as each keeps its file open."""
+    if not large.is_mapped():
+        return list(parts)
+    found, some = [], []
+    for part in parts:
+        some.append(part)
+        if len(some) == _JOINED:
+            found.append(large.moved(_joined(some)))
+            some = []
+    return found + some
+
+
+def _joined(parts: Sequence[Part]) -> Part:
+    """Join parts that follow one another."""
+    taken = [part.taken for part in parts if part.taken is not None]
+    wanted = [part.wanted for part in parts if part.wanted is not None]
+    return Part(
+        np.concatenate([part.codes for part in parts]),
+        [
+            _joined_cells(cells, np.concatenate)
+            for cells in zip(*(part.levels for part in parts), strict=True)
+        ],
+        _joined_rows([part.top for part in parts]),
+        _joined_rows(taken) if taken else None,
+        np.concatenate(wanted) if wanted else None,
+    )
+
+
+def _joined_rows(parts: Sequence[Rows]) -> Rows:
+    """Lay the arrays of several tuples of them end to end."""
+    return type(parts[0])(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+
+def _joined_cells(parts: Sequence[LevelCells], join: Callable[[list[Array]], Array]) -> LevelCells:
+    """Join cells that follow one another."""
+    starts = np.cumsum([0, *(len(part.flags) for part in parts)])
+    channels = range(len(parts[0].values))
+    return LevelCells(
+        join([part.flags for part in parts]),
+        join([part.areas for part in parts]),
+        [join([part.values[n] for part in parts]) for n in channels],
+        join([part.split_cells + start for part, start in zip(parts, starts, strict=False)]),
+        join([part.split_facings for part in parts]),
+        join([part.split_areas for part in parts]),
+        [join([part.split_values[n] for part in parts]) for n in channels],
+    )
 
 
 class Run(NamedTuple):
@@ -291,29 +368,56 @@ def _stored(level: Sums, channels: Sequence[ChannelFormat], columns: SumColumns)
 
 def assemble(channels: Sequence[ChannelFormat], filled: CellLevels) -> tuple[Octree, dict[str, Channel]]:
     """Build the tree, and lay the parts of each level end to end."""
-    tree = Octree.from_leaves(filled.codes, filled.depth)
-    parts = [part for level in filled.levels for part in level]
-    starts = np.cumsum([0, *(len(part.flags) for part in parts)])
-    split = SplitTable(
-        np.concatenate([part.split_cells + start for part, start in zip(parts, starts, strict=False)]).astype(
-            np.uint32
-        ),
-        np.concatenate([part.split_facings for part in parts]),
-        np.concatenate([part.split_areas for part in parts]),
-    )
-    tree = tree.with_cell_data(
-        np.concatenate([part.flags for part in parts]), np.concatenate([part.areas for part in parts]), split
-    )
+    cells = _joined_cells([part for level in filled.levels for part in level], large.joined)
+    split = SplitTable(cells.split_cells.astype(np.uint32), cells.split_facings, cells.split_areas)
+    tree = Octree(TreeArrays(*_structure(filled), cells.flags, cells.areas), split)
     values = {
         channel.name: Channel(
             channel,
-            np.concatenate([part.values[i] for part in parts]),
-            np.concatenate([part.split_values[i] for part in parts]),
+            cells.values[i],
+            cells.split_values[i],
             np.empty((0, channel.components), channel.dtype),
         )
         for i, channel in enumerate(channels)
     }
     return tree, values
+
+
+def _structure(filled: CellLevels) -> tuple[Uint64s, Int64s, Int64s]:
+    """Return the groups, and the first cell and node of each level, of a tree all of whose leaves are finest.
+
+    Raises ArgumentError for more cells than can be numbered.
+    """
+    counts = [sum(len(part.flags) for part in level) for level in filled.levels]
+    level_cells = np.cumsum([0, *counts])
+    if level_cells[-1] > MAX_CELLS:
+        raise ArgumentError(f"{level_cells[-1]} cells are more than a tree can number; use a smaller depth")
+    level_nodes = np.append(level_cells[:-1], level_cells[-2])
+    groups = large.zeros((-(-int(level_nodes[-1]) // 8), 3), np.uint64)
+    masks = np.zeros((2, 8 * len(groups)), np.uint8)
+    codes = filled.codes
+    for level in range(filled.depth, 0, -1):
+        first, end = level_nodes[level - 1 : level + 1]
+        parents = large.empty(int(end - first), np.int64)
+        _join_octants(codes, parents, masks[int(level == filled.depth), first:end])
+        codes = parents
+    for word in range(2):
+        groups[:, word] = masks[word].view("<u8")
+    rank(groups)
+    return groups, level_cells, level_nodes
+
+
+@kernel
+def _join_octants(codes: Int64s, parents: Int64s, masks: Uint8s) -> None:
+    """Write the parents of cells, whose Morton codes ascend, and the octants that each parent has."""
+    n = -1
+    for cell in range(codes.size):
+        parent = codes[cell] >> 3
+        if n < 0 or parents[n] != parent:
+            n += 1
+            parents[n] = parent
+            masks[n] = 0
+        masks[n] |= np.uint8(1 << (codes[cell] & 7))
 
 
 def is_degenerate(surface: Surface, placement: Placement) -> bool:

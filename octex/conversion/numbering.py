@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Int32s, Int64s
+from octex.conversion import large
 from octex.conversion.samples import Samples
 from octex.field.taps import Taps
 from octex.jit import inlined, kernel, new_array
@@ -44,7 +45,7 @@ class Leaves(NamedTuple):
 
     def some(self, chosen: Bools, n_cells: int) -> Leaves:
         """Put some leaves (leaves,) in order. The samples are then those of these leaves alone."""
-        cells = self.numbers(0, len(self.firsts) - 1)[chosen]
+        cells = self.numbers_of(chosen)
         ranks = np.full(n_cells, -1, np.int64)
         ranks[cells] = np.arange(cells.size)
         firsts = np.append(0, np.cumsum(np.diff(self.firsts)[chosen]))
@@ -55,14 +56,15 @@ class Leaves(NamedTuple):
 
         The samples are then those of these leaves alone.
         """
-        cells = self.numbers(0, len(self.firsts) - 1)[chosen]
+        cells = self.numbers_of(chosen)
         counts = np.bitwise_count(tree.split.facings).astype(np.int64)
         at = np.searchsorted(tree.split.cells, cells)
         first_rows, counts = (np.cumsum(counts) - counts)[at], counts[at]
         heads = np.cumsum(counts) - counts
         within = np.arange(counts.sum()) - np.repeat(heads, counts)
         rows = tree.n_cells + np.repeat(first_rows, counts) + within
-        ranks = np.full(tree.n_cells + tree.split.areas.size, -1, np.int64)
+        ranks = large.empty(tree.n_cells + tree.split.areas.size, np.int64)
+        ranks[:] = -1
         ranks[rows] = np.arange(rows.size)
         ends = np.cumsum(np.diff(self.firsts)[chosen])
         firsts = np.repeat(ends, counts)
@@ -72,6 +74,10 @@ class Leaves(NamedTuple):
     def numbers(self, first: int, end: int) -> Int64s:
         """Return the cell numbers of leaves ``first`` … ``end`` − 1 of the order."""
         return self.cells[first:end] if self.cells.size else np.arange(first, end) + self.offset
+
+    def numbers_of(self, chosen: Bools) -> Int64s:
+        """Return the cell numbers of some leaves (leaves,), in order."""
+        return self.cells[chosen] if self.cells.size else np.flatnonzero(chosen) + self.offset
 
     def with_samples(self, places: Int64s) -> Int64s:
         """Return which leaves have the samples of those at places in the order, each once."""

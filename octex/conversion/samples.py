@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from octex.arrays import Float32s, Float64s, Int8s, Int32s, Int64s, Uint8s, Uint16s
 from octex.channels import ChannelFormat
+from octex.conversion import large
 from octex.conversion.pieces import Pieces
 from octex.jit import inlined, kernel, new_array, popcount
 from octex.source.surface import Surface
@@ -35,6 +36,8 @@ LEAST_WIDTH = 0.5
 LEAST_PART = 0.1
 #: Widths that differ by less than this factor count as one.
 SAME_WIDTH = 1.2
+#: Cells whose samples are counted at once.
+_RUN = 1 << 20
 
 
 class Samples(NamedTuple):
@@ -129,9 +132,11 @@ def join(
     taken: Sequence[Taken],
 ) -> Samples:
     """Lay the samples of all runs end to end."""
-    counts, places, normals, shares, values = (np.concatenate(arrays) for arrays in zip(*taken, strict=True))
-    firsts = np.zeros(len(codes) + 1, np.int64)
-    np.cumsum(counts, out=firsts[1:])
+    counts, places, normals, shares, values = (large.joined(arrays) for arrays in zip(*taken, strict=True))
+    firsts = large.zeros(len(codes) + 1, np.int64)
+    for begin in range(0, len(codes), _RUN):  # a sum over all of them would be made in memory first
+        end = min(begin + _RUN, len(codes))
+        firsts[begin + 1 : end + 1] = firsts[begin] + np.cumsum(counts[begin:end], dtype=np.int64)
     return Samples(depth, channels, codes, firsts, places, normals, shares, values)
 
 

@@ -38,6 +38,8 @@ Split: TypeAlias = Callable[[Octree, Channels, Channels], tuple[Octree, Channels
 _LEAST_WEIGHT = 0.03
 #: Samples looked up at once.
 _BLOCK = 1 << 16
+#: Leaves looked at at once.
+_RUN = 1 << 20
 _UNIT = Placement((0.0, 0.0, 0.0), 1.0)
 
 
@@ -79,14 +81,15 @@ def with_sides(
     chosen = _in_sight(tree, leaves, samples)
     if not chosen.any():
         return tree, dict(values)
-    order = leaves.numbers(0, len(chosen))
-    whole = np.sort(order[chosen])
+    whole = np.sort(leaves.numbers_of(chosen))
     whole = whole[tree.arrays.flags[whole] & SPLIT == 0]
     tried = OctreeTexture(tree, means, placement, np.zeros((2, 3)))
     tried = with_split(tried, whole, tree.arrays.flags[whole] & np.uint8(FACING_FLAGS), {})
     start = {name: channel._replace(values=values[name].values) for name, channel in tried.channels.items()}
-    own = np.repeat(chosen, np.diff(leaves.firsts))
-    finest = np.logical_or.reduceat(own, samples.firsts[:-1])
+    finest = chosen
+    if leaves.cells.size:
+        own = np.repeat(chosen, np.diff(leaves.firsts))
+        finest = np.logical_or.reduceat(own, samples.firsts[:-1])
     found = fitted_rows(
         tried.tree, start, samples.of(np.flatnonzero(finest)), leaves.rows_of(tried.tree, chosen), placement,
         executor=executor, progress=progress, unfitted=unfitted,
@@ -98,24 +101,27 @@ def with_sides(
 
 def _in_sight(tree: Octree, leaves: Leaves, samples: Samples) -> Bools:
     """Say which leaves, in order, weigh where lookups with normals find something else than others."""
-    counts = np.diff(leaves.firsts)
-    order = leaves.numbers(0, len(counts))
-    kinds = kinds_around(tree)[order]
-    beside = kinds > 0
-    mixed = np.flatnonzero(np.repeat(beside, counts))
-    mixed = mixed[has_opposite(samples.normals[mixed], np.repeat(kinds[beside], counts[beside]))]
+    kinds, count = kinds_around(tree), len(leaves.firsts) - 1
     field = Field(tree)
     owners = np.repeat(tree.split.cells, np.bitwise_count(tree.split.facings)).astype(np.int64)
     reached = np.zeros(tree.n_cells, np.bool_)
-    for begin in range(0, mixed.size, _BLOCK):
-        some = mixed[begin : begin + _BLOCK]
-        normals = samples.normals[some].astype(np.float32)
-        for taps in field.batches(sample_points(samples, some, _UNIT), _UNIT, normals=normals):
-            rows = taps.rows[: taps.starts[-1]][taps.weights[: taps.starts[-1]] >= _LEAST_WEIGHT].astype(
-                np.int64
-            )
-            in_table = rows >= tree.n_cells
-            rows[in_table] = owners[rows[in_table] - tree.n_cells]
-            reached[rows] = True
-    flags = tree.arrays.flags[order]
-    return reached[order] & (flags & FACING_FLAGS > 0)
+    runs = [(begin, min(begin + _RUN, count)) for begin in range(0, count, _RUN)]
+    for first, end in runs:
+        counts, around = np.diff(leaves.firsts[first : end + 1]), kinds[leaves.numbers(first, end)]
+        beside = around > 0
+        mixed = np.flatnonzero(np.repeat(beside, counts)) + leaves.firsts[first]
+        mixed = mixed[has_opposite(samples.normals[mixed], np.repeat(around[beside], counts[beside]))]
+        for begin in range(0, mixed.size, _BLOCK):
+            some = mixed[begin : begin + _BLOCK]
+            normals = samples.normals[some].astype(np.float32)
+            for taps in field.batches(sample_points(samples, some, _UNIT), _UNIT, normals=normals):
+                used = slice(0, taps.starts[-1])
+                rows = taps.rows[used][taps.weights[used] >= _LEAST_WEIGHT].astype(np.int64)
+                in_table = rows >= tree.n_cells
+                rows[in_table] = owners[rows[in_table] - tree.n_cells]
+                reached[rows] = True
+    found = np.empty(count, np.bool_)
+    for first, end in runs:
+        order = leaves.numbers(first, end)
+        found[first:end] = reached[order] & (tree.arrays.flags[order] & FACING_FLAGS > 0)
+    return found

@@ -10,7 +10,7 @@ import numpy as np
 from octex.arrays import Array, Int64s
 from octex.container import header_length
 from octex.texture.channel import Channel
-from octex.tree.octree import Octree
+from octex.tree.octree import Octree, count_before
 
 
 class Spans:
@@ -72,7 +72,7 @@ def add_reads(
     spans.until(arrays.groups, -(-int(arrays.level_nodes[deepest]) // 8))
     if kept.cells.size:
         spans.until(arrays.flags, n_cells)
-    n_split = int(np.searchsorted(split.cells, np.uint32(n_cells)))
+    n_split = count_before(split.cells, n_cells)
     ends = np.cumsum(np.bitwise_count(split.facings[:n_split]), dtype=np.int64)  # of split cells' rows
     is_coarse = any(
         level < tree.max_depth or (rows < arrays.level_cells[level]).any() for level, rows in levels.items()

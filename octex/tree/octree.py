@@ -192,11 +192,11 @@ class Octree:
         _cut(groups, int(arrays.level_nodes[level - 1]) if level else 0, n_nodes)
         level_nodes = arrays.level_nodes[: level + 2].copy()
         level_nodes[-1] = n_nodes
-        n_split = _count_before(self.split.cells, n_cells)
+        n_split = count_before(self.split.cells, n_cells)
         facings = self.split.facings[:n_split]
         rows = int(np.bitwise_count(facings).sum())
-        kept = self.kept.cells[: _count_before(self.kept.cells, n_cells)]
-        n_kept = _count_before(kept, int(arrays.level_cells[level]))
+        kept = self.kept.cells[: count_before(self.kept.cells, n_cells)]
+        n_kept = count_before(kept, int(arrays.level_cells[level]))
         flags = arrays.flags[:n_cells]
         if n_kept < kept.size:
             flags = flags.copy()
@@ -231,7 +231,7 @@ def _whole(numbers: npt.ArrayLike, name: str) -> Array:
     return array
 
 
-def _count_before(cells: Uint32s, end: int) -> int:
+def count_before(cells: Uint32s, end: int) -> int:
     """Count the cells before ``end``, without a look at the far end of a large file."""
     bound = 1
     while bound < cells.size and cells[bound] < end:

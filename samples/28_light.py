@@ -2,7 +2,7 @@
 
 A row of balls from mirror to matte, gold and blue plastic, behind a sheet of tinted glass with a hole in it.
 
-    python samples/29_light.py [FOLDER]      writes FOLDER/light.png (default: out)
+    python samples/28_light.py [FOLDER]      writes FOLDER/light.png (default: out)
 """
 
 import os

@@ -1,0 +1,199 @@
+"""Files elsewhere, a part of which lies here: fetched in blocks when they are needed, by fsspec.
+
+A local file as long as the remote one, without the blocks that are not here yet, is mapped; the blocks that
+somebody is about to read are fetched into it before. It has no name and goes with the process, or stands in a
+folder beside a byte a block that says which are here, for the next process.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import mmap
+import os
+import re
+import tempfile
+import weakref
+from pathlib import Path
+from threading import RLock
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from octex.arrays import Array, Bools, Int64s, Uint8s
+from octex.errors import MissingExtraError, OutputError, TextureFileError
+
+#: Bytes fetched at least.
+BLOCK = 1 << 12
+#: Most bytes asked for at once: what a server answers is held in memory meanwhile.
+_MOST = 1 << 26
+#: What file systems say by which a changed file is known.
+_STAMPS = "ETag", "etag", "Last-Modified", "LastModified", "last_modified", "mtime", "modified", "created"
+_ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+(://|::)")
+
+
+def is_address(path: object) -> bool:
+    """Say whether a path names a file elsewhere: ``protocol://…``, or protocols chained by ``::``."""
+    return isinstance(path, str) and _ADDRESS.match(path) is not None
+
+
+class RemoteFile:
+    """A file at an address, and the part of it that is here, mapped.
+
+    ``cache`` is a folder that keeps what was fetched. Raises TextureFileError, which names the address, for
+    what cannot be reached, here and when blocks are fetched; OutputError if there is no place for them here;
+    MissingExtraError without fsspec, or what it needs for the protocol.
+    """
+
+    def __init__(self, address: str, cache: Path | None = None) -> None:
+        self.address = address
+        self._lock = RLock()
+        try:
+            from fsspec.core import url_to_fs
+        except ImportError:
+            raise MissingExtraError.needed(f"{address}: to be read", "fsspec", "remote") from None
+        try:
+            self._files, self._path = url_to_fs(address)
+        except ImportError as error:
+            raise MissingExtraError(
+                f"{address}: cannot be read: {error}; pip install 'octex[remote]' has what http needs"
+            ) from None
+        except Exception as error:
+            raise self._failed(error) from error
+        self.size, self._stamp = self._described()
+        has_stamp = len(self._stamp) > 1
+        try:
+            file, known = _made(cache if has_stamp else None, address, self._stamp, self.size)
+        except OSError as error:
+            raise OutputError(
+                f"{cache or tempfile.gettempdir()}: what is fetched of {address} cannot be kept: "
+                f"{error.strerror or error}; make room or choose another folder"
+            ) from error
+        self._file, self._is_here = file, known
+        weakref.finalize(self, file.close)
+        self.mapping = mmap.mmap(file.fileno(), self.size)
+        self._first = np.frombuffer(self.mapping, np.uint8).ctypes.data
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all blocks are here."""
+        return bool(self._is_here.all())
+
+    def fetch(self, ranges: Int64s) -> bool:
+        """Fetch what is not here of bytes (n, 2), from … to before …; say whether there was any."""
+        with self._lock:
+            wanted = np.zeros(self._is_here.size, np.bool_)
+            for begin, end in ranges.tolist():
+                wanted[begin // BLOCK : -(-end // BLOCK)] = True
+            wanted &= self._is_here == 0
+            if not wanted.any():
+                return False
+            runs = _runs(wanted)
+            begin = size = 0
+            for last, (first, end) in enumerate(runs.tolist(), 1):
+                size += end - first
+                if size >= _MOST or last == len(runs):
+                    self._fetch(np.minimum(runs[begin:last], self.size))
+                    begin, size = last, 0
+            return True
+
+    def fetch_all(self) -> None:
+        """Fetch all that is not here."""
+        self.fetch(np.array([[0, self.size]]))
+
+    def fetch_rows(self, array: Array, end: int | None = None) -> None:
+        """Fetch the rows of an array before one, by default all; what is no view of the mapping is here."""
+        rows = len(array) if end is None else min(end, len(array))
+        if rows and self.holds(array):
+            offset = array.ctypes.data - self._first
+            self.fetch(np.array([[offset, offset + rows * (array.nbytes // len(array))]]))
+
+    def holds(self, array: Array) -> bool:
+        """Say whether an array is empty or a view of the mapping."""
+        return not array.nbytes or 0 <= array.ctypes.data - self._first < self.size
+
+    def _fetch(self, runs: Int64s) -> None:
+        begins, ends = runs.T.tolist()
+        try:
+            found = self._files.cat_ranges([self._path] * len(runs), begins, ends, on_error="raise")
+        except Exception as error:
+            self._check_unchanged()
+            raise self._failed(error) from error
+        for begin, end, part in zip(begins, ends, found, strict=True):
+            if len(part) > end - begin:
+                raise TextureFileError(
+                    f"{self.address}: its server does not answer requests for a part of a file (HTTP "
+                    "ranges); copy the file and open that"
+                )
+            if len(part) < end - begin:
+                self._check_unchanged()
+                raise TextureFileError(
+                    f"{self.address}: was cut off: bytes {begin} to {end} came as {len(part)}; open it again"
+                )
+        self._check_unchanged()
+        try:
+            for begin, part in zip(begins, found, strict=True):
+                self._file.seek(begin)
+                self._file.write(part)
+            self._file.flush()
+        except OSError as error:
+            raise OutputError(
+                f"{tempfile.gettempdir()}: what is fetched of {self.address} cannot be kept: "
+                f"{error.strerror or error}; make room"
+            ) from error
+        for begin, end in runs.tolist():
+            self._is_here[begin // BLOCK : -(-end // BLOCK)] = 1
+
+    def _described(self) -> tuple[int, tuple[str, ...]]:
+        """Return the file's length, and it and all by which a changed file is known."""
+        try:
+            self._files.invalidate_cache(self._path)
+            info: dict[str, Any] = self._files.info(self._path)
+        except Exception as error:
+            raise self._failed(error) from error
+        size = info.get("size")
+        if info.get("type") == "directory" or not isinstance(size, int) or size <= 0:
+            raise TextureFileError(
+                f"{self.address}: is no file of known length; give the address of an .octex or .octz file"
+            )
+        return size, (str(size), *(str(info[name]) for name in _STAMPS if info.get(name)))
+
+    def _check_unchanged(self) -> None:
+        if self._described()[1] != self._stamp:
+            raise TextureFileError(f"{self.address}: has changed since it was opened; open it again")
+
+    def _failed(self, error: Exception) -> TextureFileError:
+        what = str(error) or type(error).__name__
+        if isinstance(error, FileNotFoundError):
+            what = f"there is no such file, or nobody answers ({what})"
+        return TextureFileError(f"{self.address}: cannot be read: {what}")
+
+
+def _runs(wanted: Bools) -> Int64s:
+    """Return where runs of blocks begin and end, in bytes."""
+    found: Int64s = np.flatnonzero(np.diff(wanted, prepend=False, append=False)).reshape(-1, 2) * BLOCK
+    return found
+
+
+def _made(cache: Path | None, address: str, stamp: tuple[str, ...], size: int) -> tuple[BinaryIO, Uint8s]:
+    """Make the local file, or find it in the ``cache``; return it, and which blocks are here."""
+    blocks = -(-size // BLOCK)
+    if cache is None:
+        nameless: Any = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  (it is kept open)
+        nameless.truncate(size)
+        return nameless, np.zeros(blocks, np.uint8)
+    cache.mkdir(parents=True, exist_ok=True)
+    name = hashlib.sha256(address.encode()).hexdigest()[:16]
+    version = hashlib.sha256("\n".join(stamp).encode()).hexdigest()[:16]
+    for old in cache.glob(f"{name}-*"):
+        if not old.name.startswith(f"{name}-{version}."):
+            old.unlink(missing_ok=True)
+    opened: list[BinaryIO] = []
+    for ending, length in (("part", size), ("blocks", blocks)):
+        path = cache / f"{name}-{version}.{ending}"
+        file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666), "r+b", 0)
+        if path.stat().st_size != length:
+            file.truncate(0)
+            file.truncate(length)
+        opened.append(file)
+    with opened[1] as flags:
+        return opened[0], np.frombuffer(mmap.mmap(flags.fileno(), blocks), np.uint8)

@@ -1,0 +1,179 @@
+"""Conversions whose arrays lie in files, and whose tasks others do: the same bytes come out."""
+
+from __future__ import annotations
+
+import errno
+import multiprocessing
+import os
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import octex
+from octex.conversion import large
+from octex.errors import ArgumentError, InputError, OutputError
+from tests.conftest import needs_jit
+from tests.small_surfaces import bent, sheet, tetrahedron, turned
+
+
+def torus(**options: object) -> octex.Surface:
+    """Return a bumpy torus with a colour a vertex."""
+    around, along = np.meshgrid(*[np.arange(48) * (np.pi / 24)] * 2)
+    radius = 0.4 + 0.05 * np.sin(5 * around) * np.sin(4 * along)
+    ring = 1 + radius * np.cos(along)
+    points = np.stack([ring * np.cos(around), ring * np.sin(around), radius * np.sin(along)], axis=-1)
+    a = np.arange(48 * 48).reshape(48, 48)
+    b, c, d = np.roll(a, -1, 0), np.roll(a, -1, (0, 1)), np.roll(a, -1, 1)
+    triangles = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+    colors = 0.5 + 0.5 * np.sin(9 * points.reshape(-1, 3))
+    return octex.Surface.from_arrays(points.reshape(-1, 3), triangles, colors=colors, name="torus", **options)
+
+
+SURFACES = {
+    "torus": torus(),
+    "tetrahedron": tetrahedron(),
+    "sheet": sheet(turned(3), 0.02),
+    "bent": bent(0.03),
+}
+
+
+def converted(surface: octex.Surface, folder: Path, **options: object) -> tuple[bytes, bytes]:
+    """Return the bytes of a texture made in memory, and of one made in files."""
+    depth, fit = options.pop("depth", 6), options.pop("fit", True)
+    octex.convert(surface, depth, fit=fit).save(folder / "memory.octex")  # type: ignore[arg-type]
+    made = octex.convert(surface, depth, fit=fit, path=folder / "files.octex", **options)  # type: ignore[arg-type]
+    made.validate()
+    del made
+    assert sorted(each.name for each in folder.iterdir()) == ["files.octex", "memory.octex"]
+    return (folder / "memory.octex").read_bytes(), (folder / "files.octex").read_bytes()
+
+
+@pytest.mark.parametrize("name", SURFACES)
+@pytest.mark.parametrize("fit", [True, False])
+def test_a_texture_made_in_files_has_the_same_bytes(name: str, fit: bool, tmp_path: Path) -> None:
+    for depth in (0, 2, 6):
+        in_memory, in_files = converted(SURFACES[name], tmp_path, fit=fit, depth=depth, memory=1)
+        assert in_memory == in_files
+
+
+def test_what_fits_into_memory_is_made_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(large, "scratch", None)
+    in_memory, in_files = converted(tetrahedron(), tmp_path, memory="1GB")
+    assert in_memory == in_files
+
+
+@needs_jit
+def test_large_arrays_of_a_conversion_take_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+    joined = large.joined
+    monkeypatch.setattr(large, "joined", lambda arrays: made.append(joined(arrays)) or made[-1])
+    octex.convert(torus(), 6, memory=1, path=tmp_path / "a.octex")
+    owners = {
+        type(array.base.base if array.ndim > 1 else array.base).__name__ for array in made if array.size
+    }
+    assert len(made) > 9
+    assert owners <= {"mmap", "memoryview", "ndarray"}
+    assert not any(array.flags.owndata for array in made if array.size)
+
+
+@pytest.fixture(scope="module")
+def processes() -> Iterator[Executor]:
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
+        yield pool
+
+
+def test_processes_pass_files_and_the_same_bytes_come_out(processes: Executor, tmp_path: Path) -> None:
+    in_memory, in_files = converted(torus(), tmp_path, executor=processes)
+    assert in_memory == in_files
+    with ThreadPoolExecutor(2) as threads:
+        assert converted(torus(), tmp_path, executor=threads)[1] == in_memory
+
+
+class Fragile:
+    """Colours, by a source that ends the process that asks first, but for this one."""
+
+    def __init__(self, flag: Path) -> None:
+        self.flag, self.process = flag, os.getpid()
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        if os.getpid() != self.process and not self.flag.exists():
+            self.flag.touch()
+            os._exit(9)
+        return 0.5 + 0.5 * np.sin(points)
+
+
+def test_a_worker_that_ends_half_way_is_done_without(tmp_path: Path) -> None:
+    (tmp_path / "made").mkdir()
+    surface = torus().with_sources({"base_color": Fragile(tmp_path / "flag")})
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        in_memory, in_files = converted(surface, tmp_path / "made", executor=pool)
+    assert (tmp_path / "flag").exists()
+    assert in_memory == in_files
+
+
+class Failing:
+    """A source that fails in other processes."""
+
+    def __init__(self) -> None:
+        self.process = os.getpid()
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        if os.getpid() != self.process:
+            raise InputError("it is not there")
+        return points * 0
+
+
+def test_what_a_task_raises_comes_back(processes: Executor, tmp_path: Path) -> None:
+    surface = torus().with_sources({"base_color": Failing()})
+    with pytest.raises(InputError, match="it is not there"):
+        octex.convert(surface, 5, path=tmp_path / "a.octex", executor=processes)
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(ArgumentError, match=r"cannot be sent to workers: .*define its functions in a module"):
+        octex.convert(
+            torus().with_sources({"base_color": lambda points: points}),
+            5,
+            path=tmp_path / "a.octex",
+            executor=processes,
+        )
+
+
+def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(large.Scratch, "empty", full)
+    with pytest.raises(OutputError, match="has no place for what is converted: No space left on device"):
+        octex.convert(tetrahedron(), 3, memory=1, path=tmp_path / "a.octex")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_dask_cluster_makes_the_same_bytes(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed", reason="needs the extra octex[cluster]")
+    (tmp_path / "made").mkdir()
+    surface = torus().with_sources({"base_color": Fragile(tmp_path / "flag")})
+    with (
+        distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        in_memory, in_files = converted(surface, tmp_path / "made", executor=client.get_executor())
+    assert in_memory == in_files
+
+
+def test_what_cannot_be_made_in_files_is_refused(tmp_path: Path) -> None:
+    surface = tetrahedron()
+    with pytest.raises(ArgumentError, match="memory needs a path"):
+        octex.convert(surface, 3, memory="1GB")
+    with pytest.raises(ArgumentError, match="memory: '2 elephants' is no size"):
+        octex.convert(surface, 3, memory="2 elephants", path=tmp_path / "a.octex")
+    with pytest.raises(ArgumentError, match=r"is converted to NAME\.octex"):
+        octex.convert(surface, 3, path=tmp_path / "a.ply")
+    with pytest.raises(OutputError, match="there is no folder"):
+        octex.convert(surface, 3, path=tmp_path / "b" / "a.octex")
+    with pytest.raises(
+        ArgumentError, match="max_error, detail and sources with gaps need all of it in memory"
+    ):
+        octex.convert(surface, 3, max_error=2, memory=1, path=tmp_path / "a.octex")
+    assert not list(tmp_path.iterdir())

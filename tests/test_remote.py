@@ -1,0 +1,200 @@
+"""Textures at addresses: as lookups of a local file answer, of a small part of its bytes."""
+
+from __future__ import annotations
+
+import pickle
+import re
+import threading
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import octex
+from octex.errors import ArgumentError, MissingExtraError, TextureFileError
+from octex.remote import BLOCK
+from tests.random_lookups import random_points, random_texture, random_views
+from tests.small_textures import shell
+
+fsspec = pytest.importorskip("fsspec", reason="needs the extra octex[remote]")
+
+
+class Server(ThreadingHTTPServer):
+    """Serves one file in memory, counts what it sends, and fails in the ways that it is told to."""
+
+    content = b""
+    tag = '"1"'
+    has_ranges = True
+    is_broken = False
+    sent = 0
+    requests = 0
+
+    @property
+    def address(self) -> str:
+        return f"http://127.0.0.1:{self.server_address[1]}/a.octex"
+
+
+class Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    server: Server
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+    def do_HEAD(self) -> None:
+        self.answer(is_head=True)
+
+    def do_GET(self) -> None:
+        self.answer(is_head=False)
+
+    def answer(self, *, is_head: bool) -> None:
+        server = self.server
+        server.requests += 1
+        if server.is_broken:
+            self.close_connection = True
+            return
+        body, asked = server.content, re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers["Range"] or "")
+        if asked and server.has_ranges:
+            begin, end = int(asked[1]), int(asked[2]) + 1
+            body = server.content[begin:end]
+            self.send_response(206)
+            self.send_header("Content-Range", f"bytes {begin}-{end - 1}/{len(server.content)}")
+        else:
+            self.send_response(200)
+        self.send_header("Content-Length", str(len(body)))
+        self.send_header("ETag", server.tag)
+        self.end_headers()
+        if not is_head:
+            self.wfile.write(body)
+            server.sent += len(body)
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    pytest.importorskip("aiohttp", reason="needs the extra octex[remote]")
+    with Server(("127.0.0.1", 0), Handler) as made:
+        made.daemon_threads = True
+        thread = threading.Thread(target=made.serve_forever, daemon=True)
+        thread.start()
+        yield made
+        made.shutdown()
+
+
+@pytest.fixture(scope="module")
+def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("remote") / "shell.octex"
+    shell(8, keep=0).save(path)
+    return path
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_texture_elsewhere_answers_as_here(seed: int, tmp_path: Path) -> None:
+    random = np.random.default_rng(seed)
+    random_texture(random, ("uint8",)).save(tmp_path / "a.octex")
+    fsspec.filesystem("memory").pipe("/octex/a.octex", (tmp_path / "a.octex").read_bytes())
+    here = octex.open(tmp_path / "a.octex")
+    names = list(here.channels)
+    for filter in octex.texture.FILTERS:
+        there = octex.open("memory://octex/a.octex")
+        for _ in range(2):
+            points, _ = random_points(here, random, 2)
+            views = random_views(random, len(points), here.placement.size)
+            found = there.sample(points, names, filter, **views)
+            for name, expected in here.sample(points, names, filter, **views).items():
+                np.testing.assert_array_equal(found[name], expected)
+            taps = there.taps(points, names[0], **views), here.taps(points, names[0], **views)
+            for one, other in zip(*taps, strict=True):
+                np.testing.assert_array_equal(one, other)
+    there = octex.open("memory://octex/a.octex")
+    np.testing.assert_array_equal(there.contains(points), here.contains(points))
+    assert there.info() == here.info()
+    assert repr(there) == repr(here)
+    coarse = octex.open("memory://octex/a.octex").level(2)
+    np.testing.assert_array_equal(coarse.rows(names[0]), here.level(2).rows(names[0]))
+    rows = octex.open("memory://octex/a.octex").rows(names[0])
+    np.testing.assert_array_equal(rows, here.rows(names[0]))
+    octex.open("memory://octex/a.octex").save(tmp_path / "b.octex")
+    assert (tmp_path / "b.octex").read_bytes() == (tmp_path / "a.octex").read_bytes()
+    octex.open("memory://octex/a.octex").validate()
+    blurred = [octex.blur(octex.open(path), 0.1) for path in ("memory://octex/a.octex", tmp_path / "a.octex")]
+    np.testing.assert_array_equal(*(each.rows(names[0]) for each in blurred))
+    sent = pickle.loads(pickle.dumps(octex.open("memory://octex/a.octex")))
+    np.testing.assert_array_equal(sent.sample(points, names[0]), here.sample(points, names[0]))
+
+
+def test_an_archive_elsewhere_is_fetched_whole(tmp_path: Path) -> None:
+    shell(4).save(tmp_path / "a.octz")
+    fsspec.filesystem("memory").pipe("/octex/a.octz", (tmp_path / "a.octz").read_bytes())
+    found = octex.open("memory://octex/a.octz")
+    np.testing.assert_array_equal(found.rows(), octex.open(tmp_path / "a.octz").rows())
+    fsspec.filesystem("memory").pipe("/octex/a.octz", (tmp_path / "a.octz").read_bytes()[:-9])
+    with pytest.raises(TextureFileError, match=r"^memory://octex/a\.octz: "):
+        octex.open("memory://octex/a.octz")
+
+
+def test_a_view_moves_little_of_a_file(server: Server, large: Path, tmp_path: Path) -> None:
+    server.content = large.read_bytes()
+    here, there = octex.open(large), octex.open(server.address)
+    assert server.sent <= 8 * BLOCK
+    random = np.random.default_rng(1)
+    points = here.placement.origin + here.placement.size * random.random((200, 3))
+    views = {"width": here.placement.size / 16, "normals": points - points.mean(axis=0)}
+    np.testing.assert_array_equal(there.sample(points, **views), here.sample(points, **views))
+    moved = server.sent
+    assert 0 < moved < len(server.content) / 4
+    there.sample(points, **views)
+    assert server.sent == moved
+    again = octex.open(server.address, cache=tmp_path / "cache")
+    again.sample(points, **views)
+    moved = server.sent
+    again = octex.open(server.address, cache=tmp_path / "cache")
+    np.testing.assert_array_equal(again.sample(points, **views), here.sample(points, **views))
+    assert server.sent == moved
+    shell(3).save(tmp_path / "b.octex")
+    server.content, server.tag = (tmp_path / "b.octex").read_bytes(), '"2"'
+    changed = octex.open(server.address, cache=tmp_path / "cache")
+    np.testing.assert_array_equal(changed.rows(), octex.open(tmp_path / "b.octex").rows())
+    assert len(list((tmp_path / "cache").iterdir())) == 2
+
+
+def test_what_goes_wrong_on_the_way_names_the_address(server: Server, large: Path) -> None:
+    content = server.content = large.read_bytes()
+
+    def fails(match: str) -> None:
+        with pytest.raises(TextureFileError, match=match) as caught:
+            octex.open(server.address).validate()
+        assert str(caught.value).startswith(server.address)
+
+    there = octex.open(server.address)
+    server.is_broken = True
+    with pytest.raises(TextureFileError, match=r"a\.octex: cannot be read: "):
+        there.validate()
+    fails("cannot be read: there is no such file, or nobody answers")
+    server.is_broken = False
+    there.validate()
+    there = octex.open(server.address)
+    server.tag = '"2"'
+    with pytest.raises(TextureFileError, match=r"a\.octex: has changed since it was opened; open it again"):
+        there.validate()
+    server.has_ranges = False
+    fails("does not answer requests for a part")
+    server.has_ranges, server.content = True, content[:-1]
+    fails("cut off or damaged")
+    server.content = b""
+    fails("no file of known length")
+    server.content = b"{}" * 9000
+    fails("is not an octree texture file|safetensors")
+
+
+def test_addresses_that_cannot_be_opened_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(TextureFileError, match=r"^memory://octex/none: .*no such file"):
+        octex.open("memory://octex/none")
+    with pytest.raises(TextureFileError, match=r"^nothing://a: .*not known"):
+        octex.open("nothing://a")
+    with pytest.raises(ArgumentError, match="cache is for addresses"):
+        octex.open(tmp_path / "a.octex", cache=tmp_path)
+    monkeypatch.setitem(__import__("sys").modules, "fsspec.core", None)
+    with pytest.raises(MissingExtraError, match=r"^https://a/b: .*octex\[remote\]"):
+        octex.open("https://a/b")
