@@ -20,7 +20,7 @@ PROJECTIONS = ("planar", "box", "cylindrical", "spherical")
 AXES = ("x", "-x", "y", "-y", "z", "-z")
 BLENDS = ("over", "multiply", "screen", "add", "erase", "replace")
 STRETCH = "stretch"
-PICTURES = ("average", "robust")
+PICTURES = ("average", "best", "robust")
 BALANCES = ("gain", "full")
 HOLES = ("leave", "smooth")
 

@@ -108,8 +108,8 @@ _OPTIONS = (
     ),
     option(
         "--pictures",
-        "of several that see a place: average, or robust, which leaves out what does not agree with most "
-        "(default: robust for three or more)",
+        "of several that see a place: average; robust, which leaves out what does not agree with most; or "
+        "best, one for each patch, with levelled borders (default: robust for three or more)",
         metavar="MODE",
         type=pictures,
     ),

@@ -25,6 +25,7 @@ from octex.source.base import Source
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
 from octex.tree.edit import locate
+from octex.tree.layout import MAX_DEPTH
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.split import rows_of
@@ -120,9 +121,13 @@ def filled(sheets: Sheets, values: Float64s, known: Bools) -> Float64s:
 def _level(tree: Octree, surface: Surface, placement: Placement) -> int:
     """Return the level of most of a layer's leaves by area, or a coarser one that has not too many cells."""
     areas = [np.count_nonzero(~is_node) * 4.0**-level for level, (_, is_node) in enumerate(tree.walk())]
+    return min(int(np.argmax(areas)), level_within(surface, placement, _MOST_CELLS))
+
+
+def level_within(surface: Surface, placement: Placement, most: int) -> int:
+    """Return the deepest level at which a surface is expected to meet no more than ``most`` cells."""
     area = face_normals(surface.rest, surface.triangles)[1].sum() / placement.size**2
-    most = int(np.log(_MOST_CELLS / max(area, 1e-12)) / np.log(4.0)) if area > 0 else 0
-    return min(int(np.argmax(areas)), max(most, 0))
+    return int(np.clip(np.log(most / max(area, 1e-30)) / np.log(4.0), 0, MAX_DEPTH))
 
 
 def _paint_on(layer: OctreeTexture, name: str, sheets: Sheets) -> tuple[Float64s, Float64s]:

@@ -15,12 +15,14 @@ from octex.editing.draft import Change
 from octex.errors import ArgumentError
 from octex.painting.agreement import agreeing
 from octex.painting.balance import BALANCES, Balance, balanced
+from octex.painting.best import best
 from octex.painting.ground import Ground, laid_flat
 from octex.painting.holes import HOLES, Holes, begun, with_coverage
 from octex.painting.layer import CELLS, FINEST_CELLS, rasterize_paint, wanted_levels
 from octex.painting.merge import merged
 from octex.painting.pictures import Projection, check_projections, levels_of
 from octex.painting.projected import Projected, in_fixed_order, shot_of, terms_of
+from octex.painting.source import PaintSource
 from octex.parallel import Progress, as_progress, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
@@ -28,7 +30,7 @@ from octex.tree.placement import Placement
 from octex.view.camera import Camera
 
 #: What becomes of several pictures that see a place.
-Pictures = Literal["average", "robust"]
+Pictures = Literal["average", "best", "robust"]
 PICTURES: tuple[Pictures, ...] = get_args(Pictures)
 
 #: Pictures get no deeper than this on their own: cells of a 16,000th of the model.
@@ -78,9 +80,12 @@ def paint(
                  The normal is the surface's own where it has ``frames``, else the mean of the triangles
                  around that are within 40 degrees of each other, so that round things fade evenly
     edge_feather  pixels over which paint fades towards the picture's rim and towards edges in depth
-    pictures     what becomes of several that see a place: ``average``, of all; or ``robust``, which leaves
-                 out what does not agree with most of three or more, such as passers-by, by patches of 4
-                 pixels; what is left out of all is not painted. Default: ``robust`` for three or more
+    pictures     what becomes of several that see a place: ``average``, of all; ``robust``, which leaves out
+                 what does not agree with most of three or more, such as passers-by, by patches of 4 pixels;
+                 what is left out of all is not painted; or ``best``, of what robust leaves one picture for
+                 each patch of the surface, with short borders where pictures agree, across which exposures
+                 are levelled: a labelling of the cells two wide (Lempitsky & Ivanov 2007). Default:
+                 ``robust`` for three or more
     balance      make overlapping pictures agree: ``gain`` multiplies each; ``full`` multiplies each component
                  of it, and undoes what is lost towards the corners
     reference    the picture, by its number, that ``balance`` leaves as light as it is; by default the median
@@ -267,10 +272,13 @@ def projected(
     if balance is not None and len(shots) > 1:
         number = next((number for number, shot in enumerate(shots) if shot is chosen), None)
         source = balanced(source, surface, balance, number)
-    if pictures == "robust" or (pictures is None and len(shots) > 2):
+    if pictures in ("robust", "best") or (pictures is None and len(shots) > 2):
         source = agreeing(source)
+    paint: PaintSource = source
+    if pictures == "best" and len(shots) > 1:
+        paint = best(source, surface, placement, depth, executor)
     return rasterize_paint(
-        ground, source, placement, depths, fit=fit, cells=cells, executor=executor, progress=report
+        ground, paint, placement, depths, fit=fit, cells=cells, executor=executor, progress=report
     )
 
 
