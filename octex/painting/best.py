@@ -20,8 +20,6 @@ from octex.tree.placement import Placement
 
 #: Pictures are chosen for cells so many levels above the finest; at most for so many by their own number.
 _ABOVE, _MOST_VIEWS = 1, 1 << 22
-#: Exposures are compared over so many cells: what is a little out of place matters less.
-_WIDE = 4.0
 
 
 class Patches(PaintSource):
@@ -95,7 +93,6 @@ def best(
     paint, weights = source.each(*where, widths)
     graph = graph_of(sheets.pairs, sheets.ties, sheets.codes.size)
     labels = labelled(graph, sheets.codes, sheets.areas, views_of(paint, weights, sheets.areas))
-    paint, weights = source.each(*where, np.float32(_WIDE) * widths)
     exposures = levelling(sheets.pairs, sheets.ties, sheets.codes, level, labels, paint, weights)
     mesh = on_grid(surface.rest, placement), surface.triangles
     own = np.arange(len(surface.triangles), dtype=np.int32)
