@@ -139,8 +139,8 @@ def test_gains_white_balance_and_vignetting_are_undone_beside_a_reference() -> N
         octex.paint(None, surface, shots, balance="full", reference=8)
     with pytest.raises(ArgumentError, match="unknown balance 'auto'; there are: gain, full"):
         octex.paint(None, surface, shots, balance="auto")  # type: ignore[arg-type]
-    with pytest.raises(ArgumentError, match="unknown pictures 'best'; there are: average, robust"):
-        octex.paint(None, surface, shots, pictures="best")  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="unknown pictures 'most'; there are: average, best, robust"):
+        octex.paint(None, surface, shots, pictures="most")  # type: ignore[arg-type]
 
 
 def test_a_step_is_that_of_least_squares_with_free_means() -> None:

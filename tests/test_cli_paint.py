@@ -18,7 +18,7 @@ import pytest
 from PIL import Image
 
 import octex
-from octex.cli.arguments import BALANCES, BLENDS, PICTURES, camera
+from octex.cli.arguments import BALANCES, BLENDS, HOLES, PICTURES, camera
 from octex.cli.convert import main as convert
 from octex.cli.models import DEFAULT_CHANNEL
 from octex.cli.paint import COMMAND, main
@@ -943,6 +943,28 @@ def test_a_background_is_for_a_new_texture(
     assert message == f"{scene.texture}: exists already; --background is for a new texture"
 
 
+@needs_jit
+def test_holes_are_filled_or_left_and_coverage_is_kept_as_the_library_does(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shot = [scene.model, tmp_path / "new.octex", *scene.shot[2:]]
+    new = [*shot, "--out", tmp_path / "out.octex"]
+    picture = octex.Projection(scene.square, scene.camera)
+    for words, options in (
+        (["--coverage"], {"coverage": True}),
+        (["--holes", "leave", "--force"], {"holes": "leave"}),
+    ):
+        result(capsys, *new, *words)
+        made = octex.open(tmp_path / "out.octex")
+        assert_same(made, octex.paint(None, scene.surface, picture, **options))
+    for given, reason in (
+        (scene.shot, f"{scene.texture} has colours"),
+        ([*shot, "--background", "0"], "--background leaves none"),
+    ):
+        message = complaint(capsys, *given, "--out", tmp_path / "b.octex", "--holes", "smooth")
+        assert message == f"{reason}; --holes is for a new texture"
+
+
 def test_a_layer_that_is_none_is_refused_by_name(
     scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -971,11 +993,12 @@ def test_the_help_lists_every_option_and_exit_code(capsys: pytest.CaptureFixture
 
 
 def test_the_help_names_the_librarys_defaults() -> None:
-    from octex.painting import balance, paint, pictures
+    from octex.painting import balance, holes, paint, pictures
 
     assert pictures.BLENDS == BLENDS
     assert paint.PICTURES == PICTURES
     assert balance.BALANCES == BALANCES
+    assert holes.HOLES == HOLES
     text = " ".join(Parser(COMMAND, PAINT).help_text().split())
     defaults = {name: each.default for name, each in inspect.signature(paint.project).parameters.items()}
     assert defaults["channel"] == DEFAULT_CHANNEL

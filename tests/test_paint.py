@@ -103,7 +103,8 @@ def test_pictures_are_not_sharpened_across_where_they_fade() -> None:
 def test_nothing_but_what_is_seen_is_painted() -> None:
     surface = ball()
     camera = above(4.0, 128)
-    texture = octex.paint(None, surface, octex.Projection(one_color(camera, (1, 0, 0)), camera))
+    picture = octex.Projection(one_color(camera, (1, 0, 0)), camera)
+    texture = octex.paint(None, surface, picture, holes="leave")
     samples = surface.scatter(20_000)
     painted = texture.contains(samples.rest)
     toward = camera.position - samples.points
@@ -475,7 +476,7 @@ def test_balance_makes_pictures_agree() -> None:
 
     def error(pictures: list[Array], **options: Any) -> float:
         shots = [octex.Projection(image, camera) for image, camera in zip(pictures, cameras, strict=True)]
-        found = octex.paint(None, surface, shots, max_depth=6, **options)
+        found = octex.paint(None, surface, shots, max_depth=6, holes="leave", **options)
         seen = found.contains(samples.rest)
         return float(np.sqrt(((codes(found.sample(samples.rest)) - codes(truth))[seen] ** 2).mean()))
 

@@ -20,8 +20,9 @@ PROJECTIONS = ("planar", "box", "cylindrical", "spherical")
 AXES = ("x", "-x", "y", "-y", "z", "-z")
 BLENDS = ("over", "multiply", "screen", "add", "erase", "replace")
 STRETCH = "stretch"
-PICTURES = ("average", "robust")
+PICTURES = ("average", "best", "robust")
 BALANCES = ("gain", "full")
+HOLES = ("leave", "smooth")
 
 #: The widest and highest picture that is drawn: as large as octex reads.
 MOST_PIXELS = 16384
@@ -148,6 +149,11 @@ def source(text: str) -> tuple[str, Given]:
 def pictures(text: str) -> str:
     """Read what becomes of several pictures."""
     return _one_of(text, PICTURES)
+
+
+def holes(text: str) -> str:
+    """Read what becomes of what no picture saw."""
+    return _one_of(text, HOLES)
 
 
 def balance(text: str) -> str:

@@ -144,12 +144,18 @@ def channel_of(layer: OctreeTexture) -> str:
     return next((name for name in layer.channels if name != "alpha"), "alpha")
 
 
-def empty_like(layer: OctreeTexture) -> OctreeTexture:
-    """Return a texture without any cell, for a layer to be merged into."""
-    from octex.painting.layer import empty_texture
+def begun(
+    options: argparse.Namespace,
+    layer: OctreeTexture,
+    surface: Surface,
+    executor: Executor,
+    progress: Reporter,
+) -> OctreeTexture:
+    """Return a new texture for a layer to be merged into: where pictures saw nothing, it may be filled."""
+    from octex.painting import holes
 
-    forms = [channel.format for name, channel in layer.channels.items() if name == channel_of(layer)]
-    return empty_texture(forms, layer.placement, layer.bounds)
+    mode: Any = "leave" if options.layer else options.holes or "smooth"
+    return holes.begun(layer, surface, mode, executor, progress)
 
 
 def merged(
@@ -179,6 +185,10 @@ def merged(
             if options.layer:
                 raise ArgumentError(f"{options.layer[number]}: {error}") from None
             raise
+    if options.coverage and any(layer.tree.n_leaves for layer in layers):
+        from octex.painting.holes import with_coverage
+
+        texture = with_coverage(texture, layers)
     return texture
 
 

@@ -22,7 +22,7 @@ from octex.cli.common import (
     run,
     say,
 )
-from octex.cli.layers import channel_of, empty_like, entries_of, merged, projected, refined, with_entries
+from octex.cli.layers import begun, channel_of, entries_of, merged, projected, refined, with_entries
 from octex.cli.models import (
     DEFAULT_CHANNEL,
     TEXTURE_ENDING,
@@ -86,7 +86,7 @@ def _paint(options: argparse.Namespace, program: str) -> int:
                 layers = [open_sound(path) for path in options.layer]
             else:
                 texture, layers = projected(options, texture, surface, shots, executor, progress)
-            base = empty_like(layers[0]) if texture is None else texture
+            base = begun(options, layers[0], surface, executor, progress) if texture is None else texture
             made = merged(options, base, layers, surface, executor, progress)
         if made is not base:
             entries = entries_of(options, [shot.path for shot in shots] or options.layer, layers[0])

@@ -13,6 +13,7 @@ from octex.cli.arguments import (
     camera,
     color,
     disc,
+    holes,
     mask_pattern,
     opacity,
     picture_size,
@@ -107,8 +108,8 @@ _OPTIONS = (
     ),
     option(
         "--pictures",
-        "of several that see a place: average, or robust, which leaves out what does not agree with most "
-        "(default: robust for three or more)",
+        "of several that see a place: average; robust, which leaves out what does not agree with most; or "
+        "best, one for each patch, with levelled borders (default: robust for three or more)",
         metavar="MODE",
         type=pictures,
     ),
@@ -133,6 +134,18 @@ _OPTIONS = (
     ),
     option("--save-cameras", "keep the refined cameras, for --camera", metavar="JSON", type=Path),
     option("--back-faces", "paint also what faces away", action="store_true"),
+    option(
+        "--holes",
+        "what a new texture has where no picture saw the model: smooth fills it from around, over the "
+        "surface; leave leaves it without cells (default smooth)",
+        metavar="MODE",
+        type=holes,
+    ),
+    option(
+        "--coverage",
+        "keep how much of each cell pictures cover, in the channel coverage",
+        action="store_true",
+    ),
     option("--no-fit", "store plain averages; lookups are then softer", action="store_true"),
     option(
         "--background",
@@ -202,6 +215,8 @@ _WORDS = {
         "--refine-cameras",
         "--save-cameras",
         "--back-faces",
+        "--holes",
+        "--coverage",
         "--no-fit",
         "--background",
         "--layer-out",
@@ -281,6 +296,11 @@ def work_of(options: argparse.Namespace, program: str) -> str:
         )
     if options.background is not None and is_there:
         raise ArgumentError(f"{options.TEXTURE}: exists already; --background is for a new texture")
+    if options.holes is not None and (is_there or options.background is not None):
+        why = (
+            "--background leaves none" if options.background is not None else f"{options.TEXTURE} has colours"
+        )
+        raise ArgumentError(f"{why}; --holes is for a new texture")
     if options.blend == "erase" and not is_there:
         what = "there is no TEXTURE" if options.TEXTURE is None else f"{options.TEXTURE}: does not exist"
         raise ArgumentError(f"{what}; there is nothing to erase")

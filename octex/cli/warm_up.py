@@ -187,6 +187,7 @@ def _paint(surface: octex.Surface, folder: Path) -> None:
         octex.paint(texture, surface, picture)
     octex.refine_cameras(surface, [picture] * 2)
     octex.paint(None, surface, [picture] * 3, balance="full")
+    octex.paint(None, surface, [picture] * 3, pictures="best")
     find_differences(
         np.zeros((3, 1, 3), np.float32), np.zeros((3, 1), np.float32), 0, np.zeros(1, np.float32)
     )

@@ -157,7 +157,7 @@ def cell_levels(
     job = Job(
         surface, channels, columns, grid, blocks, depth, block_level, cell, has_samples, has_gaps, wanted
     )
-    runs = _even_runs(most_pieces(grid, surface.triangles, blocks, depth))
+    runs = even_runs(most_pieces(grid, surface.triangles, blocks, depth))
     converted = ordered_map(executor, partial(_convert_run, job), runs, stage="convert", progress=report)
     parts = _gathered(converted)
     upper, _ = climb(_joined_rows([part.top for part in parts]), block_level, channels, columns)
@@ -264,7 +264,7 @@ class Run(NamedTuple):
     most: int
 
 
-def _even_runs(bounds: Int64s) -> list[Run]:
+def even_runs(bounds: Int64s) -> list[Run]:
     """Cut blocks into runs of about TASK_PIECES or less, by the bounds of their pieces."""
     totals = np.cumsum(bounds)
     size = min(max(int(totals[-1]) // _TASKS, _LEAST_PIECES), TASK_PIECES)

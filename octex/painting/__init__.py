@@ -3,9 +3,11 @@
 paint       all of it; painter: a session of strokes; region: spheres, boxes and functions filled
 pictures    images with cameras, checked and decoded; sharpened: as values at points
 balance     gains and vignetting of pictures that overlap; agreement: masks of what only one of them saw
+best        one picture for each patch: labels of sheets, and what levels their borders
 refine      cameras that are a little off; consensus: least squares of what pictures say of the same points
 unwrap      a disc of the surface laid flat, for a camera
 projected   what pictures paint at points of the surface
+holes       what no picture saw, filled: multigrid on the graph of sheets, the surface in cells
 layer       these rasterized into a paint octree; near: the triangles around it
 merge       a layer blended into a texture, once for each cell
 raising     the texture brought to where paint is finer; cells, kept: paint beside coarser cells and on nodes

@@ -15,11 +15,14 @@ from octex.editing.draft import Change
 from octex.errors import ArgumentError
 from octex.painting.agreement import agreeing
 from octex.painting.balance import BALANCES, Balance, balanced
+from octex.painting.best import best
 from octex.painting.ground import Ground, laid_flat
-from octex.painting.layer import CELLS, FINEST_CELLS, empty_texture, rasterize_paint, wanted_levels
+from octex.painting.holes import HOLES, Holes, begun, with_coverage
+from octex.painting.layer import CELLS, FINEST_CELLS, rasterize_paint, wanted_levels
 from octex.painting.merge import merged
 from octex.painting.pictures import Projection, check_projections, levels_of
 from octex.painting.projected import Projected, in_fixed_order, shot_of, terms_of
+from octex.painting.source import PaintSource
 from octex.parallel import Progress, as_progress, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
@@ -27,7 +30,7 @@ from octex.tree.placement import Placement
 from octex.view.camera import Camera
 
 #: What becomes of several pictures that see a place.
-Pictures = Literal["average", "robust"]
+Pictures = Literal["average", "best", "robust"]
 PICTURES: tuple[Pictures, ...] = get_args(Pictures)
 
 #: Pictures get no deeper than this on their own: cells of a 16,000th of the model.
@@ -49,6 +52,8 @@ def paint(
     balance: Balance | None = None,
     reference: int | None = None,
     back_faces: bool = False,
+    holes: Holes | None = None,
+    coverage: bool = False,
     fit: bool = True,
     threads: int | None = None,
     executor: Executor | None = None,
@@ -75,14 +80,23 @@ def paint(
                  The normal is the surface's own where it has ``frames``, else the mean of the triangles
                  around that are within 40 degrees of each other, so that round things fade evenly
     edge_feather  pixels over which paint fades towards the picture's rim and towards edges in depth
-    pictures     what becomes of several that see a place: ``average``, of all; or ``robust``, which leaves
-                 out what does not agree with most of three or more, such as passers-by, by patches of 4
-                 pixels; what is left out of all is not painted. Default: ``robust`` for three or more
+    pictures     what becomes of several that see a place: ``average``, of all; ``robust``, which leaves out
+                 what does not agree with most of three or more, such as passers-by, by patches of 4 pixels;
+                 what is left out of all is not painted; or ``best``, of what robust leaves one picture for
+                 each patch of the surface, with short borders where pictures agree, across which exposures
+                 are levelled: a labelling of the cells two wide (Lempitsky & Ivanov 2007). Default:
+                 ``robust`` for three or more
     balance      make overlapping pictures agree: ``gain`` multiplies each; ``full`` multiplies each component
                  of it, and undoes what is lost towards the corners
     reference    the picture, by its number, that ``balance`` leaves as light as it is; by default the median
                  of the gains is 1
     back_faces   paint also what faces away
+    holes        what a new texture has where no picture saw the surface: ``smooth`` fills that in from its
+                 surroundings over the surface, harmonically, in cells as large as most of the paint's; a part
+                 that no picture saw at all gets the mean of all paint. ``leave`` leaves it without cells:
+                 lookups there give averages of what is around. Default: ``smooth``. A texture that is given
+                 keeps what it has
+    coverage     also keep how much of each cell pictures have covered, 0 … 1, in the channel ``coverage``
     fit          store what makes the field meet the pictures, as ``convert`` does, instead of plain means
     progress     is called with a stage's name, the units done and the units in all
 
@@ -102,12 +116,15 @@ def paint(
         "pictures": pictures, "balance": balance, "reference": reference, "back_faces": back_faces,
         "fit": fit,
     }  # fmt: skip
+    if holes is not None:
+        as_choice(holes, HOLES, "holes")
+    layers: list[OctreeTexture] | None = [] if as_flag(coverage, "coverage") else None
     with workers(threads, executor) as pool:
-        steps = painted(texture, ground, projections, pool, as_progress(progress), options)
+        steps = painted(texture, ground, projections, pool, as_progress(progress), options, holes, layers)
         for made, _ in steps:
             texture = made
     assert texture is not None
-    return texture
+    return with_coverage(texture, layers) if layers else texture
 
 
 class Options(TypedDict, total=False):
@@ -131,16 +148,22 @@ def painted(
     executor: Executor,
     progress: Progress,
     options: Options,
+    holes: Holes | None = None,
+    layers: list[OctreeTexture] | None = None,
 ) -> Iterator[tuple[OctreeTexture, Change | None]]:
-    """Paint as `paint` does; yield what has become of the texture with each layer, and what has changed."""
+    """Paint as `paint` does; yield what has become of the texture with each layer, and what has changed.
+
+    The layers are appended to ``layers`` if that is given.
+    """
     ground, given = laid_flat(ground, check_projections(projections), texture)
     for blend, group in groupby(given, key=lambda projection: projection.blend):
         pictures = list(group)
         opacity = max(picture.opacity for picture in pictures)
         layer = projected(ground, pictures, texture, executor, progress, **options)
         if texture is None:
-            form = format_of(None, options.get("channel", BASE_COLOR.name))
-            texture = empty_texture([form], layer.placement, layer.bounds, ground.surface)
+            texture = begun(layer, ground.surface, holes or "smooth", executor, progress)
+        if layers is not None:
+            layers.append(layer)
         change = merged(
             texture, layer, ground, opacity=opacity, blend=blend, executor=executor, progress=progress
         )
@@ -249,10 +272,13 @@ def projected(
     if balance is not None and len(shots) > 1:
         number = next((number for number, shot in enumerate(shots) if shot is chosen), None)
         source = balanced(source, surface, balance, number)
-    if pictures == "robust" or (pictures is None and len(shots) > 2):
+    if pictures in ("robust", "best") or (pictures is None and len(shots) > 2):
         source = agreeing(source)
+    paint: PaintSource = source
+    if pictures == "best" and len(shots) > 1:
+        paint = best(source, surface, placement, depth, executor)
     return rasterize_paint(
-        ground, source, placement, depths, fit=fit, cells=cells, executor=executor, progress=report
+        ground, paint, placement, depths, fit=fit, cells=cells, executor=executor, progress=report
     )
 
 

@@ -133,16 +133,16 @@ def parts_of(triangles: Int32s, welded: Int64s) -> Int32s:
     joined with what touches it at a vertex.
     """
     parents = np.arange(len(welded))
-    _join(parents, np.repeat(triangles[:, 0], 2).astype(np.int64), triangles[:, 1:].ravel().astype(np.int64))
-    keys, _ = _edges(triangles, welded)
+    join(parents, np.repeat(triangles[:, 0], 2).astype(np.int64), triangles[:, 1:].ravel().astype(np.int64))
+    keys, _ = edges_of(triangles, welded)
     order = np.argsort(keys, kind="stable")
     starts = np.flatnonzero(np.diff(keys[order], prepend=-1))
     pairs = starts[np.diff(starts, append=len(keys)) == 2]
     owners = np.tile(triangles[:, 0], 3).astype(np.int64)
-    _join(parents, owners[order[pairs]], owners[order[pairs + 1]])
+    join(parents, owners[order[pairs]], owners[order[pairs + 1]])
     roots = parents[triangles[:, 0]]
     loose = triangles[np.isin(roots, _unbalanced(triangles, welded, roots))].ravel().astype(np.int64)
-    _join(parents, loose, _first_of(loose, welded))
+    join(parents, loose, _first_of(loose, welded))
     _, first, parts = np.unique(parents[triangles[:, 0]], return_index=True, return_inverse=True)
     rank = np.empty(len(first), np.int32)
     rank[np.argsort(first)] = np.arange(len(first), dtype=np.int32)
@@ -155,7 +155,7 @@ def _first_of(vertices: Int64s, welded: Int64s) -> Int64s:
     return vertices[first[inverse]]
 
 
-def _edges(triangles: Int32s, welded: Int64s) -> tuple[Int64s, Int64s]:
+def edges_of(triangles: Int32s, welded: Int64s) -> tuple[Int64s, Int64s]:
     """Return the edges of triangles (3·m,), edge after edge: a number, and which way it is run through."""
     corners = welded[triangles]
     a = corners.T.ravel()
@@ -165,7 +165,7 @@ def _edges(triangles: Int32s, welded: Int64s) -> tuple[Int64s, Int64s]:
 
 def _unbalanced(triangles: Int32s, welded: Int64s, owners: Int64s) -> Int64s:
     """Return those of the triangles' owners (m,) with an edge that is not run through equally both ways."""
-    keys, ways = _edges(triangles, welded)
+    keys, ways = edges_of(triangles, welded)
     owners = np.tile(owners, 3)
     order = np.lexsort((keys, owners))
     keys, owners = keys[order], owners[order]
@@ -174,7 +174,7 @@ def _unbalanced(triangles: Int32s, welded: Int64s, owners: Int64s) -> Int64s:
 
 
 @kernel
-def _join(parents: Int64s, a: Int64s, b: Int64s) -> None:
+def join(parents: Int64s, a: Int64s, b: Int64s) -> None:
     """Join the sets of a[i] and b[i]; afterwards every parent is its set's least member."""
     for i in range(a.size):
         x, y = a[i], b[i]
@@ -196,7 +196,7 @@ def _solid(rest: Float64s, triangles: Int32s, welded: Int64s) -> Manifold | Why:
     """Return the solid that triangles enclose, turned outside out, or why they enclose none."""
     from manifold3d import Error, Manifold, Mesh64
 
-    keys, _ = _edges(triangles, welded)
+    keys, _ = edges_of(triangles, welded)
     if (np.unique(keys, return_counts=True)[1] % 2).any():
         return "open"
     used, corners = np.unique(welded[triangles], return_inverse=True)

@@ -1,0 +1,180 @@
+"""What no picture saw, filled from its surroundings over the surface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from typing import Literal, get_args
+
+import numpy as np
+
+from octex.arrays import Bools, Float32s, Float64s, Int32s
+from octex.channels import ALPHA, ChannelFormat, decode, encode
+from octex.conversion.levels import assemble, cell_levels, on_grid
+from octex.editing.averages import average
+from octex.editing.nodes import all_nodes
+from octex.editing.split import rows_facing
+from octex.errors import ArgumentError
+from octex.painting.cells import paint_of, painted_channel, refine_paint
+from octex.painting.layer import empty_texture
+from octex.painting.multigrid import added, graph_of, solve
+from octex.painting.sheets import Sheets, sheets_of
+from octex.painting.source import COVERAGE
+from octex.parallel import Progress
+from octex.source.base import Source
+from octex.source.surface import Surface
+from octex.texture import Channel, OctreeTexture
+from octex.tree.edit import locate
+from octex.tree.layout import MAX_DEPTH
+from octex.tree.octree import Octree
+from octex.tree.placement import Placement
+from octex.tree.split import rows_of
+from octex.view.shading import face_normals
+
+#: What becomes of a new texture where no picture saw the surface.
+Holes = Literal["leave", "smooth"]
+HOLES: tuple[Holes, ...] = get_args(Holes)
+
+#: The channel that says where pictures have covered the surface.
+COVERED = "coverage"
+#: What paint covers to so much is known.
+_KNOWN = 0.5
+#: So many cells are filled at most, by their estimated number: beyond that in larger cells.
+_MOST_CELLS = 1 << 21
+#: How strongly what is unknown is held at the mean of all that is known: parts without any become that.
+_HOLD = 1e-9
+
+
+class Sheeted(Source):
+    """One value for each sheet of a surface."""
+
+    def __init__(self, form: ChannelFormat, sheets: Sheets, grid: Int32s, faces: Int32s, values: Float64s):
+        self._channels = (form,)
+        self._mesh = grid, faces
+        self._sheets = sheets
+        self._values = values.astype(np.float32)
+
+    def evaluate(
+        self,
+        triangles: Int32s,
+        barycentric: Float64s,
+        widths: Float32s,  # noqa: ARG002
+    ) -> Float32s:
+        """Return the values of the sheets that points are on."""
+        found: Float32s = self._values[self._sheets.at(*self._mesh, triangles, barycentric)]
+        return found
+
+
+def begun(
+    layer: OctreeTexture, surface: Surface, holes: Holes, executor: Executor, progress: Progress
+) -> OctreeTexture:
+    """Return what a layer of paint is merged into as the first one: ``smooth`` where it has no paint.
+
+    What the layer covers by half or more is known there, in cells as large as most of its leaves. The rest is
+    harmonic: each sheet of the surface has the mean of those beside it, the nearer ones counting for more. A
+    part of which nothing is known has the mean of all that is.
+    """
+    name = painted_channel(layer)
+    form = layer.channels[name].format
+    nothing = empty_texture([form], layer.placement, layer.bounds, surface)
+    if holes == "leave" or not layer.tree.n_leaves:
+        return nothing
+    progress("fill", 0, 1)
+    level = _level(layer.tree, surface, layer.placement)
+    sheets = sheets_of(surface, layer.placement, level, executor)
+    values, coverage = _paint_on(layer, name, sheets)
+    if (coverage >= 1.0).all():
+        return nothing
+    values = filled(sheets, values, coverage >= _KNOWN)
+    grid = on_grid(surface.rest, layer.placement)
+    source = Sheeted(form, sheets, grid, surface.triangles, values)
+    part = surface.part(np.arange(len(surface.triangles)), source)
+    made = cell_levels(part, (form,), layer.placement, level, executor, progress, has_samples=False)
+    tree, channels = assemble((form,), made)
+    progress("fill", 1, 1)
+    return OctreeTexture(tree, channels, layer.placement, layer.bounds, nothing.metadata)
+
+
+def filled(sheets: Sheets, values: Float64s, known: Bools) -> Float64s:
+    """Return values (n, components) of sheets, harmonic where they are not ``known`` (n,)."""
+    if known.all() or not known.any():
+        return values
+    mean = np.average(values[known], axis=0, weights=np.maximum(sheets.areas[known], 1e-12))
+    free = np.flatnonzero(~known)
+    numbers = np.full(known.size, -1, np.int64)
+    numbers[free] = np.arange(free.size)
+    one, other = sheets.pairs.T
+    hold, right = np.full(free.size, _HOLD), np.tile(_HOLD * mean, (free.size, 1))
+    for inner, outer in ((one, other), (other, one)):
+        rim = ~known[inner] & known[outer]
+        own, ties = numbers[inner[rim]], sheets.ties[rim]
+        hold += added(own, ties, free.size)
+        for component in range(values.shape[1]):
+            right[:, component] += added(own, ties * values[outer[rim], component], free.size)
+    inside = ~known[one] & ~known[other]
+    graph = graph_of(numbers[sheets.pairs[inside]], sheets.ties[inside], free.size)
+    found = values.copy()
+    found[free] = solve(graph, sheets.codes[free], sheets.level, hold, right)
+    return found
+
+
+def _level(tree: Octree, surface: Surface, placement: Placement) -> int:
+    """Return the level of most of a layer's leaves by area, or a coarser one that has not too many cells."""
+    areas = [np.count_nonzero(~is_node) * 4.0**-level for level, (_, is_node) in enumerate(tree.walk())]
+    return min(int(np.argmax(areas)), level_within(surface, placement, _MOST_CELLS))
+
+
+def level_within(surface: Surface, placement: Placement, most: int) -> int:
+    """Return the deepest level at which a surface is expected to meet no more than ``most`` cells."""
+    area = face_normals(surface.rest, surface.triangles)[1].sum() / placement.size**2
+    return int(np.clip(np.log(most / max(area, 1e-30)) / np.log(4.0), 0, MAX_DEPTH))
+
+
+def _paint_on(layer: OctreeTexture, name: str, sheets: Sheets) -> tuple[Float64s, Float64s]:
+    """Return what a layer paints on sheets (n, components), and its coverage (n,)."""
+    where = locate(layer.tree, sheets.codes, sheets.level)
+    there = where.is_leaf | (where.levels == sheets.level)
+    cells = where.cells
+    values = rows_facing(layer, layer.channels[name], cells, sheets.bits).astype(np.float64)
+    coverage = rows_facing(layer, layer.channels[ALPHA.name], cells, sheets.bits)[:, 0].astype(np.float64)
+    coverage[~there | (layer.tree.arrays.flags[cells] & sheets.bits == 0)] = 0.0
+    return values, coverage
+
+
+def with_coverage(texture: OctreeTexture, layers: Sequence[OctreeTexture]) -> OctreeTexture:
+    """Return a texture whose channel ``coverage`` says how much of its cells layers, merged into it, cover.
+
+    What it had of that channel is covered already: c and d together cover 1 − (1 − c)(1 − d).
+    """
+    tree = texture.tree
+    form = COVERAGE._replace(name=COVERED)
+    rows = rows_of(tree.split)
+    leaves = np.ones(tree.n_cells, np.bool_)
+    leaves[all_nodes(tree).cells] = False
+    of_leaves = leaves[rows.cells]
+    if COVERED in texture.channels:
+        had = texture.channels[COVERED]
+        if had.format.components != 1 or had.format.space != "data":
+            raise ArgumentError(f"the texture's channel {COVERED!r} does not say what is covered")
+        form, kept = had.format, had.kept_values
+        clear, clear_rows = (1 - decode(each[:, 0], "data") for each in (had.values, had.split_values))
+    else:
+        kept = np.zeros((tree.kept.cells.size, 1), form.dtype)
+        clear, clear_rows = np.ones(tree.n_cells, np.float32), np.ones(rows.rows.size, np.float32)
+    for layer in layers:
+        paint = refine_paint(paint_of(layer, 1.0)[1], layer, tree, 1.0)
+        for level, each in enumerate(paint):
+            where = locate(tree, each.codes, level)
+            own = where.is_leaf & (where.levels == level)
+            cells, sources = where.cells[own], each.cells[own]
+            clear[cells] *= 1 - each.coverage[own]
+            chosen = np.flatnonzero(of_leaves)[np.isin(rows.cells[of_leaves], cells)]
+            at = np.searchsorted(cells, rows.cells[chosen])
+            facing = rows_facing(layer, layer.channels[ALPHA.name], sources[at], rows.bits[chosen])[:, 0]
+            facing[layer.tree.arrays.flags[sources[at]] & rows.bits[chosen] == 0] = 0
+            clear_rows[chosen] *= 1 - facing
+    values, split_values = (encode(1 - each[:, None], form.dtype, form.space) for each in (clear, clear_rows))
+    channel = Channel(form, values, split_values, kept)
+    average(texture, channel)
+    channels = {**texture.channels, COVERED: channel}
+    return OctreeTexture(tree, channels, texture.placement, texture.bounds, texture.metadata)

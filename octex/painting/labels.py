@@ -1,0 +1,287 @@
+"""One picture for each patch of the surface: a labelling of its sheets, and what levels its borders.
+
+A sheet's labels are the pictures that see it. A label costs what the picture lacks in quality there; two
+neighbours with other labels cost what the pictures differ by at both (Lempitsky & Ivanov, "Seamless
+Mosaicing of Image-Based Texture Maps", 2007), and a little for the border itself.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from octex.arrays import Float32s, Float64s, Int32s, Int64s
+from octex.jit import inlined, kernel, new_array
+from octex.painting.multigrid import Graph, coarser, graph_of, solve
+
+#: What a sheet of a cell face's area costs by the best picture's quality, and if its picture does not see it.
+_QUALITY, _UNSEEN = 0.6, 1.0
+#: What a border costs that is a cell long: by itself, and where pictures differ by all the range.
+_BORDER, _DIFFERENCE = 0.5, 10.0
+#: Labels are sought so many levels above the sheets, and of so many pictures for each: the cheapest ones.
+_ABOVE, _CANDIDATES = 2, 8
+#: Passes over all sheets, forward and backward; and of local moves at most.
+_PASSES, _MOVES = 12, 8
+#: Light that is as dark as noise; and from what difference of logarithms on pictures tell less.
+DARK, _FAR = 0.02, 0.3
+#: How strongly what levels the borders is held at none: it fades over so many cells as the root's inverse.
+_HOLD = 1e-3
+
+
+class Views(NamedTuple):
+    """What pictures say of sheets."""
+
+    colors: Float32s  # (n, pictures, 3)   roots of light; where one does not see it the mean of those that do
+    costs: Float32s  # (n, pictures)   infinite where one does not see it
+
+
+def views_of(paint: Float32s, weights: Float32s, areas: Float64s) -> Views:
+    """Return what pictures say of sheets of some areas (n,): paint (pictures, n, 3), weights (pictures, n).
+
+    The weights rise with the fourth power of the quality; what has none is not seen.
+    """
+    seen = weights > 0
+    most = np.maximum(weights.max(axis=0), np.float32(1e-30))
+    costs = areas * _QUALITY * (1 - (weights / most) ** 0.25)
+    colors = np.sqrt(np.maximum(paint, 0))
+    return _completed(colors.transpose(1, 0, 2), np.where(seen, costs, np.inf).T.astype(np.float64))
+
+
+def _completed(colors: Float32s, costs: Float64s) -> Views:
+    """Fill in the mean colour where pictures see nothing."""
+    seen = np.isfinite(costs)
+    sums = (colors * seen[..., None]).sum(axis=1)
+    mean = sums / np.maximum(seen.sum(axis=1), 1)[:, None]
+    made = np.ascontiguousarray(np.where(seen[..., None], colors, mean[:, None]), np.float32)
+    return Views(made, np.ascontiguousarray(costs, np.float32))
+
+
+def _coarser_views(views: Views, areas: Float64s, above: Int64s, count: int) -> Views:
+    """Return what pictures say of the ``count`` sheets that sheets are part of."""
+    seen = np.isfinite(views.costs)
+    costs = np.where(seen, views.costs, _UNSEEN * areas[:, None]) * seen.any(axis=1, keepdims=True)
+    sums = np.zeros((count, seen.shape[1], 5))
+    parts = np.concatenate([views.colors * seen[..., None], seen[..., None], costs[..., None]], axis=2)
+    np.add.at(sums, above, parts)
+    colors = sums[..., :3] / np.maximum(sums[..., 3:4], 1)
+    return _completed(colors.astype(np.float32), np.where(sums[..., 3] > 0, sums[..., 4], np.inf))
+
+
+def labelled(graph: Graph, codes: Int64s, areas: Float64s, views: Views) -> Int32s:
+    """Return the picture (n,) of each sheet, −1 for what none sees.
+
+    Found some levels above by sequential tree-reweighted message passing (Kolmogorov 2006), then moved at the
+    borders from level to level. ``codes`` (n,) are the Morton codes of the sheets' cells.
+    """
+    levels = [(graph, views)]
+    steps = []
+    for _ in range(_ABOVE):
+        graph, codes, above = coarser(graph, codes)
+        views = _coarser_views(views, areas, above, codes.size)
+        areas = np.bincount(above, areas, codes.size).astype(np.float64, copy=False)
+        levels.append((graph, views))
+        steps.append(above)
+    labels = passed(graph, views)
+    for above, (finer, own) in zip([np.arange(codes.size), *steps[::-1]], levels[::-1], strict=True):
+        labels = labels[above]
+        labels[~np.isfinite(own.costs).any(axis=1)] = -1
+        for _ in range(_MOVES):
+            if not _move(finer, own, labels):
+                break
+    return labels
+
+
+def passed(graph: Graph, views: Views) -> Int32s:
+    """Return labels by message passing, the best of all passes; −1 for what no picture sees."""
+    order = np.argsort(views.costs, axis=1, kind="stable")[:, :_CANDIDATES].astype(np.int32)
+    order[~np.isfinite(np.take_along_axis(views.costs, order, axis=1))] = -1
+    count = graph.starts.size - 1
+    rows = np.repeat(np.arange(count), np.diff(graph.starts))
+    back = np.searchsorted(rows * count + graph.others, graph.others * count + rows)
+    messages = np.zeros((graph.others.size, order.shape[1]))
+    labels, best = order[:, 0].copy(), order[:, 0].copy()
+    least = energy(graph, views, best)
+    for number in range(2 * _PASSES):
+        _pass(graph, views, order, back, messages, number % 2, labels)
+        if number % 2 == 0 and (found := energy(graph, views, labels)) < least:
+            least, best = found, labels.copy()
+    return best
+
+
+@inlined
+def _between(views: Views, i: int, j: int, p: int, q: int) -> float:
+    """Return what a border one cell long costs between sheets i and j of pictures p and q."""
+    if p == q:
+        return 0.0
+    total = 0.0
+    for n in (i, j):
+        squares = 0.0
+        for component in range(3):
+            squares += (views.colors[n, p, component] - views.colors[n, q, component]) ** 2
+        total += np.sqrt(squares)
+    return _BORDER + 0.5 * _DIFFERENCE * total
+
+
+@kernel
+def energy(graph: Graph, views: Views, labels: Int32s) -> float:
+    """Return what labels cost, those of what no picture sees, −1, nothing."""
+    total = 0.0
+    for n in range(labels.size):
+        if labels[n] < 0:
+            continue
+        total += views.costs[n, labels[n]]
+        for row in range(graph.starts[n], graph.starts[n + 1]):
+            other = graph.others[row]
+            if other > n and labels[other] >= 0:
+                total += graph.weights[row] * _between(views, n, other, labels[n], labels[other])
+    return total
+
+
+@kernel
+def _pass(
+    graph: Graph,
+    views: Views,
+    candidates: Int32s,
+    back: Int64s,
+    messages: Float64s,
+    backward: int,
+    labels: Int32s,
+) -> None:
+    """Send messages from sheets to those after them; ``messages`` (rows, candidates) are to the row's sheet.
+
+    Forward, choose labels too, given those of the sheets before.
+    """
+    count, most = candidates.shape
+    sums, costs = new_array(most, np.float64), new_array(most, np.float64)
+    for step in range(count):
+        n = count - 1 - step if backward else step
+        if candidates[n, 0] < 0:
+            continue
+        before = after = 0
+        for k in range(most):
+            if candidates[n, k] >= 0:
+                sums[k] = costs[k] = views.costs[n, candidates[n, k]]
+        for row in range(graph.starts[n], graph.starts[n + 1]):
+            other = graph.others[row]
+            if candidates[other, 0] < 0:
+                continue
+            is_after = (other < n) if backward else (other > n)
+            after += is_after
+            before += not is_after
+            for k in range(most):
+                if candidates[n, k] < 0:
+                    continue
+                sums[k] += messages[row, k]
+                if is_after:
+                    costs[k] += messages[row, k]
+                else:
+                    costs[k] += graph.weights[row] * _between(
+                        views, n, other, candidates[n, k], labels[other]
+                    )
+        if not backward:
+            least = np.inf
+            for k in range(most):
+                if candidates[n, k] >= 0 and costs[k] < least:
+                    least, labels[n] = costs[k], candidates[n, k]
+        share = 1.0 / max(before, after, 1)
+        for row in range(graph.starts[n], graph.starts[n + 1]):
+            other = graph.others[row]
+            if candidates[other, 0] < 0 or ((other > n) if backward else (other < n)):
+                continue
+            to = back[row]
+            lowest = np.inf
+            for k in range(most):
+                q = candidates[other, k]
+                if q < 0:
+                    continue
+                least = np.inf
+                for m in range(most):
+                    p = candidates[n, m]
+                    if p >= 0:
+                        cost = share * sums[m] - messages[row, m]
+                        cost += graph.weights[row] * _between(views, n, other, p, q)
+                        least = min(least, cost)
+                messages[to, k] = least
+                lowest = min(lowest, least)
+            for k in range(most):
+                if candidates[other, k] >= 0:
+                    messages[to, k] -= lowest
+
+
+@kernel
+def _move(graph: Graph, views: Views, labels: Int32s) -> int:
+    """Give each sheet the cheapest label of its own and its neighbours' (Besag 1986); return how many change.
+
+    A sheet that its picture does not see has the cheapest of all.
+    """
+    changed = 0
+    pictures = views.costs.shape[1]
+    tried = new_array(pictures, np.int64)
+    tried[:] = -1
+    for n in range(labels.size):
+        if labels[n] < 0:
+            continue
+        is_seen = np.isfinite(views.costs[n, labels[n]])
+        best, least = labels[n], np.inf
+        first, end = graph.starts[n], graph.starts[n + 1]
+        for number in range(-1, end - first if is_seen else pictures):
+            if number < 0:
+                p = labels[n]
+            else:
+                p = labels[graph.others[first + number]] if is_seen else number
+            if p < 0 or tried[p] == n or not np.isfinite(views.costs[n, p]):
+                continue
+            tried[p] = n
+            cost = np.float64(views.costs[n, p])
+            for row in range(first, end):
+                other = graph.others[row]
+                if labels[other] >= 0:
+                    cost += graph.weights[row] * _between(views, n, other, p, labels[other])
+            if cost < least:
+                best, least = p, cost
+        changed += best != labels[n]
+        labels[n] = best
+    return changed
+
+
+def levelling(
+    pairs: Int64s,
+    ties: Float64s,
+    codes: Int64s,
+    level: int,
+    labels: Int32s,
+    paint: Float32s,
+    weights: Float32s,
+) -> Float64s:
+    """Return the exposures (n, 3) of sheets, for `exposed`, by which pictures meet at their borders.
+
+    Their steps across borders undo what the two pictures differ by there; else they change as little as may
+    be from sheet to sheet, and are little themselves (least squares). The farther pictures differ, the less
+    that tells: something is out of place. Nothing is asked for where neither of two sheets is seen by both.
+    """
+    one, other = pairs.T
+    p, q = labels[one], labels[other]
+    apart, count = np.zeros((len(pairs), 3)), np.zeros(len(pairs))
+    for sheet in (one, other):
+        both = (p >= 0) & (q >= 0) & (weights[p, sheet] > 0) & (weights[q, sheet] > 0)
+        light = np.maximum(paint[:, sheet].astype(np.float64), 0.0) + DARK
+        numbers = np.arange(len(pairs))
+        apart[both] += np.log(light[q, numbers] / light[p, numbers])[both]
+        count += both
+    apart /= np.maximum(count, 1)[:, None]
+    apart[p == q] = 0.0
+    tied = (p >= 0) & (q >= 0) & ((p == q) | (count > 0))
+    ties = ties / (1.0 + (np.abs(apart).max(axis=1) / _FAR) ** 2) ** 2
+    right = np.zeros((codes.size, 3))
+    for component in range(3):
+        step = ties * tied * apart[:, component]
+        right[:, component] = np.bincount(one, step, codes.size) - np.bincount(other, step, codes.size)
+    graph = graph_of(pairs[tied], ties[tied], codes.size)
+    return solve(graph, codes, level, np.full(codes.size, _HOLD), right)
+
+
+def exposed(light: Float32s, exposures: Float64s) -> Float32s:
+    """Return light (n, 3) times the exponentials of exposures; what is nearly dark changes less."""
+    found = (np.maximum(light, 0) + DARK) * np.exp(exposures) - DARK
+    return np.maximum(found, 0).astype(np.float32)

@@ -1,0 +1,156 @@
+"""Smooth functions on a graph whose nodes lie in cells: the screened Laplace equation, by multigrid.
+
+Conjugate gradients, preconditioned by a W-cycle over the tree: what hangs together of the nodes in a cell is
+one node of the level above (aggregation; Notay 2010), so coarse levels never join what the graph keeps apart.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from octex.arrays import Float64s, Int64s
+from octex.jit import kernel
+from octex.source.parts import join
+
+#: The error is made less by this, in the norm of the energy; and after so many steps it is taken as it is.
+_LESS, _STEPS = 1e-6, 200
+#: Coarse problems are solved so many times in each step: 2 is a W-cycle.
+_CYCLES = 2
+
+
+class Graph(NamedTuple):
+    """Neighbours of each node, in rows."""
+
+    starts: Int64s  # (n + 1,)   each node's first row
+    others: Int64s  # (rows,)   its neighbours
+    weights: Float64s  # (rows,)   how strongly they are tied
+
+
+class _Level(NamedTuple):
+    graph: Graph
+    diagonal: Float64s  # (n,)
+    above: Int64s  # (n,)   the node of the next coarser level that each is part of
+
+
+def graph_of(pairs: Int64s, weights: Float64s, count: int) -> Graph:
+    """Return the graph of ``count`` nodes whose edges are pairs (k, 2); equal pairs add their weights."""
+    one, other = pairs.T
+    keys = np.concatenate([one * count + other, other * count + one])
+    keys, inverse = np.unique(keys, return_inverse=True)
+    summed = added(inverse, np.concatenate([weights, weights]), keys.size)
+    rows = keys // max(count, 1)
+    return Graph(np.searchsorted(rows, np.arange(count + 1)), keys % max(count, 1), summed)
+
+
+def added(numbers: Int64s, values: Float64s, count: int) -> Float64s:
+    """Return the sums (count,) of values (n,) that have the same number."""
+    return np.bincount(numbers, values, count).astype(np.float64, copy=False)
+
+
+def pairs_of(graph: Graph) -> tuple[Int64s, Float64s]:
+    """Return the edges of a graph, the smaller node first, and their weights."""
+    rows = np.repeat(np.arange(graph.starts.size - 1), np.diff(graph.starts))
+    own = rows < graph.others
+    return np.column_stack([rows[own], graph.others[own]]), graph.weights[own]
+
+
+def coarser(graph: Graph, codes: Int64s) -> tuple[Graph, Int64s, Int64s]:
+    """Return the graph one level up, its nodes' codes, and which of them each node (n,) is part of.
+
+    ``codes`` (n,) are the Morton codes of the nodes' cells.
+    """
+    pairs, weights = pairs_of(graph)
+    parents = np.arange(codes.size)
+    inside = codes[pairs[:, 0]] >> 3 == codes[pairs[:, 1]] >> 3
+    join(parents, *np.ascontiguousarray(pairs[inside].T))
+    roots, above = np.unique(parents, return_inverse=True)
+    joined = above[pairs[~inside]]
+    return graph_of(joined, weights[~inside], roots.size), codes[roots] >> 3, above
+
+
+def solve(graph: Graph, codes: Int64s, level: int, hold: Float64s, right: Float64s) -> Float64s:
+    """Return x (n, components) with hold · x + Σ weight · (x − x of the neighbour) = right.
+
+    ``codes`` (n,) are the Morton codes of the nodes' cells, of a level; ``hold`` (n,), above 0 somewhere in
+    all that hangs together, is how strongly a node is held at right / hold.
+    """
+    levels = []
+    own, cells = graph, codes
+    for _ in range(level + 1):
+        rows = np.repeat(np.arange(hold.size), np.diff(own.starts))
+        diagonal = hold + added(rows, own.weights, hold.size)
+        above_graph, cells, above = coarser(own, cells)
+        levels.append(_Level(own, diagonal, above))
+        own, hold = above_graph, added(above, hold, cells.size)
+    x = np.zeros_like(right)
+    residual = right.copy()
+    z = _cycle(levels, 0, residual)
+    direction = z.copy()
+    energy = (residual * z).sum(axis=0)
+    aim = _LESS**2 * energy
+    product = np.empty_like(right)
+    for _ in range(_STEPS):
+        if (energy <= aim).all():
+            break
+        _apply(graph, levels[0].diagonal, direction, product)
+        length = energy / np.maximum((direction * product).sum(axis=0), 1e-300)
+        x += length * direction
+        residual -= length * product
+        z = _cycle(levels, 0, residual)
+        before, energy = energy, (residual * z).sum(axis=0)
+        direction = z + energy / np.maximum(before, 1e-300) * direction
+    return x
+
+
+def _cycle(levels: list[_Level], at: int, right: Float64s) -> Float64s:
+    """Return what nearly solves the equation of a level."""
+    graph, diagonal, above = levels[at]
+    x = np.zeros_like(right)
+    _relax(graph, diagonal, right, x, 0)
+    if at + 1 < len(levels):
+        left = np.empty_like(right)
+        for cycle in range(_CYCLES if at else 1):
+            if cycle:
+                _relax(graph, diagonal, right, x, 1)
+                _relax(graph, diagonal, right, x, 0)
+            _apply(graph, diagonal, x, left)
+            np.subtract(right, left, out=left)
+            coarse = np.zeros((levels[at + 1].diagonal.size, right.shape[1]))
+            _gather(above, left, coarse)
+            x += _cycle(levels, at + 1, coarse)[above]
+    _relax(graph, diagonal, right, x, 1)
+    return x
+
+
+@kernel
+def _relax(graph: Graph, diagonal: Float64s, right: Float64s, x: Float64s, backward: int) -> None:
+    """Solve each node's equation in turn, from the first on or from the last (Gauss and Seidel)."""
+    count = diagonal.size
+    for step in range(count):
+        n = count - 1 - step if backward else step
+        for component in range(x.shape[1]):
+            total = right[n, component]
+            for row in range(graph.starts[n], graph.starts[n + 1]):
+                total += graph.weights[row] * x[graph.others[row], component]
+            x[n, component] = total / diagonal[n]
+
+
+@kernel
+def _apply(graph: Graph, diagonal: Float64s, x: Float64s, found: Float64s) -> None:
+    """Write the left sides of the equations of all nodes."""
+    for n in range(diagonal.size):
+        for component in range(x.shape[1]):
+            total = diagonal[n] * x[n, component]
+            for row in range(graph.starts[n], graph.starts[n + 1]):
+                total -= graph.weights[row] * x[graph.others[row], component]
+            found[n, component] = total
+
+
+@kernel
+def _gather(above: Int64s, values: Float64s, sums: Float64s) -> None:
+    """Add values (n, components) up where they are part of one."""
+    for n in range(above.size):
+        for component in range(values.shape[1]):
+            sums[above[n], component] += values[n, component]

@@ -1,0 +1,220 @@
+"""The surface in cells as a graph: its nodes are sheets, what of the surface hangs together in a cell.
+
+Two sheets are neighbours if a triangle is in both, in cells that share a face. So nothing leads through a
+thin part, from one of two walls in a cell to the other, or from part to part.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from typing import NamedTuple
+
+import numpy as np
+
+from octex.arrays import Float64s, Int32s, Int64s, Uint8s
+from octex.conversion.cells import SPREAD
+from octex.conversion.levels import Run, even_runs, on_grid
+from octex.conversion.pieces import Pieces, bin_triangles, cut, most_pieces
+from octex.jit import kernel, new_array
+from octex.parallel import ordered_map
+from octex.source.corners import at_corners
+from octex.source.parts import edges_of, join
+from octex.source.surface import Surface
+from octex.source.welding import welded
+from octex.tree import morton
+from octex.tree.edit import first_not_below
+from octex.tree.layout import GRID_BITS
+from octex.tree.placement import Placement
+from octex.tree.split import bits_of
+
+#: By how much of a cell an edge may miss it and still join what is on both sides: rounding.
+_SLACK = 1e-6
+#: Sheets, which are points here, are no nearer to each other than this, in cells.
+_NEAR = 0.2
+
+
+class Table(NamedTuple):
+    """The pieces of triangles, one for each cell that a triangle meets."""
+
+    firsts: Int64s  # (triangles + 1,)   each triangle's first row
+    codes: Int64s  # (pieces,)   the cells' Morton codes, ascending within a triangle
+    sheets: Int32s  # (pieces,)
+
+
+class Sheets(NamedTuple):
+    """The sheets of a surface in the cells of a level, by the Morton codes of their cells."""
+
+    level: int
+    codes: Int64s  # (n,)   ascending
+    areas: Float64s  # (n,)   in cell faces
+    bits: Uint8s  # (n,)   the facing of the largest piece, as a flag
+    triangles: Int32s  # (n,)   that piece's
+    barycentric: Float64s  # (n, 3)   its centroid
+    table: Table
+    pairs: Int64s  # (k, 2)   neighbours, the smaller number first, ascending
+    ties: Float64s  # (k,)   one over how far apart they are, in cells
+
+    def at(self, grid: Int32s, faces: Int32s, triangles: Int32s, barycentric: Float64s) -> Int64s:
+        """Return the sheets that points (n,) are on: of their triangle in their cell, or the next one.
+
+        ``grid`` are the surface's vertices in steps of 2⁻³⁰ of the root's edge.
+        """
+        found = np.empty(len(triangles), np.int64)
+        _find(self.table, self.level, grid, faces, triangles, barycentric, found)
+        return found
+
+
+def sheets_of(surface: Surface, placement: Placement, level: int, executor: Executor) -> Sheets:
+    """Cut a surface at rest into its sheets in cells of a level."""
+    grid, faces = on_grid(surface.rest, placement), surface.triangles
+    blocks = bin_triangles(grid, faces, level)
+
+    def pieces_of(run: Run) -> Pieces:
+        return cut(grid, faces, blocks, run.first_block, run.last_block, level, run.most, 0, SPREAD)
+
+    runs = even_runs(most_pieces(grid, faces, blocks, level))
+    columns = [_columns(pieces) for pieces in ordered_map(executor, pieces_of, runs)]
+    codes, bits, triangles, barycentric, areas = (np.concatenate(each) for each in zip(*columns, strict=True))
+    order = np.lexsort((codes, triangles))
+    codes, triangles = codes[order], triangles[order]
+    firsts = np.searchsorted(triangles, np.arange(len(faces) + 1))
+    parents = np.arange(codes.size)
+    join(parents, *np.ascontiguousarray(_joined(grid, faces, firsts, codes, level).T))
+    roots = np.flatnonzero(parents == np.arange(codes.size))
+    roots = roots[np.argsort(codes[roots], kind="stable")]
+    ranks = np.empty(codes.size, np.int32)
+    ranks[roots] = np.arange(roots.size, dtype=np.int32)
+    sheets = ranks[parents]
+    largest = np.empty(roots.size, np.int64)
+    by_area = np.argsort(areas[order], kind="stable")
+    largest[sheets[by_area]] = by_area  # the last one stays
+    chosen = order[largest]
+    table = Table(firsts, codes, sheets)
+    keys = np.unique(_beside(table, roots.size))
+    pairs = np.column_stack([keys // roots.size, keys % roots.size])
+    places = at_corners(grid * 2.0 ** (level - GRID_BITS), faces[triangles[largest]], barycentric[chosen])
+    apart = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1)
+    return Sheets(
+        level,
+        codes[roots],
+        np.bincount(sheets, areas[order], roots.size).astype(np.float64, copy=False),
+        bits[chosen],
+        triangles[largest],
+        barycentric[chosen],
+        table,
+        pairs,
+        1.0 / np.maximum(apart, _NEAR),
+    )
+
+
+def _columns(pieces: Pieces) -> tuple[Int64s, Uint8s, Int32s, Float64s, Float64s]:
+    """Return of pieces their cells' codes, facings, triangles, centroids and areas."""
+    owners = np.repeat(np.arange(pieces.codes.size), np.bitwise_count(pieces.flags))
+    codes = pieces.codes[owners[pieces.entries]]
+    bits = bits_of(pieces.flags)[pieces.entries]
+    return codes, bits, pieces.triangles, pieces.barycentric, pieces.areas
+
+
+def _joined(grid: Int32s, faces: Int32s, firsts: Int64s, codes: Int64s, level: int) -> Int64s:
+    """Return pairs (k, 2) of pieces in one cell whose triangles share an edge that is in the cell."""
+    keys, _ = edges_of(faces, welded(grid).astype(np.int64))
+    order = np.argsort(keys, kind="stable")
+    same = keys[order[1:]] == keys[order[:-1]]
+    owners, sides = order % len(faces), order // len(faces)
+    one, other = owners[:-1][same], owners[1:][same]
+    side = sides[:-1][same]
+    ends = np.column_stack([faces[one, side], faces[one, (side + 1) % 3], one, other]).astype(np.int64)
+    count = _pair_up(grid, ends, firsts, codes, level, np.empty((0, 2), np.int64))
+    found = np.empty((count, 2), np.int64)
+    _pair_up(grid, ends, firsts, codes, level, found)
+    return found
+
+
+@kernel
+def _pair_up(grid: Int32s, ends: Int64s, firsts: Int64s, codes: Int64s, level: int, found: Int64s) -> int:
+    """Write the pairs of pieces that edges join, given by two vertices and two triangles; return how many."""
+    scale = 2.0 ** (level - GRID_BITS)
+    count = 0
+    for edge in range(len(ends)):
+        p, q, one, other = ends[edge, 0], ends[edge, 1], ends[edge, 2], ends[edge, 3]
+        i, j = firsts[one], firsts[other]
+        while i < firsts[one + 1] and j < firsts[other + 1]:
+            if codes[i] < codes[j]:
+                i += 1
+            elif codes[j] < codes[i]:
+                j += 1
+            else:
+                cell = morton.decode(codes[i])
+                first, last = 0.0, 1.0  # of the edge
+                for axis in range(3):
+                    start = grid[p, axis] * scale - cell[axis]
+                    step = grid[q, axis] * scale - cell[axis] - start
+                    if step == 0.0:
+                        if start < -_SLACK or start > 1.0 + _SLACK:
+                            last = -1.0
+                    else:
+                        a, b = (-_SLACK - start) / step, (1.0 + _SLACK - start) / step
+                        first, last = max(first, min(a, b)), min(last, max(a, b))
+                if first <= last:
+                    if count < len(found):
+                        found[count, 0], found[count, 1] = i, j
+                    count += 1
+                i += 1
+                j += 1
+    return count
+
+
+@kernel
+def _beside(table: Table, count: int) -> Int64s:
+    """Return a · count + b for sheets a < b in cells that share a face, for each triangle that is in both."""
+    firsts, codes, sheets = table
+    found = new_array(3 * codes.size, np.int64)
+    size = 0
+    for triangle in range(firsts.size - 1):
+        first, end = firsts[triangle], firsts[triangle + 1]
+        if end - first < 2:
+            continue
+        for piece in range(first, end):
+            i, j, k = morton.decode(codes[piece])
+            for axis in range(3):
+                code = morton.encode(i + (axis == 0), j + (axis == 1), k + (axis == 2))
+                at = first + first_not_below(codes[first:end], code, 0)
+                if at < end and codes[at] == code:
+                    a, b = np.int64(sheets[piece]), np.int64(sheets[at])
+                    found[size] = min(a, b) * count + max(a, b)
+                    size += 1
+    return found[:size].copy()
+
+
+@kernel
+def _find(
+    table: Table,
+    level: int,
+    grid: Int32s,
+    faces: Int32s,
+    triangles: Int32s,
+    barycentric: Float64s,
+    found: Int64s,
+) -> None:
+    """Write the sheets of points (n,); see `Sheets.at`."""
+    scale = 2.0 ** (level - GRID_BITS)
+    most = (1 << level) - 1
+    cell = new_array(3, np.int64)
+    for n in range(triangles.size):
+        triangle = triangles[n]
+        first, end = table.firsts[triangle], table.firsts[triangle + 1]
+        for axis in range(3):
+            place = 0.0
+            for corner in range(3):
+                place += barycentric[n, corner] * grid[faces[triangle, corner], axis]
+            cell[axis] = min(max(int(place * scale), 0), most)
+        code = morton.encode(cell[0], cell[1], cell[2])
+        at = first + first_not_below(table.codes[first:end], code, 0)
+        if at == end or table.codes[at] != code:  # by rounding: the nearest of the triangle's cells
+            nearest = 1 << 60
+            for piece in range(first, end):
+                i, j, k = morton.decode(table.codes[piece])
+                apart = (i - cell[0]) ** 2 + (j - cell[1]) ** 2 + (k - cell[2]) ** 2
+                if apart < nearest:
+                    nearest, at = apart, piece
+        found[n] = table.sheets[at] if at < end else -1
