@@ -127,6 +127,8 @@ def rasterize_paint(
         wanted=None if levels.is_even else partial(_wanted, here, placement.size, cells, levels),
         reached=partial(_reached, here, surface.rest, placement),
     )  # fmt: skip
+    if not filled.codes.size:
+        return nothing
     tree, values = assemble(here.channels, filled)
     covered = without_gaps(tree, values, filled, placement)
     if not covered.tree.n_leaves:
