@@ -12,7 +12,7 @@ from octex.arrays import Bools, Float32s, Float64s, Int64s, Uint8s
 from octex.channels import ALPHA, ChannelFormat, decode
 from octex.editing.refined import refined_values
 from octex.errors import ArgumentError
-from octex.jit import kernel
+from octex.jit import kernel, new_array, new_zeros
 from octex.parallel import ordered_map
 from octex.texture import OctreeTexture
 from octex.tree import morton
@@ -255,22 +255,42 @@ def with_skirt(
 
 @kernel
 def _average_beside(skirt: Paint, level: int, paint: Paint) -> None:
-    """Fill in the mean of the paint beside cells."""
+    """Fill in the mean of the paint beside cells.
+
+    The paint in and around the cell above is looked up for all of its children.
+    """
     components = paint.values.shape[1]
-    sums = np.empty(components, np.float64)
-    nearest = np.zeros(27, np.int64)  # in each direction, where the paint beside the cell before was
+    sums = new_array(components, np.float64)
+    nearest = new_zeros(27, np.int64)  # in each direction, where the paint beside the cell above was
+    around = new_array(64, np.int64)  # where the paint of 4³ cells is, or −1
+    last = np.int64(-1)
+    end = (1 << level) - 1
     for n in range(skirt.codes.size):
         i, j, k = morton.decode(skirt.codes[n])
+        if skirt.codes[n] >> 3 != last:
+            last = skirt.codes[n] >> 3
+            around[:] = -1
+            for side in range(27):
+                x, y, z = (i >> 1) + side % 3 - 1, (j >> 1) + side // 3 % 3 - 1, (k >> 1) + side // 9 - 1
+                if min(x, y, z) < 0 or max(x, y, z) > end >> 1:
+                    continue
+                above = morton.encode(x, y, z)
+                at = first_not_below(paint.codes, above << 3, nearest[side])
+                nearest[side] = at
+                while at < paint.codes.size and paint.codes[at] >> 3 == above:
+                    octant = paint.codes[at] & 7
+                    u = 2 * (side % 3) - 1 + (octant & 1)
+                    v = 2 * (side // 3 % 3) - 1 + (octant >> 1 & 1)
+                    w = 2 * (side // 9) - 1 + (octant >> 2)
+                    if min(u, v, w) >= 0 and max(u, v, w) < 4:
+                        around[u + 4 * v + 16 * w] = at
+                    at += 1
         sums[:] = 0.0
         coverage, count = 0.0, 0
+        first = (i & 1) + 4 * (j & 1) + 16 * (k & 1)
         for side in range(27):
-            x, y, z = i + side % 3 - 1, j + side // 3 % 3 - 1, k + side // 9 - 1
-            if side == 13 or min(x, y, z) < 0 or max(x, y, z) >> level != 0:
-                continue
-            code = morton.encode(x, y, z)
-            at = first_not_below(paint.codes, code, nearest[side])
-            nearest[side] = at
-            if at == paint.codes.size or paint.codes[at] != code:
+            at = around[first + side % 3 + 4 * (side // 3 % 3) + 16 * (side // 9)]
+            if at < 0 or side == 13:
                 continue
             for component in range(components):
                 sums[component] += np.float64(paint.values[at, component] * paint.coverage[at])
