@@ -12,7 +12,7 @@ from octex.arrays import Bools, Float32s, Float64s, Int64s, Uint8s
 from octex.channels import ALPHA, ChannelFormat, decode
 from octex.editing.refined import refined_values
 from octex.errors import ArgumentError
-from octex.jit import kernel, new_array, new_zeros
+from octex.jit import kernel, new_array, new_zeros, trailing_zeros
 from octex.parallel import ordered_map
 from octex.texture import OctreeTexture
 from octex.tree import morton
@@ -25,6 +25,10 @@ from octex.tree.split import rows_of
 SKIRT = np.uint8(1)
 #: Cells of a skirt that are painted at once.
 _BLOCK = 1 << 13
+#: Those of 4³ cells, as bits, that are beside the second along each axis.
+_BESIDE = np.uint64(
+    sum(1 << x + 4 * y + 16 * z for x in range(3) for y in range(3) for z in range(3)) - (1 << 21)
+)
 
 
 class Paint(NamedTuple):
@@ -262,16 +266,18 @@ def _average_beside(skirt: Paint, level: int, paint: Paint) -> None:
     components = paint.values.shape[1]
     sums = new_array(components, np.float64)
     nearest = new_zeros(27, np.int64)  # in each direction, where the paint beside the cell above was
-    around = new_array(64, np.int64)  # where the paint of 4³ cells is, or −1
+    around = new_array(64, np.int64)  # where the paint of 4³ cells is
+    has = np.uint64(0)  # which of them have some, as bits
     last = np.int64(-1)
     end = (1 << level) - 1
     for n in range(skirt.codes.size):
-        i, j, k = morton.decode(skirt.codes[n])
-        if skirt.codes[n] >> 3 != last:
-            last = skirt.codes[n] >> 3
-            around[:] = -1
+        code = skirt.codes[n]
+        if code >> 3 != last:
+            last = code >> 3
+            has = np.uint64(0)
+            i, j, k = morton.decode(last)
             for side in range(27):
-                x, y, z = (i >> 1) + side % 3 - 1, (j >> 1) + side // 3 % 3 - 1, (k >> 1) + side // 9 - 1
+                x, y, z = i + side % 3 - 1, j + side // 3 % 3 - 1, k + side // 9 - 1
                 if min(x, y, z) < 0 or max(x, y, z) > end >> 1:
                     continue
                 above = morton.encode(x, y, z)
@@ -283,15 +289,17 @@ def _average_beside(skirt: Paint, level: int, paint: Paint) -> None:
                     v = 2 * (side // 3 % 3) - 1 + (octant >> 1 & 1)
                     w = 2 * (side // 9) - 1 + (octant >> 2)
                     if min(u, v, w) >= 0 and max(u, v, w) < 4:
-                        around[u + 4 * v + 16 * w] = at
+                        place = u + 4 * v + 16 * w
+                        around[place] = at
+                        has |= np.uint64(1) << np.uint64(place)
                     at += 1
         sums[:] = 0.0
         coverage, count = 0.0, 0
-        first = (i & 1) + 4 * (j & 1) + 16 * (k & 1)
-        for side in range(27):
-            at = around[first + side % 3 + 4 * (side // 3 % 3) + 16 * (side // 9)]
-            if at < 0 or side == 13:
-                continue
+        first = (code & 1) + 4 * (code >> 1 & 1) + 16 * (code >> 2 & 1)
+        left = has & _BESIDE << np.uint64(first)
+        while left != np.uint64(0):
+            at = around[trailing_zeros(left)]
+            left &= left - np.uint64(1)
             for component in range(components):
                 sums[component] += np.float64(paint.values[at, component] * paint.coverage[at])
             coverage += np.float64(paint.coverage[at])

@@ -295,14 +295,16 @@ class Projected(PaintSource):
     def footprints(self) -> tuple[Float32s, Float64s]:
         """Return the edge of the finest pixel at points of triangles that own one, and the area for each.
 
-        The points are the triangles' corners and middles, the area what is seen of the triangles.
+        The points are the triangles' corners and middles, the area what is seen of the triangles. The finest
+        come first.
         """
         touched = self.touched()
         vertices, triangles, _ = self._mesh
         places = np.concatenate([np.eye(3), np.full((1, 3), 1 / 3)])
         areas = np.minimum(face_normals(vertices, triangles[touched])[1], self._seen_areas(touched))
         widths = self.widths(np.repeat(touched, len(places)), np.tile(places, (len(touched), 1)))
-        return widths, np.repeat(areas / len(places), len(places))
+        order = np.argsort(widths)
+        return widths[order], (areas / len(places))[order // len(places)]
 
     def _seen_areas(self, chosen: Int32s) -> Float64s:
         """Return how much of triangles (n,) pixels see, by the pixels in their middles."""
