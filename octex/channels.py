@@ -107,7 +107,7 @@ def encode(values: Floats, dtype: str, space: ColorSpace) -> Array:
         half = 0.5 if space == "direction" else 0.0
         _encode_unit(flat, 1.0 - half, half, ONE[dtype], codes)
     elif dtype == "uint8":
-        _encode_srgb8(flat, *_srgb8_encoder(), codes)
+        _encode_srgb8(flat, *srgb8_encoder(), codes)
     else:
         _encode_srgb16(flat, _srgb16_encoder(), codes)
     return codes.reshape(np.shape(values))
@@ -123,6 +123,12 @@ def _unit(value: float) -> float:
     return positive if positive < 1.0 else 1.0
 
 
+@inlined
+def unit_code(value: float, scale: float, shift: float, one: float) -> np.int32:
+    """Return value · scale + shift, clamped to 0 … 1, as an integer of which ``one`` stands for 1."""
+    return np.int32(np.rint(_unit(value * scale + shift) * one))
+
+
 @kernel
 def _encode_unit(
     values: Float64s,
@@ -132,7 +138,7 @@ def _encode_unit(
     codes: ChannelCodes,
 ) -> None:
     for i in range(values.size):
-        codes[i] = np.int32(np.rint(_unit(values[i] * scale + shift) * one))
+        codes[i] = unit_code(values[i], scale, shift, one)
 
 
 @kernel
@@ -163,11 +169,20 @@ _SRGB8_BINS = 4096
 
 
 @cache
-def _srgb8_encoder() -> tuple[Uint8s, Float64s]:
+def srgb8_encoder() -> tuple[Uint8s, Float64s]:
     """Return a first guess by bin of linear light, and the light at which each code gives way to the next."""
     thresholds = np.append(srgb_to_linear((np.arange(255) + 0.5) / 255), np.inf)
     guesses = np.searchsorted(thresholds, np.arange(_SRGB8_BINS + 1) / _SRGB8_BINS, side="right")
     return guesses.astype(np.uint8), thresholds
+
+
+@inlined
+def srgb8_code(value: float, guesses: Uint8s, thresholds: Float64s) -> int:
+    """Return linear light as sRGB in 8 bits; the arrays are those of `srgb8_encoder`."""
+    # The curve's steepest part crosses less than one code a bin, so the guess is at most one short.
+    light = _unit(value)
+    guess = np.uint64(guesses[np.uint64(np.int64(light * _SRGB8_BINS))])
+    return int(np.int64(guess) + (light >= thresholds[guess]))
 
 
 @kernel
@@ -177,11 +192,8 @@ def _encode_srgb8(
     thresholds: Float64s,
     codes: Uint8s,
 ) -> None:
-    # The curve's steepest part crosses less than one code a bin, so the guess is at most one short.
     for i in range(values.size):
-        light = _unit(values[i])
-        guess = np.int64(guesses[np.uint64(light * _SRGB8_BINS)])
-        codes[i] = guess + (light >= thresholds[guess])
+        codes[i] = srgb8_code(values[i], guesses, thresholds)
 
 
 # Bins by the leading bits of a float64: 64 an octave from 2⁻⁹ on, below which the curve is straight.

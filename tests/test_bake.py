@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 import octex
 from octex.baking import atlas
 from octex.baking.fit import fit_rows, lacking
-from octex.baking.gutters import fill_up, gutter_of
+from octex.baking.gutters import Borders, fill_up, gutter_of
 from octex.baking.layout import kept_layout, neighbors, unit_area
 from octex.baking.texels import draw_texels, texel_points
 from octex.channels import encode, linear_to_srgb
@@ -139,14 +139,17 @@ def test_beyond_an_edge_the_surface_goes_on_as_if_unfolded() -> None:
     others, sides = neighbors(surface)
     assert (others >= 0).all()
     taken = drawn.areas > 0
-    gutter = gutter_of(layout, surface.rest, surface.triangles, others, sides, taken, 6)
-    assert gutter.rows.size > 6 * 4 * 50
+    borders = Borders.of(layout, taken, 6)
+    gutter = gutter_of(borders, layout, surface.rest, surface.triangles, others, sides)
+    assert gutter.places.size > 6 * 4 * 50
     rest = surface.rest_at(gutter.triangles, gutter.barycentric)
     edges = surface.rest_at(gutter.beside, gutter.edges)
     texel = 1 / 64
     flat = np.array([layout.corners[t] for t in gutter.beside])
     at_edge = np.einsum("nk,nkx->nx", gutter.edges, flat)
-    away = np.linalg.norm(np.stack([gutter.columns + 0.5, gutter.rows + 0.5], axis=1) - at_edge, axis=1)
+    away = np.linalg.norm(
+        np.stack([gutter.places % 256 + 0.5, gutter.places // 256 + 0.5], axis=1) - at_edge, axis=1
+    )
     # Straight beyond a side, not around a corner: as far from the edge as in the map, on the face beyond.
     straight = gutter.edges.min(axis=1) == 0.0
     straight &= np.sort(gutter.edges, axis=1)[:, 1] > 1e-9
@@ -161,9 +164,8 @@ def test_where_the_surface_ends_gutters_show_its_edge() -> None:
     surface = Surface.from_arrays(square, [[0, 1, 2], [0, 2, 3]], uv=square[:, :2] * 0.5 + 0.25)
     layout = kept_layout(surface, 64)
     drawn = draw_texels(layout.corners, layout.charts, layout.edges, 64, 0, 64)
-    gutter = gutter_of(
-        layout, surface.rest, surface.triangles, *neighbors(surface), drawn.areas > 0, 4
-    )  # fmt: skip
+    borders = Borders.of(layout, drawn.areas > 0, 4)
+    gutter = gutter_of(borders, layout, surface.rest, surface.triangles, *neighbors(surface))
     rest = surface.rest_at(gutter.triangles, gutter.barycentric)
     on_edge = np.isclose(rest[:, :2], 0.0) | np.isclose(rest[:, :2], 1.0)
     assert on_edge.any(axis=1).all()
@@ -177,8 +179,8 @@ def test_maps_are_nearer_to_the_field_when_read_bilinearly() -> None:
     values = curved(*np.meshgrid(grid, grid)).astype(np.float32)
 
     def fit(values: Array, areas: Array, part: float = lacking(1, 0.0)) -> Array:
-        fitted = np.empty(values.shape)
-        fit_rows(values, areas, part, 0, 0, 100.0, fitted)
+        fitted = np.empty(values.shape, np.float32)
+        fit_rows(values, areas, part, 0, fitted)
         return fitted
 
     def fit_values(values: Array, part: float) -> Array:
@@ -194,9 +196,9 @@ def test_maps_are_nearer_to_the_field_when_read_bilinearly() -> None:
     np.testing.assert_allclose(means[1:-1, 1:-1, 0], fitted[1:-1, 1:-1, 0], atol=1e-5)
     halves = fit_values(values + 0.03 / 12.0 * 0.75, lacking(2, 0.0))
     np.testing.assert_allclose(halves[1:-1, 1:-1, 0], fitted[1:-1, 1:-1, 0], atol=1e-5)
-    limited = np.empty((4, 12, 1))
-    fit_rows(values, np.ones((12, 12), np.float32), lacking(1, 0.0), 3, 1, 0.5, limited)
-    np.testing.assert_allclose(limited[..., 0], np.clip(values[3:7, :, 1], -0.5, 0.5), atol=1e-5)
+    some = np.empty((4, 12, 2), np.float32)
+    fit_rows(values, np.ones((12, 12), np.float32), lacking(1, 0.0), 3, some)
+    np.testing.assert_array_equal(some, fitted[3:7])
     holes = np.ones((12, 12), np.float32)
     holes[5, 5] = 0.0
     np.testing.assert_array_equal(fit(values, holes)[5, 4:7], values[5, 4:7])
@@ -588,10 +590,8 @@ def test_maps_of_floats_hold_light_above_1(tmp_path: Path) -> None:
 
 
 def test_texels_are_the_means_of_so_many_lookups(monkeypatch: pytest.MonkeyPatch) -> None:
-    def as_it_is(
-        values: Array, _areas: Array, _part: float, first: int, lane: int, _most: float, fitted: Array
-    ) -> None:
-        fitted[:] = values[first : first + len(fitted), :, lane : lane + fitted.shape[2]]
+    def as_it_is(values: Array, _areas: Array, _part: float, first: int, fitted: Array) -> None:
+        fitted[:] = values[first : first + len(fitted)]
 
     monkeypatch.setattr("octex.baking.maps.fit_rows", as_it_is)
     surface = cube_with_charts().with_sources({"base_color": waves})

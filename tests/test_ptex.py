@@ -348,6 +348,9 @@ def test_the_command_goes_both_ways(house: Path, tmp_path: Path, capsys: pytest.
     assert command.main([str(made), str(back), "--mesh", str(house), "--depth", "4"]) == 0
     points = octex.load_surface(house).scatter(2000)
     assert abs(octex.open(back).sample(points) - texture.sample(points)).max() < 0.1
+    one = tmp_path / "one.octex"
+    assert command.main([str(house), str(one), "--source", f"base_color={made}", "--depth", "4"]) == 0
+    np.testing.assert_array_equal(octex.open(one).sample(points), octex.open(back).sample(points))
     capsys.readouterr()
     assert command.main([str(made), str(tmp_path / "other.octex")]) == 2
     assert "--mesh" in capsys.readouterr().err

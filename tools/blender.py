@@ -8,7 +8,7 @@ Blender imports the baked .glb and draws its base colour with Cycles: emission, 
 Blender reads maps without averaging, so that where texels are smaller than pixels one ray a pixel differs by
 aliasing: the whole model is drawn with several, and a part of it from so near that texels are larger than
 pixels, with one. The exit code is 1 if either picture is not within 35 dB inside the silhouette, or if octex
-does not bake 4 times as many texels a second as Blender (processor time; the same mesh, coordinates, size).
+does not bake 4 times as many texels a second as Blender (processor time; the same mesh, coordinates, maps).
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def main(arguments: list[str] | None = None) -> int:
     texels = told["texels"]
     for name, each in (("octex.bake", spent), (f"Blender {told['version']}", told)):
         rate = f"{1e9 * each['cpu'] / texels:.0f} ns a texel"
-        print(f"{name}: {size}², {each['cpu']:.2f} s of the processor, {each['wall']:.2f} s, {rate}")
+        print(f"{name}: {texels / size**2:g} × {size}², {each['cpu']:.2f} s of the processor, {each['wall']:.2f} s, {rate}")
     times = told["cpu"] / spent["cpu"]
     print(f"octex bakes {times:.1f} times as many texels a second (at least {TIMES:g})")
     return int(worst < DECIBELS or times < TIMES or share < 0.95)

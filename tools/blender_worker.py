@@ -65,12 +65,11 @@ def draw(scene: bpy.types.Scene, job: dict) -> None:
 
 
 def bake(scene: bpy.types.Scene, job: dict) -> dict:
-    """Bake what the meshes send out, at their own coordinates; return how long that takes."""
+    """Bake what the meshes send out, at their own coordinates, a map a material; return how long that takes."""
     size = job["texture_size"]
-    image = bpy.data.images.new("baked", size, size)
     for material in bpy.data.materials:
         node = material.node_tree.nodes.new("ShaderNodeTexImage")
-        node.image = image
+        node.image = bpy.data.images.new(material.name, size, size)
         material.node_tree.nodes.active = node
     meshes = [each for each in scene.objects if each.type == "MESH"]
     for each in meshes:
@@ -82,7 +81,7 @@ def bake(scene: bpy.types.Scene, job: dict) -> dict:
     return {
         "cpu": time.process_time() - began[0],
         "wall": time.perf_counter() - began[1],
-        "texels": size * size,
+        "texels": size * size * len(bpy.data.materials),
         "version": bpy.app.version_string,
     }
 

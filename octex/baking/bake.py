@@ -13,7 +13,7 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.baking.blocks import Blocks
 from octex.baking.fit import lacking
-from octex.baking.gutters import Gutter, fill_up, gutter_of
+from octex.baking.gutters import Borders, fill_up, gutter_of
 from octex.baking.layout import ALIGNMENT, LAYOUTS, Layout, Layouts, neighbors
 from octex.baking.maps import (
     BITS,
@@ -366,22 +366,20 @@ def _put(found: dict[str, Float32s], places: Int32s, lanes: Mapping[str, slice],
 
 def _bake_gutter(job: _Job, layout: Layout, taken: Bools, padding: int, maps: Values, pool: Executor) -> None:
     """Write the channels around the charts, and count these texels as covered, in place."""
-    mesh, reach = job.surface, math.ceil(_REACH * padding)
-    gutter = gutter_of(layout, mesh.rest, mesh.triangles, job.others, job.sides, taken, reach)
-    firsts = range(0, gutter.rows.size, _GUTTER)
-    parts = [gutter.part(first, first + _GUTTER) for first in firsts]
-    list(ordered_map(pool, lambda some: _bake_beside(job, some, maps), parts))
+    borders = Borders.of(layout, taken, math.ceil(_REACH * padding))
+    list(ordered_map(pool, lambda some: _bake_beside(job, layout, some, maps), borders.parts(_GUTTER)))
 
 
-def _bake_beside(job: _Job, gutter: Gutter, maps: Values) -> None:
+def _bake_beside(job: _Job, layout: Layout, borders: Borders, maps: Values) -> None:
     """Write the channels at some texels of gutters.
 
     They are as large as the texels of the chart beside them, in the plane of the triangle that they show.
     """
-    gutter = Gutter._make(each[np.argsort(gutter.triangles, kind="stable")] for each in gutter)
+    mesh = job.surface
+    gutter = gutter_of(borders, layout, mesh.rest, mesh.triangles, job.others, job.sides)
+    places = gutter.places
     values, areas = maps.values.reshape(-1, maps.values.shape[2]), maps.areas.reshape(-1)
-    places = gutter.rows * np.int32(maps.areas.shape[1]) + gutter.columns
-    rest = job.surface.rest_at(gutter.triangles, gutter.barycentric)
+    rest = mesh.rest_at(gutter.triangles, gutter.barycentric)
     areas[places] = 1.0
     left = np.arange(places.size)
     if job.blocks is not None and job.supersample == 1:

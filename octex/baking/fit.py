@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s
+from octex.arrays import Float32s, Float64s, Uint8s, Uint16s
+from octex.channels import srgb8_code, unit_code
 from octex.jit import kernel
 
 #: What texels lack of the nearest map that is linear in between, of their second differences along each axis,
@@ -24,28 +25,53 @@ def lacking(supersample: int, blur: float) -> float:
 
 
 @kernel
-def fit_rows(
-    values: Float32s, areas: Float32s, part: float, first: int, lane: int, most: float, fitted: Float64s
-) -> None:
+def fit_rows(values: Float32s, areas: Float32s, part: float, first: int, fitted: Float32s) -> None:
     """Write rows of a map (height, width, lanes), from ``first`` on, fitted to bilinear reading.
 
-    ``values`` lack ``part`` of their second differences (`lacking`). Of their lanes those from ``lane`` on
-    are written to ``fitted`` (rows, width, components), within −``most`` … ``most``. Texels stay that lie at
-    the map's rim, or beside one of area 0.
+    ``values`` lack ``part`` of their second differences (`lacking`). Texels at the map's rim, and those
+    beside one of area 0, stay as they are.
     """
-    height, width = areas.shape
-    for row in range(first, first + fitted.shape[0]):
-        is_inside = 0 < row < height - 1
-        for x in range(width):
-            is_fitted = is_inside and 0 < x < width - 1
-            if is_fitted:
-                least = min(areas[row, x - 1], areas[row, x + 1], areas[row - 1, x], areas[row + 1, x])
-                is_fitted = min(least, areas[row, x]) > np.float32(0.0)
-            for k in range(fitted.shape[2]):
-                here = values[row, x, lane + k]
-                if is_fitted:
-                    left, right = values[row, x - 1, lane + k], values[row, x + 1, lane + k]
-                    above, below = values[row - 1, x, lane + k], values[row + 1, x, lane + k]
-                    bend = (left + right) + (above + below) - np.float32(4.0) * here
-                    here -= np.float32(part) * bend
-                fitted[row - first, x, k] = min(max(here, np.float32(-most)), np.float32(most))
+    height, width, lanes = values.shape
+    numbers, lacks, across = values.reshape(-1), np.float32(part), width * lanes
+    for row in range(fitted.shape[0]):
+        fitted[row] = values[first + row]
+        if not 0 < first + row < height - 1 or width < 3:
+            continue
+        begin, count = (first + row) * across, across - 2 * lanes
+        left, here, right = numbers[begin:], numbers[begin + lanes :], numbers[begin + 2 * lanes :]
+        above, below = numbers[begin + lanes - across :], numbers[begin + lanes + across :]
+        made = fitted[row].reshape(-1)[lanes:]
+        for n in range(count):
+            sides = (left[n] + right[n]) + (above[n] + below[n])
+            made[n] = here[n] - lacks * (sides - np.float32(4.0) * here[n])
+        for column in range(1, width - 1):
+            least = min(areas[first + row, column - 1], areas[first + row, column + 1])
+            least = min(least, min(areas[first + row - 1, column], areas[first + row + 1, column]))
+            if not min(least, areas[first + row, column]) > np.float32(0.0):
+                for lane in range(lanes):
+                    fitted[row, column, lane] = values[first + row, column, lane]
+
+
+@kernel
+def put_codes(
+    fitted: Float32s, lanes: tuple[int, int, int], most: float, is_srgb: bool, half: float, guesses: Uint8s,
+    thresholds: Float64s, texels: Uint16s,
+) -> None:  # fmt: skip
+    """Write lanes of a map, divided by ``most``, as codes of 8 bits to texels of 16 (rows, width, 4).
+
+    ``lanes`` are the first of the values, how many, and the first of the texels. Colours become sRGB, by
+    `channels.srgb8_encoder`; what goes from −1 to 1 has ``half`` 0.5, numbers from 0 to 1 have 0.
+    """
+    lane, count, to = lanes
+    scale, over = 1.0 - half, 1.0 / most
+    for row in range(texels.shape[0]):
+        for k in range(count):
+            of, at = np.uint64(lane + k), np.uint64(to + k)
+            if is_srgb:
+                for column in range(texels.shape[1]):
+                    code = srgb8_code(np.float64(fitted[row, column, of]) * over, guesses, thresholds)
+                    texels[row, column, at] = np.uint16(257 * code)
+            else:
+                for column in range(texels.shape[1]):
+                    number = unit_code(np.float64(fitted[row, column, of]) * over, scale, half, 255.0)
+                    texels[row, column, at] = np.uint16(257 * number)

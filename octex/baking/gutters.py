@@ -14,43 +14,55 @@ from octex.jit import inlined, kernel
 _MOST_CROSSED = 64
 
 
-class Gutter(NamedTuple):
-    """Texels beside charts, and the points of the surface that they show."""
+class Borders(NamedTuple):
+    """Texels beside charts, and the edges of these that they are nearest to."""
 
-    rows: Int32s  # (n,)
-    columns: Int32s  # (n,)
+    places: Int32s  # (n,)   the texels, counted row by row
+    drawn: Int64s  # (n,)   the triangles that the edges are of, as the layout draws them
+    sides: Int64s  # (n,)   which of their sides
+
+    @classmethod
+    def of(cls, layout: Layout, taken: Bools, padding: int) -> Borders:
+        """Find the texels that are not ``taken`` (height, width), up to ``padding`` texels from charts."""
+        nearest = np.full(taken.shape, np.inf, np.float32)
+        border = np.full(taken.shape, -1, np.int32)
+        drawn, sides = np.nonzero(layout.edges)
+        find_nearest(layout.corners, drawn, sides, taken, float(padding), nearest, border)
+        places = np.flatnonzero(border >= 0)
+        chosen = border.reshape(-1)[places]
+        return cls(places.astype(np.int32), drawn[chosen], sides[chosen])
+
+    def parts(self, count: int) -> list[Borders]:
+        """Return the texels in runs of so many."""
+        firsts = range(0, self.places.size, count)
+        return [Borders._make(each[first : first + count] for each in self) for first in firsts]
+
+
+class Gutter(NamedTuple):
+    """The points of a surface that texels beside charts show, ordered by triangle."""
+
+    places: Int32s  # (n,)   the texels, counted row by row
     triangles: Int32s  # (n,)
     barycentric: Float64s  # (n, 3)
     beside: Int32s  # (n,)   the triangle whose edge they are nearest to in the map
     edges: Float64s  # (n, 3)   where on that
 
-    def part(self, first: int, end: int) -> Gutter:
-        """Return a run of the texels."""
-        return Gutter._make(each[first:end] for each in self)
-
 
 def gutter_of(
-    layout: Layout, rest: Float64s, faces: Int32s, others: Int32s, sides: Int32s, taken: Bools, padding: int
+    borders: Borders, layout: Layout, rest: Float64s, faces: Int32s, others: Int32s, sides: Int32s
 ) -> Gutter:
-    """Find what the texels that are not ``taken`` (height, width) show, up to ``padding`` texels from charts.
+    """Find what texels beside charts show: the surface as it goes on across the edge, unfolded.
 
-    They show the surface as it goes on across the nearest edge, unfolded; where it ends, the edge.
+    Where it ends, they show the edge. ``others`` and ``sides`` are those of `layout.neighbors`.
     """
-    nearest = np.full(taken.shape, np.inf, np.float32)
-    border = np.full(taken.shape, -1, np.int32)
-    of, starts = np.nonzero(layout.edges)
-    find_nearest(layout.corners, of, starts, taken, float(padding), nearest, border)
-    rows, columns = np.nonzero(border >= 0)
-    chosen = border[rows, columns]
-    triangles = np.empty(rows.size, np.int32)
-    barycentric, edges = np.zeros((2, rows.size, 3))
-    drawn = of[chosen]
-    beside = layout.faces[drawn]
-    _follow(
-        layout.corners[drawn], rest, faces, others, sides, beside, starts[chosen],
-        np.stack([columns + 0.5, rows + 0.5], axis=1), edges, triangles, barycentric,
-    )  # fmt: skip
-    return Gutter(rows.astype(np.int32), columns.astype(np.int32), triangles, barycentric, beside, edges)
+    count = borders.places.size
+    found = np.empty(count, np.int32)
+    barycentric, edges = np.zeros((2, count, 3))
+    drawn = layout.corners, layout.faces, layout.width
+    _follow(*drawn, rest, faces, others, sides, borders, edges, found, barycentric)
+    order = np.sort(found.astype(np.int64) << 32 | np.arange(count)) & 0xFFFFFFFF
+    beside = layout.faces[borders.drawn[order]]
+    return Gutter(borders.places[order], found[order], barycentric[order], beside, edges[order])
 
 
 @inlined
@@ -118,17 +130,19 @@ def _edge_frame(
 
 @kernel
 def _follow(
-    corners: Float64s, rest: Float64s, faces: Int32s, others: Int32s, sides: Int32s, triangles: Int32s,
-    own_sides: Int64s, points: Float64s, edges: Float64s, found: Int32s, barycentric: Float64s,
+    corners: Float64s, owners: Int32s, width: int, rest: Float64s, faces: Int32s, others: Int32s,
+    sides: Int32s, borders: Borders, edges: Float64s, found: Int32s, barycentric: Float64s,
 ) -> None:  # fmt: skip
-    """Walk straight over the surface from edges of triangles (n,) to where points (n, 2) of the map lie.
+    """Walk straight over the surface from edges of charts to where the middles of texels (n,) lie.
 
-    ``corners`` (n, 3, 2) are theirs in the map.
+    ``corners`` (k, 3, 2) of the map's triangles and ``owners`` (k,), those of the surface, are the layout's.
     """
-    for n in range(triangles.size):
-        triangle, side = int(triangles[n]), int(own_sides[n])
-        a, b, c = corners[n, side], corners[n, (side + 1) % 3], corners[n, (side + 2) % 3]
-        t, dx, dy = _nearest_on(a[0], a[1], b[0], b[1], points[n, 0], points[n, 1])
+    for n in range(found.size):
+        drawn, side = borders.drawn[n], int(borders.sides[n])
+        triangle = int(owners[drawn])
+        a, b, c = corners[drawn, side], corners[drawn, (side + 1) % 3], corners[drawn, (side + 2) % 3]
+        row, column = borders.places[n] // width, borders.places[n] % width
+        t, dx, dy = _nearest_on(a[0], a[1], b[0], b[1], column + 0.5, row + 0.5)
         edges[n, side], edges[n, (side + 1) % 3] = 1.0 - t, t
         barycentric[n] = edges[n]
         found[n] = triangle

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int32s, Uint8s, Uint16s
-from octex.baking.fit import fit_rows
-from octex.channels import ALPHA, CHANNELS, ColorSpace, decode, encode
+from octex.arrays import Bools, Float32s, Float64s, Int32s
+from octex.baking.fit import fit_rows, put_codes
+from octex.channels import ALPHA, CHANNELS, ColorSpace, decode, encode, srgb8_encoder
 from octex.jit import inlined, kernel
 from octex.parallel import ordered_map
 from octex.source.corners import Frames
@@ -32,7 +32,7 @@ _CLEAR, _SOLID, _MOST_BETWEEN = 0.05, 0.95, 0.1
 #: First channels of images that may give way to numbers: glTF has none for occlusion and for normals.
 _NUMBERS = ("base_color", "alpha", "roughness", "metallic", "emissive", "specular")
 #: Rows of texels that are encoded at once.
-_ENCODED = 16
+_ENCODED = 8
 #: Bits of numbers in maps; those of floats.
 Bits = Literal[8, 16, 32]
 BITS: tuple[Bits, ...] = (8, 16, 32)
@@ -178,14 +178,12 @@ def inputs_of(maps: Values, bits: int, part: float, wrap: int, executor: Executo
     coordinates beyond the unit square meet the images. What does not vary is a number.
     """
     inputs: dict[str, Input] = {}
-    images: list[tuple[Texels, list[str]]] = []
-    encoding: list[tuple[Values, int, float, Mapping[str, Input], Texels, int]] = []
+    images: list[tuple[Texels, dict[str, Input]]] = []
     for channels in IMAGES.values():
         given = [name for name in channels if name in maps.lanes]
         if not given:
             continue
         texels: Texels = np.empty((*maps.areas.shape, 4), np.float32 if bits == _FLOAT else np.uint16)
-        images.append((texels, given))
         for name in given:
             form = CHANNELS[name]
             lanes = _lanes_of(channels, [name])
@@ -193,12 +191,12 @@ def inputs_of(maps: Values, bits: int, part: float, wrap: int, executor: Executo
             if form.space == "srgb" and bits != _FLOAT:
                 strength = max(1.0, largest(maps.values, maps.lanes[name].start, form.components))
             inputs[name] = Input((strength,) * form.components, Texture(texels, wrap, wrap), lanes)
-        made = {name: inputs[name] for name in given}
-        encoding += [(maps, bits, part, made, texels, first) for first in range(0, len(texels), _ENCODED)]
-    list(ordered_map(executor, lambda each: _encode(*each), encoding))
-    for texels, given in images:
-        if given[0] in _NUMBERS and all((rows == texels[0, 0]).all() for rows in texels):
-            inputs |= {name: _number(inputs[name], texels, CHANNELS[name].space) for name in given}
+        images.append((texels, {name: inputs[name] for name in given}))
+    firsts = range(0, len(maps.areas), _ENCODED)
+    list(ordered_map(executor, lambda first: _encode(maps, bits, part, images, first), firsts))
+    for texels, made in images:
+        if next(iter(made)) in _NUMBERS and all((rows == texels[0, 0]).all() for rows in texels):
+            inputs |= {name: _number(each, texels, CHANNELS[name].space) for name, each in made.items()}
     return inputs
 
 
@@ -229,39 +227,32 @@ def _number(given: Input, texels: Texels, space: ColorSpace) -> Input:
 
 
 def _encode(
-    maps: Values, bits: int, part: float, inputs: Mapping[str, Input], texels: Texels, first: int
+    maps: Values, bits: int, part: float, images: Sequence[tuple[Texels, Mapping[str, Input]]], first: int
 ) -> None:
-    """Write rows of an image, from one on, that inputs read: fitted, as codes of so many bits or floats."""
-    rows = texels[first : first + _ENCODED]
-    used = set()
-    for name, given in inputs.items():
-        space, strength = CHANNELS[name].space, given.factor[0]
-        fitted = np.empty((*rows.shape[:2], len(given.lanes)))
-        lane, most = given.lanes[0], strength if bits != _FLOAT else np.inf
-        fit_rows(maps.values, maps.areas, part, first, maps.lanes[name].start, most, fitted)
-        lanes = slice(lane, lane + len(given.lanes))
-        if bits == _FLOAT:
-            rows[..., lanes] = 0.5 * fitted + 0.5 if space == "direction" else np.maximum(fitted, 0.0)
-        elif bits == 16:
-            rows[..., lanes] = encode(fitted / strength, "uint16", space)
-        else:
-            _put_codes(
-                encode(fitted / strength if strength > 1.0 else fitted, "uint8", space),
-                lane,
-                rows.view(np.uint16),
-            )
-        used |= {*given.lanes}
-    for lane in {*range(4)} - used:
-        rows[..., lane] = 1.0 if bits == _FLOAT else 65535
-
-
-@kernel
-def _put_codes(codes: Uint8s, first: int, texels: Uint16s) -> None:
-    """Write codes of 8 bits as codes of 16 to lanes from one on."""
-    for row in range(codes.shape[0]):
-        for column in range(codes.shape[1]):
-            for lane in range(codes.shape[2]):
-                texels[row, column, first + lane] = np.uint16(257) * np.uint16(codes[row, column, lane])
+    """Write rows of images, from one on, that inputs read: fitted, as codes of so many bits or floats."""
+    end = min(first + _ENCODED, len(maps.areas))
+    fitted = np.empty((end - first, *maps.values.shape[1:]), np.float32)
+    fit_rows(maps.values, maps.areas, part, first, fitted)
+    for texels, inputs in images:
+        rows = texels[first:end]
+        used = set()
+        for name, given in inputs.items():
+            space, strength, own = CHANNELS[name].space, given.factor[0], maps.lanes[name]
+            lane, count = given.lanes[0], len(given.lanes)
+            lanes = slice(lane, lane + count)
+            used |= {*given.lanes}
+            if bits == 8:
+                half = 0.5 if space == "direction" else 0.0
+                coder = space == "srgb", half, *srgb8_encoder()
+                put_codes(fitted, (own.start, count, lane), strength, *coder, rows.view(np.uint16))
+            elif bits == 16:
+                rows[..., lanes] = encode(fitted[..., own] / strength, "uint16", space)
+            elif space == "direction":
+                rows[..., lanes] = 0.5 * fitted[..., own] + 0.5
+            else:
+                rows[..., lanes] = np.maximum(fitted[..., own], 0.0)
+        for lane in {*range(4)} - used:
+            rows[..., lane] = 1.0 if bits == _FLOAT else 65535
 
 
 def alpha_mode(alpha: Float32s) -> AlphaMode:

@@ -117,8 +117,8 @@ _OPTIONS = (
     ),
     option(
         "--source",
-        "take a channel from an image, read at the model's texture coordinates, from a function of "
-        "positions (n, 3), base_color=wood.py:rings, or make it constant: roughness=0.5, "
+        "take a channel from an image, read at the model's texture coordinates, from a .ptx file, from a "
+        "function of positions (n, 3), base_color=wood.py:rings, or make it constant: roughness=0.5, "
         "base_color=0.2,0.4,0.6 (linear light); any number of times",
         metavar="CHANNEL=FILE",
         type=source,

@@ -39,7 +39,9 @@ def sources_of(options: argparse.Namespace) -> dict[str, object]:
         if wanted is not None and name not in wanted:
             raise ArgumentError(f"--source gives {name}, but --channels leaves it out")
         sources[name] = given
-        if options.project is not None and isinstance(given, Path):
+        if isinstance(given, Path) and given.suffix.lower() == PTEX_ENDING:
+            sources[name] = octex.Ptex(given)
+        elif options.project is not None and isinstance(given, Path):
             sources[name] = octex.MappedImage(
                 given,
                 options.project,

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from octex.arrays import Float64s
+from octex.jit import kernel
 
 #: Residuals beyond this much of their scale count for less and less; the scale is that of the half nearest.
 _SCALES = 2.0
-#: So many points are added together.
-_POINTS = 4_000
 
 
 def consensus(values: Float64s, weights: Float64s) -> Float64s:
@@ -57,24 +56,43 @@ def agreed_step(
     how strongly each change is held at 0; that of a picture that stays is infinite. ``pull`` (pictures,
     numbers) is half the slope of what else is to be least.
     """
-    pictures, count, numbers = slopes.shape
+    pictures, _, numbers = slopes.shape
     size = pictures * numbers
     matrix, right = np.zeros((size, size)), np.zeros(size) if pull is None else -pull.ravel()
-    for first in range(0, count, _POINTS):
-        some = slice(first, first + _POINTS)
-        of, weight = slopes[:, some], weights[:, some]
-        apart = values[:, some] - consensus(values[:, some], weight)
-        weighted = of * weight[..., None]
-        for i in range(pictures):
-            own = slice(i * numbers, (i + 1) * numbers)
-            matrix[own, own] += weighted[i].T @ of[i]
-            right[own] -= weighted[i].T @ apart[i]
-        rows = weighted.transpose(1, 0, 2).reshape(-1, size)
-        rows /= np.sqrt(np.maximum(weight.sum(axis=0), 1e-300))[:, None]
-        matrix -= rows.T @ rows
+    _add_points(slopes, values, weights, matrix, right)
+    matrix += np.tril(matrix, -1).T
     stays = np.isinf(ridge.ravel())
     matrix[np.diag_indices(size)] += np.where(stays, 0.0, ridge.ravel())
     free = np.flatnonzero(~stays)
     found = np.zeros(size)
     found[free] = np.linalg.pinv(matrix[np.ix_(free, free)], rcond=1e-12, hermitian=True) @ right[free]
     return found.reshape(pictures, numbers)
+
+
+@kernel
+def _add_points(
+    slopes: Float64s, values: Float64s, weights: Float64s, matrix: Float64s, right: Float64s
+) -> None:
+    """Add what points say to the normal equations: the lower half of the matrix, and the right side."""
+    pictures, count, numbers = slopes.shape
+    which = np.empty(pictures, np.int64)
+    for n in range(count):
+        seen, total, middle = 0, 0.0, 0.0
+        for i in range(pictures):
+            if weights[i, n] > 0.0:
+                which[seen] = i
+                total += weights[i, n]
+                middle += weights[i, n] * values[i, n]
+                seen += 1
+        for a in range(seen):
+            i = which[a]
+            weight, apart = weights[i, n], values[i, n] - middle / total
+            for p in range(numbers):
+                right[i * numbers + p] -= weight * apart * slopes[i, n, p]
+            for b in range(a + 1):
+                j = which[b]
+                share = weight * ((1.0 if a == b else 0.0) - weights[j, n] / total)
+                for p in range(numbers):
+                    row, slope = i * numbers + p, share * slopes[i, n, p]
+                    for q in range(numbers if a > b else p + 1):
+                        matrix[row, j * numbers + q] += slope * slopes[j, n, q]
