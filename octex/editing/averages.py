@@ -300,7 +300,7 @@ def _average_rows_of(
             for k in range(codes.shape[1]):
                 if row < codes.shape[0]:
                     sums[k] += weight * np.float64(decoded(table, codes[row, k]))
-                else:
+                elif row < codes.shape[0] + kept_codes.shape[0]:
                     sums[k] += weight * np.float64(decoded(table, kept_codes[row - codes.shape[0], k]))
         for k in range(codes.shape[1] if total > 0.0 else 0):
             means[n, k] = np.float32(sums[k] / total)

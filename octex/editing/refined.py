@@ -176,8 +176,8 @@ def _see_apart(taps: _Taps, flags: Uint8s, kept_cells: Uint32s, facings: Uint8s,
         for tap in range(taps.starts[n], taps.starts[n + 1]):
             row = np.int64(taps.rows[tap])
             if row >= flags.size:
-                row = np.int64(kept_cells[row - flags.size])
-            own = flags[row]
+                row = np.int64(kept_cells[min(row - flags.size, np.int64(kept_cells.size) - 1)])
+            own = flags[min(row, np.int64(flags.size) - 1)]
             opposite = (own & positive) << np.uint8(1) | own >> np.uint8(1) & positive
             if own & SPLIT or facings[n] & ~own & opposite:
                 sees_apart[n] = True
