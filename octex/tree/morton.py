@@ -108,7 +108,7 @@ def _blocks_beside(codes: Int64s, level: int) -> tuple[Int64s, Uint64s]:
 
 
 @inlined
-def _widened(mask: int, axis: int) -> tuple[int, int, int]:
+def _widened(mask: np.uint64, axis: int) -> tuple[np.uint64, np.uint64, np.uint64]:
     """Return cells of a block, as bits, with those beside them along an axis: before, in and after it."""
     step = np.uint64(1 << axis)  # from an even place to the next
     carry, across = np.uint64(7) * step, np.uint64(9) * step  # from an odd one; from the last to the first
