@@ -144,7 +144,7 @@ def test_a_picture_that_was_drawn_is_edited_and_painted_back(
     picture[SQUARE[1] : SQUARE[3] + 1, SQUARE[0] : SQUARE[2] + 1, :3] = [255, 0, 0]
     Image.fromarray(picture).save(view)
     result(capsys, *back, "--out", out, "--force", "--whole")
-    points, inside = scene.places(2.5)  # what cells as wide as a pixel blend ends a cell and a half beyond
+    points, inside = scene.places(1.5)
     red = octex.open(out).sample(points)
     np.testing.assert_allclose(red[inside], [[1.0, 0.0, 0.0]] * inside.sum(), atol=0.02)
     points, near = scene.places(-3.0)

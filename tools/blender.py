@@ -83,7 +83,8 @@ def main(arguments: list[str] | None = None) -> int:
     texels = told["texels"]
     for name, each in (("octex.bake", spent), (f"Blender {told['version']}", told)):
         rate = f"{1e9 * each['cpu'] / texels:.0f} ns a texel"
-        print(f"{name}: {texels / size**2:g} × {size}², {each['cpu']:.2f} s of the processor, {each['wall']:.2f} s, {rate}")
+        taken = f"{each['cpu']:.2f} s of the processor, {each['wall']:.2f} s"
+        print(f"{name}: {texels / size**2:g} × {size}², {taken}, {rate}")
     times = told["cpu"] / spent["cpu"]
     print(f"octex bakes {times:.1f} times as many texels a second (at least {TIMES:g})")
     return int(worst < DECIBELS or times < TIMES or share < 0.95)

@@ -65,7 +65,7 @@ def draw(scene: bpy.types.Scene, job: dict) -> None:
 
 
 def bake(scene: bpy.types.Scene, job: dict) -> dict:
-    """Bake what the meshes send out, at their own coordinates, a map a material; return how long that takes."""
+    """Bake what the meshes send out, a map a material, at their coordinates; return how long that takes."""
     size = job["texture_size"]
     for material in bpy.data.materials:
         node = material.node_tree.nodes.new("ShaderNodeTexImage")

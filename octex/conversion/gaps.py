@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Int64s, Uint8s
+from octex.arrays import Array, Bools, Int64s, Uint8s
 from octex.channels import ALPHA, ONE, decode
 from octex.conversion.levels import CellLevels
 from octex.conversion.samples import Samples
@@ -54,13 +54,16 @@ def without_gaps(
     samples, wanted = filled.samples, filled.wanted
     cells = np.flatnonzero(is_left[-filled.codes.size :])
     empty = filled.codes.size - cells.size
+    gaps = filled.gaps
     if empty:
+        gaps = distinct(np.concatenate([gaps, filled.codes[~is_left[-filled.codes.size :]]]))
         edited = cull(tree, is_left)
         channels = carried(OctreeTexture(tree, channels, placement, np.zeros((2, 3))), edited)
         tree = edited.tree
-        _average_transparent(tree, channels, placement, filled.codes[~is_left[-filled.codes.size :]])
         samples = None if samples is None else samples.of(cells)
         wanted = None if wanted is None else wanted[cells]
+    if gaps.size:
+        _average_transparent(tree, channels, placement, gaps)
     if samples is not None:
         samples = _with_bare_as_means(samples, channels)
     return Remaining(tree, dict(channels), samples, wanted, empty)
@@ -73,15 +76,22 @@ def _average_transparent(
 
     A gap weighs as much as what is transparent: means of both are not those of what is left.
     """
+    if not _is_transparent(channels[ALPHA.name].values).any():
+        return
     texture = OctreeTexture(tree, channels, placement, np.zeros((2, 3)))
     nodes = nodes_at(
         tree, [distinct(gaps >> 3 * (tree.max_depth - level)) for level in range(tree.max_depth)]
     )
-    alpha = decode(channels[ALPHA.name].values[nodes.cells, 0], "data")
-    nodes = nodes.of((nodes.numbers >= 0) & (alpha < _TRANSPARENT))
+    nodes = nodes.of((nodes.numbers >= 0) & _is_transparent(channels[ALPHA.name].values[nodes.cells]))
     for name, channel in channels.items():
         if name != ALPHA.name and nodes.cells.size:
             average(texture, channel, nodes=nodes)
+
+
+def _is_transparent(alpha: Array) -> Bools:
+    """Say which cells of some alpha (n, 1), as stored, hardly weigh more than gaps."""
+    found: Bools = decode(alpha[:, 0], "data") < _TRANSPARENT
+    return found
 
 
 def without_opaque(channels: Mapping[str, Channel]) -> dict[str, Channel]:

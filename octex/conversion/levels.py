@@ -10,8 +10,8 @@ from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint64s
-from octex.channels import ChannelFormat, encode
+from octex.arrays import Array, Bools, Float64s, Int32s, Int64s, Uint8s, Uint64s
+from octex.channels import ALPHA, ChannelFormat, encode
 from octex.conversion import large
 from octex.conversion.accumulate import (
     SumColumns,
@@ -32,8 +32,9 @@ from octex.jit import kernel, new_array
 from octex.parallel import Progress, memory_size, ordered_map
 from octex.source.surface import Surface
 from octex.texture.channel import Channel
+from octex.tree.edit import among
 from octex.tree.layout import GRID_BITS, MAX_CELLS, SPLIT, SplitTable, TreeArrays
-from octex.tree.octree import Octree, rank
+from octex.tree.octree import Octree, distinct, rank
 from octex.tree.placement import Placement
 
 #: Bytes of memory that a conversion takes at least for each cell, and for each byte of the cell's values
@@ -44,7 +45,7 @@ SAMPLE_MEMORY, SAMPLE_VALUE_MEMORY = 28, 2
 #: Bound of the pieces in one task: enough to hide what a task costs, few enough to stay in the cache.
 TASK_PIECES = 400_000
 #: Little work is cut into so many tasks, of no fewer pieces than this.
-_TASKS, _LEAST_PIECES = 8, 20_000
+_TASKS, _LEAST_PIECES = 8, 100_000
 
 #: Files of parts that are joined to one.
 _JOINED = 16
@@ -70,6 +71,7 @@ class Part(NamedTuple):
     """A run of blocks, converted."""
 
     codes: Int64s  # of the leaves
+    gaps: Int64s  # of the cells that were left out
     levels: list[LevelCells]  # from the leaves' level up to below the blocks' own
     top: Sums  # of the blocks themselves
     taken: Taken | None
@@ -85,6 +87,7 @@ class CellLevels(NamedTuple):
     samples: Samples | None
     wanted: Uint8s | None  # (finest cells,)   the levels wanted there
     degenerate: int  # triangles without area
+    gaps: Int64s  # of the finest cells that were left out
 
 
 class Job(NamedTuple):
@@ -128,8 +131,8 @@ def cell_levels(
     """Convert a surface into the means of all cells down to ``depth``, and samples if it ``has_samples``.
 
     What lies in blocks that are not ``reached`` is left out, and does not count for cells above these; but
-    one block there always is. If it ``has_gaps``, which are what an ``alpha`` of 0 says, cells that are gaps
-    alone have no samples.
+    one block there always is. If it ``has_gaps``, cells that are gaps alone, for their ``alpha`` is 0, are
+    left out, and count for cells above these.
 
     Raises ModelError for a surface without area, ArgumentError for more cells than memory can hold.
     """
@@ -160,15 +163,17 @@ def cell_levels(
     runs = even_runs(most_pieces(grid, surface.triangles, blocks, depth))
     converted = ordered_map(executor, partial(_convert_run, job), runs, stage="convert", progress=report)
     parts = _gathered(converted)
-    upper, _ = climb(_joined_rows([part.top for part in parts]), block_level, channels, columns)
+    codes = large.joined([part.codes for part in parts])
+    gaps = np.concatenate([part.gaps for part in parts])
+    left = distinct(codes >> 3 * (depth - block_level)) if gaps.size else None
+    upper, _ = climb(_joined_rows([part.top for part in parts]), block_level, channels, columns, left)
     levels = [[stored] for stored in reversed(upper)]
     levels += ([part.levels[step] for part in parts] for step in reversed(range(len(parts[0].levels))))
-    codes = large.joined([part.codes for part in parts])
     taken = [part.taken for part in parts if part.taken is not None]
     samples = join(depth, channels, codes, taken) if has_samples else None
     levels_wanted = [part.wanted for part in parts if part.wanted is not None]
     deepest = np.concatenate(levels_wanted) if wanted is not None else None
-    return CellLevels(depth, codes, levels, samples, deepest, degenerate)
+    return CellLevels(depth, codes, levels, samples, deepest, degenerate, gaps)
 
 
 def memory_needed(
@@ -226,6 +231,7 @@ def _joined(parts: Sequence[Part]) -> Part:
     wanted = [part.wanted for part in parts if part.wanted is not None]
     return Part(
         np.concatenate([part.codes for part in parts]),
+        np.concatenate([part.gaps for part in parts]),
         [
             _joined_cells(cells, np.concatenate)
             for cells in zip(*(part.levels for part in parts), strict=True)
@@ -295,47 +301,72 @@ def _convert_run(job: Job, run: Run) -> Part:
     n_entries = count_entries(pieces.flags)
     sums = sum_pieces(pieces.entries, pieces.areas, values, job.columns.alpha, n_entries)
     leaves = Sums(pieces.codes, pieces.flags, sums)
-    levels, top = climb(leaves, job.depth - job.block_level, job.channels, job.columns)
+    left, gaps = None, pieces.codes[:0]
+    if job.has_gaps:
+        is_left = _is_left(leaves, job.channels, job.columns)
+        left, gaps = pieces.codes[is_left], pieces.codes[~is_left]
+        if gaps.size:
+            pieces, chosen = _some_pieces(pieces, is_left)
+            widths, values = widths[chosen], values[chosen]
+    levels, top = climb(leaves, job.depth - job.block_level, job.channels, job.columns, left)
     levels.pop()  # the blocks themselves: in top
     wanted = None if job.wanted is None else deepest_wanted(job.wanted, pieces, widths)
     taken = None
     if job.has_samples:
-        taken = _taken(job, pieces, widths, values)
-    return Part(pieces.codes, levels, top, taken, wanted)
+        taken = take_samples(surface, job.grid, pieces, widths, values, job.depth, job.cell, job.channels)
+    return Part(pieces.codes, gaps, levels, top, taken, wanted)
 
 
-def _taken(job: Job, pieces: Pieces, widths: Float32s, values: Float32s) -> Taken:
-    """Take the samples of pieces, but none in cells that are gaps alone."""
-    task = job.depth, job.cell, job.channels
-    if not job.has_gaps:
-        return take_samples(job.surface, job.grid, pieces, widths, values, *task)
-    owners = np.repeat(np.arange(pieces.codes.size), np.bitwise_count(pieces.flags))
-    cells = np.zeros(pieces.codes.size, np.bool_)
-    cells[owners[pieces.entries[values[:, job.columns.alpha] > 0]]] = True
-    chosen = cells[owners[pieces.entries]]
+def _is_left(leaves: Sums, channels: Sequence[ChannelFormat], columns: SumColumns) -> Bools:
+    """Say which cells have an ``alpha`` that is stored as more than 0."""
+    counts = np.bitwise_count(leaves.flags).astype(np.int64)
+    firsts = np.cumsum(counts) - counts
+    weights, areas = (np.add.reduceat(leaves.sums[:, column], firsts) for column in (columns.alpha, -1))
+    form = next(channel for channel in channels if channel.name == ALPHA.name)
+    found: Bools = encode(weights / areas, form.dtype, form.space) > 0
+    return found
+
+
+def _some_pieces(pieces: Pieces, cells: Bools) -> tuple[Pieces, Bools]:
+    """Return the pieces of some cells, and say which they are."""
+    owned = np.repeat(cells, np.bitwise_count(pieces.flags))
+    chosen = owned[pieces.entries]
     some = Pieces(
         pieces.codes[cells],
         pieces.flags[cells],
-        (np.cumsum(cells[owners]) - 1)[pieces.entries[chosen]].astype(np.int32),
+        (np.cumsum(owned, dtype=np.int32) - np.int32(1))[pieces.entries[chosen]],
         pieces.triangles[chosen],
         pieces.barycentric[chosen],
         pieces.areas[chosen],
     )
-    taken = take_samples(job.surface, job.grid, some, widths[chosen], values[chosen], *task)
-    counts = np.zeros(pieces.codes.size, np.uint8)
-    counts[cells] = taken.counts
-    return taken._replace(counts=counts)
+    return some, chosen
 
 
 def climb(
-    sums: Sums, steps: int, channels: Sequence[ChannelFormat], columns: SumColumns
+    sums: Sums,
+    steps: int,
+    channels: Sequence[ChannelFormat],
+    columns: SumColumns,
+    left: Int64s | None = None,
 ) -> tuple[list[LevelCells], Sums]:
-    """Store a level and the ``steps`` levels above it; return them, and the sums of the last."""
-    levels = [_stored(sums, channels, columns)]
+    """Store a level and the ``steps`` levels above it; return them, and the sums of the last.
+
+    ``left`` are the codes, ascending, of the cells that are stored, with those above them; None: of all.
+    """
+    levels = [_stored(_of(sums, left), channels, columns)]
     for _ in range(steps):
         sums = sum_children(sums)
-        levels.append(_stored(sums, channels, columns))
+        left = None if left is None else distinct(left >> 3)
+        levels.append(_stored(_of(sums, left), channels, columns))
     return levels, sums
+
+
+def _of(level: Sums, left: Int64s | None) -> Sums:
+    """Return the sums of those cells that are left."""
+    if left is None or left.size == level.codes.size:
+        return level
+    chosen = among(level.codes, left)
+    return Sums(left, level.flags[chosen], level.sums[np.repeat(chosen, np.bitwise_count(level.flags))])
 
 
 def _stored(level: Sums, channels: Sequence[ChannelFormat], columns: SumColumns) -> LevelCells:

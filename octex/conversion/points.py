@@ -66,7 +66,8 @@ def convert_points(
     columns = SumColumns.of(stored)
     leaves = _leaves(cloud, placement, depth, [form.name for form in stored])
     levels, _ = climb(leaves, depth, stored, columns)
-    filled = CellLevels(depth, leaves.codes, [[level] for level in reversed(levels)], None, None, 0)
+    stored_levels = [[level] for level in reversed(levels)]
+    filled = CellLevels(depth, leaves.codes, stored_levels, None, None, 0, leaves.codes[:0])
     tree, values = assemble(stored, filled)
     if cloud.normals is None:
         flags = tree.arrays.flags & np.uint8(0xFF ^ FACING_FLAGS)

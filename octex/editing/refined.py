@@ -11,10 +11,11 @@ import numpy as np
 
 from octex.arrays import Array, Bools, Float32s, Int64s, Uint8s, Uint32s
 from octex.channels import ALPHA, decode, encode
-from octex.editing.averages import weighted_means
+from octex.editing.averages import row_means, stored_rows, weighted_means
 from octex.editing.codes import differ
 from octex.editing.split import with_split
 from octex.field.neighborhood import refined_taps
+from octex.jit import kernel
 from octex.parallel import ordered_map
 from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
@@ -67,11 +68,9 @@ def _refined_below(texture: OctreeTexture, level: int, given: tuple[Int64s, Uint
     tree, channels = texture.tree, texture.channels
     taps = _Taps(*refined_taps(tree, codes, level))
     values = _blended(channels, taps)
-    # Where no tap is split, and none is hidden from a facing, all facings see the same.
-    flags = tree.arrays.flags[_cells_of(tree, taps.rows)]
-    own = np.repeat(facings, np.diff(taps.starts))
-    tells = (flags & SPLIT != 0) & (own != 0) | (own & ~flags & _opposite(flags) != 0)
-    chosen = np.flatnonzero(_any_in_runs(tells, taps.starts))
+    sees_apart = np.zeros(codes.size, np.bool_)
+    _see_apart(taps, tree.arrays.flags, tree.kept.cells, facings, sees_apart)
+    chosen = np.flatnonzero(sees_apart)
     owners, bits = np.repeat(chosen, counts_of(facings[chosen])), bits_of(facings[chosen])
     rows = _blended(channels, *_facing(tree, taps, owners, bits))
     is_split = np.zeros(codes.size, np.bool_)
@@ -148,10 +147,7 @@ def _blended(
     """Blend channels, decoded; where taps are ``there`` their ``own`` rows of the split table."""
 
     def shown(channel: Channel) -> Array:
-        n_cells, kept = len(channel.values), taps.rows >= len(channel.values)
-        stored = channel.values[np.minimum(taps.rows, n_cells - 1)]
-        if kept.any():
-            stored[kept] = channel.kept_values[taps.rows[kept] - n_cells]
+        stored = stored_rows(channel, taps.rows)
         if there is not None:
             stored[there] = channel.split_values[own]
         return stored
@@ -163,11 +159,26 @@ def _blended(
         weights = weights * np.maximum(decode(shown(alpha), alpha.format.space)[:, 0], _FAINT)
     for name, channel in channels.items():
         own_weights = taps.weights if name == ALPHA.name else weights
-        found[name] = weighted_means(taps.starts, own_weights, shown(channel), channel.format.space)
+        if there is None:
+            found[name] = row_means(channel, taps.starts, taps.rows, own_weights)
+        else:
+            found[name] = weighted_means(taps.starts, own_weights, shown(channel), channel.format.space)
     return found
 
 
-def _any_in_runs(values: Bools, starts: Int64s) -> Bools:
-    """Say for which runs, from each start to the next, something holds."""
-    found: Bools = np.diff(np.concatenate([[0], np.cumsum(values)])[starts]) > 0
-    return found
+@kernel
+def _see_apart(taps: _Taps, flags: Uint8s, kept_cells: Uint32s, facings: Uint8s, sees_apart: Bools) -> None:
+    """Mark cells (n,) whose facings may see something else: a tap is split, or hidden from one."""
+    positive = np.uint8(POSITIVE_FACINGS)
+    for n in range(facings.size):
+        if facings[n] == 0:
+            continue
+        for tap in range(taps.starts[n], taps.starts[n + 1]):
+            row = np.int64(taps.rows[tap])
+            if row >= flags.size:
+                row = np.int64(kept_cells[min(row - flags.size, np.int64(kept_cells.size) - 1)])
+            own = flags[min(row, np.int64(flags.size) - 1)]
+            opposite = (own & positive) << np.uint8(1) | own >> np.uint8(1) & positive
+            if own & SPLIT or facings[n] & ~own & opposite:
+                sees_apart[n] = True
+                break

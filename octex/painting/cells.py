@@ -12,7 +12,7 @@ from octex.arrays import Bools, Float32s, Float64s, Int64s, Uint8s
 from octex.channels import ALPHA, ChannelFormat, decode
 from octex.editing.refined import refined_values
 from octex.errors import ArgumentError
-from octex.jit import kernel
+from octex.jit import inlined, kernel, new_array, new_zeros
 from octex.parallel import ordered_map
 from octex.texture import OctreeTexture
 from octex.tree import morton
@@ -255,32 +255,59 @@ def with_skirt(
 
 @kernel
 def _average_beside(skirt: Paint, level: int, paint: Paint) -> None:
-    """Fill in the mean of the paint beside cells."""
+    """Fill in the mean of the paint beside cells.
+
+    The paint in and around a block of 4³ cells is looked up for all that are in it.
+    """
     components = paint.values.shape[1]
-    sums = np.empty(components, np.float64)
-    nearest = np.zeros(27, np.int64)  # in each direction, where the paint beside the cell before was
+    sums = new_array(components, np.float64)
+    nearest = new_zeros(27, np.int64)  # in each direction, where the paint beside the block before was
+    around = new_array((6, 6, 6), np.int64)  # where the paint of the block and of cells beside it is, or −1
+    last = np.int64(-1)
+    end = ((1 << level) - 1) >> 2
     for n in range(skirt.codes.size):
-        i, j, k = morton.decode(skirt.codes[n])
+        code = skirt.codes[n]
+        if code >> 6 != last:
+            last = code >> 6
+            around[:] = -1
+            i, j, k = morton.decode(last)
+            for side in range(27):
+                x, y, z = i + side % 3 - 1, j + side // 3 % 3 - 1, k + side // 9 - 1
+                if min(x, y, z) < 0 or max(x, y, z) > end:
+                    continue
+                block = morton.encode(x, y, z)
+                at = first_not_below(paint.codes, block << 6, nearest[side])
+                nearest[side] = at
+                while at < paint.codes.size and paint.codes[at] >> 6 == block:
+                    u, v, w = _place(paint.codes[at])
+                    u, v, w = u + 4 * (x - i) + 1, v + 4 * (y - j) + 1, w + 4 * (z - k) + 1
+                    if min(u, v, w) >= 0 and max(u, v, w) < 6:
+                        around[w, v, u] = at
+                    at += 1
         sums[:] = 0.0
         coverage, count = 0.0, 0
-        for side in range(27):
-            x, y, z = i + side % 3 - 1, j + side // 3 % 3 - 1, k + side // 9 - 1
-            if side == 13 or min(x, y, z) < 0 or max(x, y, z) >> level != 0:
-                continue
-            code = morton.encode(x, y, z)
-            at = first_not_below(paint.codes, code, nearest[side])
-            nearest[side] = at
-            if at == paint.codes.size or paint.codes[at] != code:
-                continue
-            for component in range(components):
-                sums[component] += np.float64(paint.values[at, component] * paint.coverage[at])
-            coverage += np.float64(paint.coverage[at])
-            count += 1
-            skirt.cells[n] = paint.cells[at]
-            skirt.facings[n] |= paint.facings[at]
+        u, v, w = _place(code)
+        for z in range(w, w + 3):
+            for y in range(v, v + 3):
+                for x in range(u, u + 3):
+                    at = around[z, y, x]
+                    if at < 0 or paint.codes[at] == code:
+                        continue
+                    for component in range(components):
+                        sums[component] += np.float64(paint.values[at, component] * paint.coverage[at])
+                    coverage += np.float64(paint.coverage[at])
+                    count += 1
+                    skirt.cells[n] = paint.cells[at]
+                    skirt.facings[n] |= paint.facings[at]
         for component in range(components):
             skirt.values[n, component] = sums[component] / max(coverage, 1e-30)
         skirt.coverage[n] = coverage / max(count, 1)
+
+
+@inlined
+def _place(code: int) -> tuple[int, int, int]:
+    """Return where a cell is in its block of 4³."""
+    return code & 1 | code >> 2 & 2, code >> 1 & 1 | code >> 3 & 2, code >> 2 & 1 | code >> 4 & 2
 
 
 def some(paint: Paint, chosen: Bools | slice) -> Paint:

@@ -35,6 +35,9 @@ from octex.tree.placement import Placement
 CELLS, FINEST_CELLS = 1.0, 2.0
 #: So small a part of the surface alone, where pixels are the finest, does not make the whole deeper.
 _FINEST_PART = 0.01
+#: What part of the surface may have finer pixels than the one whose level most of it gets: of many pictures
+#: half; of one next to none, so that what it draws keeps its edges.
+_FINER_PART = 0.5
 #: Levels by which paint may fall short of what its detail asks for.
 _SLACK = 0.1
 #: Where pixels want cells that are less than so many levels coarser, or so much finer, than most of the
@@ -59,11 +62,19 @@ class Levels(NamedTuple):
         return clipped
 
 
-def wanted_levels(widths: Floats, areas: Floats, size: float, cells: float, depth: int = MAX_DEPTH) -> Levels:
+def wanted_levels(
+    widths: Floats,
+    areas: Floats,
+    size: float,
+    cells: float,
+    depth: int = MAX_DEPTH,
+    *,
+    is_alone: bool = False,
+) -> Levels:
     """Return how deep paint goes whose details are ``widths`` (n,) wide on so much of the surface (n,).
 
-    ``size`` is the root cell's edge; most of the surface has ``cells`` in the width of details, or more. None
-    goes deeper than ``depth``.
+    ``size`` is the root cell's edge; most of the surface has ``cells`` in the width of details, or more; if
+    the paint ``is_alone``, of one picture, all but the finest hundredth has. None goes deeper than ``depth``.
     """
     own = np.isfinite(widths) & (widths > 0.0) & (areas > 0.0)
     widths, areas = widths[own], areas[own]
@@ -71,7 +82,7 @@ def wanted_levels(widths: Floats, areas: Floats, size: float, cells: float, dept
         return Levels(0, 0)
     order = np.argsort(widths, kind="stable")
     parts = np.cumsum(areas[order]) / areas.sum()
-    middle = widths[order[np.searchsorted(parts, 0.5)]]
+    middle = widths[order[np.searchsorted(parts, _FINEST_PART if is_alone else _FINER_PART)]]
     most = int(np.clip(np.ceil(_levels(middle, size, cells)), 0, depth))
     levels = np.ceil(Levels(most, depth).wanted(widths, size, cells))
     deepest = int(levels[order[np.searchsorted(parts, _FINEST_PART)]])
@@ -116,6 +127,8 @@ def rasterize_paint(
         wanted=None if levels.is_even else partial(_wanted, here, placement.size, cells, levels),
         reached=partial(_reached, here, surface.rest, placement),
     )  # fmt: skip
+    if not filled.codes.size:
+        return nothing
     tree, values = assemble(here.channels, filled)
     covered = without_gaps(tree, values, filled, placement)
     if not covered.tree.n_leaves:

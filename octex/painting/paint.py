@@ -71,10 +71,12 @@ def paint(
                  does not matter
     channel      what is painted, of any type; colours are blended in linear light
     max_depth    the deepest level that paint goes to, at most that of cells a quarter to half as wide as the
-                 pixels; by default that at which they are half as wide to as wide as the pixels, or 14. The
-                 level that suits most of the surface serves where cells are then a quarter as wide to 1.5
-                 times as wide, too: lookups and the fit are faster in trees of even depth. Pixels are as wide
-                 as the root of the area that the finest one covers of the surface
+                 pixels; by default that at which they are half as wide to as wide as the pixels, or 14. One
+                 level serves where cells are then a quarter as wide, too: lookups and the fit are faster in
+                 trees of even depth. Of a picture alone it is what its finest pixels want, but for a
+                 hundredth of the surface; of several it is what suits most of the surface, also where cells
+                 are then up to 1.5 times as wide. Pixels are as wide as the root of the area that the finest
+                 one covers of the surface
     max_angle    degrees between the surface's normal and the way to the camera from which on no paint is
                  put; over the last 10 it fades. From 90 on all that faces the camera is painted in full.
                  The normal is the surface's own where it has ``frames``, else the mean of the triangles
@@ -261,8 +263,9 @@ def projected(
     cells = CELLS if max_depth is None else FINEST_CELLS
     near = source.near_paint(_REACH)
     footprints = near.footprints()
-    finest = wanted_levels(*footprints, size, FINEST_CELLS).deepest
-    depths = wanted_levels(*footprints, size, cells, deepest)
+    is_alone = len(shots) == 1
+    finest = wanted_levels(*footprints, size, FINEST_CELLS, is_alone=is_alone).deepest
+    depths = wanted_levels(*footprints, size, cells, deepest, is_alone=is_alone)
     depth = depths.deepest
     # Larger cells look farther around: by as many pixels as they are wide, and those of the level read.
     source = source.near_paint(_REACH << max(finest - depth, 0))

@@ -295,14 +295,31 @@ class Projected(PaintSource):
     def footprints(self) -> tuple[Float32s, Float64s]:
         """Return the edge of the finest pixel at points of triangles that own one, and the area for each.
 
-        The points are the triangles' corners and middles.
+        The points are the triangles' corners and middles, the area what is seen of the triangles. The finest
+        come first.
         """
         touched = self.touched()
         vertices, triangles, _ = self._mesh
         places = np.concatenate([np.eye(3), np.full((1, 3), 1 / 3)])
-        areas = face_normals(vertices, triangles[touched])[1] / len(places)
+        areas = np.minimum(face_normals(vertices, triangles[touched])[1], self._seen_areas(touched))
         widths = self.widths(np.repeat(touched, len(places)), np.tile(places, (len(touched), 1)))
-        return widths, np.repeat(areas, len(places))
+        order = np.argsort(widths)
+        return widths[order], (areas / len(places))[order // len(places)]
+
+    def _seen_areas(self, chosen: Int32s) -> Float64s:
+        """Return how much of triangles (n,) pixels see, by the pixels in their middles."""
+        found = np.zeros(len(chosen))
+        middles = np.full((len(chosen), 3), 1 / 3)
+        vertices, triangles, _ = self._mesh
+        lengths = np.ones(len(triangles), np.float32)
+        for shot in self._shots:
+            seen = shot.seen.triangle
+            counts = np.bincount(seen[seen >= 0], minlength=len(triangles))[chosen]
+            edges = np.full(len(chosen), np.inf, np.float32)
+            _narrow(shot, vertices, triangles, lengths, self._terms.back_faces, chosen, middles, edges)
+            edges[counts == 0] = 0.0
+            found += counts * edges.astype(np.float64) ** 2
+        return found
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of the finest pixel on triangles (n,), in rest units; infinity where none is."""

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Int64s, Uint8s
+from octex.arrays import Bools, Float32s, Int64s, Uint8s
 from octex.channels import encode
 from octex.conversion.levels import assemble, cell_levels
 from octex.conversion.pieces import Blocks
@@ -410,6 +410,8 @@ def _carried(
     flags, areas = tree.arrays.flags.copy(), tree.arrays.areas.copy()
     rows: list[tuple[Int64s, Below]] = []
     added: list[Int64s] = []
+    found: list[tuple[Int64s, Mapping[str, Float32s]]] = []
+    looked_up = [(np.empty(0, np.int64), np.empty((0, 3)))]
     for level, (codes, is_node) in enumerate(tree.walk()):
         first = int(tree.arrays.level_cells[level])
         new = np.flatnonzero(edited.old[first : first + codes.size] < 0)
@@ -436,14 +438,15 @@ def _carried(
         facings = np.where(where.is_leaf, flags[cells] & np.uint8(FACING_FLAGS), np.uint8(0))
         below = refined_below(texture, new_codes[is_refined], level, facings[is_refined], executor)
         rows.append((cells[is_refined], below))
-        found = [(is_refined, below.values)]
-        if texture.tree.n_leaves and not is_refined.all():
-            centres = (decode_cells(new_codes[~is_refined]) + 0.5) / 2**level
-            points = texture.placement.to_rest(centres)
-            found.append((~is_refined, whole.sample(points, list(texture.channels), normalize=False)))
-        for name, channel in texture.channels.items():
-            for chosen, own in found:
-                values[name][cells[chosen]] = encode(own[name], channel.format.dtype, channel.format.space)
+        found.append((cells[is_refined], below.values))
+        looked_up.append((cells[~is_refined], (decode_cells(new_codes[~is_refined]) + 0.5) / 2**level))
+    others, centres = (np.concatenate(column) for column in zip(*looked_up, strict=True))
+    if texture.tree.n_leaves and others.size:
+        points = texture.placement.to_rest(centres)
+        found.append((others, whole.sample(points, list(texture.channels), normalize=False)))
+    for name, channel in texture.channels.items():
+        for chosen, own in found:
+            values[name][chosen] = encode(own[name], channel.format.dtype, channel.format.space)
     channels = carried(texture, edited, values)
     tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
     all_carried = OctreeTexture(tree, channels, texture.placement, texture.bounds, texture.metadata)

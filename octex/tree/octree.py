@@ -244,10 +244,12 @@ def distinct(codes: Int64s) -> Int64s:
 
     Codes that already are, or a few runs of such, are the fastest: sorting by merging takes 1 to 6 ns each.
     """
-    codes = np.sort(codes, kind="stable")
-    is_first = np.ones(codes.size, np.bool_)
-    np.not_equal(codes[1:], codes[:-1], out=is_first[1:])
-    return codes[is_first]
+    codes = np.ascontiguousarray(codes, np.int64)
+    found = np.empty(codes.size, np.int64)
+    count = _write_distinct(codes, found)
+    if count < 0:
+        count = _write_distinct(np.sort(codes, kind="stable"), found)
+    return found if count == found.size else found[:count].copy()
 
 
 def _build(leaves_of: dict[int, Int64s], deepest: int) -> TreeArrays:
@@ -277,6 +279,22 @@ def _build(leaves_of: dict[int, Int64s], deepest: int) -> TreeArrays:
     rank(groups)
     flags, areas = np.zeros((2, n_cells), np.uint8)
     return TreeArrays(groups, level_cells, level_nodes, flags, areas)
+
+
+@kernel
+def _write_distinct(codes: Int64s, found: Int64s) -> int:
+    """Write ascending codes, each once, and count them; −1 if they do not ascend."""
+    count = 0
+    last = np.int64(-1)
+    for n in range(codes.size):
+        code = codes[n]
+        if n > 0 and code < last:
+            return -1
+        if n == 0 or code != last:
+            found[count] = code
+            count += 1
+        last = code
+    return count
 
 
 @kernel

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Float32s, Float64s, Int32s, Int64s, Integers
-from octex.jit import kernel
+from octex.jit import kernel, new_array, new_zeros
 from octex.source.welding import welded
 from octex.view.camera import Camera
 
@@ -43,9 +43,7 @@ def corner_normals(positions: Float64s, triangles: Int32s, crease: float = 40.0)
     _measure(positions, triangles, faces, np.empty(len(triangles)), angles)
 
     # Corners at one position one after the other, whatever vertices they use.
-    corner_places = welded(positions)[triangles.ravel()]
-    by_place = np.argsort(corner_places, kind="stable")
-    starts = np.flatnonzero(np.diff(corner_places[by_place], prepend=-1, append=-2))
+    by_place, starts = _by_place(welded(positions), triangles)
 
     normals = np.empty((triangles.size, 3), np.float32)
     cosines = np.cos(np.radians(crease)), np.cos(np.radians(crease / 2))
@@ -74,6 +72,27 @@ def corner_normals_of(
     names = np.cumsum(is_used, dtype=np.int32) - np.int32(1)
     normals = corner_normals(positions[is_used], names[triangles[near]], crease)
     return normals[np.searchsorted(near, chosen)]
+
+
+@kernel
+def _by_place(places: Int32s, triangles: Int32s) -> tuple[Int64s, Int64s]:
+    """Return the corners of triangles (3 m,) by their vertices' places, and where each place's begin."""
+    starts = new_zeros(places.size + 1, np.int64)
+    for n in range(len(triangles)):
+        for corner in range(3):
+            starts[places[triangles[n, corner]] + 1] += 1
+    for place in range(places.size):
+        starts[place + 1] += starts[place]
+    corners = new_array(triangles.size, np.int64)
+    for n in range(len(triangles)):
+        for corner in range(3):
+            place = places[triangles[n, corner]]
+            corners[starts[place]] = 3 * n + corner
+            starts[place] += 1
+    for place in range(places.size, 0, -1):  # each has moved on to where the next begins
+        starts[place] = starts[place - 1]
+    starts[0] = 0
+    return corners, starts
 
 
 @kernel
