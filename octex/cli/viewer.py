@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import octex
-from octex.checks import as_choice
 from octex.cli.arguments import port_number, whole_number
 from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
 from octex.cli.models import TEXTURE_ENDING, TEXTURE_ENDINGS, kind_of, open_sound
@@ -125,6 +124,8 @@ def _part_of(folder: Path, name: str | None) -> str:
     textures = octex.TextureSet.open(folder)
     if name is None:
         return max(textures, key=lambda each: textures[each].tree.n_leaves)
+    from octex.checks import as_choice
+
     return as_choice(name, textures.names, f"part of {folder}:")
 
 

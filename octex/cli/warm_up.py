@@ -78,7 +78,7 @@ def warm_up(progress: Progress) -> None:
             write_preview(
                 folder / "lit.png", surface, texture, (64, 64), light=Environment.studio(), bump=bump
             )
-        Environment.studio().irradiance(surfaces[0].bounds)
+        Environment.studio().irradiance([[0.0, 0.0, 1.0]])
         progress("compile", stages - 1, stages)
         _map(surfaces[0])
         _take(surfaces[0])

@@ -107,7 +107,10 @@ class Environment:
 
     def _read(self, directions: npt.ArrayLike, level: float) -> Float64s:
         given = as_reals(directions, "directions", (-1, 3))
-        unit = np.ascontiguousarray(given / np.linalg.norm(given, axis=1, keepdims=True), np.float64)
+        lengths = np.linalg.norm(given, axis=1, keepdims=True)
+        if not lengths.all():
+            raise ArgumentError("directions must have a length")
+        unit = np.ascontiguousarray(given / lengths, np.float64)
         found = np.empty_like(unit)
         _read_all(self.tables, unit, level, found)
         return found
