@@ -154,7 +154,7 @@ def around_children(
                 if masks[at] >> across & 1 and begins[at] >= 0:
                     beside = begins[at] - begin + ones(masks[at] & ((1 << across) - 1))
                 rows[t, axis] = beside
-            rows[t, ABOUT] = shapes[shape] | left << 4 | has_nodes << 8 | octant << 9
+            rows[t, ABOUT] = np.int64(shapes[shape]) | left << 4 | has_nodes << 8 | octant << 9
             left -= 1
             t += 1
 
