@@ -67,6 +67,7 @@ def warm_up(progress: Progress) -> None:
     """Read, convert, save, open, sample, validate, draw and paint tiny models, to cache all kernels."""
     with scratch_folder() as folder:
         surfaces = _surfaces(folder)
+        light = Environment.of(np.full((4, 8, 3), 128, np.uint8))
         stages = 2 * len(surfaces) + 1
         for number, surface in enumerate(surfaces):
             progress("compile", 2 * number, stages)
@@ -75,10 +76,8 @@ def warm_up(progress: Progress) -> None:
             texture = octex.convert(surface, 3)
             write_preview(folder / "model.png", surface, texture, (64, 64))
             bump = Bump("base_color", 0.01)
-            write_preview(
-                folder / "lit.png", surface, texture, (64, 64), light=Environment.studio(), bump=bump
-            )
-        Environment.studio().irradiance([[0.0, 0.0, 1.0]])
+            write_preview(folder / "lit.png", surface, texture, (64, 64), light=light, bump=bump)
+        light.irradiance([[0.0, 0.0, 1.0]])
         progress("compile", stages - 1, stages)
         _map(surfaces[0])
         _take(surfaces[0])
