@@ -19,6 +19,8 @@ from octex.field.taps import BLOCK, Facings, Taps, leave_mixed, place_points, we
 from octex.field.tiled import Search, Weighed, add_tiled, look_up_tiled
 from octex.field.tiles import Tiles
 from octex.field.windows import new_walk
+from octex.tree.morton import encode_cells
+from octex.tree.octree import distinct
 from octex.tree.order import order_of
 from octex.tree.placement import Placement
 
@@ -502,14 +504,21 @@ def list_blends(
     return task.footprints_listed(points, query.footprints)
 
 
-def rows_read(
+class Reads(NamedTuple):
+    """What lookups of a channel read at a level."""
+
+    rows: Uint32s  # (n,)   each once
+    cells: Int64s  # (m,)   the Morton codes of those that hold the looks' points, ascending
+
+
+def reads_of(
     field: Field, placement: Placement, points: Floats, query: Query, channel: ChannelRows
-) -> tuple[dict[int, Uint32s], int]:
-    """Return the rows that `lookups.look_up` reads of a channel, each once, by the level looked at.
+) -> tuple[dict[int, Reads], int]:
+    """Return what `lookups.look_up` reads of a channel, by the level looked at.
 
     Also the first row of points that is not finite, or −1.
     """
-    return _Listing(field, placement, query, [channel], None, [], []).rows_by_level(points)
+    return _Listing(field, placement, query, [channel], None, [], []).reads(points)
 
 
 class _Listing(_Lookup):
@@ -571,10 +580,10 @@ class _Listing(_Lookup):
             weights.append(part.astype(np.float32))
         return _join_parts(counts, rows, weights), -1
 
-    def rows_by_level(self, points: Floats) -> tuple[dict[int, Uint32s], int]:
-        """List the rows that are read, each once."""
+    def reads(self, points: Floats) -> tuple[dict[int, Reads], int]:
+        """List what is read at each level."""
         depth, code = self._field.tree.max_depth, FILTERS.index(self._query.filter)
-        found: dict[int, list[Uint32s]] = {}
+        found: dict[int, list[Reads]] = {}
         if self._query.footprints is None:
             for begin in range(0, len(points), BLOCK):
                 some = slice(begin, begin + BLOCK)
@@ -582,15 +591,27 @@ class _Listing(_Lookup):
                 taps, fault = self._weighed_taps(self._field, points[some], normals)
                 if fault >= 0:
                     return {}, begin + fault
-                found.setdefault(depth, []).append(np.unique(taps.rows[_each_tap(taps)[1]]))
+                found.setdefault(depth, []).append(self._read(taps, depth))
         else:
             is_finite = np.isfinite(points).all(axis=1)
             if not is_finite.all():
                 return {}, int(np.argmin(is_finite))
             for run, by_level in spread(points, self._query.footprints, self._placement.size, depth, code):
                 for level, taps, _, _ in self._looks(run, by_level):
-                    found.setdefault(level, []).append(np.unique(taps.rows[_each_tap(taps)[1]]))
-        return {level: np.unique(np.concatenate(rows)) for level, rows in found.items()}, -1
+                    found.setdefault(level, []).append(self._read(taps, level))
+        return {
+            level: Reads(
+                np.unique(np.concatenate([each.rows for each in parts])),
+                distinct(np.concatenate([each.cells for each in parts])),
+            )
+            for level, parts in found.items()
+        }, -1
+
+    def _read(self, taps: Taps, level: int) -> Reads:
+        """Return what the taps of the latest block of points read, and which cells hold these."""
+        side = 1 << level
+        cells = np.minimum((self._places[: taps.starts.size] * side).astype(np.int64), side - 1)
+        return Reads(np.unique(taps.rows[_each_tap(taps)[1]]), distinct(encode_cells(cells)))
 
     def _looks(self, run: slice, by_level: dict[int, Probes]) -> Iterator[tuple[int, Taps, Int32s, Float32s]]:
         """Yield the level, the taps, the owners and the shares of the looks of a run, in blocks."""
