@@ -24,7 +24,7 @@ from octex.arrays import Array, Bools, Int64s, Uint8s
 from octex.errors import MissingExtraError, OutputError, TextureFileError
 
 #: Bytes fetched at least.
-BLOCK = 1 << 12
+BLOCK = 1 << 10
 #: Most bytes asked for at once: what a server answers is held in memory meanwhile.
 _MOST = 1 << 26
 #: What file systems say by which a changed file is known.

@@ -17,6 +17,7 @@ from octex.arrays import Array, Int64s, Uint8s
 from octex.checks import as_depth
 from octex.errors import InputError, TextureFileError
 from octex.field.field import Field
+from octex.field.tiles import can_be_tiled
 from octex.files import scratch_folder
 from octex.remote import BLOCK, RemoteFile
 from octex.texture.channel import Channel
@@ -28,16 +29,21 @@ from octex.tree.layout import KeptTable, SplitTable, TreeArrays
 from octex.tree.morton import encode_cells
 from octex.tree.octree import Octree, distinct
 
+#: Bytes that are fetched first: the header, and what says which cells there are down to some level.
+_FIRST = 1 << 14
+#: Rows of the split table that are fetched at least.
+_LEAST_SPLIT = 1 << 8
+
 Fetch = Callable[..., None]
 
 
 def open_remote(address: str, cache: Path | None = None) -> OctreeTexture:
-    """Open the file at an address, of which only the header is fetched; an archive is fetched whole.
+    """Open the file at an address, of which the header is fetched; an archive is fetched whole.
 
     Raises TextureFileError, OutputError and MissingExtraError: see RemoteFile.
     """
     remote = RemoteFile(address, cache)
-    remote.fetch(np.array([[0, min(4 * BLOCK, remote.size)]]))
+    remote.fetch(np.array([[0, min(_FIRST, remote.size)]]))
     if remote.mapping[: len(MAGIC)] == MAGIC:
         remote.fetch_all()
         with scratch_folder() as folder:
@@ -172,23 +178,24 @@ class RemoteTexture(OctreeTexture):
         """Fetch what a lookup reads, and return the texture that answers it.
 
         What says which cells there are around the points comes first, level by level, then what these are
-        said to hold. Both may say that more is read: coarse cells that mix facings leave looks to finer ones,
-        and normal flags say which rows of values are read.
+        said to hold. Coarse cells that mix facings leave looks to finer ones: then around these, too.
         """
         lens = Lens(filter, **{name: options[name] for name in Lens._fields if name in options})
         normals, width, dPdx, dPdy = (options.get(name) for name in ("normals", "width", "dPdx", "dPdy"))
         given = lens.given(points, normals=normals, width=width, dPdx=dPdx, dPdy=dPdy)
         with self._fetching, self._remote.checked_once():
+            is_first, is_tiled = True, can_be_tiled(self._partial.tree)
             while not self._remote.is_whole:
-                if not lens.has_footprints(given):
+                if not lens.has_footprints(given) and ("normals" in given or not is_tiled):
                     self._partial._field.level(self._tree.max_depth)
-                reads = self._partial._reads(channel, lens, given)
-                if self._fetch_nodes(cells_of(reads.values()), filter):
-                    continue
-                spans = Spans(self._remote.mapping, BLOCK)
-                self._partial._add_reads(spans, reads, lens, given)
-                if not self._remote.fetch(spans.ranges()):
+                reads = self._partial._reads(channel, lens, given, cells_alone=is_first)
+                is_more = self._fetch_nodes(cells_of(reads.values()), filter)
+                if not (is_first or is_more):
+                    spans = Spans(self._remote.mapping, BLOCK)
+                    self._partial._add_reads(spans, reads, lens, given)
+                    self._remote.fetch(spans.ranges())
                     return self._partial
+                is_first = False
             return self._whole()
 
     def _fetch_nodes(self, cells: dict[int, Int64s], filter: str) -> bool:
@@ -256,9 +263,13 @@ class _Field(Field):
         needed: list[Array] = [kept.cells]
         if kept.cells.size:
             needed.append(arrays.flags[:n_cells])
-        if any(leaves for leaves, _ in self.tree.cells_by_depth()[: level + 1]):
+        if level < self.tree.max_depth and any(
+            leaves for leaves, _ in self.tree.cells_by_depth()[: level + 1]
+        ):
             needed.append(arrays.areas[:n_cells])
-        n_split = 1  # of the table, which is in the cells' order: in steps like those of its search
+        n_split = (
+            _LEAST_SPLIT  # of the table, which is in the cells' order: in steps like those of its search
+        )
         self._fetch_arrays(*needed, split.cells[: n_split + 1])
         while n_split < split.cells.size and split.cells[n_split] < n_cells:
             n_split *= 2

@@ -33,8 +33,9 @@ class Spans:
             self._is_read[np.minimum(first + more, last)] = True
 
     def rows(self, array: Array, rows: Array) -> None:
-        """Add rows of an array; what is no view of the file was read when that was opened."""
+        """Add rows of an array that it has; what is no view of the file was read when that was opened."""
         offset = array.ctypes.data - self._first
+        rows = rows[(rows >= 0) & (rows < len(array))]
         if array.size and 0 <= offset < self._size and rows.size:
             length = array.nbytes // len(array)
             begins = offset + rows.astype(np.int64) * length
@@ -70,12 +71,12 @@ def nodes_read(tree: Octree, cells: Mapping[int, Int64s], filter: str) -> Iterat
     of a tile is made of all children of a node. Of other trees all nodes are read. Which they are of a level
     is read in those above when it is asked for.
     """
-    deepest = max(cells, default=0)
+    deepest = max((level for level, held in cells.items() if held.size), default=0)
     firsts = tree.arrays.level_nodes
     if not can_be_tiled(tree):
         yield np.arange(firsts[deepest])
         return
-    begin = min(MOST_TOP_LEVEL, deepest)
+    begin = min(MOST_TOP_LEVEL + 1, deepest)
     yield np.arange(firsts[begin])
     around: dict[int, Int64s] = {}
     wanted = np.empty(0, np.int64)  # cells of a level that hold points, where there are looks at it or below
@@ -124,7 +125,8 @@ def add_reads(
     """Add what lookups of a channel read, whose rows are given by the level looked at.
 
     ``channels`` are that and what it weighs by; ``by_facing`` is for lookups with normals, ``is_ruled`` for
-    those that leave what mixes opposite facings of the channel to finer levels.
+    those that leave what mixes opposite facings of the channel to finer levels. Where there are normals, all
+    rows of a split cell are added: which of them are read, its flags say.
     """
     arrays, split, kept = tree.arrays, tree.split, tree.kept
     for array in arrays.level_cells, arrays.level_nodes, kept.cells:
@@ -147,21 +149,29 @@ def add_reads(
     has_leaves = [leaves > 0 for leaves, _ in tree.cells_by_depth()]
     for level, rows in levels.items():
         facings = rows[rows >= first_facing] - first_facing
-        owners = split.cells[np.searchsorted(ends, facings, side="right")]
-        cells = np.concatenate([rows[rows < tree.n_cells], owners])
+        owners = split.cells[:n_split][
+            np.searchsorted(ends, facings[facings < ends[-1:].sum()], side="right")
+        ]
+        keeping = kept.cells[rows[(rows >= tree.n_cells) & (rows < first_facing)] - tree.n_cells]
+        cells = np.concatenate([rows[rows < tree.n_cells], owners, keeping])
         if by_facing:
             spans.rows(arrays.flags, cells)
         if level < tree.max_depth:
             spans.rows(arrays.areas, cells)
             if any(has_leaves[: level + 1]):
                 spans.until(arrays.areas, int(arrays.level_cells[level + 1]))
+        seen = np.flatnonzero(np.isin(split.cells[:n_split], cells)) if by_facing else owners[:0]
+        counts = np.bitwise_count(split.facings[seen]).astype(np.int64)
+        firsts = ends[seen] - np.cumsum(counts)
+        of_split = np.repeat(firsts, counts) + np.arange(counts.sum())
         for channel in channels:
             _add_values(spans, channel, rows)
+            spans.rows(channel.split_values, of_split)
 
 
 def _add_values(spans: Spans, channel: Channel, rows: Array) -> None:
     """Add rows of a channel's values: cells', kept nodes' and split cells'."""
+    first = 0
     for array in channel.values, channel.kept_values, channel.split_values:
-        is_here = (rows >= 0) & (rows < len(array))
-        spans.rows(array, rows[is_here])
-        rows = rows[~is_here].astype(np.int64) - len(array)
+        spans.rows(array, rows.astype(np.int64) - first)
+        first += len(array)

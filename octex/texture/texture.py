@@ -479,16 +479,25 @@ class OctreeTexture:
         return spans.ranges()
 
     def _reads(
-        self, channel: str | list[str] | tuple[str, ...], lens: Lens, given: Given
+        self,
+        channel: str | list[str] | tuple[str, ...],
+        lens: Lens,
+        given: Given,
+        *,
+        cells_alone: bool = False,
     ) -> dict[str, dict[int, Reads]]:
-        """Return what lookups read of each channel, by level."""
+        """Return what lookups read of each channel, by level.
+
+        With ``cells_alone`` only where points are looked at, as far as what is stored does not matter.
+        """
         names = list(channel) if isinstance(channel, (list, tuple)) else [channel]
         for name in names:
             as_choice(name, self.channels, "channel")
         found: dict[str, dict[int, Reads]] = {}
         for name in names:
             parts: dict[int, list[Reads]] = {}
-            for _, (levels, *arrays) in each_block(given, [], partial(self._read_of, name, lens), 1, None):
+            look_up = partial(self._read_of, name, lens, cells_alone)
+            for _, (levels, *arrays) in each_block(given, [], look_up, 1, None):
                 for level, rows, cells in zip(levels.tolist(), arrays[::2], arrays[1::2], strict=True):
                     parts.setdefault(level, []).append(Reads(rows, cells))
             found[name] = {
@@ -497,11 +506,11 @@ class OctreeTexture:
             }
         return found
 
-    def _read_of(self, name: str, lens: Lens, given: Given, answers: list[Array]) -> int:
+    def _read_of(self, name: str, lens: Lens, cells_alone: bool, given: Given, answers: list[Array]) -> int:
         """Add the levels that a block looks at, and what it reads of each, to ``answers``."""
         query = self._query(lens, given, name)
         task = self._field, self.placement, given["points"], query, self._as_read(name)
-        found, fault = reads_of(*task)
+        found, fault = reads_of(*task, cells_alone=cells_alone)
         answers += [np.array(list(found), np.int64), *(array for read in found.values() for array in read)]
         return fault
 
