@@ -118,7 +118,7 @@ def convert(
     bytes a cell stay in memory: see `octex help files`. With an ``executor`` it lies there always, and is
     passed to workers and back as names of files: they must see the folder under the same name, and a worker
     that is lost is done without. The texture is the same, bit for bit. Neither goes with sources with gaps;
-    ``max_error`` and ``detail`` go with ``memory`` alone, and some 40 bytes a finest cell then stay there.
+    ``max_error`` and ``detail`` go with ``memory`` alone, and some 90 bytes a finest cell then stay there.
 
     Points know only ``depth``, ``cell``, ``channels``, ``dtype`` and ``progress``; voxels of these neither
     ``depth`` nor ``cell``.
