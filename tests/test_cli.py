@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import octex
-from octex.cli.arguments import DTYPES, FILTERS
+from octex.cli.arguments import DTYPES, FILTERS, picture_size
 from octex.cli.convert import COMMAND, main
 from octex.cli.convert_options import CONVERT
 from octex.cli.models import DEFAULT_FILTER
@@ -265,6 +265,10 @@ def test_options_may_stand_anywhere(arguments: str) -> None:
     stated = {name: value for name, value in given.items() if value not in (None, False)}
     paths = {"INPUT": Path("a.glb"), "OUTPUT": Path("b.octex")}
     assert stated == {**paths, "depth": 5, "separate": 3.0}
+
+
+def test_sizes_have_a_comma_or_an_x() -> None:
+    assert {picture_size(text) for text in ("640,480", "640x480", "640×480")} == {(640, 480)}
 
 
 def test_options_of_two_values_and_those_given_twice_may_stand_anywhere() -> None:

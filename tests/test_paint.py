@@ -62,6 +62,25 @@ def test_a_picture_painted_back_from_its_own_camera_is_what_is_seen() -> None:
     assert set(texture.channels) == {"base_color"}
 
 
+@pytest.mark.parametrize(("is_drawn", "fading", "vanished"), [(False, 65.0, 75.0), (True, 75.0, 85.0)])
+def test_what_was_drawn_on_a_view_reaches_farther_around_the_model(
+    is_drawn: bool, fading: float, vanished: float
+) -> None:
+    surface = ball(48)
+    camera = octex.Camera.fitted(surface.vertices, (0, 0, 1), size=(128, 128))
+    before = one_color(camera, (0, 0, 0)) if is_drawn else None
+    layer = octex.project(surface, octex.Projection(one_color(camera, (1, 0, 0)), camera, since=before))
+    samples = surface.scatter(2000)
+    toward = camera.position - samples.rest
+    cosines = np.einsum("nk,nk->n", samples.normals, toward) / np.linalg.norm(toward, axis=1)
+    angles = np.degrees(np.arccos(cosines))
+    covered = layer.sample(samples.rest, "alpha", "nearest")[:, 0] * layer.contains(samples.rest)
+    assert (covered[angles < fading - 3] > 0.99).all()
+    assert (covered[angles > vanished + 3] < 0.01).all()
+    halfway = np.abs(angles - (fading + vanished) / 2) < 1
+    assert 0.1 < np.median(covered[halfway]) < 0.9
+
+
 def test_what_is_read_of_a_picture_has_its_pixels_as_means() -> None:
     image = np.random.default_rng(4).uniform(0.3, 0.7, (20, 16, 4)).astype(np.float32)
     image[..., 3] = 1.0

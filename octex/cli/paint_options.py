@@ -96,7 +96,7 @@ _OPTIONS = (
     option(
         "--max-angle",
         "between the surface's normal and the way to the camera, from which on nothing is painted "
-        "(default 75)",
+        "(default 75; 85 for what was drawn on a view)",
         metavar="DEGREES",
         type=angle,
     ),

@@ -33,6 +33,8 @@ from octex.view.camera import Camera
 Pictures = Literal["average", "best", "robust"]
 PICTURES: tuple[Pictures, ...] = get_args(Pictures)
 
+#: Degrees from which on there is no paint: photographs blur what is seen so flatly, drawings do not.
+TAKEN_ANGLE, DRAWN_ANGLE = 75.0, 85.0
 #: Pictures get no deeper than this on their own: cells of a 16,000th of the model.
 _DEEPEST = 14
 #: Cells of half a pixel are painted by pixels so far from them at most.
@@ -46,7 +48,7 @@ def paint(
     *,
     channel: str = "base_color",
     max_depth: int | None = None,
-    max_angle: float = 75.0,
+    max_angle: float | None = None,
     edge_feather: float = 0.0,
     pictures: Pictures | None = None,
     balance: Balance | None = None,
@@ -79,6 +81,7 @@ def paint(
                  one covers of the surface
     max_angle    degrees between the surface's normal and the way to the camera from which on no paint is
                  put; over the last 10 it fades. From 90 on all that faces the camera is painted in full.
+                 Default: 75, or 85 if all pictures were drawn on a view (``since``).
                  The normal is the surface's own where it has ``frames``, else the mean of the triangles
                  around that are within 40 degrees of each other, so that round things fade evenly
     edge_feather  pixels over which paint fades towards the picture's rim and towards edges in depth
@@ -134,7 +137,7 @@ class Options(TypedDict, total=False):
 
     channel: str
     max_depth: int | None
-    max_angle: float
+    max_angle: float | None
     edge_feather: float
     pictures: Pictures | None
     balance: Balance | None
@@ -180,7 +183,7 @@ def project(
     like: OctreeTexture | None = None,
     channel: str = "base_color",
     max_depth: int | None = None,
-    max_angle: float = 75.0,
+    max_angle: float | None = None,
     edge_feather: float = 0.0,
     pictures: Pictures | None = None,
     balance: Balance | None = None,
@@ -222,7 +225,7 @@ def projected(
     *,
     channel: str = BASE_COLOR.name,
     max_depth: int | None = None,
-    max_angle: float = 75.0,
+    max_angle: float | None = None,
     edge_feather: float = 0.0,
     pictures: Pictures | None = None,
     balance: Balance | None = None,
@@ -232,6 +235,8 @@ def projected(
 ) -> OctreeTexture:
     """Project pictures onto a surface as `project` does."""
     surface, form = ground.surface, format_of(like, channel)
+    if max_angle is None:
+        max_angle = DRAWN_ANGLE if all(each.since is not None for each in given) else TAKEN_ANGLE
     max_angle = as_number(max_angle, "max_angle", 0.0, 180.0)
     edge_feather = as_number(edge_feather, "edge_feather", 0.0, 1e6)
     back_faces = as_flag(back_faces, "back_faces")
