@@ -507,7 +507,7 @@ def test_balance_makes_pictures_agree() -> None:
 
 def test_pictures_that_do_not_overlap_keep_their_gains() -> None:
     surface = plain(together(square(), (square()[0] + [5, 0, 0], square()[1])))
-    from octex.painting.projected import Projected, stretches_of, take_shot, terms_of
+    from octex.painting.projected import Projected, sight_of, stretches_of, take_shots, terms_of
 
     form = octex.convert(surface, 2).channels["base_color"].format
     shots = []
@@ -518,7 +518,7 @@ def test_pictures_that_do_not_overlap_keep_their_gains() -> None:
             camera = octex.Camera.pinhole((64, 64), pose=pose, convention="opengl", focal=180.0)
             picture = octex.Projection(one_color(camera, (0.2 + 0.1 * x, 0.5, 0.5)), camera)
             mesh = surface.vertices, surface.triangles
-            shots.append(take_shot(picture, form, *mesh, 0.0, 1.0, pool))
+            shots += take_shots([picture], form, [1.0], [sight_of(*mesh, camera, 0.0, pool)], pool)
     stretches = stretches_of(surface.vertices, surface.rest, surface.triangles)
     source = Projected(shots, form, terms_of(75, 0, False), surface.vertices, surface.triangles, stretches)
     np.testing.assert_allclose(exposures(source, surface, "full", None), np.zeros((2, 5)), atol=1e-6)

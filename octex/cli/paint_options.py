@@ -13,6 +13,7 @@ from octex.cli.arguments import (
     camera,
     color,
     disc,
+    file_size,
     holes,
     mask_pattern,
     opacity,
@@ -146,6 +147,12 @@ _OPTIONS = (
         "keep how much of each cell pictures cover, in the channel coverage",
         action="store_true",
     ),
+    option(
+        "--memory",
+        "if the pictures would take more, keep them decoded in a folder beside --out meanwhile",
+        metavar="SIZE",
+        type=file_size,
+    ),
     option("--no-fit", "store plain averages; lookups are then softer", action="store_true"),
     option(
         "--background",
@@ -217,6 +224,7 @@ _WORDS = {
         "--back-faces",
         "--holes",
         "--coverage",
+        "--memory",
         "--no-fit",
         "--background",
         "--layer-out",
