@@ -21,7 +21,7 @@ from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.viewer import Viewer, write_page
 from octex.viewer.export import MODULES, page_text
-from octex.viewer.pack import _prepared, pack
+from octex.viewer.pack import pack, prepared
 from tests.browser import Probe, chromium, differences, file_url, opened
 from tests.command import refusal, result
 from tests.conftest import needs_jit
@@ -106,8 +106,8 @@ def test_each_pixel_is_what_a_lookup_there_gives(name: str, browser: Any, tmp_pa
 
 def parity(page: Any, texture: OctreeTexture, surface: Surface) -> dict[str, float]:
     """Compare all channels, filters, widths, levels and sides; return the largest differences, of 255."""
-    header = pack(texture, surface, title="").header
-    texture = _prepared(texture)[0]  # of 8 bits, 0 to 1
+    header = pack(texture, surface).header
+    texture = prepared(texture).texture  # of 8 bits, 0 to 1
     is_split = texture.tree.split.cells.size > 1
     found = {}
     deepest = texture.tree.max_depth
@@ -284,9 +284,9 @@ def test_a_changed_texture_is_shown_anew_and_a_lost_server_is_said(browser: Any,
     thread = threading.Thread(target=viewer.run, kwargs={"alone": 1.0})
     thread.start()
     page = opened(browser, viewer.url)
-    assert page.evaluate("viewer.header.depth") == 4
+    assert page.evaluate("viewer.header.parts[0].depth") == 4
     octex.convert(surface, depth=3).save(path)
-    page.wait_for_function("globalThis.viewer?.header?.depth === 3", timeout=60_000)
+    page.wait_for_function("globalThis.viewer?.header?.parts[0].depth === 3 && viewer.isComplete", timeout=60_000)
     assert lines == []
     page.close()
     thread.join(10)
@@ -321,7 +321,7 @@ def test_a_page_whose_server_ends_says_so_and_goes_on_with_the_next_one(browser:
     page.keyboard.press("ArrowLeft")  # what has come is still shown
     octex.convert(surface, depth=2).save(path)
     second = served(port)
-    page.wait_for_function("globalThis.viewer?.header?.depth === 2", timeout=60_000)
+    page.wait_for_function("globalThis.viewer?.header?.parts[0].depth === 2", timeout=60_000)
     assert page.locator("#status").inner_text() == ""
     page.close()
     ended(second)
@@ -329,7 +329,7 @@ def test_a_page_whose_server_ends_says_so_and_goes_on_with_the_next_one(browser:
 
 def test_floats_are_shown_in_the_range_that_they_have() -> None:
     texture, surface = floating()
-    header = pack(texture, surface, title="").header
+    header = pack(texture, surface).header
     ranges = {each["name"]: each["range"] for each in header["channels"]}
     assert ranges["base_color"] == [0, 1]
     values = texture.channels["emissive"].values, texture.channels["roughness"].values

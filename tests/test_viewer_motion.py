@@ -71,7 +71,7 @@ def test_a_broken_animation_is_said_and_the_others_are_kept(tmp_path: Path) -> N
         "animation A: a.glb: animations[0].samplers[0] interpolates by 'WAVY', which is not one of glTF's"
     ]
     surface = octex.load_surface(file)
-    notes = pack(octex.convert(surface, depth=2), surface, title="", motion=motion).header["notes"]
+    notes = pack(octex.convert(surface, depth=2), surface, motion=motion).header["notes"]
     assert motion.faults[0] in notes
 
 
@@ -96,13 +96,13 @@ def test_motion_has_fewer_frames_where_there_is_little_room(tmp_path: Path) -> N
     file = moving("rotation", "LINEAR").save(tmp_path / "a.glb")
     surface, motion = octex.load_surface(file), load_motion(file)
     texture = octex.convert(surface, depth=2)
-    whole = pack(texture, surface, title="", motion=motion)
+    whole = pack(texture, surface, motion=motion)
     size = len(whole.streams["motion"])
     assert whole.header["motion"]["animations"][0]["frames"] == 61
-    half = pack(texture, surface, title="", motion=motion, room=size - 1)
+    half = pack(texture, surface, motion=motion, room=size - 1)
     assert half.header["motion"]["animations"][0]["frames"] == 31
     assert half.header["notes"] == ["animations: every second frame"]
-    none = pack(texture, surface, title="", motion=motion, room=9)
+    none = pack(texture, surface, motion=motion, room=9)
     assert "motion" not in none.header
     assert none.header["notes"][0].startswith("no animations: they take")
 
@@ -132,7 +132,7 @@ def test_pixels_see_the_posed_model_and_the_colours_of_where_it_rests(
         page.evaluate("viewer.camera.orbit(0.5, 0.1)")
     values = Probe(page, texture, SIZE, moved={"animation": 0, "time": 1.4})
     base = next(
-        each for each in pack(texture, surface, title="").header["channels"] if each["name"] == "base_color"
+        each for each in pack(texture, surface).header["channels"] if each["name"] == "base_color"
     )
     expected = texture.sample(values.points, filter="quadratic")
     assert 255 * np.abs(values.plane(base["at"][0])[:, :3] - expected).max() <= 1.0

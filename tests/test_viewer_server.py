@@ -79,10 +79,11 @@ def test_the_page_and_its_data_are_answered_to_who_has_the_token(served: Served)
         assert policy.startswith("default-src 'none'; script-src 'self'")
         assert "http" not in policy
     header = json.loads(served.ask("data/header")[1])
-    assert (header["depth"], header["levelCells"]) == (1, [0, 1, 9])
-    status, chunk = served.ask("data/levels-0", Origin=f"http://127.0.0.1:{served.viewer.port}")
+    (part,) = header["parts"]
+    assert (part["depth"], part["levelCells"]) == (1, [0, 1, 9])
+    status, chunk = served.ask(f"data/{header['version']}/0-levels-0", Origin=f"http://127.0.0.1:{served.viewer.port}")
     assert status == 200
-    assert len(zlib.decompress(chunk, -15)) == header["levelNodes"][-1] * 2 + 1 + 9 + 27
+    assert len(zlib.decompress(chunk, -15)) == part["levelNodes"][-1] * 2 + 1 + 9 + 27
     assert served.ask("data/header", Host=f"localhost:{served.viewer.port}")[0] == 200
     assert served.lines == []
 
@@ -201,7 +202,7 @@ def test_of_a_folder_one_part_is_shown(tmp_path: Path, monkeypatch: pytest.Monke
 
         def kept(viewer: Viewer) -> None:
             viewer._server.server_close()
-            found.append(viewer.packed().header)
+            found.append(viewer.packed().header["parts"])
 
         monkeypatch.setattr(Viewer, "run", kept)
         assert main(["view", str(tmp_path / "set"), "--no-browser", "--quiet", *words]) == ExitCode.DONE

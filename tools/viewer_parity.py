@@ -82,7 +82,7 @@ def _trees(surface: Surface, depth: int) -> Iterator[tuple[str, OctreeTexture]]:
 def _compared(
     page: Any, texture: OctreeTexture, surface: Surface, size: tuple[int, int]
 ) -> Iterator[tuple[str, bool]]:
-    header = pack(texture, surface, title="").header
+    header = pack(texture, surface).header
     for facing in (False, True) if texture.tree.split.cells.size else (False,):
         for filter, width in LOOKS:
             began = time.perf_counter()
