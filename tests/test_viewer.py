@@ -286,7 +286,9 @@ def test_a_changed_texture_is_shown_anew_and_a_lost_server_is_said(browser: Any,
     page = opened(browser, viewer.url)
     assert page.evaluate("viewer.header.parts[0].depth") == 4
     octex.convert(surface, depth=3).save(path)
-    page.wait_for_function("globalThis.viewer?.header?.parts[0].depth === 3 && viewer.isComplete", timeout=60_000)
+    page.wait_for_function(
+        "globalThis.viewer?.header?.parts[0].depth === 3 && viewer.isComplete", timeout=60_000
+    )
     assert lines == []
     page.close()
     thread.join(10)
@@ -351,6 +353,61 @@ def test_a_page_of_limited_size_leaves_the_finest_levels_out(tmp_path: Path) -> 
         ArgumentError, match=r"the page takes .* bytes without any level; allow more than 100"
     ):
         write_page(texture, tmp_path / "none.html", max_size=100)
+
+
+def two_parts(folder: Path) -> tuple[octex.TextureSet, Surface]:
+    """Two balls that touch, with channels and depths of their own."""
+    balls = ball(8), ball(8)
+    vertices = np.concatenate([each.vertices + np.array([1.9 * n, 0, 0]) for n, each in enumerate(balls)])
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices]
+    for n, each in enumerate(balls):
+        lines += [
+            f"o part{n}",
+            *(f"f {a} {b} {c}" for a, b, c in each.triangles + 1 + n * len(each.vertices)),
+        ]
+    (folder / "two.obj").write_text("\n".join(lines))
+    surface = octex.load_surface(folder / "two.obj")
+    made = {}
+    for number in range(2):
+        part = surface.part(np.flatnonzero(surface.parts == number))
+        part = (
+            colored(part)
+            if number
+            else part.with_sources({"base_color": lambda p: 0.5 + 0.5 * np.sin(20 * p)})
+        )
+        made[f"part {number}"] = octex.convert(part, depth=4 + number)
+    return octex.TextureSet(made), surface
+
+
+@needs_jit
+def test_of_a_set_each_pixel_is_what_a_lookup_in_its_part_gives(browser: Any, tmp_path: Path) -> None:
+    textures, surface = two_parts(tmp_path)
+    write_page(textures, tmp_path / "set.html", surface)
+    page = opened(browser, file_url(tmp_path / "set.html"), (900, 420))
+    assert page.locator("#facts").inner_text().startswith("2 parts\n")
+    for number, texture in enumerate(textures.values()):
+        header = pack(texture, None).header
+        probe = Probe(page, texture, SIZE, part=number, filter="quadratic", width=-1.0, facing=False)
+        assert compared(probe, texture, header, "quadratic", -1.0, False, f"part {number}") <= 1
+    size = page.evaluate("[viewer.canvas.clientWidth, viewer.canvas.clientHeight]")
+    page.evaluate("viewer.camera.reset(0, 0)")
+    found = [page.evaluate("(at) => viewer.pick(...at)", [x * size[0], size[1] / 2]) for x in (0.3, 0.7)]
+    assert [each["name"] for each in found] == list(textures)
+    for value in ("channel roughness", "depth", "lit"):
+        page.select_option("#shown", value)
+        sharp(page)
+    page.check("#cubes")
+    sharp(page)
+    assert page.complaints == []
+    page.close()
+    with pytest.raises(ArgumentError, match=r"two.obj has 2 parts, and the set 1; give the set's model"):
+        write_page(octex.TextureSet({"one": textures["part 0"]}), tmp_path / "one.html", surface)
+    many = octex.TextureSet({f"{n}": textures["part 0"] for n in range(256)})
+    with pytest.raises(ArgumentError, match="a page shows 255 parts at most, not 256; choose one of them"):
+        write_page(many, tmp_path / "many.html")
+    size = (tmp_path / "set.html").stat().st_size
+    notes = write_page(textures, tmp_path / "small.html", surface, max_size=size - 1)
+    assert notes[0].startswith("part 0: depth 4 of 5, to fit")
 
 
 def test_no_two_modules_of_the_page_have_a_name_in_common() -> None:

@@ -7,6 +7,7 @@ import threading
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +88,9 @@ def test_after_each_stroke_a_page_has_what_one_has_that_loads_anew(browser: Any,
         assert texture.tree.kept.cells.size
         for facing in (False, True):
             shown(page, texture, surface, facing)
-        page.evaluate("globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context'); lose.loseContext()")
+        page.evaluate(
+            "globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context'); lose.loseContext()"
+        )
         page.wait_for_function("viewer.isLost")
         page.evaluate("lose.restoreContext()")
         page.wait_for_function("!viewer.isLost")
@@ -133,7 +136,9 @@ def test_what_is_otherwise_than_the_page_can_be_sent_is_loaded_anew(browser: Any
     with served(Viewer(lambda: octex.open(path), path, surface)) as viewer:
         page = opened(browser, viewer.url, (320, 240))
         octex.convert(rough, depth=3, channels=["base_color"]).save(path)
-        page.wait_for_function("globalThis.viewer?.header?.parts[0].channels.length === 1 && viewer.isComplete")
+        page.wait_for_function(
+            "globalThis.viewer?.header?.parts[0].channels.length === 1 && viewer.isComplete"
+        )
         page.close()
 
 
@@ -167,10 +172,35 @@ def test_a_page_that_is_behind_gets_change_after_change(tmp_path: Path) -> None:
         painter.fill(octex.Sphere(surface.bounds[0], 1.0), (red, 0.0, 0.0))
         viewer.changed()
         versions.append(viewer.version()[0])
-    for since, then in zip(versions, versions[1:], strict=False):
+    for since, then in pairwise(versions):
         change = viewer.of_version(since)[1]
         assert json.loads(json.dumps(change.header))["version"] == then
         assert zlib.decompress(change.streams["change-0"], -15)
     assert viewer.of_version(versions[-1])[1].header == {}
     assert [packed.header for packed in viewer.of_version("none")] == [{}, {}]
     viewer._server.server_close()
+
+
+@needs_jit
+def test_the_page_and_cameras_agree_on_what_a_pixel_sees(browser: Any, tmp_path: Path) -> None:
+    surface, path = ball(32), tmp_path / "ball.octex"
+    octex.convert(surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)}), depth=4).save(path)
+    with served(Viewer(lambda: octex.open(path), path, surface)) as viewer:
+        page = opened(browser, viewer.url, (900, 320))
+        page.evaluate("viewer.camera.orbit(0.4, 0.2); viewer.camera.pan(0.1, -0.05); viewer.camera.zoom(1.5)")
+        with page.expect_download() as waiting:
+            page.click("#save-camera")
+        waiting.value.save_as(tmp_path / "camera.json")
+        assert waiting.value.suggested_filename == "ball-camera.json"
+        (frame,) = octex.read_cameras(tmp_path / "camera.json")
+        camera = frame.camera()
+        assert frame.name == "ball.png"
+        assert [camera.width, camera.height] == page.evaluate(
+            "[viewer.canvas.clientWidth, viewer.canvas.clientHeight]"
+        )
+        for pixel in ([370, 130], [330, 190], [400, 100]):
+            found = page.evaluate("(at) => viewer.pick(...at)", pixel)
+            point = np.array([found["rest"]])
+            # To what rasterizers round corners to: a sixteenth of a pixel.
+            np.testing.assert_allclose(camera.project(point)[0][0], np.add(pixel, 0.5), atol=1 / 16)
+        page.close()

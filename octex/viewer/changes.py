@@ -1,11 +1,11 @@
-"""What a page is sent of a texture that has changed: the cells that it does not have, and where the rest stand.
+"""What a page is sent of a texture that has changed: the cells that it does not have, and where others stand.
 
 A cell is known where the texture was as it is now: of the same level and place, with the same children, flags
 and values, those of its sides and what it keeps among them. Known cells stand in runs that follow on each
 other in both. One stream:
 
-    runs        how many new cells come before each; the cell that it began at; its length: planes of bytes
-    new cells   node masks, leaf masks, areas of nodes, flags, and components of channels: a byte for each cell
+    runs        how many new cells come before each; the cell that it began at; its length; planes of bytes
+    new cells   node masks, leaf masks, areas of nodes, flags, components of channels: a byte for each cell
     their rows  components of channels: what nodes among them keep, then the sides of split ones
 """
 
@@ -60,7 +60,7 @@ def change_between(before: OctreeTexture, after: OctreeTexture) -> tuple[dict[st
 
 
 def _known(before: OctreeTexture, after: OctreeTexture) -> tuple[Int64s, Bools]:
-    """Return the number that each cell had, and whether it is as it was; numbers of those that are not mean nothing."""
+    """Return the number that each cell had, and whether it is as it was; else the number means nothing."""
     old = np.full(after.tree.n_cells, -1)
     here, there = (tree.arrays.level_cells.tolist() for tree in (after.tree, before.tree))
     levels = zip(before.tree.walk(), after.tree.walk(), here, there, strict=False)
@@ -71,16 +71,22 @@ def _known(before: OctreeTexture, after: OctreeTexture) -> tuple[Int64s, Bools]:
     is_known = old >= 0
     (masks, areas), (old_masks, old_areas) = (_nodes_data(each.tree) for each in (after, before))
     flags, old_flags = after.tree.arrays.flags, before.tree.arrays.flags
-    for now, was in ((masks, old_masks), (areas[:, None], old_areas[:, None]), (flags[:, None], old_flags[:, None])):
+    for now, was in (
+        (masks, old_masks),
+        (areas[:, None], old_areas[:, None]),
+        (flags[:, None], old_flags[:, None]),
+    ):
         is_known &= (now == was[old]).all(axis=1)
     kept, sides = _owners(after.tree)
     old_kept, old_sides = _owners(before.tree)
     is_same = [_rows_of(kept, old_kept, old, is_known), _rows_of(sides, old_sides, old, is_known)]
     for name, channel in after.channels.items():
-        was = before.channels[name]
-        is_known &= (channel.values == was.values[old]).all(axis=1)
-        rows = (kept, is_same[0], channel.kept_values, was.kept_values)
-        for owners, at, values, old_values in (rows, (sides, is_same[1], channel.split_values, was.split_values)):
+        past = before.channels[name]
+        is_known &= (channel.values == past.values[old]).all(axis=1)
+        for owners, at, values, old_values in (
+            (kept, is_same[0], channel.kept_values, past.kept_values),
+            (sides, is_same[1], channel.split_values, past.split_values),
+        ):
             chosen = at >= 0
             differ = (values[chosen] != old_values[at[chosen]]).any(axis=1)
             is_known[owners[chosen][differ]] = False
@@ -100,7 +106,9 @@ def _nodes_data(tree: Octree) -> tuple[Uint8s, Uint8s]:
     nodes = np.concatenate([np.zeros(0, np.int64), *_node_cells(tree)])
     masks, areas = np.zeros((tree.n_cells, 2), np.uint8), np.zeros(tree.n_cells, np.uint8)
     for word in range(2):
-        masks[nodes, word] = np.ascontiguousarray(arrays.groups[:, word]).astype("<u8").view(np.uint8)[: nodes.size]
+        masks[nodes, word] = (
+            np.ascontiguousarray(arrays.groups[:, word]).astype("<u8").view(np.uint8)[: nodes.size]
+        )
     areas[nodes] = arrays.areas[nodes]
     return masks, areas
 

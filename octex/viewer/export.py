@@ -66,7 +66,7 @@ def write_page(
     max_size: int | None = None,
     progress: Progress = silent,
 ) -> list[str]:
-    """Write a page that shows a texture on the surface that it is of, or a set on its model; without, the cells.
+    """Write a page of a texture on its surface, or of a set on its model; without these, of the cells.
 
     ``motion`` is how the surface of a texture moves. ``max_size``, in bytes, leaves out the finest levels
     until the file is no larger; of that animations take a quarter at most, and images of the source
@@ -80,7 +80,10 @@ def write_page(
     maps = None if surface is None or len(parts) > 1 else maps_of(surface, small=True, room=room)
     progress("pack", 0, 1)
     while True:
-        cut = [part._replace(texture=part.texture.level(min(level, part.texture.tree.max_depth))) for part in parts]
+        cut = [
+            part._replace(texture=part.texture.level(min(level, part.texture.tree.max_depth)))
+            for part in parts
+        ]
         packed = packed_page(cut, title=title, motion=motion, maps=maps, level=_SMALLEST, room=room)
         if level < deepest:
             note = f"depth {level} of {deepest}, to fit {max_size:,} bytes"

@@ -13,9 +13,9 @@ are cast, floats from the range that they have. The last chunk holds the rows of
 cells, if there are any.
 
 The mesh is one stream: positions in whole numbers of 2⁻ᵇ of a cube's edge, each less the one before it;
-normals as points of an octahedron, likewise; where it moves, the surface's vertices; where it has
-maps, coordinates in them and colours (``maps``); triangles by how far back each vertex is from the next new
-one.
+normals as points of an octahedron, likewise; where it moves, the surface's vertices, and if it is posed the
+normals at rest; where it has maps, coordinates in them and colours (``maps``); triangles by how far back each
+vertex is from the next new one.
 Numbers of more than a byte are stored as planes of bytes, the lowest first. For how it moves see ``moves``.
 """
 
@@ -61,7 +61,9 @@ class Packed(NamedTuple):
     def notes(self) -> list[str]:
         """What a page shows otherwise than its textures have it."""
         parts = self.header["parts"]
-        return [f"{part['name']}: {note}" if part["name"] else note for part in parts for note in part["notes"]]
+        return [
+            f"{part['name']}: {note}" if part["name"] else note for part in parts for note in part["notes"]
+        ]
 
 
 class Part(NamedTuple):
@@ -87,13 +89,17 @@ def parts_of(textures: OctreeTexture | TextureSet, surface: Surface | None) -> l
     if isinstance(textures, OctreeTexture):
         return [Part("", textures, surface)]
     if len(textures) > MOST_PARTS:
-        raise ArgumentError(f"a page shows {MOST_PARTS} parts at most, not {len(textures):,}; choose one of them")
+        raise ArgumentError(
+            f"a page shows {MOST_PARTS} parts at most, not {len(textures):,}; choose one of them"
+        )
     if surface is None:
         return [Part(name, texture, None) for name, texture in textures.items()]
     numbers = surface.parts
     if numbers.max() + 1 != len(textures):
         count = f"{numbers.max() + 1:,} part{'s' if numbers.max() else ''}"
-        raise ArgumentError(f"{surface.name} has {count}, and the set {len(textures):,}; give the set's model")
+        raise ArgumentError(
+            f"{surface.name} has {count}, and the set {len(textures):,}; give the set's model"
+        )
     return [
         Part(name, texture, surface.part((numbers == number).nonzero()[0]))
         for number, (name, texture) in enumerate(textures.items())
@@ -206,7 +212,7 @@ def _chunks(texture: OctreeTexture) -> Iterator[tuple[list[int] | None, bytes]]:
 
 
 def _with_bytes(texture: OctreeTexture) -> tuple[OctreeTexture, dict[str, list[float]], list[str]]:
-    """Return a texture of 8 bits that the page can show, what 0 and 1 stand for in it, and what is then otherwise."""
+    """Return a texture of 8 bits that a page can show, what 0 and 1 stand for in it, and what differs."""
     notes: list[str] = []
     ranges: dict[str, list[float]] = {}
     channels = dict(texture.channels)
@@ -349,6 +355,8 @@ def _packed_mesh(
         columns.append(posed[faces.ravel()])
     if moves:
         columns.append(faces.reshape(-1, 1))
+    if moves and is_posed:
+        columns.append(_octahedral(corner_normals(surface.rest, faces).reshape(-1, 3)))
     if maps is not None:
         columns.append(maps.columns[order].reshape(3 * len(faces), -1))
     corners = np.concatenate(columns, axis=1)

@@ -11,6 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -131,6 +132,9 @@ class Viewer:
             self._calls += 1
             self._news.notify_all()
 
+    def _is_after(self, calls: int) -> bool:
+        return self._calls != calls
+
     def packed(self) -> Packed:
         """Return all that is shown: read anew if its file has changed and can be read."""
         with self._lock:
@@ -170,7 +174,8 @@ class Viewer:
 
     def _read(self, stamp: str) -> _State:
         parts = [
-            part._replace(texture=copy.deepcopy(part.texture)) for part in parts_of(self._open(), self._surface)
+            part._replace(texture=copy.deepcopy(part.texture))
+            for part in parts_of(self._open(), self._surface)
         ]
         return _State(stamp, parts, [prepared(part.texture) for part in parts])
 
@@ -199,7 +204,7 @@ class Viewer:
                 else:
                     send(": alive\n\n")
                 with self._news:
-                    self._news.wait_for(lambda seen=calls: self._calls != seen, _BEAT)
+                    self._news.wait_for(partial(self._is_after, calls), _BEAT)
         except OSError:
             pass
         finally:
@@ -305,7 +310,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header("Connection", "close")
 
     def _data(self, name: str) -> None:
-        """Answer with the header, or what stands in data/VERSION: streams, and the change to the next version."""
+        """Answer with the header, or of data/VERSION with streams or the change to the next version."""
         if name == "header":
             try:
                 self._json(self.viewer.packed().header)
@@ -319,7 +324,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._json(change.header)
         elif name in streams:
             self._answer(streams[name], "application/octet-stream")
-        elif not packed.header or name == "change":  # the page then loads what is shown now
+        elif version.partition("-")[0].isdigit() and (not packed.header or name == "change"):
+            # The page then loads what is shown now.
             self._answer(b"that version is no longer there", "text/plain", HTTPStatus.GONE)
         else:
             self._refuse(HTTPStatus.NOT_FOUND, "there is no such data")

@@ -56,6 +56,7 @@ export class Gpu {
     gl.uniform2i(program.at("u_frame"), before, after);
     gl.uniform1f(program.at("u_share"), share);
     gl.uniform1i(program.at("u_firstTarget"), 3 * motion.header.bones);
+    gl.uniform1ui(program.at("u_turns"), motion.header.entries[1]);
     gl.uniform4f(program.at("u_root"), ...header.origin, header.size);
   }
 
@@ -100,6 +101,7 @@ export class Gpu {
     const flags = { PROBE: kind === "probe", MIXED: isMixed, KEPT: isMixed && kept > 0 };
     Object.assign(flags, { LINEAR_MIXED: isMixed && look.filter === "linear" });
     Object.assign(flags, { MOVED: look.moved, FROM_REST: motion?.start === "rest", POSED: mesh?.posed || look.moved });
+    Object.assign(flags, { TURNS: look.moved && motion?.turns });
     Object.assign(flags, { SOURCE: kind === "source", BESIDE: kind === "surface" && this.showsSource(part, look) });
     Object.assign(flags, { FACING: facing, SPLIT: facing && split[0] > 0 });
     for (const [name, is] of Object.entries(flags)) if (is) lines.push(`#define ${name}`);

@@ -139,6 +139,7 @@ export class Part {
       gl.vertexAttribPointer(place, components, type, type !== gl.FLOAT, 0, 0);
     };
     [mesh.rest, mesh.positions, mesh.normals].forEach((array, place) => attribute(place, array, 3, gl.FLOAT));
+    if (mesh.upright) attribute(6, mesh.upright, 3, gl.FLOAT);
     if (mesh.uv) attribute(4, mesh.uv, 2, gl.FLOAT);
     if (mesh.colors) attribute(5, mesh.colors, 3, gl.UNSIGNED_BYTE);
     gl.vertexAttrib3f(5, 1, 1, 1);

@@ -202,9 +202,10 @@ class Viewer {
       this.move();
     });
     element("save").addEventListener("click", () => this.save());
+    element("save-camera").addEventListener("click", () => this.saveCamera());
     document.addEventListener("keydown", (event) => {
       const isTyping = event.target.matches("select, input") || event.ctrlKey || event.metaKey || event.altKey;
-      const id = { b: "beside", c: "cubes", t: "turntable", s: "save", " ": "play" }[event.key];
+      const id = { b: "beside", c: "cubes", t: "turntable", s: "save", k: "save-camera", " ": "play" }[event.key];
       const isPressed = event.key === " " && event.target.matches("button, summary");
       if (!id || isTyping || isPressed || !element(id).checkVisibility()) return;
       event.preventDefault();
@@ -289,15 +290,22 @@ class Viewer {
     this.pictures++;
   }
 
+  // The size of pictures that are saved, in pixels, and their names without ending.
+  get film() {
+    const times = Math.min(window.devicePixelRatio || 1, 2), of = (pixels) => Math.max(Math.round(pixels * times), 1);
+    const name = this.header.title.replace(/\.[^.]*$/, "");
+    return { times, name, width: of(this.canvas.clientWidth), height: of(this.canvas.clientHeight) };
+  }
+
   save() {
-    this.draw(Math.min(window.devicePixelRatio || 1, 2));
-    this.canvas.toBlob((blob) => {
-      const link = document.createElement("a");
-      link.href = URL.createObjectURL(blob);
-      link.download = `${this.header.title.replace(/\.[^.]*$/, "")}.png`;
-      link.click();
-      setTimeout(() => URL.revokeObjectURL(link.href), 10000);
-    });
+    const { times, name } = this.film;
+    this.draw(times);
+    this.canvas.toBlob((blob) => download(`${name}.png`, blob));
+  }
+
+  saveCamera() {
+    const { name, width, height } = this.film, file = this.camera.file(`${name}.png`, width, height);
+    download(`${name}-camera.json`, new Blob([JSON.stringify(file)], { type: "application/json" }));
   }
 
   // Say what lies under the cursor, once it rests.
@@ -362,6 +370,14 @@ class Viewer {
       return [term, value];
     }));
   }
+}
+
+function download(name, blob) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(blob);
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
 
 function fail(error) {
