@@ -168,7 +168,7 @@ export class Gpu {
     this.gl.uniformMatrix4fv(program.at("u_view"), false, camera.view);
   }
 
-  // Draw the picture in so many pixels.
+  // Draw the picture in so many pixels. Before there is a mesh this makes its programs ready, while data comes.
   draw(look, camera, width, height) {
     const { gl, canvas } = this;
     if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
@@ -177,7 +177,7 @@ export class Gpu {
     gl.clearColor(...BACKGROUND);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.enable(gl.DEPTH_TEST);
-    if (look.cubes || !this.parts.some((part) => part.mesh)) this.drawCubes(look, camera);
+    if (look.cubes || !this.parts.some((part) => part.header.mesh)) this.drawCubes(look, camera);
     else this.drawSurface(look, camera, width, height);
   }
 
@@ -211,7 +211,8 @@ export class Gpu {
     const { gl } = this;
     gl.enable(gl.STENCIL_TEST);
     this.parts.forEach((part, number) => {
-      if (!part.mesh || part.octree.depth < 0) return;
+      const isReady = part.mesh ? part.octree.depth >= 0 : part.header.mesh;
+      if (!isReady) return;
       gl.stencilFunc(gl.EQUAL, number + 1, 255);
       use(part, number);
       gl.drawArrays(gl.TRIANGLES, 0, 3);

@@ -42,6 +42,7 @@ class Viewer {
     element("panel").open = !matchMedia("(max-width: 720px)").matches;
     control(this.canvas, this.camera, () => this.move());
     this.listen();
+    this.gpu.draw(this.look, this.camera, 1, 1);
     await this.read();
     this.isComplete = true;
     this.move();
