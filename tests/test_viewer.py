@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import octex
+from octex.channels import decode
 from octex.errors import ArgumentError
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
@@ -218,6 +219,21 @@ def test_under_the_cursor_is_the_cell_that_a_lookup_finds(browser: Any, small: P
     np.testing.assert_array_equal(base["codes"], texture.channels["base_color"].values[found["cell"]])
     page.mouse.move(size[0] / 2, size[1] / 2 - 30)
     page.wait_for_function("document.getElementById('cell').textContent.includes('level 4')")
+    page.check("#cubes")
+    page.locator("#level").fill("3")
+    cube = page.evaluate("viewer.pick(viewer.canvas.clientWidth / 2, viewer.canvas.clientHeight / 2 - 30)")
+    above = texture.level(3)
+    index = np.floor(texture.placement.to_texture_space(np.array([cube["rest"]]))[0] * 8)
+    np.testing.assert_array_equal(cube["index"], index)
+    np.testing.assert_allclose(np.array(cube["point"]), (index + 0.5) / 8)
+    base = next(each for each in cube["channels"] if each["name"] == "base_color")
+    np.testing.assert_array_equal(base["codes"], above.channels["base_color"].values[cube["cell"]])
+    stored = above.sample([cube["rest"]], filter="nearest")[0]
+    np.testing.assert_allclose(decode(np.array(base["codes"], np.uint8), "srgb"), stored, atol=1e-6)
+    assert page.evaluate("viewer.pick(1, 1)") is None
+    page.locator("canvas").focus()
+    page.keyboard.press("p")
+    page.wait_for_function("document.getElementById('cell').textContent.includes('level 3')")
     page.close()
 
 

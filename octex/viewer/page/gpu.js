@@ -98,7 +98,7 @@ export class Gpu {
     const lines = [`#define PLANES ${planes}`, `#define SHOWS_${kind === "probe" ? "PROBE" : look.shown.toUpperCase()}`];
     const { isMixed, split, kept, mesh, motion, channels } = part.header;
     const facing = look.facing && kind !== "cubes";
-    const flags = { PROBE: kind === "probe", MIXED: isMixed, KEPT: isMixed && kept > 0 };
+    const flags = { PROBE: kind === "probe", PICKED: look.picked, MIXED: isMixed, KEPT: isMixed && kept > 0 };
     Object.assign(flags, { LINEAR_MIXED: isMixed && look.filter === "linear" });
     Object.assign(flags, { MOVED: look.moved, FROM_REST: motion?.start === "rest", POSED: mesh?.posed || look.moved });
     Object.assign(flags, { TURNS: look.moved && motion?.turns });
@@ -177,7 +177,7 @@ export class Gpu {
     gl.clearColor(...BACKGROUND);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.enable(gl.DEPTH_TEST);
-    if (look.cubes || !this.parts.some((part) => part.header.mesh)) this.drawCubes(look, camera);
+    if (this.showsCubes(look)) this.drawCubes(look, camera);
     else this.drawSurface(look, camera, width, height);
   }
 
@@ -268,17 +268,18 @@ export class Gpu {
     return target.textures[0];
   }
 
-  // Cells of a level as cubes.
-  drawCubes(look, camera) {
+  // Cells of a level as cubes: colours, or which of them a pixel sees.
+  drawCubes(look, camera, pixel = null, picture = null) {
     const { gl } = this;
-    for (const part of this.parts) {
+    for (const [number, part] of this.parts.entries()) {
       if (part.octree.depth < 0) continue;
       const { origin, size, channels } = part.header, cubes = part.cubesAt(look.level);
       const channel = part.channel(look.shown === "channel" ? look.channel : "base_color") ?? channels[0];
-      const planes = channel.at[0] + 1, shown = { shown: "channel", channel: channel.name };
+      const planes = channel.at[0] + 1, shown = { shown: "channel", channel: channel.name, picked: pixel };
       const program = this.program("cubes", part, shown, planes);
       this.setTree(program, part, look, planes);
-      this.setCamera(program, camera);
+      this.setCamera(program, camera, pixel, picture);
+      gl.uniform1ui(program.at("u_part"), number);
       gl.uniform1i(program.at("u_kind"), KINDS[channel.space]);
       gl.uniform1i(program.at("u_byLevel"), look.shown === "depth" ? 1 : 0);
       gl.uniform3fv(program.at("u_low"), origin);
@@ -288,6 +289,29 @@ export class Gpu {
       gl.drawArraysInstanced(gl.TRIANGLES, 0, 18, cubes.count);
     }
     gl.bindVertexArray(null);
+  }
+
+  showsCubes(look) {
+    return look.cubes || !this.parts.some((part) => part.header.mesh);
+  }
+
+  // The cube that a pixel sees: its cell's number, x, y, z and level, and the part's; or null.
+  probeCubes(look, camera, pixel, size) {
+    const { gl } = this, target = this.target("probed cubes", 1, 1, [gl.RGBA32UI, gl.RGBA32UI]);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
+    gl.viewport(0, 0, 1, 1);
+    for (const number of [0, 1]) gl.clearBufferuiv(gl.COLOR, number, [0, 0, 0, 0]);
+    gl.clearBufferfi(gl.DEPTH_STENCIL, 0, 1, 0);
+    gl.enable(gl.DEPTH_TEST);
+    this.drawCubes(look, camera, pixel, size);
+    const [[x, y, z, level], [cell, part, , isSeen]] = [0, 1].map((number) => {
+      const found = new Uint32Array(4);
+      gl.readBuffer(gl.COLOR_ATTACHMENT0 + number);
+      gl.readPixels(0, 0, 1, 1, gl.RGBA_INTEGER, gl.UNSIGNED_INT, found);
+      return found;
+    });
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    return isSeen ? { cell, level, index: [x, y, z], edge: 2 ** -level, part } : null;
   }
 
   // Rest positions, footprints and looked-up values of pixels, the sides that they see and, fourth, the parts'

@@ -215,6 +215,10 @@ class Viewer {
     new ResizeObserver(() => this.move()).observe(this.canvas);
     this.canvas.addEventListener("pointermove", (event) => event.buttons || this.point(event));
     this.canvas.addEventListener("pointerleave", () => this.point(null));
+    this.canvas.addEventListener("keydown", ({ key, target, ctrlKey, metaKey, altKey }) => {
+      const isMiddle = key === "p" && !ctrlKey && !metaKey && !altKey;
+      if (isMiddle) this.point({ offsetX: target.clientWidth / 2, offsetY: target.clientHeight / 2 });
+    });
     this.canvas.addEventListener("webglcontextlost", (event) => {
       event.preventDefault();
       this.isLost = true;
@@ -312,32 +316,40 @@ class Viewer {
   // Say what lies under the cursor, once it rests.
   point(event) {
     clearTimeout(this.pointing);
-    if (!event || !this.parts.some((part) => part.mesh) || !this.isComplete || this.look.cubes) return this.tell(null);
+    if (!event || !this.isComplete || this.isLost) return this.tell(null);
     const at = [event.offsetX, event.offsetY];
     this.pointing = setTimeout(() => this.tell(this.pick(...at)), 60);
   }
 
-  // What lies at a point of the picture, in CSS pixels: the part, the rest position, the cell, values; or null.
+  // What lies at a point of the picture, in CSS pixels: the part, the position at rest, the cell, values; or null. Of
+  // a cube it is its middle, and what is stored there.
   pick(x, y) {
-    const width = this.canvas.clientWidth, height = this.canvas.clientHeight, { look } = this;
-    const ask = (plane) => this.gpu.probe(look, this.camera, { width, height, pixel: [x, y], plane });
+    const size = [this.canvas.clientWidth, this.canvas.clientHeight];
+    const found = this.gpu.showsCubes(this.look) ? this.pickCube([x, y], size) : this.pickSurface([x, y], size);
+    if (!found) return null;
+    const { header: { name, origin, size: edge, channels }, octree } = this.parts[found.part];
+    const known = channels.map((channel) => {
+      const codes = octree.codes(channel, found.cell), values = found.valuesOf(channel) ?? codes.map((code) => code / 255);
+      return { name: channel.name, space: channel.space, range: channel.range, codes, values };
+    });
+    const rest = found.point.map((p, axis) => origin[axis] + edge * p);
+    return { ...found, valuesOf: undefined, name, rest, channels: known };
+  }
+
+  pickCube(pixel, size) {
+    const found = this.gpu.probeCubes(this.look, this.camera, pixel, size);
+    return found && { ...found, point: found.index.map((n) => (n + 0.5) * found.edge), valuesOf: () => null };
+  }
+
+  pickSurface(pixel, [width, height]) {
+    const { look } = this, ask = (plane) => this.gpu.probe(look, this.camera, { width, height, pixel, plane });
     const { places, values, normals } = ask(-1);
     if (values[3] === 0) return null;
-    const point = Array.from(places.subarray(0, 3)), part = normals[3];
-    const { header: { name, origin, size, channels }, octree } = this.parts[part];
-    const found = octree.cellAt(point, Math.min(look.level, octree.depth));
-    const looked = {};
-    for (const plane of new Set(channels.map((channel) => channel.at[0]))) looked[plane] = ask(plane).values;
-    const lanes = ({ at: [plane, slot], components }) => Array.from(looked[plane].slice(slot, slot + components));
-    const known = channels.map((channel) => ({
-      name: channel.name,
-      space: channel.space,
-      range: channel.range,
-      codes: octree.codes(channel, found.cell),
-      values: channel.name === "alpha" ? [values[0]] : lanes(channel),
-    }));
-    const rest = point.map((p, axis) => origin[axis] + size * p);
-    return { ...found, part, name, point, rest, fetches: values[1], channels: known };
+    const point = Array.from(places.subarray(0, 3)), part = normals[3], { octree } = this.parts[part];
+    const looked = {}, at = (plane) => (looked[plane] ??= ask(plane).values);
+    const valuesOf = ({ name, at: [plane, slot], components }) =>
+      name === "alpha" ? [values[0]] : Array.from(at(plane).slice(slot, slot + components));
+    return { ...octree.cellAt(point, Math.min(look.level, octree.depth)), part, point, fetches: values[1], valuesOf };
   }
 
   tell(found) {
