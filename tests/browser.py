@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,18 @@ _PROBE = """([look, asked]) => {
     return btoa(made);
   };
   return [text(found.places), text(found.values), text(found.normals)];
+}"""
+#: Returns the normals that pixels are lit by, in view space, as codes of an unfolded octahedron.
+_NORMALS = """([look, [width, height]]) => {
+  const { gpu, camera } = viewer, { gl } = gpu;
+  const target = gpu.target("lit", width, height, [gl.RGBA32UI, gl.RGBA32UI]);
+  const bits = new Uint32Array(4 * width * height);
+  gpu.drawPlaces({ ...viewer.look, ...look }, camera, target, width, height);
+  gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
+  gl.readBuffer(gl.COLOR_ATTACHMENT1);
+  gl.readPixels(0, 0, width, height, gl.RGBA_INTEGER, gl.UNSIGNED_INT, bits);
+  gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  return Array.from(bits.filter((_, n) => n % 4 === 0));
 }"""
 
 
@@ -60,14 +73,16 @@ def opened(browser: Any, url: str, size: tuple[int, int] = (1280, 720), bypass_c
 
 
 class Probe:
-    """What the pixels of a picture see: points at rest (n, 3), footprints' widths, normals, and values."""
+    """What pixels see of a part: points at rest (n, 3), footprints' widths, normals, and values."""
 
-    def __init__(self, page: Any, texture: OctreeTexture, size: tuple[int, int], **look: Any) -> None:
+    def __init__(
+        self, page: Any, texture: OctreeTexture, size: tuple[int, int], part: int = 0, **look: Any
+    ) -> None:
         self._page, self._size, self._look = page, size, look
         self._footprint = look.pop("width", 0.0)
         look["footprints"] = bool(self._footprint)
         places, values, normals = self._asked(-1)
-        self.seen = values[:, 3] == 1
+        self.seen = (values[:, 3] == 1) & (normals[:, 3] == part)
         self.places = places[self.seen, :3]
         self.points = texture.placement.to_rest(self.places.astype(np.float64))
         widths = places[self.seen, 3] if self._footprint < 0 else np.full(len(self.points), self._footprint)
@@ -90,20 +105,28 @@ class Probe:
         return self._asked(number)[1][self.seen]
 
 
+def lit_normals(page: Any, size: tuple[int, int], **look: Any) -> Floats:
+    """Return the unit vectors in view space that pixels (n, 3) are lit by, the lowest row first."""
+    codes = np.array(page.evaluate(_NORMALS, [look, size]), np.uint32).view(np.int16).reshape(-1, 2)
+    flat = np.maximum(codes / 32767, -1.0)
+    up = 1 - np.abs(flat).sum(axis=1)
+    folded = (1 - np.abs(flat[:, ::-1])) * np.where(flat < 0, -1, 1)
+    ways = np.column_stack([np.where(up[:, None] < 0, folded, flat), up])
+    return np.asarray(ways / np.linalg.norm(ways, axis=1, keepdims=True), np.float32)
+
+
 def file_url(path: Path) -> str:
     return path.resolve().as_uri()
 
 
 def camera_of(page: Any, size: tuple[int, int]) -> octex.Camera:
-    """Return the page's camera for pictures of a size."""
-    view, fov, aspect = page.evaluate(
-        "[Array.from(viewer.camera.view), viewer.camera.fov, viewer.camera.aspect]"
-    )
-    pose = np.linalg.inv(np.array(view, np.float64).reshape(4, 4).T)
-    pose[:3, :3] = np.linalg.qr(pose[:3, :3])[0] * np.sign(np.diag(np.linalg.qr(pose[:3, :3])[1]))
-    high = np.tan(fov / 2)
-    focal = size[0] / 2 / (high * aspect), size[1] / 2 / high
-    return octex.Camera.pinhole(size, pose=pose, convention="opengl", focal=focal)
+    """Return the page's camera for pictures of a size, as its file says."""
+    file = page.evaluate("(size) => JSON.stringify(viewer.camera.file('page.png', ...size))", size)
+    with TemporaryDirectory() as folder:
+        (Path(folder) / "camera.json").write_text(file)
+        (frame,) = octex.read_cameras(Path(folder) / "camera.json")
+    assert (frame.name, frame.size) == ("page.png", tuple(size))
+    return frame.camera()
 
 
 def differences(

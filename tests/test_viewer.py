@@ -16,12 +16,13 @@ import numpy as np
 import pytest
 
 import octex
+from octex.channels import decode
 from octex.errors import ArgumentError
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.viewer import Viewer, write_page
 from octex.viewer.export import MODULES, page_text
-from octex.viewer.pack import _prepared, pack
+from octex.viewer.pack import pack, prepared
 from tests.browser import Probe, chromium, differences, file_url, opened
 from tests.command import refusal, result
 from tests.conftest import needs_jit
@@ -106,8 +107,8 @@ def test_each_pixel_is_what_a_lookup_there_gives(name: str, browser: Any, tmp_pa
 
 def parity(page: Any, texture: OctreeTexture, surface: Surface) -> dict[str, float]:
     """Compare all channels, filters, widths, levels and sides; return the largest differences, of 255."""
-    header = pack(texture, surface, title="").header
-    texture = _prepared(texture)[0]  # of 8 bits, 0 to 1
+    header = pack(texture, surface).header
+    texture = prepared(texture).texture  # of 8 bits, 0 to 1
     is_split = texture.tree.split.cells.size > 1
     found = {}
     deepest = texture.tree.max_depth
@@ -218,6 +219,21 @@ def test_under_the_cursor_is_the_cell_that_a_lookup_finds(browser: Any, small: P
     np.testing.assert_array_equal(base["codes"], texture.channels["base_color"].values[found["cell"]])
     page.mouse.move(size[0] / 2, size[1] / 2 - 30)
     page.wait_for_function("document.getElementById('cell').textContent.includes('level 4')")
+    page.check("#cubes")
+    page.locator("#level").fill("3")
+    cube = page.evaluate("viewer.pick(viewer.canvas.clientWidth / 2, viewer.canvas.clientHeight / 2 - 30)")
+    above = texture.level(3)
+    index = np.floor(texture.placement.to_texture_space(np.array([cube["rest"]]))[0] * 8)
+    np.testing.assert_array_equal(cube["index"], index)
+    np.testing.assert_allclose(np.array(cube["point"]), (index + 0.5) / 8)
+    base = next(each for each in cube["channels"] if each["name"] == "base_color")
+    np.testing.assert_array_equal(base["codes"], above.channels["base_color"].values[cube["cell"]])
+    stored = above.sample([cube["rest"]], filter="nearest")[0]
+    np.testing.assert_allclose(decode(np.array(base["codes"], np.uint8), "srgb"), stored, atol=1e-6)
+    assert page.evaluate("viewer.pick(1, 1)") is None
+    page.locator("canvas").focus()
+    page.keyboard.press("p")
+    page.wait_for_function("document.getElementById('cell').textContent.includes('level 3')")
     page.close()
 
 
@@ -284,9 +300,11 @@ def test_a_changed_texture_is_shown_anew_and_a_lost_server_is_said(browser: Any,
     thread = threading.Thread(target=viewer.run, kwargs={"alone": 1.0})
     thread.start()
     page = opened(browser, viewer.url)
-    assert page.evaluate("viewer.header.depth") == 4
+    assert page.evaluate("viewer.header.parts[0].depth") == 4
     octex.convert(surface, depth=3).save(path)
-    page.wait_for_function("globalThis.viewer?.header?.depth === 3", timeout=60_000)
+    page.wait_for_function(
+        "globalThis.viewer?.header?.parts[0].depth === 3 && viewer.isComplete", timeout=60_000
+    )
     assert lines == []
     page.close()
     thread.join(10)
@@ -321,7 +339,7 @@ def test_a_page_whose_server_ends_says_so_and_goes_on_with_the_next_one(browser:
     page.keyboard.press("ArrowLeft")  # what has come is still shown
     octex.convert(surface, depth=2).save(path)
     second = served(port)
-    page.wait_for_function("globalThis.viewer?.header?.depth === 2", timeout=60_000)
+    page.wait_for_function("globalThis.viewer?.header?.parts[0].depth === 2", timeout=60_000)
     assert page.locator("#status").inner_text() == ""
     page.close()
     ended(second)
@@ -329,7 +347,7 @@ def test_a_page_whose_server_ends_says_so_and_goes_on_with_the_next_one(browser:
 
 def test_floats_are_shown_in_the_range_that_they_have() -> None:
     texture, surface = floating()
-    header = pack(texture, surface, title="").header
+    header = pack(texture, surface).header
     ranges = {each["name"]: each["range"] for each in header["channels"]}
     assert ranges["base_color"] == [0, 1]
     values = texture.channels["emissive"].values, texture.channels["roughness"].values
@@ -353,6 +371,61 @@ def test_a_page_of_limited_size_leaves_the_finest_levels_out(tmp_path: Path) -> 
         write_page(texture, tmp_path / "none.html", max_size=100)
 
 
+def two_parts(folder: Path) -> tuple[octex.TextureSet, Surface]:
+    """Two balls that touch, with channels and depths of their own."""
+    balls = ball(8), ball(8)
+    vertices = np.concatenate([each.vertices + np.array([1.9 * n, 0, 0]) for n, each in enumerate(balls)])
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices]
+    for n, each in enumerate(balls):
+        lines += [
+            f"o part{n}",
+            *(f"f {a} {b} {c}" for a, b, c in each.triangles + 1 + n * len(each.vertices)),
+        ]
+    (folder / "two.obj").write_text("\n".join(lines))
+    surface = octex.load_surface(folder / "two.obj")
+    made = {}
+    for number in range(2):
+        part = surface.part(np.flatnonzero(surface.parts == number))
+        part = (
+            colored(part)
+            if number
+            else part.with_sources({"base_color": lambda p: 0.5 + 0.5 * np.sin(20 * p)})
+        )
+        made[f"part {number}"] = octex.convert(part, depth=4 + number)
+    return octex.TextureSet(made), surface
+
+
+@needs_jit
+def test_of_a_set_each_pixel_is_what_a_lookup_in_its_part_gives(browser: Any, tmp_path: Path) -> None:
+    textures, surface = two_parts(tmp_path)
+    write_page(textures, tmp_path / "set.html", surface)
+    page = opened(browser, file_url(tmp_path / "set.html"), (900, 420))
+    assert page.locator("#facts").inner_text().startswith("2 parts\n")
+    for number, texture in enumerate(textures.values()):
+        header = pack(texture, None).header
+        probe = Probe(page, texture, SIZE, part=number, filter="quadratic", width=-1.0, facing=False)
+        assert compared(probe, texture, header, "quadratic", -1.0, False, f"part {number}") <= 1
+    size = page.evaluate("[viewer.canvas.clientWidth, viewer.canvas.clientHeight]")
+    page.evaluate("viewer.camera.reset(0, 0)")
+    found = [page.evaluate("(at) => viewer.pick(...at)", [x * size[0], size[1] / 2]) for x in (0.3, 0.7)]
+    assert [each["name"] for each in found] == list(textures)
+    for value in ("channel roughness", "depth", "lit"):
+        page.select_option("#shown", value)
+        sharp(page)
+    page.check("#cubes")
+    sharp(page)
+    assert page.complaints == []
+    page.close()
+    with pytest.raises(ArgumentError, match=r"two.obj has 2 parts, and the set 1; give the set's model"):
+        write_page(octex.TextureSet({"one": textures["part 0"]}), tmp_path / "one.html", surface)
+    many = octex.TextureSet({f"{n}": textures["part 0"] for n in range(256)})
+    with pytest.raises(ArgumentError, match="a page shows 255 parts at most, not 256; choose one of them"):
+        write_page(many, tmp_path / "many.html")
+    size = (tmp_path / "set.html").stat().st_size
+    notes = write_page(textures, tmp_path / "small.html", surface, max_size=size - 1)
+    assert notes[0].startswith("part 0: depth 4 of 5, to fit")
+
+
 def test_no_two_modules_of_the_page_have_a_name_in_common() -> None:
     names = [
         name
@@ -371,10 +444,22 @@ def test_octree_convert_writes_pages(made: Path, model: Path, capsys: pytest.Cap
     assert told["bytes"] == page.stat().st_size
     assert told["notes"] == []
     text = page.read_text("utf-8")
-    assert all(f'id="data-{name}"' in text for name in ("header", "levels-0", "mesh"))
+    assert all(f'id="data-{name}"' in text for name in ("header", "0-levels-0", "0-mesh"))
     assert not re.search(r"(?:src|href)=.?https?:|^import ", text, re.MULTILINE)
     result(capsys, made, page, "--force", "--quiet", "--max-size", "500kB")
-    assert 'id="data-mesh"' not in page.read_text("utf-8")
+    assert 'id="data-0-mesh"' not in page.read_text("utf-8")
     message = refusal(capsys, made, made.with_name("points.ply"), "--max-size", "1MB")
     assert message == "--max-size is for pages, NAME.html"
     assert "'much' is no size, like 20MB" in refusal(capsys, made, page, "--max-size", "much")
+
+
+def test_octree_convert_writes_a_page_of_a_folder_of_parts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    textures, _ = two_parts(tmp_path)
+    textures.save(tmp_path / "set")
+    given = tmp_path / "set", tmp_path / "set.html"
+    assert refusal(capsys, *given) == f"{tmp_path / 'set'}: is a folder of parts: give --mesh MODEL"
+    result(capsys, *given, "--mesh", tmp_path / "two.obj", "--quiet")
+    text = given[1].read_text("utf-8")
+    assert all(f'id="data-{number}-{name}"' in text for number in range(2) for name in ("levels-0", "mesh"))

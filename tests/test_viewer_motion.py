@@ -16,9 +16,10 @@ from octex.source.load import load_motion
 from octex.source.motion import Animation, Motion
 from octex.viewer import write_page
 from octex.viewer.pack import pack
-from tests.browser import Probe, camera_of, chromium, file_url, opened
+from tests.browser import Probe, camera_of, chromium, file_url, lit_normals, opened
 from tests.command import result
 from tests.conftest import needs_jit
+from tests.fixtures import Gltf
 from tests.test_poses import broken, moving
 
 SIZE = 120, 90
@@ -71,7 +72,7 @@ def test_a_broken_animation_is_said_and_the_others_are_kept(tmp_path: Path) -> N
         "animation A: a.glb: animations[0].samplers[0] interpolates by 'WAVY', which is not one of glTF's"
     ]
     surface = octex.load_surface(file)
-    notes = pack(octex.convert(surface, depth=2), surface, title="", motion=motion).header["notes"]
+    notes = pack(octex.convert(surface, depth=2), surface, motion=motion).header["notes"]
     assert motion.faults[0] in notes
 
 
@@ -89,20 +90,20 @@ def test_a_still_page_is_written_of_a_model_whose_skin_is_broken(
     octex.convert(octex.load_surface(file), depth=2).save(tmp_path / "a.octex")
     told = result(capsys, tmp_path / "a.octex", tmp_path / "a.html", "--mesh", file)
     assert "no animations: a.glb: meshes[0].primitives[0]: vertex 2 is moved by joint 3" in told
-    assert 'id="data-motion"' not in (tmp_path / "a.html").read_text("utf-8")
+    assert 'id="data-0-motion"' not in (tmp_path / "a.html").read_text("utf-8")
 
 
 def test_motion_has_fewer_frames_where_there_is_little_room(tmp_path: Path) -> None:
     file = moving("rotation", "LINEAR").save(tmp_path / "a.glb")
     surface, motion = octex.load_surface(file), load_motion(file)
     texture = octex.convert(surface, depth=2)
-    whole = pack(texture, surface, title="", motion=motion)
+    whole = pack(texture, surface, motion=motion)
     size = len(whole.streams["motion"])
     assert whole.header["motion"]["animations"][0]["frames"] == 61
-    half = pack(texture, surface, title="", motion=motion, room=size - 1)
+    half = pack(texture, surface, motion=motion, room=size - 1)
     assert half.header["motion"]["animations"][0]["frames"] == 31
     assert half.header["notes"] == ["animations: every second frame"]
-    none = pack(texture, surface, title="", motion=motion, room=9)
+    none = pack(texture, surface, motion=motion, room=9)
     assert "motion" not in none.header
     assert none.header["notes"][0].startswith("no animations: they take")
 
@@ -131,9 +132,7 @@ def test_pixels_see_the_posed_model_and_the_colours_of_where_it_rests(
         compare_seen(posed, camera_of(page, SIZE), probe)
         page.evaluate("viewer.camera.orbit(0.5, 0.1)")
     values = Probe(page, texture, SIZE, moved={"animation": 0, "time": 1.4})
-    base = next(
-        each for each in pack(texture, surface, title="").header["channels"] if each["name"] == "base_color"
-    )
+    base = next(each for each in pack(texture, surface).header["channels"] if each["name"] == "base_color")
     expected = texture.sample(values.points, filter="quadratic")
     assert 255 * np.abs(values.plane(base["at"][0])[:, :3] - expected).max() <= 1.0
     assert page.complaints == []
@@ -154,6 +153,42 @@ def compare_seen(posed: Any, camera: octex.Camera, probe: Probe) -> None:
     assert (np.isfinite(expected[:, 0]) != upright.ravel()).mean() < 0.01
     off = np.abs(found - expected)[both].max(axis=1) / np.ptp(posed.rest)
     assert np.quantile(off, 0.97) < 3e-3  # a pixel is wider than 0.01
+
+
+@needs_jit
+@pytest.mark.parametrize("pose", [None, "A@2"])
+def test_targets_turn_normals_before_bones_do(pose: str | None, browser: Any, tmp_path: Path) -> None:
+    gltf = Gltf()
+    up, added = np.float32([0, 0, 1]), np.float32([[0.5, -0.2, 0.1], [-0.3, 1.5, 0.2]])
+    rows = [{"NORMAL": gltf.accessor(np.tile(each, (4, 1)))} for each in added]
+    plain = gltf.primitive(NORMAL=gltf.accessor(np.tile(up, (4, 1))))
+    node = gltf.show(plain | {"targets": rows}, scale=[1, 2, 0.5], rotation=[0, 0.6, 0, 0.8])
+    gltf.json["meshes"][0]["weights"] = [0.0, 0.0]
+    times, weights = np.float32([0, 2]), np.float32([[0, 0, 1, 0.4]]).reshape(-1, 1)
+    turns = np.float32([[0, 0.6, 0, 0.8], [0, 0.6, 0, 0.8]])
+    channels = [
+        {"sampler": n, "target": {"node": node, "path": p}} for n, p in enumerate(("weights", "rotation"))
+    ]
+    samplers = [{"input": gltf.accessor(times), "output": gltf.accessor(rows)} for rows in (weights, turns)]
+    gltf.add("animations", name="A", channels=channels, samplers=samplers)
+    file = gltf.save(tmp_path / "a.glb")
+    surface = octex.load_surface(file, normals=True, pose=pose)
+    motion = load_motion(file)
+    write_page(octex.convert(surface, depth=3), tmp_path / "page.html", surface, motion=motion)
+    page = opened(browser, file_url(tmp_path / "page.html"), (900, 480))
+    turn = np.array([[0.28, 0, 0.96], [0, 1, 0], [-0.96, 0, 0.28]])  # of the quaternion above
+    view = camera_of(page, SIZE).world_to_camera[:3, :3] * [[1], [-1], [-1]]
+    for time, share in ((0.0, 0.0), (1.0, 0.5), (2.0, 1.0)):
+        morphed = up + share * np.array([1.0, 0.4]) @ added
+        expected = view @ turn @ (morphed / [1, 2, 0.5])
+        expected /= np.linalg.norm(expected)
+        seen = Probe(page, octex.convert(surface, depth=3), SIZE, moved={"animation": 0, "time": time}).seen
+        assert seen.sum() > 200
+        found = lit_normals(page, SIZE, moved={"animation": 0, "time": time})[seen]
+        away = np.minimum(np.abs(found - expected).max(axis=1), np.abs(found + expected).max(axis=1))
+        assert away.max() < 2e-3  # normals come in 2⁻¹⁰
+    assert page.complaints == []
+    page.close()
 
 
 @needs_jit

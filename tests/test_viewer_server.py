@@ -79,10 +79,13 @@ def test_the_page_and_its_data_are_answered_to_who_has_the_token(served: Served)
         assert policy.startswith("default-src 'none'; script-src 'self'")
         assert "http" not in policy
     header = json.loads(served.ask("data/header")[1])
-    assert (header["depth"], header["levelCells"]) == (1, [0, 1, 9])
-    status, chunk = served.ask("data/levels-0", Origin=f"http://127.0.0.1:{served.viewer.port}")
+    (part,) = header["parts"]
+    assert (part["depth"], part["levelCells"]) == (1, [0, 1, 9])
+    status, chunk = served.ask(
+        f"data/{header['version']}/0-levels-0", Origin=f"http://127.0.0.1:{served.viewer.port}"
+    )
     assert status == 200
-    assert len(zlib.decompress(chunk, -15)) == header["levelNodes"][-1] * 2 + 1 + 9 + 27
+    assert len(zlib.decompress(chunk, -15)) == part["levelNodes"][-1] * 2 + 1 + 9 + 27
     assert served.ask("data/header", Host=f"localhost:{served.viewer.port}")[0] == 200
     assert served.lines == []
 
@@ -105,6 +108,7 @@ def test_the_page_and_its_data_are_answered_to_who_has_the_token(served: Served)
         ({"path": "/etc/passwd"}, {}, 404, "there is no such file"),
         ({"path": "data/../header"}, {}, 404, "there is no such data"),
         ({"path": "data/levels-9"}, {}, 404, "there is no such data"),
+        ({"path": "data/../0/change"}, {}, 404, "there is no such data"),
     ],
 )
 def test_what_comes_from_elsewhere_is_refused_in_one_line(
@@ -195,13 +199,13 @@ def test_ctrl_c_ends_the_command(
     assert capfd.readouterr().out.startswith("http://127.0.0.1:")
 
 
-def test_of_a_folder_one_part_is_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def view(*words: str) -> dict[str, Any]:
-        found: list[dict[str, Any]] = []
+def test_of_a_folder_all_parts_are_shown_or_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def view(*words: str) -> list[dict[str, Any]]:
+        found: list[list[dict[str, Any]]] = []
 
         def kept(viewer: Viewer) -> None:
             viewer._server.server_close()
-            found.append(viewer.packed().header)
+            found.append(viewer.packed().header["parts"])
 
         monkeypatch.setattr(Viewer, "run", kept)
         assert main(["view", str(tmp_path / "set"), "--no-browser", "--quiet", *words]) == ExitCode.DONE
@@ -220,10 +224,12 @@ def test_of_a_folder_one_part_is_shown(tmp_path: Path, monkeypatch: pytest.Monke
     textures = octex.convert_set(two, depth=3)
     textures.save(tmp_path / "set")
     names = list(textures)
-    most = max(names, key=lambda name: textures[name].tree.n_leaves)
-    assert view()["leaves"] == textures[most].tree.n_leaves
+    for words in ([], ["--mesh", str(tmp_path / "two.obj")]):
+        assert [(part["name"], part["leaves"]) for part in view(*words)] == [
+            (name, textures[name].tree.n_leaves) for name in names
+        ]
     for number, name in enumerate(names):
-        header = view("--part", name, "--mesh", str(tmp_path / "two.obj"))
+        (header,) = view("--part", name, "--mesh", str(tmp_path / "two.obj"))
         assert header["leaves"] == textures[name].tree.n_leaves
         assert header["mesh"]["triangles"] == (two.parts == number).sum()
     assert main(["view", str(tmp_path / "set"), "--part", "none"]) == ExitCode.REFUSED

@@ -36,7 +36,7 @@ from octex.cli.overlaps import SEPARATE_CELLS
 from octex.cli.parser import RUNNING, Command, Option, option, words_given
 from octex.cli.shape_options import SHAPE_OPTIONS, SHAPE_WORDS
 from octex.cli.view_options import VIEW_OPTIONS, VIEW_WORDS, check_view_options
-from octex.cli.viewer import check_page_options
+from octex.cli.viewer import PAGE_ENDING, check_page_options
 from octex.errors import ArgumentError
 
 _OPTIONS = (
@@ -451,6 +451,8 @@ def work_of(options: argparse.Namespace, program: str) -> str:
                 raise ArgumentError(f"{word} is missing; see {program} --help")
         if work == _CONVERSION and options.OUTPUT.suffix.lower() in (*BAKED_ENDINGS, PTEX_ENDING):
             raise ArgumentError(f"{options.OUTPUT}: a texture is baked onto its model: give --mesh MODEL")
+        if work == _CONVERSION and options.OUTPUT.suffix.lower() == PAGE_ENDING and options.INPUT.is_dir():
+            raise ArgumentError(f"{options.INPUT}: is a folder of parts: give --mesh MODEL")
     if work == _CONVERSION:
         if options.depth is not None and options.cell is not None:
             raise ArgumentError("--depth and --cell both say how fine the cells are; give one of them")

@@ -23,7 +23,7 @@ from octex.errors import ArgumentError, ExitCode, OctexError
 if TYPE_CHECKING:
     from octex.source.motion import Motion
     from octex.source.surface import Surface
-    from octex.texture import OctreeTexture
+    from octex.texture import OctreeTexture, TextureSet
 
 PAGE_ENDING = ".html"
 _DEFAULT_DEPTH = 9
@@ -44,7 +44,7 @@ VIEW = Command(
             metavar="MODEL",
             type=file_here,
         ),
-        option("--part", "the part of a folder that is shown (default: that of most leaves)", metavar="NAME"),
+        option("--part", "the part of a folder that is shown (default: all of them)", metavar="NAME"),
         option("--rest", "the undeformed model, of the same topology", metavar="MODEL", type=file_here),
         *SHAPE_OPTIONS,
         option(
@@ -90,16 +90,12 @@ def _view(options: argparse.Namespace, program: str) -> int:
                     surface = shaped_model(options.mesh, options, normals=True)
                     motion = motion_of(options.mesh, options, progress.note)
             if is_set:
-                name = _part_of(options.TEXTURE, options.part)
-                progress.note(f"part {name}")
                 motion = None  # its vertices are the whole model's
-                if surface is not None:
-                    surface = _surface_of(options.TEXTURE, name, surface)
+                if options.part is not None and surface is not None:
+                    surface = _surface_of(options.TEXTURE, options.part, surface)
 
-            def read() -> OctreeTexture:
-                if is_set:
-                    return octex.TextureSet.open(options.TEXTURE)[name]
-                return open_sound(options.TEXTURE)
+            def read() -> OctreeTexture | TextureSet:
+                return _opened(options.TEXTURE, options.part) if is_set else open_sound(options.TEXTURE)
         else:
             with progress.stage("read"):
                 surface = shaped_model(options.TEXTURE, options)
@@ -107,7 +103,7 @@ def _view(options: argparse.Namespace, program: str) -> int:
             depth = _DEFAULT_DEPTH if options.depth is None else options.depth
             texture = octex.convert(surface, depth=depth, progress=progress)
 
-            def read() -> OctreeTexture:
+            def read() -> OctreeTexture | TextureSet:
                 return texture
 
         from octex.viewer import Viewer
@@ -122,29 +118,33 @@ def _view(options: argparse.Namespace, program: str) -> int:
     return ExitCode.DONE
 
 
-def _part_of(folder: Path, name: str | None) -> str:
-    """Return the part of a set that is wanted, else that of most leaves."""
+def _opened(folder: Path, part: str | None = None) -> OctreeTexture | TextureSet:
+    """Open a set, or one part of it, whose content is proved."""
     textures = octex.TextureSet.open(folder)
-    if name is None:
-        return max(textures, key=lambda each: textures[each].tree.n_leaves)
+    found = textures if part is None else textures[textures.names[_number_of(textures, folder, part)]]
+    found.validate()
+    return found
+
+
+def _number_of(textures: TextureSet, folder: Path, part: str) -> int:
     from octex.checks import as_choice
 
-    return as_choice(name, textures.names, f"part of {folder}:")
+    return textures.names.index(as_choice(part, textures.names, f"part of {folder}:"))
 
 
-def _surface_of(folder: Path, name: str, surface: Surface) -> Surface:
+def _surface_of(folder: Path, part: str, surface: Surface) -> Surface:
     """Return the triangles of a part of a set."""
-    number = octex.TextureSet.open(folder).names.index(name)
-    parts = surface.parts
-    if number > parts.max():
-        raise ArgumentError(f"{surface.name} has {parts.max() + 1} parts, and {folder} others")
-    return surface.part((parts == number).nonzero()[0])
+    number = _number_of(octex.TextureSet.open(folder), folder, part)
+    if number > surface.parts.max():
+        raise ArgumentError(f"{surface.name} has {surface.parts.max() + 1} parts, and {folder} others")
+    return surface.part((surface.parts == number).nonzero()[0])
 
 
 def write_mesh_page(options: argparse.Namespace, program: str) -> int:
     """Write the page of a texture on its model, as octree-convert --mesh asks for it."""
     began = time.perf_counter()
-    if options.INPUT.suffix.lower() not in TEXTURE_ENDINGS:
+    is_set = options.INPUT.is_dir()
+    if not is_set and options.INPUT.suffix.lower() not in TEXTURE_ENDINGS:
         raise ArgumentError(f"{options.INPUT}: is no {TEXTURE_ENDING} file; leave --mesh out for a model")
     if options.channels is not None:
         raise ArgumentError(f"--channels has no meaning for {options.OUTPUT}: edit the texture first")
@@ -152,9 +152,9 @@ def write_mesh_page(options: argparse.Namespace, program: str) -> int:
     check_outputs([(options.OUTPUT, (PAGE_ENDING,), "OUTPUT")], inputs, force=options.force)
     with limited(options.threads), Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
-            texture = open_sound(options.INPUT)
+            textures = _opened(options.INPUT) if is_set else open_sound(options.INPUT)
             surface = shaped_model(options.mesh, options, normals=True)
-        notes = write_page(texture, surface, options, progress, options.mesh)
+        notes = write_page(textures, surface, options, progress, options.mesh)
     made = {
         "output": str(options.OUTPUT),
         "bytes": options.OUTPUT.stat().st_size,
@@ -171,23 +171,25 @@ def write_mesh_page(options: argparse.Namespace, program: str) -> int:
 
 
 def write_page(
-    texture: OctreeTexture,
+    textures: OctreeTexture | TextureSet,
     surface: Surface | None,
     options: argparse.Namespace,
     progress: Reporter,
     model: Path | None = None,
 ) -> list[str]:
-    """Write OUTPUT as a page; return what it shows otherwise than the texture has it.
+    """Write OUTPUT as a page; return what it shows otherwise than the textures have it.
 
-    ``model`` is the surface's file, by default INPUT.
+    ``model`` is the surface's file, by default INPUT. What moves of a set's model stands still.
     """
     from octex.viewer import write_page
 
     notes: list[str] = []
-    motion = None if surface is None else motion_of(model or options.INPUT, options, notes.append)
+    motion = None
+    if surface is not None and not options.INPUT.is_dir():
+        motion = motion_of(model or options.INPUT, options, notes.append)
     title = options.INPUT.name
     return notes + write_page(
-        texture,
+        textures,
         options.OUTPUT,
         surface,
         motion=motion,

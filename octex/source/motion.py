@@ -27,11 +27,13 @@ class Animation(NamedTuple):
 class Motion(NamedTuple):
     """The animations of a model, in the scene's coordinates.
 
-    At a frame, vertex v is at Σ share · bone · (position + Σ weight · what the target adds).
+    At a frame, vertex v is at Σ share · bone · (position + Σ weight · what the target adds). Likewise its
+    normal, before the bones turn it.
     """
 
     positions: Float64s  # (n, 3)   as modelled: without animations, skins and targets
     bones: Links
     targets: Links
+    turns: Float64s  # (entries, 3)   of targets: what they add to the vertices' unit normals
     animations: list[Animation]
     faults: list[str]  # of animations that are broken, a line each

@@ -3,17 +3,20 @@
 streams     whole numbers as bytes, deflated
 moves       what a page is sent of animations
 maps        what it is sent of the model's own images
-pack        what it is sent of all: levels one after another, the mesh, how that moves
+pack        what it is sent of all: levels one after another, the mesh, how that moves; of a set part by part
+changes     what it is sent of a texture that has changed: the cells that it does not have
 page/       the page: plain modules and shaders, as they are served
     elements    its elements by their names
     data        where they come from: a server, or the page itself
     octree      levels as they arrive: words for nodes, planes of values for cells; what is at a point
+    patch       the octree as it has changed
     mesh        positions, normals, triangles
     motion      bones and targets at frames
-    gpu         textures and programs, and what is drawn with them; rest positions and values of pixels
     source      the model's own images; divider: between these and the octree
-    camera      goes around a point; controls: mouse, touch and keys
-    connection  the line to the server
+    part        a texture and its mesh: what the GPU holds of them
+    gpu         programs, and what is drawn with them of all parts; rest positions and values of pixels
+    camera      goes around a point; its file for octex's cameras; controls: mouse, touch and keys
+    connection  the line to the server, which tells the version that is shown
     player      which animation is played, at what time
     viewer      what is shown, when it is drawn, and what its controls do
     shaders/    places: where pixels see the surface rest; walk: the field there, as octex.field has it;

@@ -13,26 +13,29 @@ from octex.errors import ArgumentError
 from octex.files import replacing
 from octex.parallel import Progress, silent
 from octex.viewer.maps import maps_of
-from octex.viewer.pack import Packed, pack
+from octex.viewer.pack import Packed, packed_page, parts_of
+from octex.viewer.streams import deflated
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from octex.source.motion import Motion
     from octex.source.surface import Surface
-    from octex.texture import OctreeTexture
+    from octex.texture import OctreeTexture, TextureSet
 
 #: Modules in the order in which each knows those before it.
 _NAMES = (
     "elements",
     "data",
     "octree",
+    "patch",
     "mesh",
     "motion",
     "camera",
     "controls",
     "connection",
     "source",
+    "part",
     "gpu",
     "player",
     "divider",
@@ -54,7 +57,7 @@ def page_text(name: str) -> str:
 
 
 def write_page(
-    texture: OctreeTexture,
+    textures: OctreeTexture | TextureSet,
     path: Path,
     surface: Surface | None = None,
     *,
@@ -63,24 +66,28 @@ def write_page(
     max_size: int | None = None,
     progress: Progress = silent,
 ) -> list[str]:
-    """Write a page that shows a texture on the surface that it is of; without one, its cells.
+    """Write a page of a texture on its surface, or of a set on its model; without these, of the cells.
 
-    ``motion`` is how the surface moves. ``max_size``, in bytes, leaves out the finest levels until the file
-    is no larger; of that animations take a quarter at most, and images of the source
-    likewise. Returns what the page
-    shows otherwise than the texture has it. Raises ArgumentError if it does not fit without any level, or
-    for a surface that is not the texture's; OutputError if the file cannot be written.
+    ``motion`` is how the surface of a texture moves. ``max_size``, in bytes, leaves out the finest levels
+    until the file is no larger; of that animations take a quarter at most, and images of the source
+    likewise. Returns what the page shows otherwise than the textures have it. Raises ArgumentError if it does
+    not fit without any level, for a surface that is not the textures', and for sets of more than 255 parts;
+    OutputError if the file cannot be written.
     """
-    level = deepest = texture.tree.max_depth
+    parts = parts_of(textures, surface)
+    level = deepest = max(part.texture.tree.max_depth for part in parts)
     room = None if max_size is None else int(_SHARE * max_size)
-    maps = None if surface is None else maps_of(surface, small=True, room=room)
+    maps = None if surface is None or len(parts) > 1 else maps_of(surface, small=True, room=room)
     progress("pack", 0, 1)
     while True:
-        packed = pack(
-            texture.level(level), surface, title=title, motion=motion, maps=maps, level=_SMALLEST, room=room
-        )
+        cut = [
+            part._replace(texture=part.texture.level(min(level, part.texture.tree.max_depth)))
+            for part in parts
+        ]
+        packed = packed_page(cut, title=title, motion=motion, maps=maps, level=_SMALLEST, room=room)
         if level < deepest:
-            packed.header["notes"].insert(0, f"depth {level} of {deepest}, to fit {max_size:,} bytes")
+            note = f"depth {level} of {deepest}, to fit {max_size:,} bytes"
+            packed.header["parts"][0]["notes"].insert(0, note)
         page = _inlined(packed).encode()
         if max_size is None or len(page) <= max_size:
             break
@@ -92,20 +99,22 @@ def write_page(
     with replacing(path) as file:
         file.write(page)
     progress("pack", 1, 1)
-    return list(packed.header["notes"])
+    return packed.notes
 
 
 def _level_within(packed: Packed, excess: int) -> int:
     """Return the deepest level with which a page may be smaller by ``excess`` bytes; −1 if none is left."""
-    level: int = packed.header["depth"]
-    for chunk in reversed(packed.header["chunks"]):
+    headers = packed.header["parts"]
+    level = deepest = max(int(header["depth"]) for header in headers)
+    # Rows of all levels' cells are no levels': few of them may remain.
+    chunks = [chunk for header in headers for chunk in header["chunks"] if chunk["levels"] is not None]
+    for chunk in sorted(chunks, key=lambda chunk: -chunk["levels"][0]):
         if excess <= 0:
             break
-        if chunk["levels"] is not None:  # else rows of all levels' cells, of which few may remain
-            first = chunk["levels"][0]
-            level = first - 1 if first else level - 1
+        first = chunk["levels"][0]
+        level = min(level, first - 1 if first else level - 1)
         excess -= chunk["bytes"] * 4 // 3  # base64
-    return min(level, int(packed.header["depth"]) - 1)
+    return min(level, deepest - 1)
 
 
 def _inlined(packed: Packed) -> str:
@@ -116,13 +125,11 @@ def _inlined(packed: Packed) -> str:
         f"default-src 'none'; script-src '{_digest(script)}'; style-src '{_digest(style)}'; "
         "img-src blob: data:; base-uri 'none'; form-action 'none'"
     )
+    shaders = json.dumps({name: _bare(page_text(f"shaders/{name}")) for name in SHADERS})
+    streams = {"shaders": deflated(shaders.encode(), _SMALLEST), **packed.streams}
     data = {"header": json.dumps(packed.header).replace("<", "\\u003c")}
-    data |= {name: base64.b64encode(stream).decode() for name, stream in packed.streams.items()}
-    blocks = [
-        f'<script type="text/plain" id="shader-{name}">{page_text(f"shaders/{name}")}</script>'
-        for name in SHADERS
-    ]
-    blocks += [f'<script type="text/plain" id="data-{name}">{text}</script>' for name, text in data.items()]
+    data |= {name: base64.b64encode(stream).decode() for name, stream in streams.items()}
+    blocks = [f'<script type="text/plain" id="data-{name}">{text}</script>' for name, text in data.items()]
     html = page_text("index.html")
     html = html.replace(
         "<title>", f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n<title>', 1
@@ -134,8 +141,13 @@ def _inlined(packed: Packed) -> str:
 
 def _module(name: str) -> str:
     """Return a module without imports and exports: all of them share one scope."""
-    text = re.sub(r"^import .*\n", "", page_text(name), flags=re.MULTILINE)
+    text = re.sub(r"^import .*\n", "", _bare(page_text(name)), flags=re.MULTILINE)
     return re.sub(r"^export ", "", text, flags=re.MULTILINE)
+
+
+def _bare(text: str) -> str:
+    """Return code without indents, empty lines and lines of comments."""
+    return re.sub(r"^[ \t]*(?://.*)?\n|^[ \t]+", "", text, flags=re.MULTILINE)
 
 
 def _digest(text: str) -> str:

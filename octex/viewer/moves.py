@@ -3,7 +3,8 @@
 One stream, of which all parts are planes of bytes:
 
     bones of vertices      how many of each vertex; their numbers; their shares, of 2¹⁶
-    targets of vertices    how many of each vertex; their numbers; what they add, x, y, z, of the edge's 2ᵇ
+    targets of vertices    how many of each vertex; their numbers; what they add, x, y, z, of the edge's 2ᵇ;
+                           if any turns normals, what they add to these, of 2ᵇ
     of each animation      number by number of its bones (12 each, row after row) and targets: this at each
                            frame, less what it was at the one before; of 2ᵇ, translations of the edge's 2ᵇ
 
@@ -90,6 +91,9 @@ def _packed(motion: Motion, every: int) -> tuple[dict[str, Any], bytes]:
     parts += [planes(np.diff(motion.targets.first)), planes(motion.targets.numbers)]
     added = np.rint(motion.targets.shares / edge * scale)
     parts += [planes(zigzag(added[:, axis])) for axis in range(3)]
+    turns = np.rint(motion.turns * scale)
+    if turns.any():
+        parts += [planes(zigzag(turns[:, axis])) for axis in range(3)]
     units = np.array([1.0, 1.0, 1.0, 1.0 / edge]) * scale
     for each in animations:
         bones = (each.bones * units).reshape(len(each.bones), -1)
@@ -103,6 +107,7 @@ def _packed(motion: Motion, every: int) -> tuple[dict[str, Any], bytes]:
         "entries": [motion.bones.numbers.size, motion.targets.numbers.size],
         "bones": animations[0].bones.shape[1],
         "targets": animations[0].weights.shape[1],
+        "turns": bool(turns.any()),
         "animations": [
             {"name": each.name, "length": each.length, "frames": len(each.bones), "bounds": bounds}
             for each, bounds in zip(animations, _bounds(motion, animations, middle), strict=True)

@@ -13,15 +13,15 @@ are cast, floats from the range that they have. The last chunk holds the rows of
 cells, if there are any.
 
 The mesh is one stream: positions in whole numbers of 2⁻ᵇ of a cube's edge, each less the one before it;
-normals as points of an octahedron, likewise; where it moves, the surface's vertices; where it has
-maps, coordinates in them and colours (``maps``); triangles by how far back each vertex is from the next new
-one.
+normals as points of an octahedron, likewise; where it moves, the surface's vertices, and if it is posed the
+normals at rest; where it has maps, coordinates in them and colours (``maps``); triangles by how far back each
+vertex is from the next new one.
 Numbers of more than a byte are stored as planes of bytes, the lowest first. For how it moves see ``moves``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -29,9 +29,11 @@ import numpy as np
 
 from octex.arrays import Array, Float64s, Int32s, Int64s, Uint8s
 from octex.channels import ChannelFormat
+from octex.errors import ArgumentError
 from octex.processing.cast import cast
-from octex.texture import Channel, OctreeTexture
+from octex.texture import Channel, OctreeTexture, TextureSet
 from octex.tree.layout import FACING_FLAGS
+from octex.tree.split import rows_of
 from octex.view.shading import corner_normals
 from octex.viewer.maps import Maps
 from octex.viewer.moves import packed_motion
@@ -43,22 +45,89 @@ if TYPE_CHECKING:
 
 #: Cells that the page's numbers, of 24 bits, can name; of a deeper tree the finest levels are left out.
 MOST_CELLS = 1 << 24
+#: Parts that the page tells apart by what it keeps of each pixel.
+MOST_PARTS = 255
 #: Cells that come in the first chunk.
 _FIRST = 20_000
 
 
 class Packed(NamedTuple):
-    """What a page shows: a header, ready for JSON, and streams by their names."""
+    """What a page shows, or a part of that: a header, ready for JSON, and streams by their names."""
 
     header: dict[str, Any]
     streams: dict[str, bytes]
+
+    @property
+    def notes(self) -> list[str]:
+        """What a page shows otherwise than its textures have it."""
+        parts = self.header["parts"]
+        return [
+            f"{part['name']}: {note}" if part["name"] else note for part in parts for note in part["notes"]
+        ]
+
+
+class Part(NamedTuple):
+    """A texture and the surface that it is of; of a set, a part of the model."""
+
+    name: str
+    texture: OctreeTexture
+    surface: Surface | None
+
+
+class Prepared(NamedTuple):
+    """A texture as the page has it, of 8 bits, and what a part's header says of that."""
+
+    texture: OctreeTexture
+    header: dict[str, Any]
+
+
+def parts_of(textures: OctreeTexture | TextureSet, surface: Surface | None) -> list[Part]:
+    """Return what a page shows: a texture, or a set's, each with its part of the surface.
+
+    Raises ArgumentError for more parts than a page shows, and for a surface with other parts than the set.
+    """
+    if isinstance(textures, OctreeTexture):
+        return [Part("", textures, surface)]
+    if len(textures) > MOST_PARTS:
+        raise ArgumentError(
+            f"a page shows {MOST_PARTS} parts at most, not {len(textures):,}; choose one of them"
+        )
+    if surface is None:
+        return [Part(name, texture, None) for name, texture in textures.items()]
+    numbers = surface.parts
+    if numbers.max() + 1 != len(textures):
+        count = f"{numbers.max() + 1:,} part{'s' if numbers.max() else ''}"
+        raise ArgumentError(
+            f"{surface.name} has {count}, and the set {len(textures):,}; give the set's model"
+        )
+    return [
+        Part(name, texture, surface.part((numbers == number).nonzero()[0]))
+        for number, (name, texture) in enumerate(textures.items())
+    ]
+
+
+def packed_page(
+    parts: Sequence[Part],
+    *,
+    title: str,
+    motion: Motion | None = None,
+    maps: Maps | None = None,
+    level: int = 6,
+    room: int | None = None,
+) -> Packed:
+    """Pack all that a page shows, as ``pack`` does; how it moves and its maps are of a page of one part."""
+    packed = [pack(each.texture, each.surface, level=level, room=room) for each in parts[1:]]
+    first = parts[0]
+    packed.insert(0, pack(first.texture, first.surface, motion=motion, maps=maps, level=level, room=room))
+    headers = [{"name": part.name, **own.header} for part, own in zip(parts, packed, strict=True)]
+    streams = {f"{n}-{name}": stream for n, own in enumerate(packed) for name, stream in own.streams.items()}
+    return Packed({"title": title, "parts": headers}, streams)
 
 
 def pack(
     texture: OctreeTexture,
     surface: Surface | None,
     *,
-    title: str,
     motion: Motion | None = None,
     maps: Maps | None = None,
     level: int = 6,
@@ -72,38 +141,10 @@ def pack(
     """
     if surface is not None:
         surface = surface.placed_in(texture)
-    texture, ranges, notes = _prepared(texture)
-    tree = texture.tree
-    formats = [each.format for each in texture.channels.values()]
-    slots = _slots(formats)
-    header: dict[str, Any] = {
-        "title": title,
-        "depth": tree.max_depth,
-        "origin": list(texture.placement.origin),
-        "size": texture.placement.size,
-        "levelCells": tree.arrays.level_cells.tolist(),
-        "levelNodes": tree.arrays.level_nodes.tolist(),
-        "leaves": tree.n_leaves,
-        "channels": [
-            {
-                "name": form.name,
-                "components": form.components,
-                "space": form.space,
-                "at": slots[form.name],
-                "range": ranges.get(form.name, [0.0, 1.0]),
-            }
-            for form in formats
-        ],
-        "area": slots["area"],
-        "flags": slots["flags"],
-        "planes": slots["planes"],
-        "chunks": [],
-        "notes": notes,
-        "isMixed": _is_mixed(texture),
-        "kept": tree.kept.cells.size,
-        "split": [tree.split.cells.size, tree.split.areas.size],
-    }
+    texture, header = prepared(texture)
+    notes = header["notes"]
     streams: dict[str, bytes] = {}
+    header["chunks"] = []
     for levels, stream in _chunks(texture):
         name = f"levels-{len(streams)}"
         streams[name] = deflated(stream, level)
@@ -124,6 +165,40 @@ def pack(
     return Packed(header, streams)
 
 
+def prepared(texture: OctreeTexture) -> Prepared:
+    """Return a texture as the page has it."""
+    texture, ranges, notes = _with_bytes(texture)
+    tree = texture.tree
+    formats = [each.format for each in texture.channels.values()]
+    slots = _slots(formats)
+    header: dict[str, Any] = {
+        "depth": tree.max_depth,
+        "origin": list(texture.placement.origin),
+        "size": texture.placement.size,
+        "levelCells": tree.arrays.level_cells.tolist(),
+        "levelNodes": tree.arrays.level_nodes.tolist(),
+        "leaves": tree.n_leaves,
+        "channels": [
+            {
+                "name": form.name,
+                "components": form.components,
+                "space": form.space,
+                "at": slots[form.name],
+                "range": ranges.get(form.name, [0.0, 1.0]),
+            }
+            for form in formats
+        ],
+        "area": slots["area"],
+        "flags": slots["flags"],
+        "planes": slots["planes"],
+        "notes": notes,
+        "isMixed": _is_mixed(texture),
+        "kept": tree.kept.cells.size,
+        "split": [tree.split.cells.size, tree.split.areas.size],
+    }
+    return Prepared(texture, header)
+
+
 def _chunks(texture: OctreeTexture) -> Iterator[tuple[list[int] | None, bytes]]:
     """Yield streams and the levels that are in them, the first and one beyond the last; None for tables."""
     tree = texture.tree
@@ -136,8 +211,8 @@ def _chunks(texture: OctreeTexture) -> Iterator[tuple[list[int] | None, bytes]]:
         yield None, _tables(texture)
 
 
-def _prepared(texture: OctreeTexture) -> tuple[OctreeTexture, dict[str, list[float]], list[str]]:
-    """Return a texture as the page can show it, what 0 and 1 stand for in it, and what is then otherwise."""
+def _with_bytes(texture: OctreeTexture) -> tuple[OctreeTexture, dict[str, list[float]], list[str]]:
+    """Return a texture of 8 bits that a page can show, what 0 and 1 stand for in it, and what differs."""
     notes: list[str] = []
     ranges: dict[str, list[float]] = {}
     channels = dict(texture.channels)
@@ -184,7 +259,7 @@ def _tables(texture: OctreeTexture) -> bytes:
     """Return the last chunk: the rows of kept nodes and of split cells, less the values of their cells."""
     split, kept = texture.tree.split, texture.tree.kept
     facings = split.facings & np.uint8(FACING_FLAGS)
-    owners = np.concatenate([kept.cells, np.repeat(split.cells, np.bitwise_count(facings))])
+    owners = np.concatenate([kept.cells, rows_of(split).cells])
     steps = [np.diff(cells.astype(np.int64), prepend=0) for cells in (kept.cells, split.cells)]
     parts = [planes(np.concatenate(steps)), facings.tobytes()]
     for channel in texture.channels.values():
@@ -280,6 +355,8 @@ def _packed_mesh(
         columns.append(posed[faces.ravel()])
     if moves:
         columns.append(faces.reshape(-1, 1))
+    if moves and is_posed:
+        columns.append(_octahedral(corner_normals(surface.rest, faces).reshape(-1, 3)))
     if maps is not None:
         columns.append(maps.columns[order].reshape(3 * len(faces), -1))
     corners = np.concatenate(columns, axis=1)

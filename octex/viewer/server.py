@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
+import copy
 import hmac
 import json
 import os
 import secrets
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
+from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from octex.errors import OctexError, OutputError
+from octex.viewer.changes import change_between, is_like
 from octex.viewer.export import MODULES, SHADERS, page_text
 from octex.viewer.maps import maps_of
-from octex.viewer.pack import Packed, pack
+from octex.viewer.pack import Packed, Part, Prepared, packed_page, parts_of, prepared
+from octex.viewer.streams import deflated
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from octex.source.motion import Motion
     from octex.source.surface import Surface
-    from octex.texture import OctreeTexture
+    from octex.texture import OctreeTexture, TextureSet
 
 _ADDRESS = "127.0.0.1"
 _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
@@ -37,18 +42,33 @@ _POLICY = (
 _PATIENCE, _BEAT, _ALONE = 10.0, 1.0, 30.0
 #: By how much longer the first page is waited for: browsers may take long to start.
 _FIRST = 20
+#: Deflate's level for changes.
+_QUICK = 1
+#: Changes that are kept for pages that do not have them yet; those of pages further behind load all anew.
+_MOST_CHANGES = 32
+
+
+class _State(NamedTuple):
+    """What is shown at a time, by its version; in memory, as files may be overwritten."""
+
+    version: str
+    parts: list[Part]
+    prepared: list[Prepared]
 
 
 class Viewer:
-    """Serves a texture, the mesh that it is of and how that moves, to pages of this machine.
+    """Serves a texture or a set, the mesh that it is of and how that moves, to pages of this machine.
 
-    ``open_texture`` reads the texture: anew when ``path``, its file, has changed. ``log`` is called with a
-    line for each refusal. ``port`` 0 is any that is free. Raises OutputError if it is taken.
+    ``open_texture`` reads the texture: anew when ``path``, its file or folder, has changed, and after
+    ``changed``. Pages are then sent the cells that differ: a session of painting is shown by
+    ``Viewer(painter.texture, path, surface)`` and a call of ``changed`` after each stroke. ``log`` is called
+    with a line for each refusal. ``port`` 0 is any that is free. Raises OutputError if it is taken, and
+    ArgumentError for a surface that is not the texture's.
     """
 
     def __init__(
         self,
-        open_texture: Callable[[], OctreeTexture],
+        open_texture: Callable[[], OctreeTexture | TextureSet],
         path: Path,
         surface: Surface | None,
         *,
@@ -58,10 +78,15 @@ class Viewer:
     ) -> None:
         self._open, self._path, self._surface, self._log = open_texture, path, surface, log
         self._motion = motion
-        self._maps = None if surface is None else maps_of(surface)
-        self._lock = threading.Lock()
-        self._state = self._stamp()
-        self._packed = self._pack()
+        self._lock = threading.RLock()
+        self._calls = 0  # of ``changed``
+        self._news = threading.Condition()
+        self._state = self._read(self._stamp())
+        is_alone = surface is not None and len(self._state.parts) == 1
+        self._maps = maps_of(surface) if surface is not None and is_alone else None
+        self._packed = "", Packed({}, {})
+        self._changes: deque[tuple[str, Packed]] = deque(maxlen=_MOST_CHANGES)
+        self.packed()
         self._pages, self._had_page = 0, False
         self._left = time.monotonic()
         self._ended = threading.Event()
@@ -101,32 +126,67 @@ class Viewer:
         """Log why a request is refused."""
         self._log(f"refused: {line}")
 
-    def packed(self) -> Packed:
-        """Return what is shown: read anew if its file has changed and can be read."""
-        with self._lock:
-            stamp = self._stamp()
-            if stamp != self._state:
-                self._packed = self._pack()
-                self._state = stamp
-            return self._packed
+    def changed(self) -> None:
+        """Read the texture anew and send pages what has changed; may be called from any thread."""
+        with self._news:
+            self._calls += 1
+            self._news.notify_all()
 
-    def _pack(self) -> Packed:
-        return pack(self._open(), self._surface, title=self._path.name, motion=self._motion, maps=self._maps)
+    def _is_after(self, calls: int) -> bool:
+        return self._calls != calls
+
+    def packed(self) -> Packed:
+        """Return all that is shown: read anew if its file has changed and can be read."""
+        with self._lock:
+            state = self._now()
+            if self._packed[0] != state.version:
+                packed = packed_page(state.parts, title=self._path.name, motion=self._motion, maps=self._maps)
+                packed.header["version"] = state.version
+                self._packed = state.version, packed
+            return self._packed[1]
+
+    def of_version(self, version: str) -> tuple[Packed, Packed]:
+        """Return what there is of a version: all of it, and the change to the next one; else nothing."""
+        none = Packed({}, {})
+        with self._lock:
+            change = next((change for since, change in self._changes if since == version), none)
+            return (self._packed[1] if self._packed[0] == version else none), change
 
     def version(self) -> tuple[str, str]:
-        """Return the name of the file's state as pages know it, and what is wrong with it, if anything is."""
+        """Return the version that is shown, and what is wrong with the file, if anything is."""
         try:
-            self.packed()
-            return self._state, ""
+            with self._lock:
+                return self._now().version, ""
         except OctexError as error:
-            return self._state, str(error)
+            return self._state.version, str(error)
+
+    def _now(self) -> _State:
+        """Return what is shown; if that has changed, read it anew and keep what pages are sent of that."""
+        stamp = self._stamp()
+        if stamp != self._state.version:
+            before, self._state = self._state, self._read(stamp)
+            change = _change(before, self._state)
+            if change is None:
+                self._changes.clear()
+            else:
+                self._changes.append((before.version, change))
+        return self._state
+
+    def _read(self, stamp: str) -> _State:
+        parts = [
+            part._replace(texture=copy.deepcopy(part.texture))
+            for part in parts_of(self._open(), self._surface)
+        ]
+        return _State(stamp, parts, [prepared(part.texture) for part in parts])
 
     def _stamp(self) -> str:
         try:
-            status = self._path.stat()
-            return f"{status.st_mtime_ns}-{status.st_size}"
+            paths = [self._path, *sorted(self._path.iterdir())] if self._path.is_dir() else [self._path]
+            found = [path.stat() for path in paths]
+            latest = max(status.st_mtime_ns for status in found)
+            return f"{self._calls}-{latest}-{sum(status.st_size for status in found)}"
         except OSError:
-            return "gone"
+            return f"{self._calls}-gone"
 
     def follow(self, send: Callable[[str], None]) -> None:
         """Tell a page of changes until it is gone."""
@@ -135,20 +195,38 @@ class Viewer:
             self._had_page = True
         told = "", ""
         try:
-            while not self._ended.wait(_BEAT if told[0] else 0):
-                now = self.version()
+            while not self._ended.is_set():
+                calls, now = self._calls, self.version()
                 if now != told:
                     name, text = ("changing", now[1]) if now[1] else ("version", now[0])
                     send(f"event: {name}\ndata: {' '.join(text.split())}\n\n")
                     told = now
                 else:
                     send(": alive\n\n")
+                with self._news:
+                    self._news.wait_for(partial(self._is_after, calls), _BEAT)
         except OSError:
             pass
         finally:
             with self._lock:
                 self._pages -= 1
                 self._left = time.monotonic()
+
+
+def _change(before: _State, after: _State) -> Packed | None:
+    """Return what pages are sent of a change; None if they must load all anew."""
+    if [part.name for part in before.parts] != [part.name for part in after.parts]:
+        return None
+    header: dict[str, Any] = {"version": after.version, "parts": []}
+    streams = {}
+    for number, (was, now) in enumerate(zip(before.prepared, after.prepared, strict=True)):
+        if not is_like(was.header, now.header):
+            return None
+        counts, stream = change_between(was.texture, now.texture)
+        streams[f"change-{number}"] = deflated(stream, _QUICK)
+        own = {name: value for name, value in now.header.items() if name != "notes"}
+        header["parts"].append({"header": own, "counts": counts})
+    return Packed(header, streams)
 
 
 class _Server(ThreadingHTTPServer):
@@ -232,17 +310,28 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header("Connection", "close")
 
     def _data(self, name: str) -> None:
-        try:
-            packed = self.viewer.packed()
-        except OctexError as error:
-            self._answer(str(error).encode(), "text/plain", HTTPStatus.SERVICE_UNAVAILABLE)
-            return
+        """Answer with the header, or of data/VERSION with streams or the change to the next version."""
         if name == "header":
-            self._answer(json.dumps(packed.header).encode(), "application/json")
-        elif name in packed.streams:
-            self._answer(packed.streams[name], "application/octet-stream")
+            try:
+                self._json(self.viewer.packed().header)
+            except OctexError as error:
+                self._answer(str(error).encode(), "text/plain", HTTPStatus.SERVICE_UNAVAILABLE)
+            return
+        version, _, name = name.partition("/")
+        packed, change = self.viewer.of_version(version)
+        streams = packed.streams | change.streams
+        if name == "change" and change.header:
+            self._json(change.header)
+        elif name in streams:
+            self._answer(streams[name], "application/octet-stream")
+        elif version.partition("-")[0].isdigit() and (not packed.header or name == "change"):
+            # The page then loads what is shown now.
+            self._answer(b"that version is no longer there", "text/plain", HTTPStatus.GONE)
         else:
             self._refuse(HTTPStatus.NOT_FOUND, "there is no such data")
+
+    def _json(self, header: dict[str, Any]) -> None:
+        self._answer(json.dumps(header).encode(), "application/json")
 
     def _follow(self) -> None:
         self.close_connection = True

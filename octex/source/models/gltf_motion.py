@@ -58,7 +58,7 @@ def motion_of(document: Document, placed: Sequence[Placed], rate: float) -> Moti
     positions = np.concatenate(
         [each.positions @ each.matrix[:3, :3].T + each.matrix[:3, 3] for each in placed]
     )
-    return Motion(positions, bones.links(), bones.targets(), made, faults)
+    return Motion(positions, bones.links(), *bones.targets(), made, faults)
 
 
 class _Bones:
@@ -116,23 +116,35 @@ class _Bones:
             shares.append(weights[chosen])
         return Links(_firsts(counts), np.concatenate(numbers), np.concatenate(shares))
 
-    def targets(self) -> Links:
-        """Return what targets add to the vertices, where they add anything."""
-        counts, numbers, shares = [], [], []
-        rest = Pose(self._document, {})
+    def targets(self) -> tuple[Links, Float64s]:
+        """Return what targets add to the vertices and to their normals, where they add anything."""
+        counts, numbers, shares, turns = [], [], [], []
         for each in self._placed:
-            what, count = f"{self._document.name}: {each.name}", len(each.positions)
-            found = rest.offsets(each.targets, count, what)
-            rows = [np.zeros((count, 3)) if offsets is None else offsets for offsets in found]
-            offsets = np.stack(rows, axis=1) if rows else np.zeros((count, 0, 3))
-            offsets = offsets.astype(np.float64) @ each.matrix[:3, :3].T
-            if not np.isfinite(offsets).all():
-                raise ModelError(f"{what} has targets that are not finite; export it again")
-            chosen = (offsets != 0).any(axis=2)
+            offsets = self._offsets(each, "POSITION") @ each.matrix[:3, :3].T
+            turned = np.zeros_like(offsets)
+            normals = each.read("NORMAL", (3,))
+            if normals is not None:
+                upright = np.linalg.pinv(each.matrix[:3, :3])
+                sizes = np.linalg.norm(normals @ upright, axis=1)[:, None, None]
+                turned = self._offsets(each, "NORMAL") @ upright / np.where(sizes > 0, sizes, np.inf)
+            if not (np.isfinite(offsets).all() and np.isfinite(turned).all()):
+                name = f"{self._document.name}: {each.name}"
+                raise ModelError(f"{name} has targets that are not finite; export it again")
+            chosen = (offsets != 0).any(axis=2) | (turned != 0).any(axis=2)
             counts.append(chosen.sum(axis=1))
             numbers.append(np.nonzero(chosen)[1] + self._weights[each.node][0])
             shares.append(offsets[chosen])
-        return Links(_firsts(counts), np.concatenate(numbers), np.concatenate(shares))
+            turns.append(turned[chosen])
+        links = Links(_firsts(counts), np.concatenate(numbers), np.concatenate(shares))
+        return links, np.concatenate(turns)
+
+    def _offsets(self, each: Placed, attribute: str) -> Float64s:
+        """Return what the targets of a primitive add to its vertices' attribute (n, targets, 3)."""
+        count = len(each.positions)
+        what = f"{self._document.name}: {each.name}"
+        found = Pose(self._document, {}).offsets(each.targets, count, what, attribute)
+        rows = [np.zeros((count, 3)) if offsets is None else offsets for offsets in found]
+        return np.stack(rows, axis=1).astype(np.float64) if rows else np.zeros((count, 0, 3))
 
 
 def _firsts(counts: Sequence[Int64s]) -> Int64s:

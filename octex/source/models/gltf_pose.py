@@ -76,13 +76,15 @@ class Pose:
             )
         return weights
 
-    def offsets(self, targets: Sequence[Json], count: int, what: str) -> Iterator[Float64s | None]:
-        """Yield by how much each of a primitive's targets moves its vertices (count, 3), or None."""
+    def offsets(
+        self, targets: Sequence[Json], count: int, what: str, attribute: str = "POSITION"
+    ) -> Iterator[Float64s | None]:
+        """Yield what each of a primitive's targets adds to its vertices' attribute (count, 3), or None."""
         for number, target in enumerate(targets):
-            if "POSITION" not in target:
+            if attribute not in target:
                 yield None
                 continue
-            offsets = self._document.accessor(target["POSITION"], (3,))
+            offsets = self._document.accessor(target[attribute], (3,))
             if len(offsets) != count:
                 raise ModelError(
                     f"{what}: targets[{number}] moves {len(offsets)} of {count} vertices; export it again"

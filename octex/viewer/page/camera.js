@@ -69,6 +69,15 @@ export class Camera {
     ]);
   }
 
+  // What octex's camera files say of it, for a picture of so many pixels.
+  file(name, width, height) {
+    const high = Math.tan(this.fov / 2), at = this.position, [x, y, z] = this.axes;
+    const rows = [x, y.map((a) => -a), z.map((a) => -a)].map((axis) => [...axis, -dot(axis, at)]);
+    const K = [[width / 2 / (high * this.aspect), 0, width / 2], [0, height / 2 / high, height / 2], [0, 0, 1]];
+    const camera = { name, width, height, projection: "pinhole", K, pose: [...rows, [0, 0, 0, 1]], convention: "opencv" };
+    return { octex_cameras: 1, cameras: [camera] };
+  }
+
   orbit(turn, tilt) {
     this.turn += turn;
     this.tilt = Math.min(Math.max(this.tilt + tilt, -MOST_TILT), MOST_TILT);

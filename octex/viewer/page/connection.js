@@ -1,16 +1,14 @@
-// The line to the server: said where it is lost, mended by itself, and the page read anew when the texture changes.
+// The line to the server: said where it is lost, mended by itself; it tells which version of the texture is shown.
 
 const RETRY = 3000; // milliseconds until it is tried again, where the browser does not by itself
 
-export function watch(status) {
+export function watch(status, follow) {
   if (document.getElementById("data-header")) return; // the page is a file
-  let version = null;
   const connect = () => {
     const events = new EventSource("events");
     events.addEventListener("version", (event) => {
       status.textContent = "";
-      if (version !== null && version !== event.data) location.reload();
-      version = event.data;
+      follow(event.data);
     });
     events.addEventListener("changing", (event) => (status.textContent = event.data));
     events.addEventListener("error", () => {

@@ -9,12 +9,32 @@ function embedded(name) {
   return document.getElementById(`data-${name}`);
 }
 
+const GONE = 410;
+let place = "data"; // where the streams of the version are that is shown
+
+async function answered(name) {
+  const response = await fetch(name, { cache: "no-store" });
+  if (response.status === GONE) {
+    location.reload(); // the texture has changed while it came
+    return new Promise(() => {});
+  }
+  if (!response.ok) throw new Error(await response.text());
+  return response;
+}
+
 export async function readHeader() {
   const element = embedded("header");
   if (element) return JSON.parse(element.textContent);
-  const response = await fetch("data/header", { cache: "no-store" });
-  if (!response.ok) throw new Error(await response.text());
-  return response.json();
+  const header = await (await answered("data/header")).json();
+  place = `data/${header.version}`;
+  return header;
+}
+
+// The change from a version to the next one, a header; or null if it is not there.
+export async function readChange(version) {
+  place = `data/${version}`;
+  const response = await fetch(`${place}/change`, { cache: "no-store" });
+  return response.ok ? response.json() : null;
 }
 
 export async function readStream(name) {
@@ -31,15 +51,11 @@ export async function readFile(name) {
     part.textContent = "";
     return new Blob([bytes]);
   }
-  const response = await fetch(`data/${name}`, { cache: "no-store" });
-  if (!response.ok) throw new Error(await response.text());
-  return response.blob();
+  return (await answered(`${place}/${name}`)).blob();
 }
 
-export async function readShader(name) {
-  const element = document.getElementById(`shader-${name}`);
-  if (element) return element.textContent;
-  const response = await fetch(`shaders/${name}`);
-  if (!response.ok) throw new Error(await response.text());
-  return response.text();
+export async function readShaders(names) {
+  if (embedded("shaders")) return JSON.parse(new TextDecoder().decode(await readStream("shaders")));
+  const texts = names.map(async (name) => [name, await (await answered(`shaders/${name}`)).text()]);
+  return Object.fromEntries(await Promise.all(texts));
 }

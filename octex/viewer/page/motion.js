@@ -11,10 +11,11 @@ export class Motion {
     const column = (count) => planes(bytes, count, (at += 4 * count) - 4 * count);
     const [counts, numbers, shares] = [column(vertices), column(entries[0]), column(entries[0])];
     const [added, targetsOf] = [column(vertices), column(entries[1])];
-    const offsets = [0, 1, 2].map(() => column(entries[1]));
+    const three = () => [0, 1, 2].map(() => column(entries[1])), offsets = three(), turns = header.turns ? three() : null;
     // Of each vertex: its first bone and how many, its first target and how many.
     this.ranges = new Uint32Array(4 * vertices);
-    this.links = new Float32Array(4 * (entries[0] + entries[1])); // a bone and its share; a target and what it adds
+    // A bone and its share; a target and what it adds; if any turns normals, what each adds to these.
+    this.links = new Float32Array(4 * (entries[0] + (turns ? 2 : 1) * entries[1]));
     for (let v = 0, bone = 0, target = entries[0]; v < vertices; bone += counts[v], target += added[v], v++) {
       this.ranges.set([bone, counts[v], target, added[v]], 4 * v);
       let sum = 0;
@@ -23,6 +24,9 @@ export class Motion {
     }
     for (let n = 0; n < entries[1]; n++) {
       this.links.set([targetsOf[n], ...offsets.map((column) => signed(column[n]) * scale * edge)], 4 * (entries[0] + n));
+    }
+    for (let n = 0; turns && n < entries[1]; n++) {
+      this.links.set(turns.map((column) => signed(column[n]) * scale), 4 * (entries[0] + entries[1] + n));
     }
     this.stride = 3 * bones + targets; // texels of a frame
     this.animations = header.animations.map((animation) => {

@@ -2,7 +2,7 @@
 
 export const ROW = 4096;
 
-const bitsSet = new Uint8Array(256).map((_, n) => n.toString(2).replaceAll("0", "").length);
+export const bitsSet = new Uint8Array(256).map((_, n) => n.toString(2).replaceAll("0", "").length);
 
 // Whole numbers from planes of their bytes.
 export function planes(bytes, count, at) {

@@ -2,13 +2,14 @@
 
 import { Camera } from "./camera.js";
 import { control } from "./controls.js";
-import { readFile, readHeader, readStream } from "./data.js";
+import { readChange, readFile, readHeader, readStream } from "./data.js";
 import { Divider } from "./divider.js";
 import { element } from "./elements.js";
-import { Gpu, readShaders } from "./gpu.js";
+import { Gpu, readPrograms } from "./gpu.js";
 import { unpackedMesh } from "./mesh.js";
 import { Motion } from "./motion.js";
-import { Octree } from "./octree.js";
+import { Part } from "./part.js";
+import { patched } from "./patch.js";
 import { Player } from "./player.js";
 import { Source } from "./source.js";
 import { watch } from "./connection.js";
@@ -29,97 +30,149 @@ class Viewer {
   }
 
   async open() {
-    const [header, shaders] = await Promise.all([readHeader(), readShaders()]);
+    const [header, shaders] = await Promise.all([readHeader(), readPrograms()]);
     this.header = header;
-    this.octree = new Octree(header);
-    this.gpu = new Gpu(this.canvas, shaders, this.octree, null);
+    this.version = header.version;
+    this.parts = header.parts.map((part) => new Part(part));
+    this.gpu = new Gpu(this.canvas, shaders, this.parts);
     this.camera = new Camera(...this.bounds());
     this.look.level = this.gpu.deepest;
+    this.offer();
     this.describe();
     element("panel").open = !matchMedia("(max-width: 720px)").matches;
     control(this.canvas, this.camera, () => this.move());
     this.listen();
-    const parts = [...header.chunks, header.mesh, header.motion].filter(Boolean);
-    const images = header.source?.bytes ?? [];
-    const total = [...parts.map((part) => part.bytes), ...images].reduce((sum, bytes) => sum + bytes, 0);
+    this.gpu.draw(this.look, this.camera, 1, 1);
+    await this.read();
+    this.isComplete = true;
+    this.move();
+    this.follow(this.wanted ?? this.version);
+  }
+
+  // Read all data, coarse levels of all parts first.
+  async read() {
+    const { parts } = this;
+    const images = parts[0].header.source?.bytes ?? [];
+    const all = parts.flatMap(({ header }) => [...header.chunks, header.mesh, header.motion].filter(Boolean));
+    const total = [...all.map((each) => each.bytes), ...images].reduce((sum, bytes) => sum + bytes, 0);
     let done = 0;
     const progress = (bytes) => {
       element("progress").value = (done += bytes) / total;
       element("progress-box").hidden = done >= total;
     };
-    if (header.mesh) {
-      this.gpu.takeMesh(unpackedMesh(header.mesh, await readStream("mesh"), header.source));
+    for (const [number, part] of parts.entries()) {
+      const { mesh, source } = part.header;
+      if (!mesh) continue;
+      part.takeMesh(unpackedMesh(mesh, await readStream(`${number}-mesh`), source));
+      progress(mesh.bytes);
+    }
+    if (parts.some((part) => part.mesh)) {
       this.camera = Object.assign(this.camera, new Camera(...this.bounds()));
       this.camera.aspect = this.canvas.clientWidth / this.canvas.clientHeight;
       this.camera.reset();
-      progress(header.mesh.bytes);
     }
-    for (const [number, chunk] of header.chunks.entries()) {
-      const bytes = await readStream(`levels-${number}`);
-      const rows = chunk.levels ? this.octree.take(chunk, bytes) : this.octree.takeTables(bytes);
-      this.gpu.upload(rows);
-      progress(chunk.bytes);
-      this.move();
+    const most = Math.max(...parts.map(({ header }) => header.chunks.length));
+    for (let n = 0; n < most; n++) {
+      for (const [number, part] of parts.entries()) {
+        const chunk = part.header.chunks[n], { octree } = part;
+        if (!chunk) continue;
+        const bytes = await readStream(`${number}-levels-${n}`);
+        part.upload(chunk.levels ? octree.take(chunk, bytes) : octree.takeTables(bytes));
+        progress(chunk.bytes);
+        this.move();
+      }
       await new Promise((resume) => requestAnimationFrame(resume));
     }
-    if (header.motion) {
-      this.gpu.takeMotion(new Motion(header.motion, await readStream("motion")));
-      this.player = new Player(header.motion, (moved) => this.play(moved));
-      progress(header.motion.bytes);
+    const [first] = parts, { motion, source } = first.header;
+    if (motion) {
+      first.takeMotion(new Motion(motion, await readStream("0-motion")));
+      this.player = new Player(motion, (moved) => this.play(moved));
+      progress(motion.bytes);
     }
-    if (header.source) {
+    if (source) {
       const options = { premultiplyAlpha: "none", colorSpaceConversion: "none" };
       const read = async (bytes, number) => {
-        const image = await createImageBitmap(await readFile(`map-${number}`), options);
+        const image = await createImageBitmap(await readFile(`0-map-${number}`), options);
         progress(bytes);
         return image;
       };
-      this.gpu.takeSource(new Source(header.source, await Promise.all(images.map(read))));
+      first.takeSource(new Source(source, await Promise.all(images.map(read))));
       this.divider = new Divider((place) => {
         this.look.divider = place ?? 0;
         this.move();
       });
     }
-    this.isComplete = true;
-    this.move();
+  }
+
+  // Show a version of the texture, once all of the one before has come: change by change, or all anew.
+  async follow(version) {
+    this.wanted = version;
+    if (!this.isComplete || this.following || version === undefined) return;
+    this.following = true;
+    try {
+      while (this.version !== this.wanted) {
+        const change = await readChange(this.version);
+        if (!change) return location.reload();
+        const streams = change.parts.map((_, number) => readStream(`change-${number}`));
+        for (const [number, bytes] of (await Promise.all(streams)).entries()) {
+          const { header, counts } = change.parts[number], part = this.parts[number];
+          this.sent = part.change(header, patched(part.octree, header, counts, bytes));
+        }
+        this.version = change.version;
+        this.describe();
+        this.move();
+      }
+    } catch (error) {
+      console.warn(error); // the line is lost, which is said; the next version is told when it is there again
+    } finally {
+      this.following = false;
+    }
   }
 
   // The lowest and the highest corner of what is drawn.
   bounds() {
-    const { origin, size } = this.header, mesh = this.gpu.mesh;
-    if (!mesh) return [origin, origin.map((x) => x + size)];
-    const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
-    mesh.positions.forEach((x, n) => {
-      low[n % 3] = Math.min(low[n % 3], x);
-      high[n % 3] = Math.max(high[n % 3], x);
-    });
-    return [low, high];
+    const all = this.parts.map((part) => part.bounds), join = (n, pick) => [0, 1, 2].map((axis) => pick(...all.map((each) => each[n][axis])));
+    return [join(0, Math.min), join(1, Math.max)];
   }
 
+  // Say what is shown.
   describe() {
-    const { title, leaves, depth, channels, mesh, notes, split } = this.header, { look } = this;
+    const { title } = this.header, headers = this.parts.map((part) => part.header), { look, gpu } = this;
+    const sum = (of) => headers.reduce((total, header) => total + of(header), 0).toLocaleString("en");
+    const depth = Math.max(...headers.map((header) => header.depth));
     document.title = `${title} – octex`;
     element("title").textContent = title;
-    const lines = [`${leaves.toLocaleString("en")} leaves, depth ${depth}`];
-    if (mesh) lines.push(`${mesh.triangles.toLocaleString("en")} triangles, no texture coordinates`);
-    if (this.gpu.deepest < depth) notes.push(`this GPU's textures hold depth ${this.gpu.deepest}`);
-    element("facts").textContent = [...lines, ...notes].join("\n");
-    const names = channels.map((channel) => channel.name);
+    const lines = [`${sum(({ leaves }) => leaves)} leaves, depth ${depth}`];
+    if (headers.length > 1) lines.unshift(`${headers.length} parts`);
+    if (headers.some(({ mesh }) => mesh)) lines.push(`${sum(({ mesh }) => mesh?.triangles ?? 0)} triangles, no texture coordinates`);
+    const notes = headers.flatMap((header) => header.notes.map((note) => (header.name ? `${header.name}: ${note}` : note)));
+    if (gpu.deepest < depth) notes.push(`this GPU's textures hold depth ${gpu.deepest}`);
+    element("facts").textContent = [...lines, ...new Set(notes)].join("\n");
+    const wasDeepest = look.level >= Number(element("level").max);
+    element("level").max = gpu.deepest;
+    if (wasDeepest || look.level > gpu.deepest) look.level = gpu.deepest;
+    element("level").value = look.level;
+    element("level-text").textContent = `${look.level}`;
+  }
+
+  // Offer what can be shown.
+  offer() {
+    const headers = this.parts.map((part) => part.header), { look } = this;
+    const channels = new Map(headers.flatMap((header) => header.channels).map((channel) => [channel.name, channel]));
     const choices = [["lit", "in studio light"], ["unlit", "colours as they are"]];
-    if (!names.includes("base_color")) choices.length = 0;
-    for (const name of names) choices.push([`channel ${name}`, name.replaceAll("_", " ")]);
-    for (const { name, space } of channels) {
+    if (!channels.has("base_color")) choices.length = 0;
+    for (const name of channels.keys()) choices.push([`channel ${name}`, name.replaceAll("_", " ")]);
+    for (const { name, space } of channels.values()) {
       if (space === "direction") choices.push([`spread ${name}`, `spread of ${name.replaceAll("_", " ")}s`]);
     }
     choices.push(["depth", "depth of the leaves"], ["facing", "ways that cells face"]);
     element("shown").replaceChildren(...choices.map(([value, text]) => new Option(text, value)));
-    if (!names.includes("base_color")) this.choose(choices[0][0]);
-    element("level").max = this.gpu.deepest;
-    element("level").value = look.level;
-    element("level-text").textContent = `${look.level}`;
-    element("facing").checked = look.facing = split[0] > 0;
-    element("cubes").checked = !mesh;
-    element("cubes").disabled = !mesh;
+    if (!channels.has("base_color")) this.choose(choices[0][0]);
+    const hasMesh = headers.some(({ mesh }) => mesh);
+    element("facing").checked = look.facing = headers.some(({ split }) => split[0] > 0);
+    element("cubes").checked = !hasMesh;
+    element("cubes").disabled = !hasMesh;
+    element("level").max = look.level;
   }
 
   choose(value) {
@@ -150,9 +203,10 @@ class Viewer {
       this.move();
     });
     element("save").addEventListener("click", () => this.save());
+    element("save-camera").addEventListener("click", () => this.saveCamera());
     document.addEventListener("keydown", (event) => {
       const isTyping = event.target.matches("select, input") || event.ctrlKey || event.metaKey || event.altKey;
-      const id = { b: "beside", c: "cubes", t: "turntable", s: "save", " ": "play" }[event.key];
+      const id = { b: "beside", c: "cubes", t: "turntable", s: "save", k: "save-camera", " ": "play" }[event.key];
       const isPressed = event.key === " " && event.target.matches("button, summary");
       if (!id || isTyping || isPressed || !element(id).checkVisibility()) return;
       event.preventDefault();
@@ -161,6 +215,10 @@ class Viewer {
     new ResizeObserver(() => this.move()).observe(this.canvas);
     this.canvas.addEventListener("pointermove", (event) => event.buttons || this.point(event));
     this.canvas.addEventListener("pointerleave", () => this.point(null));
+    this.canvas.addEventListener("keydown", ({ key, target, ctrlKey, metaKey, altKey }) => {
+      const isMiddle = key === "p" && !ctrlKey && !metaKey && !altKey;
+      if (isMiddle) this.point({ offsetX: target.clientWidth / 2, offsetY: target.clientHeight / 2 });
+    });
     this.canvas.addEventListener("webglcontextlost", (event) => {
       event.preventDefault();
       this.isLost = true;
@@ -177,7 +235,7 @@ class Viewer {
   // Draw the mesh as an animation has it; what the camera may see is then all that it ever reaches.
   play(moved) {
     if (moved?.animation !== this.look.moved?.animation) {
-      const [low, high] = this.bounds(), reach = this.header.motion.animations[moved?.animation]?.bounds;
+      const [low, high] = this.bounds(), reach = this.parts[0].header.motion.animations[moved?.animation]?.bounds;
       this.camera.low = low.map((x, n) => Math.min(x, reach?.[0][n] ?? x));
       this.camera.high = high.map((x, n) => Math.max(x, reach?.[1][n] ?? x));
     }
@@ -202,7 +260,7 @@ class Viewer {
 
   frame() {
     this.asked = 0;
-    if (this.isLost || this.octree.depth < 0 || !this.canvas.clientWidth) return;
+    if (this.isLost || this.parts.every((part) => part.octree.depth < 0) || !this.canvas.clientWidth) return;
     const now = performance.now();
     if (this.turning) {
       this.camera.orbit(((now - this.turning) / 1000) * TURN, 0);
@@ -237,54 +295,72 @@ class Viewer {
     this.pictures++;
   }
 
+  // The size of pictures that are saved, in pixels, and their names without ending.
+  get film() {
+    const times = Math.min(window.devicePixelRatio || 1, 2), of = (pixels) => Math.max(Math.round(pixels * times), 1);
+    const name = this.header.title.replace(/\.[^.]*$/, "");
+    return { times, name, width: of(this.canvas.clientWidth), height: of(this.canvas.clientHeight) };
+  }
+
   save() {
-    this.draw(Math.min(window.devicePixelRatio || 1, 2));
-    this.canvas.toBlob((blob) => {
-      const link = document.createElement("a");
-      link.href = URL.createObjectURL(blob);
-      link.download = `${this.header.title.replace(/\.[^.]*$/, "")}.png`;
-      link.click();
-      setTimeout(() => URL.revokeObjectURL(link.href), 10000);
-    });
+    const { times, name } = this.film;
+    this.draw(times);
+    this.canvas.toBlob((blob) => download(`${name}.png`, blob));
+  }
+
+  saveCamera() {
+    const { name, width, height } = this.film, file = this.camera.file(`${name}.png`, width, height);
+    download(`${name}-camera.json`, new Blob([JSON.stringify(file)], { type: "application/json" }));
   }
 
   // Say what lies under the cursor, once it rests.
   point(event) {
     clearTimeout(this.pointing);
-    if (!event || !this.gpu.mesh || !this.isComplete || this.look.cubes) return this.tell(null);
+    if (!event || !this.isComplete || this.isLost) return this.tell(null);
     const at = [event.offsetX, event.offsetY];
     this.pointing = setTimeout(() => this.tell(this.pick(...at)), 60);
   }
 
-  // What lies at a point of the picture, in CSS pixels: the rest position, the leaf, values; or null.
+  // What lies at a point of the picture, in CSS pixels: the part, the position at rest, the cell, values; or null. Of
+  // a cube it is its middle, and what is stored there.
   pick(x, y) {
-    const width = this.canvas.clientWidth, height = this.canvas.clientHeight, { look } = this;
-    const ask = (plane) => this.gpu.probe(look, this.camera, { width, height, pixel: [x, y], plane });
-    const { places, values } = ask(-1);
+    const size = [this.canvas.clientWidth, this.canvas.clientHeight];
+    const found = this.gpu.showsCubes(this.look) ? this.pickCube([x, y], size) : this.pickSurface([x, y], size);
+    if (!found) return null;
+    const { header: { name, origin, size: edge, channels }, octree } = this.parts[found.part];
+    const known = channels.map((channel) => {
+      const codes = octree.codes(channel, found.cell), values = found.valuesOf(channel) ?? codes.map((code) => code / 255);
+      return { name: channel.name, space: channel.space, range: channel.range, codes, values };
+    });
+    const rest = found.point.map((p, axis) => origin[axis] + edge * p);
+    return { ...found, valuesOf: undefined, name, rest, channels: known };
+  }
+
+  pickCube(pixel, size) {
+    const found = this.gpu.probeCubes(this.look, this.camera, pixel, size);
+    return found && { ...found, point: found.index.map((n) => (n + 0.5) * found.edge), valuesOf: () => null };
+  }
+
+  pickSurface(pixel, [width, height]) {
+    const { look } = this, ask = (plane) => this.gpu.probe(look, this.camera, { width, height, pixel, plane });
+    const { places, values, normals } = ask(-1);
     if (values[3] === 0) return null;
-    const point = Array.from(places.subarray(0, 3));
-    const { origin, size, channels } = this.header;
-    const found = this.octree.cellAt(point, Math.min(look.level, this.octree.depth));
-    const looked = {};
-    for (const plane of new Set(channels.map((channel) => channel.at[0]))) looked[plane] = ask(plane).values;
-    const part = ({ at: [plane, slot], components }) => Array.from(looked[plane].slice(slot, slot + components));
-    const known = channels.map((channel) => ({
-      name: channel.name,
-      space: channel.space,
-      range: channel.range,
-      codes: this.octree.codes(channel, found.cell),
-      values: channel.name === "alpha" ? [values[0]] : part(channel),
-    }));
-    return { ...found, point, rest: point.map((p, axis) => origin[axis] + size * p), fetches: values[1], channels: known };
+    const point = Array.from(places.subarray(0, 3)), part = normals[3], { octree } = this.parts[part];
+    const looked = {}, at = (plane) => (looked[plane] ??= ask(plane).values);
+    const valuesOf = ({ name, at: [plane, slot], components }) =>
+      name === "alpha" ? [values[0]] : Array.from(at(plane).slice(slot, slot + components));
+    return { ...octree.cellAt(point, Math.min(look.level, octree.depth)), part, point, fetches: values[1], valuesOf };
   }
 
   tell(found) {
     const rows = [], pixels = this.canvas.width * this.canvas.height;
-    if (this.cost * pixels < FRAME && this.look.marked?.cell !== found?.cell) {
+    const { marked } = this.look, isNew = marked?.cell !== found?.cell || marked?.part !== found?.part;
+    if (this.cost * pixels < FRAME && isNew) {
       this.look.marked = found;
       this.move();
     }
     if (found) {
+      if (found.name) rows.push(["part", found.name]);
       rows.push(["at rest", found.rest.map((p) => p.toPrecision(5)).join(", ")]);
       rows.push(["cell", `${found.cell.toLocaleString("en")}, level ${found.level}`]);
       rows.push(["index", found.index.join(", ")]);
@@ -309,6 +385,14 @@ class Viewer {
   }
 }
 
+function download(name, blob) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(blob);
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+}
+
 function fail(error) {
   element("progress-box").hidden = true;
   element("message").hidden = false;
@@ -319,4 +403,4 @@ function fail(error) {
 const viewer = new Viewer();
 globalThis.viewer = viewer;
 viewer.open().catch(fail);
-watch(element("status"));
+watch(element("status"), (version) => viewer.follow(version));

@@ -5,6 +5,22 @@ flat in uint v_number;
 flat in uint v_level;
 in vec2 v_face;
 
+#ifdef PICKED
+
+flat in uvec4 v_cell;
+
+layout(location = 0) out uvec4 o_cell;  // x, y, z and level
+layout(location = 1) out uvec4 o_number;  // the cell's, the part's, and 1
+
+uniform uint u_part;
+
+void main() {
+  o_cell = v_cell;
+  o_number = uvec4(v_number, u_part, 0u, 1u);
+}
+
+#else
+
 uniform int u_kind;
 uniform bool u_byLevel;
 
@@ -20,3 +36,5 @@ void main() {
   if (min(rim.x, rim.y) < 1.0 && max(fwidth(v_face).x, fwidth(v_face).y) < 0.2) shade *= 0.75;
   o_color = vec4(shown * shade, 1.0);
 }
+
+#endif

@@ -12,6 +12,7 @@ uniform vec3 u_camera;  // in texture space
 flat out vec3 v_normal;
 flat out uint v_number;
 flat out uint v_level;
+flat out uvec4 v_cell;
 out vec2 v_face;
 
 void main() {
@@ -30,6 +31,7 @@ void main() {
   v_normal = mat3(u_view) * v_normal;
   v_number = a_number;
   v_level = a_cell.w;
+  v_cell = a_cell;
   v_face = across;
   vec3 world = u_low + u_edge * (corner + edge * place);
   gl_Position = u_projection * (u_view * vec4(world, 1.0));

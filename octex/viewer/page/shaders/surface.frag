@@ -6,8 +6,9 @@ uniform highp usampler2D u_ways;
 #ifdef PROBE
 
 layout(location = 0) out uvec4 o_value;  // bits of the plane that is asked for, or of alpha and the fetches
-layout(location = 1) out uvec4 o_way;  // bits of the side that is looked at
+layout(location = 1) out uvec4 o_way;  // bits of the side that is looked at, and of the part's number
 uniform int u_plane;
+uniform float u_part;
 uniform float u_width;  // below 0: the footprint
 
 void main() {
@@ -23,7 +24,7 @@ void main() {
   vec4 value = vec4(g_alpha, float(g_fetches), g_cover, 1.0);
   if (u_plane == {N}) value = g_sum{N};
   o_value = floatBitsToUint(value);
-  o_way = floatBitsToUint(vec4(side, 0.0));
+  o_way = floatBitsToUint(vec4(side, u_part));
 }
 
 #else
@@ -48,6 +49,9 @@ vec3 beside(vec3 looked, ivec2 at) {
 }
 #else
 #define beside(looked, at) looked
+#endif
+#ifndef CHANNEL
+#define CHANNEL vec3(0.5)
 #endif
 #ifndef EMISSIVE
 #define EMISSIVE vec3(0.0)

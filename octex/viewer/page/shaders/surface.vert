@@ -25,9 +25,13 @@ out vec3 v_color;  // light
 #endif
 
 #ifdef MOVED
+#ifdef FROM_REST
+layout(location = 6) in vec3 a_upright;  // the normal at rest
+#endif
 layout(location = 3) in uvec4 a_links;  // the vertex's first bone and how many, its first target and how many
 
-uniform highp sampler2D u_links;  // a bone and its share; a target and what it adds
+uniform highp sampler2D u_links;  // a bone and its share; a target and what it adds; what targets add to normals
+uniform uint u_turns;  // how far behind targets these stand
 uniform highp sampler2D u_frames;  // of each frame the rows of bones, 3 texels each, and the weights of targets
 uniform ivec2 u_frame;  // the texels that two frames begin at
 uniform float u_share;  // of the second
@@ -46,7 +50,11 @@ vec4 now(int n) {
 void move(inout vec3 position, inout vec3 normal) {
   for (uint n = a_links.z; n < a_links.z + a_links.w; n++) {
     vec4 link = linkAt(n);
-    position += now(u_firstTarget + int(link.x)).x * link.yzw;
+    float weight = now(u_firstTarget + int(link.x)).x;
+    position += weight * link.yzw;
+#ifdef TURNS
+    normal += weight * linkAt(n + u_turns).xyz;
+#endif
   }
   mat3x4 rows = mat3x4(0.0);
   for (uint n = a_links.x; n < a_links.x + a_links.y; n++) {
@@ -66,6 +74,7 @@ void main() {
 #ifdef MOVED
 #ifdef FROM_REST
   position = u_root.xyz + u_root.w * a_rest;
+  normal = a_upright;
 #endif
   move(position, normal);
 #endif

@@ -1,0 +1,123 @@
+"""What a page is sent of a texture that has changed: the cells that it does not have, and where others stand.
+
+A cell is known where the texture was as it is now: of the same level and place, with the same children, flags
+and values, those of its sides and what it keeps among them. Known cells stand in runs that follow on each
+other in both. One stream:
+
+    runs        how many new cells come before each; the cell that it began at; its length; planes of bytes
+    new cells   node masks, leaf masks, areas of nodes, flags, components of channels: a byte for each cell
+    their rows  components of channels: what nodes among them keep, then the sides of split ones
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from octex.arrays import Array, Bools, Int64s, Uint8s
+from octex.texture import OctreeTexture
+from octex.tree.octree import Octree
+from octex.tree.split import rows_of
+from octex.viewer.streams import planes
+
+#: What of a part's header stays while a page is shown: where its values stand, and what they mean.
+_STAYS = "origin", "size", "channels", "area", "flags", "planes"
+
+
+def is_like(header: dict[str, Any], other: dict[str, Any]) -> bool:
+    """Say whether a page that shows a part can be sent changes to another one."""
+    return all(header[name] == other[name] for name in _STAYS)
+
+
+def change_between(before: OctreeTexture, after: OctreeTexture) -> tuple[dict[str, int], bytes]:
+    """Return how many entries a change's stream has, and the stream.
+
+    Both textures are as the page has them, with the same channels of 8 bits.
+    """
+    old, is_known = _known(before, after)
+    known = np.flatnonzero(is_known)
+    begins = np.diff(known, prepend=-2) != 1
+    begins[1:] |= np.diff(old[known]) != 1
+    first = np.flatnonzero(begins)
+    lengths = np.diff(first, append=known.size)
+    ends = known[first] + lengths
+    gaps = known[first] - np.concatenate([[0], ends[:-1]])
+    new = np.flatnonzero(~is_known)
+    masks, areas = _nodes_data(after.tree)
+    channels = list(after.channels.values())
+    parts: list[Array] = [masks[new].T, areas[new], after.tree.arrays.flags[new]]
+    parts += [channel.values[new].T for channel in channels]
+    kept, sides = _owners(after.tree)
+    kept_rows, side_rows = np.flatnonzero(~is_known[kept]), np.flatnonzero(~is_known[sides])
+    for channel in channels:
+        rows = np.concatenate([channel.kept_values[kept_rows], channel.split_values[side_rows]])
+        parts.append(rows.T)
+    counts = {"runs": first.size, "cells": new.size, "kept": kept_rows.size, "sides": side_rows.size}
+    runs = [planes(numbers) for numbers in (gaps, old[known[first]], lengths)]
+    return counts, b"".join([*runs, *(np.ascontiguousarray(part, np.uint8).tobytes() for part in parts)])
+
+
+def _known(before: OctreeTexture, after: OctreeTexture) -> tuple[Int64s, Bools]:
+    """Return the number that each cell had, and whether it is as it was; else the number means nothing."""
+    old = np.full(after.tree.n_cells, -1)
+    here, there = (tree.arrays.level_cells.tolist() for tree in (after.tree, before.tree))
+    levels = zip(before.tree.walk(), after.tree.walk(), here, there, strict=False)
+    for (had, _), (codes, _), first, first_old in levels:
+        at = np.minimum(np.searchsorted(had, codes), had.size - 1)
+        own = old[first : first + codes.size]
+        own[:] = np.where(had[at] == codes, first_old + at, -1)
+    is_known = old >= 0
+    (masks, areas), (old_masks, old_areas) = (_nodes_data(each.tree) for each in (after, before))
+    flags, old_flags = after.tree.arrays.flags, before.tree.arrays.flags
+    for now, was in (
+        (masks, old_masks),
+        (areas[:, None], old_areas[:, None]),
+        (flags[:, None], old_flags[:, None]),
+    ):
+        is_known &= (now == was[old]).all(axis=1)
+    kept, sides = _owners(after.tree)
+    old_kept, old_sides = _owners(before.tree)
+    is_same = [_rows_of(kept, old_kept, old, is_known), _rows_of(sides, old_sides, old, is_known)]
+    for name, channel in after.channels.items():
+        past = before.channels[name]
+        is_known &= (channel.values == past.values[old]).all(axis=1)
+        for owners, at, values, old_values in (
+            (kept, is_same[0], channel.kept_values, past.kept_values),
+            (sides, is_same[1], channel.split_values, past.split_values),
+        ):
+            chosen = at >= 0
+            differ = (values[chosen] != old_values[at[chosen]]).any(axis=1)
+            is_known[owners[chosen][differ]] = False
+    return old, is_known
+
+
+def _rows_of(owners: Int64s, old_owners: Int64s, old: Int64s, is_known: Bools) -> Int64s:
+    """Return the row that each of a table's rows was, −1 where its cell was not there with the same flags."""
+    first = np.searchsorted(owners, owners)
+    at = np.searchsorted(old_owners, old[owners]) + np.arange(owners.size) - first
+    return np.where(is_known[owners], at, -1)
+
+
+def _nodes_data(tree: Octree) -> tuple[Uint8s, Uint8s]:
+    """Return the masks (cells, 2) and the areas of cells that are nodes; 0 of leaves."""
+    arrays = tree.arrays
+    nodes = np.concatenate([np.zeros(0, np.int64), *_node_cells(tree)])
+    masks, areas = np.zeros((tree.n_cells, 2), np.uint8), np.zeros(tree.n_cells, np.uint8)
+    for word in range(2):
+        masks[nodes, word] = (
+            np.ascontiguousarray(arrays.groups[:, word]).astype("<u8").view(np.uint8)[: nodes.size]
+        )
+    areas[nodes] = arrays.areas[nodes]
+    return masks, areas
+
+
+def _node_cells(tree: Octree) -> Sequence[Int64s]:
+    firsts = tree.arrays.level_cells.tolist()
+    return [first + np.flatnonzero(is_node) for first, (_, is_node) in zip(firsts, tree.walk(), strict=False)]
+
+
+def _owners(tree: Octree) -> tuple[Int64s, Int64s]:
+    """Return the cells of the rows of kept nodes, and of those of split cells."""
+    return tree.kept.cells.astype(np.int64), rows_of(tree.split).cells

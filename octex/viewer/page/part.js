@@ -1,0 +1,199 @@
+// A texture and its mesh: of a set, one of several. What the GPU holds of them.
+
+import { Octree, ROW } from "./octree.js";
+
+export class Part {
+  constructor(header) {
+    this.header = header;
+    this.octree = new Octree(header);
+    this.mesh = null;
+    this.motion = null;
+    this.source = null;
+  }
+
+  // The deepest level whose rows fit into this GPU's textures.
+  get deepest() {
+    const rows = this.gl.getParameter(this.gl.MAX_TEXTURE_SIZE), { cells } = this.octree;
+    let level = this.octree.header.depth;
+    while (level > 0 && cells[level + 1] > rows * ROW) level--;
+    return level;
+  }
+
+  // The lowest and the highest corner of what is drawn.
+  get bounds() {
+    const { origin, size } = this.header, { mesh } = this;
+    if (!mesh) return [origin, origin.map((x) => x + size)];
+    const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
+    mesh.positions.forEach((x, n) => {
+      low[n % 3] = Math.min(low[n % 3], x);
+      high[n % 3] = Math.max(high[n % 3], x);
+    });
+    return [low, high];
+  }
+
+  channel(name) {
+    return this.header.channels.find((channel) => channel.name === name);
+  }
+
+  // Make everything anew, as after a lost context.
+  build(gl) {
+    const { octree } = this;
+    this.gl = gl;
+    this.buildTree();
+    const last = octree.tables.kept + octree.tables.split ? octree.planes[0].length / 4 : octree.cells[octree.depth + 1];
+    const entries = [0, octree.entries.length / 2];
+    if (octree.depth >= 0) this.upload({ nodes: [0, octree.nodes[octree.depth]], cells: [0, last], entries });
+    if (this.mesh) this.takeMesh(this.mesh);
+    if (this.motion) this.takeMotion(this.motion);
+    this.source?.build(gl);
+    this.cubes = null;
+  }
+
+  // What the GPU holds of the octree: its arrays, with the textures that hold their rows and the texels' formats.
+  buildTree() {
+    const { gl, octree } = this;
+    const held = (array, size, format, known) => ({ array, size, known, texture: null, rows: 0, format });
+    this.nodes = held(octree.words, 2, gl.RG32UI, [gl.RG_INTEGER, gl.UNSIGNED_INT]);
+    this.tables = held(octree.entries, 2, gl.RG32UI, [gl.RG_INTEGER, gl.UNSIGNED_INT]);
+    this.planes = octree.planes.map((plane, n) =>
+      held(plane, 4, octree.header.planes[n] ? gl.SRGB8_ALPHA8 : gl.RGBA8, [gl.RGBA, gl.UNSIGNED_BYTE]),
+    );
+    for (const each of this.held) this.allocate(each);
+  }
+
+  get held() {
+    return [this.nodes, this.tables, ...this.planes];
+  }
+
+  allocate(held) {
+    const most = this.gl.getParameter(this.gl.MAX_TEXTURE_SIZE);
+    held.rows = Math.max(Math.min(held.array.length / (held.size * ROW), most), 1);
+    held.texture = this.texture(held.format, held.rows);
+  }
+
+  texture(format, rows) {
+    const { gl } = this, texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, format, ROW, rows);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+    return texture;
+  }
+
+  // Send the rows from one up to another.
+  send({ array, size, known, texture, rows }, begin, end) {
+    const { gl } = this, count = Math.min(end, rows) - begin;
+    if (count <= 0) return;
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    const part = array.subarray(size * ROW * begin, size * ROW * (begin + count));
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, begin, ROW, count, ...known, part);
+  }
+
+  // Send the rows that hold some nodes and cells.
+  upload({ nodes, cells, entries = [0, 0] }) {
+    const put = (held, [first, end]) => this.send(held, Math.floor(first / ROW), Math.ceil(end / ROW));
+    put(this.nodes, nodes);
+    put(this.tables, entries);
+    for (const plane of this.planes) put(plane, cells);
+  }
+
+  // Take the octree as it has changed: of textures that stay as large only rows that differ are sent. Returns how many.
+  change(header, octree) {
+    let sent = 0;
+    Object.assign(this.header, header);
+    octree.header = this.header;
+    const arrays = [octree.words, octree.entries, ...octree.planes];
+    this.octree = octree;
+    this.held.forEach((held, n) => {
+      const before = held.array, after = (held.array = arrays[n]);
+      const isAsLarge = before.length === after.length;
+      if (!isAsLarge) {
+        this.gl.deleteTexture(held.texture);
+        this.allocate(held);
+      }
+      const [was, now] = [before, after].map((array) => new Uint32Array(array.buffer));
+      const width = now.length / (after.length / (held.size * ROW));
+      const differs = (row) => {
+        for (let at = row * width; at < (row + 1) * width; at++) if (was[at] !== now[at]) return true;
+        return false;
+      };
+      for (let row = 0; row < held.rows; row++) {
+        if (isAsLarge && !differs(row)) continue;
+        this.send(held, row, row + 1);
+        sent++;
+      }
+    });
+    this.cubes = null;
+    return sent;
+  }
+
+  takeMesh(mesh) {
+    const { gl } = this;
+    this.mesh = mesh;
+    this.surface = gl.createVertexArray();
+    gl.bindVertexArray(this.surface);
+    const attribute = (place, array, components, type) => {
+      gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+      gl.bufferData(gl.ARRAY_BUFFER, array, gl.STATIC_DRAW);
+      gl.enableVertexAttribArray(place);
+      gl.vertexAttribPointer(place, components, type, type !== gl.FLOAT, 0, 0);
+    };
+    [mesh.rest, mesh.positions, mesh.normals].forEach((array, place) => attribute(place, array, 3, gl.FLOAT));
+    if (mesh.upright) attribute(6, mesh.upright, 3, gl.FLOAT);
+    if (mesh.uv) attribute(4, mesh.uv, 2, gl.FLOAT);
+    if (mesh.colors) attribute(5, mesh.colors, 3, gl.UNSIGNED_BYTE);
+    gl.vertexAttrib3f(5, 1, 1, 1);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, mesh.triangles, gl.STATIC_DRAW);
+    gl.bindVertexArray(null);
+  }
+
+  takeSource(source) {
+    this.source = source;
+    source.build(this.gl);
+  }
+
+  // Take what moves the mesh: a texel an entry of its vertices, and of each animation one a row of a bone.
+  takeMotion(motion) {
+    const { gl } = this;
+    this.motion = motion;
+    this.links = this.numbers(motion.links);
+    this.frames = new Map();
+    gl.bindVertexArray(this.surface);
+    gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ARRAY_BUFFER, motion.linksOf(this.mesh.owners), gl.STATIC_DRAW);
+    gl.enableVertexAttribArray(3);
+    gl.vertexAttribIPointer(3, 4, gl.UNSIGNED_INT, 0, 0);
+    gl.bindVertexArray(null);
+  }
+
+  // A texture of numbers, four in a texel.
+  numbers(values) {
+    const { gl } = this, rows = Math.max(Math.ceil(values.length / 4 / ROW), 1), made = this.texture(gl.RGBA32F, rows);
+    const padded = new Float32Array(4 * ROW * rows);
+    padded.set(values);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, ROW, rows, gl.RGBA, gl.FLOAT, padded);
+    return made;
+  }
+
+  // The cells of a level as cubes.
+  cubesAt(wanted) {
+    const { gl, octree } = this, level = Math.min(wanted, octree.depth, this.deepest);
+    if (this.cubes?.level === level && this.cubes.depth === octree.depth) return this.cubes;
+    if (this.cubes) {
+      gl.deleteBuffer(this.cubes.buffer);
+      gl.deleteVertexArray(this.cubes.array);
+    }
+    const cells = octree.cubes(level), array = gl.createVertexArray(), buffer = gl.createBuffer();
+    gl.bindVertexArray(array);
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+    gl.bufferData(gl.ARRAY_BUFFER, cells, gl.STATIC_DRAW);
+    for (const [place, components, offset] of [[0, 4, 0], [1, 1, 16]]) {
+      gl.enableVertexAttribArray(place);
+      gl.vertexAttribIPointer(place, components, gl.UNSIGNED_INT, 20, offset);
+      gl.vertexAttribDivisor(place, 1);
+    }
+    gl.bindVertexArray(null);
+    return (this.cubes = { level, depth: octree.depth, array, buffer, count: cells.length / 5 });
+  }
+}
