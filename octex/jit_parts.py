@@ -3,7 +3,7 @@
 numba optimizes a function by itself, then once more with all that it calls; and it makes machine code of
 every function, also of those that are compiled into others and never called. Here the first is left out, and
 *parts*, which only kernels call, are tidied up and kept as LLVM's code alone. And numba finds anew for each
-instruction what is the same for all of its kind; here it is found once. All together: half of the time.
+instruction what is the same for all of its kind; here it is found once. All together: a third less time.
 """
 
 from __future__ import annotations
