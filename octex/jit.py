@@ -19,12 +19,11 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.core.codegen import JITCodeLibrary
 from numba.core.typing.npydecl import parse_dtype
 from numba.extending import intrinsic
 from numba.np.arrayobj import _empty_nd_impl
 
-from octex.jit_parts import USED_OF_LIBRARY, PartCompiler, PartContext, WholeCompiler
+from octex.jit_parts import USED, PartCompiler, PartContext, WholeCompiler
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -119,7 +118,7 @@ def _compiled(function: Function, by: type[Any] = WholeCompiler, **options: Any)
     if DISABLED:
         return compiled  # type: ignore[no-any-return]
     missing = [name for name in used if not _has(compiled, name)]
-    missing += [name for name in USED_OF_LIBRARY if not hasattr(JITCodeLibrary, name)]
+    missing += [name for owner, names in USED for name in names if not hasattr(owner, name)]
     if missing:
         # Code that is kept on disk by numba's rules alone may be stale.
         warnings.warn(

@@ -9,12 +9,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 from numba import types
-from numba.core import caching, codegen, dispatcher, event
+from numba.core import caching, codegen, compiler, dispatcher, event, ir
+from numba.core.types import functions
 
-from octex import jit, jit_cache
+from octex import jit, jit_cache, jit_parts
 from octex.field.sources import Group, Tables
 from tests.conftest import needs_jit
 
@@ -201,6 +203,9 @@ def test_types_of_one_name_are_told_apart_by_their_modules() -> None:
         (caching.Cache, "cache_path"),
         (codegen.JITCodeLibrary, "_finalize_final_module"),
         (codegen.JITCodeLibrary, "_optimize_functions"),
+        (codegen.CPUCodegen, "_pass_builder"),
+        (ir.Inst, "_rec_list_vars"),
+        (compiler.Compiler, "_compile_core"),
     ],
 )
 def test_a_numba_without_what_octex_uses_is_named_and_nothing_is_kept(
@@ -250,6 +255,47 @@ def test_what_only_kernels_call_is_kept_without_machine_code(
     assert kept.metadata is None  # read, not compiled
     with pytest.raises(TypeError, match="in kernels only"):
         again(np.arange(3.0))
+
+
+def _mixed(numbers: Any, counts: Any, factor: float) -> Any:
+    """Do something of most kinds, with arrays as wholes and one by one."""
+    total, pair = 0.0, (1, 2.5)
+    for n in range(len(numbers)):
+        if counts[n] > 1 and not numbers[n] < -factor:
+            total += numbers[n] ** 2 / (counts[n] + pair[1]) - counts[n] % 3
+        counts[n] = (counts[n] << 1) ^ np.uint8(n)
+    return numbers * factor + total, counts[::2], total
+
+
+@needs_jit
+@pytest.mark.parametrize(("kind", "count_kind"), [("f4", "u1"), ("i8", "i4")])
+def test_kernels_are_typed_and_compute_as_numbas_own_functions(
+    kind: str, count_kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
+    numbers: Any = np.arange(-3, 4).astype(kind)
+    counts: Any = np.arange(7).astype(count_kind)
+    found = jit.kernel(_mixed)(numbers, counts.copy(), 1.5)
+    expected = numba.njit(error_model="numpy")(_mixed)(numbers, counts.copy(), 1.5)
+    for one, other in zip(found, expected, strict=True):
+        assert np.asarray(one).dtype == np.asarray(other).dtype
+        assert np.array_equal(one, other)
+
+
+@needs_jit
+def test_what_is_found_once_is_what_numba_finds() -> None:
+    jit.low_bits(3)
+    assert jit_parts._signatures
+    for (context, function, arguments), signature in jit_parts._signatures.items():
+        assert jit_parts._find_signature(function, context, arguments, {}) == signature
+    lines = [line for block in compiler.run_frontend(_mixed).blocks.values() for line in block.body]
+    before = [line.list_vars() for line in lines]
+    with jit_parts._found_once():
+        assert [line.list_vars() for line in lines] == before
+        assert ir.Inst._rec_list_vars is not jit_parts._find_variables
+    assert ir.Inst._rec_list_vars is jit_parts._find_variables
+    assert functions.BaseFunction.get_call_type is jit_parts._find_signature
+    assert sum(map(len, before)) > 50
 
 
 @needs_jit
