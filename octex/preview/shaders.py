@@ -109,13 +109,18 @@ class Shown(NamedTuple):
         shown = shown[:, :3] if shown.shape[1] > 2 else np.repeat(shown[:, :1], 3, axis=1)
         if self.is_lit:
             emissive = values.get("emissive")
+            metallic, roughness, occlusion = (
+                None if name not in values else values[name][:, 0] for name in _SCALARS
+            )
             return Appearance(
                 shown,
                 None if emissive is None else np.clip(emissive, 0.0, 1.0),
                 coverage,
                 values.get(NORMAL.name),
-                *(None if name not in values else values[name][:, 0] for name in _SCALARS),
-                specular=values.get(SPECULAR.name),
+                metallic,
+                roughness,
+                occlusion,
+                values.get(SPECULAR.name),
             )
         if self.channel.space == "direction":
             lengths = np.linalg.norm(shown, axis=1, keepdims=True)
