@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import permutations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from octex.painting.consensus import agreed_step, robust_weights
 from octex.painting.pictures import levels_of, masked
 from tests import naive_agreement
 from tests.conftest import needs_jit
+from tests.edit_claims import digest
 from tests.painted import ball, codes, picture_of
 
 Array = npt.NDArray[Any]
@@ -112,6 +114,27 @@ def test_a_passer_by_is_left_out_in_any_order_of_pictures() -> None:
     assert error(robust, surface) < clean + 0.1 * (averaged - clean)
     other = octex.paint(None, surface, shots[::-1], max_depth=5, pictures="robust")
     assert np.array_equal(other.channels["base_color"].values, robust.channels["base_color"].values)
+
+
+@needs_jit
+def test_pictures_that_memory_has_no_room_for_lie_in_files_meanwhile(tmp_path: Path) -> None:
+    surface, cameras, images = ring()
+    images[2][30:60, 40:70, :3] = 0.9, 0.02, 0.02
+    shots = [*projections(images[:4], cameras[:4]), octex.Projection(images[4][..., :3], cameras[4])]
+    options: dict[str, Any] = {"max_depth": 5, "balance": "full"}
+    expected = digest(octex.paint(None, surface, shots, **options))
+    need = 64 * 5 * 96 * 96
+    other = tmp_path / "other"
+    assert digest(octex.paint(None, surface, shots, memory=need, folder=other, **options)) == expected
+    with pytest.raises(ArgumentError, match=r"folder: .*other is none"):
+        octex.paint(None, surface, shots, memory=need - 1, folder=other, **options)
+    assert digest(octex.paint(None, surface, shots, memory="1kB", folder=tmp_path, **options)) == expected
+    refined = octex.refine_cameras(surface, shots, memory="1kB", folder=tmp_path)
+    expected_matrices = [camera.matrix for camera in octex.refine_cameras(surface, shots)]
+    np.testing.assert_array_equal([camera.matrix for camera in refined], expected_matrices)
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(ArgumentError, match="folder has no meaning without memory"):
+        octex.paint(None, surface, shots, folder=tmp_path)
 
 
 @needs_jit

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import octex
-from octex.cli.arguments import DTYPES, FILTERS
+from octex.cli.arguments import DTYPES, FILTERS, picture_size
 from octex.cli.convert import COMMAND, main
 from octex.cli.convert_options import CONVERT
 from octex.cli.models import DEFAULT_FILTER
@@ -219,8 +219,9 @@ decorators = {"kernel", "inlined", "step", "part", "fused_part", "summing_kernel
 for name in decorators:
     setattr(jit, name, recorded)
 names = [module.name for module in pkgutil.walk_packages(octex.__path__, "octex.")]
+modules = list(map(importlib.import_module, names))
 entries = set()
-for module in map(importlib.import_module, names):
+for module in modules:
     for node in ast.walk(ast.parse(inspect.getsource(module))):
         if isinstance(node, ast.FunctionDef) and not decorators & {
             getattr(decorator, "id", "") for decorator in node.decorator_list
@@ -229,7 +230,13 @@ for module in map(importlib.import_module, names):
             used = [getattr(module, word, None) for word in words]
             entries |= {value.kernel for value in used if isinstance(getattr(value, "kernel", None), str)}
 assert len(entries) > 20
+for module in modules:
+    for name, value in list(vars(module).items()):
+        if isinstance(getattr(value, "kernel", None), str) and value.kernel not in entries:
+            setattr(module, name, value.__wrapped__)  # plain Python is slow enough
 from octex.cli.warm_up import warm_up
+from octex.painting import balance, refine
+balance._POINTS = refine._POINTS = 100
 warm_up(parallel.silent)
 print(sorted(entries - called))
 """
@@ -258,6 +265,10 @@ def test_options_may_stand_anywhere(arguments: str) -> None:
     stated = {name: value for name, value in given.items() if value not in (None, False)}
     paths = {"INPUT": Path("a.glb"), "OUTPUT": Path("b.octex")}
     assert stated == {**paths, "depth": 5, "separate": 3.0}
+
+
+def test_sizes_have_a_comma_or_an_x() -> None:
+    assert {picture_size(text) for text in ("640,480", "640x480", "640×480")} == {(640, 480)}
 
 
 def test_options_of_two_values_and_those_given_twice_may_stand_anywhere() -> None:

@@ -538,7 +538,7 @@ def test_the_options_of_painting_reach_the_library(
 
     monkeypatch.setattr(octex, "project", projected)
     more = "--max-depth 3 --max-angle 60 --edge-feather 1.5 --balance gain --pictures average --back-faces"
-    more += " --no-fit --threads 2"
+    more += " --no-fit --threads 2 --memory 1kB"
     result(capsys, *scene.shot, "--out", tmp_path / "out.octex", *more.split(), "--channel", "base_color")
     for name in ("like", "executor", "progress"):
         assert seen.pop(name) is not None
@@ -551,6 +551,8 @@ def test_the_options_of_painting_reach_the_library(
         "balance": "gain",
         "reference": None,
         "back_faces": True,
+        "memory": 1000,
+        "folder": tmp_path,
         "fit": False,
     }
 
@@ -1002,7 +1004,8 @@ def test_the_help_names_the_librarys_defaults() -> None:
     text = " ".join(Parser(COMMAND, PAINT).help_text().split())
     defaults = {name: each.default for name, each in inspect.signature(paint.project).parameters.items()}
     assert defaults["channel"] == DEFAULT_CHANNEL
-    assert f"nothing is painted (default {defaults['max_angle']:g})" in text
+    angles = f"{paint.TAKEN_ANGLE:g}; {paint.DRAWN_ANGLE:g} for what was drawn on a view"
+    assert f"nothing is painted (default {angles})" in text
     assert f"edges in depth (default {defaults['edge_feather']:g})" in text
     assert "at most level 14" in text
     assert inspect.signature(paint.paint).parameters["max_depth"].default is None

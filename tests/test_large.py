@@ -145,7 +145,7 @@ def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path: Path, monkeypatch:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(large.Scratch, "empty", full)
-    with pytest.raises(OutputError, match="has no place for what is converted: No space left on device"):
+    with pytest.raises(OutputError, match="has no place for large arrays: No space left on device"):
         octex.convert(tetrahedron(), 3, memory=1, path=tmp_path / "a.octex")
     assert not list(tmp_path.iterdir())
 

@@ -62,6 +62,25 @@ def test_a_picture_painted_back_from_its_own_camera_is_what_is_seen() -> None:
     assert set(texture.channels) == {"base_color"}
 
 
+@pytest.mark.parametrize(("is_drawn", "fading", "vanished"), [(False, 65.0, 75.0), (True, 75.0, 85.0)])
+def test_what_was_drawn_on_a_view_reaches_farther_around_the_model(
+    is_drawn: bool, fading: float, vanished: float
+) -> None:
+    surface = ball(48)
+    camera = octex.Camera.fitted(surface.vertices, (0, 0, 1), size=(128, 128))
+    before = one_color(camera, (0, 0, 0)) if is_drawn else None
+    layer = octex.project(surface, octex.Projection(one_color(camera, (1, 0, 0)), camera, since=before))
+    samples = surface.scatter(2000)
+    toward = camera.position - samples.rest
+    cosines = np.einsum("nk,nk->n", samples.normals, toward) / np.linalg.norm(toward, axis=1)
+    angles = np.degrees(np.arccos(cosines))
+    covered = layer.sample(samples.rest, "alpha", "nearest")[:, 0] * layer.contains(samples.rest)
+    assert (covered[angles < fading - 3] > 0.99).all()
+    assert (covered[angles > vanished + 3] < 0.01).all()
+    halfway = np.abs(angles - (fading + vanished) / 2) < 1
+    assert 0.1 < np.median(covered[halfway]) < 0.9
+
+
 def test_what_is_read_of_a_picture_has_its_pixels_as_means() -> None:
     image = np.random.default_rng(4).uniform(0.3, 0.7, (20, 16, 4)).astype(np.float32)
     image[..., 3] = 1.0
@@ -488,7 +507,7 @@ def test_balance_makes_pictures_agree() -> None:
 
 def test_pictures_that_do_not_overlap_keep_their_gains() -> None:
     surface = plain(together(square(), (square()[0] + [5, 0, 0], square()[1])))
-    from octex.painting.projected import Projected, stretches_of, take_shot, terms_of
+    from octex.painting.projected import Projected, sight_of, stretches_of, take_shots, terms_of
 
     form = octex.convert(surface, 2).channels["base_color"].format
     shots = []
@@ -499,7 +518,7 @@ def test_pictures_that_do_not_overlap_keep_their_gains() -> None:
             camera = octex.Camera.pinhole((64, 64), pose=pose, convention="opengl", focal=180.0)
             picture = octex.Projection(one_color(camera, (0.2 + 0.1 * x, 0.5, 0.5)), camera)
             mesh = surface.vertices, surface.triangles
-            shots.append(take_shot(picture, form, *mesh, 0.0, 1.0, pool))
+            shots += take_shots([picture], form, [1.0], [sight_of(*mesh, camera, 0.0, pool)], pool)
     stretches = stretches_of(surface.vertices, surface.rest, surface.triangles)
     source = Projected(shots, form, terms_of(75, 0, False), surface.vertices, surface.triangles, stretches)
     np.testing.assert_allclose(exposures(source, surface, "full", None), np.zeros((2, 5)), atol=1e-6)

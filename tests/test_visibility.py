@@ -10,7 +10,7 @@ import pytest
 
 from octex.channels import BASE_COLOR
 from octex.painting.pictures import Projection
-from octex.painting.projected import Projected, shading_of, stretches_of, take_shot, terms_of
+from octex.painting.projected import Projected, shading_of, sight_of, stretches_of, take_shots, terms_of
 from octex.parallel import pool_of
 from octex.source.corners import Corners
 from octex.source.surface import Surface
@@ -28,7 +28,8 @@ def seen(surface: Surface, camera: Camera, triangles: Array, barycentric: Array,
     white = Projection(one_color(camera, (1, 1, 1)), camera)
     with pool_of(1) as pool:
         feather = terms.get("feather", 0.0)
-        shot = take_shot(white, BASE_COLOR, surface.vertices, surface.triangles, feather, 1.0, pool)
+        sight = sight_of(surface.vertices, surface.triangles, camera, feather, pool)
+        [shot] = take_shots([white], BASE_COLOR, [1.0], [sight], pool)
     source = Projected(
         [shot],
         BASE_COLOR,

@@ -261,9 +261,9 @@ def camera(text: str) -> tuple[Path, str | None]:
 
 
 def picture_size(text: str) -> tuple[int, int]:
-    """Read a picture's width and height."""
+    """Read a picture's width and height, with a comma or an x between."""
     try:
-        width, height = (int(number) for number in text.split(","))
+        width, height = (int(number) for number in re.split("[,x×]", text))
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is not WIDTH,HEIGHT, like 1024,768") from None
     if not (0 < width <= MOST_PIXELS and 0 < height <= MOST_PIXELS):

@@ -41,6 +41,7 @@ def projected(
         "back_faces": options.back_faces,
         "executor": executor,
         "progress": progress,
+        **_room(options),
     }
     for name in ("channel", "max_depth", "max_angle", "edge_feather"):
         if getattr(options, name) is not None:
@@ -91,8 +92,16 @@ def refined(
         reference=_reference(options, shots),
         executor=executor,
         progress=progress,
+        **_room(options),
     )
     return [shot._replace(camera=camera) for shot, camera in zip(shots, cameras, strict=True)]
+
+
+def _room(options: argparse.Namespace) -> dict[str, Any]:
+    """Return where pictures lie beyond --memory."""
+    return (
+        {} if options.memory is None else {"memory": options.memory, "folder": options.out.absolute().parent}
+    )
 
 
 def _projection(options: argparse.Namespace, shot: Shot) -> Projection:

@@ -82,6 +82,8 @@ def _paint(options: argparse.Namespace, program: str) -> int:
         with workers() as executor:
             if options.refine_cameras:
                 shots = refined(options, surface, shots, executor, progress)
+                if options.save_cameras is not None:  # what comes next may take hours
+                    octex.write_cameras(options.save_cameras, {shot.name: shot.camera for shot in shots})
             if options.layer:
                 layers = [open_sound(path) for path in options.layer]
             else:
@@ -97,8 +99,6 @@ def _paint(options: argparse.Namespace, program: str) -> int:
             with progress.stage("write"):
                 if options.layer_out is not None:
                     with_entries(layers[0], surface, entries).save(options.layer_out)
-                if options.save_cameras is not None:
-                    octex.write_cameras(options.save_cameras, {shot.name: shot.camera for shot in shots})
                 made.save(options.out)
     if made is base:
         reasons = [

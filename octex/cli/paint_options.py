@@ -13,6 +13,7 @@ from octex.cli.arguments import (
     camera,
     color,
     disc,
+    file_size,
     holes,
     mask_pattern,
     opacity,
@@ -101,7 +102,7 @@ _OPTIONS = (
     option(
         "--max-angle",
         "between the surface's normal and the way to the camera, from which on nothing is painted "
-        "(default 75)",
+        "(default 75; 85 for what was drawn on a view)",
         metavar="DEGREES",
         type=angle,
     ),
@@ -150,6 +151,12 @@ _OPTIONS = (
         "--coverage",
         "keep how much of each cell pictures cover, in the channel coverage",
         action="store_true",
+    ),
+    option(
+        "--memory",
+        "if the pictures would take more, keep them decoded in a folder beside --out meanwhile",
+        metavar="SIZE",
+        type=file_size,
     ),
     option("--no-fit", "store plain averages; lookups are then softer", action="store_true"),
     option(
@@ -223,6 +230,7 @@ _WORDS = {
         "--back-faces",
         "--holes",
         "--coverage",
+        "--memory",
         "--no-fit",
         "--background",
         "--layer-out",

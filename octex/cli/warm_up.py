@@ -10,6 +10,7 @@ import numpy as np
 import PIL.Image
 
 import octex
+from octex.channels import BASE_COLOR
 from octex.files import scratch_folder
 from octex.formats.ply import write_points
 from octex.parallel import Progress
@@ -178,6 +179,7 @@ def _separate(surface: octex.Surface) -> None:
 def _paint(surface: octex.Surface, folder: Path) -> None:
     """Paint onto nothing, and onto a texture that is coarser than the pictures."""
     from octex.painting.agreement import find_differences
+    from octex.painting.pictures import levels_of, masked
 
     camera = octex.Camera.fitted(surface.vertices, (0.4, 0.3, 1.0), size=(16, 4))
     picture = octex.Projection(np.full((4, 16, 4), 128, np.uint8), camera)
@@ -190,6 +192,7 @@ def _paint(surface: octex.Surface, folder: Path) -> None:
     find_differences(
         np.zeros((3, 1, 3), np.float32), np.zeros((3, 1), np.float32), 0, np.zeros(1, np.float32)
     )
+    masked(levels_of(picture, BASE_COLOR), np.ones((1, 4), np.float32))
     lens = replace(camera, distortion=(0.01, 0.0, 0.0, 0.0))
     octex.paint(None, surface, [replace(picture, camera=lens)] * 3)
     _process(octex.open(folder / "coarse.octex"), surface)

@@ -1,4 +1,4 @@
-"""The large arrays of a conversion, in memory or in mapped files, and tasks that pass files, not arrays.
+"""Large arrays, in memory or in mapped files, and tasks that pass files, not arrays.
 
 Inside a ``Scratch`` block what is made here lies in files of its folder, whose pages the system writes out
 when memory is scarce. The same code runs on the same values either way.
@@ -107,7 +107,7 @@ def scratch(parent: Path) -> Iterator[Scratch]:
         if error.errno not in _NO_PLACE:
             raise
         raise OutputError(
-            f"{parent}: has no place for what is converted: {error.strerror}; make room or choose another"
+            f"{parent}: has no place for large arrays: {error.strerror}; make room or choose another"
         ) from error
 
 
@@ -146,11 +146,13 @@ def copied(array: Array) -> Array:
 
 
 def moved(given: Any) -> Any:
-    """Return the same with its arrays in a file."""
+    """Return the same, with its arrays in a file inside a ``scratch`` block."""
     here = _current.get()
-    assert here is not None
+    if here is None:
+        return given
     path = here.new_path()
-    found = _load(path, _dump(given, path, here))
+    _dump(given, path, here, is_checked=False)
+    found = _load(path)
     with suppress(OSError):
         path.unlink()
     return found
@@ -181,8 +183,8 @@ def _array_in(path: str, offset: int, shape: tuple[int, ...], dtype: str) -> Arr
     return np.frombuffer(_mapped(path), dtype, int(np.prod(shape)), offset).reshape(shape)
 
 
-def _dump(given: Any, path: Path, scratch: Scratch) -> int:
-    """Write anything to a file, whole or not at all; return the checksum."""
+def _dump(given: Any, path: Path, scratch: Scratch, *, is_checked: bool = True) -> int:
+    """Write anything to a file, whole or not at all; return the checksum, 0 for what is not checked."""
     checksum = 0
     temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
     with temporary.open("xb") as file:
@@ -191,7 +193,7 @@ def _dump(given: Any, path: Path, scratch: Scratch) -> int:
         def put(content: Any) -> None:
             nonlocal checksum
             file.write(content)
-            checksum = zlib.crc32(content, checksum)
+            checksum = zlib.crc32(content, checksum) if is_checked else 0
 
         def take(buffer: pickle.PickleBuffer) -> None:
             raw = buffer.raw()

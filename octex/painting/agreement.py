@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from octex.conversion import large
 from octex.jit import inlined, kernel
 from octex.painting.pictures import masked
 from octex.painting.projected import Projected, Shot
@@ -31,8 +32,8 @@ _APART = 10.0
 _SUPPORT = 0.5
 #: Patches are masked where so much of what is around is far off.
 _MAJORITY = 0.5
-#: So many points are looked at together.
-_POINTS = 1 << 17
+#: So many points of all pictures are looked at together.
+_POINTS = 1 << 21
 
 
 def agreeing(source: Projected) -> Projected:
@@ -44,7 +45,7 @@ def agreeing(source: Projected) -> Projected:
     far = float(np.clip(_TIMES * np.quantile(known, 0.75), _LEAST_FAR, _MOST_FAR))
     masks = [_mask(differences, far) for differences in found]
     shots = [
-        shot if mask.all() else shot._replace(levels=masked(shot.levels, mask))
+        shot if mask.all() else shot._replace(levels=large.moved(masked(shot.levels, mask)))
         for shot, mask in zip(source.shots, masks, strict=True)
     ]
     return source.with_shots(shots)
@@ -58,8 +59,9 @@ def _differences(source: Projected, number: int) -> Float32s:
     found = np.full(rows * columns, np.nan, np.float32)
     patches, triangles, barycentric = _seen_at(source, shot, rows, columns)
     own = source.with_shots([shot], [number])
-    for first in range(0, len(patches), _POINTS):
-        some = slice(first, first + _POINTS)
+    step = max(_POINTS // len(source.shots), 1)
+    for first in range(0, len(patches), step):
+        some = slice(first, first + step)
         where = triangles[some], barycentric[some]
         widths = own.widths(*where)
         widths = np.where(np.isfinite(widths), PATCH * widths, np.float32(0)).astype(np.float32)

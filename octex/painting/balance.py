@@ -7,6 +7,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from octex.arrays import Float32s, Float64s
+from octex.conversion import large
 from octex.painting.consensus import agreed_step, robust_weights
 from octex.painting.pictures import Levels
 from octex.painting.projected import Projected, pixels_of_points
@@ -37,7 +38,7 @@ def balanced(source: Projected, surface: Surface, balance: Balance, reference: i
     numbers = exposures(source, surface, balance, reference)
     gains = np.exp(numbers[:, :3]).astype(np.float32)
     shots = [
-        shot._replace(levels=evened(shot.levels, row[3:])) if row[3:].any() else shot
+        shot._replace(levels=large.moved(evened(shot.levels, row[3:]))) if row[3:].any() else shot
         for shot, row in zip(source.shots, numbers, strict=True)
     ]
     return source.with_shots(shots).with_gains(gains)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import cached_property
@@ -53,10 +54,9 @@ class Ground:
         normals = corner_normals(self.surface.vertices, self.surface.triangles)
         return lambda chosen: normals[chosen]
 
-    def sights(self, cameras: list[Camera], feather: float, executor: Executor) -> list[Sight]:
-        """Return what cameras see of it."""
+    def sights(self, cameras: Sequence[Camera], feather: float, executor: Executor) -> Iterator[Sight]:
+        """Yield what cameras see of it."""
         known, self._sights = self._sights, {}
-        found = []
         for camera in cameras:
             key = _key(camera, feather)
             sight = known.get(key) or self._sights.get(key)
@@ -64,8 +64,7 @@ class Ground:
                 sight = sight_of(self.surface.vertices, self.surface.triangles, camera, feather, executor)
             if self._keeps:
                 self._sights[key] = sight
-            found.append(sight)
-        return found
+            yield sight
 
 
 def laid_flat(

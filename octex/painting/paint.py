@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from itertools import groupby
@@ -20,8 +21,8 @@ from octex.painting.ground import Ground, laid_flat
 from octex.painting.holes import HOLES, Holes, begun, with_coverage
 from octex.painting.layer import CELLS, FINEST_CELLS, rasterize_paint, wanted_levels
 from octex.painting.merge import merged
-from octex.painting.pictures import Projection, check_projections, levels_of
-from octex.painting.projected import Projected, in_fixed_order, shot_of, terms_of
+from octex.painting.pictures import Projection, check_projections, room_for
+from octex.painting.projected import Projected, in_fixed_order, take_shots, terms_of
 from octex.painting.source import PaintSource
 from octex.parallel import Progress, as_progress, workers
 from octex.source.surface import Surface, as_surface
@@ -33,6 +34,8 @@ from octex.view.camera import Camera
 Pictures = Literal["average", "best", "robust"]
 PICTURES: tuple[Pictures, ...] = get_args(Pictures)
 
+#: Degrees from which on there is no paint: photographs blur what is seen so flatly, drawings do not.
+TAKEN_ANGLE, DRAWN_ANGLE = 75.0, 85.0
 #: Pictures get no deeper than this on their own: cells of a 16,000th of the model.
 _DEEPEST = 14
 #: Cells of half a pixel are painted by pixels so far from them at most.
@@ -46,7 +49,7 @@ def paint(
     *,
     channel: str = "base_color",
     max_depth: int | None = None,
-    max_angle: float = 75.0,
+    max_angle: float | None = None,
     edge_feather: float = 0.0,
     pictures: Pictures | None = None,
     balance: Balance | None = None,
@@ -55,6 +58,8 @@ def paint(
     holes: Holes | None = None,
     coverage: bool = False,
     fit: bool = True,
+    memory: int | str | None = None,
+    folder: str | os.PathLike[str] | None = None,
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
@@ -79,6 +84,7 @@ def paint(
                  one covers of the surface
     max_angle    degrees between the surface's normal and the way to the camera from which on no paint is
                  put; over the last 10 it fades. From 90 on all that faces the camera is painted in full.
+                 Default: 75, or 85 if all pictures were drawn on a view (``since``).
                  The normal is the surface's own where it has ``frames``, else the mean of the triangles
                  around that are within 40 degrees of each other, so that round things fade evenly
     edge_feather  pixels over which paint fades towards the picture's rim and towards edges in depth
@@ -100,6 +106,10 @@ def paint(
                  keeps what it has
     coverage     also keep how much of each cell pictures have covered, 0 … 1, in the channel ``coverage``
     fit          store what makes the field meet the pictures, as ``convert`` does, instead of plain means
+    memory       bytes, or a text like "4GB": if pictures would take more, what is decoded of them and what
+                 their cameras see, 64 bytes a pixel, lies in files of ``folder`` meanwhile, whose pages the
+                 system writes out when memory is scarce; by default in that of temporary files. The texture
+                 is the same, bit for bit
     progress     is called with a stage's name, the units done and the units in all
 
     Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
@@ -121,8 +131,9 @@ def paint(
     if holes is not None:
         as_choice(holes, HOLES, "holes")
     layers: list[OctreeTexture] | None = [] if as_flag(coverage, "coverage") else None
-    with workers(threads, executor) as pool:
-        steps = painted(texture, ground, projections, pool, as_progress(progress), options, holes, layers)
+    given = check_projections(projections)
+    with workers(threads, executor) as pool, room_for(given, memory, folder):
+        steps = painted(texture, ground, given, pool, as_progress(progress), options, holes, layers)
         for made, _ in steps:
             texture = made
     assert texture is not None
@@ -134,7 +145,7 @@ class Options(TypedDict, total=False):
 
     channel: str
     max_depth: int | None
-    max_angle: float
+    max_angle: float | None
     edge_feather: float
     pictures: Pictures | None
     balance: Balance | None
@@ -180,13 +191,15 @@ def project(
     like: OctreeTexture | None = None,
     channel: str = "base_color",
     max_depth: int | None = None,
-    max_angle: float = 75.0,
+    max_angle: float | None = None,
     edge_feather: float = 0.0,
     pictures: Pictures | None = None,
     balance: Balance | None = None,
     reference: int | None = None,
     back_faces: bool = False,
     fit: bool = True,
+    memory: int | str | None = None,
+    folder: str | os.PathLike[str] | None = None,
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
@@ -205,7 +218,7 @@ def project(
     given = check_projections(projections)
     format_of(like, channel)
     ground, given = laid_flat(Ground(surface if like is None else surface.placed_in(like)), given, like)
-    with workers(threads, executor) as pool:
+    with workers(threads, executor) as pool, room_for(given, memory, folder):
         return projected(
             ground, given, like, pool, as_progress(progress), channel=channel, max_depth=max_depth,
             max_angle=max_angle, edge_feather=edge_feather, pictures=pictures, balance=balance,
@@ -222,7 +235,7 @@ def projected(
     *,
     channel: str = BASE_COLOR.name,
     max_depth: int | None = None,
-    max_angle: float = 75.0,
+    max_angle: float | None = None,
     edge_feather: float = 0.0,
     pictures: Pictures | None = None,
     balance: Balance | None = None,
@@ -232,6 +245,8 @@ def projected(
 ) -> OctreeTexture:
     """Project pictures onto a surface as `project` does."""
     surface, form = ground.surface, format_of(like, channel)
+    if max_angle is None:
+        max_angle = DRAWN_ANGLE if all(each.since is not None for each in given) else TAKEN_ANGLE
     max_angle = as_number(max_angle, "max_angle", 0.0, 180.0)
     edge_feather = as_number(edge_feather, "edge_feather", 0.0, 1e6)
     back_faces = as_flag(back_faces, "back_faces")
@@ -247,13 +262,11 @@ def projected(
     largest = max(projection.opacity for projection in given) or 1.0
     report("look", 0, len(given))
     scales = [projection.opacity / largest for projection in given]
-    levels = [
-        executor.submit(levels_of, projection, form, scale)
-        for projection, scale in zip(given, scales, strict=True)
-    ]
     sights = ground.sights([cast(Camera, each.camera) for each in given], edge_feather, executor)
-    shots = [shot_of(sight, level.result()) for sight, level in zip(sights, levels, strict=True)]
-    report("look", len(given), len(given))
+    shots = []
+    for shot in take_shots(given, form, scales, sights, executor):
+        shots.append(shot)
+        report("look", len(shots), len(given))
     chosen = None if reference is None else shots[reference]
     shots = in_fixed_order(shots)
     mesh = surface.vertices, surface.triangles

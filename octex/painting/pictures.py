@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
 import PIL.Image
 
-from octex.arrays import Array, Bools, Float32s, Float64s, Int64s
+from octex.arrays import Array, Bools, Float32s, Int64s
 from octex.channels import ChannelFormat, decode_table, linear_to_srgb
-from octex.checks import as_choice, as_items, as_number, as_path, as_reals, is_path
+from octex.checks import as_bytes, as_choice, as_items, as_number, as_path, as_reals, is_path
+from octex.conversion.large import scratch
 from octex.errors import ArgumentError, ImageError
 from octex.jit import inlined, kernel
 from octex.painting.sharpened import sharpened
@@ -36,6 +40,8 @@ BLENDS: tuple[Blend, ...] = get_args(Blend)
 _OPAQUE = np.float32(1.0 - 1e-6)
 #: Pixels so near to a key, in 8-bit codes of each component, are of its colour.
 _KEY_CODES = 24
+#: Bytes that a pixel takes: its levels, those of them that agree, and what the camera sees in it.
+_PIXEL_MEMORY = 64
 #: Codes of images.
 _MOST_CODE = 65535.0
 
@@ -81,6 +87,27 @@ class Projection:
     def name(self) -> str:
         """What messages call the picture."""
         return _name_of(self.image, "the image")
+
+
+def room_for(
+    projections: Sequence[Projection], memory: int | str | None, folder: str | os.PathLike[str] | None
+) -> AbstractContextManager[object]:
+    """Have what pictures hold lie in files of a folder, until the end of the block, beyond some memory.
+
+    By default that is the folder of temporary files. Raises ArgumentError for what is no size, and for a
+    folder without one.
+    """
+    if memory is None:
+        if folder is not None:
+            raise ArgumentError("folder has no meaning without memory, beyond which it is used")
+        return nullcontext()
+    pixels = sum(each.camera.width * each.camera.height for each in projections)
+    if as_bytes(memory, "memory") >= _PIXEL_MEMORY * pixels:
+        return nullcontext()
+    place = Path(tempfile.gettempdir()) if folder is None else as_path(folder, "folder")
+    if not place.is_dir():
+        raise ArgumentError(f"folder: {place} is none")
+    return scratch(place)
 
 
 class Levels(NamedTuple):
@@ -156,25 +183,31 @@ def masked(levels: Levels, mask: Float32s) -> Levels:
     A mask's pixels cover the picture, the last ones perhaps more than that.
     """
     pixels = np.empty_like(levels.pixels)
-    width, height = levels.sizes[0, 1:]
-    rows, columns = mask.shape
-    step = max(-(-height // rows), -(-width // columns))
-    for first, across, down in levels.sizes.tolist():
-        y = (np.arange(down) + 0.5) * (height / down / step) - 0.5
-        x = (np.arange(across) + 0.5) * (width / across / step) - 0.5
-        part = _between(_between(mask, y).T, x).T
-        some = slice(first, first + across * down)
-        pixels[some] = levels.pixels[some] * part.reshape(-1, 1)
+    _mask_levels(levels.pixels, levels.sizes, mask, pixels)
     return levels._replace(pixels=pixels)
 
 
-def _between(values: Float32s, places: Float64s) -> Float32s:
-    """Return rows of values, linear between them and the same beyond the last ones."""
-    places = np.clip(places, 0, len(values) - 1)
-    first = np.minimum(places.astype(np.int64), max(len(values) - 2, 0))
-    part = (places - first).astype(np.float32)[:, None]
-    found: Float32s = values[first] * (1 - part) + values[np.minimum(first + 1, len(values) - 1)] * part
-    return found
+@kernel
+def _mask_levels(given: Float32s, sizes: Int64s, mask: Float32s, found: Float32s) -> None:
+    rows, columns = mask.shape
+    width, height = sizes[0, 1], sizes[0, 2]
+    step = max((height + rows - 1) // rows, (width + columns - 1) // columns)
+    for level in range(len(sizes)):
+        first, across, down = sizes[level, 0], sizes[level, 1], sizes[level, 2]
+        for i in range(down):
+            y = min(max((i + 0.5) * height / (down * step) - 0.5, 0.0), rows - 1.0)
+            above = int(y)
+            below, low = min(above + 1, rows - 1), np.float32(y - above)
+            for j in range(across):
+                x = min(max((j + 0.5) * width / (across * step) - 0.5, 0.0), columns - 1.0)
+                left = int(x)
+                right, part = min(left + 1, columns - 1), np.float32(x - left)
+                upper = mask[above, left] + (mask[above, right] - mask[above, left]) * part
+                lower = mask[below, left] + (mask[below, right] - mask[below, left]) * part
+                factor = upper + (lower - upper) * low
+                at = first + i * across + j
+                for component in range(4):
+                    found[at, component] = given[at, component] * factor
 
 
 def _name_of(image: Image, otherwise: str) -> str:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from functools import cached_property, partial
-from typing import NamedTuple, cast
+from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.channels import ChannelFormat
+from octex.conversion import large
 from octex.conversion.pieces import Blocks
 from octex.jit import inlined, kernel
 from octex.painting.pictures import Levels, Projection, levels_of, read_paint
@@ -38,6 +41,8 @@ from octex.view.visibility import (
 #: Gives normals (k, 3, 3), of any length, at the corners of triangles (k,).
 Shading = Callable[[Int32s], Float32s]
 
+#: So many pictures are decoded ahead of those that are put before what cameras see.
+AHEAD = 2
 #: By how many degrees before the largest angle paint begins to fade.
 FADE = 10.0
 #: Of the four pixels around a point, what part must see it (by their weights), and from what part on they
@@ -82,22 +87,23 @@ class Terms(NamedTuple):
     back_faces: bool
 
 
-def take_shot(
-    projection: Projection,
+def take_shots(
+    projections: Sequence[Projection],
     form: ChannelFormat,
-    vertices: Float64s,
-    triangles: Int32s,
-    feather: float,
-    scale: float,
+    scales: Sequence[float],
+    sights: Iterable[Sight],
     executor: Executor,
-) -> Shot:
-    """Decode a picture, its alpha times ``scale``, and find what its camera sees.
+) -> Iterator[Shot]:
+    """Decode pictures, their alpha times ``scales``, some ahead, and put them before what cameras see.
 
     Raises as `levels_of` does.
     """
-    levels = executor.submit(levels_of, projection, form, scale)
-    sight = sight_of(vertices, triangles, cast(Camera, projection.camera), feather, executor)
-    return shot_of(sight, levels.result())
+    pairs = zip(projections, scales, strict=True)
+    decoded = (executor.submit(levels_of, each, form, scale) for each, scale in pairs)
+    queue = deque(islice(decoded, AHEAD))
+    for sight in sights:
+        yield shot_of(sight, large.moved(queue.popleft().result()))
+        queue.extend(islice(decoded, 1))
 
 
 def sight_of(
@@ -108,7 +114,8 @@ def sight_of(
     seen = visibility_of(vertices, triangles, pinhole, executor)
     view = view_of(pinhole)
     margins = distances_to_edges(seen, view, max(feather, _TRUSTED) + 1.0)
-    return Sight(view, camera.K, camera.lens, seen, margins)
+    found: Sight = large.moved(Sight(view, camera.K, camera.lens, seen, margins))
+    return found
 
 
 def shot_of(sight: Sight, levels: Levels) -> Shot:
@@ -144,8 +151,11 @@ def _near_paint(shot: Shot, reach: int) -> Shot:
         before = np.take(sums, np.maximum(ends - reach - 1, 0), axis=axis)
         before[(slice(None),) * axis + (ends <= reach,)] = 0
         has_paint = last > before
-    triangle = np.where(has_paint, shot.seen.triangle, np.int32(-1))
-    return shot._replace(seen=shot.seen._replace(triangle=triangle))
+    return _renamed(shot, np.where(has_paint, shot.seen.triangle, np.int32(-1)))
+
+
+def _renamed(shot: Shot, triangle: Int32s) -> Shot:
+    return shot._replace(seen=shot.seen._replace(triangle=large.moved(triangle)))
 
 
 def terms_of(max_angle: float, feather: float, back_faces: bool) -> Terms:
@@ -230,9 +240,7 @@ class Projected(PaintSource):
         vertices, triangles, stretches = self._mesh
         names = np.full(len(triangles) + 1, -1, np.int32)  # none, −1, is the last
         names[chosen] = np.arange(len(chosen), dtype=np.int32)
-        shots = [
-            shot._replace(seen=shot.seen._replace(triangle=names[shot.seen.triangle])) for shot in self._shots
-        ]
+        shots = [_renamed(shot, names[shot.seen.triangle]) for shot in self._shots]
         faces = np.ascontiguousarray(triangles[chosen])
         normals = self._shading(chosen)
         return Projected(

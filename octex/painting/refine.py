@@ -8,9 +8,11 @@ steps undone that make it worse). A camera of which pictures tell too little sta
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,13 +20,14 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.channels import BASE_COLOR
 from octex.checks import as_choice, as_whole
+from octex.conversion import large
 from octex.errors import ArgumentError
 from octex.painting.balance import BALANCES, Balance, balanced
 from octex.painting.consensus import agreed_step, consensus, robust_weights
 from octex.painting.ground import Ground
-from octex.painting.pictures import Levels, Projection, check_projections, levels_of
-from octex.painting.projected import Projected, Shot, in_fixed_order, shot_of, terms_of
-from octex.parallel import Progress, as_progress, workers
+from octex.painting.pictures import Levels, Projection, check_projections, levels_of, room_for
+from octex.painting.projected import AHEAD, Projected, Shot, in_fixed_order, shot_of, terms_of
+from octex.parallel import Progress, as_progress, ordered_map, workers
 from octex.source.surface import Surface, as_surface
 from octex.view.camera import Camera
 
@@ -61,6 +64,8 @@ def refine_cameras(
     *,
     balance: Balance | None = "gain",
     reference: int | None = None,
+    memory: int | str | None = None,
+    folder: str | os.PathLike[str] | None = None,
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
@@ -74,6 +79,7 @@ def refine_cameras(
     balance      how pictures are made to agree in light before they are compared, as for ``paint``
     reference    the picture, by its number, whose camera stays as it is; default: the one that shares most of
                  what it sees with others
+    memory       as for ``paint``, and ``folder``
 
     Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
     thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
@@ -92,8 +98,9 @@ def refine_cameras(
     ground, report = Ground(as_surface(surface)), as_progress(progress)
     if len(shown) == 1:
         return cameras
-    with workers(threads, executor) as pool:
-        levels = list(pool.map(lambda each: levels_of(each, BASE_COLOR), shown))
+    with workers(threads, executor) as pool, room_for(shown, memory, folder):
+        decode = partial(levels_of, form=BASE_COLOR)
+        levels = [large.moved(each) for each in ordered_map(pool, decode, shown, window=AHEAD)]
         order, fixed = _ordered(ground, cameras, levels, reference, pool)
         began, levels = [cameras[n] for n in order], [levels[n] for n in order]
         samples = surface.scatter(_POINTS)
@@ -140,7 +147,7 @@ def _ordered(
 def _source(
     ground: Ground, cameras: Sequence[Camera], levels: Sequence[Levels], executor: Executor
 ) -> Projected:
-    sights = ground.sights(list(cameras), 0.0, executor)
+    sights = ground.sights(cameras, 0.0, executor)
     shots = [shot_of(sight, own) for sight, own in zip(sights, levels, strict=True)]
     surface = ground.surface
     return Projected(
