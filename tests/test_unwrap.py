@@ -207,6 +207,8 @@ def test_what_cannot_be_unwrapped_is_refused() -> None:
         octex.unwrap(ball(12), (5, 0, 0), 1.0)
     with pytest.raises(ArgumentError, match="radius"):
         octex.unwrap(ball(12), (1, 0, 0), 0.0)
+    with pytest.raises(ArgumentError, match="unknown method 'flat'; there are: exponential\\|conformal"):
+        octex.unwrap(ball(12), (1, 0, 0), 1.0, method="flat")
     with pytest.raises(ArgumentError, match="center"):
         octex.unwrap(ball(12), (1, np.nan, 0), 1.0)
     patch = octex.unwrap(ball(12), (1, 0, 0), 0.5, size=4)
@@ -270,7 +272,28 @@ def test_the_command_draws_a_disc_flat_and_paints_it_back(
     )
     assert np.allclose(seen[0], [1, 0, 0], atol=0.03)
     assert np.allclose(seen[1:], 0.25, atol=0.03)
+    # Of what can be laid flat a conformal disc is the same; its picture is as wide as its triangles.
+    flat = tmp_path / "flat.png"
+    words = [str(model), str(before), disc, "--conformal", "--view", str(flat), "--size", "64,64"]
+    assert command.main(words) == 0
+    Image.fromarray(np.full((64, 64, 3), 255, np.uint8)).save(flat)
+    words = [
+        str(model),
+        str(before),
+        str(flat),
+        disc,
+        "--conformal",
+        "--whole",
+        "--force",
+        "--out",
+        str(after),
+    ]
+    assert command.main(words) == 0
+    white = octex.open(after).sample([[np.sin(a), 0.2, np.cos(a)] for a in (-0.3, 0.0, 0.3)])
+    assert np.allclose(white, 1.0, atol=0.03)
     capsys.readouterr()
+    assert command.main([str(model), str(before), "--conformal", "--view", str(flat)]) == 2
+    assert "without --unwrap" in capsys.readouterr().err
     assert (
         command.main([str(model), str(before), disc, "--view", str(tmp_path / "b.png"), "--size", "64,32"])
         == 2
