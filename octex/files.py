@@ -33,8 +33,14 @@ except ImportError:  # on Windows
 
 #: The names of files that are being written.
 _TEMPORARY = re.compile(r"\.octex-[0-9a-f]{16}")
+_ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+(://|::)")
 
 _undos: dict[object, Callable[[], None]] = {}
+
+
+def is_address(path: object) -> bool:
+    """Say whether a path names a file elsewhere: ``protocol://…``, or protocols chained by ``::``."""
+    return isinstance(path, str) and _ADDRESS.match(path) is not None
 
 
 def open_file(path: str | os.PathLike[str]) -> BufferedReader:

@@ -10,9 +10,10 @@ from __future__ import annotations
 import hashlib
 import mmap
 import os
-import re
 import tempfile
 import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from threading import RLock
 from typing import Any, BinaryIO
@@ -23,17 +24,11 @@ from octex.arrays import Array, Bools, Int64s, Uint8s
 from octex.errors import MissingExtraError, OutputError, TextureFileError
 
 #: Bytes fetched at least.
-BLOCK = 1 << 12
+BLOCK = 1 << 10
 #: Most bytes asked for at once: what a server answers is held in memory meanwhile.
 _MOST = 1 << 26
 #: What file systems say by which a changed file is known.
 _STAMPS = "ETag", "etag", "Last-Modified", "LastModified", "last_modified", "mtime", "modified", "created"
-_ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+(://|::)")
-
-
-def is_address(path: object) -> bool:
-    """Say whether a path names a file elsewhere: ``protocol://…``, or protocols chained by ``::``."""
-    return isinstance(path, str) and _ADDRESS.match(path) is not None
 
 
 class RemoteFile:
@@ -69,6 +64,7 @@ class RemoteFile:
                 f"{error.strerror or error}; make room or choose another folder"
             ) from error
         self._file, self._is_here = file, known
+        self._checks_later, self._is_checked = False, True
         weakref.finalize(self, file.close)
         self.mapping = mmap.mmap(file.fileno(), self.size)
         self._first = np.frombuffer(self.mapping, np.uint8).ctypes.data
@@ -94,18 +90,32 @@ class RemoteFile:
                 if size >= _MOST or last == len(runs):
                     self._fetch(np.minimum(runs[begin:last], self.size))
                     begin, size = last, 0
+            self._is_checked = False
+            if not self._checks_later:
+                self._check_unchanged()
             return True
+
+    @contextmanager
+    def checked_once(self) -> Iterator[None]:
+        """Look once, at the end, whether the file has changed while parts of it were fetched."""
+        with self._lock:
+            self._checks_later = True
+            try:
+                yield
+            finally:
+                self._checks_later = False
+                if not self._is_checked:
+                    self._check_unchanged()
 
     def fetch_all(self) -> None:
         """Fetch all that is not here."""
         self.fetch(np.array([[0, self.size]]))
 
-    def fetch_rows(self, array: Array, end: int | None = None) -> None:
-        """Fetch the rows of an array before one, by default all; what is no view of the mapping is here."""
-        rows = len(array) if end is None else min(end, len(array))
-        if rows and self.holds(array):
-            offset = array.ctypes.data - self._first
-            self.fetch(np.array([[offset, offset + rows * (array.nbytes // len(array))]]))
+    def fetch_arrays(self, *arrays: Array) -> None:
+        """Fetch arrays; what is no view of the mapping is here."""
+        views = [array for array in arrays if array.nbytes and self.holds(array)]
+        begins = np.array([array.ctypes.data - self._first for array in views], np.int64)
+        self.fetch(np.stack([begins, begins + [array.nbytes for array in views]], axis=1))
 
     def holds(self, array: Array) -> bool:
         """Say whether an array is empty or a view of the mapping."""
@@ -129,7 +139,6 @@ class RemoteFile:
                 raise TextureFileError(
                     f"{self.address}: was cut off: bytes {begin} to {end} came as {len(part)}; open it again"
                 )
-        self._check_unchanged()
         try:
             for begin, part in zip(begins, found, strict=True):
                 self._file.seek(begin)
@@ -158,8 +167,11 @@ class RemoteFile:
         return size, (str(size), *(str(info[name]) for name in _STAMPS if info.get(name)))
 
     def _check_unchanged(self) -> None:
+        """Raise TextureFileError if the file has changed: then nothing of it is here."""
         if self._described()[1] != self._stamp:
+            self._is_here[:] = 0
             raise TextureFileError(f"{self.address}: has changed since it was opened; open it again")
+        self._is_checked = True
 
     def _failed(self, error: Exception) -> TextureFileError:
         what = str(error) or type(error).__name__

@@ -59,6 +59,23 @@ def test_a_texture_made_in_files_has_the_same_bytes(name: str, fit: bool, tmp_pa
         assert in_memory == in_files
 
 
+@pytest.mark.parametrize("options", [{"max_error": 16}, {"max_error": 8, "fit": False}, {"detail": None}])
+def test_an_adaptive_texture_made_in_files_has_the_same_bytes(
+    options: dict[str, object], tmp_path: Path
+) -> None:
+    def detail(points: np.ndarray) -> np.ndarray:
+        return np.where(points[:, 0] > 0, 5, 3)
+
+    options = {**options, **({"detail": detail} if "detail" in options else {})}
+    paths = tmp_path / "memory.octex", tmp_path / "files.octex"
+    in_memory = octex.convert(torus(), 5, **options)  # type: ignore[arg-type]
+    assert in_memory.tree.n_leaves < octex.convert(torus(), 5, fit=False).tree.n_leaves
+    in_memory.save(paths[0])
+    octex.convert(torus(), 5, path=paths[1], memory=1, **options).validate()  # type: ignore[arg-type]
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+    assert len(list(tmp_path.iterdir())) == 2
+
+
 def test_what_fits_into_memory_is_made_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(large, "scratch", None)
     in_memory, in_files = converted(tetrahedron(), tmp_path, memory="1GB")
@@ -172,8 +189,31 @@ def test_what_cannot_be_made_in_files_is_refused(tmp_path: Path) -> None:
         octex.convert(surface, 3, path=tmp_path / "a.ply")
     with pytest.raises(OutputError, match="there is no folder"):
         octex.convert(surface, 3, path=tmp_path / "b" / "a.octex")
-    with pytest.raises(
-        ArgumentError, match="max_error, detail and sources with gaps need all of it in memory"
+    with_gaps = surface.with_sources(octex.Transfer(sheet(turned(3), 0.02), distance=0.01).sources)
+    with pytest.raises(ArgumentError, match="sources with gaps need all of it in memory"):
+        octex.convert(with_gaps, 3, memory=1, path=tmp_path / "a.octex")
+    with (
+        ProcessPoolExecutor(1) as pool,
+        pytest.raises(ArgumentError, match="max_error and detail need all of it on one machine"),
     ):
-        octex.convert(surface, 3, max_error=2, memory=1, path=tmp_path / "a.octex")
+        octex.convert(surface, 3, max_error=2, executor=pool, path=tmp_path / "a.octex")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_cluster_on_paper_takes_what_was_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parent.parent / "tools"))
+    from simulate_cluster import Measured, Stage, on_paper, run
+
+    less, more = Measured(), Measured()
+    less.leaves, less.stages = 100, {"convert": Stage([1.0, 1.0], [0, 0], 3.0)}
+    more.leaves, more.stages = 200, {"convert": Stage([1.0] * 4, [50] * 4, 4.0)}
+    # 40 tasks of 1 s and half a second of writing; joining: 2 s, and 1 s for each 100 leaves.
+    for workers, tasks in ((1, 60.0), (8, 7.5), (100, 1.5)):
+        total, parts = on_paper(less, more, 2000, workers, 100.0, 1e9)
+        reading = max(20.0 - tasks, 0.0)
+        assert parts["convert"] == pytest.approx((tasks, 22.0 + reading))
+        assert total == pytest.approx(sum(parts["convert"]))
+    measured = run(Path(__file__).parent.parent / "samples" / "droid.glb", 4)
+    assert measured.leaves < measured.cells
+    assert measured.sent > 0
+    assert {name for name, stage in measured.stages.items() if stage.tasks} == {"convert", "fit"}

@@ -141,7 +141,7 @@ def use(path: Path, random: Random) -> str:
     except OctexError:
         word = "unsound"
     try:
-        look_up(texture, random)
+        look_up(texture, random, is_mapped=path.suffix == ".octex")
     except OctexError:
         if word == "sound":
             raise
@@ -160,15 +160,23 @@ def use(path: Path, random: Random) -> str:
     return word
 
 
-def look_up(texture: OctreeTexture, random: Random) -> None:
-    """Look up every channel in every way, at points on the model and off it."""
+def look_up(texture: OctreeTexture, random: Random, *, is_mapped: bool) -> None:
+    """Look up every channel in every way, at points on the model and off it.
+
+    Of a mapped file list also which bytes that reads.
+    """
     low, high = (np.clip(corner, -1e6, 1e6) for corner in texture.bounds)
     points = np.concatenate([low + (high - low) * random.random((24, 3)), random.normal(0, 1, (8, 3))])
     normals = random.normal(0, 1, points.shape)
     for channel in texture.channels:
         for filter in FILTERS:
             texture.sample(points, channel, filter)
+            if is_mapped:
+                texture.blocks(points, channel, filter, block_size=64)
         texture.sample(points, channel, normals=normals, width=0.1)
+        if is_mapped:
+            texture.blocks(points, channel, normals=normals, width=0.1, block_size=64)
+            texture.blocks(points, channel, width=0.05, block_size=64)
     texture.contains(points)
     if texture.channels:
         texture.level(2).sample(points, next(iter(texture.channels)))

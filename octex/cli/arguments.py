@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+from octex.cli.addresses import Address, texture_file
 from octex.cli.functions import FunctionName, function_name
 
 #: What octex stores (octex.channels.ONE), how it reads images (octex.source.images.filters.FILTERS), lays
@@ -220,12 +221,12 @@ def levels(text: str) -> tuple[float, ...]:
     return numbers
 
 
-def file_and_amount(text: str) -> tuple[Path, float]:
-    """Read a file and a number from 0 to 1, after the last =."""
+def file_and_amount(text: str) -> tuple[Path | Address, float]:
+    """Read a texture's file and a number from 0 to 1, after the last =."""
     name, equals, number = text.rpartition("=")
     if not (name and equals):
         raise argparse.ArgumentTypeError(f"{text!r} is not FILE=AMOUNT, like other.octex=0.3")
-    return Path(name), _within(number, 1.0)
+    return texture_file(name), _within(number, 1.0)
 
 
 def blend(text: str) -> str:

@@ -6,13 +6,13 @@ import argparse
 import json
 import time
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import octex
+from octex.cli.addresses import TEXTURE_ENDING, TEXTURE_ENDINGS, file_here, output_file, texture_file
 from octex.cli.arguments import channel_names, edge_length, error_codes, real, whole_number
 from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
-from octex.cli.models import TEXTURE_ENDING, TEXTURE_ENDINGS, open_sound
+from octex.cli.models import open_sound
 from octex.cli.parser import RUNNING, Command, Parser, option, words_given
 from octex.cli.shape_options import SHAPE_OPTIONS, check_subdivision, shaped_model
 from octex.errors import ArgumentError, ExitCode
@@ -42,9 +42,11 @@ _UNITS = ("meter", "centimeter", "millimeter", "inch", "foot")
 BAKE = Command(
     "Bake a texture to images, or to vertex colours, for tools that show models.",
     [
-        option("TEXTURE", "an .octex file", type=Path),
-        option("MODEL", "the model that it is a texture of, or with --source another one of it", type=Path),
-        option("OUTPUT", f"NAME{', NAME'.join(_ENDINGS)}", type=Path),
+        option("TEXTURE", "an .octex file", type=texture_file),
+        option(
+            "MODEL", "the model that it is a texture of, or with --source another one of it", type=file_here
+        ),
+        option("OUTPUT", f"NAME{', NAME'.join(_ENDINGS)}", type=output_file),
     ],
     [
         option(
@@ -63,7 +65,7 @@ BAKE = Command(
             "--source",
             "the model that it is a texture of, where MODEL is simpler",
             metavar="MODEL",
-            type=Path,
+            type=file_here,
         ),
         option(
             "--max-distance",
@@ -116,7 +118,7 @@ BAKE = Command(
             metavar="UNIT",
             choices=_UNITS,
         ),
-        option("--rest", "the undeformed model, of the same topology", metavar="MODEL", type=Path),
+        option("--rest", "the undeformed model, of the same topology", metavar="MODEL", type=file_here),
         *SHAPE_OPTIONS,
         *RUNNING,
     ],

@@ -12,21 +12,13 @@ from typing import TYPE_CHECKING
 
 import octex
 from octex.ahead import ahead
+from octex.cli.addresses import TEXTURE_ENDING, TEXTURE_ENDINGS
 from octex.cli.bake import bake, baking
 from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
 from octex.cli.convert_options import COMMANDS, CONVERT, archive_error, check_input, work_of
 from octex.cli.diff import diff
 from octex.cli.inspect import info, validate
-from octex.cli.models import (
-    PTEX_ENDING,
-    TEXTURE_ENDING,
-    TEXTURE_ENDINGS,
-    input_files,
-    kind_of,
-    read_model,
-    settings_of,
-    told_of,
-)
+from octex.cli.models import PTEX_ENDING, input_files, kind_of, read_model, settings_of, told_of
 from octex.cli.overlaps import overlaps, separated_as_json, separated_text
 from octex.cli.parser import Parser
 from octex.cli.process import others_of, processed

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Collection, Iterable
-from pathlib import Path
 
+from octex.cli.addresses import ARCHIVE_ENDING, TEXTURE_ENDINGS, file_here, output_file, texture_file
 from octex.cli.arguments import (
     AXES,
     DTYPES,
@@ -31,14 +31,7 @@ from octex.cli.arguments import (
     whole_number,
 )
 from octex.cli.bake import BAKED_ENDINGS
-from octex.cli.models import (
-    ARCHIVE_ENDING,
-    DEFAULT_FILTER,
-    PTEX_ENDING,
-    TEXTURE_ENDINGS,
-    check_elsewhere,
-    sources_of,
-)
+from octex.cli.models import DEFAULT_FILTER, PTEX_ENDING, check_elsewhere, sources_of
 from octex.cli.overlaps import SEPARATE_CELLS
 from octex.cli.parser import RUNNING, Command, Option, option, words_given
 from octex.cli.shape_options import SHAPE_OPTIONS, SHAPE_WORDS
@@ -52,14 +45,14 @@ _OPTIONS = (
         "the model, a cloud of points, voxels, an .octex file made before, or FILE.py:NAME, "
         "a function of positions (n, 3), below 0 inside",
         nargs="?",
-        type=Path,
+        type=texture_file,
     ),
     option(
         "OUTPUT",
         "NAME.octex; an archive of it, NAME.octz; a coloured point a leaf, with normal: NAME.ply, or "
         "NAME.npz for numpy; NAME.html, a page that shows it in any browser; with --parts a folder",
         nargs="?",
-        type=Path,
+        type=output_file,
     ),
     option(
         "--depth",
@@ -97,7 +90,7 @@ _OPTIONS = (
         "with vertex colours, .3mf (octex bake has more options), in a page, .html, or texels for its "
         "polygons, .ptx; where INPUT is a .ptx, the mesh that it was painted on",
         metavar="MODEL",
-        type=Path,
+        type=file_here,
     ),
     option(
         "--max-size",
@@ -105,13 +98,13 @@ _OPTIONS = (
         metavar="SIZE",
         type=file_size,
     ),
-    option("--rest", "the undeformed model, of the same topology as INPUT", metavar="MESH", type=Path),
+    option("--rest", "the undeformed model, of the same topology as INPUT", metavar="MESH", type=file_here),
     *SHAPE_OPTIONS,
     option(
         "--also",
         "another model that shares the texture; any number of times",
         metavar="MODEL",
-        type=Path,
+        type=file_here,
         action="append",
     ),
     option("--bounds", "where a surface that is a function lies: x0,y0,z0,x1,y1,z1", metavar="BOX", type=box),
@@ -161,13 +154,13 @@ _OPTIONS = (
         "--transfer",
         "take all channels that another model has where its surface is nearest",
         metavar="MODEL",
-        type=Path,
+        type=file_here,
     ),
     option(
         "--cloud",
         "take colours from points (.ply, .xyz, .npz): the nearest, or the mean of those in --radius",
         metavar="POINTS",
-        type=Path,
+        type=file_here,
     ),
     option("--radius", "how far points of --cloud count, in the model's units", metavar="R", type=length),
     option(
@@ -219,7 +212,7 @@ _OPTIONS = (
         "--combine",
         "of a texture: lay another .octex file of the same root cell over it",
         metavar="FILE",
-        type=Path,
+        type=texture_file,
     ),
     option(
         "--mix",
@@ -234,7 +227,7 @@ _OPTIONS = (
         metavar="BLACK,WHITE[,GAMMA]",
         type=levels,
     ),
-    option("--preview", "draw the model beside the model from its octree", metavar="PNG", type=Path),
+    option("--preview", "draw the model beside the model from its octree", metavar="PNG", type=output_file),
     *VIEW_OPTIONS,
     *RUNNING,
     option(
@@ -243,7 +236,7 @@ _OPTIONS = (
         "The exit code is 0 whether they differ or not",
         metavar=("A", "B"),
         nargs=2,
-        type=Path,
+        type=texture_file,
     ),
     option(
         "--points",
@@ -256,7 +249,7 @@ _OPTIONS = (
         "say which parts of a model intersect, or come nearer to each other than --margin. The exit "
         "code is 0 whether some do or not",
         metavar="MODEL",
-        type=Path,
+        type=file_here,
     ),
     option(
         "--margin",
@@ -265,13 +258,16 @@ _OPTIONS = (
         type=length,
     ),
     option(
-        "--info", "say what an .octex or .octz file or a folder of --parts holds", metavar="FILE", type=Path
+        "--info",
+        "say what an .octex or .octz file or a folder of --parts holds",
+        metavar="FILE",
+        type=texture_file,
     ),
     option(
         "--validate",
         "check that an .octex or .octz file, or each in a folder of --parts, is sound, or say what is broken",
         metavar="FILE",
-        type=Path,
+        type=texture_file,
     ),
     option("--warm-up", "compile everything now; later runs start at once", action="store_true"),
 )
@@ -382,11 +378,11 @@ COMMANDS = {
     "edit": Command(
         "Make a texture from a texture; what is asked for is done in the order listed here.",
         [
-            option("INPUT", "an .octex file", metavar="TEXTURE", type=Path),
+            option("INPUT", "an .octex file", metavar="TEXTURE", type=texture_file),
             option(
                 "OUTPUT",
                 "NAME.octex, NAME.octz, a coloured point a leaf: NAME.ply, or NAME.npz; NAME.html",
-                type=Path,
+                type=output_file,
             ),
         ],
         _those(

@@ -9,9 +9,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from octex.cli.addresses import TEXTURE_ENDINGS
 from octex.cli.common import Reporter, check_outputs, say
 from octex.cli.inspect import triple
-from octex.cli.models import TEXTURE_ENDINGS, input_files, open_sound, read_model
+from octex.cli.models import input_files, open_sound, read_model
 from octex.errors import ArgumentError, ExitCode
 
 if TYPE_CHECKING:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import octex
+from octex.cli.addresses import Address
 from octex.cli.common import say
 from octex.cli.sets import INDEX, set_text
 from octex.errors import ExitCode, TextureFileError
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from octex.texture import OctreeTexture, TextureSet
 
 
-def info(path: Path, as_json: bool) -> int:
+def info(path: Path | Address, as_json: bool) -> int:
     """Say what a texture, or a set, holds."""
     information = _opened(path).info()
     lines = set_text if "parts" in information else _readable
@@ -26,8 +27,8 @@ def info(path: Path, as_json: bool) -> int:
     return ExitCode.DONE
 
 
-def _opened(path: Path) -> OctreeTexture | TextureSet:
-    return octex.TextureSet.open(path) if path.is_dir() else octex.open(path)
+def _opened(path: Path | Address) -> OctreeTexture | TextureSet:
+    return octex.TextureSet.open(path) if path.is_dir() else octex.open(str(path))
 
 
 def _readable(information: dict[str, Any]) -> Iterator[str]:
@@ -79,10 +80,15 @@ def triple(numbers: Sequence[float]) -> str:
     return "(" + ", ".join(f"{number:.6g}" for number in numbers) + ")"
 
 
-def validate(path: Path, as_json: bool, quiet: bool) -> int:
+def validate(path: Path | Address, as_json: bool, quiet: bool) -> int:
     """Say whether a texture, or each of a set, is sound, or what is broken."""
-    with open_file(path / INDEX if path.is_dir() else path):  # what cannot be read is not broken
-        pass
+    if isinstance(path, Address):  # what cannot be read is not broken
+        from octex.remote import RemoteFile
+
+        RemoteFile(str(path))
+    else:
+        with open_file(path / INDEX if path.is_dir() else path):
+            pass
     broken = None
     try:
         _opened(path).validate()

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import octex
+from octex.cli.addresses import TEXTURE_ENDINGS, Address
 from octex.cli.arguments import STRETCH
 from octex.cli.functions import FunctionName, function_name, load_function
 from octex.cli.shape_options import check_shape, shaped_model
@@ -17,9 +18,6 @@ if TYPE_CHECKING:
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
-TEXTURE_ENDING = ".octex"
-ARCHIVE_ENDING = ".octz"
-TEXTURE_ENDINGS = TEXTURE_ENDING, ARCHIVE_ENDING
 PTEX_ENDING = ".ptx"
 DEFAULT_FILTER = "ewa"
 DEFAULT_CHANNEL = "base_color"  # what is painted
@@ -111,9 +109,11 @@ def _elsewhere(options: argparse.Namespace) -> dict[str, object]:
     return {}
 
 
-def kind_of(path: Path) -> str:
+def kind_of(path: Path | Address) -> str:
     """Return what a file holds: "texture", "cloud" for points without a surface, "voxels" or "model"."""
     ending = path.suffix.lower()
+    if isinstance(path, Address) or ending in TEXTURE_ENDINGS:
+        return "texture"
     if ending in (".ply", ".xyz", ".npz", ".vxz"):  # else it is known without an import
         from octex.source.cloud import is_cloud
         from octex.source.voxels import is_voxels
@@ -121,7 +121,7 @@ def kind_of(path: Path) -> str:
         if is_voxels(path):
             return "voxels"
         return "cloud" if is_cloud(path) else "model"
-    return "texture" if ending in TEXTURE_ENDINGS else "model"
+    return "model"
 
 
 def input_files(options: argparse.Namespace) -> list[Path]:
@@ -209,9 +209,9 @@ def read_posed(options: argparse.Namespace) -> Surface:
     return surface
 
 
-def open_sound(path: Path) -> OctreeTexture:
+def open_sound(path: Path | Address) -> OctreeTexture:
     """Open a texture whose content is proved; raises TextureFileError that names what is broken."""
-    texture = octex.open(path)
+    texture = octex.open(str(path))
     texture.validate()
     return texture
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import octex
 from octex.ahead import ahead
+from octex.cli.addresses import TEXTURE_ENDING
 from octex.cli.common import (
     Reporter,
     bytes_text,
@@ -25,7 +26,6 @@ from octex.cli.common import (
 from octex.cli.layers import begun, channel_of, entries_of, merged, projected, refined, with_entries
 from octex.cli.models import (
     DEFAULT_CHANNEL,
-    TEXTURE_ENDING,
     new_texture,
     only,
     open_sound,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
+from octex.cli.addresses import TEXTURE_ENDING, file_here, output_file, texture_file
 from octex.cli.arguments import (
     BLENDS,
     angle,
@@ -22,7 +22,7 @@ from octex.cli.arguments import (
     pixels,
     whole_number,
 )
-from octex.cli.models import DEFAULT_CHANNEL, TEXTURE_ENDING
+from octex.cli.models import DEFAULT_CHANNEL
 from octex.cli.parser import RUNNING, Command, option, words_given
 from octex.cli.shape_options import SHAPE_OPTIONS, SHAPE_WORDS, check_subdivision
 from octex.cli.view import DEFAULT_SIZE
@@ -30,19 +30,19 @@ from octex.cli.view_options import VIEW_OPTIONS, VIEW_WORDS, check_view_options
 from octex.errors import ArgumentError
 
 _OPTIONS = (
-    option("MODEL", "the model, posed as the cameras see it", nargs="?", type=Path),
+    option("MODEL", "the model, posed as the cameras see it", nargs="?", type=file_here),
     option(
         "TEXTURE",
         "its texture, .octex; if it is left out, or not there, a new one is begun",
         nargs="?",
-        type=Path,
+        type=texture_file,
     ),
     option(
         "IMAGE",
         "pictures, whose frames are found by their file names, or IMAGE=FRAME (default: those that FILE "
         "names)",
         nargs="*",
-        type=Path,
+        type=file_here,
     ),
     option(
         "--camera",
@@ -62,13 +62,13 @@ _OPTIONS = (
         "with --unwrap: lay it out so that angles change least; opens ears and limbs, which fold otherwise",
         action="store_true",
     ),
-    option("--out", "the painted texture, .octex; with --force also TEXTURE", metavar="NEW", type=Path),
+    option("--out", "the painted texture; with --force also TEXTURE", metavar="NEW", type=output_file),
     option(
         "--mask",
         "white where paint goes: one for all, or one for each IMAGE in order; any number of times",
         metavar="PNG",
         action="append",
-        type=Path,
+        type=file_here,
     ),
     option(
         "--masks",
@@ -87,7 +87,7 @@ _OPTIONS = (
         "the picture before it was drawn on: only pixels that differ are painted (default: the view that "
         "--camera-out keeps)",
         metavar="PNG",
-        type=Path,
+        type=file_here,
     ),
     option("--whole", "paint all of a view, not only what was drawn on it", action="store_true"),
     option("--blend", f"how paint is put: {', '.join(BLENDS)} (default over)", metavar="MODE", type=blend),
@@ -131,14 +131,14 @@ _OPTIONS = (
         "the picture that --balance leaves as light as it is, and --refine-cameras where it is (default: the "
         "median gain is 1, and the camera that shares most stays)",
         metavar="IMAGE",
-        type=Path,
+        type=file_here,
     ),
     option(
         "--refine-cameras",
         "turn, move and zoom the cameras a little, by which overlapping pictures agree best",
         action="store_true",
     ),
-    option("--save-cameras", "keep the refined cameras, for --camera", metavar="JSON", type=Path),
+    option("--save-cameras", "keep the refined cameras, for --camera", metavar="JSON", type=output_file),
     option("--back-faces", "paint also what faces away", action="store_true"),
     option(
         "--holes",
@@ -165,31 +165,33 @@ _OPTIONS = (
         metavar="COLOUR",
         type=color,
     ),
-    option("--rest", "the undeformed model, of the same topology as MODEL", metavar="MESH", type=Path),
+    option("--rest", "the undeformed model, of the same topology as MODEL", metavar="MESH", type=file_here),
     *SHAPE_OPTIONS,
-    option("--preview", "draw the model beside the model from its octree", metavar="PNG", type=Path),
-    option("--layer-out", "keep the paint itself, .octex, for --layer", metavar="LAYER", type=Path),
+    option("--preview", "draw the model beside the model from its octree", metavar="PNG", type=output_file),
+    option("--layer-out", "keep the paint itself, .octex, for --layer", metavar="LAYER", type=output_file),
     option(
         "--layer",
         "merge paint kept before; any number of times, in this order",
         metavar="LAYER",
         action="append",
-        type=Path,
+        type=file_here,
     ),
     option(
         "--view",
         "draw what the camera sees, unlit and as transparent as the texture, to be painted on and sent "
         "back; --blend replace then leaves transparency as it is, over adds to what is translucent",
         metavar="PNG",
-        type=Path,
+        type=output_file,
     ),
     option(
         "--empty-layer",
         "beside that picture, a transparent one of its size: what is painted on it is all that is painted",
         metavar="PNG",
-        type=Path,
+        type=output_file,
     ),
-    option("--camera-out", "the camera of that picture, .json, for --camera", metavar="CAMERA", type=Path),
+    option(
+        "--camera-out", "the camera of that picture, .json, for --camera", metavar="CAMERA", type=output_file
+    ),
     option(
         "--size",
         f"pixels of that picture (default: the camera's, or {DEFAULT_SIZE[0]},{DEFAULT_SIZE[1]})",

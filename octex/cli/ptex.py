@@ -7,8 +7,9 @@ import json
 import time
 
 import octex
+from octex.cli.addresses import TEXTURE_ENDING, TEXTURE_ENDINGS
 from octex.cli.common import Reporter, bytes_text, check_outputs, say
-from octex.cli.models import PTEX_ENDING, TEXTURE_ENDING, TEXTURE_ENDINGS, open_sound
+from octex.cli.models import PTEX_ENDING, open_sound
 from octex.cli.shape_options import shaped_model
 from octex.errors import ArgumentError, ExitCode
 

@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import octex
+from octex.cli.addresses import TEXTURE_ENDING
 from octex.cli.common import Reporter, bytes_text, say
 from octex.cli.convert_options import check_input
-from octex.cli.models import TEXTURE_ENDING, kind_of, read_model, settings_of
+from octex.cli.models import kind_of, read_model, settings_of
 from octex.errors import ArgumentError, ExitCode, OutputError
 
 INDEX = "set.json"  # as octex.texture.folder.INDEX

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import octex
+from octex.cli.addresses import TEXTURE_ENDING, TEXTURE_ENDINGS, file_here, texture_file
 from octex.cli.arguments import port_number, whole_number
 from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
-from octex.cli.models import TEXTURE_ENDING, TEXTURE_ENDINGS, kind_of, open_sound
+from octex.cli.models import kind_of, open_sound
 from octex.cli.parser import RUNNING, Command, Parser, option, words_given
 from octex.cli.shape_options import SHAPE_OPTIONS, SHAPE_WORDS, check_subdivision, shaped_model
 from octex.errors import ArgumentError, ExitCode, OctexError
@@ -31,7 +32,9 @@ VIEW = Command(
     "Show a texture on its model in the browser, until the page is closed or Ctrl-C.",
     [
         option(
-            "TEXTURE", "an .octex file, a folder of --parts, or a model, which is converted first", type=Path
+            "TEXTURE",
+            "an .octex file, a folder of --parts, or a model, which is converted first",
+            type=texture_file,
         )
     ],
     [
@@ -39,10 +42,10 @@ VIEW = Command(
             "--mesh",
             "the model that it is a texture of; without it, the cells are shown",
             metavar="MODEL",
-            type=Path,
+            type=file_here,
         ),
         option("--part", "the part of a folder that is shown (default: that of most leaves)", metavar="NAME"),
-        option("--rest", "the undeformed model, of the same topology", metavar="MODEL", type=Path),
+        option("--rest", "the undeformed model, of the same topology", metavar="MODEL", type=file_here),
         *SHAPE_OPTIONS,
         option(
             "--depth",

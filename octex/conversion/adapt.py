@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from octex.arrays import Bools, Float32s, Int64s, Uint8s
 from octex.channels import decode
+from octex.conversion import large
 from octex.conversion.distances import Looked, coverage_of, far_samples, near_alone
 from octex.conversion.measure import ErrorColumns, encoded
 from octex.conversion.nearness import Decoded, far_cells
@@ -36,6 +37,8 @@ Judge: TypeAlias = Callable[[Int64s], npt.NDArray[np.uint8 | np.bool_]]
 
 #: Finest cells or samples that are tested at once.
 _BLOCK = 1 << 14
+#: Cells whose means are decoded at once.
+_ROWS = 1 << 20
 #: What the fields are rounded by at most, in codes.
 _ROUNDING = 1 / 16
 #: Leaves that fail are split by a level; by one more after each so many rounds, since neighbours may fail in
@@ -128,7 +131,7 @@ class _Merger:
         self._whole = prune(finest, limits)
         self._full = self._looked(self._whole)
         #: (samples, columns)   the full tree's field, and (samples,) by how much it counts
-        self._wanted = self._codes(self._full, np.arange(samples.places.shape[0]))
+        self._wanted = self._codes(self._full)
         self._coverage = coverage_of(self._wanted, samples.channels)
 
     def merged(self, fit: Fit | None) -> tuple[Octree, dict[str, Channel]]:
@@ -174,10 +177,8 @@ class _Merger:
         if not may.any():
             return
         rows = slice(*finest.tree.arrays.level_cells[level : level + 2])
-        own = [self._means[form.name] for form in samples.channels]
-        values = np.concatenate([decode(each.values[rows], each.format.space) for each in own], axis=1)
         starts = np.append(samples.firsts[firsts], samples.firsts[-1])
-        task = encoded(values, self._columns), self._wanted, starts, self._coverage
+        task = self._own_codes(rows), self._wanted, starts, self._coverage
         near = near_alone(*task, self._columns.alpha, self._most, may)
         may &= ~near
         # What is small, finer levels have seen: one of the finest cells in each child will do, and most nodes
@@ -189,6 +190,16 @@ class _Merger:
             failing = self._far(looked, chosen & finest.spread(level, may))
             may &= ~np.logical_or.reduceat(failing, firsts)
         depths[finest.spread(level, near | may)] = level
+
+    def _own_codes(self, cells: slice) -> Float32s:
+        """Return the means of some cells in codes (n, columns)."""
+        own = [self._means[form.name] for form in self._samples.channels]
+        parts = []
+        for begin in range(cells.start, cells.stop, _ROWS):
+            some = slice(begin, min(begin + _ROWS, cells.stop))
+            values = [decode(each.values[some], each.format.space) for each in own]
+            parts.append(encoded(np.concatenate(values, axis=1), self._columns))
+        return large.joined(parts)
 
     def _settle(self, depths: Uint8s) -> None:
         """Split merged leaves until the field is near everywhere, looked up with normals too.
@@ -264,11 +275,15 @@ class _Merger:
         """Return what is looked up of a pruned tree."""
         return Looked.of(pruned.tree, pruned.carried(self._known), self._samples.channels)
 
-    def _codes(self, looked: Looked, rows: Int64s) -> Float32s:
-        """Return what is looked up at samples (n,), in codes (n, columns)."""
-        blocks = [rows[begin : begin + _BLOCK] for begin in range(0, rows.size, _BLOCK)]
+    def _codes(self, looked: Looked) -> Float32s:
+        """Return what is looked up at all samples (n,), in codes (n, columns)."""
+        runs = _Runs(self._samples.places.shape[0])
         work = partial(looked.codes, self._samples, columns=self._columns)
-        return np.concatenate(list(self._mapped(work, blocks)))
+        width = self._columns.kinds.size + int((self._columns.vectors >= 0).sum())
+        found: Float32s = large.empty((runs.size, width), np.float32)
+        for number, codes in enumerate(self._mapped(work, runs)):
+            found[number * _BLOCK :][: len(codes)] = codes
+        return found
 
     def _far(self, looked: Looked, chosen: Bools) -> Bools:
         """Say in which of the chosen finest cells what is looked up at samples is too far off."""
@@ -292,6 +307,21 @@ class _Merger:
 
     def _mapped(self, work: Callable[[Int64s], Any], blocks: Sequence[Int64s]) -> Iterable[Any]:
         return map(work, blocks) if self._executor is None else ordered_map(self._executor, work, blocks)
+
+
+class _Runs(Sequence[Int64s]):
+    """The numbers from 0 on, in blocks."""
+
+    def __init__(self, count: int) -> None:
+        self.size = count
+
+    def __len__(self) -> int:
+        return -(-self.size // _BLOCK)
+
+    def __getitem__(self, number: Any) -> Any:
+        if number >= len(self):
+            raise IndexError(number)
+        return np.arange(number * _BLOCK, min((number + 1) * _BLOCK, self.size))
 
 
 _OFFSETS = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), axis=-1).reshape(-1, 3)

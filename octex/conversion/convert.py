@@ -117,8 +117,8 @@ def convert(
     file meanwhile, of whose pages the system keeps what memory has room for; the surface, its images and some
     bytes a cell stay in memory: see `octex help files`. With an ``executor`` it lies there always, and is
     passed to workers and back as names of files: they must see the folder under the same name, and a worker
-    that is lost is done without. The texture is the same, bit for bit. Neither goes with ``max_error``,
-    ``detail``, or sources with gaps.
+    that is lost is done without. The texture is the same, bit for bit. Neither goes with sources with gaps;
+    ``max_error`` and ``detail`` go with ``memory`` alone, and some 90 bytes a finest cell then stay there.
 
     Points know only ``depth``, ``cell``, ``channels``, ``dtype`` and ``progress``; voxels of these neither
     ``depth`` nor ``cell``.
@@ -186,15 +186,19 @@ def convert(
         pool = stack.enter_context(workers(threads, executor))
         if target is not None and is_mapped:
             source = surface.source
-            if most is not None or detail is not None or source.has_gaps or source.alpha_is_coverage:
+            is_here = executor is None or isinstance(executor, ThreadPoolExecutor)
+            if source.has_gaps or source.alpha_is_coverage:
                 raise ArgumentError(
-                    f"{surface.name}: max_error, detail and sources with gaps need all of it in memory; "
-                    "leave out memory, and path if there is an executor"
+                    f"{surface.name}: sources with gaps need all of it in memory; leave out memory, and path "
+                    "if there is an executor"
+                )
+            if not is_here and (most is not None or detail is not None):
+                raise ArgumentError(
+                    f"{surface.name}: max_error and detail need all of it on one machine; leave out path or "
+                    "the executor"
                 )
             folder = stack.enter_context(large.scratch(target.parent))
-            pool = large.Tasks(
-                pool, folder, is_here=executor is None or isinstance(executor, ThreadPoolExecutor)
-            )
+            pool = large.Tasks(pool, folder, is_here=is_here)
         filled = cell_levels(
             surface, stored, placement, depth, pool, report, has_samples=has_samples, wanted=wanted
         )

@@ -9,6 +9,7 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Int64s
 from octex.channels import ALPHA, ChannelFormat
+from octex.conversion import large
 from octex.conversion.measure import ErrorColumns, encoded
 from octex.conversion.samples import Samples, sample_points
 from octex.field.field import Field
@@ -51,7 +52,9 @@ def coverage_of(codes: Float32s, forms: Sequence[ChannelFormat]) -> Float32s:
     first = 0
     for form in forms:
         if form.name == ALPHA.name and form.components == 1:
-            return np.ascontiguousarray(codes[:, first]) * np.float32(1 / 255)
+            found: Float32s = large.empty(len(codes), np.float32)
+            np.multiply(codes[:, first], np.float32(1 / 255), out=found)
+            return found
         first += form.components
     return codes[:0, 0].copy()
 

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Array
+from octex.arrays import Array, Int64s
 from octex.errors import ArgumentError, OctexError, OutputError
 from octex.files import scratch_folder
 
@@ -35,6 +35,8 @@ from octex.files import scratch_folder
 _ATTEMPTS = 3
 #: A file of what was pickled: the arrays; the pickle; where they are, pickled; and where that is, in 8 bytes.
 _ALIGNED = 64
+#: Rows that are taken at once.
+_ROWS = 1 << 20
 #: Errors of a folder that is full, or cannot be written to.
 _NO_PLACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM}
 
@@ -137,6 +139,17 @@ def joined(arrays: Sequence[Array]) -> Array:
     for array in arrays:
         found[begin : begin + len(array)] = array
         begin += len(array)
+    return found
+
+
+def taken(array: Array, rows: Int64s) -> Array:
+    """Return some rows of an array."""
+    if _current.get() is None:
+        return array[rows]
+    found = empty((rows.size, *array.shape[1:]), array.dtype)
+    for begin in range(0, rows.size, _ROWS):
+        some = slice(begin, begin + _ROWS)
+        found[some] = array[rows[some]]
     return found
 
 

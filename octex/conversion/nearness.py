@@ -11,8 +11,9 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int8s, Int64s, Uint16s
-from octex.channels import ChannelFormat, decode
+from octex.arrays import Array, Bools, Float32s, Float64s, Int8s, Int64s, Uint16s
+from octex.channels import ChannelFormat, ColorSpace, decode
+from octex.conversion import large
 from octex.conversion.coefficients import (
     Coefficients,
     Windows,
@@ -36,6 +37,8 @@ from octex.tree.morton import decode as decode_cell
 #: A finest cell, and its level.
 Place: TypeAlias = tuple[int, int, int, int]
 _ZERO = np.float32(0)
+#: Rows that are decoded at once.
+_BLOCK = 1 << 18
 #: Cosine from which on lookups take what faces so in full (see `field.taps`), and what it is rounded by.
 _FULL = 0.52
 #: How many codes more fields may be apart between samples than at them. In random trials (60,000 points each,
@@ -54,29 +57,30 @@ class Decoded(NamedTuple):
     def of(cls, channels: Mapping[str, Channel], forms: Sequence[ChannelFormat]) -> Decoded:
         """Decode the channels of some formats."""
         given = [channels[form.name] for form in forms]
-        values, split_values = (
-            _side_by_side(
-                [decode(each, channel.format.space) for each, channel in zip(arrays, given, strict=True)]
-            )
-            for arrays in ([each.values for each in given], [each.split_values for each in given])
-        )
+        spaces = [channel.format.space for channel in given]
+        values = _side_by_side([channel.values for channel in given], spaces)
+        split_values = _side_by_side([channel.split_values for channel in given], spaces)
         return cls(values, split_values, ErrorColumns.of(forms))
 
     def pruned(self, pruned: Pruned) -> Coefficients:
         """Return the field of a tree with some nodes as leaves."""
         tree = pruned.tree
-        rows = np.concatenate([self.values[pruned.cells], self.split_values[pruned.split_rows]])
+        taken = large.taken(self.values, pruned.cells)
+        rows = large.joined([taken, self.split_values[pruned.split_rows]])
         kinds, _, alpha, _ = self.columns
         return Coefficients(
             tree.arrays, facings_of(tree).rows, tree.n_cells, rows.reshape(-1, 4), kinds.size, alpha
         )
 
 
-def _side_by_side(columns: Sequence[Float32s]) -> Float32s:
-    """Return columns with a one after them, and zeros up to whole vectors."""
+def _side_by_side(columns: Sequence[Array], spaces: Sequence[ColorSpace]) -> Float32s:
+    """Return columns decoded, with a one after them, and zeros up to whole vectors."""
     components = sum(each.shape[1] for each in columns)
-    rows = np.zeros((len(columns[0]), (components + 4) // 4 * 4), np.float32)
-    np.concatenate(columns, axis=1, out=rows[:, :components])
+    rows = large.zeros((len(columns[0]), (components + 4) // 4 * 4), np.float32)
+    for begin in range(0, len(rows), _BLOCK):
+        some = slice(begin, begin + _BLOCK)
+        given = [decode(each[some], space) for each, space in zip(columns, spaces, strict=True)]
+        np.concatenate(given, axis=1, out=rows[some, :components])
     rows[:, components] = 1.0
     return rows
 

@@ -12,6 +12,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from octex.arrays import Bools, Int64s, Uint8s
+from octex.conversion import large
 from octex.jit import kernel, new_array
 from octex.texture.channel import Channel
 from octex.tree.layout import SPLIT
@@ -31,14 +32,14 @@ class Finest(NamedTuple):
     @classmethod
     def of(cls, tree: Octree) -> Finest:
         """List the finest cells below each cell of a tree whose leaves are all of one level."""
-        codes = tree.level_codes(tree.max_depth)
+        codes = large.copied(tree.level_codes(tree.max_depth))
         firsts: list[Int64s] = []
         above = codes
         for _ in range(tree.max_depth):
             above = above >> 3
             starts = np.flatnonzero(np.diff(above, prepend=-1))
             above = above[starts]
-            firsts.append(firsts[-1][starts] if firsts else starts)
+            firsts.append(large.copied(firsts[-1][starts] if firsts else starts))
         return cls(tree, codes, firsts[::-1])
 
     def first(self, level: int) -> Int64s | slice:
@@ -78,7 +79,8 @@ class Pruned(NamedTuple):
         """Return the values of the full tree's channels in this tree."""
         return {
             name: channel._replace(
-                values=channel.values[self.cells], split_values=channel.split_values[self.split_rows]
+                values=large.taken(channel.values, self.cells),
+                split_values=channel.split_values[self.split_rows],
             )
             for name, channel in channels.items()
         }
@@ -95,11 +97,11 @@ def prune(finest: Finest, depths: Uint8s) -> Pruned:
         stored = np.flatnonzero(depths_there >= level)
         cells.append(stored + first)
         leaves.append(depths_there[stored] == level)
-    numbers = np.concatenate(cells)
+    numbers = large.joined(cells)
     places = np.minimum(np.searchsorted(numbers, tree.split.cells), numbers.size - 1)
     split, rows = taken(tree.split, np.where(numbers[places] == tree.split.cells, places, -1))
     pruned = Octree.from_leaves(codes, depths[starts])
-    pruned = pruned.with_cell_data(full.flags[numbers], full.areas[numbers], split)
+    pruned = pruned.with_cell_data(large.taken(full.flags, numbers), large.taken(full.areas, numbers), split)
     return Pruned(pruned, numbers, np.concatenate(leaves), starts, rows, depths.size)
 
 
@@ -116,7 +118,7 @@ def grafted(
     split = grown.split._replace(cells=pruned.cells[grown.split.cells].astype(np.uint32))
     made = {}
     for name, channel in channels.items():
-        found = channel.values.copy()
+        found = large.copied(channel.values)
         found[pruned.cells[pruned.leaves]] = values[name].values[pruned.leaves]
         made[name] = channel._replace(values=found, split_values=values[name].split_values)
     return tree.with_cell_data(flags, tree.arrays.areas, split), made

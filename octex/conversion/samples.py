@@ -64,10 +64,10 @@ class Samples(NamedTuple):
         return self._replace(
             codes=self.codes[cells],
             firsts=np.concatenate([[0], np.cumsum(np.diff(self.firsts)[cells])]),
-            places=self.places[rows],
-            normals=self.normals[rows],
-            shares=self.shares[rows],
-            values=self.values[rows],
+            places=large.taken(self.places, rows),
+            normals=large.taken(self.normals, rows),
+            shares=large.taken(self.shares, rows),
+            values=large.taken(self.values, rows),
         )
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Floats, Int32s, Int64s, Uint8s, Uint32s
+from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s, Uint8s, Uint32s
 from octex.channels import ColorSpace, decode
 from octex.field.bricks import Asked, Values, look_up_crowded, new_bricks
 from octex.field.field import Field, Finder
@@ -19,6 +19,8 @@ from octex.field.taps import BLOCK, Facings, Taps, leave_mixed, place_points, we
 from octex.field.tiled import Search, Weighed, add_tiled, look_up_tiled
 from octex.field.tiles import Tiles
 from octex.field.windows import new_walk
+from octex.tree.morton import encode_cells
+from octex.tree.octree import distinct
 from octex.tree.order import order_of
 from octex.tree.placement import Placement
 
@@ -31,6 +33,7 @@ _NO_TABLE = np.empty(0, np.float32)
 _NO_VECTORS = np.empty((0, 3), np.float32)
 _NO_BYTES = np.empty(0, np.uint8)
 _NO_NUMBERS = np.empty(0, np.int64)
+_NO_ROWS = np.empty(0, np.uint32)
 #: What `look_up_tiled` returns where tiles have all points.
 _ALL_FOUND = 0, 0, -1
 _NO_FACINGS = Facings(_NO_BYTES, np.empty(0, np.uint32), np.empty(0, np.uint32))
@@ -502,14 +505,29 @@ def list_blends(
     return task.footprints_listed(points, query.footprints)
 
 
-def rows_read(
-    field: Field, placement: Placement, points: Floats, query: Query, channel: ChannelRows
-) -> tuple[dict[int, Uint32s], int]:
-    """Return the rows that `lookups.look_up` reads of a channel, each once, by the level looked at.
+class Reads(NamedTuple):
+    """What lookups of a channel read at a level."""
 
-    Also the first row of points that is not finite, or −1.
+    rows: Uint32s  # (n,)   each once
+    cells: Int64s  # (m,)   the Morton codes of those that hold the looks' points, ascending
+
+
+def reads_of(
+    field: Field,
+    placement: Placement,
+    points: Floats,
+    query: Query,
+    channel: ChannelRows,
+    *,
+    cells_alone: bool = False,
+) -> tuple[dict[int, Reads], int]:
+    """Return what `lookups.look_up` reads of a channel, by the level looked at.
+
+    With ``cells_alone`` no rows, and only the cells that no content of the tree changes. Returns also the
+    first row of points that is not finite, or −1.
     """
-    return _Listing(field, placement, query, [channel], None, [], []).rows_by_level(points)
+    listing = _Listing(field, placement, query, [channel], None, [], [])
+    return listing.cells(points) if cells_alone else listing.reads(points)
 
 
 class _Listing(_Lookup):
@@ -571,10 +589,10 @@ class _Listing(_Lookup):
             weights.append(part.astype(np.float32))
         return _join_parts(counts, rows, weights), -1
 
-    def rows_by_level(self, points: Floats) -> tuple[dict[int, Uint32s], int]:
-        """List the rows that are read, each once."""
+    def reads(self, points: Floats) -> tuple[dict[int, Reads], int]:
+        """List what is read at each level."""
         depth, code = self._field.tree.max_depth, FILTERS.index(self._query.filter)
-        found: dict[int, list[Uint32s]] = {}
+        found: dict[int, list[Reads]] = {}
         if self._query.footprints is None:
             for begin in range(0, len(points), BLOCK):
                 some = slice(begin, begin + BLOCK)
@@ -582,15 +600,37 @@ class _Listing(_Lookup):
                 taps, fault = self._weighed_taps(self._field, points[some], normals)
                 if fault >= 0:
                     return {}, begin + fault
-                found.setdefault(depth, []).append(np.unique(taps.rows[_each_tap(taps)[1]]))
+                found.setdefault(depth, []).append(self._read(taps, depth))
         else:
             is_finite = np.isfinite(points).all(axis=1)
             if not is_finite.all():
                 return {}, int(np.argmin(is_finite))
             for run, by_level in spread(points, self._query.footprints, self._placement.size, depth, code):
                 for level, taps, _, _ in self._looks(run, by_level):
-                    found.setdefault(level, []).append(np.unique(taps.rows[_each_tap(taps)[1]]))
-        return {level: np.unique(np.concatenate(rows)) for level, rows in found.items()}, -1
+                    found.setdefault(level, []).append(self._read(taps, level))
+        return _joined_reads(found), -1
+
+    def cells(self, points: Floats) -> tuple[dict[int, Reads], int]:
+        """List the cells that hold points that are looked at, at each level, whatever is stored."""
+        depth, code = self._field.tree.max_depth, FILTERS.index(self._query.filter)
+        places = np.empty((len(points), 3))
+        fault = place_points(points, *self._placement, places)
+        if fault >= 0:
+            return {}, fault
+        if self._query.footprints is None:
+            return {depth: Reads(_NO_ROWS, _cells_at(places, depth))}, -1
+        found: dict[int, list[Reads]] = {}
+        for _, by_level in spread(points, self._query.footprints, self._placement.size, depth, code):
+            for level, looks in by_level.items():
+                places = np.empty((len(looks.points), 3))
+                place_points(looks.points, *self._placement, places)
+                found.setdefault(level, []).append(Reads(_NO_ROWS, _cells_at(places, level)))
+        return _joined_reads(found), -1
+
+    def _read(self, taps: Taps, level: int) -> Reads:
+        """Return what the taps of the latest block of points read, and which cells hold these."""
+        places = self._places[: taps.starts.size]
+        return Reads(np.unique(taps.rows[_each_tap(taps)[1]]), _cells_at(places, level))
 
     def _looks(self, run: slice, by_level: dict[int, Probes]) -> Iterator[tuple[int, Taps, Int32s, Float32s]]:
         """Yield the level, the taps, the owners and the shares of the looks of a run, in blocks."""
@@ -609,6 +649,23 @@ class _Listing(_Lookup):
         """Let taps weigh as the channel's do."""
         for _ in self._each_weighed(taps, False, always=always):
             pass
+
+
+def _cells_at(places: Float64s, level: int) -> Int64s:
+    """Return the Morton codes of the cells of a level that hold points of texture space, ascending."""
+    side = 1 << level
+    return distinct(encode_cells(np.minimum((places * side).astype(np.int64), side - 1)))
+
+
+def _joined_reads(found: dict[int, list[Reads]]) -> dict[int, Reads]:
+    """Join what several blocks of points read, by level."""
+    return {
+        level: Reads(
+            np.unique(np.concatenate([each.rows for each in parts])),
+            distinct(np.concatenate([each.cells for each in parts])),
+        )
+        for level, parts in found.items()
+    }
 
 
 def _each_tap(taps: Taps) -> tuple[Int64s, Int64s]:

@@ -70,10 +70,10 @@ class Lens(NamedTuple):
     """What is the same for all points of a lookup; see `OctreeTexture.sample`."""
 
     filter: str
-    anisotropy: float
-    blur: float
-    sharpness: float
-    bleed_threshold: float
+    anisotropy: float = ANISOTROPY
+    blur: float = 0.0
+    sharpness: float = 0.0
+    bleed_threshold: float = BLEED_THRESHOLD
 
     def given(
         self,

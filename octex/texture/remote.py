@@ -13,30 +13,37 @@ import numpy as np
 
 from octex import container
 from octex.archive.layout import MAGIC
-from octex.arrays import Array, Uint8s
+from octex.arrays import Array, Int64s, Uint8s
+from octex.checks import as_depth
 from octex.errors import InputError, TextureFileError
 from octex.field.field import Field
+from octex.field.tiles import can_be_tiled
 from octex.files import scratch_folder
 from octex.remote import BLOCK, RemoteFile
 from octex.texture.channel import Channel
 from octex.texture.file import File, taken
+from octex.texture.lens import Lens, placed
+from octex.texture.spans import Spans, cells_of, nodes_read
 from octex.texture.texture import OctreeTexture, open_texture
 from octex.tree.layout import KeptTable, SplitTable, TreeArrays
-from octex.tree.octree import Octree
+from octex.tree.morton import encode_cells
+from octex.tree.octree import Octree, distinct
 
-#: What of a lookup says which bytes it reads.
-_VIEW = "width", "normals", "dPdx", "dPdy", "anisotropy", "blur", "sharpness", "bleed_threshold"
+#: Bytes that are fetched first: the header, and what says which cells there are down to some level.
+_FIRST = 1 << 14
+#: Rows of the split table that are fetched at least.
+_LEAST_SPLIT = 1 << 8
 
 Fetch = Callable[..., None]
 
 
 def open_remote(address: str, cache: Path | None = None) -> OctreeTexture:
-    """Open the file at an address, of which only the header is fetched; an archive is fetched whole.
+    """Open the file at an address, of which the header is fetched; an archive is fetched whole.
 
     Raises TextureFileError, OutputError and MissingExtraError: see RemoteFile.
     """
     remote = RemoteFile(address, cache)
-    remote.fetch(np.array([[0, min(4 * BLOCK, remote.size)]]))
+    remote.fetch(np.array([[0, min(_FIRST, remote.size)]]))
     if remote.mapping[: len(MAGIC)] == MAGIC:
         remote.fetch_all()
         with scratch_folder() as folder:
@@ -52,9 +59,8 @@ def open_remote(address: str, cache: Path | None = None) -> OctreeTexture:
     if length <= remote.size:
         remote.fetch(np.array([[0, length]]))
     contents = container.read_mapped(remote.mapping, address)
-    for name in ("tree/level_cells", "tree/level_nodes"):
-        if name in contents.tensors:
-            remote.fetch_rows(contents.tensors[name])
+    levels = [contents.tensors.get(f"tree/{name}") for name in ("level_cells", "level_nodes")]
+    remote.fetch_arrays(*(array for array in levels if array is not None))
     if not all(map(remote.holds, contents.tensors.values())):  # what is not aligned was copied
         remote.fetch_all()
         contents = container.read_mapped(remote.mapping, address)
@@ -64,23 +70,25 @@ def open_remote(address: str, cache: Path | None = None) -> OctreeTexture:
     except InputError as error:
         raise TextureFileError(f"{address}: {error}") from error
     partial._file = File(address, remote.mapping, tensors, metadata)
-    partial.fetch_rows = remote.fetch_rows
-    partial._field = _Field(partial.tree, remote.fetch_rows)
-    return RemoteTexture(partial, remote)
+    return RemoteTexture(partial.renewed(remote.fetch_arrays), remote)
 
 
 class RemoteTexture(OctreeTexture):
     """A texture whose file is elsewhere. Lookups fetch what they read; all else, what it asks for, whole."""
 
-    __slots__ = ("_channels", "_partial", "_remote", "_tree")
+    __slots__ = ("_channels", "_fetching", "_is_whole", "_partial", "_reached", "_remote", "_tree")
 
     def __init__(self, partial: _Partial, remote: RemoteFile) -> None:
         self._partial, self._remote = partial, remote
-        self._tree = _Tree(partial.tree, remote.fetch_rows)
+        self._fetching = RLock()
+        self._is_whole = remote.is_whole
+        self._reached: tuple[str, dict[int, Int64s]] = "", {}
+        self._tree = _Tree(partial.tree, remote.fetch_arrays)
         self._channels = MappingProxyType(
-            {name: _Channel.over(channel, remote.fetch_rows) for name, channel in partial.channels.items()}
+            {name: _Channel.over(channel, remote.fetch_arrays) for name, channel in partial.channels.items()}
         )
-        for name in ("placement", "bounds", "metadata", "_components", "_field", "_file", "_known_mixed",
+        self._field = Field(self._tree)
+        for name in ("placement", "bounds", "metadata", "_components", "_file", "_known_mixed",
                      "_known_plain", "_known_stored"):  # fmt: skip
             setattr(self, name, getattr(partial, name))
 
@@ -101,38 +109,45 @@ class RemoteTexture(OctreeTexture):
         self, points: Any, channel: Any = "base_color", filter: Any = "quadratic", **options: Any
     ) -> Any:
         """Look up the field; see `OctreeTexture.sample`."""
-        self._fetch_for(points, channel, filter, options)
-        return self._partial.sample(points, channel, filter, **options)
+        here = self._fetched_for(points, channel, filter, options)
+        return here.sample(points, channel, filter, **options)
 
     def taps(
         self, points: Any, channel: Any = "base_color", filter: Any = "quadratic", **options: Any
     ) -> Any:
         """List what ``sample`` blends; see `OctreeTexture.taps`."""
-        self._fetch_for(points, channel, filter, options)
-        return self._partial.taps(points, channel, filter, **options)
+        here = self._fetched_for(points, channel, filter, options)
+        return here.taps(points, channel, filter, **options)
 
     def blocks(
         self, points: Any, channel: Any = "base_color", filter: Any = "quadratic", **options: Any
     ) -> Any:
         """List the bytes that ``sample`` needs, which are fetched; see `OctreeTexture.blocks`."""
-        self._fetch_for(points, channel, filter, options)
-        return self._partial.blocks(points, channel, filter, **options)
+        here = self._fetched_for(points, channel, filter, options)
+        return here.blocks(points, channel, filter, **options)
 
     def contains(self, points: Any, **options: Any) -> Any:
         """Say which points leaves hold; see `OctreeTexture.contains`."""
-        self._partial.reach(self._tree.max_depth)
-        return self._partial.contains(points, **options)
+        (origin, size), (places, _) = self.placement, placed(points)
+        places = np.clip(np.nan_to_num((places - np.array(origin)) / size), 0.0, 1.0)
+        depth = self._tree.max_depth
+        cells = np.minimum((places * 2**depth).astype(np.int64), 2**depth - 1)
+        with self._fetching:
+            self._fetch_nodes({depth: distinct(encode_cells(cells))}, "nearest")
+            here = self._partial
+        return here.contains(points, **options)
 
     def level(self, level: int) -> OctreeTexture:
         """Return the texture of levels 0 … ``level``, which are fetched; see `OctreeTexture.level`."""
-        found = self._partial.level(level)
-        if found is self._partial:
+        if as_depth(level, "level") >= self._tree.max_depth:
             return self
-        for array in (*found.tree.arrays, *found.tree.split, *found.tree.kept):
-            self._remote.fetch_rows(array)
-        for channel in found.channels.values():
-            for array in channel[1:]:
-                self._remote.fetch_rows(array)
+        here = self._partial.tree.arrays
+        with self._fetching:
+            self._remote.fetch_arrays(here.groups[: -(-int(here.level_nodes[level]) // 8)])
+            self._partial = self._partial.renewed()
+        found = self._partial.level(level)
+        tree, values = found.tree, [array for channel in found.channels.values() for array in channel[1:]]
+        self._remote.fetch_arrays(*tree.arrays, *tree.split, *tree.kept, *values)
         return found
 
     def save(self, path: Any, *, max_error: int = 0) -> None:
@@ -153,51 +168,88 @@ class RemoteTexture(OctreeTexture):
         return self._partial.nbytes
 
     def _whole(self) -> OctreeTexture:
-        self._remote.fetch_all()
-        return self._partial
+        with self._fetching:
+            self._remote.fetch_all()
+            if not self._is_whole:
+                self._partial, self._is_whole = self._partial.renewed(), True
+            return self._partial
 
-    def _fetch_for(self, points: Any, channel: Any, filter: Any, options: dict[str, Any]) -> None:
-        """Fetch what a lookup reads: what says which cells there are first, then what these are said to hold.
+    def _fetched_for(self, points: Any, channel: Any, filter: Any, options: dict[str, Any]) -> OctreeTexture:
+        """Fetch what a lookup reads, and return the texture that answers it.
 
-        Normal flags say which rows of values are read, so it is listed again until nothing is missing.
+        What says which cells there are around the points comes first, level by level, then what these are
+        said to hold. Coarse cells that mix facings leave looks to finer ones: then around these, too.
         """
-        if self._remote.is_whole:
-            return
-        view = {name: options[name] for name in _VIEW if name in options}
-        if all(view.get(name) is None for name in ("width", "dPdx", "dPdy")):
-            self._partial.reach(self._tree.max_depth)
-        while self._remote.fetch(self._partial.blocks(points, channel, filter, block_size=BLOCK, **view)):
-            pass
+        lens = Lens(filter, **{name: options[name] for name in Lens._fields if name in options})
+        normals, width, dPdx, dPdy = (options.get(name) for name in ("normals", "width", "dPdx", "dPdy"))
+        given = lens.given(points, normals=normals, width=width, dPdx=dPdx, dPdy=dPdy)
+        with self._fetching, self._remote.checked_once():
+            is_first, is_tiled = True, can_be_tiled(self._partial.tree)
+            while not self._remote.is_whole:
+                if not lens.has_footprints(given) and ("normals" in given or not is_tiled):
+                    self._partial._field.level(self._tree.max_depth)
+                reads = self._partial._reads(channel, lens, given, cells_alone=is_first)
+                is_more = self._fetch_nodes(cells_of(reads.values()), filter)
+                if not (is_first or is_more):
+                    spans = Spans(self._remote.mapping, BLOCK)
+                    self._partial._add_reads(spans, reads, lens, given)
+                    self._remote.fetch(spans.ranges())
+                    return self._partial
+                is_first = False
+            return self._whole()
+
+    def _fetch_nodes(self, cells: dict[int, Int64s], filter: str) -> bool:
+        """Fetch what says which cells there are around some, by level; say whether there was any."""
+        known_filter, known = self._reached
+        is_like = filter == known_filter and known.keys() == cells.keys()
+        if is_like and all(np.array_equal(known[level], each) for level, each in cells.items()):
+            return False
+        was_fetched = False
+        for nodes in nodes_read(self._partial.tree, cells, filter):
+            spans = Spans(self._remote.mapping, BLOCK)
+            spans.rows(self._partial.tree.arrays.groups, nodes >> 3)
+            was_fetched |= self._remote.fetch(spans.ranges())
+        self._reached = filter, cells
+        if was_fetched:
+            self._partial = self._partial.renewed()
+        return was_fetched
 
 
 class _Partial(OctreeTexture):
-    """A texture in a file of which only a part is here: it answers what that part says."""
+    """A texture in a file of which only a part is here: it answers what that part says.
 
-    __slots__ = ("fetch_rows",)
+    What a field has indexed of it does not change: when more has come, there is a new one.
+    """
 
-    fetch_rows: Fetch
+    __slots__ = ("fetch_arrays",)
 
-    def reach(self, level: int) -> None:
-        """Fetch what says which cells there are down to a level."""
-        self._field.level(level)
+    fetch_arrays: Fetch
+
+    def renewed(self, fetch_arrays: Fetch | None = None) -> _Partial:
+        """Return the same without what was indexed."""
+        found = _Partial(self.tree, self.channels, self.placement, self.bounds, self.metadata)
+        found._file = self._file
+        found.fetch_arrays = fetch_arrays or self.fetch_arrays
+        found._field = _Field(found.tree, found.fetch_arrays)
+        return found
 
     def _mixed(self, channel: Channel, threshold: float, level: int) -> Uint8s:
         rows = self._field.level(level).tree.split.areas.size
-        self.fetch_rows(channel.split_values, rows)
+        self.fetch_arrays(channel.split_values[:rows])
         return super()._mixed(channel, threshold, level)
 
 
 class _Field(Field):
-    """The field over a tree of which only a part is here: levels are fetched when they are asked for."""
+    """The field over a tree of which only a part is here: of levels, the tables are fetched."""
 
-    def __init__(self, tree: Octree, fetch_rows: Fetch) -> None:
+    def __init__(self, tree: Octree, fetch_arrays: Fetch) -> None:
         super().__init__(tree)
-        self._fetch_rows = fetch_rows
+        self._fetch_arrays = fetch_arrays
         self._reached = -1
         self._reaching = RLock()
 
     def level(self, level: int) -> Field:
-        """Return the field over a level, of which is here what says which cells there are."""
+        """Return the field over a level, of which is here what says which cells are split or kept."""
         level = min(level, self.tree.max_depth)
         with self._reaching:
             if level > self._reached:
@@ -208,31 +260,33 @@ class _Field(Field):
     def _reach(self, level: int) -> None:
         arrays, split, kept = self.tree.arrays, self.tree.split, self.tree.kept
         n_cells = int(arrays.level_cells[level + 1])
-        self._fetch_rows(arrays.groups, -(-int(arrays.level_nodes[level]) // 8))
-        self._fetch_rows(kept.cells)
+        needed: list[Array] = [kept.cells]
         if kept.cells.size:
-            self._fetch_rows(arrays.flags, n_cells)
-        if any(leaves for leaves, _ in self.tree.cells_by_depth()[: level + 1]):
-            self._fetch_rows(arrays.areas, n_cells)
-        n_split = 1  # of the table, which is in the cells' order: in steps like those of its search
-        self._fetch_rows(split.cells, n_split + 1)
+            needed.append(arrays.flags[:n_cells])
+        if level < self.tree.max_depth and any(
+            leaves for leaves, _ in self.tree.cells_by_depth()[: level + 1]
+        ):
+            needed.append(arrays.areas[:n_cells])
+        n_split = (
+            _LEAST_SPLIT  # of the table, which is in the cells' order: in steps like those of its search
+        )
+        self._fetch_arrays(*needed, split.cells[: n_split + 1])
         while n_split < split.cells.size and split.cells[n_split] < n_cells:
             n_split *= 2
-            self._fetch_rows(split.cells, n_split + 1)
-        self._fetch_rows(split.facings, n_split + 1)
+            self._fetch_arrays(split.cells[: n_split + 1])
+        self._fetch_arrays(split.facings[: n_split + 1])
 
 
 class _Tree(Octree):
     """A tree of which only a part is here: its arrays are fetched when they are asked for."""
 
-    __slots__ = ("_fetch_rows", "_here")
+    __slots__ = ("_fetch_arrays", "_here")
 
-    def __init__(self, here: Octree, fetch_rows: Fetch) -> None:
-        self._here, self._fetch_rows = here, fetch_rows
+    def __init__(self, here: Octree, fetch_arrays: Fetch) -> None:
+        self._here, self._fetch_arrays = here, fetch_arrays
 
     def _fetched(self, arrays: Any) -> Any:
-        for array in arrays:
-            self._fetch_rows(array)
+        self._fetch_arrays(*arrays)
         return arrays
 
     @property
@@ -284,18 +338,18 @@ class _Tree(Octree):
 class _Channel(Channel):
     """A channel of which only a part is here: its values are fetched when they are asked for."""
 
-    _fetch_rows: Fetch
+    _fetch_arrays: Fetch
     _here: Channel
 
     @classmethod
-    def over(cls, here: Channel, fetch_rows: Fetch) -> _Channel:
+    def over(cls, here: Channel, fetch_arrays: Fetch) -> _Channel:
         """Return what fetches the values of a channel."""
         found = cls(*here)
-        found._here, found._fetch_rows = here, fetch_rows
+        found._here, found._fetch_arrays = here, fetch_arrays
         return found
 
     def _fetched(self, array: Array) -> Array:
-        self._fetch_rows(array)
+        self._fetch_arrays(array)
         return array
 
     @property

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import mmap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
 from octex.arrays import Array, Int64s
 from octex.container import header_length
+from octex.field.lookups import Reads
+from octex.field.tiles import MOST_TOP_LEVEL, can_be_tiled
 from octex.texture.channel import Channel
-from octex.tree.octree import Octree, count_before
+from octex.tree.morton import cells_beside
+from octex.tree.octree import Octree, count_before, distinct
 
 
 class Spans:
@@ -30,8 +33,9 @@ class Spans:
             self._is_read[np.minimum(first + more, last)] = True
 
     def rows(self, array: Array, rows: Array) -> None:
-        """Add rows of an array; what is no view of the file was read when that was opened."""
+        """Add rows of an array that it has; what is no view of the file was read when that was opened."""
         offset = array.ctypes.data - self._first
+        rows = rows[(rows >= 0) & (rows < len(array))]
         if array.size and 0 <= offset < self._size and rows.size:
             length = array.nbytes // len(array)
             begins = offset + rows.astype(np.int64) * length
@@ -50,6 +54,65 @@ class Spans:
         return np.minimum(changes.reshape(-1, 2) * self._block, self._size)
 
 
+def cells_of(reads: Iterable[Mapping[int, Reads]]) -> dict[int, Int64s]:
+    """Return the cells of each level that lookups of some channels look at."""
+    found: dict[int, list[Int64s]] = {}
+    for levels in reads:
+        for level, read in levels.items():
+            found.setdefault(level, []).append(read.cells)
+    return {level: distinct(np.concatenate(cells)) for level, cells in found.items()}
+
+
+def nodes_read(tree: Octree, cells: Mapping[int, Int64s], filter: str) -> Iterator[Int64s]:
+    """Yield the nodes that lookups at points in some cells read, level by level.
+
+    ``cells`` are ascending Morton codes by level. Of a tree with tiles these are all nodes of the levels from
+    which every search begins, then those whose cells touch one that holds a point, and their siblings: a word
+    of a tile is made of all children of a node. Of other trees all nodes are read. Which they are of a level
+    is read in those above when it is asked for.
+    """
+    deepest = max((level for level, held in cells.items() if held.size), default=0)
+    firsts = tree.arrays.level_nodes
+    if not can_be_tiled(tree):
+        yield np.arange(firsts[deepest])
+        return
+    begin = min(MOST_TOP_LEVEL + 1, deepest)
+    yield np.arange(firsts[begin])
+    around: dict[int, Int64s] = {}
+    wanted = np.empty(0, np.int64)  # cells of a level that hold points, where there are looks at it or below
+    for level in range(deepest - 1, 0, -1):
+        here = cells.get(level + 1, wanted[:0])
+        if filter == "quartic":  # whose windows reach one cell farther
+            here = _with_those_beside(here, level + 1)
+        wanted = distinct(np.concatenate([wanted, here]) >> 3)
+        around[level] = _with_those_beside(wanted, level)
+    codes = nodes = np.zeros(min(tree.n_nodes, 1), np.int64)
+    for level in range(1, deepest):
+        parents, codes, numbers = _child_nodes(tree, codes, nodes)
+        near = around[level]
+        is_near = near[np.minimum(np.searchsorted(near, codes), near.size - 1)] == codes
+        if level >= begin:
+            with_near = np.bincount(parents[is_near], minlength=nodes.size) > 0
+            yield numbers[with_near[parents]]
+        codes, nodes = codes[is_near], numbers[is_near]
+
+
+def _with_those_beside(cells: Int64s, level: int) -> Int64s:
+    return distinct(np.concatenate([cells, cells_beside(cells, level)]))
+
+
+def _child_nodes(tree: Octree, codes: Int64s, nodes: Int64s) -> tuple[Int64s, Int64s, Int64s]:
+    """Return the child nodes of some nodes: whose they are, 0 …, their Morton codes, and their numbers."""
+    groups, shifts = tree.arrays.groups[nodes >> 3], (8 * (nodes & 7)).astype(np.uint64)
+    masks = (groups[:, 0] >> shifts).astype(np.uint8)
+    before = np.bitwise_count(groups[:, 0] & ((np.uint64(1) << shifts) - np.uint64(1)))
+    parents, octants = np.nonzero(np.unpackbits(masks[:, None], axis=1, bitorder="little"))
+    counts = np.bitwise_count(masks).astype(np.int64)
+    firsts = (groups[:, 2] & np.uint64(0xFFFFFFFF)).astype(np.int64) + before - (np.cumsum(counts) - counts)
+    numbers = np.minimum(firsts[parents] + np.arange(parents.size), tree.n_nodes - 1)
+    return parents, codes[parents] << 3 | octants, numbers
+
+
 def add_reads(
     spans: Spans,
     tree: Octree,
@@ -62,14 +125,14 @@ def add_reads(
     """Add what lookups of a channel read, whose rows are given by the level looked at.
 
     ``channels`` are that and what it weighs by; ``by_facing`` is for lookups with normals, ``is_ruled`` for
-    those that leave what mixes opposite facings of the channel to finer levels.
+    those that leave what mixes opposite facings of the channel to finer levels. Where there are normals, all
+    rows of a split cell are added: which of them are read, its flags say.
     """
     arrays, split, kept = tree.arrays, tree.split, tree.kept
     for array in arrays.level_cells, arrays.level_nodes, kept.cells:
         spans.until(array, array.size)
     deepest = max(levels, default=0)
     n_cells = int(arrays.level_cells[deepest + 1])
-    spans.until(arrays.groups, -(-int(arrays.level_nodes[deepest]) // 8))
     if kept.cells.size:
         spans.until(arrays.flags, n_cells)
     n_split = count_before(split.cells, n_cells)
@@ -86,21 +149,29 @@ def add_reads(
     has_leaves = [leaves > 0 for leaves, _ in tree.cells_by_depth()]
     for level, rows in levels.items():
         facings = rows[rows >= first_facing] - first_facing
-        owners = split.cells[np.searchsorted(ends, facings, side="right")]
-        cells = np.concatenate([rows[rows < tree.n_cells], owners])
-        if by_facing or is_ruled:
+        owners = split.cells[:n_split][
+            np.searchsorted(ends, facings[facings < ends[-1:].sum()], side="right")
+        ]
+        keeping = kept.cells[rows[(rows >= tree.n_cells) & (rows < first_facing)] - tree.n_cells]
+        cells = np.concatenate([rows[rows < tree.n_cells], owners, keeping])
+        if by_facing:
             spans.rows(arrays.flags, cells)
         if level < tree.max_depth:
             spans.rows(arrays.areas, cells)
             if any(has_leaves[: level + 1]):
                 spans.until(arrays.areas, int(arrays.level_cells[level + 1]))
+        seen = np.flatnonzero(np.isin(split.cells[:n_split], cells)) if by_facing else owners[:0]
+        counts = np.bitwise_count(split.facings[seen]).astype(np.int64)
+        firsts = ends[seen] - np.cumsum(counts)
+        of_split = np.repeat(firsts, counts) + np.arange(counts.sum())
         for channel in channels:
             _add_values(spans, channel, rows)
+            spans.rows(channel.split_values, of_split)
 
 
 def _add_values(spans: Spans, channel: Channel, rows: Array) -> None:
     """Add rows of a channel's values: cells', kept nodes' and split cells'."""
+    first = 0
     for array in channel.values, channel.kept_values, channel.split_values:
-        is_here = (rows >= 0) & (rows < len(array))
-        spans.rows(array, rows[is_here])
-        rows = rows[~is_here].astype(np.int64) - len(array)
+        spans.rows(array, rows.astype(np.int64) - first)
+        first += len(array)

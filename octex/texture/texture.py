@@ -34,15 +34,16 @@ from octex.field.lookups import (
     ChannelRows,
     PlainLookup,
     Query,
+    Reads,
     TapList,
     joined,
     list_blends,
     look_up,
     plain_lookup,
-    rows_read,
+    reads_of,
 )
 from octex.field.splines import FILTERS
-from octex.remote import is_address
+from octex.files import is_address
 from octex.texture.blend import NO_GRADIENTS, make_unit, mixed_cells, stored
 from octex.texture.channel import Channel
 from octex.texture.file import ARCHIVE_ENDING, ENDING, File, Parts, described, taken, written
@@ -57,7 +58,7 @@ from octex.texture.lookup import (
     in_blocks,
     in_space,
 )
-from octex.texture.spans import Spans, add_reads
+from octex.texture.spans import Spans, add_reads, cells_of, nodes_read
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.search import in_leaves
@@ -460,7 +461,8 @@ class OctreeTexture:
         ``block_size`` bytes, counted from the file's first, and the last may be shorter. A file with these
         bytes alone, zeros elsewhere, opens and answers likewise. Only what says which cells there are is read
         to find out, down to the level that is asked for, which is a fifth of a file or less, and of the
-        values, for footprints without normals, those of split cells. Arguments are as for ``sample``.
+        values, for footprints without normals, those of split cells. Of trees whose leaves have one depth,
+        only what lies around the points is listed. Arguments are as for ``sample``.
 
         Raises ArgumentError as that does, and for a texture that has no file.
         """
@@ -470,29 +472,57 @@ class OctreeTexture:
             raise ArgumentError("the texture has no file: save it and open that")
         lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
         given = lens.given(points, normals=normals, width=width, dPdx=dPdx, dPdy=dPdy)
+        spans, reads = Spans(mapping, block_size), self._reads(channel, lens, given)
+        for nodes in nodes_read(self.tree, cells_of(reads.values()), filter):
+            spans.rows(self.tree.arrays.groups, nodes >> 3)
+        self._add_reads(spans, reads, lens, given)
+        return spans.ranges()
+
+    def _reads(
+        self,
+        channel: str | list[str] | tuple[str, ...],
+        lens: Lens,
+        given: Given,
+        *,
+        cells_alone: bool = False,
+    ) -> dict[str, dict[int, Reads]]:
+        """Return what lookups read of each channel, by level.
+
+        With ``cells_alone`` only where points are looked at, as far as what is stored does not matter.
+        """
         names = list(channel) if isinstance(channel, (list, tuple)) else [channel]
         for name in names:
             as_choice(name, self.channels, "channel")
-        spans = Spans(mapping, block_size)
-        alpha = [] if self._alpha() is None else [self.channels["alpha"]]
+        found: dict[str, dict[int, Reads]] = {}
         for name in names:
-            look_up = partial(self._rows_read, name, lens)
-            for _, (levels, *rows) in each_block(given, [], look_up, 1, None):
-                by_level = dict(zip(levels.tolist(), rows, strict=True))
-                add_reads(
-                    *(spans, self.tree, [self.channels[name], *alpha], by_level),
-                    by_facing="normals" in given,
-                    is_ruled=self._is_ruled(lens, given),
-                )
-        return spans.ranges()
+            parts: dict[int, list[Reads]] = {}
+            look_up = partial(self._read_of, name, lens, cells_alone)
+            for _, (levels, *arrays) in each_block(given, [], look_up, 1, None):
+                for level, rows, cells in zip(levels.tolist(), arrays[::2], arrays[1::2], strict=True):
+                    parts.setdefault(level, []).append(Reads(rows, cells))
+            found[name] = {
+                level: Reads(*(np.unique(np.concatenate(each)) for each in zip(*some, strict=True)))
+                for level, some in parts.items()
+            }
+        return found
 
-    def _rows_read(self, name: str, lens: Lens, given: Given, answers: list[Array]) -> int:
-        """Add the levels that a block looks at, and the rows of each, to ``answers``."""
+    def _read_of(self, name: str, lens: Lens, cells_alone: bool, given: Given, answers: list[Array]) -> int:
+        """Add the levels that a block looks at, and what it reads of each, to ``answers``."""
         query = self._query(lens, given, name)
         task = self._field, self.placement, given["points"], query, self._as_read(name)
-        rows, fault = rows_read(*task)
-        answers += [np.array(list(rows), np.int64), *rows.values()]
+        found, fault = reads_of(*task, cells_alone=cells_alone)
+        answers += [np.array(list(found), np.int64), *(array for read in found.values() for array in read)]
         return fault
+
+    def _add_reads(
+        self, spans: Spans, reads: Mapping[str, Mapping[int, Reads]], lens: Lens, given: Given
+    ) -> None:
+        """Add the bytes of the file that lookups read, but for what says which cells there are."""
+        alpha = [] if self._alpha() is None else [self.channels["alpha"]]
+        for name, levels in reads.items():
+            rows = {level: read.rows for level, read in levels.items()}
+            task = spans, self.tree, [self.channels[name], *alpha], rows
+            add_reads(*task, by_facing="normals" in given, is_ruled=self._is_ruled(lens, given))
 
     def contains(
         self,

@@ -354,7 +354,7 @@ def rank(groups: Uint64s) -> None:
 
 @kernel
 def _cut(groups: Uint64s, first: int, end: int) -> None:
-    """Make the child nodes of nodes first … end−1 leaves and drop the nodes from ``end`` on."""
+    """Make the child nodes of nodes first … end−1, a level's, leaves and drop the nodes from ``end`` on."""
     for node in range(first, 8 * groups.shape[0]):
         g = node >> 3
         byte = np.uint64(0xFF) << np.uint64(8 * (node & 7))
@@ -363,7 +363,8 @@ def _cut(groups: Uint64s, first: int, end: int) -> None:
         else:
             groups[g, 1] &= ~byte
         groups[g, 0] &= ~byte
-    rank(groups)
+    for g in range((first >> 3) + 1, groups.shape[0]):  # their child nodes come after all
+        groups[g, 2] = groups[g, 2] & ~np.uint64(0xFFFFFFFF) | np.uint64(end)
 
 
 @kernel
