@@ -19,6 +19,7 @@ Uint32s = npt.NDArray[np.uint32]
 Uint64s = npt.NDArray[np.uint64]
 Float32s = npt.NDArray[np.float32]
 Float64s = npt.NDArray[np.float64]
+Complex128s = npt.NDArray[np.complex128]
 #: Of any precision.
 Floats = npt.NDArray[np.floating[Any]]
 #: Integers that stand for numbers from 0 to 1, or −1 to 1.

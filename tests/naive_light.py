@@ -33,7 +33,7 @@ def lobe(cosine, roughness):
     return square / (np.pi * (cosine**2 * (square - 1) + 1) ** 2)
 
 
-def reflectance(n, v, light, base, metallic, roughness):
+def reflectance(n, v, light, base, metallic, roughness, specular=0.04):
     """Return glTF's BRDF (glTF 2.0, appendix B) times the cosine, for directions of light (m, 3): (m, 3)."""
     h = light + v
     h /= np.linalg.norm(h, axis=1, keepdims=True)
@@ -46,20 +46,20 @@ def reflectance(n, v, light, base, metallic, roughness):
     )
     schlick = (1 - np.clip(v_h, 0, 1)) ** 5
     base = np.asarray(base)
-    plain, metal = (f0 + (1 - f0) * schlick[:, None] for f0 in (0.04, base))
+    plain, metal = (f0 + (1 - f0) * schlick[:, None] for f0 in (specular, base))
     gloss = (lobe(n_h, roughness) * visible)[:, None]
     mixed = (1 - metallic) * (plain * gloss + (1 - plain) * base / np.pi) + metallic * metal * gloss
     return mixed * (n_l * above)[:, None]
 
 
-def reflected(n, v, radiance, base, metallic, roughness, samples=100_000):
+def reflected(n, v, radiance, base, metallic, roughness, specular=0.04, samples=100_000):
     """Return the light toward v of a surface with normal n, in the ``radiance`` of directions (m, 3)."""
     toward = directions(samples)
-    values = radiance(toward) * reflectance(n, v, toward, base, metallic, roughness)
+    values = radiance(toward) * reflectance(n, v, toward, base, metallic, roughness, specular)
     return 4 * np.pi * values.mean(axis=0)
 
 
-def reflected_again(n, v, radiance, base, metallic, roughness):
+def reflected_again(n, v, radiance, base, metallic, roughness, specular=0.04):
     """Return the light that facets scatter more than once (Fdez-Agüera 2019): as if from all around."""
     base = np.asarray(base)
     lost = 1 - reflected(n, v, np.ones_like, np.ones(3), 1.0, roughness)
@@ -71,6 +71,6 @@ def reflected_again(n, v, radiance, base, metallic, roughness):
         return part * average / (1 - lost * average) * lost * matte
 
     metal = again(base, reflected(n, v, np.ones_like, base, 1.0, roughness))
-    dielectric = again(0.04, reflected(n, v, np.ones_like, np.full(3, 0.04), 1.0, roughness))
+    dielectric = again(specular, reflected(n, v, np.ones_like, specular * np.ones(3), 1.0, roughness))
     # What is scattered again is not left for the matte part below.
     return (1 - metallic) * dielectric * (1 - base) + metallic * metal

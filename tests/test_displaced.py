@@ -51,17 +51,18 @@ def test_parts_of_triangles_meet_at_vertices_and_fill_their_parents(seed: int) -
 
 
 @needs_jit
-def test_a_displaced_sphere_is_its_formula() -> None:
+@pytest.mark.parametrize("scale", [0.1, 0.5])  # slopes of up to 7 and 32 degrees
+def test_a_displaced_sphere_is_its_formula(scale: float) -> None:
     surface = ball(6).with_sources({"occlusion": height})
     texture = octex.convert(surface, 7, dtype="float32")
     cell = texture.placement.size / 2**7
-    made = octex.displace(surface, texture, "occlusion", 0.1, middle=0.5)
+    made = octex.displace(surface, texture, "occlusion", scale, middle=0.5)
     assert np.linalg.norm(np.diff(made.rest[made.triangles[:, :2]], axis=1), axis=2).max() <= cell
     assert np.linalg.norm(made.rest, axis=1) == pytest.approx(1, abs=1e-3)
 
     def formula(at: np.ndarray) -> np.ndarray:
         unit = at / np.linalg.norm(at, axis=1, keepdims=True)
-        return unit * (1 + 0.1 * (height(unit) - 0.5))[:, None]
+        return unit * (1 + scale * (height(unit) - 0.5))[:, None]
 
     off = np.linalg.norm(made.vertices - formula(made.rest), axis=1)
     assert off.max() < 0.1 * cell

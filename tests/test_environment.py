@@ -35,18 +35,28 @@ def _reflected(environment, normals, **material):
     normals = np.atleast_2d(np.asarray(normals, float))
     count = len(normals)
     given = {
-        name: np.broadcast_to(value, (count, 3) if name == "base_color" else count)
+        name: np.broadcast_to(value, (count, 3) if name in ("base_color", "specular") else count)
         for name, value in material.items()
     }
     return reflected(environment, AHEAD, np.zeros((count, 3)), normals, normals, Material(**given))
 
 
+@pytest.mark.parametrize("specular", [0.0, 0.04, 1.0])
 @pytest.mark.parametrize("metallic", [0.0, 0.4, 1.0])
-def test_white_in_white_light_stays_white_whatever_the_roughness(metallic):
+def test_white_in_white_light_stays_white_whatever_the_roughness(metallic, specular):
     cosines, roughness = np.meshgrid([1.0, 0.7, 0.3, 0.05], np.linspace(0, 1, 9))
     normals = np.array([_tilted(c) for c in cosines.ravel()])
-    lit = _reflected(WHITE, normals, base_color=1.0, metallic=metallic, roughness=roughness.ravel())
+    lit = _reflected(
+        WHITE, normals, base_color=1.0, metallic=metallic, roughness=roughness.ravel(), specular=specular
+    )
     assert np.allclose(lit, 1.0, atol=1e-4)
+
+
+def test_what_reflects_nothing_along_the_normal_is_matte():
+    normals = np.array([_tilted(c) for c in (1.0, 0.7, 0.3, 0.05)])
+    assert np.allclose(
+        _reflected(WHITE, normals, base_color=0.0, roughness=0.3, specular=0.0), 0.0, atol=1e-6
+    )
 
 
 def test_what_a_lobe_reflects_in_all_is_its_integral():
@@ -79,15 +89,20 @@ def test_averages_for_each_roughness_are_those_of_the_lobe():
     assert np.abs(environment.irradiance(looks) - matte).max() < 0.05
 
 
-@pytest.mark.parametrize(("metallic", "roughness"), [(0.0, 0.5), (0.0, 1.0), (1.0, 0.4), (1.0, 0.7)])
-def test_reflected_light_is_the_integral_over_the_hemisphere(metallic, roughness):
+@pytest.mark.parametrize(
+    ("metallic", "roughness", "specular"),
+    [(0.0, 0.5, 0.04), (0.0, 1.0, 0.04), (1.0, 0.4, 0.04), (1.0, 0.7, 0.04), (0.0, 0.5, (0.02, 0.2, 0.6))],
+)
+def test_reflected_light_is_the_integral_over_the_hemisphere(metallic, roughness, specular):
     environment = Environment.of(_picture())
     base, v = np.array([0.9, 0.5, 0.2]), np.array([0.0, 0.0, 1.0])
     for cosine, apart in ((1.0, 0.03), (0.9, 0.1), (0.7, 0.2)):
         normal = _tilted(cosine)
-        given = normal, v, _smooth, base, metallic, roughness
+        given = normal, v, _smooth, base, metallic, roughness, np.array(specular)
         truth = naive_light.reflected(*given) + naive_light.reflected_again(*given)
-        found = _reflected(environment, normal, base_color=base, metallic=metallic, roughness=roughness)[0]
+        found = _reflected(
+            environment, normal, base_color=base, metallic=metallic, roughness=roughness, specular=specular
+        )[0]
         assert np.abs(found - truth).max() < apart  # the split sum takes lobes as seen along the normal
 
 

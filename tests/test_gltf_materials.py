@@ -109,6 +109,7 @@ def assert_gives(surface: Surface, channel: str, expected: npt.ArrayLike, sample
 
 MAP = {"index": 0}
 OLDER, STRENGTH = "KHR_materials_pbrSpecularGlossiness", "KHR_materials_emissive_strength"
+SPECULAR, INDEX = "KHR_materials_specular", "KHR_materials_ior"
 
 
 @pytest.mark.parametrize(
@@ -129,6 +130,8 @@ OLDER, STRENGTH = "KHR_materials_pbrSpecularGlossiness", "KHR_materials_emissive
             {"extensions": {OLDER: {"specularGlossinessTexture": MAP}}},
             ["metallic", "roughness", "specular"],
         ),
+        ({"extensions": {SPECULAR: {"specularFactor": 1.0}}}, ["specular"]),
+        ({"extensions": {INDEX: {"ior": 1.5}}}, ["specular"]),
         ({"extensions": {OLDER: {}, "KHR_materials_unlit": {}}, "normalTexture": MAP}, []),
         ({"extensions": {"KHR_materials_clearcoat": {"clearcoatNormalTexture": {"index": 9}}}}, []),
     ],
@@ -186,6 +189,26 @@ def test_unlit_materials_give_their_base_colour_and_alpha_only(tmp_path: Path) -
     assert names(surface) == ["base_color", "alpha"]
     samples = surface.scatter(50)
     assert_gives(surface, "alpha", 0.5 * texels(samples, (3,)), samples)
+
+
+@pytest.mark.parametrize(
+    ("layer", "index", "along"),
+    [
+        ({}, {}, [0.04, 0.04, 0.04]),
+        ({"specularFactor": 0.5, "specularColorFactor": [1, 2, 100]}, {}, [0.02, 0.04, 1]),
+        ({"specularColorFactor": [0, 0.5, 1]}, {"ior": 2.0}, [0, 1 / 18, 1 / 9]),
+        ({}, {"ior": 0.0}, [1, 1, 1]),
+    ],
+)
+def test_specular_is_what_is_reflected_along_the_normal(
+    tmp_path: Path, layer: dict[str, Any], index: dict[str, Any], along: list[float]
+) -> None:
+    surface = load_surface(model(tmp_path / "a.glb", extensions={SPECULAR: layer, INDEX: index}))
+    samples = surface.scatter(50)
+    assert_gives(surface, "specular", np.tile(along, (50, 1)), samples)
+    textured = {**layer, "specularColorTexture": MAP}
+    surface = load_surface(model(tmp_path / "b.glb", extensions={SPECULAR: textured, INDEX: index}))
+    assert_gives(surface, "specular", srgb_to_linear(texels(samples, (0, 1, 2))) * along, samples)
 
 
 def test_older_specular_glossiness_materials_are_rough_where_they_are_not_glossy(tmp_path: Path) -> None:

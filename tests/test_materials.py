@@ -139,9 +139,9 @@ def test_a_material_without_a_channel_gives_its_default() -> None:
     given = source(Material(), Material(stated, "blend"), frames=frames())
     assert names(given) == list(CHANNELS)
     first = points()[0] == 0
-    defaults = {name: 0 if name == "emissive" else 1 for name in CHANNELS if name != "normal"}
+    defaults = {name: 1.0 for name in CHANNELS if name != "normal"} | {"emissive": 0.0, "specular": 0.04}
     for name, default in defaults.items():
-        np.testing.assert_array_equal(values(given, name)[first], default)
+        np.testing.assert_array_equal(values(given, name)[first], np.float32(default))
         np.testing.assert_array_equal(values(given, name)[~first], 0.25)
     assert names(source(Material())) == ["base_color"]
 

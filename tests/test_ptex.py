@@ -19,9 +19,9 @@ from octex.channels import decode, linear_to_srgb
 from octex.cli import convert as command
 from octex.errors import ArgumentError, ModelError
 from octex.formats.ptex.export import _centres, _placed
-from octex.formats.ptex.patches import neighbors_of, patches_of
+from octex.formats.ptex.patches import faces_of, neighbors_of, patches_of
 from octex.formats.ptex.reader import PtexFile
-from octex.formats.ptex.writer import write_contents
+from octex.formats.ptex.writer import Contents, write_contents
 from octex.parallel import workers
 from tests import naive_ptex
 
@@ -45,6 +45,9 @@ f 7 10 9 8
 f 4 8 9 5 1
 f 2 6 10 7 3
 """
+# An octahedron.
+OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)])
+EIGHT = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
 
 
 def tool(name: str) -> ModuleType:
@@ -270,6 +273,60 @@ def test_there_and_back_a_texture_stays_within_40_decibels(
     points = surface.scatter(20_000)
     error = linear_to_srgb(texture.sample(points)) - linear_to_srgb(back.sample(points))
     assert -10 * np.log10((error**2).mean()) >= 40
+
+
+@pytest.mark.parametrize("sizes", [(3, 3), (1, 4), (0, 2)])
+def test_across_edges_of_triangles_values_go_on_whatever_the_faces_resolutions(
+    sizes: tuple[int, int], tmp_path: Path
+) -> None:
+    surface = octex.Surface.from_arrays(OCTAHEDRON, EIGHT)  # closed: each vertex has four faces
+    patches = patches_of(surface)
+    log2 = np.array([[sizes[n % 2]] * 2 for n in range(8)], np.int8)  # neighbours differ
+    faces = faces_of(surface, patches, log2)
+    texels = np.random.default_rng(0).random((int(faces.counts.sum()), 3), np.float32)
+    path = tmp_path / "made.ptx"
+    with workers(1) as executor:
+        write_contents(Contents("triangle", faces, texels), path, executor)
+    painted = surface.with_sources(octex.Ptex(path).sources)
+    along = np.linspace(0.0, 1.0, 97)
+    here = np.stack([1 - along, along, np.zeros(97)], axis=1)
+    for face in range(8):
+        for edge in range(3):
+            other, there = faces.neighbors[face, edge], faces.edges[face, edge]
+            sides = [
+                painted.evaluate_all(
+                    np.full(97, each, np.int32), np.roll(shares, turn, axis=1), np.zeros(97, np.float32)
+                )
+                for each, turn, shares in ((face, edge, here), (other, there, here[::-1]))
+            ]
+            assert np.ptp(sides[0]) > 0.01
+            np.testing.assert_allclose(*sides, atol=1e-6)
+            # Along the edge they are linear between the corners of the coarser face's texels.
+            knots = 2 ** int(min(log2[face, 0], log2[other, 0]))
+            bends = abs(np.diff(sides[0], 2, axis=0)).max(axis=1)
+            inner = np.abs(along[1:-1] * knots - np.rint(along[1:-1] * knots)) > knots / 96
+            assert (bends[inner] < 1e-6).all()
+
+
+def test_a_corner_of_texels_on_an_edge_of_triangles_is_the_mean_of_six(tmp_path: Path) -> None:
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+    surface = octex.Surface.from_arrays(corners, [[0, 1, 2], [3, 2, 1]])
+    faces = faces_of(surface, patches_of(surface), np.ones((2, 2), np.int8))
+    texels = np.arange(8, dtype=np.float32)[:, None] / 8
+    path = tmp_path / "made.ptx"
+    with workers(1) as executor:
+        write_contents(Contents("triangle", faces, texels), path, executor)
+    painted = surface.with_sources(octex.Ptex(path).sources)
+
+    def at(u: float, v: float) -> float:
+        where = np.zeros(1, np.int32), np.array([[1 - u - v, u, v]]), np.zeros(1, np.float32)
+        return float(painted.evaluate_all(*where)[0, 0])
+
+    # Of a face: 0 at corner 0, 1 at corner 1, 2 at corner 2, 3 the one on its tip in the middle.
+    assert at(0.5, 0.5) == pytest.approx((1 + 2 + 3 + 5 + 6 + 7) / 6 / 8)
+    assert at(1.0, 0.0) == pytest.approx((1 + 6) / 2 / 8)
+    assert at(0.5, 0.0) == pytest.approx((0 + 1 + 3) / 3 / 8)
+    assert at(0.0, 0.0) == 0
 
 
 def test_faces_get_texels_as_wide_as_the_cells_and_more_along_their_longer_side(

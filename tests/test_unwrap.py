@@ -109,6 +109,56 @@ def test_where_a_disc_meets_itself_behind_a_limb_what_folds_hides_nothing() -> N
     assert np.abs(exact - np.stack([x[clear], -y[clear]], axis=1)).max() < 0.036
 
 
+def stretches(patch: octex.Patch) -> tuple[np.ndarray, np.ndarray]:
+    """Return the greater and the lesser stretch (k,) of a disc's triangles."""
+    corners = patch.surface.triangles[patch.triangles]
+    at, flat = patch.surface.rest[corners], patch.coordinates[corners]
+    ways = np.linalg.qr(np.moveaxis(np.diff(at, axis=1), 1, 2))[1]
+    lengths = np.linalg.svd(np.moveaxis(np.diff(flat, axis=1), 1, 2) @ np.linalg.inv(ways), compute_uv=False)
+    return lengths[:, 0], lengths[:, 1]
+
+
+def horned(segments: int = 64) -> octex.Surface:
+    """A ball with a horn along x, three of its radii long."""
+    whole = colored(sphere((0, 0, 0), 1.0, segments))
+    points = whole.vertices
+    along = np.arccos(np.clip(points[:, 0], -1, 1))
+    return octex.Surface.from_arrays(
+        points * (1 + 3 * np.exp(-((along / 0.35) ** 2)))[:, None], whole.triangles
+    )
+
+
+def test_a_conformal_disc_of_what_can_be_laid_flat_is_its_exponential_map() -> None:
+    patch = octex.unwrap(tube(), (0.3, 0.1, 1.0), 0.8, method="conformal")
+    known = np.isfinite(patch.coordinates[:, 0])
+    exact = on_tube(patch.surface.rest[known], patch.center)
+    assert np.linalg.norm(patch.coordinates[known] - exact, axis=1).max() < 0.008
+
+
+def test_a_conformal_disc_of_a_sphere_keeps_angles_and_area() -> None:
+    patch = octex.unwrap(ball(), CENTER, 1.2, method="conformal")
+    most, least = stretches(patch)
+    assert patch.faults == []
+    assert (most / least).max() < 1.1  # the exponential map: 1.29
+    corners = patch.surface.rest[patch.surface.triangles[patch.triangles]]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    assert (areas * most * least).sum() == pytest.approx(areas.sum())
+    half = patch.width / 2 * float(patch.camera.pixel_width(np.ones(1))[0])
+    assert np.nanmax(abs(patch.coordinates)) == pytest.approx(half)
+
+
+def test_a_horn_folds_less_in_a_conformal_disc_and_keeps_its_angles() -> None:
+    surface = horned()
+    folds, opens = (
+        octex.unwrap(surface, (0.6, 0.6, 0.6), 2.5, method=each) for each in ("exponential", "conformal")
+    )
+    assert np.array_equal(folds.triangles, opens.triangles)
+    assert folds.folded.size > 3 * opens.folded.size
+    medians = [np.median(most / least) for most, least in map(stretches, (folds, opens))]
+    assert medians[0] > 1.4
+    assert medians[1] < 1.15
+
+
 @pytest.mark.parametrize("radius", [0.4, 1.5])
 def test_a_disc_of_a_cylinder_is_its_exponential_map_to_a_hundredth_of_the_radius(radius: float) -> None:
     patch = octex.unwrap(tube(), (0.3, 0.1, 1.0), radius)
@@ -157,6 +207,8 @@ def test_what_cannot_be_unwrapped_is_refused() -> None:
         octex.unwrap(ball(12), (5, 0, 0), 1.0)
     with pytest.raises(ArgumentError, match="radius"):
         octex.unwrap(ball(12), (1, 0, 0), 0.0)
+    with pytest.raises(ArgumentError, match="unknown method 'flat'; there are: exponential, conformal"):
+        octex.unwrap(ball(12), (1, 0, 0), 1.0, method="flat")
     with pytest.raises(ArgumentError, match="center"):
         octex.unwrap(ball(12), (1, np.nan, 0), 1.0)
     patch = octex.unwrap(ball(12), (1, 0, 0), 0.5, size=4)
@@ -220,7 +272,28 @@ def test_the_command_draws_a_disc_flat_and_paints_it_back(
     )
     assert np.allclose(seen[0], [1, 0, 0], atol=0.03)
     assert np.allclose(seen[1:], 0.25, atol=0.03)
+    # Of what can be laid flat a conformal disc is the same; its picture is as wide as its triangles.
+    flat = tmp_path / "flat.png"
+    words = [str(model), str(before), disc, "--conformal", "--view", str(flat), "--size", "64,64"]
+    assert command.main(words) == 0
+    Image.fromarray(np.full((64, 64, 3), 255, np.uint8)).save(flat)
+    words = [
+        str(model),
+        str(before),
+        str(flat),
+        disc,
+        "--conformal",
+        "--whole",
+        "--force",
+        "--out",
+        str(after),
+    ]
+    assert command.main(words) == 0
+    white = octex.open(after).sample([[np.sin(a), 0.2, np.cos(a)] for a in (-0.3, 0.0, 0.3)])
+    assert np.allclose(white, 1.0, atol=0.03)
     capsys.readouterr()
+    assert command.main([str(model), str(before), "--conformal", "--view", str(flat)]) == 2
+    assert "without --unwrap" in capsys.readouterr().err
     assert (
         command.main([str(model), str(before), disc, "--view", str(tmp_path / "b.png"), "--size", "64,32"])
         == 2

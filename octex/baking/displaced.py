@@ -21,9 +21,14 @@ from octex.source.welding import welded
 from octex.texture import OctreeTexture, as_texture
 from octex.view.shading import corner_normals
 
-#: The field's gradient is averaged so often over the triangles around each vertex, over about a cell: its
-#: values are those of a fit, which fluctuate from cell to cell. Of a sphere's normals a third of the error.
-_ROUNDS = 3
+#: What the field has at vertices is evened out over their neighbours, each time by this part: leaves are
+#: fitted, and where the surface passes from layer to layer of them the field is off by a tenth of what it
+#: changes by from cell to cell. Slopes six times, and then sharpened; heights three times. Without, normals
+#: of a sphere in steep relief are off by up to 10 degrees instead of 1, positions by twice as much.
+_PART = 0.9
+_ROUNDS, _ROUNDS_OF_HEIGHTS = 6, 3
+#: Cotangents of angles are no more than this.
+_LARGEST = 1e3
 #: An edge is divided at most so often.
 _MOST_LEVELS = 10
 
@@ -44,8 +49,8 @@ def displace(
     own shading normal (``frames``), else the mean of the triangles around, in the pose. Edges are halved at
     rest until none is longer than ``cell``, by default the texture's finest cell; neighbours divide a shared
     edge alike. Rest positions stay those of the surface undisplaced, as do its texture coordinates and its
-    source. New normals, ``posed_frames()``, are those of the displaced surface, by the gradient of the field,
-    averaged over about a cell.
+    source. New normals, ``posed_frames()``, are those of the displaced surface, by the gradient of the field.
+    Both are evened out over about two cells: relief finer than 8 cells loses some of its slope.
 
     Raises ArgumentError for a channel that is not there or is of directions, for numbers out of range, for
     more than ``most_triangles``, and where the displacement is not finite.
@@ -74,6 +79,7 @@ def displace(
     directions /= np.where(lengths > 0, lengths, 1)[:, None]
     facing = parts.spread(corner_normals(resting, surface.triangles, 180.0).astype(np.float64))
     heights, slopes = _heights(texture, form, undisplaced, facing, scale, middle)
+    _even(parts.triangles, undisplaced, heights, slopes)
     with np.errstate(over="ignore", invalid="ignore"):
         moved = posed + heights[:, None] * directions
     if not (np.abs(moved) <= FARTHEST).all():
@@ -82,9 +88,6 @@ def displace(
             f"{surface.name}: {channel} displaces to what is not finite, at {first.tolist()} at rest; "
             "repair the texture, or give another scale"
         )
-    sums, counts = np.empty_like(slopes), np.empty(len(slopes), np.int64)
-    for _ in range(_ROUNDS):
-        _even_out(parts.triangles, slopes, sums, counts)
     bent = np.zeros_like(moved)
     _bend(
         parts.owners, parts.points, corners, rest_corners, normals, directions, lengths, heights, slopes,
@@ -145,25 +148,68 @@ def _heights(
         return heights, scale * np.einsum("ncx,c->nx", gradients.astype(np.float64), weights)
 
 
+def _even(triangles: Int32s, positions: Float64s, heights: Float64s, slopes: Float64s) -> None:
+    """Even out heights (n,) and slopes (n, 3) of vertices at ``positions`` (n, 3), in place."""
+    cotangents, sums = np.empty((len(triangles), 3)), np.empty((len(heights), 5))
+    _cotangents(triangles, positions, cotangents)
+    for number in range(_ROUNDS):
+        lift = _PART if number < _ROUNDS_OF_HEIGHTS else 0.0
+        _even_out(triangles, cotangents, positions, heights, slopes, sums, _PART, lift)
+    # What the rounds took of long waves, to first order.
+    _even_out(triangles, cotangents, positions, heights, slopes, sums, -_ROUNDS * _PART, 0.0)
+
+
 @kernel
-def _even_out(triangles: Int32s, values: Float64s, sums: Float64s, counts: Int64s) -> None:
-    """Put the means of values (n, 3) over the triangles around each vertex in their place."""
-    sums[:] = 0.0
-    counts[:] = 0
+def _cotangents(triangles: Int32s, positions: Float64s, cotangents: Float64s) -> None:
+    """Fill in those of the angles that face the sides of triangles (m, 3), of obtuse ones 0."""
     for t in range(len(triangles)):
-        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        for axis in range(3):
-            mean = (values[a, axis] + values[b, axis] + values[c, axis]) / 3.0
-            sums[a, axis] += mean
-            sums[b, axis] += mean
-            sums[c, axis] += mean
-        counts[a] += 1
-        counts[b] += 1
-        counts[c] += 1
-    for n in range(len(values)):
-        for axis in range(3):
-            if counts[n] > 0:
-                values[n, axis] = sums[n, axis] / counts[n]
+        for side in range(3):
+            a, b, c = triangles[t, side], triangles[t, (side + 1) % 3], triangles[t, (side + 2) % 3]
+            dot = one = other = 0.0
+            for axis in range(3):
+                u, v = positions[a, axis] - positions[c, axis], positions[b, axis] - positions[c, axis]
+                dot += u * v
+                one += u * u
+                other += v * v
+            across = np.sqrt(max(one * other - dot * dot, 0.0))
+            cotangents[t, side] = min(max(dot, 0.0) / across, _LARGEST) if across > 0.0 else 0.0
+
+
+@kernel
+def _even_out(
+    triangles: Int32s,
+    cotangents: Float64s,
+    positions: Float64s,
+    heights: Float64s,
+    slopes: Float64s,
+    sums: Float64s,
+    part: float,
+    lift: float,
+) -> None:
+    """Move slopes (n, 3) by a part toward the means of their neighbours, and heights (n,) by a part ``lift``.
+
+    Weighed by cotangents these means are at the vertices themselves, so that what is linear stays. A
+    neighbour's height is taken with what the slopes make of the way from there, so that parabolas stay.
+    """
+    sums[:] = 0.0
+    for t in range(len(triangles)):
+        for side in range(3):
+            a, b, weight = triangles[t, side], triangles[t, (side + 1) % 3], cotangents[t, side]
+            rise = 0.0
+            for axis in range(3):
+                sums[a, axis] += weight * slopes[b, axis]
+                sums[b, axis] += weight * slopes[a, axis]
+                mean = 0.5 * (slopes[a, axis] + slopes[b, axis])
+                rise += mean * (positions[b, axis] - positions[a, axis])
+            sums[a, 3] += weight * (heights[b] - rise)
+            sums[b, 3] += weight * (heights[a] + rise)
+            sums[a, 4] += weight
+            sums[b, 4] += weight
+    for n in range(len(heights)):
+        if sums[n, 4] > 0.0:
+            for axis in range(3):
+                slopes[n, axis] += part * (sums[n, axis] / sums[n, 4] - slopes[n, axis])
+            heights[n] += lift * (sums[n, 3] / sums[n, 4] - heights[n])
 
 
 @kernel

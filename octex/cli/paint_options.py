@@ -57,6 +57,11 @@ _OPTIONS = (
         metavar="X,Y,Z,R",
         type=disc,
     ),
+    option(
+        "--conformal",
+        "with --unwrap: lay it out so that angles change least; opens ears and limbs, which fold otherwise",
+        action="store_true",
+    ),
     option("--out", "the painted texture; with --force also TEXTURE", metavar="NEW", type=output_file),
     option(
         "--mask",
@@ -207,6 +212,7 @@ _WORDS = {
         "IMAGE",
         "--camera",
         "--unwrap",
+        "--conformal",
         "--mask",
         "--masks",
         "--key",
@@ -234,7 +240,16 @@ _WORDS = {
     "--layer": _MERGE,
     "--view": _SHARED
     | VIEW_WORDS
-    | {"--shaded", "--empty-layer", "--camera-out", "--camera", "--size", "--channel", "--unwrap"},
+    | {
+        "--shaded",
+        "--empty-layer",
+        "--camera-out",
+        "--camera",
+        "--size",
+        "--channel",
+        "--unwrap",
+        "--conformal",
+    },
 }
 _NEEDED = {
     "painting": ("MODEL", "--camera", "--out"),
@@ -295,6 +310,8 @@ def work_of(options: argparse.Namespace, program: str) -> str:
                 raise ArgumentError(f"{word} has no meaning with --unwrap, which says what is seen")
         if work == "painting" and not options.IMAGE:
             raise ArgumentError(f"IMAGE is missing; see {program} --help")
+    elif options.conformal:
+        raise ArgumentError("--conformal has no meaning without --unwrap")
     elif work == "--view" and options.camera is None and options.camera_out is None:
         raise ArgumentError(
             "--view without --camera needs --camera-out: without its camera a picture cannot be painted back"

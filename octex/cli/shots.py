@@ -90,7 +90,8 @@ def patch_of(
     if size[0] != size[1]:
         raise ArgumentError(f"pictures of a disc are square, not {size[0]} × {size[1]}")
     *center, radius = options.unwrap
-    patch = octex.unwrap(surface, center, radius, up=options.up, size=size[0])
+    method = "conformal" if options.conformal else "exponential"
+    patch = octex.unwrap(surface, center, radius, up=options.up, size=size[0], method=method)
     for fault in patch.faults:
         progress.note(f"--unwrap: {fault}; paint reaches what is seen")
     return patch

@@ -219,8 +219,9 @@ def _ptex(folder: Path) -> None:
     (folder / "quad.obj").write_text(_QUAD)
     surface = octex.load_surface(folder / "quad.obj")
     texture = octex.convert(surface, 3)
-    octex.write_ptex(texture, surface, folder / "quad.ptx")
-    octex.convert(octex.load_surface(folder / "quad.obj", sources=octex.Ptex(folder / "quad.ptx").sources), 3)
+    for mesh in (surface, octex.Surface.from_arrays(surface.vertices, surface.triangles)):
+        octex.write_ptex(texture, mesh, folder / "faces.ptx")
+        octex.convert(mesh.with_sources(octex.Ptex(folder / "faces.ptx").sources), 3)
     patch = octex.unwrap(surface, (0.5, 0.5, 0), 0.4, size=8)
     octex.paint(texture, surface, octex.Projection(np.zeros((8, 8, 3), np.uint8), patch))
 

@@ -14,10 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Bools, Float64s, Int32s, Int64s, Integers
-from octex.checks import as_positive, as_reals, as_whole
+from octex.checks import as_choice, as_positive, as_reals, as_whole
 from octex.errors import ModelError
 from octex.jit import inlined, kernel
 from octex.nearest.triangles import Triangles
+from octex.painting.conformal import conformal
 from octex.source.surface import Surface, as_surface
 from octex.source.welding import first_equal
 from octex.view.camera import Camera
@@ -26,6 +27,7 @@ from octex.view.camera import Camera
 _FLAT = 25.0
 #: The wave goes on beyond the radius, so that triangles across the rim have all corners.
 _BEYOND = 1.5
+METHODS = ("exponential", "conformal")
 #: Triangles that fold lie so much of the radius behind the others.
 _BEHIND = 1e-3
 
@@ -85,6 +87,7 @@ def unwrap(
     *,
     up: npt.ArrayLike | None = None,
     size: int = 1024,
+    method: str = "exponential",
 ) -> Patch:
     """Lay a disc of a posed surface flat, to be painted on in a picture (Benson & Davis 2002, 6.1).
 
@@ -95,6 +98,10 @@ def unwrap(
     radius   of the disc, along the surface
     up       what points up in the picture; by default y, or z where the surface looks along y
     size     pixels of its picture along each side, which the disc fills
+    method   "exponential", as said; or "conformal": the same triangles laid out anew so that angles change
+             least (Lévy et al. 2002), turned as around the centre and of the surface's area in all, in a
+             picture as wide as they are. Ears, horns and limbs, which fold otherwise, then lie open; sizes
+             differ, more the more they stick out.
 
     Vertices at one place are one. A disc that folds, or that the surface ends in, is made as far as it goes,
     and says so: ``Patch.faults``. Around a handle or a limb, what lies behind it comes from both sides and
@@ -109,6 +116,7 @@ def unwrap(
     middle = as_reals(center, "center", (3,), most=1e30)
     radius = as_positive(radius, "radius")
     size = as_whole(size, "size", 1, 100_000)
+    as_choice(method, METHODS, "method")
     wanted = None if up is None else as_reals(up, "up", (3,), most=1e30)
     found = Triangles.of(surface.vertices, surface.triangles).nearest(middle[None])
     start = int(found.triangles[0])
@@ -127,14 +135,21 @@ def unwrap(
     inside = (reach < radius)[faces].any(axis=1) & np.isfinite(reach)[faces].all(axis=1)
     inside[start] = True
     triangles = np.flatnonzero(inside).astype(np.int32)
+    half = radius
+    if method == "conformal":
+        used = np.unique(faces[triangles])
+        inner = np.searchsorted(used, faces[triangles])
+        first = int(np.searchsorted(triangles, start))
+        flat[used] = conformal(surface.vertices[used], inner, flat[used], first)
+        half = float(np.abs(flat[used]).max())
     a, b, c = np.moveaxis(flat[faces[triangles]], 1, 0)
     e, f = b - a, c - a
     folded = triangles[e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0] < 0]
-    posed, coordinates = _flat_surface(surface, faces, triangles, folded, flat, _BEHIND * radius)
+    posed, coordinates = _flat_surface(surface, faces, triangles, folded, flat, _BEHIND * half)
     pose = np.eye(4)
-    pose[2, 3] = radius
+    pose[2, 3] = half
     camera = Camera.orthographic(
-        (size, size), pose=pose, convention="opengl", pixels_per_unit=size / (2 * radius)
+        (size, size), pose=pose, convention="opengl", pixels_per_unit=size / (2 * half)
     )
     ends = border & (reach < radius)
     meets = bool(ends[faces[triangles]].any())

@@ -100,7 +100,10 @@ def lit(
     if light is None:
         shade = soft_light(camera, points, faces, normals)
         return appearance._replace(reflected=appearance.reflected * shade[:, None])
-    material = Material(appearance.reflected, appearance.metallic, appearance.roughness, appearance.occlusion)
+    material = Material(
+        appearance.reflected, appearance.metallic, appearance.roughness, appearance.occlusion,
+        appearance.specular,
+    )  # fmt: skip
     return appearance._replace(reflected=reflected(light, camera, points, faces, normals, material))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Float32s, Float64s, Floats, Int32s
-from octex.channels import ALPHA, BASE_COLOR, LUMINANCE, NORMAL, ChannelFormat, srgb_to_linear
+from octex.channels import ALPHA, BASE_COLOR, LUMINANCE, NORMAL, SPECULAR, ChannelFormat, srgb_to_linear
 from octex.checks import as_choice
 from octex.compare import inside_cells
 from octex.errors import ArgumentError
@@ -42,6 +42,7 @@ class Appearance(NamedTuple):
     metallic: Floats | None = None  # (n,)   as the fields of `octex.view.reflection.Material`
     roughness: Floats | None = None  # (n,)
     occlusion: Floats | None = None  # (n,)
+    specular: Floats | None = None  # (n, 3)
 
     def unlit(self) -> Floats:
         """Return what is seen in white light (n, 3)."""
@@ -51,7 +52,7 @@ class Appearance(NamedTuple):
 
 #: The channels that say how light is reflected, beside base colour.
 _SCALARS = "metallic", "roughness", "occlusion"
-_REFLECTION = NORMAL.name, *_SCALARS
+_REFLECTION = NORMAL.name, *_SCALARS, SPECULAR.name
 
 #: Gives hits their appearance.
 Shader = Callable[[Hits], Appearance]
@@ -108,12 +109,18 @@ class Shown(NamedTuple):
         shown = shown[:, :3] if shown.shape[1] > 2 else np.repeat(shown[:, :1], 3, axis=1)
         if self.is_lit:
             emissive = values.get("emissive")
+            metallic, roughness, occlusion = (
+                None if name not in values else values[name][:, 0] for name in _SCALARS
+            )
             return Appearance(
                 shown,
                 None if emissive is None else np.clip(emissive, 0.0, 1.0),
                 coverage,
                 values.get(NORMAL.name),
-                *(None if name not in values else values[name][:, 0] for name in _SCALARS),
+                metallic,
+                roughness,
+                occlusion,
+                values.get(SPECULAR.name),
             )
         if self.channel.space == "direction":
             lengths = np.linalg.norm(shown, axis=1, keepdims=True)
@@ -130,7 +137,8 @@ def source_shader(
 
     channel      shown as it is; by default base colour in the light, with what the surface emits, or else the
                  channel that is most like a colour
-    materials    with all that says how light is reflected: metallic, roughness, occlusion and normal
+    materials    with all that says how light is reflected: metallic, roughness, occlusion,
+                 specular and normal
     bump         bends the normals by how a channel changes from a sample to the next
 
     Raises ArgumentError for a channel that is not there.

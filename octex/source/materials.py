@@ -62,8 +62,8 @@ class Material(NamedTuple):
 
 #: The largest number that a half-precision float holds.
 MOST_IN_FLOAT16 = 65504.0
-#: What a material that does not state a channel gives (glTF 2.0's defaults).
-DEFAULTS = {"emissive": 0.0}
+#: What a material that does not state a channel gives (glTF 2.0's defaults), if it is not 1.
+DEFAULTS = {"emissive": 0.0, "specular": 0.04}
 
 
 class MaterialSource(Source):

@@ -20,6 +20,8 @@ from octex.view.environment import Environment, Tables, glossy_light, matte_ligh
 
 #: Of what is no metal, along the normal (glTF 2.0, appendix B).
 _DIELECTRIC = 0.04
+#: What reflects less than a fiftieth along the normal, as nothing solid does, reflects less at the rim, too.
+_DARKEST = 0.02
 _SIZE = 32
 _BITS = 12
 _SAMPLES = 2**_BITS
@@ -34,6 +36,7 @@ class Material(NamedTuple):
     metallic: Floats | None = None  # (n,)   None: 0
     roughness: Floats | None = None  # (n,)   None: 1
     occlusion: Floats | None = None  # (n,)   how much of the light reaches it; None: 1
+    specular: Floats | None = None  # (n, 3)   of what is no metal, reflected along the normal; None: 0.04
 
 
 def reflected(
@@ -51,10 +54,11 @@ def reflected(
     normals    (n, 3) normals to light them by, of the same side as the triangles'; of any length
     """
     lit = np.empty((len(points), 3), np.float32)
-    columns = np.ones((len(points), 6))
+    columns = np.ones((len(points), 9))
     columns[:, :3] = material.base_color
     columns[:, 3] = 0.0
-    for number, part in enumerate(material[1:], 3):
+    columns[:, 6:] = _DIELECTRIC if material.specular is None else material.specular
+    for number, part in enumerate((material.metallic, material.roughness, material.occlusion), 3):
         if part is not None:
             columns[:, number] = part
     np.clip(columns[:, 3:], 0.0, 1.0, out=columns[:, 3:])
@@ -140,9 +144,9 @@ def _reflect(
         double = 2.0 * cosine
         glossy = glossy_light(tables, roughness, double * x - vx, double * y - vy, double * z - vz)
         matte = matte_light(tables, x, y, z)
-        once, again = _scattered(_DIELECTRIC, slope, bias)
         for c in range(3):
-            base = materials[n, c]
+            base, first = materials[n, c], materials[n, 6 + c]
+            once, again = _scattered(first, slope, bias * min(first / _DARKEST, 1.0))
             metal, metal_again = _scattered(base, slope, bias)
             plain = once * glossy[c] + (again + base * (1.0 - once - again)) * matte[c]
             shiny = metal * glossy[c] + metal_again * matte[c]

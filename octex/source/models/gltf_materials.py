@@ -2,8 +2,10 @@
 
 A channel is stated by a factor or a map that stands in the file. Beside the core's metallic-roughness
 materials: KHR_materials_unlit, which leaves only base colour and alpha; KHR_materials_emissive_strength;
-KHR_texture_transform; and the older KHR_materials_pbrSpecularGlossiness, whose materials are not metallic and
-as rough as they are not glossy. Other extensions of materials change none of these channels.
+KHR_texture_transform; KHR_materials_specular and KHR_materials_ior, which say what is reflected along the
+normal, but for the texture of how strongly; and the older KHR_materials_pbrSpecularGlossiness, whose
+materials are not metallic and as rough as they are not glossy. Other extensions of materials change none of
+these channels.
 """
 
 from __future__ import annotations
@@ -208,6 +210,12 @@ def _described(document: Document, number: int | None) -> tuple[Material, dict[s
         for name, key, lane in (("metallic", "metallicFactor", 2), ("roughness", "roughnessFactor", 1)):
             if pbr.states(key, texture):
                 state(name, (pbr.number(key, 1.0),), pbr, texture, (lane,))
+        if extensions.states("KHR_materials_specular", "KHR_materials_ior"):
+            layer, ior = extensions.part("KHR_materials_specular"), extensions.part("KHR_materials_ior")
+            index = max(ior.number("ior", 1.5), 0.0)  # 0 reflects all
+            first = layer.number("specularFactor", 1.0) * ((index - 1.0) / (index + 1.0)) ** 2
+            tint = np.clip(first * np.array(layer.numbers("specularColorFactor", (1.0,) * 3)), 0.0, 1.0)
+            state("specular", tuple(tint.tolist()), layer, "specularColorTexture")
     if given.states("occlusionTexture"):
         strength = given.part("occlusionTexture").number("strength", 1.0)
         state("occlusion", (strength,), given, "occlusionTexture", (0,), (1.0 - strength,))
