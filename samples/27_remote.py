@@ -1,7 +1,6 @@
 """A texture on a server: the blocks that lookups need come over the wire, coarse levels first.
 
 A server in this process, which counts what it sends, stands for https://… or s3://…
-
     python samples/27_remote.py [FOLDER]      writes FOLDER/droid.octex (default: out)
 """
 
@@ -44,6 +43,7 @@ def main(folder: Path) -> None:
         for width in (texture.placement.size / 16, texture.placement.size / 64, None):
             texture.sample(surface.scatter(100), width=width)
             print(f"width {width}: {SENT[0]:,} of {len(CONTENT):,} bytes came")
+        server.shutdown()
 
 
 if __name__ == "__main__":

@@ -195,7 +195,11 @@ def test_ctrl_c_ends_the_command(
 
     monkeypatch.setattr(webbrowser, "open", interrupt_soon)
     eight_colors().save(tmp_path / "eight.octex")
-    assert main(["view", str(tmp_path / "eight.octex")]) == ExitCode.DONE
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # it may be ignored
+    try:
+        assert main(["view", str(tmp_path / "eight.octex")]) == ExitCode.DONE
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert capfd.readouterr().out.startswith("http://127.0.0.1:")
 
 
