@@ -11,7 +11,7 @@ from octex.conversion import large
 from octex.conversion.samples import Samples
 from octex.field.taps import Taps
 from octex.jit import inlined, kernel, new_array
-from octex.tree.octree import Octree
+from octex.tree.octree import Octree, distinct
 
 
 class Leaves(NamedTuple):
@@ -81,7 +81,7 @@ class Leaves(NamedTuple):
 
     def with_samples(self, places: Int64s) -> Int64s:
         """Return which leaves have the samples of those at places in the order, each once."""
-        return np.unique(self.heads[places]) if self.heads.size else np.sort(places)
+        return distinct(self.heads[places]) if self.heads.size else np.sort(places)
 
     def where(self, first: int, end: int) -> Int64s | slice:
         """Return what picks the same leaves among all cells."""

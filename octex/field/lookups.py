@@ -608,7 +608,7 @@ class _Listing(_Lookup):
             for run, by_level in spread(points, self._query.footprints, self._placement.size, depth, code):
                 for level, taps, _, _ in self._looks(run, by_level):
                     found.setdefault(level, []).append(self._read(taps, level))
-        return _joined_reads(found), -1
+        return joined_reads(found), -1
 
     def cells(self, points: Floats) -> tuple[dict[int, Reads], int]:
         """List the cells that hold points that are looked at, at each level, whatever is stored."""
@@ -625,12 +625,12 @@ class _Listing(_Lookup):
                 places = np.empty((len(looks.points), 3))
                 place_points(looks.points, *self._placement, places)
                 found.setdefault(level, []).append(Reads(_NO_ROWS, _cells_at(places, level)))
-        return _joined_reads(found), -1
+        return joined_reads(found), -1
 
     def _read(self, taps: Taps, level: int) -> Reads:
         """Return what the taps of the latest block of points read, and which cells hold these."""
         places = self._places[: taps.starts.size]
-        return Reads(np.unique(taps.rows[_each_tap(taps)[1]]), _cells_at(places, level))
+        return Reads(distinct(taps.rows[_each_tap(taps)[1]]).astype(np.uint32), _cells_at(places, level))
 
     def _looks(self, run: slice, by_level: dict[int, Probes]) -> Iterator[tuple[int, Taps, Int32s, Float32s]]:
         """Yield the level, the taps, the owners and the shares of the looks of a run, in blocks."""
@@ -657,11 +657,11 @@ def _cells_at(places: Float64s, level: int) -> Int64s:
     return distinct(encode_cells(np.minimum((places * side).astype(np.int64), side - 1)))
 
 
-def _joined_reads(found: dict[int, list[Reads]]) -> dict[int, Reads]:
+def joined_reads(found: dict[int, list[Reads]]) -> dict[int, Reads]:
     """Join what several blocks of points read, by level."""
     return {
         level: Reads(
-            np.unique(np.concatenate([each.rows for each in parts])),
+            distinct(np.concatenate([each.rows for each in parts])).astype(np.uint32),
             distinct(np.concatenate([each.cells for each in parts])),
         )
         for level, parts in found.items()

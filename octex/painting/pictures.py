@@ -192,16 +192,20 @@ def _mask_levels(given: Float32s, sizes: Int64s, mask: Float32s, found: Float32s
     rows, columns = mask.shape
     width, height = sizes[0, 1], sizes[0, 2]
     step = max((height + rows - 1) // rows, (width + columns - 1) // columns)
+    lefts, parts = np.empty(width, np.int64), np.empty(width, np.float32)
     for level in range(len(sizes)):
         first, across, down = sizes[level, 0], sizes[level, 1], sizes[level, 2]
+        for j in range(across):
+            x = min(max((j + 0.5) * width / (across * step) - 0.5, 0.0), columns - 1.0)
+            lefts[j] = int(x)
+            parts[j] = x - lefts[j]
         for i in range(down):
             y = min(max((i + 0.5) * height / (down * step) - 0.5, 0.0), rows - 1.0)
             above = int(y)
             below, low = min(above + 1, rows - 1), np.float32(y - above)
             for j in range(across):
-                x = min(max((j + 0.5) * width / (across * step) - 0.5, 0.0), columns - 1.0)
-                left = int(x)
-                right, part = min(left + 1, columns - 1), np.float32(x - left)
+                left, part = lefts[j], parts[j]
+                right = min(left + 1, columns - 1)
                 upper = mask[above, left] + (mask[above, right] - mask[above, left]) * part
                 lower = mask[below, left] + (mask[below, right] - mask[below, left]) * part
                 factor = upper + (lower - upper) * low

@@ -24,6 +24,7 @@ from octex.source.welding import welded
 from octex.tree import morton
 from octex.tree.edit import first_not_below
 from octex.tree.layout import GRID_BITS
+from octex.tree.octree import distinct
 from octex.tree.placement import Placement
 from octex.tree.split import bits_of
 
@@ -90,7 +91,7 @@ def sheets_of(surface: Surface, placement: Placement, level: int, executor: Exec
     largest[sheets[by_area]] = by_area  # the last one stays
     chosen = order[largest]
     table = Table(firsts, codes, sheets)
-    keys = np.unique(_beside(table, roots.size))
+    keys = distinct(_beside(table, roots.size))
     pairs = np.column_stack([keys // roots.size, keys % roots.size])
     places = at_corners(grid * 2.0 ** (level - GRID_BITS), faces[triangles[largest]], barycentric[chosen])
     apart = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1)

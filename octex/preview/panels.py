@@ -24,6 +24,7 @@ from octex.preview.pictures import (
     visible_level,
 )
 from octex.preview.shaders import Bump, Shader, Shown, source_shader, texture_shader
+from octex.tree.octree import distinct
 from octex.view.camera import Camera
 from octex.view.shading import background, face_normals
 
@@ -170,7 +171,7 @@ def surface_camera(
             picture[pixels] = linear_to_srgb(look(hits).unlit())
         return picture.reshape(camera.height, camera.width, 3)
 
-    points = surface.vertices[np.unique(surface.triangles)]
+    points = surface.vertices[distinct(surface.triangles.ravel())]
 
     def usual() -> Floats:
         directions = view_directions(*face_normals(surface.vertices, surface.triangles))

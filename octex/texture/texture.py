@@ -37,6 +37,7 @@ from octex.field.lookups import (
     Reads,
     TapList,
     joined,
+    joined_reads,
     list_blends,
     look_up,
     plain_lookup,
@@ -500,10 +501,7 @@ class OctreeTexture:
             for _, (levels, *arrays) in each_block(given, [], look_up, 1, None):
                 for level, rows, cells in zip(levels.tolist(), arrays[::2], arrays[1::2], strict=True):
                     parts.setdefault(level, []).append(Reads(rows, cells))
-            found[name] = {
-                level: Reads(*(np.unique(np.concatenate(each)) for each in zip(*some, strict=True)))
-                for level, some in parts.items()
-            }
+            found[name] = joined_reads(parts)
         return found
 
     def _read_of(self, name: str, lens: Lens, cells_alone: bool, given: Given, answers: list[Array]) -> int:

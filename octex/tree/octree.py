@@ -8,7 +8,7 @@ from itertools import islice
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s, Uint64s
+from octex.arrays import Array, Bools, Int64s, Integers, Uint8s, Uint32s, Uint64s
 from octex.checks import as_depth
 from octex.errors import ArgumentError
 from octex.jit import kernel, new_array, new_zeros, popcount, trailing_zeros
@@ -239,16 +239,16 @@ def count_before(cells: Uint32s, end: int) -> int:
     return int(np.searchsorted(cells[:bound], np.uint32(end)))  # any other type would copy the cells
 
 
-def distinct(codes: Int64s) -> Int64s:
+def distinct(codes: Integers) -> Int64s:
     """Return codes in ascending order, each once: in a seventieth of np.unique's time.
 
     Codes that already are, or a few runs of such, are the fastest: sorting by merging takes 1 to 6 ns each.
     """
-    codes = np.ascontiguousarray(codes, np.int64)
-    found = np.empty(codes.size, np.int64)
-    count = _write_distinct(codes, found)
+    wide = np.ascontiguousarray(codes, np.int64)
+    found = np.empty(wide.size, np.int64)
+    count = _write_distinct(wide, found)
     if count < 0:
-        count = _write_distinct(np.sort(codes, kind="stable"), found)
+        count = _write_distinct(np.sort(wide, kind="stable"), found)
     return found if count == found.size else found[:count].copy()
 
 

@@ -33,6 +33,7 @@ from octex.errors import ArgumentError
 from octex.processing.cast import cast
 from octex.texture import Channel, OctreeTexture, TextureSet
 from octex.tree.layout import FACING_FLAGS
+from octex.tree.octree import distinct
 from octex.tree.split import rows_of
 from octex.view.shading import corner_normals
 from octex.viewer.maps import Maps
@@ -349,7 +350,7 @@ def _packed_mesh(
     columns = [steps[faces.ravel()], _octahedral(normals.reshape(-1, 3))]
     low, edge = np.array(texture.placement.origin), texture.placement.size
     if is_posed:
-        used = surface.vertices[np.unique(faces)]
+        used = surface.vertices[distinct(faces.ravel())]
         low, edge = used.min(axis=0), float(np.ptp(used, axis=0).max()) or 1.0
         posed = np.rint((surface.vertices - low) / edge * (1 << bits)).astype(np.int32)
         columns.append(posed[faces.ravel()])
