@@ -41,8 +41,6 @@ from octex.view.visibility import (
 #: Gives normals (k, 3, 3), of any length, at the corners of triangles (k,).
 Shading = Callable[[Int32s], Float32s]
 
-#: So many pictures are decoded ahead of those that are put before what cameras see.
-AHEAD = 2
 #: By how many degrees before the largest angle paint begins to fade.
 FADE = 10.0
 #: Of the four pixels around a point, what part must see it (by their weights), and from what part on they
@@ -87,6 +85,11 @@ class Terms(NamedTuple):
     back_faces: bool
 
 
+def most_ahead() -> int:
+    """Return how many pictures are decoded ahead: few where memory has no room for them."""
+    return 2 if large.is_mapped() else 64
+
+
 def take_shots(
     projections: Sequence[Projection],
     form: ChannelFormat,
@@ -100,7 +103,7 @@ def take_shots(
     """
     pairs = zip(projections, scales, strict=True)
     decoded = (executor.submit(levels_of, each, form, scale) for each, scale in pairs)
-    queue = deque(islice(decoded, AHEAD))
+    queue = deque(islice(decoded, most_ahead()))
     for sight in sights:
         yield shot_of(sight, large.moved(queue.popleft().result()))
         queue.extend(islice(decoded, 1))

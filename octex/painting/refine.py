@@ -26,7 +26,7 @@ from octex.painting.balance import BALANCES, Balance, balanced
 from octex.painting.consensus import agreed_step, consensus, robust_weights
 from octex.painting.ground import Ground
 from octex.painting.pictures import Levels, Projection, check_projections, levels_of, room_for
-from octex.painting.projected import AHEAD, Projected, Shot, in_fixed_order, shot_of, terms_of
+from octex.painting.projected import Projected, Shot, in_fixed_order, most_ahead, shot_of, terms_of
 from octex.parallel import Progress, as_progress, ordered_map, workers
 from octex.source.surface import Surface, as_surface
 from octex.view.camera import Camera
@@ -100,7 +100,7 @@ def refine_cameras(
         return cameras
     with workers(threads, executor) as pool, room_for(shown, memory, folder):
         decode = partial(levels_of, form=BASE_COLOR)
-        levels = [large.moved(each) for each in ordered_map(pool, decode, shown, window=AHEAD)]
+        levels = [large.moved(each) for each in ordered_map(pool, decode, shown, window=most_ahead())]
         order, fixed = _ordered(ground, cameras, levels, reference, pool)
         began, levels = [cameras[n] for n in order], [levels[n] for n in order]
         samples = surface.scatter(_POINTS)

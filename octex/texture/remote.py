@@ -267,9 +267,7 @@ class _Field(Field):
             leaves for leaves, _ in self.tree.cells_by_depth()[: level + 1]
         ):
             needed.append(arrays.areas[:n_cells])
-        n_split = (
-            _LEAST_SPLIT  # of the table, which is in the cells' order: in steps like those of its search
-        )
+        n_split = _LEAST_SPLIT  # of the table, in the cells' order: in steps like those of its search
         self._fetch_arrays(*needed, split.cells[: n_split + 1])
         while n_split < split.cells.size and split.cells[n_split] < n_cells:
             n_split *= 2
