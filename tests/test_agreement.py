@@ -126,7 +126,7 @@ def test_pictures_that_memory_has_no_room_for_lie_in_files_meanwhile(tmp_path: P
     need = 64 * 5 * 96 * 96
     other = tmp_path / "other"
     assert digest(octex.paint(None, surface, shots, memory=need, folder=other, **options)) == expected
-    with pytest.raises(ArgumentError, match=r"folder: .*other is none"):
+    with pytest.raises(ArgumentError, match=r"folder: .*other is no folder; name one that is there"):
         octex.paint(None, surface, shots, memory=need - 1, folder=other, **options)
     assert digest(octex.paint(None, surface, shots, memory="1kB", folder=tmp_path, **options)) == expected
     refined = octex.refine_cameras(surface, shots, memory="1kB", folder=tmp_path)

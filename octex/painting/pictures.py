@@ -106,7 +106,7 @@ def room_for(
         return nullcontext()
     place = Path(tempfile.gettempdir()) if folder is None else as_path(folder, "folder")
     if not place.is_dir():
-        raise ArgumentError(f"folder: {place} is none")
+        raise ArgumentError(f"folder: {place} is no folder; name one that is there")
     return scratch(place)
 
 
