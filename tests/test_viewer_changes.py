@@ -20,7 +20,7 @@ from octex.texture import OctreeTexture
 from octex.viewer import Viewer
 from octex.viewer.changes import change_between
 from octex.viewer.pack import pack
-from tests.browser import Probe, chromium, differences, opened
+from tests.browser import Probe, differences, opened, started
 from tests.conftest import needs_jit
 from tests.painted import ball
 from tests.small_surfaces import sheet
@@ -38,7 +38,7 @@ _HELD = """async () => {
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with chromium() as found:
+    with started() as found:
         yield found
 
 

@@ -16,7 +16,7 @@ from octex.source.load import load_motion
 from octex.source.motion import Animation, Motion
 from octex.viewer import write_page
 from octex.viewer.pack import pack
-from tests.browser import Probe, camera_of, chromium, file_url, lit_normals, opened
+from tests.browser import Probe, camera_of, file_url, lit_normals, opened, started
 from tests.command import result
 from tests.conftest import needs_jit
 from tests.fixtures import Gltf
@@ -27,7 +27,7 @@ SIZE = 120, 90
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with chromium() as found:
+    with started() as found:
         yield found
 
 
