@@ -115,8 +115,9 @@ def wavefront_lines(data: bytes, path: Path) -> Iterator[str]:
         text = text.replace("\t", " ")
     for line in text.splitlines():
         line = line.strip()
-        if "#" in line and not line.startswith(("usemtl", "newmtl", "mtllib", "map_", "norm", "bump")):
-            line = line.partition("#")[0]
+        if "#" in line:  # names may hold it: after one, a comment has blanks on both sides of the sign
+            named = line.startswith(("usemtl", "newmtl", "mtllib", "map_", "norm", "bump"))
+            line = line.partition(" # " if named else "#")[0]
         if line:
             yield line
 
