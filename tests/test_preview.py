@@ -21,7 +21,8 @@ from octex.preview import (
     write_preview,
 )
 from octex.preview.directions import best_direction, view_directions
-from octex.preview.shaders import Appearance, Hits, Shown
+from octex.preview.hits import Hits
+from octex.preview.shaders import Appearance, Shown
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
 from octex.tree.octree import Octree

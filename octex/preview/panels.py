@@ -15,14 +15,8 @@ from octex.channels import encode, linear_to_srgb
 from octex.errors import ArgumentError
 from octex.files import replacing
 from octex.preview.directions import USUAL, Viewpoint, best_direction, view_directions
-from octex.preview.pictures import (
-    Leaves,
-    film_surface,
-    render_leaves,
-    rest_normals,
-    visible_hits,
-    visible_level,
-)
+from octex.preview.hits import rest_normals, visible_hits
+from octex.preview.pictures import Leaves, film_surface, render_leaves, visible_level
 from octex.preview.shaders import Bump, Shader, Shown, source_shader, texture_shader
 from octex.tree.octree import distinct
 from octex.view.camera import Camera
