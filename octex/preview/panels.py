@@ -241,6 +241,6 @@ def captioned(panel: Panel, room: int | None = None) -> Image.Image:
     title, subtitle = ImageFont.load_default(strip * 0.36), ImageFont.load_default(strip * 0.28)
     draw = ImageDraw.Draw(picture)
     middle, top = picture.width // 2, picture.height - (room or strip)
-    draw.text((middle, top + strip * 0.05), panel.title, (30, 30, 32), title, "ma")
-    draw.text((middle, top + strip * 0.50), panel.subtitle, (80, 80, 84), subtitle, "ma")
+    draw.text((middle, top + strip * 0.05), panel.title, (12, 12, 14), title, "ma")
+    draw.text((middle, top + strip * 0.50), panel.subtitle, (40, 40, 44), subtitle, "ma")
     return picture
