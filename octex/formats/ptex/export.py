@@ -235,9 +235,10 @@ class _Samples(NamedTuple):
         """Return the faces, triangles and barycentric coordinates of texels' samples, texel by texel."""
         counts, log2 = self.faces.counts, self.faces.log2
         ends = np.cumsum(counts)
-        numbers = np.arange(begin, end)
-        faces = np.searchsorted(ends, numbers, side="right").astype(np.int32)
-        uv = _at(self.patches, log2[faces], numbers - (ends - counts)[faces], self.per_texel)
+        first, last = np.searchsorted(ends, [begin, end - 1], side="right")
+        faces = np.repeat(np.arange(first, last + 1, dtype=np.int32), counts[first : last + 1])
+        faces = faces[begin - (ends[first] - counts[first]) :][: end - begin]
+        uv = _at(self.patches, log2[faces], np.arange(begin, end) - (ends - counts)[faces], self.per_texel)
         faces = np.repeat(faces, len(self.per_texel))
         return faces, *_placed(self.patches, faces, uv.reshape(-1, 2))
 
@@ -275,16 +276,18 @@ def _fitted(
 ) -> Float32s:
     """Return texels (texels, components) that read back as what is wanted at their samples.
 
-    They start as the means of these. Round by round they take what the field between them lacks, on average
-    over each (Van Cittert's iteration); of colours by how much is covered there.
+    Those of one sample are that. Others start as means of theirs; round by round they take what the field
+    between them lacks, on average over each (Van Cittert's iteration), of colours by how much is covered.
     """
+    if wanted.shape[1] == 1:
+        return wanted[:, 0]
     weights = np.ones((len(wanted), wanted.shape[1], 1), np.float32)
     is_alpha = np.array([form.name == ALPHA.name for form in forms for _ in range(form.components)])
     if is_alpha.any():
         weights = np.where(is_alpha, np.float32(1.0), wanted[..., is_alpha])
     totals = np.maximum(weights.sum(axis=1), np.float32(2.0**-20))
     texels: Float32s = (wanted * weights).sum(axis=1) / totals
-    for _ in range(_ROUNDS if wanted.shape[1] > 1 else 0):
+    for _ in range(_ROUNDS):
         field = TexelField(texels, samples.faces, forms, samples.surface, samples.patches, ("clamp", "clamp"))
         for begin in range(0, len(texels), _TOGETHER):
             report("fit", begin, len(texels))
