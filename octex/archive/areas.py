@@ -78,7 +78,7 @@ def code_areas(
     coder: Int64s,
     stream: Uint32s,
 ) -> None:
-    """Count, encode or decode the areas of cells from ``begin`` on; ``rows``, ``cells`` lie around them."""
+    """Note or decode the areas of cells from ``begin`` on; ``rows``, ``cells`` lie around them."""
     work = coder[PASS]
     rest = whole = wide(0)
     left, node = 1, -1

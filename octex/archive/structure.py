@@ -52,7 +52,7 @@ def code_structure(
     coder: Int64s,
     stream: Uint32s,
 ) -> None:
-    """Count, encode or decode the children of nodes ``first`` … ``last``, around which lie cells and nodes.
+    """Note or decode the children of nodes ``first`` … ``last``, around which lie cells and nodes.
 
     Decoding, it writes their masks and the groups' ranks, and their flags. Its children are numbered from
     ``next_node`` and ``next_cell`` on, up to the ends: what goes beyond sets FAULT.
