@@ -9,7 +9,7 @@ import threading
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from functools import partial
+from functools import partial, reduce
 from itertools import chain
 from typing import Any, BinaryIO, NamedTuple
 
@@ -323,7 +323,7 @@ def _noted(
         for task, (numbers, streams) in zip(level, ordered_map(executor, _called, level), strict=True):
             size += sum(stream.nbytes for stream in streams)
             noted.append((task, (numbers, streams) if size <= _MOST_NOTES else None))
-    return [np.sum(each, axis=0) for each in zip(*found or [no_counts(codings)], strict=True)], noted
+    return [reduce(np.add, each) for each in zip(*found or [no_counts(codings)], strict=True)], noted
 
 
 def _encoded(models: tuple[Uint16s, Uint32s], note: _Note) -> Encoded:
