@@ -38,8 +38,8 @@ def _code(area: int, areas: Int64s, steps: Uint8s) -> int:
     bits = wide(np.float64(area).view(np.int64))
     code = AREA_ONE + AREA_STEPS * ((bits >> 52) - 1023 - _BITS) + wide(steps[bits >> 44 & 255]) - 1
     code = min(max(code, 0), 253)
-    code += wide(areas[np.uint64(code + 1)] <= area)
-    return code + wide(areas[np.uint64(code + 1)] <= area)
+    # Areas ascend: neither waits for the other.
+    return code + wide(areas[np.uint64(code + 1)] <= area) + wide(areas[np.uint64(code + 2)] <= area)
 
 
 @inlined

@@ -2,8 +2,8 @@
 
 rANS (Duda 2013, "Asymmetric numeral systems") with four states of 32 bits, which take turns, so that four
 symbols are decoded at once (Giesen 2014, "Interleaved entropy coders"). Frequencies are of 4096. It writes
-backward: symbols are counted and noted first; when frequencies are known, the notes are turned into words, the
-last first. The decoder reads forward.
+backward: symbols are counted and noted first; when frequencies are known, the notes are turned into words,
+the last first. The decoder reads forward.
 
 A coder is an array of whole numbers: the states, then PLACE … TURN. When symbols are noted, a stream is the
 notes, each ``context << 8 | symbol``, contexts of all pools numbered through, or for what has an interval of
@@ -135,7 +135,7 @@ def code_bits(value: int, count: int, coder: Int64s, stream: Uint32s) -> int:
 
 
 @kernel
-def _write_words(notes: Uint32s, chosen: Uint16s, intervals: Uint32s, words: Uint16s) -> int:
+def _write_words(notes: Uint32s, chosen: Uint32s, intervals: Uint32s, words: Uint16s) -> int:
     """Turn notes into words, the last first, at the far end of ``words``; return where they begin.
 
     ``chosen`` and ``intervals`` are those of all pools, one after the other.
@@ -170,17 +170,17 @@ def _write_words(notes: Uint32s, chosen: Uint16s, intervals: Uint32s, words: Uin
     return at
 
 
-def words_of(notes: Uint32s, chosen: Uint16s, intervals: Uint32s) -> Uint16s:
+def words_of(notes: Uint32s, chosen: Uint32s, intervals: Uint32s) -> Uint16s:
     """Return the words of notes; ``chosen`` and ``intervals`` are those of all pools."""
     words = np.empty(notes.size + 2 * STATES, np.uint16)  # an interval is 12 bits or less
     return words[_write_words(notes, chosen, intervals, words) :]
 
 
-def intervals_of(pools: list[Pool]) -> tuple[Uint16s, Uint32s]:
+def intervals_of(pools: list[Pool]) -> tuple[Uint32s, Uint32s]:
     """Return the table of each context and the intervals of all pools, numbered through."""
     tables = np.cumsum([0, *(pool.intervals.size >> 8 for pool in pools)])
     chosen = [pool.chosen + before for pool, before in zip(pools, tables[:-1], strict=True)]
-    return np.concatenate(chosen).astype(np.uint16), np.concatenate([pool.intervals for pool in pools])
+    return np.concatenate(chosen).astype(np.uint32), np.concatenate([pool.intervals for pool in pools])
 
 
 # Whole numbers without a table, for the tables themselves: how many bits one has, then these, each bit coded
@@ -263,7 +263,7 @@ def encoded_numbers(numbers: Int64s) -> Uint16s:
     """Return the stream of whole numbers (n,), 0 to 2³² − 2."""
     coder, stream = new_coder(NOTES), np.empty(120 * numbers.size, np.uint32)
     _code_numbers(numbers.copy(), _new_chances(), coder, stream)
-    return words_of(stream[: coder[PLACE]], np.empty(0, np.uint16), np.empty(0, np.uint32))
+    return words_of(stream[: coder[PLACE]], *[np.empty(0, np.uint32)] * 2)
 
 
 def decoded_numbers(words: Uint16s, count: int) -> Int64s | None:

@@ -1,4 +1,4 @@
-"""Write an archive: note and count what occurs, choose the models, encode; block by block, from mapped arrays."""
+"""Write an archive: note what occurs, choose the models, encode; block by block, from mapped arrays."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ from octex.archive.layout import (
     room,
 )
 from octex.archive.models import Models, counting, made, no_counts
-from octex.arrays import Array, Int64s, Uint8s, Uint16s, Uint32s
+from octex.arrays import Array, Int64s, Uint8s, Uint32s
 from octex.files import replacing
 from octex.parallel import ordered_map, workers
 from octex.tree.layout import KeptTable, SplitTable, TreeArrays
@@ -56,7 +56,7 @@ from octex.tree.octree import Octree, no_kept, no_split
 
 #: About so many cells of nodes, and of leaves, are looked at to choose weights, so often.
 _SAMPLE = 1 << 13
-_ROUNDS = 3
+_ROUNDS = 6
 #: So many bytes of notes are kept until they are encoded.
 _MOST_NOTES = 1 << 28
 
@@ -326,7 +326,7 @@ def _noted(
     return [reduce(np.add, each) for each in zip(*found or [no_counts(codings)], strict=True)], noted
 
 
-def _encoded(models: tuple[Uint16s, Uint32s], note: _Note) -> Encoded:
+def _encoded(models: tuple[Uint32s, Uint32s], note: _Note) -> Encoded:
     """Return a block's numbers of children and its streams."""
     task, noted = note
     numbers, streams = noted or task()
