@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from octex.cli.addresses import Address, texture_file
+from octex.cli.addresses import Address, file_here, texture_file
 from octex.cli.functions import FunctionName, function_name
 
 #: What octex stores (octex.channels.ONE), how it reads images (octex.source.images.filters.FILTERS), lays
@@ -88,7 +88,7 @@ def cells_apart(text: str) -> float:
 
 def light(text: str) -> Path | str:
     """Read the name of a picture of light from all around, or "studio"."""
-    return text if text == "studio" else Path(text)
+    return text if text == "studio" else file_here(text)
 
 
 def bump(text: str) -> tuple[str, float]:
@@ -143,7 +143,7 @@ def source(text: str) -> tuple[str, Given]:
     try:
         numbers = tuple(float(number) for number in given.split(","))
     except ValueError:
-        return name, function_name(given) or Path(given)
+        return name, function_name(given) or file_here(given)
     return name, numbers[0] if len(numbers) == 1 else numbers
 
 
@@ -168,7 +168,7 @@ def mask_pattern(text: str) -> str:
         raise argparse.ArgumentTypeError(
             f"{text!r} has neither {{stem}} nor {{name}}; like masks/{{stem}}.png"
         )
-    return text
+    return str(file_here(text))
 
 
 def projection(text: str) -> str:
@@ -251,9 +251,10 @@ def pixels(text: str) -> float:
 
 def camera(text: str) -> tuple[Path, str | None]:
     """Read a file of cameras, and the name of one after a #; both may have more of these in them."""
+    whole = file_here(text)
     places = [place for place, letter in enumerate(text) if letter == "#" and place > 0]
-    if not places or Path(text).exists():
-        return Path(text), None
+    if not places or whole.exists():
+        return whole, None
     place = next((place for place in places if Path(text[:place]).exists()), places[0])
     name = text[place + 1 :]
     if not name:

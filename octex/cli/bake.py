@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import octex
 from octex.cli.addresses import TEXTURE_ENDING, TEXTURE_ENDINGS, file_here, output_file, texture_file
-from octex.cli.arguments import channel_names, edge_length, error_codes, real, whole_number
+from octex.cli.arguments import channel_names, edge_length, error_codes, length, real, whole_number
 from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
 from octex.cli.models import open_sound
 from octex.cli.parser import RUNNING, Command, Parser, option, words_given
@@ -71,7 +71,7 @@ BAKE = Command(
             "--max-distance",
             "how far away --source may be, in its units (default: as far as it takes)",
             metavar="DISTANCE",
-            type=edge_length,
+            type=length,
         ),
         option("--padding", "texels between charts (default 8)", metavar="N", type=whole_number),
         option("--channels", "those to bake, like base_color,normal", metavar="NAMES", type=channel_names),

@@ -15,7 +15,14 @@ from octex.ahead import ahead
 from octex.cli.addresses import TEXTURE_ENDING, TEXTURE_ENDINGS
 from octex.cli.bake import bake, baking
 from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
-from octex.cli.convert_options import COMMANDS, CONVERT, archive_error, check_input, work_of
+from octex.cli.convert_options import (
+    COMMANDS,
+    CONVERT,
+    OUTPUT_ENDINGS,
+    archive_error,
+    check_input,
+    work_of,
+)
 from octex.cli.diff import diff
 from octex.cli.inspect import info, validate
 from octex.cli.models import PTEX_ENDING, input_files, kind_of, read_model, settings_of, told_of
@@ -37,7 +44,6 @@ if TYPE_CHECKING:
     from octex.texture import OctreeTexture
 
 COMMAND = "octree-convert"
-OUTPUT_ENDINGS = (*TEXTURE_ENDINGS, ".ply", ".npz", PAGE_ENDING)
 
 
 def main(arguments: Sequence[str] | None = None, program: str = COMMAND, command: str = "convert") -> int:
@@ -84,8 +90,6 @@ def _convert(options: argparse.Namespace, program: str) -> int:
     check_outputs(outputs, inputs, force=options.force)
     kind = kind_of(options.INPUT)
     check_input(options, kind, program)
-    if options.memory is not None and options.parts:
-        raise InputError("--memory is for one texture; leave out --parts")
     stages = ("convert", "preview") if options.preview is not None else ("convert",)
     is_shared = options.threads is None and kind == "model"
     with Reporter(program, options.quiet) as progress, ahead(*stages if is_shared else ()):

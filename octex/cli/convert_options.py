@@ -272,12 +272,17 @@ _OPTIONS = (
     option("--warm-up", "compile everything now; later runs start at once", action="store_true"),
 )
 
+#: What a conversion writes, each in one file.
+OUTPUT_ENDINGS = (*TEXTURE_ENDINGS, ".ply", ".npz", PAGE_ENDING)
+
 # Which options go with what is done.
 _PROJECTION = {"--project", "--project-axis", "--project-center", "--project-size"}
 _ELSEWHERE = {"--transfer", "--cloud", "--radius", "--max-distance", "--max-angle"}
 _MATERIALS = {"--channels", "--source", "--filter", "--rest", "--also", "--bounds", "--edge"}
 _MATERIALS |= _PROJECTION | _ELSEWHERE | SHAPE_WORDS
 _MATERIALS |= {"--ptex"}  # what an INPUT is that is a .ptx
+#: What has no meaning where only textures are compared.
+OF_MODELS = {"--points"} | _MATERIALS - {"--channels"}
 #: What makes another texture of a texture alone.
 _OF_TEXTURES = {"--crop", "--combine", "--mix", "--blur", "--levels"}
 #: In the order in which they are done.
@@ -456,7 +461,7 @@ def work_of(options: argparse.Namespace, program: str) -> str:
     if work == _CONVERSION:
         if options.depth is not None and options.cell is not None:
             raise ArgumentError("--depth and --cell both say how fine the cells are; give one of them")
-        for word in ("--separate", "--preview", *sorted(VIEW_WORDS)):
+        for word in ("--separate", "--preview", "--memory", *sorted(VIEW_WORDS)):
             if options.parts and word in given:
                 raise ArgumentError(f"{word} has no meaning with --parts; see {program} --help")
     return work

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 from octex.cli.addresses import TEXTURE_ENDINGS
 from octex.cli.common import Reporter, check_outputs, say
+from octex.cli.convert_options import OF_MODELS
 from octex.cli.inspect import triple
 from octex.cli.models import input_files, open_sound, read_model
+from octex.cli.parser import words_given
 from octex.errors import ArgumentError, ExitCode
 
 if TYPE_CHECKING:
     from octex.compare import Difference, Differences, Side
-
-_NEEDS_A_MODEL = ("rest", "pose", "subdiv_levels", "filter", "source", "points")
 
 
 def diff(command: str, options: argparse.Namespace) -> int:
@@ -28,10 +28,9 @@ def diff(command: str, options: argparse.Namespace) -> int:
         inputs = [*paths, *input_files(options)]
         check_outputs([(options.preview, (".png",), "--preview")], inputs, force=options.force)
     if all(path.suffix.lower() in TEXTURE_ENDINGS for path in paths):
-        for word in _NEEDS_A_MODEL:
-            if getattr(options, word) is not None:
-                option = f"--{word.replace('_', '-')}"
-                raise ArgumentError(f"{option} needs a model, but {paths[0]} and {paths[1]} are textures")
+        for word in words_given(options):
+            if word in OF_MODELS:
+                raise ArgumentError(f"{word} needs a model, but {paths[0]} and {paths[1]} are textures")
     elif not any(path.suffix.lower() in TEXTURE_ENDINGS for path in paths):
         raise ArgumentError(
             f"{paths[0]} and {paths[1]}: neither is an .octex file; convert one of them first"

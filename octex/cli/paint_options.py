@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from octex.cli.addresses import TEXTURE_ENDING, file_here, output_file, texture_file
+from octex.cli.addresses import TEXTURE_ENDINGS, file_here, output_file, texture_file
 from octex.cli.arguments import (
     BLENDS,
     angle,
@@ -33,7 +33,7 @@ _OPTIONS = (
     option("MODEL", "the model, posed as the cameras see it", nargs="?", type=file_here),
     option(
         "TEXTURE",
-        "its texture, .octex; if it is left out, or not there, a new one is begun",
+        "its texture, .octex or .octz; if it is left out, or not there, a new one is begun",
         nargs="?",
         type=texture_file,
     ),
@@ -290,7 +290,7 @@ PAINT = Command(
 
 def work_of(options: argparse.Namespace, program: str) -> str:
     """Return what is to be done, a key of _WORDS, or refuse options that make no sense together."""
-    if options.TEXTURE is not None and options.TEXTURE.suffix.lower() != TEXTURE_ENDING:
+    if options.TEXTURE is not None and options.TEXTURE.suffix.lower() not in TEXTURE_ENDINGS:
         options.IMAGE.insert(0, options.TEXTURE)  # a new texture needs no name
         options.TEXTURE = None
     given = words_given(options)

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import octex
-from octex.cli.addresses import TEXTURE_ENDING
 from octex.cli.common import Reporter, bytes_text, say
-from octex.cli.convert_options import check_input
+from octex.cli.convert_options import OUTPUT_ENDINGS, check_input
 from octex.cli.models import kind_of, read_model, settings_of
 from octex.errors import ArgumentError, ExitCode, OutputError
 
@@ -46,7 +45,7 @@ def _check_folder(folder: Path, *, force: bool) -> None:
     """Refuse a folder that cannot or must not be written, before any work is done."""
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{folder}: is a file; --parts writes a folder, give OUTPUT another name")
-    if folder.suffix.lower() in (TEXTURE_ENDING, ".ply"):
+    if folder.suffix.lower() in OUTPUT_ENDINGS:
         raise ArgumentError(f"{folder}: --parts writes a folder; give OUTPUT no ending")
     if not folder.parent.is_dir():
         raise OutputError(f"{folder}: there is no folder {folder.parent}; make it first")
