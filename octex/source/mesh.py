@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Array, Bools, Float64s, Int32s, Integers
-from octex.checks import as_reals, as_whole, locked
+from octex.checks import as_array, as_reals, as_whole, locked
 from octex.errors import ArgumentError, ModelError
 from octex.source.corners import Corners, Creases, Frames, Polygons, at_corners
 from octex.source.parts import Overlaps, overlapping_parts, parts_of
@@ -115,10 +115,7 @@ class Mesh:
 
         Raises ArgumentError for numbers of triangles that are not there, ModelError for none.
         """
-        try:
-            chosen = np.asarray(triangles)
-        except ValueError:  # rows of unequal lengths
-            chosen = np.empty(1, np.void)
+        chosen = as_array(triangles)
         if chosen.size and (chosen.ndim != 1 or chosen.dtype.kind not in "iu"):
             raise ArgumentError(
                 f"triangles must be whole numbers of shape (k,), not {chosen.dtype} {chosen.shape}"
@@ -234,10 +231,7 @@ def _crosses(positions: Float64s, triangles: Int32s) -> Float64s:
 
 def as_positions(positions: npt.ArrayLike, what: str) -> Float64s:
     """Return positions (n, 3) as an array of one's own, or raise ModelError that says ``what`` is wrong."""
-    try:
-        array = np.asarray(positions)
-    except ValueError:  # rows of unequal lengths
-        array = np.empty(0, np.void)
+    array = as_array(positions)
     if array.dtype.kind not in "fiu":
         raise ModelError(f"{what} must be numbers of shape (n, 3)")
     array = _owned(array, np.float64)
@@ -256,10 +250,7 @@ def as_positions(positions: npt.ArrayLike, what: str) -> Float64s:
 
 def as_triangles(given: npt.ArrayLike, vertices: int, name: str) -> Int32s:
     """Return triangles (m, 3) of so many vertices, or raise ModelError."""
-    try:
-        triangles = np.asarray(given)
-    except ValueError:  # rows of unequal lengths
-        triangles = np.empty(0, np.void)
+    triangles = as_array(given)
     if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
         raise ModelError(f"{name}: triangles must be whole numbers of shape (m, 3), not {triangles.shape}")
     if len(triangles) == 0:
