@@ -32,6 +32,17 @@ MOST_PIXELS = 16384
 Given = Path | FunctionName | float | tuple[float, ...]
 
 
+def one_of(known: tuple[str, ...]) -> Callable[[str], str]:
+    """Return what reads one of some names."""
+
+    def read(text: str) -> str:
+        if text not in known:
+            raise argparse.ArgumentTypeError(f"{text!r} is none of {', '.join(known)}")
+        return text
+
+    return read
+
+
 def whole_number(text: str) -> int:
     """Read a whole number."""
     try:
@@ -118,7 +129,7 @@ def channel_names(text: str) -> list[str]:
 def dtypes(text: str) -> str | dict[str, str]:
     """Read one stored type for all channels, or NAME=TYPE pairs separated by commas."""
     if "=" not in text:
-        return _one_of(text.strip(), DTYPES)
+        return one_of(DTYPES)(text.strip())
     found: dict[str, str] = {}
     for pair in text.split(","):
         name, equals, dtype = (part.strip() for part in pair.partition("="))
@@ -126,13 +137,8 @@ def dtypes(text: str) -> str | dict[str, str]:
             raise argparse.ArgumentTypeError(f"{pair!r} is not NAME=TYPE, like normal=uint16")
         if name in found:
             raise argparse.ArgumentTypeError(f"{name} is there twice")
-        found[name] = _one_of(dtype, DTYPES)
+        found[name] = one_of(DTYPES)(dtype)
     return found
-
-
-def image_filter(text: str) -> str:
-    """Read the name of an image filter."""
-    return _one_of(text, FILTERS)
 
 
 def source(text: str) -> tuple[str, Given]:
@@ -147,21 +153,6 @@ def source(text: str) -> tuple[str, Given]:
     return name, numbers[0] if len(numbers) == 1 else numbers
 
 
-def pictures(text: str) -> str:
-    """Read what becomes of several pictures."""
-    return _one_of(text, PICTURES)
-
-
-def holes(text: str) -> str:
-    """Read what becomes of what no picture saw."""
-    return _one_of(text, HOLES)
-
-
-def balance(text: str) -> str:
-    """Read how pictures are made to agree."""
-    return _one_of(text, BALANCES)
-
-
 def mask_pattern(text: str) -> str:
     """Read the path of masks, with {stem} or {name} for the picture's."""
     if "{stem}" not in text and "{name}" not in text:
@@ -169,16 +160,6 @@ def mask_pattern(text: str) -> str:
             f"{text!r} has neither {{stem}} nor {{name}}; like masks/{{stem}}.png"
         )
     return str(file_here(text))
-
-
-def projection(text: str) -> str:
-    """Read the name of a way to lay images on a surface."""
-    return _one_of(text, PROJECTIONS)
-
-
-def axis(text: str) -> str:
-    """Read the name of an axis."""
-    return _one_of(text, AXES)
 
 
 def position(text: str) -> tuple[float, ...]:
@@ -227,11 +208,6 @@ def file_and_amount(text: str) -> tuple[Path | Address, float]:
     if not (name and equals):
         raise argparse.ArgumentTypeError(f"{text!r} is not FILE=AMOUNT, like other.octex=0.3")
     return texture_file(name), _within(number, 1.0)
-
-
-def blend(text: str) -> str:
-    """Read the name of a blend mode."""
-    return _one_of(text, BLENDS)
 
 
 def opacity(text: str) -> float:
@@ -310,9 +286,3 @@ def _number(text: str, fits: Callable[[float], bool], limits: str) -> float:
     if not fits(number):
         raise argparse.ArgumentTypeError(f"{text} is not {limits}")
     return number
-
-
-def _one_of(text: str, known: tuple[str, ...]) -> str:
-    if text not in known:
-        raise argparse.ArgumentTypeError(f"{text!r} is none of {', '.join(known)}")
-    return text

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+import json
 import os
 import shutil
 import signal
@@ -10,7 +12,7 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType, TracebackType
@@ -134,6 +136,14 @@ def _write(stdout: TextIO | None, text: str) -> None:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stdout.fileno())
         if not isinstance(error, BrokenPipeError):
             raise OutputError(f"standard output cannot be written: {error.strerror or error}") from error
+
+
+def tell(options: argparse.Namespace, made: Mapping[str, Any], *lines: str) -> None:
+    """Print what was made: for --json as an object, else as lines for a person, for --quiet not at all."""
+    if options.json:
+        say(json.dumps(made))
+    elif not options.quiet:
+        say("\n".join(lines))
 
 
 def fail(command: str, message: str, code: ExitCode) -> ExitCode:

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import octex
 from octex.ahead import ahead
-from octex.cli.addresses import TEXTURE_ENDING, TEXTURE_ENDINGS
+from octex.cli.addresses import TEXTURE_ENDINGS, check_texture
 from octex.cli.bake import bake, baking
-from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
+from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say, tell
 from octex.cli.convert_options import (
     COMMANDS,
     CONVERT,
@@ -33,7 +33,7 @@ from octex.cli.ptex import write_ptex
 from octex.cli.sets import convert_parts
 from octex.cli.view_options import previewing
 from octex.cli.viewer import PAGE_ENDING, write_mesh_page, write_page
-from octex.errors import ExitCode, InputError
+from octex.errors import ExitCode
 from octex.parallel import workers
 
 if TYPE_CHECKING:
@@ -54,8 +54,8 @@ def main(arguments: Sequence[str] | None = None, program: str = COMMAND, command
 def _main(arguments: Sequence[str] | None, program: str, command: str) -> int:
     options = Parser(program, CONVERT).parse_args([])
     vars(options).update(vars(Parser(program, COMMANDS[command]).parsed(arguments)))
-    if command == "edit" and options.INPUT.suffix.lower() not in TEXTURE_ENDINGS:
-        raise InputError(f"{options.INPUT}: is no {TEXTURE_ENDING} file; octex convert makes one of a model")
+    if command == "edit":
+        check_texture(options.INPUT)
     options.warm_up |= command == "warm-up"
     work = work_of(options, program)
     with limited(options.threads):
@@ -133,13 +133,11 @@ def _convert(options: argparse.Namespace, program: str) -> int:
 
             write_points(texture, options.OUTPUT, progress)
 
-    if not options.quiet or options.json:
-        seconds = time.perf_counter() - began
-        _say_what_was_made(options, texture, found, seconds, is_new=surface is not None)
+    _tell_what_was_made(options, texture, found, time.perf_counter() - began, is_new=surface is not None)
     return ExitCode.DONE
 
 
-def _say_what_was_made(
+def _tell_what_was_made(
     options: argparse.Namespace,
     texture: OctreeTexture,
     found: Overlaps | None,
@@ -157,21 +155,19 @@ def _say_what_was_made(
         made["preview"] = str(options.preview)
     if found is not None:
         made["separated"] = separated_as_json(texture, found)
-    if options.json:
-        say(json.dumps(made))
-    else:
-        cells = f"{tree.n_leaves:,} leaves, depth {tree.max_depth} (cells of {made['cell']:.4g})"
-        say(f"{options.OUTPUT}: {cells}, {bytes_text(made['bytes'])}, {seconds:.1f} s")
-        if empty:
-            # With leaves of several sizes, finest cells are no part of their number.
-            is_even = options.max_error is None and options.detail is None
-            share = f" ({100 * empty / (empty + tree.n_leaves):.3g} %)" if is_even else ""
-            why = "is near enough" if options.max_angle is None else "is near enough and faces as they do"
-            say(f"{empty:,} finest cells{share} stay empty: nothing to take from {why}")
-        if options.preview is not None:
-            say(f"{options.preview}: a picture of it")
-        if found is not None:
-            say("\n".join(separated_text(texture, found)))
+    cells = f"{tree.n_leaves:,} leaves, depth {tree.max_depth} (cells of {made['cell']:.4g})"
+    lines = [f"{options.OUTPUT}: {cells}, {bytes_text(made['bytes'])}, {seconds:.1f} s"]
+    if empty:
+        # With leaves of several sizes, finest cells are no part of their number.
+        is_even = options.max_error is None and options.detail is None
+        share = f" ({100 * empty / (empty + tree.n_leaves):.3g} %)" if is_even else ""
+        why = "is near enough" if options.max_angle is None else "is near enough and faces as they do"
+        lines.append(f"{empty:,} finest cells{share} stay empty: nothing to take from {why}")
+    if options.preview is not None:
+        lines.append(f"{options.preview}: a picture of it")
+    if found is not None:
+        lines += separated_text(texture, found)
+    tell(options, made, *lines)
 
 
 def _warm_up(quiet: bool, program: str) -> int:

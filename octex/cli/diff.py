@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from octex.cli.addresses import TEXTURE_ENDINGS
-from octex.cli.common import Reporter, check_outputs, say
+from octex.cli.common import Reporter, check_outputs, tell
 from octex.cli.convert_options import OF_MODELS
 from octex.cli.inspect import triple
 from octex.cli.models import input_files, open_sound, read_model
@@ -49,12 +48,9 @@ def diff(command: str, options: argparse.Namespace) -> int:
 
             with progress.stage("draw"):
                 write_difference(options.preview, a, b, found, (paths[0].name, paths[1].name))
-    if options.json:
-        say(json.dumps({"a": str(paths[0]), "b": str(paths[1]), **as_json(found)}))
-    elif not options.quiet:
-        say("\n".join(_readable(paths, (a, b), found)))
-        if options.preview is not None:
-            say(f"\n{options.preview}: a picture of it")
+    picture = [] if options.preview is None else ["", f"{options.preview}: a picture of it"]
+    told = {"a": str(paths[0]), "b": str(paths[1]), **as_json(found)}
+    tell(options, told, *_readable(paths, (a, b), found), *picture)
     return ExitCode.DONE
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Sequence
@@ -21,7 +20,7 @@ from octex.cli.common import (
     identity,
     limited,
     run,
-    say,
+    tell,
 )
 from octex.cli.layers import begun, channel_of, entries_of, merged, projected, refined, with_entries
 from octex.cli.models import (
@@ -109,9 +108,8 @@ def _paint(options: argparse.Namespace, program: str) -> int:
         reason = ", or ".join(reasons)
         message = f"nothing was painted, and {options.out} is not written: {reason}"
         return fail(program, message, ExitCode.NOTHING_PAINTED)
-    if not options.quiet or options.json:
-        names = [str(entry["image"]) for entry in entries]
-        _say_what_was_painted(options, made, names, skipped, time.perf_counter() - began)
+    names = [str(entry["image"]) for entry in entries]
+    _tell_what_was_painted(options, made, names, skipped, time.perf_counter() - began)
     return ExitCode.DONE
 
 
@@ -142,7 +140,7 @@ def _previewed(
     return None, only(texture, channel)
 
 
-def _say_what_was_painted(
+def _tell_what_was_painted(
     options: argparse.Namespace,
     texture: OctreeTexture,
     painted: Sequence[str],
@@ -151,21 +149,17 @@ def _say_what_was_painted(
 ) -> None:
     tree = texture.tree
     made = {**told_of(texture, options.out, seconds), "painted": list(painted), "skipped": list(skipped)}
-    if options.layer_out is not None:
-        made["layer"] = str(options.layer_out)
-    if options.preview is not None:
-        made["preview"] = str(options.preview)
-    if options.json:
-        say(json.dumps(made))
-        return
     what = "layer" if options.layer else "picture"
     number = f"{len(painted):,} {what}{'s' if len(painted) > 1 else ''} painted"
     cells = f"{tree.n_leaves:,} leaves, depth {tree.max_depth}"
-    say(f"{options.out}: {number}, {cells}, {bytes_text(made['bytes'])}, {seconds:.1f} s")
+    lines = [f"{options.out}: {number}, {cells}, {bytes_text(made['bytes'])}, {seconds:.1f} s"]
     if options.layer_out is not None:
-        say(f"{options.layer_out}: the paint alone")
+        made["layer"] = str(options.layer_out)
+        lines.append(f"{options.layer_out}: the paint alone")
     if options.preview is not None:
-        say(f"{options.preview}: a picture of it")
+        made["preview"] = str(options.preview)
+        lines.append(f"{options.preview}: a picture of it")
+    tell(options, made, *lines)
 
 
 if __name__ == "__main__":

@@ -6,19 +6,19 @@ import argparse
 
 from octex.cli.addresses import TEXTURE_ENDINGS, file_here, output_file, texture_file
 from octex.cli.arguments import (
+    BALANCES,
     BLENDS,
+    HOLES,
+    PICTURES,
     angle,
-    balance,
-    blend,
     camera,
     color,
     disc,
     file_size,
-    holes,
     mask_pattern,
+    one_of,
     opacity,
     picture_size,
-    pictures,
     pixels,
     whole_number,
 )
@@ -90,7 +90,12 @@ _OPTIONS = (
         type=file_here,
     ),
     option("--whole", "paint all of a view, not only what was drawn on it", action="store_true"),
-    option("--blend", f"how paint is put: {', '.join(BLENDS)} (default over)", metavar="MODE", type=blend),
+    option(
+        "--blend",
+        f"how paint is put: {', '.join(BLENDS)} (default over)",
+        metavar="MODE",
+        type=one_of(BLENDS),
+    ),
     option("--opacity", "0 to 1: multiplies the pictures' alpha (default 1)", metavar="X", type=opacity),
     option("--channel", f"what is painted (default {DEFAULT_CHANNEL})", metavar="NAME"),
     option(
@@ -117,14 +122,14 @@ _OPTIONS = (
         "of several that see a place: average; robust, which leaves out what does not agree with most; or "
         "best, one for each patch, with levelled borders (default: robust for three or more)",
         metavar="MODE",
-        type=pictures,
+        type=one_of(PICTURES),
     ),
     option(
         "--balance",
         "make overlapping pictures agree: gain multiplies each; full multiplies each component, and undoes "
         "vignetting",
         metavar="MODE",
-        type=balance,
+        type=one_of(BALANCES),
     ),
     option(
         "--reference",
@@ -145,7 +150,7 @@ _OPTIONS = (
         "what a new texture has where no picture saw the model: smooth fills it from around, over the "
         "surface; leave leaves it without cells (default smooth)",
         metavar="MODE",
-        type=holes,
+        type=one_of(HOLES),
     ),
     option(
         "--coverage",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import time
 from collections.abc import Iterator
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import octex
-from octex.cli.common import Reporter, bytes_text, say
+from octex.cli.common import Reporter, bytes_text, tell
 from octex.cli.convert_options import OUTPUT_ENDINGS, check_input
 from octex.cli.models import kind_of, read_model, settings_of
 from octex.errors import ArgumentError, ExitCode, OutputError
@@ -32,12 +31,10 @@ def convert_parts(command: str, options: argparse.Namespace) -> int:
             made.save(options.OUTPUT)
     seconds = time.perf_counter() - began
     leaves, size = sum(texture.tree.n_leaves for texture in made.values()), made.info()["bytes"]
-    if options.json:
-        told = {"output": str(options.OUTPUT), "parts": len(made), "leaves": leaves, "bytes": size}
-        say(json.dumps({**told, "seconds": round(seconds, 3)}))
-    elif not options.quiet:
-        count = f"{len(made):,} part{'' if len(made) == 1 else 's'}"
-        say(f"{options.OUTPUT}: {count}, {leaves:,} leaves, {bytes_text(size)}, {seconds:.1f} s")
+    told = {"output": str(options.OUTPUT), "parts": len(made), "leaves": leaves, "bytes": size}
+    count = f"{len(made):,} part{'' if len(made) == 1 else 's'}"
+    line = f"{options.OUTPUT}: {count}, {leaves:,} leaves, {bytes_text(size)}, {seconds:.1f} s"
+    tell(options, {**told, "seconds": round(seconds, 3)}, line)
     return ExitCode.DONE
 
 

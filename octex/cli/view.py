@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import argparse
 import io
-import json
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import octex
-from octex.cli.common import Reporter, bytes_text, check_outputs, say
+from octex.cli.common import Reporter, bytes_text, check_outputs, tell
 from octex.cli.models import DEFAULT_CHANNEL, new_texture, only, posed_inputs, read_posed, texture_of
 from octex.cli.shots import frame_of, patch_of
 from octex.cli.view_options import bump_of, light_of
@@ -74,8 +73,7 @@ def view(command: str, options: argparse.Namespace) -> int:
             for path, png in pictures.items():
                 with replacing(path) as file:
                     file.write(png)
-    if not options.quiet or options.json:
-        _say_what_was_drawn(options, camera, time.perf_counter() - began)
+    _tell_what_was_drawn(options, camera, time.perf_counter() - began)
     return ExitCode.DONE
 
 
@@ -169,23 +167,19 @@ def as_png(codes: Uint8s) -> bytes:
     return file.getvalue()
 
 
-def _say_what_was_drawn(options: argparse.Namespace, camera: Camera, seconds: float) -> None:
+def _tell_what_was_drawn(options: argparse.Namespace, camera: Camera, seconds: float) -> None:
     made: dict[str, Any] = {
         "output": str(options.view),
         "size": [camera.width, camera.height],
         "bytes": options.view.stat().st_size,
         "seconds": round(seconds, 3),
     }
+    pixels = f"{camera.width}×{camera.height} pixels"
+    lines = [f"{options.view}: {pixels}, {bytes_text(made['bytes'])}, {seconds:.1f} s"]
     if options.empty_layer is not None:
         made["layer"] = str(options.empty_layer)
+        lines.append(f"{options.empty_layer}: an empty layer of its size")
     if options.camera_out is not None:
         made["camera"] = str(options.camera_out)
-    if options.json:
-        say(json.dumps(made))
-        return
-    pixels = f"{camera.width}×{camera.height} pixels"
-    say(f"{options.view}: {pixels}, {bytes_text(made['bytes'])}, {seconds:.1f} s")
-    if options.empty_layer is not None:
-        say(f"{options.empty_layer}: an empty layer of its size")
-    if options.camera_out is not None:
-        say(f"{options.camera_out}: its camera")
+        lines.append(f"{options.camera_out}: its camera")
+    tell(options, made, *lines)
