@@ -35,7 +35,7 @@ from octex.checks import as_choice, as_names, as_number, as_whole
 from octex.errors import ArgumentError, ModelError
 from octex.nearest.triangles import Triangles
 from octex.parallel import Progress, as_progress, ordered_map, workers
-from octex.source.corners import Corners, Frames
+from octex.source.corners import Corners, Frames, area_vectors
 from octex.source.images.pyramid import CLAMP, REPEAT
 from octex.source.materials import AlphaMode, Material, MaterialSource
 from octex.source.surface import Surface, as_surface
@@ -236,9 +236,7 @@ class _Other(NamedTuple):
         except ModelError as error:
             raise ModelError(f"{surface.name}: {error}") from None
         placed = surface.placed_in(texture)
-        corners = placed.rest[placed.triangles]
-        crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        return cls(placed, nearest, unit(crosses), distance)
+        return cls(placed, nearest, unit(area_vectors(placed.rest[placed.triangles])), distance)
 
     def beside(self, points: Points) -> tuple[Points, Bools]:
         """Return the points nearest to others, and which of these have one."""

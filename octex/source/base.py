@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from typing import Self
 
 import numpy as np
 
@@ -85,6 +87,19 @@ class OfAnother(Source):
     def alpha_is_coverage(self) -> bool:
         """Whether the other's ``alpha`` says no more than where it knows something."""
         return self._source.alpha_is_coverage
+
+    def with_filter(self, name: str) -> Self:
+        """Return the same source with the other's images read by another filter."""
+        return self._of(self._source.with_filter(name))
+
+    def only(self, names: Sequence[str]) -> Self:
+        """Return the same source with these of its channels alone."""
+        return self._of(self._source.only(names))
+
+    def _of(self, source: Source) -> Self:
+        other = copy.copy(self)
+        other._source = source
+        return other
 
 
 def in_order(names: Sequence[str]) -> list[str]:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from octex.arrays import Array, Bools, Float64s, Int32s, Integers
 from octex.checks import as_array, as_reals, as_whole, locked
 from octex.errors import ArgumentError, ModelError
-from octex.source.corners import Corners, Creases, Frames, Polygons, at_corners
+from octex.source.corners import Corners, Creases, Frames, Polygons, area_vectors, at_corners
 from octex.source.parts import Overlaps, overlapping_parts, parts_of
 from octex.source.tangents import carried
 from octex.source.welding import first_equal
@@ -187,7 +187,7 @@ class Mesh:
 
     def areas(self) -> Float64s:
         """Return the posed area of each triangle (m,), in square model units."""
-        areas: Float64s = np.linalg.norm(_crosses(self.vertices, self.triangles), axis=1) / 2
+        areas: Float64s = np.linalg.norm(area_vectors(self.vertices[self.triangles]), axis=1) / 2
         return areas
 
     def scatter(self, n: int, seed: int = 0) -> SurfaceSamples:
@@ -197,7 +197,7 @@ class Mesh:
         """
         n = as_whole(n, "n, the number of points,", 0, 2**32)
         seed = as_whole(seed, "seed", 0, 2**128)
-        crosses = _crosses(self.vertices, self.triangles)
+        crosses = area_vectors(self.vertices[self.triangles])
         norms = np.linalg.norm(crosses, axis=1)
         cumulative = np.cumsum(norms)
         if not cumulative[-1] > 0:
@@ -210,7 +210,7 @@ class Mesh:
         barycentric = np.stack([1 - root, root * (1 - random[:, 2]), root * random[:, 2]], axis=1)
         normals = rest_normals = crosses[chosen] / norms[chosen, None]
         if self.rest is not self.vertices:
-            rest_normals = _crosses(self.rest, self.triangles[chosen])
+            rest_normals = area_vectors(self.rest[self.triangles[chosen]])
             lengths = np.linalg.norm(rest_normals, axis=1, keepdims=True)
             rest_normals /= np.where(lengths > 0, lengths, 1)
         return SurfaceSamples(
@@ -221,12 +221,6 @@ class Mesh:
             barycentric=barycentric,
             rest_normals=rest_normals,
         )
-
-
-def _crosses(positions: Float64s, triangles: Int32s) -> Float64s:
-    """Return normals of triangles (m, 3), each twice its area long."""
-    corners = positions[triangles]
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def as_positions(positions: npt.ArrayLike, what: str) -> Float64s:

@@ -126,9 +126,6 @@ class _Transferred(SpatialSource):
             distance=self._distance,
             least_cosine=self._least_cosine,
         )
-        if (found.triangles >= 0).all():
-            own = self._evaluated(found.triangles, found.barycentric, widths)
-            return np.insert(own, own.shape[1], 1.0, axis=1) if self._adds_alpha else own
         there = np.flatnonzero(found.triangles >= 0)
         own = self._evaluated(found.triangles[there], found.barycentric[there], widths[there])
         values = np.zeros((len(points), own.shape[1] + self._adds_alpha), np.float32)

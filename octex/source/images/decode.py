@@ -135,6 +135,11 @@ def _finite(texels: Texels, name: str) -> Texels:
     return texels
 
 
+def is_translucent(texels: Texels) -> bool:
+    """Say whether any alpha of an image is below 1."""
+    return bool((texels[..., 3] < (65535 if texels.dtype.kind == "u" else 1)).any())
+
+
 def image_size(path: Path) -> tuple[int, int]:
     """Return the width and height of an image file; raises ImageError as ``read_image`` does."""
     try:

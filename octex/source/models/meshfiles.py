@@ -25,7 +25,7 @@ from octex.source.corners import Corners, Polygons
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import Texels
 from octex.source.materials import AlphaMode, Input, Material, MaterialSource, Texture
-from octex.source.models.options import EVERYTHING, Options
+from octex.source.models.options import Options
 from octex.source.models.polygons import cut_polygons, triangulate
 from octex.source.models.text import parse_numbers, whole_numbers
 from octex.source.surface import Surface, flip_v
@@ -44,7 +44,7 @@ _PLY_COLORS = (("red", "green", "blue", "alpha"), ("diffuse_red", "diffuse_green
                ("r", "g", "b", "a"))  # fmt: skip
 
 
-def load_ply(path: Path, options: Options = EVERYTHING) -> Surface:
+def load_ply(path: Path, options: Options) -> Surface:
     """Read a PLY model: colours of vertices, or else of faces, and the images of its TextureFile comments.
 
     Colours are sRGB values; texture coordinates, of vertices or of faces, have v up.
@@ -63,12 +63,12 @@ def ply_points(
     return _Ply(path).points()
 
 
-def load_off(path: Path, options: Options = EVERYTHING) -> Surface:
+def load_off(path: Path, options: Options) -> Surface:
     """Read an OFF model: colours of vertices, or else of faces, are sRGB values. Raises ModelError."""
     return _Off(path).surface(options)
 
 
-def load_stl(path: Path, options: Options = EVERYTHING) -> Surface:
+def load_stl(path: Path, options: Options) -> Surface:
     """Read an STL model, through trimesh; it is white. Raises ModelError."""
     import trimesh  # takes a third of a second
 

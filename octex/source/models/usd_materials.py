@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import math
 import warnings
-from pathlib import PurePosixPath, PureWindowsPath
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 from octex.arrays import Float64s
 from octex.channels import CHANNELS, encode, srgb_to_linear
 from octex.errors import ImageError, ModelWarning
+from octex.files import is_absolute
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Texels
 from octex.source.materials import AlphaMode, Input, Material, Texture
@@ -54,12 +54,6 @@ class Bound(NamedTuple):
     slots: tuple[Slot, ...] = ()
     reads_color: bool = False
     reads_opacity: bool = False
-
-    @property
-    def normal_slot(self) -> int | None:
-        """The slot of the normal map, if there is one that is wanted."""
-        given = self.material.inputs.get("normal")
-        return None if given is None or given.texture is None else given.texture.slot
 
 
 class Materials:
@@ -141,9 +135,7 @@ class Materials:
             plain = (scale == 1.0).all() and (bias == 0.0).all()
             factor, offset = (1.0,) * 3 if plain else tuple((scale[:3] / 2.0).tolist()), ()
         made = Input(factor, None, lanes, offset if any(offset) else ())
-        pair = ("base_color", "alpha")
-        wanted = any(map(self._options.wants, pair)) if channel in pair else self._options.wants(channel)
-        if not wanted:
+        if not self._options.wants_image(channel):
             return made
         texels = self._image(node, _value(node, "sourceColorSpace", "auto"), channel)
         wraps = [_WRAPS.get(_value(node, axis, "useMetadata"), CLAMP) for axis in ("wrapS", "wrapT")]
@@ -177,12 +169,6 @@ class Materials:
         if (place, change) not in self._texels:
             self._texels[place, change] = _changed(self._texels[place, ""], change)
         return self._texels[place, change]
-
-
-def is_absolute(path: str) -> bool:
-    """Say whether a path is absolute, on this system or another."""
-    windows = PureWindowsPath(path)
-    return PurePosixPath(path).is_absolute() or bool(windows.drive or windows.root)
 
 
 def _plain() -> Bound:
