@@ -92,7 +92,7 @@ def bake(
                  its own if of no material more than 1 % overlaps with what looks otherwise, else new ones
     texture_size  texels a side of the square maps, 64 to 16384; by default the power of two, up to 8192,
                  whose texels are about as large as the texture's finest cells, or smaller
-    padding      texels between charts, 0 to 64
+    padding      texels around each chart of an atlas, 0 to 64; charts are twice as far apart
     channels     those that are baked, by name; by default all that materials have
     bits         of a number of the maps: 8, or 16, sRGB where glTF has it; 32 are floats, linear light, which
                  may be above 1, directions as (x + 1) / 2

@@ -72,7 +72,7 @@ BAKE = Command(
             metavar="DISTANCE",
             type=length,
         ),
-        option("--padding", "texels between charts (default 8)", metavar="N", type=whole_number),
+        option("--padding", "texels around each chart (default 8)", metavar="N", type=whole_number),
         option("--channels", "those to bake, like base_color,normal", metavar="NAMES", type=channel_names),
         option(
             "--images",
