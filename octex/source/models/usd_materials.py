@@ -29,6 +29,8 @@ _CHANNELS = {
     "metallic": "metallic", "roughness": "roughness", "occlusion": "occlusion", "normal": "normal",
     "alpha": "opacity",
 }  # fmt: skip
+#: What inputs may be connected to: images, and primvars that readers of them read for a channel.
+_READ = ("UsdUVTexture", "base_color displayColor", "alpha displayOpacity")
 _GREY = (0.18, 0.18, 0.18)
 
 
@@ -107,10 +109,14 @@ class Materials:
             if kind == "UsdUVTexture":
                 inputs[channel] = self._textured(channel, node, output, slots)
             elif kind is not None and kind.startswith("UsdPrimvarReader"):
-                vertex.add(f"{channel} {_value(node, 'varname', '')}")
                 inputs[channel] = Input((1.0,) * CHANNELS[channel].components)
+                kind = f"{channel} {_value(node, 'varname', '')}"
+                vertex.add(kind)
             elif value is not None and channel != "normal":
                 inputs[channel] = Input(tuple(np.atleast_1d(np.array(value, np.float64)).tolist()))
+            if node is not None and kind not in _READ:
+                text = f"{self._name}: {shader.GetPath()}: what {word} is connected to is not read; bake it"
+                warnings.warn(text, ModelWarning, stacklevel=2)
         cutoff = float(_value(shader, "opacityThreshold", 0.0))
         reads_opacity = "alpha displayOpacity" in vertex
         mode: AlphaMode = "mask" if cutoff > 0.0 else "blend"
