@@ -158,8 +158,7 @@ def bake(options: argparse.Namespace, program: str) -> int:
         raise ArgumentError(f"--displace {options.displace} needs --scale: what 1 there moves the model by")
     if options.unit is not None and ending not in _WITH_UNIT:
         raise ArgumentError(f"--unit has no meaning for {options.OUTPUT}: such files state none")
-    given = options.TEXTURE, options.MODEL, options.rest, options.source
-    inputs = [path for path in given if path is not None]
+    inputs = options.TEXTURE, options.MODEL, options.rest, options.source
     check_outputs([(options.OUTPUT, _ENDINGS, "OUTPUT")], inputs, force=options.force)
     images, bits = _IMAGES[options.images or "png"]
     if images == "exr" and ending in (".glb", ".gltf"):

@@ -297,17 +297,20 @@ def _announce_compilation(reporter: Reporter) -> Any:
 
 
 def check_outputs(
-    outputs: Iterable[tuple[Path, Iterable[str], str]], inputs: Iterable[Path], *, force: bool
+    outputs: Iterable[tuple[Path | None, Iterable[str], str]], inputs: Iterable[Path | None], *, force: bool
 ) -> None:
     """Refuse outputs that cannot or must not be written, before any work is done.
 
-    Each output comes with the file endings that it may have and the word for it on the command line. Raises
+    Each output comes with the file endings that it may have and the word for it on the command line; None is
+    one that is not asked for, or an input that is not given. Raises
     InputError for an unknown ending, and OutputError for a missing folder, for a folder in the file's place,
     for a file that stands there already unless ``force`` is given, and for one that is also an input or twice
     an output.
     """
-    taken = {identity(path): "an input" for path in inputs}
+    taken = {identity(path): "an input" for path in inputs if path is not None}
     for path, endings, word in outputs:
+        if path is None:
+            continue
         if path.is_dir():
             raise OutputError(f"{path}: is a folder; give {word} a file's name")
         if Path(os.path.realpath(path)).is_symlink():

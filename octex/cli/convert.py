@@ -7,7 +7,6 @@ import json
 import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import octex
@@ -81,9 +80,7 @@ def _main(arguments: Sequence[str] | None, program: str, command: str) -> int:
 def _convert(options: argparse.Namespace, program: str) -> int:
     began = time.perf_counter()
     found: Overlaps | None = None
-    outputs: list[tuple[Path, tuple[str, ...], str]] = [(options.OUTPUT, OUTPUT_ENDINGS, "OUTPUT")]
-    if options.preview is not None:
-        outputs.append((options.preview, (".png",), "--preview"))
+    outputs = (options.OUTPUT, OUTPUT_ENDINGS, "OUTPUT"), (options.preview, (".png",), "--preview")
     inputs = [options.INPUT, *input_files(options), *others_of(options)]
     model: PointCloud | Voxels | Surface
     surface: Surface | None = None

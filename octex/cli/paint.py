@@ -6,7 +6,6 @@ import argparse
 import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import octex
@@ -114,19 +113,17 @@ def _paint(options: argparse.Namespace, program: str) -> int:
 
 
 def _check_files(options: argparse.Namespace) -> None:
-    outputs: list[tuple[Path, tuple[str, ...], str]] = [(options.out, (TEXTURE_ENDING,), "--out")]
-    if options.layer_out is not None:
-        outputs.append((options.layer_out, (TEXTURE_ENDING,), "--layer-out"))
-    if options.save_cameras is not None:
-        outputs.append((options.save_cameras, (".json",), "--save-cameras"))
-    if options.preview is not None:
-        outputs.append((options.preview, (".png",), "--preview"))
-    others = [*images_of(options), *(options.mask or []), *(options.layer or [])]
+    outputs = (
+        (options.out, (TEXTURE_ENDING,), "--out"),
+        (options.layer_out, (TEXTURE_ENDING,), "--layer-out"),
+        (options.save_cameras, (".json",), "--save-cameras"),
+        (options.preview, (".png",), "--preview"),
+    )
     # --out may take the place of TEXTURE, which is not written to: the old file is there until all is done.
     is_replaced = options.TEXTURE is not None and identity(options.TEXTURE) == identity(options.out)
-    for each in (options.since, None if is_replaced else options.TEXTURE):
-        others += [] if each is None else [each]
-    check_outputs(outputs, posed_inputs(options) + others, force=options.force)
+    others = [*images_of(options), *(options.mask or []), *(options.layer or []), options.since]
+    inputs = [*posed_inputs(options), *others, None if is_replaced else options.TEXTURE]
+    check_outputs(outputs, inputs, force=options.force)
 
 
 def _previewed(

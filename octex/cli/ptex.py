@@ -18,7 +18,7 @@ def write_ptex(options: argparse.Namespace, program: str) -> int:
     """Write a .ptx file, as the options of octree-convert --mesh say; return the exit code."""
     began = time.perf_counter()
     check_texture(options.INPUT)
-    inputs = [path for path in (options.INPUT, options.mesh, options.rest) if path is not None]
+    inputs = options.INPUT, options.mesh, options.rest
     check_outputs([(options.OUTPUT, (PTEX_ENDING,), "OUTPUT")], inputs, force=options.force)
     with Reporter(program, options.quiet) as progress:
         with progress.stage("read"):

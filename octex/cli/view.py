@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import io
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import octex
@@ -32,13 +31,12 @@ _DIRECTION = (0.4, 0.3, 1.0)  # to the camera, where none is given
 def view(command: str, options: argparse.Namespace) -> int:
     """Draw what a camera sees, and write that camera if asked to."""
     began = time.perf_counter()
-    outputs: list[tuple[Path, tuple[str, ...], str]] = [(options.view, (".png",), "--view")]
-    if options.empty_layer is not None:
-        outputs.append((options.empty_layer, (".png",), "--empty-layer"))
-    if options.camera_out is not None:
-        outputs.append((options.camera_out, (".json",), "--camera-out"))
-    textures = [] if options.TEXTURE is None else [options.TEXTURE]
-    check_outputs(outputs, [*posed_inputs(options), *textures], force=options.force)
+    outputs = (
+        (options.view, (".png",), "--view"),
+        (options.empty_layer, (".png",), "--empty-layer"),
+        (options.camera_out, (".json",), "--camera-out"),
+    )
+    check_outputs(outputs, [*posed_inputs(options), options.TEXTURE], force=options.force)
     frame = _frame(options)
     with Reporter(command, options.quiet) as progress:
         texture = texture_of(options)

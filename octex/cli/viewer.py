@@ -147,7 +147,7 @@ def write_mesh_page(options: argparse.Namespace, program: str) -> int:
         raise ArgumentError(f"{options.INPUT}: is no {TEXTURE_ENDING} file; leave --mesh out for a model")
     if options.channels is not None:
         raise ArgumentError(f"--channels has no meaning for {options.OUTPUT}: edit the texture first")
-    inputs = [each for each in (options.INPUT, options.mesh, options.rest) if each is not None]
+    inputs = options.INPUT, options.mesh, options.rest
     check_outputs([(options.OUTPUT, (PAGE_ENDING,), "OUTPUT")], inputs, force=options.force)
     with limited(options.threads), Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
