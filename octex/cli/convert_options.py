@@ -286,26 +286,12 @@ _OF_TEXTURES = {"--crop", "--combine", "--mix", "--blur", "--levels"}
 #: In the order in which they are done.
 _EDITS = ("--crop", "--depth", "--combine", "--mix", "--blur", "--levels", "--channels", "--dtype")
 _OF_ANYTHING = {"INPUT", "OUTPUT", "--depth", "--channels", "--dtype"}
-_OF_ANYTHING |= VIEW_WORDS - {"--frame"} | {
-    "--max-size",
-    "--preview",
-    "--force",
-    "--threads",
-    "--quiet",
-    "--json",
-}
+_OF_ANYTHING |= {"--max-size", "--preview", "--force", "--threads", "--quiet", "--json"}
+_OF_ANYTHING |= VIEW_WORDS - {"--frame"}
 _CONVERSION = "a conversion"
 _WORDS = {
-    _CONVERSION: {
-        "--cell",
-        "--max-error",
-        "--detail",
-        "--memory",
-        "--no-fit",
-        "--separate",
-        "--parts",
-        "--frame",
-    }
+    _CONVERSION: {"--cell", "--max-error", "--detail", "--memory", "--no-fit", "--separate", "--parts"}
+    | {"--frame"}
     | _OF_ANYTHING
     | _OF_TEXTURES
     | _MATERIALS,
@@ -314,17 +300,8 @@ _WORDS = {
     "--info": {"--json"},
     "--validate": {"--json", "--quiet"},
     "--warm-up": {"--quiet"},
-    "--mesh": {
-        "INPUT",
-        "OUTPUT",
-        "--channels",
-        "--max-size",
-        "--rest",
-        "--force",
-        "--threads",
-        "--quiet",
-        "--json",
-    }
+    "--mesh": {"INPUT", "OUTPUT", "--channels", "--max-size", "--rest", "--force", "--threads", "--quiet"}
+    | {"--json"}
     | SHAPE_WORDS,
 }
 _BY_WORD = {each.word: each for each in _OPTIONS}

@@ -213,48 +213,15 @@ _SHARED = {"MODEL", "TEXTURE", "--rest", "--force", "--quiet", "--json"} | SHAPE
 _MERGE = _SHARED | VIEW_WORDS | {"--out", "--blend", "--opacity", "--preview", "--threads"}
 _WORDS = {
     "painting": _MERGE
-    | {
-        "IMAGE",
-        "--camera",
-        "--unwrap",
-        "--conformal",
-        "--mask",
-        "--masks",
-        "--key",
-        "--since",
-        "--whole",
-        "--channel",
-        "--max-depth",
-    }
-    | {
-        "--max-angle",
-        "--edge-feather",
-        "--pictures",
-        "--balance",
-        "--reference",
-        "--refine-cameras",
-        "--save-cameras",
-        "--back-faces",
-        "--holes",
-        "--coverage",
-        "--memory",
-        "--no-fit",
-        "--background",
-        "--layer-out",
-    },
+    | {"IMAGE", "--camera", "--unwrap", "--conformal", "--mask", "--masks", "--key", "--since", "--whole"}
+    | {"--channel", "--max-depth", "--max-angle", "--edge-feather", "--pictures", "--balance", "--reference"}
+    | {"--refine-cameras", "--save-cameras", "--back-faces", "--holes", "--coverage", "--memory", "--no-fit"}
+    | {"--background", "--layer-out"},
     "--layer": _MERGE,
     "--view": _SHARED
     | VIEW_WORDS
-    | {
-        "--shaded",
-        "--empty-layer",
-        "--camera-out",
-        "--camera",
-        "--size",
-        "--channel",
-        "--unwrap",
-        "--conformal",
-    },
+    | {"--shaded", "--empty-layer", "--camera-out", "--camera", "--size", "--channel"}
+    | {"--unwrap", "--conformal"},
 }
 _NEEDED = {
     "painting": ("MODEL", "--camera", "--out"),
@@ -272,17 +239,8 @@ PAINT = Command(
     ],
     usual=(
         *("--camera", "--out", "--mask", "--blend", "--opacity", "--max-depth", "--balance", "--preview"),
-        *(
-            "--layer-out",
-            "--layer",
-            "--view",
-            "--empty-layer",
-            "--camera-out",
-            "--size",
-            "--force",
-            "--quiet",
-            "--json",
-        ),
+        *("--layer-out", "--layer", "--view", "--empty-layer", "--camera-out", "--size"),
+        *("--force", "--quiet", "--json"),
     ),
     usages=[
         ["MODEL", "TEXTURE", "IMAGE", "--camera", "--out"],
