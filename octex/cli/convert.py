@@ -14,14 +14,7 @@ from octex.ahead import ahead
 from octex.cli.addresses import TEXTURE_ENDINGS, check_texture
 from octex.cli.bake import bake, baking
 from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say, tell
-from octex.cli.convert_options import (
-    COMMANDS,
-    CONVERT,
-    OUTPUT_ENDINGS,
-    archive_error,
-    check_input,
-    work_of,
-)
+from octex.cli.convert_options import COMMANDS, CONVERT, OUTPUT_ENDINGS, archive_error, check_input, work_of
 from octex.cli.diff import diff
 from octex.cli.inspect import info, validate
 from octex.cli.models import PTEX_ENDING, input_files, kind_of, read_model, settings_of, told_of

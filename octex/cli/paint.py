@@ -11,16 +11,7 @@ from typing import TYPE_CHECKING
 import octex
 from octex.ahead import ahead
 from octex.cli.addresses import TEXTURE_ENDING
-from octex.cli.common import (
-    Reporter,
-    bytes_text,
-    check_outputs,
-    fail,
-    identity,
-    limited,
-    run,
-    tell,
-)
+from octex.cli.common import Reporter, bytes_text, check_outputs, fail, identity, limited, run, tell
 from octex.cli.layers import begun, channel_of, entries_of, merged, projected, refined, with_entries
 from octex.cli.models import (
     DEFAULT_CHANNEL,

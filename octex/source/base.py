@@ -24,12 +24,7 @@ class Source(ABC):
         return self._channels
 
     @abstractmethod
-    def evaluate(
-        self,
-        triangles: Int32s,
-        barycentric: Float64s,
-        widths: Float32s,
-    ) -> Float32s:
+    def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units.
 
         Colours are linear light. Called from any number of threads at once.
@@ -134,12 +129,7 @@ class Combined(Source):
             forms.setdefault(ALPHA.name, ALPHA)
         self._channels = tuple(forms[name] for name in in_order(list(forms)))
 
-    def evaluate(
-        self,
-        triangles: Int32s,
-        barycentric: Float64s,
-        widths: Float32s,
-    ) -> Float32s:
+    def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return every channel's values (n, components), each from its source."""
         found = {
             id(source): by_channel(source.channels, source.evaluate(triangles, barycentric, widths))

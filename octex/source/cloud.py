@@ -192,13 +192,7 @@ class PointCloud(Placeable):
 class _FromPoints(SpatialSource):
     """Colours of a cloud on a surface."""
 
-    def __init__(
-        self,
-        cloud: PointCloud,
-        ready: Points,
-        rest: Float64s,
-        triangles: Int32s,
-    ) -> None:
+    def __init__(self, cloud: PointCloud, ready: Points, rest: Float64s, triangles: Int32s) -> None:
         self._ready = ready
         self._radius = 0.0 if cloud.radius is None else cloud.radius
         self._nearest = None if cloud.radius is not None else np.inf

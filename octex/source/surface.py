@@ -13,15 +13,7 @@ import PIL.Image
 
 from octex.arrays import Float32s, Float64s, Floats, Int32s
 from octex.channels import ALPHA, NORMAL, ChannelFormat
-from octex.checks import (
-    as_choice,
-    as_entries,
-    as_items,
-    as_names,
-    as_number,
-    as_reals,
-    as_text,
-)
+from octex.checks import as_choice, as_entries, as_items, as_names, as_number, as_reals, as_text
 from octex.errors import ArgumentError
 from octex.source.base import Combined, Source, by_channel
 from octex.source.colors import linear_colors
@@ -422,12 +414,7 @@ class Surface(Mesh):
             self._single[channel] = self.source if needs_all else self.source.only([channel])
         return self._single[channel]
 
-    def evaluate_all(
-        self,
-        triangles: Int32s,
-        barycentric: Float64s,
-        widths: Float32s,
-    ) -> Float32s:
+    def evaluate_all(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return every channel's values (n, all components), in the order of ``channels``; checks nothing.
 
         ``triangles`` (n,), ``barycentric`` (n, 3), ``widths`` (n,) in rest units, 0 to read at the points.

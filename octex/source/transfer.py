@@ -80,12 +80,7 @@ class _Transferred(SpatialSource):
     """Values of ``other``, whose triangles are made ready in ``nearest``, on a surface."""
 
     def __init__(
-        self,
-        other: Surface,
-        nearest: Triangles,
-        distance: float | None,
-        max_angle: float,
-        mesh: Mesh,
+        self, other: Surface, nearest: Triangles, distance: float | None, max_angle: float, mesh: Mesh
     ) -> None:
         self._other: Source | None = other.source  # None: only what there is of it is asked for
         self._nearest = nearest
