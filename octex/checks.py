@@ -47,12 +47,20 @@ def as_point_rows(points: npt.ArrayLike, name: str = "points") -> Array:
     return array
 
 
+def as_array(given: Any) -> Array:
+    """Return what is given as an array, not copied if it is one.
+
+    Rows of unequal lengths make one of shape () and of a type that is no number's, for the caller to refuse.
+    """
+    try:
+        return np.asarray(given)
+    except ValueError:
+        return np.empty((), np.void)
+
+
 def as_row_numbers(numbers: npt.ArrayLike, count: int) -> Int64s:
     """Return numbers of rows (n,), each below ``count``, or raise ArgumentError."""
-    try:
-        array = np.asarray(numbers)
-    except ValueError:  # rows of unequal lengths
-        array = np.empty((), np.void)
+    array = as_array(numbers)
     if array.shape == (0,):
         return np.empty(0, np.int64)
     if array.ndim != 1 or array.dtype.kind not in "iu":
@@ -75,10 +83,7 @@ def as_reals(given: npt.ArrayLike, name: str, *shapes: tuple[int, ...], most: fl
         kind = "finite numbers" if most < np.inf else "numbers"
         return ArgumentError(f"{name} must be {kind} of shape {wanted}, not {reprlib.repr(given)}")
 
-    try:
-        array = np.asarray(given)
-    except ValueError:  # rows of unequal lengths
-        raise refusal() from None
+    array = as_array(given)
     is_shape = any(
         len(shape) == array.ndim and all(n in (-1, m) for n, m in zip(shape, array.shape, strict=True))
         for shape in shapes

@@ -20,6 +20,7 @@ from octex.checks import as_choice
 from octex.errors import ArgumentError
 from octex.parallel import Progress, silent
 from octex.source.base import by_channel
+from octex.source.corners import area_vectors
 from octex.source.separation import SEPARATION
 from octex.source.surface import Surface
 from octex.texture import FILTERS, OctreeTexture
@@ -338,9 +339,7 @@ def _leaves(texture: OctreeTexture) -> Iterator[tuple[Float64s, Float64s, Float6
 def _area(side: Side) -> float:
     """Return the area of a surface at rest."""
     if isinstance(side, Surface):
-        corners = side.rest[side.triangles]
-        crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        return float(np.linalg.norm(crosses, axis=1).sum() / 2)
+        return float(np.linalg.norm(area_vectors(side.rest[side.triangles]), axis=1).sum() / 2)
     return sum(float(areas.sum()) for _, _, areas in _leaves(side))
 
 

@@ -93,13 +93,18 @@ def reading(path: Path) -> Iterator[None]:
         raise ModelError(f"{path.name} needs more memory than there is") from None
 
 
+def is_absolute(path: str) -> bool:
+    """Say whether a path is absolute, on this system or another."""
+    windows = PureWindowsPath(path)
+    return PurePosixPath(path).is_absolute() or bool(windows.drive or windows.root)
+
+
 def referred(folder: Path, name: str) -> Path:
     """Return the place of a file that another one in ``folder`` names.
 
     Raises OSError for an absolute path, Windows' or other: a file that is given away must not name others'.
     """
-    windows = PureWindowsPath(name)
-    if PurePosixPath(name).is_absolute() or windows.drive or windows.root:
+    if is_absolute(name):
         raise OSError(
             errno.EINVAL, "absolute paths are not followed; name it from the referring file's folder"
         )

@@ -491,6 +491,9 @@ def test_another_mesh_of_the_object_shows_its_nearest_points() -> None:
     assert abs((texels.texels[..., :3] // 257).astype(int) - codes).max() < 30
     with pytest.raises(ArgumentError, match="give source too"):
         octex.bake(texture, simple, max_distance=0.1)
+    away = Surface.from_arrays(square + 9.0, [[0, 1, 2], [0, 2, 3]], uv=(square[:, :2] + 1) / 2)
+    with pytest.raises(ModelError, match="has nothing that is near enough to surface and faces the same"):
+        octex.bake(texture, away, source=fine, max_distance=0.01, texture_size=64)
 
 
 def test_texels_no_larger_than_leaves_need_no_footprint() -> None:

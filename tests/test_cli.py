@@ -112,7 +112,14 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
                 f"--diff a.octex b.octex --{word}",
                 f"--{word.split()[0]} needs a model, but a.octex and b.octex are textures",
             )
-            for word in ("points 10", "rest a.obj", "filter sat", "source alpha=1")
+            for word in (
+                "points 10",
+                "rest a.obj",
+                "filter sat",
+                "source alpha=1",
+                "transfer a.obj",
+                "also a.obj",
+            )
         ],
         ("--warm-up --threads 2", "--threads has no meaning with --warm-up; see octree-convert --help"),
     ],

@@ -68,12 +68,23 @@ def test_what_is_no_texture_or_is_written_has_no_address(
             (square, tmp_path / "a.octex", "--rest", "https://a.b/c.glb"),
             "https://a.b/c.glb is an address, and",
         ),
+        *(
+            (
+                (square, tmp_path / "a.octex", "--preview", "a.png", word, f"{name}{there}"),
+                f"{word}: {there} is",
+            )
+            for word, name in (("--light", ""), ("--source", "base_color="))
+            for there in ("https://a.b/sky.hdr",)
+        ),
     ):
         assert main([str(word) for word in words]) == ExitCode.REFUSED
         assert said in capsys.readouterr().err
     words = [str(square), THERE, "view.png", "--out", THERE, "--force", "--camera", "camera.json"]
     assert paint(words, "octex paint") == ExitCode.REFUSED
     assert f"{THERE} is an address, and octex writes" in capsys.readouterr().err
+    for given in ("https://a.b/camera.json", "https://a.b/camera.json#left"):
+        assert paint([str(square), "view.png", "--camera", given], "octex paint") == ExitCode.REFUSED
+        assert f"--camera: {given} is an address, and this file is read here" in capsys.readouterr().err
     none = "memory://octex/none.octex"
     for words in (("--info", none), ("--validate", none), (none, tmp_path / "b.octex", "--depth", 2)):
         assert refusal(capsys, *words).startswith(f"{none}: cannot be read: there is no such file")

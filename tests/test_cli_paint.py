@@ -233,7 +233,7 @@ def assert_same(one: octex.OctreeTexture, other: octex.OctreeTexture) -> None:
 
 
 @needs_jit
-def test_with_force_the_texture_itself_is_replaced(
+def test_an_archive_is_painted_on_and_with_force_the_texture_itself_is_replaced(
     scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     texture, out = tmp_path / "box.octex", tmp_path / "out.octex"
@@ -241,6 +241,10 @@ def test_with_force_the_texture_itself_is_replaced(
     arguments = [scene.model, texture, *scene.shot[2:]]
     result(capsys, *arguments, "--out", out)
     opened = octex.open(texture)
+    opened.save(texture.with_suffix(".octz"))
+    archived = [scene.model, texture.with_suffix(".octz"), *scene.shot[2:]]
+    result(capsys, *archived, "--out", tmp_path / "archived.octex")
+    assert (tmp_path / "archived.octex").read_bytes() == out.read_bytes()
     result(capsys, *arguments, "--out", texture, "--force")
     assert texture.read_bytes() == out.read_bytes()
     assert_same(opened, octex.open(scene.texture))  # what is mapped is the old file
@@ -904,6 +908,10 @@ def test_paint_that_more_than_doubles_a_texture_is_announced(
         (
             "m.glb t.octex --camera c --out o.octex --blend erase",
             "t.octex: does not exist; there is nothing to erase",
+        ),
+        (
+            "m.glb t.octz --camera c --out o.octex --blend erase",
+            "t.octz: does not exist; there is nothing to erase",
         ),
         ("m.glb t.octex --blend burn", "--blend: 'burn' is none of over, multiply, "),
         ("m.glb t.octex --opacity 2", "--opacity: 2 is not from 0 to 1; see octree-paint --help"),

@@ -105,8 +105,10 @@ def test_what_cannot_be_written_is_refused_before_any_work(
     cases = [
         (made, "holds a texture set already; --force replaces it"),
         (tmp_path / "file", "is a file; --parts writes a folder, give OUTPUT another name"),
-        (tmp_path / "a.octex", "--parts writes a folder; give OUTPUT no ending"),
-        (tmp_path / "a.ply", "--parts writes a folder; give OUTPUT no ending"),
+        *(
+            (tmp_path / f"a.{ending}", "--parts writes a folder; give OUTPUT no ending")
+            for ending in ("octex", "octz", "ply", "npz", "html")
+        ),
         (tmp_path / "no" / "folder", "there is no folder"),
     ]
     for folder, message in cases:
@@ -120,7 +122,7 @@ def test_options_that_do_not_go_with_parts_are_refused(
     model: Path, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    for words in (("--separate",), ("--preview", "a.png")):
+    for words in (("--separate",), ("--preview", "a.png"), ("--memory", "1GB")):
         message = refusal(capsys, model, out, "--parts", *words)
         assert f"{words[0]} has no meaning with --parts" in message
     texture = made / "part-0.octex"

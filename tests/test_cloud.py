@@ -32,6 +32,21 @@ end_header
 0 1 2
 """
 
+_LISTED = b"""ply
+format ascii 1.0
+element vertex 3
+property %s x
+property float y
+property float z
+property %s red
+property uchar green
+property uchar blue
+end_header
+1 1 1 1 1 1 1
+1 1 1 1 1 1 1
+1 1 1 1 1 1 1
+"""
+
 
 def colored(points: Array) -> Array:
     return np.asarray((points + 1.2) / 2.5, np.float32)
@@ -206,6 +221,8 @@ def test_files_of_every_kind_hold_the_same_points(tmp_path: Path) -> None:
         ("a.npz", b"nonsense", "is no .npz file; save"),
         ("a.obj", b"", "no cloud that octex reads"),
         ("a.ply", _BARE, "without colours"),
+        ("a.ply", _LISTED % (b"list int float x", b"uchar red"), "no vertices with x, y and z"),
+        ("a.ply", _LISTED % (b"float x", b"list int uchar red"), "without colours"),
     ],
 )
 def test_what_is_no_cloud_is_refused_in_a_line(

@@ -202,6 +202,14 @@ BAD_PLY = {
         "colours are not all finite",
     ),
     "empty": (lambda t: edited(plain(t), plain(t).read_bytes(), b""), "is empty"),
+    "lists for numbers": (
+        lambda t: edited(edited(plain(t), b"property float x", b"property list int float x"),
+                         b"0.0 0.0 0.0\n", b"1 0 0 0\n"), "data of|no vertices with x",
+    ),
+    "endless nothing": (
+        lambda t: edited(edited(plain(t), b"element v", b"element no 999999999999999999\nelement v"),
+                         b"3 0 2 3", b"3 0 2 4"), "a vertex that is not among the 4",
+    ),
 }  # fmt: skip
 
 

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import octex
-from octex.channels import ALPHA, BASE_COLOR
+from octex.channels import ALPHA, BASE_COLOR, ChannelFormat
 from octex.cli import main as cli
-from octex.errors import TextureFileError
+from octex.errors import ArgumentError, TextureFileError
 from octex.formats.npz import write_arrays
+from octex.texture import Channel, OctreeTexture
 from octex.tree.areas import AREAS
 from octex.tree.morton import encode_cells
 from octex.tree.normals import estimate_normals
@@ -60,6 +61,17 @@ def test_an_empty_texture_has_empty_arrays_and_a_damaged_one_is_not_written(
     with pytest.raises(TextureFileError, match="with 2 of 5 leaves"):
         write_arrays(texture_of(), tmp_path / "b.npz")
     assert not (tmp_path / "b.npz").exists()
+
+
+def test_a_channel_with_the_name_of_another_array_is_refused(tmp_path: Path) -> None:
+    texture = texture_of()
+    for name in ("size", "file"):
+        values = np.zeros((texture.tree.n_cells, 1), np.float32)
+        channel = Channel(ChannelFormat(name, 1, "data", "float32"), values, values[:0], values[:0])
+        named = OctreeTexture(texture.tree, {name: channel}, texture.placement, texture.bounds)
+        with pytest.raises(ArgumentError, match=f"something else of the name '{name}'; leave"):
+            write_arrays(named, tmp_path / "a.npz")
+    assert not (tmp_path / "a.npz").exists()
 
 
 def test_the_command_writes_arrays_and_reads_them_as_points(tmp_path: Path) -> None:

@@ -410,6 +410,18 @@ def test_a_material_of_another_kind_is_white_with_a_warning(tmp_path: Path) -> N
     np.testing.assert_allclose(colors_at(read, QUARTERS), 1.0)
 
 
+def test_what_is_connected_and_not_read_is_said(tmp_path: Path) -> None:
+    made = Stage(tmp_path)
+    surface = made.material(made.square())
+    reader = UsdShade.Shader.Define(made.stage, "/material/colors")
+    reader.CreateIdAttr("UsdPrimvarReader_float3")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("Cd")
+    color = reader.CreateOutput("result", Sdf.ValueTypeNames.Float3)
+    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(color)
+    with pytest.warns(ModelWarning, match="what diffuseColor is connected to is not read; bake it"):
+        made.read()
+
+
 def test_without_usd_core_its_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.usda").write_text("#usda 1.0\n")
     monkeypatch.setitem(sys.modules, "pxr", None)

@@ -88,6 +88,11 @@ def test_floats_are_linear_light_and_stay_so_above_1() -> None:
     texture = octex.convert(octex.Voxels(COORDS, {"base_color": light, "emissive": light / 5}))
     assert texture.channels["base_color"].format[2:] == ("linear", "float16")
     assert texture.channels["emissive"].format[2:] == ("srgb", "uint8")
+    bright = octex.convert(octex.Voxels(COORDS, {"emissive": light * 1e5}))  # more than float16 holds
+    assert bright.channels["emissive"].format[2:] == ("linear", "float32")
+    np.testing.assert_allclose(
+        stored(bright, "emissive")[tuple((COORDS[0] + 0.5) / 16)], light[0] * 1e5, 1e-6
+    )
     found = octex.convert(octex.Voxels(COORDS, {"emissive": light / 5}), dtype="float32")
     leaves = stored(found, "emissive")
     for place, value in zip(COORDS, light / 5, strict=True):
@@ -273,6 +278,7 @@ def test_damaged_o_voxels_are_refused_in_one_line(tmp_path: Path, data: bytes, m
         ({"coords": COORDS[:0], "rgb": COLORS[:0]}, "has no voxels"),
         ({"coords": COORDS, "rgb": COLORS, "depth": 3}, "is outside of a grid of depth 3"),
         ({"coords": COORDS, "rgb": COLORS, "depth": 22}, "depth must be from 0 to 21"),
+        ({"coords": COORDS, "rgb": COLORS, "depth": [-1] * 149 + [4]}, "from 0 to 21, not -1"),
         ({"coords": COORDS, "rgb": COLORS, "depth": 4.5}, "depth must be a whole number"),
         ({"coords": COORDS, "rgb": COLORS, "origin": [0, np.nan, 0]}, "origin must be finite"),
         ({"coords": COORDS, "rgb": COLORS, "size": -1.0}, "size must be finite and above zero"),
@@ -294,6 +300,13 @@ def test_what_does_not_fit_is_refused_in_one_line_that_names_it(
         octex.convert(tmp_path / "bad.npz")
     assert "bad.npz" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_rows_of_unequal_lengths_are_refused() -> None:
+    for coords, values, depth in (([[0], [1, 2]], [1.0], 1), ([[0, 0, 0]], [[1], [2, 3]], 1),
+                                  ([[0, 0, 0]], [[1.0]], [[1], [2, 3]])):  # fmt: skip
+        with pytest.raises(ArgumentError, match="must"):
+            octex.Voxels(coords, {"roughness": values}, depth=depth)
 
 
 def test_what_needs_a_surface_or_another_grid_is_refused() -> None:

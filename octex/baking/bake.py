@@ -35,7 +35,7 @@ from octex.checks import as_choice, as_names, as_number, as_whole
 from octex.errors import ArgumentError, ModelError
 from octex.nearest.triangles import Triangles
 from octex.parallel import Progress, as_progress, ordered_map, workers
-from octex.source.corners import Corners, Frames
+from octex.source.corners import Corners, Frames, area_vectors
 from octex.source.images.pyramid import CLAMP, REPEAT
 from octex.source.materials import AlphaMode, Material, MaterialSource
 from octex.source.surface import Surface, as_surface
@@ -92,7 +92,7 @@ def bake(
                  its own if of no material more than 1 % overlaps with what looks otherwise, else new ones
     texture_size  texels a side of the square maps, 64 to 16384; by default the power of two, up to 8192,
                  whose texels are about as large as the texture's finest cells, or smaller
-    padding      texels between charts, 0 to 64
+    padding      texels around each chart of an atlas, 0 to 64; charts are twice as far apart
     channels     those that are baked, by name; by default all that materials have
     bits         of a number of the maps: 8, or 16, sRGB where glTF has it; 32 are floats, linear light, which
                  may be above 1, directions as (x + 1) / 2
@@ -107,7 +107,8 @@ def bake(
     is the same.
 
     Raises ArgumentError for numbers out of range and channels that are not there or that no material has,
-    ModelError for coordinates that cannot be kept, and for a map in which an atlas has no room.
+    ModelError for coordinates that cannot be kept, for a map in which an atlas has no room, and where
+    ``source`` is nowhere near enough.
     (Benson & Davis 2002, 6.3.)
     """
     as_texture(texture)
@@ -139,11 +140,19 @@ def bake(
         job = _job(texture, surface, other, sheets, coordinates, names, bits, supersample)
         done, total = 0, sum(sheet.layout.height for sheet in sheets)
         materials: list[Material] = []
+        shows_any = False
         owners = np.empty(len(surface.triangles), np.int32)
         for sheet in sheets:
             owners[sheet.triangles] = len(materials) + sheet.owners
-            materials += _bake_sheet(job, sheet, padding, pool, _part_of(report, done, total))
+            made, shows = _bake_sheet(job, sheet, padding, pool, _part_of(report, done, total))
+            materials += made
+            shows_any |= shows
             done += sheet.layout.height
+    if source is not None and not shows_any:
+        raise ModelError(
+            f"{source.name} has nothing that is near enough to {surface.name} and faces the same way; give a "
+            "larger max_distance, or another source"
+        )
     baked = MaterialSource(
         materials, owners, surface.rest, surface.triangles,
         coordinates=[coordinates], frames=job.frames, name=surface.name,
@@ -163,8 +172,10 @@ def _part_of(report: Progress, before: int, whole: int) -> Progress:
     return advance
 
 
-def _bake_sheet(job: _Job, sheet: Sheet, padding: int, pool: Executor, progress: Progress) -> list[Material]:
-    """Return the materials of a sheet, with its maps."""
+def _bake_sheet(
+    job: _Job, sheet: Sheet, padding: int, pool: Executor, progress: Progress
+) -> tuple[list[Material], bool]:
+    """Return the materials of a sheet, with its maps, and whether these show anything."""
     layout = sheet.layout
     shown = layout._replace(faces=sheet.triangles[layout.faces])
     maps = Values.of(job.names, layout.height, layout.width)
@@ -176,6 +187,7 @@ def _bake_sheet(job: _Job, sheet: Sheet, padding: int, pool: Executor, progress:
         pass
     if padding and not taken.all():
         _bake_gutter(job, shown, taken, padding, maps, pool)
+    shows_any = bool(maps.areas.any())
     if not maps.areas.all():
         fill_up(maps.values, (maps.areas > 0).astype(np.float32))
     used = layout.uv.values[layout.uv.rows]
@@ -187,10 +199,11 @@ def _bake_sheet(job: _Job, sheet: Sheet, padding: int, pool: Executor, progress:
     if ALPHA.name in maps.lanes:
         measured = alpha_mode(maps.channel(ALPHA.name))
         modes = [each.alpha_mode if job.has_modes else measured for each in known]
-    return [
+    made = [
         Material(inputs, mode, name=each.name, double_sided=each.double_sided)
         for each, mode in zip(known, modes, strict=True)
     ]
+    return made, shows_any
 
 
 def _channels_of(texture: OctreeTexture, channels: Sequence[str] | None) -> list[str]:
@@ -223,9 +236,7 @@ class _Other(NamedTuple):
         except ModelError as error:
             raise ModelError(f"{surface.name}: {error}") from None
         placed = surface.placed_in(texture)
-        corners = placed.rest[placed.triangles]
-        crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        return cls(placed, nearest, unit(crosses), distance)
+        return cls(placed, nearest, unit(area_vectors(placed.rest[placed.triangles])), distance)
 
     def beside(self, points: Points) -> tuple[Points, Bools]:
         """Return the points nearest to others, and which of these have one."""

@@ -8,9 +8,9 @@ import numpy as np
 
 from octex.arrays import Bools, Float64s, Int32s
 from octex.errors import ModelError
-from octex.jit import kernel
 from octex.source.corners import Corners
 from octex.source.mesh import Mesh
+from octex.source.parts import join
 from octex.source.welding import first_equal
 
 #: Where texture coordinates come from.
@@ -88,10 +88,11 @@ def charts_of(mesh: Mesh, corners: Float64s) -> tuple[Int32s, Bools]:
 
     Triangles of a chart share edges both on the surface and in the map, where ``corners`` (m, 3, 2) are.
     """
-    parents = np.arange(len(corners), dtype=np.int32)
+    parents = np.arange(len(corners))
     beside = neighbors(mesh)
     are_joined = _joined(corners, *beside)
-    _join(are_joined, beside[0], parents)
+    triangles, sides = np.nonzero(are_joined)
+    join(parents, triangles, beside[0][triangles, sides].astype(np.int64))
     return np.unique(parents, return_inverse=True)[1].astype(np.int32), ~are_joined
 
 
@@ -121,25 +122,6 @@ def _joined(corners: Float64s, others: Int32s, sides: Int32s) -> Bools:
     same &= np.abs(corners[there] - np.roll(corners, -1, axis=1)).max(axis=-1) < _SAME
     found: Bools = same & (others >= 0)
     return found
-
-
-@kernel
-def _join(are_joined: Bools, others: Int32s, parents: Int32s) -> None:
-    """Join triangles in charts; every parent becomes its chart's least triangle."""
-    for triangle in range(parents.size):
-        for side in range(3):
-            if not are_joined[triangle, side]:
-                continue
-            x, y = np.int32(triangle), others[triangle, side]
-            while parents[x] != x:
-                parents[x] = parents[parents[x]]
-                x = parents[x]
-            while parents[y] != y:
-                parents[y] = parents[parents[y]]
-                y = parents[y]
-            parents[max(x, y)] = min(x, y)
-    for triangle in range(parents.size):
-        parents[triangle] = parents[parents[triangle]]
 
 
 def _doubled(corners: Float64s) -> Float64s:

@@ -16,7 +16,7 @@ from octex.baking.texels import Drawing, Texels, barycentric_at
 from octex.channels import CHANNELS, ColorSpace, linear_to_srgb
 from octex.errors import ModelError
 from octex.parallel import ordered_map
-from octex.source.corners import Corners, at_corners
+from octex.source.corners import Corners, area_vectors, at_corners
 from octex.source.materials import Material, MaterialSource
 from octex.source.mesh import Mesh
 from octex.source.surface import Surface
@@ -246,9 +246,7 @@ def _size_for(texture: OctreeTexture, mesh: Mesh, part: float) -> int:
 
 def _area(mesh: Mesh) -> float:
     """Return the area of a mesh at rest."""
-    corners = mesh.rest[mesh.triangles]
-    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return float(np.linalg.norm(crosses, axis=1).sum() / 2)
+    return float(np.linalg.norm(area_vectors(mesh.rest[mesh.triangles]), axis=1).sum() / 2)
 
 
 def _cell(texture: OctreeTexture) -> float:

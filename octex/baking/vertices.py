@@ -13,7 +13,7 @@ from octex.baking.tessellation import edges_of, in_order
 from octex.channels import ALPHA, BASE_COLOR, encode
 from octex.checks import as_choice, as_number, as_whole
 from octex.errors import ArgumentError
-from octex.source.corners import Corners, Frames
+from octex.source.corners import Corners, Frames, area_vectors
 from octex.source.distinct import distinct_rows
 from octex.source.materials import AlphaMode, Input, Material, MaterialSource
 from octex.source.surface import Surface, as_surface
@@ -146,8 +146,7 @@ def _undivided(texture: OctreeTexture, surface: Surface) -> tuple[_Points, Int64
     triangles = triangles.reshape(-1, 3)
     posed, rest = surface.vertices[vertices[:, 0]], surface.rest[vertices[:, 0]]
     places = welded(np.concatenate([posed, rest], axis=1)).astype(np.int64)
-    ends = rest[triangles]
-    crosses = np.cross(ends[:, 1] - ends[:, 0], ends[:, 2] - ends[:, 0])
+    crosses = area_vectors(rest[triangles])
     facing, shading = np.zeros_like(rest), np.zeros_like(rest)
     for corner in range(3):
         np.add.at(facing, triangles[:, corner], crosses)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import NoReturn
 
+from octex.errors import ArgumentError
 from octex.files import is_address
 
 TEXTURE_ENDING = ".octex"
@@ -62,6 +63,12 @@ def texture_file(text: str) -> Path | Address:
     if not _is_texture(address.name):
         raise argparse.ArgumentTypeError(f"{text} is an address; {_READ_THERE}: download it first")
     return address
+
+
+def check_texture(path: Path | Address) -> None:
+    """Refuse what is no texture by its ending."""
+    if path.suffix.lower() not in TEXTURE_ENDINGS:
+        raise ArgumentError(f"{path}: is no {TEXTURE_ENDING} file; octex convert makes one of a model")
 
 
 def file_here(text: str) -> Path:

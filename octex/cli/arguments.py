@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from octex.cli.addresses import Address, texture_file
+from octex.cli.addresses import Address, file_here, texture_file
 from octex.cli.functions import FunctionName, function_name
 
 #: What octex stores (octex.channels.ONE), how it reads images (octex.source.images.filters.FILTERS), lays
@@ -30,6 +30,17 @@ MOST_PIXELS = 16384
 
 #: What a channel is to come from: an image file, a function, or a number for each component.
 Given = Path | FunctionName | float | tuple[float, ...]
+
+
+def one_of(known: tuple[str, ...]) -> Callable[[str], str]:
+    """Return what reads one of some names."""
+
+    def read(text: str) -> str:
+        if text not in known:
+            raise argparse.ArgumentTypeError(f"{text!r} is none of {', '.join(known)}")
+        return text
+
+    return read
 
 
 def whole_number(text: str) -> int:
@@ -88,7 +99,7 @@ def cells_apart(text: str) -> float:
 
 def light(text: str) -> Path | str:
     """Read the name of a picture of light from all around, or "studio"."""
-    return text if text == "studio" else Path(text)
+    return text if text == "studio" else file_here(text)
 
 
 def bump(text: str) -> tuple[str, float]:
@@ -118,7 +129,7 @@ def channel_names(text: str) -> list[str]:
 def dtypes(text: str) -> str | dict[str, str]:
     """Read one stored type for all channels, or NAME=TYPE pairs separated by commas."""
     if "=" not in text:
-        return _one_of(text.strip(), DTYPES)
+        return one_of(DTYPES)(text.strip())
     found: dict[str, str] = {}
     for pair in text.split(","):
         name, equals, dtype = (part.strip() for part in pair.partition("="))
@@ -126,13 +137,8 @@ def dtypes(text: str) -> str | dict[str, str]:
             raise argparse.ArgumentTypeError(f"{pair!r} is not NAME=TYPE, like normal=uint16")
         if name in found:
             raise argparse.ArgumentTypeError(f"{name} is there twice")
-        found[name] = _one_of(dtype, DTYPES)
+        found[name] = one_of(DTYPES)(dtype)
     return found
-
-
-def image_filter(text: str) -> str:
-    """Read the name of an image filter."""
-    return _one_of(text, FILTERS)
 
 
 def source(text: str) -> tuple[str, Given]:
@@ -143,23 +149,8 @@ def source(text: str) -> tuple[str, Given]:
     try:
         numbers = tuple(float(number) for number in given.split(","))
     except ValueError:
-        return name, function_name(given) or Path(given)
+        return name, function_name(given) or file_here(given)
     return name, numbers[0] if len(numbers) == 1 else numbers
-
-
-def pictures(text: str) -> str:
-    """Read what becomes of several pictures."""
-    return _one_of(text, PICTURES)
-
-
-def holes(text: str) -> str:
-    """Read what becomes of what no picture saw."""
-    return _one_of(text, HOLES)
-
-
-def balance(text: str) -> str:
-    """Read how pictures are made to agree."""
-    return _one_of(text, BALANCES)
 
 
 def mask_pattern(text: str) -> str:
@@ -168,17 +159,7 @@ def mask_pattern(text: str) -> str:
         raise argparse.ArgumentTypeError(
             f"{text!r} has neither {{stem}} nor {{name}}; like masks/{{stem}}.png"
         )
-    return text
-
-
-def projection(text: str) -> str:
-    """Read the name of a way to lay images on a surface."""
-    return _one_of(text, PROJECTIONS)
-
-
-def axis(text: str) -> str:
-    """Read the name of an axis."""
-    return _one_of(text, AXES)
+    return str(file_here(text))
 
 
 def position(text: str) -> tuple[float, ...]:
@@ -229,11 +210,6 @@ def file_and_amount(text: str) -> tuple[Path | Address, float]:
     return texture_file(name), _within(number, 1.0)
 
 
-def blend(text: str) -> str:
-    """Read the name of a blend mode."""
-    return _one_of(text, BLENDS)
-
-
 def opacity(text: str) -> float:
     """Read a number from 0 to 1."""
     return _within(text, 1.0)
@@ -251,9 +227,10 @@ def pixels(text: str) -> float:
 
 def camera(text: str) -> tuple[Path, str | None]:
     """Read a file of cameras, and the name of one after a #; both may have more of these in them."""
+    whole = file_here(text)
     places = [place for place, letter in enumerate(text) if letter == "#" and place > 0]
-    if not places or Path(text).exists():
-        return Path(text), None
+    if not places or whole.exists():
+        return whole, None
     place = next((place for place in places if Path(text[:place]).exists()), places[0])
     name = text[place + 1 :]
     if not name:
@@ -309,9 +286,3 @@ def _number(text: str, fits: Callable[[float], bool], limits: str) -> float:
     if not fits(number):
         raise argparse.ArgumentTypeError(f"{text} is not {limits}")
     return number
-
-
-def _one_of(text: str, known: tuple[str, ...]) -> str:
-    if text not in known:
-        raise argparse.ArgumentTypeError(f"{text!r} is none of {', '.join(known)}")
-    return text

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import octex
-from octex.cli.addresses import TEXTURE_ENDING, TEXTURE_ENDINGS, file_here, output_file, texture_file
-from octex.cli.arguments import channel_names, edge_length, error_codes, real, whole_number
-from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
+from octex.cli.addresses import check_texture, file_here, output_file, texture_file
+from octex.cli.arguments import channel_names, edge_length, error_codes, length, real, whole_number
+from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, tell
 from octex.cli.models import open_sound
 from octex.cli.parser import RUNNING, Command, Parser, option, words_given
 from octex.cli.shape_options import SHAPE_OPTIONS, check_subdivision, shaped_model
@@ -71,9 +70,9 @@ BAKE = Command(
             "--max-distance",
             "how far away --source may be, in its units (default: as far as it takes)",
             metavar="DISTANCE",
-            type=edge_length,
+            type=length,
         ),
-        option("--padding", "texels between charts (default 8)", metavar="N", type=whole_number),
+        option("--padding", "texels around each chart (default 8)", metavar="N", type=whole_number),
         option("--channels", "those to bake, like base_color,normal", metavar="NAMES", type=channel_names),
         option(
             "--images",
@@ -144,10 +143,7 @@ def baking(options: argparse.Namespace, program: str) -> argparse.Namespace:
 def bake(options: argparse.Namespace, program: str) -> int:
     """Bake, as the options of octex bake say; return the exit code."""
     began = time.perf_counter()
-    if options.TEXTURE.suffix.lower() not in TEXTURE_ENDINGS:
-        raise ArgumentError(
-            f"{options.TEXTURE}: is no {TEXTURE_ENDING} file; octex convert makes one of a model"
-        )
+    check_texture(options.TEXTURE)
     ending = options.OUTPUT.suffix.lower()
     options.vertex_colors |= ending in _ALWAYS_VERTICES
     work, others = ("vertex colours", _OF_IMAGES) if options.vertex_colors else ("images", _OF_VERTICES)
@@ -162,8 +158,7 @@ def bake(options: argparse.Namespace, program: str) -> int:
         raise ArgumentError(f"--displace {options.displace} needs --scale: what 1 there moves the model by")
     if options.unit is not None and ending not in _WITH_UNIT:
         raise ArgumentError(f"--unit has no meaning for {options.OUTPUT}: such files state none")
-    given = options.TEXTURE, options.MODEL, options.rest, options.source
-    inputs = [path for path in given if path is not None]
+    inputs = options.TEXTURE, options.MODEL, options.rest, options.source
     check_outputs([(options.OUTPUT, _ENDINGS, "OUTPUT")], inputs, force=options.force)
     images, bits = _IMAGES[options.images or "png"]
     if images == "exr" and ending in (".glb", ".gltf"):
@@ -204,7 +199,7 @@ def bake(options: argparse.Namespace, program: str) -> int:
         with progress.stage("write"):
             octex.write_model(baked, options.OUTPUT, images=images, unit=options.unit or "meter")
     size = max(_sizes(baked), default=0)
-    made = {
+    made: dict[str, Any] = {
         "output": str(options.OUTPUT),
         "channels": [form.name for form in baked.channels],
         "triangles": len(baked.triangles),
@@ -213,13 +208,9 @@ def bake(options: argparse.Namespace, program: str) -> int:
         "bytes": options.OUTPUT.stat().st_size,
         "seconds": round(time.perf_counter() - began, 3),
     }
-    if options.json:
-        say(json.dumps(made))
-    elif not options.quiet:
-        names = ", ".join(form.name for form in baked.channels)
-        bytes_there = bytes_text(options.OUTPUT.stat().st_size)
-        where = f"in maps of {size} × {size}" if size else f"at {len(baked.vertices):,} vertices"
-        say(f"{options.OUTPUT}: {names} {where}, {bytes_there}, {made['seconds']:.1f} s")
+    where = f"in maps of {size} × {size}" if size else f"at {len(baked.vertices):,} vertices"
+    what = f"{', '.join(made['channels'])} {where}, {bytes_text(made['bytes'])}"
+    tell(options, made, f"{options.OUTPUT}: {what}, {made['seconds']:.1f} s")
     return ExitCode.DONE
 
 

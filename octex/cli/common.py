@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+import json
 import os
 import shutil
 import signal
@@ -10,7 +12,7 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType, TracebackType
@@ -134,6 +136,14 @@ def _write(stdout: TextIO | None, text: str) -> None:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stdout.fileno())
         if not isinstance(error, BrokenPipeError):
             raise OutputError(f"standard output cannot be written: {error.strerror or error}") from error
+
+
+def tell(options: argparse.Namespace, made: Mapping[str, Any], *lines: str) -> None:
+    """Print what was made: for --json as an object, else as lines for a person, for --quiet not at all."""
+    if options.json:
+        say(json.dumps(made))
+    elif not options.quiet:
+        say("\n".join(lines))
 
 
 def fail(command: str, message: str, code: ExitCode) -> ExitCode:
@@ -287,17 +297,20 @@ def _announce_compilation(reporter: Reporter) -> Any:
 
 
 def check_outputs(
-    outputs: Iterable[tuple[Path, Iterable[str], str]], inputs: Iterable[Path], *, force: bool
+    outputs: Iterable[tuple[Path | None, Iterable[str], str]], inputs: Iterable[Path | None], *, force: bool
 ) -> None:
     """Refuse outputs that cannot or must not be written, before any work is done.
 
-    Each output comes with the file endings that it may have and the word for it on the command line. Raises
+    Each output comes with the file endings that it may have and the word for it on the command line; None is
+    one that is not asked for, or an input that is not given. Raises
     InputError for an unknown ending, and OutputError for a missing folder, for a folder in the file's place,
     for a file that stands there already unless ``force`` is given, and for one that is also an input or twice
     an output.
     """
-    taken = {identity(path): "an input" for path in inputs}
+    taken = {identity(path): "an input" for path in inputs if path is not None}
     for path, endings, word in outputs:
+        if path is None:
+            continue
         if path.is_dir():
             raise OutputError(f"{path}: is a folder; give {word} a file's name")
         if Path(os.path.realpath(path)).is_symlink():

@@ -7,15 +7,14 @@ import json
 import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import octex
 from octex.ahead import ahead
-from octex.cli.addresses import TEXTURE_ENDING, TEXTURE_ENDINGS
+from octex.cli.addresses import TEXTURE_ENDINGS, check_texture
 from octex.cli.bake import bake, baking
-from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
-from octex.cli.convert_options import COMMANDS, CONVERT, archive_error, check_input, work_of
+from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say, tell
+from octex.cli.convert_options import COMMANDS, CONVERT, OUTPUT_ENDINGS, archive_error, check_input, work_of
 from octex.cli.diff import diff
 from octex.cli.inspect import info, validate
 from octex.cli.models import PTEX_ENDING, input_files, kind_of, read_model, settings_of, told_of
@@ -26,7 +25,7 @@ from octex.cli.ptex import write_ptex
 from octex.cli.sets import convert_parts
 from octex.cli.view_options import previewing
 from octex.cli.viewer import PAGE_ENDING, write_mesh_page, write_page
-from octex.errors import ExitCode, InputError
+from octex.errors import ExitCode
 from octex.parallel import workers
 
 if TYPE_CHECKING:
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
     from octex.texture import OctreeTexture
 
 COMMAND = "octree-convert"
-OUTPUT_ENDINGS = (*TEXTURE_ENDINGS, ".ply", ".npz", PAGE_ENDING)
 
 
 def main(arguments: Sequence[str] | None = None, program: str = COMMAND, command: str = "convert") -> int:
@@ -48,8 +46,8 @@ def main(arguments: Sequence[str] | None = None, program: str = COMMAND, command
 def _main(arguments: Sequence[str] | None, program: str, command: str) -> int:
     options = Parser(program, CONVERT).parse_args([])
     vars(options).update(vars(Parser(program, COMMANDS[command]).parsed(arguments)))
-    if command == "edit" and options.INPUT.suffix.lower() not in TEXTURE_ENDINGS:
-        raise InputError(f"{options.INPUT}: is no {TEXTURE_ENDING} file; octex convert makes one of a model")
+    if command == "edit":
+        check_texture(options.INPUT)
     options.warm_up |= command == "warm-up"
     work = work_of(options, program)
     with limited(options.threads):
@@ -75,17 +73,13 @@ def _main(arguments: Sequence[str] | None, program: str, command: str) -> int:
 def _convert(options: argparse.Namespace, program: str) -> int:
     began = time.perf_counter()
     found: Overlaps | None = None
-    outputs: list[tuple[Path, tuple[str, ...], str]] = [(options.OUTPUT, OUTPUT_ENDINGS, "OUTPUT")]
-    if options.preview is not None:
-        outputs.append((options.preview, (".png",), "--preview"))
+    outputs = (options.OUTPUT, OUTPUT_ENDINGS, "OUTPUT"), (options.preview, (".png",), "--preview")
     inputs = [options.INPUT, *input_files(options), *others_of(options)]
     model: PointCloud | Voxels | Surface
     surface: Surface | None = None
     check_outputs(outputs, inputs, force=options.force)
     kind = kind_of(options.INPUT)
     check_input(options, kind, program)
-    if options.memory is not None and options.parts:
-        raise InputError("--memory is for one texture; leave out --parts")
     stages = ("convert", "preview") if options.preview is not None else ("convert",)
     is_shared = options.threads is None and kind == "model"
     with Reporter(program, options.quiet) as progress, ahead(*stages if is_shared else ()):
@@ -129,13 +123,11 @@ def _convert(options: argparse.Namespace, program: str) -> int:
 
             write_points(texture, options.OUTPUT, progress)
 
-    if not options.quiet or options.json:
-        seconds = time.perf_counter() - began
-        _say_what_was_made(options, texture, found, seconds, is_new=surface is not None)
+    _tell_what_was_made(options, texture, found, time.perf_counter() - began, is_new=surface is not None)
     return ExitCode.DONE
 
 
-def _say_what_was_made(
+def _tell_what_was_made(
     options: argparse.Namespace,
     texture: OctreeTexture,
     found: Overlaps | None,
@@ -153,21 +145,19 @@ def _say_what_was_made(
         made["preview"] = str(options.preview)
     if found is not None:
         made["separated"] = separated_as_json(texture, found)
-    if options.json:
-        say(json.dumps(made))
-    else:
-        cells = f"{tree.n_leaves:,} leaves, depth {tree.max_depth} (cells of {made['cell']:.4g})"
-        say(f"{options.OUTPUT}: {cells}, {bytes_text(made['bytes'])}, {seconds:.1f} s")
-        if empty:
-            # With leaves of several sizes, finest cells are no part of their number.
-            is_even = options.max_error is None and options.detail is None
-            share = f" ({100 * empty / (empty + tree.n_leaves):.3g} %)" if is_even else ""
-            why = "is near enough" if options.max_angle is None else "is near enough and faces as they do"
-            say(f"{empty:,} finest cells{share} stay empty: nothing to take from {why}")
-        if options.preview is not None:
-            say(f"{options.preview}: a picture of it")
-        if found is not None:
-            say("\n".join(separated_text(texture, found)))
+    cells = f"{tree.n_leaves:,} leaves, depth {tree.max_depth} (cells of {made['cell']:.4g})"
+    lines = [f"{options.OUTPUT}: {cells}, {bytes_text(made['bytes'])}, {seconds:.1f} s"]
+    if empty:
+        # With leaves of several sizes, finest cells are no part of their number.
+        is_even = options.max_error is None and options.detail is None
+        share = f" ({100 * empty / (empty + tree.n_leaves):.3g} %)" if is_even else ""
+        why = "is near enough" if options.max_angle is None else "is near enough and faces as they do"
+        lines.append(f"{empty:,} finest cells{share} stay empty: nothing to take from {why}")
+    if options.preview is not None:
+        lines.append(f"{options.preview}: a picture of it")
+    if found is not None:
+        lines += separated_text(texture, found)
+    tell(options, made, *lines)
 
 
 def _warm_up(quiet: bool, program: str) -> int:

@@ -12,7 +12,6 @@ from octex.cli.arguments import (
     FILTERS,
     PROJECTIONS,
     angle,
-    axis,
     box,
     cells_apart,
     channel_names,
@@ -21,11 +20,10 @@ from octex.cli.arguments import (
     error_codes,
     file_and_amount,
     file_size,
-    image_filter,
     length,
     levels,
+    one_of,
     position,
-    projection,
     sizes,
     source,
     whole_number,
@@ -129,13 +127,13 @@ _OPTIONS = (
         "read the images that --source gives by position, not at texture coordinates: "
         f"{', '.join(PROJECTIONS)}",
         metavar="KIND",
-        type=projection,
+        type=one_of(PROJECTIONS),
     ),
     option(
         "--project-axis",
         f"where a plane is seen from, or the other kinds' up: {', '.join(AXES)} (default z)",
         metavar="AXIS",
-        type=axis,
+        type=one_of(AXES),
     ),
     option(
         "--project-center",
@@ -179,7 +177,7 @@ _OPTIONS = (
         "--filter",
         f"how images are read: {', '.join(FILTERS)} (default {DEFAULT_FILTER})",
         metavar="NAME",
-        type=image_filter,
+        type=one_of(FILTERS),
     ),
     option(
         "--dtype",
@@ -272,37 +270,28 @@ _OPTIONS = (
     option("--warm-up", "compile everything now; later runs start at once", action="store_true"),
 )
 
+#: What a conversion writes, each in one file.
+OUTPUT_ENDINGS = (*TEXTURE_ENDINGS, ".ply", ".npz", PAGE_ENDING)
+
 # Which options go with what is done.
 _PROJECTION = {"--project", "--project-axis", "--project-center", "--project-size"}
 _ELSEWHERE = {"--transfer", "--cloud", "--radius", "--max-distance", "--max-angle"}
 _MATERIALS = {"--channels", "--source", "--filter", "--rest", "--also", "--bounds", "--edge"}
 _MATERIALS |= _PROJECTION | _ELSEWHERE | SHAPE_WORDS
 _MATERIALS |= {"--ptex"}  # what an INPUT is that is a .ptx
+#: What has no meaning where only textures are compared.
+OF_MODELS = {"--points"} | _MATERIALS - {"--channels"}
 #: What makes another texture of a texture alone.
 _OF_TEXTURES = {"--crop", "--combine", "--mix", "--blur", "--levels"}
 #: In the order in which they are done.
 _EDITS = ("--crop", "--depth", "--combine", "--mix", "--blur", "--levels", "--channels", "--dtype")
 _OF_ANYTHING = {"INPUT", "OUTPUT", "--depth", "--channels", "--dtype"}
-_OF_ANYTHING |= VIEW_WORDS - {"--frame"} | {
-    "--max-size",
-    "--preview",
-    "--force",
-    "--threads",
-    "--quiet",
-    "--json",
-}
+_OF_ANYTHING |= {"--max-size", "--preview", "--force", "--threads", "--quiet", "--json"}
+_OF_ANYTHING |= VIEW_WORDS - {"--frame"}
 _CONVERSION = "a conversion"
 _WORDS = {
-    _CONVERSION: {
-        "--cell",
-        "--max-error",
-        "--detail",
-        "--memory",
-        "--no-fit",
-        "--separate",
-        "--parts",
-        "--frame",
-    }
+    _CONVERSION: {"--cell", "--max-error", "--detail", "--memory", "--no-fit", "--separate", "--parts"}
+    | {"--frame"}
     | _OF_ANYTHING
     | _OF_TEXTURES
     | _MATERIALS,
@@ -311,17 +300,8 @@ _WORDS = {
     "--info": {"--json"},
     "--validate": {"--json", "--quiet"},
     "--warm-up": {"--quiet"},
-    "--mesh": {
-        "INPUT",
-        "OUTPUT",
-        "--channels",
-        "--max-size",
-        "--rest",
-        "--force",
-        "--threads",
-        "--quiet",
-        "--json",
-    }
+    "--mesh": {"INPUT", "OUTPUT", "--channels", "--max-size", "--rest", "--force", "--threads", "--quiet"}
+    | {"--json"}
     | SHAPE_WORDS,
 }
 _BY_WORD = {each.word: each for each in _OPTIONS}
@@ -456,7 +436,7 @@ def work_of(options: argparse.Namespace, program: str) -> str:
     if work == _CONVERSION:
         if options.depth is not None and options.cell is not None:
             raise ArgumentError("--depth and --cell both say how fine the cells are; give one of them")
-        for word in ("--separate", "--preview", *sorted(VIEW_WORDS)):
+        for word in ("--separate", "--preview", "--memory", *sorted(VIEW_WORDS)):
             if options.parts and word in given:
                 raise ArgumentError(f"{word} has no meaning with --parts; see {program} --help")
     return work

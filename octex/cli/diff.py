@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from octex.cli.addresses import TEXTURE_ENDINGS
-from octex.cli.common import Reporter, check_outputs, say
+from octex.cli.common import Reporter, check_outputs, tell
+from octex.cli.convert_options import OF_MODELS
 from octex.cli.inspect import triple
 from octex.cli.models import input_files, open_sound, read_model
+from octex.cli.parser import words_given
 from octex.errors import ArgumentError, ExitCode
 
 if TYPE_CHECKING:
     from octex.compare import Difference, Differences, Side
-
-_NEEDS_A_MODEL = ("rest", "pose", "subdiv_levels", "filter", "source", "points")
 
 
 def diff(command: str, options: argparse.Namespace) -> int:
@@ -28,10 +27,9 @@ def diff(command: str, options: argparse.Namespace) -> int:
         inputs = [*paths, *input_files(options)]
         check_outputs([(options.preview, (".png",), "--preview")], inputs, force=options.force)
     if all(path.suffix.lower() in TEXTURE_ENDINGS for path in paths):
-        for word in _NEEDS_A_MODEL:
-            if getattr(options, word) is not None:
-                option = f"--{word.replace('_', '-')}"
-                raise ArgumentError(f"{option} needs a model, but {paths[0]} and {paths[1]} are textures")
+        for word in words_given(options):
+            if word in OF_MODELS:
+                raise ArgumentError(f"{word} needs a model, but {paths[0]} and {paths[1]} are textures")
     elif not any(path.suffix.lower() in TEXTURE_ENDINGS for path in paths):
         raise ArgumentError(
             f"{paths[0]} and {paths[1]}: neither is an .octex file; convert one of them first"
@@ -50,12 +48,9 @@ def diff(command: str, options: argparse.Namespace) -> int:
 
             with progress.stage("draw"):
                 write_difference(options.preview, a, b, found, (paths[0].name, paths[1].name))
-    if options.json:
-        say(json.dumps({"a": str(paths[0]), "b": str(paths[1]), **as_json(found)}))
-    elif not options.quiet:
-        say("\n".join(_readable(paths, (a, b), found)))
-        if options.preview is not None:
-            say(f"\n{options.preview}: a picture of it")
+    picture = [] if options.preview is None else ["", f"{options.preview}: a picture of it"]
+    told = {"a": str(paths[0]), "b": str(paths[1]), **as_json(found)}
+    tell(options, told, *_readable(paths, (a, b), found), *picture)
     return ExitCode.DONE
 
 

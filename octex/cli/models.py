@@ -188,11 +188,9 @@ def told_of(texture: OctreeTexture, path: Path, seconds: float) -> dict[str, Any
     }
 
 
-def posed_inputs(options: argparse.Namespace) -> list[Path]:
-    """Return the files of a model that cameras see, and of the cameras."""
-    cameras = None if options.camera is None else options.camera[0]
-    given = [options.MODEL, options.rest, cameras]
-    return [path for path in given if path is not None]
+def posed_inputs(options: argparse.Namespace) -> list[Path | None]:
+    """Return the files of a model that cameras see, and of the cameras; None for what is not given."""
+    return [options.MODEL, options.rest, None if options.camera is None else options.camera[0]]
 
 
 def new_texture(options: argparse.Namespace) -> str:

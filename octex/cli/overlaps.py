@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import octex
-from octex.cli.common import Reporter, say
+from octex.cli.common import Reporter, tell
 from octex.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -29,10 +29,8 @@ def overlaps(command: str, options: argparse.Namespace) -> int:
             )
         with progress.stage("compare"):
             found = surface.overlapping_parts(options.margin or 0.0)
-    if options.json:
-        say(json.dumps({"model": str(options.overlaps), "margin": found.margin, **_as_json(found)}))
-    elif not options.quiet:
-        say(f"{options.overlaps}: {found}")
+    told = {"model": str(options.overlaps), "margin": found.margin, **_as_json(found)}
+    tell(options, told, f"{options.overlaps}: {found}")
     return ExitCode.DONE
 
 

@@ -3,26 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import octex
 from octex.ahead import ahead
 from octex.cli.addresses import TEXTURE_ENDING
-from octex.cli.common import (
-    Reporter,
-    bytes_text,
-    check_outputs,
-    fail,
-    identity,
-    limited,
-    run,
-    say,
-)
+from octex.cli.common import Reporter, bytes_text, check_outputs, fail, identity, limited, run, tell
 from octex.cli.layers import begun, channel_of, entries_of, merged, projected, refined, with_entries
 from octex.cli.models import (
     DEFAULT_CHANNEL,
@@ -109,26 +98,23 @@ def _paint(options: argparse.Namespace, program: str) -> int:
         reason = ", or ".join(reasons)
         message = f"nothing was painted, and {options.out} is not written: {reason}"
         return fail(program, message, ExitCode.NOTHING_PAINTED)
-    if not options.quiet or options.json:
-        names = [str(entry["image"]) for entry in entries]
-        _say_what_was_painted(options, made, names, skipped, time.perf_counter() - began)
+    names = [str(entry["image"]) for entry in entries]
+    _tell_what_was_painted(options, made, names, skipped, time.perf_counter() - began)
     return ExitCode.DONE
 
 
 def _check_files(options: argparse.Namespace) -> None:
-    outputs: list[tuple[Path, tuple[str, ...], str]] = [(options.out, (TEXTURE_ENDING,), "--out")]
-    if options.layer_out is not None:
-        outputs.append((options.layer_out, (TEXTURE_ENDING,), "--layer-out"))
-    if options.save_cameras is not None:
-        outputs.append((options.save_cameras, (".json",), "--save-cameras"))
-    if options.preview is not None:
-        outputs.append((options.preview, (".png",), "--preview"))
-    others = [*images_of(options), *(options.mask or []), *(options.layer or [])]
+    outputs = (
+        (options.out, (TEXTURE_ENDING,), "--out"),
+        (options.layer_out, (TEXTURE_ENDING,), "--layer-out"),
+        (options.save_cameras, (".json",), "--save-cameras"),
+        (options.preview, (".png",), "--preview"),
+    )
     # --out may take the place of TEXTURE, which is not written to: the old file is there until all is done.
     is_replaced = options.TEXTURE is not None and identity(options.TEXTURE) == identity(options.out)
-    for each in (options.since, None if is_replaced else options.TEXTURE):
-        others += [] if each is None else [each]
-    check_outputs(outputs, posed_inputs(options) + others, force=options.force)
+    others = [*images_of(options), *(options.mask or []), *(options.layer or []), options.since]
+    inputs = [*posed_inputs(options), *others, None if is_replaced else options.TEXTURE]
+    check_outputs(outputs, inputs, force=options.force)
 
 
 def _previewed(
@@ -142,7 +128,7 @@ def _previewed(
     return None, only(texture, channel)
 
 
-def _say_what_was_painted(
+def _tell_what_was_painted(
     options: argparse.Namespace,
     texture: OctreeTexture,
     painted: Sequence[str],
@@ -151,21 +137,17 @@ def _say_what_was_painted(
 ) -> None:
     tree = texture.tree
     made = {**told_of(texture, options.out, seconds), "painted": list(painted), "skipped": list(skipped)}
-    if options.layer_out is not None:
-        made["layer"] = str(options.layer_out)
-    if options.preview is not None:
-        made["preview"] = str(options.preview)
-    if options.json:
-        say(json.dumps(made))
-        return
     what = "layer" if options.layer else "picture"
     number = f"{len(painted):,} {what}{'s' if len(painted) > 1 else ''} painted"
     cells = f"{tree.n_leaves:,} leaves, depth {tree.max_depth}"
-    say(f"{options.out}: {number}, {cells}, {bytes_text(made['bytes'])}, {seconds:.1f} s")
+    lines = [f"{options.out}: {number}, {cells}, {bytes_text(made['bytes'])}, {seconds:.1f} s"]
     if options.layer_out is not None:
-        say(f"{options.layer_out}: the paint alone")
+        made["layer"] = str(options.layer_out)
+        lines.append(f"{options.layer_out}: the paint alone")
     if options.preview is not None:
-        say(f"{options.preview}: a picture of it")
+        made["preview"] = str(options.preview)
+        lines.append(f"{options.preview}: a picture of it")
+    tell(options, made, *lines)
 
 
 if __name__ == "__main__":

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import argparse
 
-from octex.cli.addresses import TEXTURE_ENDING, file_here, output_file, texture_file
+from octex.cli.addresses import TEXTURE_ENDINGS, file_here, output_file, texture_file
 from octex.cli.arguments import (
+    BALANCES,
     BLENDS,
+    HOLES,
+    PICTURES,
     angle,
-    balance,
-    blend,
     camera,
     color,
     disc,
     file_size,
-    holes,
     mask_pattern,
+    one_of,
     opacity,
     picture_size,
-    pictures,
     pixels,
     whole_number,
 )
@@ -33,7 +33,7 @@ _OPTIONS = (
     option("MODEL", "the model, posed as the cameras see it", nargs="?", type=file_here),
     option(
         "TEXTURE",
-        "its texture, .octex; if it is left out, or not there, a new one is begun",
+        "its texture, .octex or .octz; if it is left out, or not there, a new one is begun",
         nargs="?",
         type=texture_file,
     ),
@@ -90,7 +90,12 @@ _OPTIONS = (
         type=file_here,
     ),
     option("--whole", "paint all of a view, not only what was drawn on it", action="store_true"),
-    option("--blend", f"how paint is put: {', '.join(BLENDS)} (default over)", metavar="MODE", type=blend),
+    option(
+        "--blend",
+        f"how paint is put: {', '.join(BLENDS)} (default over)",
+        metavar="MODE",
+        type=one_of(BLENDS),
+    ),
     option("--opacity", "0 to 1: multiplies the pictures' alpha (default 1)", metavar="X", type=opacity),
     option("--channel", f"what is painted (default {DEFAULT_CHANNEL})", metavar="NAME"),
     option(
@@ -117,14 +122,14 @@ _OPTIONS = (
         "of several that see a place: average; robust, which leaves out what does not agree with most; or "
         "best, one for each patch, with levelled borders (default: robust for three or more)",
         metavar="MODE",
-        type=pictures,
+        type=one_of(PICTURES),
     ),
     option(
         "--balance",
         "make overlapping pictures agree: gain multiplies each; full multiplies each component, and undoes "
         "vignetting",
         metavar="MODE",
-        type=balance,
+        type=one_of(BALANCES),
     ),
     option(
         "--reference",
@@ -145,7 +150,7 @@ _OPTIONS = (
         "what a new texture has where no picture saw the model: smooth fills it from around, over the "
         "surface; leave leaves it without cells (default smooth)",
         metavar="MODE",
-        type=holes,
+        type=one_of(HOLES),
     ),
     option(
         "--coverage",
@@ -208,48 +213,15 @@ _SHARED = {"MODEL", "TEXTURE", "--rest", "--force", "--quiet", "--json"} | SHAPE
 _MERGE = _SHARED | VIEW_WORDS | {"--out", "--blend", "--opacity", "--preview", "--threads"}
 _WORDS = {
     "painting": _MERGE
-    | {
-        "IMAGE",
-        "--camera",
-        "--unwrap",
-        "--conformal",
-        "--mask",
-        "--masks",
-        "--key",
-        "--since",
-        "--whole",
-        "--channel",
-        "--max-depth",
-    }
-    | {
-        "--max-angle",
-        "--edge-feather",
-        "--pictures",
-        "--balance",
-        "--reference",
-        "--refine-cameras",
-        "--save-cameras",
-        "--back-faces",
-        "--holes",
-        "--coverage",
-        "--memory",
-        "--no-fit",
-        "--background",
-        "--layer-out",
-    },
+    | {"IMAGE", "--camera", "--unwrap", "--conformal", "--mask", "--masks", "--key", "--since", "--whole"}
+    | {"--channel", "--max-depth", "--max-angle", "--edge-feather", "--pictures", "--balance", "--reference"}
+    | {"--refine-cameras", "--save-cameras", "--back-faces", "--holes", "--coverage", "--memory", "--no-fit"}
+    | {"--background", "--layer-out"},
     "--layer": _MERGE,
     "--view": _SHARED
     | VIEW_WORDS
-    | {
-        "--shaded",
-        "--empty-layer",
-        "--camera-out",
-        "--camera",
-        "--size",
-        "--channel",
-        "--unwrap",
-        "--conformal",
-    },
+    | {"--shaded", "--empty-layer", "--camera-out", "--camera", "--size", "--channel"}
+    | {"--unwrap", "--conformal"},
 }
 _NEEDED = {
     "painting": ("MODEL", "--camera", "--out"),
@@ -267,17 +239,8 @@ PAINT = Command(
     ],
     usual=(
         *("--camera", "--out", "--mask", "--blend", "--opacity", "--max-depth", "--balance", "--preview"),
-        *(
-            "--layer-out",
-            "--layer",
-            "--view",
-            "--empty-layer",
-            "--camera-out",
-            "--size",
-            "--force",
-            "--quiet",
-            "--json",
-        ),
+        *("--layer-out", "--layer", "--view", "--empty-layer", "--camera-out", "--size"),
+        *("--force", "--quiet", "--json"),
     ),
     usages=[
         ["MODEL", "TEXTURE", "IMAGE", "--camera", "--out"],
@@ -290,7 +253,7 @@ PAINT = Command(
 
 def work_of(options: argparse.Namespace, program: str) -> str:
     """Return what is to be done, a key of _WORDS, or refuse options that make no sense together."""
-    if options.TEXTURE is not None and options.TEXTURE.suffix.lower() != TEXTURE_ENDING:
+    if options.TEXTURE is not None and options.TEXTURE.suffix.lower() not in TEXTURE_ENDINGS:
         options.IMAGE.insert(0, options.TEXTURE)  # a new texture needs no name
         options.TEXTURE = None
     given = words_given(options)

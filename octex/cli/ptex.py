@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import argparse
-import json
 import time
+from typing import Any
 
 import octex
-from octex.cli.addresses import TEXTURE_ENDING, TEXTURE_ENDINGS
-from octex.cli.common import Reporter, bytes_text, check_outputs, say
+from octex.cli.addresses import check_texture
+from octex.cli.common import Reporter, bytes_text, check_outputs, tell
 from octex.cli.models import PTEX_ENDING, open_sound
 from octex.cli.shape_options import shaped_model
-from octex.errors import ArgumentError, ExitCode
+from octex.errors import ExitCode
 
 
 def write_ptex(options: argparse.Namespace, program: str) -> int:
     """Write a .ptx file, as the options of octree-convert --mesh say; return the exit code."""
     began = time.perf_counter()
-    if options.INPUT.suffix.lower() not in TEXTURE_ENDINGS:
-        raise ArgumentError(
-            f"{options.INPUT}: is no {TEXTURE_ENDING} file; octex convert makes one of a model"
-        )
-    inputs = [path for path in (options.INPUT, options.mesh, options.rest) if path is not None]
+    check_texture(options.INPUT)
+    inputs = options.INPUT, options.mesh, options.rest
     check_outputs([(options.OUTPUT, (PTEX_ENDING,), "OUTPUT")], inputs, force=options.force)
     with Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
@@ -31,17 +28,13 @@ def write_ptex(options: argparse.Namespace, program: str) -> int:
     from octex.formats.ptex.reader import PtexFile
 
     with PtexFile(options.OUTPUT) as file:
-        made = {
+        made: dict[str, Any] = {
             "output": str(options.OUTPUT),
             "faces": file.n_faces,
             "texels": int(file.faces.counts.sum()),
             "bytes": options.OUTPUT.stat().st_size,
             "seconds": round(time.perf_counter() - began, 3),
         }
-    if options.json:
-        say(json.dumps(made))
-    elif not options.quiet:
-        size = bytes_text(options.OUTPUT.stat().st_size)
-        texels = f"{made['texels']:,} texels on {made['faces']:,} faces"
-        say(f"{options.OUTPUT}: {texels}, {size}, {made['seconds']:.1f} s")
+    texels = f"{made['texels']:,} texels on {made['faces']:,} faces"
+    tell(options, made, f"{options.OUTPUT}: {texels}, {bytes_text(made['bytes'])}, {made['seconds']:.1f} s")
     return ExitCode.DONE

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import time
 from collections.abc import Iterator
@@ -11,9 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import octex
-from octex.cli.addresses import TEXTURE_ENDING
-from octex.cli.common import Reporter, bytes_text, say
-from octex.cli.convert_options import check_input
+from octex.cli.common import Reporter, bytes_text, tell
+from octex.cli.convert_options import OUTPUT_ENDINGS, check_input
 from octex.cli.models import kind_of, read_model, settings_of
 from octex.errors import ArgumentError, ExitCode, OutputError
 
@@ -33,12 +31,10 @@ def convert_parts(command: str, options: argparse.Namespace) -> int:
             made.save(options.OUTPUT)
     seconds = time.perf_counter() - began
     leaves, size = sum(texture.tree.n_leaves for texture in made.values()), made.info()["bytes"]
-    if options.json:
-        told = {"output": str(options.OUTPUT), "parts": len(made), "leaves": leaves, "bytes": size}
-        say(json.dumps({**told, "seconds": round(seconds, 3)}))
-    elif not options.quiet:
-        count = f"{len(made):,} part{'' if len(made) == 1 else 's'}"
-        say(f"{options.OUTPUT}: {count}, {leaves:,} leaves, {bytes_text(size)}, {seconds:.1f} s")
+    told = {"output": str(options.OUTPUT), "parts": len(made), "leaves": leaves, "bytes": size}
+    count = f"{len(made):,} part{'' if len(made) == 1 else 's'}"
+    line = f"{options.OUTPUT}: {count}, {leaves:,} leaves, {bytes_text(size)}, {seconds:.1f} s"
+    tell(options, {**told, "seconds": round(seconds, 3)}, line)
     return ExitCode.DONE
 
 
@@ -46,7 +42,7 @@ def _check_folder(folder: Path, *, force: bool) -> None:
     """Refuse a folder that cannot or must not be written, before any work is done."""
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{folder}: is a file; --parts writes a folder, give OUTPUT another name")
-    if folder.suffix.lower() in (TEXTURE_ENDING, ".ply"):
+    if folder.suffix.lower() in OUTPUT_ENDINGS:
         raise ArgumentError(f"{folder}: --parts writes a folder; give OUTPUT no ending")
     if not folder.parent.is_dir():
         raise OutputError(f"{folder}: there is no folder {folder.parent}; make it first")

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import argparse
 import io
-import json
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import octex
-from octex.cli.common import Reporter, bytes_text, check_outputs, say
+from octex.cli.common import Reporter, bytes_text, check_outputs, tell
 from octex.cli.models import DEFAULT_CHANNEL, new_texture, only, posed_inputs, read_posed, texture_of
 from octex.cli.shots import frame_of, patch_of
 from octex.cli.view_options import bump_of, light_of
@@ -33,13 +31,12 @@ _DIRECTION = (0.4, 0.3, 1.0)  # to the camera, where none is given
 def view(command: str, options: argparse.Namespace) -> int:
     """Draw what a camera sees, and write that camera if asked to."""
     began = time.perf_counter()
-    outputs: list[tuple[Path, tuple[str, ...], str]] = [(options.view, (".png",), "--view")]
-    if options.empty_layer is not None:
-        outputs.append((options.empty_layer, (".png",), "--empty-layer"))
-    if options.camera_out is not None:
-        outputs.append((options.camera_out, (".json",), "--camera-out"))
-    textures = [] if options.TEXTURE is None else [options.TEXTURE]
-    check_outputs(outputs, [*posed_inputs(options), *textures], force=options.force)
+    outputs = (
+        (options.view, (".png",), "--view"),
+        (options.empty_layer, (".png",), "--empty-layer"),
+        (options.camera_out, (".json",), "--camera-out"),
+    )
+    check_outputs(outputs, [*posed_inputs(options), options.TEXTURE], force=options.force)
     frame = _frame(options)
     with Reporter(command, options.quiet) as progress:
         texture = texture_of(options)
@@ -74,8 +71,7 @@ def view(command: str, options: argparse.Namespace) -> int:
             for path, png in pictures.items():
                 with replacing(path) as file:
                     file.write(png)
-    if not options.quiet or options.json:
-        _say_what_was_drawn(options, camera, time.perf_counter() - began)
+    _tell_what_was_drawn(options, camera, time.perf_counter() - began)
     return ExitCode.DONE
 
 
@@ -170,23 +166,19 @@ def as_png(codes: Uint8s) -> bytes:
     return file.getvalue()
 
 
-def _say_what_was_drawn(options: argparse.Namespace, camera: Camera, seconds: float) -> None:
+def _tell_what_was_drawn(options: argparse.Namespace, camera: Camera, seconds: float) -> None:
     made: dict[str, Any] = {
         "output": str(options.view),
         "size": [camera.width, camera.height],
         "bytes": options.view.stat().st_size,
         "seconds": round(seconds, 3),
     }
+    pixels = f"{camera.width}×{camera.height} pixels"
+    lines = [f"{options.view}: {pixels}, {bytes_text(made['bytes'])}, {seconds:.1f} s"]
     if options.empty_layer is not None:
         made["layer"] = str(options.empty_layer)
+        lines.append(f"{options.empty_layer}: an empty layer of its size")
     if options.camera_out is not None:
         made["camera"] = str(options.camera_out)
-    if options.json:
-        say(json.dumps(made))
-        return
-    pixels = f"{camera.width}×{camera.height} pixels"
-    say(f"{options.view}: {pixels}, {bytes_text(made['bytes'])}, {seconds:.1f} s")
-    if options.empty_layer is not None:
-        say(f"{options.empty_layer}: an empty layer of its size")
-    if options.camera_out is not None:
-        say(f"{options.camera_out}: its camera")
+        lines.append(f"{options.camera_out}: its camera")
+    tell(options, made, *lines)

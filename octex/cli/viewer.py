@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import time
 import webbrowser
 from collections.abc import Callable, Sequence
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING
 import octex
 from octex.cli.addresses import TEXTURE_ENDING, TEXTURE_ENDINGS, file_here, texture_file
 from octex.cli.arguments import port_number, whole_number
-from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say
+from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say, tell
 from octex.cli.models import kind_of, open_sound
 from octex.cli.parser import RUNNING, Command, Parser, option, words_given
 from octex.cli.shape_options import SHAPE_OPTIONS, SHAPE_WORDS, check_subdivision, shaped_model
@@ -148,7 +147,7 @@ def write_mesh_page(options: argparse.Namespace, program: str) -> int:
         raise ArgumentError(f"{options.INPUT}: is no {TEXTURE_ENDING} file; leave --mesh out for a model")
     if options.channels is not None:
         raise ArgumentError(f"--channels has no meaning for {options.OUTPUT}: edit the texture first")
-    inputs = [each for each in (options.INPUT, options.mesh, options.rest) if each is not None]
+    inputs = options.INPUT, options.mesh, options.rest
     check_outputs([(options.OUTPUT, (PAGE_ENDING,), "OUTPUT")], inputs, force=options.force)
     with limited(options.threads), Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
@@ -161,12 +160,8 @@ def write_mesh_page(options: argparse.Namespace, program: str) -> int:
         "notes": notes,
         "seconds": round(time.perf_counter() - began, 3),
     }
-    if options.json:
-        say(json.dumps(made))
-    elif not options.quiet:
-        say(f"{options.OUTPUT}: {bytes_text(options.OUTPUT.stat().st_size)}, {made['seconds']:.1f} s")
-        for note in notes:
-            say(note)
+    size = bytes_text(options.OUTPUT.stat().st_size)
+    tell(options, made, f"{options.OUTPUT}: {size}, {made['seconds']:.1f} s", *notes)
     return ExitCode.DONE
 
 

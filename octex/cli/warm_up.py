@@ -182,6 +182,7 @@ def _paint(surface: octex.Surface, folder: Path) -> None:
     from octex.painting.pictures import levels_of, masked
 
     camera = octex.Camera.fitted(surface.vertices, (0.4, 0.3, 1.0), size=(16, 4))
+    camera.differentials(surface.vertices, surface.vertices)
     picture = octex.Projection(np.full((4, 16, 4), 128, np.uint8), camera)
     octex.convert(surface, 2).save(folder / "coarse.octex")
     for texture in (None, octex.open(folder / "coarse.octex")):

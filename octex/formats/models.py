@@ -48,11 +48,7 @@ def check_extra(path: Path) -> None:
 
 
 def write_model(
-    surface: Surface,
-    path: str | os.PathLike[str],
-    *,
-    images: ImageFormat = "png",
-    unit: Unit = "meter",
+    surface: Surface, path: str | os.PathLike[str], *, images: ImageFormat = "png", unit: Unit = "meter"
 ) -> None:
     """Write a surface with images, as ``bake`` makes it, or vertex colours, as ``bake_vertices`` does.
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from octex.arrays import Array
-from octex.errors import TextureFileError
+from octex.errors import ArgumentError, TextureFileError
 from octex.files import replacing
 from octex.formats.ply import leaf_centres
 from octex.parallel import Progress, silent
@@ -34,8 +34,9 @@ def write_arrays(texture: OctreeTexture, path: str | Path, progress: Progress = 
     NAME        (n, components) float32   for each channel what ``sample`` gives at the centre; linear light
 
     ``octex.PointCloud.load`` reads such a file. What stood at ``path`` before is replaced when everything is
-    written, or not at all: raises OutputError if it cannot be written, and TextureFileError if the tree is
-    damaged so that it holds fewer leaves than it says.
+    written, or not at all: raises OutputError if it cannot be written, ArgumentError for a channel that has
+    the name of another array, and TextureFileError if the tree is damaged so that it holds fewer leaves than
+    it says.
     """
     progress("write", 0, 1)
     none = Leaves(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, np.uint8))
@@ -55,8 +56,14 @@ def write_arrays(texture: OctreeTexture, path: str | Path, progress: Progress = 
         "areas": np.where(codes > 0, AREAS[codes] * faces, 0.0).astype(np.float32),
         "origin": np.array(texture.placement.origin, np.float64),
         "size": np.array(texture.placement.size, np.float64),
-        **texture.sample(points, list(texture.channels)),
     }
+    taken = {*arrays, "file", "allow_pickle"} & texture.channels.keys()  # the last two are words of numpy's
+    if taken:
+        raise ArgumentError(
+            f"{path}: a .npz file has something else of the name {min(taken)!r}; leave that channel out "
+            "(octex edit --channels)"
+        )
+    arrays |= texture.sample(points, list(texture.channels))
     with replacing(path) as file:
         np.savez(file, allow_pickle=False, **arrays)
     progress("write", 1, 1)

@@ -30,8 +30,7 @@ _MAPS = {
 def write_obj(surface: Surface, path: Path, images: ImageFormat) -> None:
     """Write a surface whose values come from images, as ``bake`` makes it, as OBJ with a .mtl file.
 
-    Raises ModelError for values above 1, and for materials
-    that read several sets of texture coordinates.
+    Raises ModelError for values above 1, and for materials that read several sets of texture coordinates.
     """
     source = materials_of(surface)
     used = np.unique(source.triangle_materials).tolist()

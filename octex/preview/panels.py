@@ -175,11 +175,7 @@ def surface_camera(
 
 
 def leaf_camera(
-    textures: Sequence[OctreeTexture],
-    channel: str,
-    size: tuple[int, int],
-    room: int,
-    view: Viewpoint = USUAL,
+    textures: Sequence[OctreeTexture], channel: str, size: tuple[int, int], room: int, view: Viewpoint = USUAL
 ) -> Camera:
     """Make a camera that sees textures from the side on which the first shows most, as ``surface_camera``."""
     # Coarse cells are enough to find out where the model is and from where to look at it.

@@ -164,11 +164,7 @@ def source_shader(
 
 
 def texture_shader(
-    texture: OctreeTexture,
-    channel: str | None = None,
-    *,
-    materials: bool = False,
-    bump: Bump | None = None,
+    texture: OctreeTexture, channel: str | None = None, *, materials: bool = False, bump: Bump | None = None
 ) -> Shader:
     """Show a surface by the field of a texture, averaged over what each sample covers, on the side it sees.
 

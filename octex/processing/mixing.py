@@ -159,10 +159,7 @@ class Mixing:
         }, share
 
     def _mix(
-        self,
-        cells: Int64s,
-        values: Callable[[Side], dict[str, Float32s]],
-        amounts: Float32s | None = None,
+        self, cells: Int64s, values: Callable[[Side], dict[str, Float32s]], amounts: Float32s | None = None
     ) -> tuple[dict[str, Float32s], Float32s]:
         """Mix what both have in cells (n,); return it by channel, and the part (n,) of the second in colours.
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from typing import Self
 
 import numpy as np
 
@@ -22,12 +24,7 @@ class Source(ABC):
         return self._channels
 
     @abstractmethod
-    def evaluate(
-        self,
-        triangles: Int32s,
-        barycentric: Float64s,
-        widths: Float32s,
-    ) -> Float32s:
+    def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units.
 
         Colours are linear light. Called from any number of threads at once.
@@ -86,6 +83,19 @@ class OfAnother(Source):
         """Whether the other's ``alpha`` says no more than where it knows something."""
         return self._source.alpha_is_coverage
 
+    def with_filter(self, name: str) -> Self:
+        """Return the same source with the other's images read by another filter."""
+        return self._of(self._source.with_filter(name))
+
+    def only(self, names: Sequence[str]) -> Self:
+        """Return the same source with these of its channels alone."""
+        return self._of(self._source.only(names))
+
+    def _of(self, source: Source) -> Self:
+        other = copy.copy(self)
+        other._source = source
+        return other
+
 
 def in_order(names: Sequence[str]) -> list[str]:
     """Return names of channels in the order in which textures hold them; others last."""
@@ -119,12 +129,7 @@ class Combined(Source):
             forms.setdefault(ALPHA.name, ALPHA)
         self._channels = tuple(forms[name] for name in in_order(list(forms)))
 
-    def evaluate(
-        self,
-        triangles: Int32s,
-        barycentric: Float64s,
-        widths: Float32s,
-    ) -> Float32s:
+    def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return every channel's values (n, components), each from its source."""
         found = {
             id(source): by_channel(source.channels, source.evaluate(triangles, barycentric, widths))

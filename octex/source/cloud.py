@@ -192,13 +192,7 @@ class PointCloud(Placeable):
 class _FromPoints(SpatialSource):
     """Colours of a cloud on a surface."""
 
-    def __init__(
-        self,
-        cloud: PointCloud,
-        ready: Points,
-        rest: Float64s,
-        triangles: Int32s,
-    ) -> None:
+    def __init__(self, cloud: PointCloud, ready: Points, rest: Float64s, triangles: Int32s) -> None:
         self._ready = ready
         self._radius = 0.0 if cloud.radius is None else cloud.radius
         self._nearest = None if cloud.radius is not None else np.inf
@@ -292,13 +286,11 @@ def _read_npz(path: Path) -> _Arrays:
 
 
 def _read_xyz(path: Path) -> _Arrays:
-    text = read_bytes(path).decode("latin-1")
-    first = next((line for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"), "")
-    columns = len(first.replace(",", " ").split())
-    lines = (line for line in text.splitlines() if line.lstrip()[:1] != "#")
-    numbers = parse_numbers("\n".join(lines).replace(",", " "))
-    if not columns:
+    text = read_bytes(path).decode("latin-1").replace(",", " ")
+    lines = [line for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"]
+    if not lines:
         raise ModelError(f"{path.name} has no points; a line is x y z r g b")
+    columns, numbers = len(lines[0].split()), parse_numbers("\n".join(lines))
     if numbers is None or numbers.size % columns:
         raise ModelError(f"{path.name}: its lines are not all {columns} numbers; a line is x y z r g b")
     if columns not in (6, 7, 9, 10):

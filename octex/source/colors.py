@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from octex.arrays import Float32s, Floats
 from octex.channels import decode, srgb_to_linear
+from octex.checks import as_array
 from octex.errors import ArgumentError
 
 
@@ -16,10 +17,7 @@ def linear_colors(colors: npt.ArrayLike, rows: int, name: str) -> Float32s:
     Unsigned integers are sRGB codes, floats are linear light already.
     Raises ArgumentError for another shape or type.
     """
-    try:
-        array = np.asarray(colors)
-    except ValueError:  # rows of unequal lengths
-        array = np.empty(0, np.void)
+    array = as_array(colors)
     if array.ndim != 2 or array.shape[0] != rows or array.shape[1] not in (3, 4):
         raise ArgumentError(f"{name} must have shape ({rows}, 3) or ({rows}, 4), not {array.shape}")
     if array.dtype in (np.uint8, np.uint16):

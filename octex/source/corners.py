@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Float32s, Float64s, Int32s, Integers
+from octex.arrays import Array, Float32s, Float64s, Int32s, Int64s, Integers
 
 
 class Corners(NamedTuple):
@@ -15,6 +16,18 @@ class Corners(NamedTuple):
     values: Float32s  # (rows, components)
     rows: Int32s  # (triangles, 3)
 
+    @classmethod
+    def joined(cls, parts: Sequence[Corners]) -> Corners:
+        """Return one attribute of triangles that follow each other, part after part."""
+        values, rows = _stacked(parts)
+        return cls(values, np.concatenate(rows))
+
+    @classmethod
+    def chosen(cls, sets: Sequence[Corners], numbers: Int64s) -> Corners:
+        """Return an attribute of triangles (m,) of which ``sets`` hold several: each has its number's."""
+        values, rows = _stacked(sets)
+        return cls(values, np.stack(rows)[numbers, np.arange(len(numbers))])
+
     def of(self, triangles: Int32s) -> Corners:
         """Return the same of some triangles (k,) alone."""
         return Corners(self.values, self.rows[triangles])
@@ -22,6 +35,21 @@ class Corners(NamedTuple):
     def at(self, triangles: Int32s, barycentric: Float64s) -> Float64s:
         """Return the values (n, components) at points of triangles (n,)."""
         return at_corners(self.values, self.rows[triangles], barycentric)
+
+
+def _stacked(parts: Sequence[Corners]) -> tuple[Float32s, list[Int32s]]:
+    """Return the values of all parts in one array, and the rows of each in that."""
+    firsts = np.cumsum([0, *(len(part.values) for part in parts)])
+    rows = [part.rows + np.int32(first) for part, first in zip(parts, firsts, strict=False)]
+    return np.concatenate([part.values for part in parts]), rows
+
+
+def area_vectors(corners: Float64s) -> Float64s:
+    """Return the normals of triangles (m, 3), counter-clockwise ones' up, each twice its area long.
+
+    ``corners`` (m, 3, 3) are their positions.
+    """
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def at_corners(values: Array, rows: Integers, barycentric: Float64s) -> Float64s:

@@ -23,17 +23,14 @@ from octex.source.models.usd import load_usd
 from octex.source.motion import Motion
 from octex.source.surface import Surface
 
+_GLTF = ".glb", ".gltf"
 _READERS: dict[str, Callable[[Path, Options], Surface]] = {
-    ".glb": load_gltf,
-    ".gltf": load_gltf,
+    **dict.fromkeys(_GLTF, load_gltf),
     ".obj": load_obj,
     ".ply": load_ply,
     ".off": load_off,
     ".stl": load_stl,
-    ".usd": load_usd,
-    ".usda": load_usd,
-    ".usdc": load_usd,
-    ".usdz": load_usd,
+    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), load_usd),
 }
 
 #: The endings of model files that octex reads.
@@ -72,15 +69,11 @@ def load_surface(
     names = None if channels is None else as_names(channels, "channels")
     wanted = None if names is None else tuple(name for name in names if name not in own)
     file = as_path(path)
-    if pose is not None and file.suffix.lower() not in (".glb", ".gltf"):
+    if pose is not None and file.suffix.lower() not in _GLTF:
         raise ArgumentError(f"{file.name} cannot be posed as {as_text(pose, 'pose')!r}: only glTF models can")
     with_normals = as_flag(normals, "normals") or "normal" in own
-    surface = _read(
-        file,
-        Options(
-            True, wanted, filter, tuple(own), with_normals, None if pose is None else as_text(pose, "pose")
-        ),
-    )
+    moved = None if pose is None else as_text(pose, "pose")
+    surface = _read(file, Options(True, wanted, filter, tuple(own), with_normals, moved))
     surface.provenance["filter"] = filter
     if pose is not None:
         surface.provenance["pose"] = pose
@@ -96,7 +89,7 @@ def load_motion(path: str | os.PathLike[str], rate: float = 30.0) -> Motion | No
     are broken; animations that are stand in the motion's ``faults``.
     """
     file = as_path(path)
-    if file.suffix.lower() not in (".glb", ".gltf"):
+    if file.suffix.lower() not in _GLTF:
         return None
     with _parsing(file):
         return load_gltf_motion(file, rate)

@@ -28,14 +28,7 @@ from octex.source.tangents import carried
 
 _X, _Y, _Z = np.eye(3)
 #: What is to the right and up for one who looks at the origin from along each axis.
-FRAMES = {
-    "x": (-_Z, _Y),
-    "-x": (_Z, _Y),
-    "y": (_X, -_Z),
-    "-y": (_X, _Z),
-    "z": (_X, _Y),
-    "-z": (-_X, _Y),
-}
+FRAMES = {"x": (-_Z, _Y), "-x": (_Z, _Y), "y": (_X, -_Z), "-y": (_X, _Z), "z": (_X, _Y), "-z": (-_X, _Y)}
 _FARTHEST = 1e30
 
 

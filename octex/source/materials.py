@@ -18,6 +18,7 @@ from octex.jit import kernel
 from octex.source.base import Source, in_order
 from octex.source.corners import Corners, Frames
 from octex.source.evaluate import SourceColumns, Tables, evaluate, measure, texel_edges
+from octex.source.images.decode import is_translucent
 from octex.source.images.filters import FILTERS, LEVELS_OF, told
 from octex.source.images.pyramid import REPEAT, Images, Picture, Texels, store
 from octex.source.tangents import carried
@@ -58,6 +59,12 @@ class Material(NamedTuple):
     cutoff: float = 0.5  # of "mask": the least alpha that covers
     name: str = ""
     double_sided: bool = False
+
+    @property
+    def normal_slot(self) -> int | None:
+        """The set of texture coordinates that its normal map is read at; None without such a map."""
+        given = self.inputs.get("normal")
+        return None if given is None or given.texture is None else given.texture.slot
 
 
 #: The largest number that a half-precision float holds.
@@ -407,9 +414,7 @@ def _is_covered(material: Material) -> bool:
     if color.texture is None or alpha.texture is None or alpha.lanes[0] != 3:
         return False
     texels = color.texture.texels
-    return alpha.texture.texels is texels and bool(
-        (texels[..., 3] < texels.dtype.type(ONE[texels.dtype.name])).any()
-    )
+    return alpha.texture.texels is texels and is_translucent(texels)
 
 
 def _alpha_factor(material: Material) -> float:

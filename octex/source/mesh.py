@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Array, Bools, Float64s, Int32s, Integers
-from octex.checks import as_reals, as_whole, locked
+from octex.checks import as_array, as_reals, as_whole, locked
 from octex.errors import ArgumentError, ModelError
-from octex.source.corners import Corners, Creases, Frames, Polygons, at_corners
+from octex.source.corners import Corners, Creases, Frames, Polygons, area_vectors, at_corners
 from octex.source.parts import Overlaps, overlapping_parts, parts_of
 from octex.source.tangents import carried
 from octex.source.welding import first_equal
@@ -115,10 +115,7 @@ class Mesh:
 
         Raises ArgumentError for numbers of triangles that are not there, ModelError for none.
         """
-        try:
-            chosen = np.asarray(triangles)
-        except ValueError:  # rows of unequal lengths
-            chosen = np.empty(1, np.void)
+        chosen = as_array(triangles)
         if chosen.size and (chosen.ndim != 1 or chosen.dtype.kind not in "iu"):
             raise ArgumentError(
                 f"triangles must be whole numbers of shape (k,), not {chosen.dtype} {chosen.shape}"
@@ -190,7 +187,7 @@ class Mesh:
 
     def areas(self) -> Float64s:
         """Return the posed area of each triangle (m,), in square model units."""
-        areas: Float64s = np.linalg.norm(_crosses(self.vertices, self.triangles), axis=1) / 2
+        areas: Float64s = np.linalg.norm(area_vectors(self.vertices[self.triangles]), axis=1) / 2
         return areas
 
     def scatter(self, n: int, seed: int = 0) -> SurfaceSamples:
@@ -200,7 +197,7 @@ class Mesh:
         """
         n = as_whole(n, "n, the number of points,", 0, 2**32)
         seed = as_whole(seed, "seed", 0, 2**128)
-        crosses = _crosses(self.vertices, self.triangles)
+        crosses = area_vectors(self.vertices[self.triangles])
         norms = np.linalg.norm(crosses, axis=1)
         cumulative = np.cumsum(norms)
         if not cumulative[-1] > 0:
@@ -213,7 +210,7 @@ class Mesh:
         barycentric = np.stack([1 - root, root * (1 - random[:, 2]), root * random[:, 2]], axis=1)
         normals = rest_normals = crosses[chosen] / norms[chosen, None]
         if self.rest is not self.vertices:
-            rest_normals = _crosses(self.rest, self.triangles[chosen])
+            rest_normals = area_vectors(self.rest[self.triangles[chosen]])
             lengths = np.linalg.norm(rest_normals, axis=1, keepdims=True)
             rest_normals /= np.where(lengths > 0, lengths, 1)
         return SurfaceSamples(
@@ -226,18 +223,9 @@ class Mesh:
         )
 
 
-def _crosses(positions: Float64s, triangles: Int32s) -> Float64s:
-    """Return normals of triangles (m, 3), each twice its area long."""
-    corners = positions[triangles]
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-
-
 def as_positions(positions: npt.ArrayLike, what: str) -> Float64s:
     """Return positions (n, 3) as an array of one's own, or raise ModelError that says ``what`` is wrong."""
-    try:
-        array = np.asarray(positions)
-    except ValueError:  # rows of unequal lengths
-        array = np.empty(0, np.void)
+    array = as_array(positions)
     if array.dtype.kind not in "fiu":
         raise ModelError(f"{what} must be numbers of shape (n, 3)")
     array = _owned(array, np.float64)
@@ -256,10 +244,7 @@ def as_positions(positions: npt.ArrayLike, what: str) -> Float64s:
 
 def as_triangles(given: npt.ArrayLike, vertices: int, name: str) -> Int32s:
     """Return triangles (m, 3) of so many vertices, or raise ModelError."""
-    try:
-        triangles = np.asarray(given)
-    except ValueError:  # rows of unequal lengths
-        triangles = np.empty(0, np.void)
+    triangles = as_array(given)
     if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
         raise ModelError(f"{name}: triangles must be whole numbers of shape (m, 3), not {triangles.shape}")
     if len(triangles) == 0:

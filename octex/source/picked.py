@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from octex.arrays import Float32s, Float64s, Int32s
 from octex.source.base import OfAnother, Source
 
@@ -34,14 +32,3 @@ class Picked(OfAnother):
         whole = self._rest.copy()
         whole[self._vertices] = rest
         return Picked(self._source.with_rest(whole), self._triangles, self._vertices, whole)
-
-    def with_filter(self, name: str) -> Picked:
-        """Return the same source with its images read by another filter."""
-        return self._of(self._source.with_filter(name))
-
-    def only(self, names: Sequence[str]) -> Picked:
-        """Return the same source with these of its channels alone."""
-        return self._of(self._source.only(names))
-
-    def _of(self, source: Source) -> Picked:
-        return Picked(source, self._triangles, self._vertices, self._rest)

@@ -119,11 +119,7 @@ def _colored(count: int, near: Iterable[tuple[int, int]], sizes: Float64s) -> In
 
 
 def _packed(
-    low: Float64s,
-    high: Float64s,
-    base: tuple[Float64s, Float64s],
-    groups: list[Int64s],
-    margin: float,
+    low: Float64s, high: Float64s, base: tuple[Float64s, Float64s], groups: list[Int64s], margin: float
 ) -> Float64s:
     """Return offsets (parts, 3) that put groups of parts beside a base, where the whole grows least.
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import json
-from collections.abc import Sequence
 from functools import cached_property
 from typing import Literal, NamedTuple, TypeVar
 
@@ -14,7 +12,7 @@ from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.checks import as_choice, as_whole
 from octex.errors import ArgumentError, ModelError
 from octex.source.base import OfAnother, Source
-from octex.source.corners import Corners, Creases, Polygons
+from octex.source.corners import Corners, Creases, Polygons, area_vectors
 from octex.source.mesh import Mesh, as_creases
 from octex.source.subdivision import SCHEMES, Level, Scheme, base_level, divided, limits
 from octex.source.surface import Surface
@@ -158,25 +156,10 @@ class OnCage(OfAnother):
         parents = self._parents.astype(np.int64)
         return OnCage(self._source, parents, self._shares, self._hull, rest, self._triangles)
 
-    def with_filter(self, name: str) -> OnCage:
-        """Return the same source with its images read by another filter."""
-        return self._of(self._source.with_filter(name))
-
-    def only(self, names: Sequence[str]) -> OnCage:
-        """Return the same source with these of its channels alone."""
-        return self._of(self._source.only(names))
-
-    def _of(self, source: Source) -> OnCage:
-        other = copy.copy(self)
-        other._source = source
-        return other
-
 
 def _sizes(positions: Float64s, triangles: Int32s) -> Float64s:
     """Return the roots of the areas of triangles (m,)."""
-    corners = positions[triangles]
-    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return np.asarray(np.sqrt(np.linalg.norm(crosses, axis=1)))
+    return np.asarray(np.sqrt(np.linalg.norm(area_vectors(positions[triangles]), axis=1)))
 
 
 class _Places(NamedTuple):

@@ -12,22 +12,14 @@ import numpy.typing as npt
 import PIL.Image
 
 from octex.arrays import Float32s, Float64s, Floats, Int32s
-from octex.channels import ALPHA, NORMAL, ONE, ChannelFormat
-from octex.checks import (
-    as_choice,
-    as_entries,
-    as_items,
-    as_names,
-    as_number,
-    as_reals,
-    as_text,
-)
+from octex.channels import ALPHA, NORMAL, ChannelFormat
+from octex.checks import as_choice, as_entries, as_items, as_names, as_number, as_reals, as_text
 from octex.errors import ArgumentError
 from octex.source.base import Combined, Source, by_channel
 from octex.source.colors import linear_colors
 from octex.source.corners import Corners, Creases, Frames, Polygons
 from octex.source.given import given_source
-from octex.source.images.decode import as_texels
+from octex.source.images.decode import as_texels, is_translucent
 from octex.source.images.filters import FILTERS
 from octex.source.images.pyramid import as_wraps
 from octex.source.implicit import ImplicitFunction, level_set
@@ -150,9 +142,7 @@ class Surface(Mesh):
             coordinates = _corner_coordinates(uv, faces, len(positions))
         if alpha is None:
             translucent = full[3] < 1 or (corners is not None and bool((corners.values[:, 3] < 1).any()))
-            if texture is not None:
-                opaque = ONE[texture.texels.dtype.name]
-                translucent = translucent or bool((texture.texels[..., 3] < opaque).any())
+            translucent |= texture is not None and is_translucent(texture.texels)
             alpha = "blend" if translucent else "opaque"
         as_choice(alpha, ALPHA_MODES, "alpha")
         inputs = {"base_color": Input(full[:3], texture), "alpha": Input(full[3:], texture, (3,))}
@@ -424,12 +414,7 @@ class Surface(Mesh):
             self._single[channel] = self.source if needs_all else self.source.only([channel])
         return self._single[channel]
 
-    def evaluate_all(
-        self,
-        triangles: Int32s,
-        barycentric: Float64s,
-        widths: Float32s,
-    ) -> Float32s:
+    def evaluate_all(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return every channel's values (n, all components), in the order of ``channels``; checks nothing.
 
         ``triangles`` (n,), ``barycentric`` (n, 3), ``widths`` (n,) in rest units, 0 to read at the points.

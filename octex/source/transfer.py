@@ -80,12 +80,7 @@ class _Transferred(SpatialSource):
     """Values of ``other``, whose triangles are made ready in ``nearest``, on a surface."""
 
     def __init__(
-        self,
-        other: Surface,
-        nearest: Triangles,
-        distance: float | None,
-        max_angle: float,
-        mesh: Mesh,
+        self, other: Surface, nearest: Triangles, distance: float | None, max_angle: float, mesh: Mesh
     ) -> None:
         self._other: Source | None = other.source  # None: only what there is of it is asked for
         self._nearest = nearest
@@ -126,9 +121,6 @@ class _Transferred(SpatialSource):
             distance=self._distance,
             least_cosine=self._least_cosine,
         )
-        if (found.triangles >= 0).all():
-            own = self._evaluated(found.triangles, found.barycentric, widths)
-            return np.insert(own, own.shape[1], 1.0, axis=1) if self._adds_alpha else own
         there = np.flatnonzero(found.triangles >= 0)
         own = self._evaluated(found.triangles[there], found.barycentric[there], widths[there])
         values = np.zeros((len(points), own.shape[1] + self._adds_alpha), np.float32)

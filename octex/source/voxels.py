@@ -13,9 +13,10 @@ import numpy.typing as npt
 
 from octex.arrays import Array, Int64s, Uint8s
 from octex.channels import ALPHA, BASE_COLOR, CHANNELS, ChannelFormat
-from octex.checks import as_entries, as_path, as_positive, as_reals, as_text, locked
+from octex.checks import as_array, as_entries, as_path, as_positive, as_reals, as_text, locked
 from octex.errors import ArgumentError, ModelError
 from octex.files import open_file, read_bytes, reading
+from octex.source.materials import MOST_IN_FLOAT16
 from octex.source.vxz import ENDING, unpack_vxz
 
 #: The endings of files of voxels; a .npz may be one of points instead.
@@ -140,10 +141,7 @@ class Voxels:
         return f"<Voxels {self.name!r}: {len(self):,} of depth {self.depths.max()}, {', '.join(self.values)}>"
 
     def _coords(self, coords: npt.ArrayLike) -> Int64s:
-        try:
-            array = np.asarray(coords)
-        except ValueError:  # rows of unequal lengths
-            array = np.empty(0)
+        array = as_array(coords)
         if array.ndim == 2 and array.shape[1] == 4 and array.dtype.kind in "iu":  # a batch of one
             array = array[:, 1:] if (array[:1, 0] == array[:, 0]).all() else array
         if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "iu":
@@ -162,17 +160,19 @@ class Voxels:
     def _depths(self, depth: int | npt.ArrayLike | None) -> Uint8s:
         count = len(self.coords)
         least = int(self.coords.max()).bit_length()
-        array = np.asarray(least if depth is None else depth)
+        array = as_array(least if depth is None else depth)
         if array.dtype.kind not in "iu" or array.size not in (1, count):
             what = f"{array.dtype} {array.shape}"
             raise ArgumentError(f"{self.name}: depth must be a whole number, or one a voxel, not {what}")
-        if not 0 <= array.min() <= array.max() <= _DEEPEST:
-            raise ArgumentError(f"{self.name}: depth must be from 0 to {_DEEPEST}, not {array.max()}")
+        low, high = int(array.min()), int(array.max())
+        if low < 0 or high > _DEEPEST:
+            worst = low if low < 0 else high
+            raise ArgumentError(f"{self.name}: depth must be from 0 to {_DEEPEST}, not {worst}")
         return np.broadcast_to(array.reshape(-1), count).astype(np.uint8)
 
     def _add(self, name: str, values: npt.ArrayLike) -> None:
         what, known = f"{self.name}: {name}", CHANNELS.get(name)
-        rows = np.asarray(values)
+        rows = as_array(values)
         rows = rows[:, None] if rows.ndim == 1 else rows
         widths = (3, 4) if known == BASE_COLOR else range(1, 5) if known is None else (known.components,)
         if rows.ndim != 2 or len(rows) != len(self) or rows.shape[1] not in widths:
@@ -194,7 +194,8 @@ class Voxels:
             low = -1.0 if form.space == "direction" else 0.0
             if rows.min() < low or rows.max() > 1.0 + _ROUNDING:  # codes cannot hold it
                 space = "linear" if form.space == "srgb" else form.space
-                form = form._replace(space=space, dtype="float16" if known is not None else "float32")
+                is_half = known is not None and np.abs(rows).max() <= MOST_IN_FLOAT16
+                form = form._replace(space=space, dtype="float16" if is_half else "float32")
         self.values[name] = Values(form, locked(np.ascontiguousarray(rows)))
 
 

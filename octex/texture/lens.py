@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Array
-from octex.checks import as_choice, as_number, as_point_rows
+from octex.checks import as_array, as_choice, as_number, as_point_rows
 from octex.errors import ArgumentError
 from octex.field.footprints import Footprints, long_footprints, round_footprints
 from octex.field.lookups import Query
@@ -141,10 +141,7 @@ class Lens(NamedTuple):
 
 
 def _as_widths(width: npt.ArrayLike, n: int) -> Array:
-    try:
-        array = np.asarray(width)
-    except ValueError:  # rows of unequal lengths
-        array = np.empty(0, np.void)
+    array = as_array(width)
     if array.dtype.kind not in "fiu" or array.shape not in ((), (n,)):
         raise ArgumentError(f"width must be a real number or (n,) of them, not {array.dtype} {array.shape}")
     return np.broadcast_to(array, (n,))

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Array, Bools, Float32s, Int64s
-from octex.checks import as_choice, as_entries, as_flag, as_path
+from octex.checks import as_array, as_choice, as_entries, as_flag, as_path
 from octex.errors import ArgumentError, TextureFileError
 from octex.texture.folder import FORMAT, FORMAT_VERSION, read_index, write_folder
 from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens, LookupOptions, SurfacePoints, placed
@@ -226,10 +226,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
 
     def _numbers(self, parts: npt.ArrayLike, count: int) -> Int64s:
         """Return the part of each of so many points (n,) as a number, or refuse it."""
-        try:
-            array = np.asarray(parts)
-        except ValueError:  # rows of unequal lengths
-            array = np.empty(0, np.void)
+        array = as_array(parts)
         if array.shape == (0,) and count == 0:
             return np.empty(0, np.int64)
         if array.dtype.kind not in "iuUO" or array.shape not in ((), (count,)):

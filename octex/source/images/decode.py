@@ -25,7 +25,7 @@ import numpy.typing as npt
 import PIL._imaging
 import PIL.Image
 
-from octex.checks import as_path, is_path
+from octex.checks import as_array, as_path, is_path
 from octex.errors import ImageError, MissingExtraError
 from octex.files import open_file, read_bytes
 from octex.parallel import cpu_count
@@ -93,10 +93,7 @@ def as_texels(image: npt.ArrayLike | PIL.Image.Image) -> Texels:
     """
     if isinstance(image, PIL.Image.Image):
         return _texels(image, b"", "the image")
-    try:
-        array = np.asarray(image)
-    except ValueError:  # rows of unequal lengths
-        array = np.empty(0, np.void)
+    array = as_array(image)
     if array.ndim == 2:
         array = array[:, :, None]
     if array.ndim != 3 or not 1 <= array.shape[2] <= 4 or 0 in array.shape:
@@ -136,6 +133,11 @@ def _finite(texels: Texels, name: str) -> Texels:
             raise ImageError(f"{name} has {bad} values that are infinite or not a number; repair the image")
         np.clip(texels[..., 3], 0, 1, out=texels[..., 3])
     return texels
+
+
+def is_translucent(texels: Texels) -> bool:
+    """Say whether any alpha of an image is below 1."""
+    return bool((texels[..., 3] < (65535 if texels.dtype.kind == "u" else 1)).any())
 
 
 def image_size(path: Path) -> tuple[int, int]:

@@ -1,7 +1,6 @@
 """Images that Pillow would cut to eight bits or cannot open, read by OpenImageIO: the extra ``images``.
 
-Which file needs it is told by its first bytes. JPEG 2000 alone takes memory
-by its header, which is checked.
+Which file needs it is told by its first bytes. JPEG 2000 alone takes memory by its header, which is checked.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from octex.source.models.gltf_materials import Bound, read_materials
 from octex.source.models.gltf_motion import Placed, motion_of
 from octex.source.models.gltf_pose import Pose
 from octex.source.models.gltf_scene import local_matrix, scene_nodes
-from octex.source.models.options import EVERYTHING, Options
+from octex.source.models.options import Options
 from octex.source.motion import Motion
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames, transformed
@@ -33,7 +33,7 @@ from octex.source.tangents import corner_frames, transformed
 _TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN = 4, 5, 6
 
 
-def load_gltf(path: Path, options: Options = EVERYTHING) -> Surface:
+def load_gltf(path: Path, options: Options) -> Surface:
     """Read the scene of a .gltf or .glb file; meshes that no node of it shows are left out.
 
     Its materials are read as ``gltf_materials`` says, those of primitives in use, as far as ``options`` wants
@@ -104,7 +104,7 @@ class _Scene:
             raise ModelError(f"{document.name} has no triangles; octex needs a surface, not points or lines")
         bound = read_materials(document, (shape.material for _, shape in placed), self._options)
         is_smooth = any("NORMAL" in shape.attributes for _, shape in placed)
-        is_mapped = any(each.normal_slot is not None for each in bound.values())
+        is_mapped = any(each.material.normal_slot is not None for each in bound.values())
         has_normals = is_mapped or (self._options.normals and is_smooth)
         primitives: dict[str, _Primitive] = {}
         for _, shape in placed:
@@ -139,7 +139,7 @@ class _Scene:
             ]
             return Corners(np.concatenate(rows), joined)
 
-        frames = Frames(_joined(normals), _joined(tangents)) if has_normals else None
+        frames = Frames(Corners.joined(normals), Corners.joined(tangents)) if has_normals else None
         slots = zip_longest(*(primitive.coordinates for primitive in each))
         numbers = {number: index for index, number in enumerate(bound)}
         source = MaterialSource(
@@ -331,10 +331,11 @@ class _Scene:
             return None if rows is None else Corners(rows.astype(np.float32), shape.triangles)
 
         normals = corners(self._attribute(shape, "NORMAL", (3,)))
-        if bound.normal_slot is None:
+        slot = bound.material.normal_slot
+        if slot is None:
             return corner_frames(shape.positions, shape.triangles, normals, None, None)
         tangents = corners(self._attribute(shape, "TANGENT", (4,)))
-        mapped = corners(coordinates[bound.normal_slot])
+        mapped = corners(coordinates[slot])
         return corner_frames(shape.positions, shape.triangles, normals, tangents, mapped)
 
     def _attribute(self, shape: _Shape, name: str, components: tuple[int, ...]) -> Float64s | None:
@@ -350,13 +351,6 @@ class _Scene:
                 f"for {len(shape.positions)} vertices"
             )
         return rows
-
-
-def _joined(parts: Sequence[Corners]) -> Corners:
-    """Put attributes of corners one after another."""
-    firsts = np.cumsum([0, *(len(part.values) for part in parts)])
-    rows = [part.rows + np.int32(first) for part, first in zip(parts, firsts, strict=False)]
-    return Corners(np.concatenate([part.values for part in parts]), np.concatenate(rows))
 
 
 def _triangles(indices: Int64s, mode: int) -> Int64s:

@@ -99,12 +99,6 @@ class Bound(NamedTuple):
     material: Material
     slots: tuple[Slot, ...]
 
-    @property
-    def normal_slot(self) -> int | None:
-        """The slot of the normal map, if there is one that is wanted."""
-        given = self.material.inputs.get("normal")
-        return None if given is None or given.texture is None else given.texture.slot
-
 
 class _Reference(NamedTuple):
     """A use of a texture: the place of its image in the file, its sampler, and its coordinates."""
@@ -128,19 +122,13 @@ def read_materials(
     with pool_of(cpu_count()) as pool:
         images = _Images(document, pool)
         references = {
-            number: {name: images.begin(each) for name, each in uses.items() if _is_wanted(name, options)}
+            number: {name: images.begin(each) for name, each in uses.items() if options.wants_image(name)}
             for number, (_, uses) in described.items()
         }
         return {
             number: _bound(material, references[number], images)
             for number, (material, _) in described.items()
         }
-
-
-def _is_wanted(channel: str, options: Options) -> bool:
-    """Say whether a channel's image is to be read; colour is averaged by coverage, so alpha comes along."""
-    pair = ("base_color", "alpha")
-    return any(map(options.wants, pair)) if channel in pair else options.wants(channel)
 
 
 def _bound(material: Material, references: dict[str, _Reference], images: _Images) -> Bound:

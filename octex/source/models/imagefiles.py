@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Int64s, Uint16s
+from octex.channels import LUMINANCE
 from octex.files import read_bytes
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, Texels
 
-_LUMINANCE = (0.2126, 0.7152, 0.0722)  # of stored values: they are no light here (Rec. 709's weights)
 # Grey images that went through JPEG differ by a few codes of 255; normal maps by about a hundred.
 _GREY = 8 / 255
 _ROWS = 256  # how many rows of an image are in work at a time
@@ -46,10 +46,10 @@ class ImageFiles:
         return self._texels[key]
 
     def luminance(self, texels: Texels) -> Texels:
-        """Return an image whose red is another's luminance."""
+        """Return an image whose red is another's luminance, taken of stored values, which are no light."""
         key = ("luminance", id(texels))
         if key not in self._texels:
-            grey = texels[..., :3].astype(np.float32) @ np.array(_LUMINANCE, np.float32)
+            grey = texels[..., :3].astype(np.float32) @ LUMINANCE.astype(np.float32)
             grey = np.repeat(grey[..., None], 4, axis=2)
             self._texels[key] = np.rint(grey).astype(np.uint16) if texels.dtype.kind == "u" else grey
         return self._texels[key]
@@ -71,11 +71,6 @@ def _ranged(texels: Texels, base: float, gain: float) -> Texels:
     else:
         changed = np.maximum(np.float32(base) + np.float32(gain) * texels, np.float32(0))
     return changed
-
-
-def is_translucent(texels: Texels) -> bool:
-    """Say whether any alpha of an image is below 1."""
-    return bool((texels[..., 3] < (65535 if texels.dtype.kind == "u" else 1)).any())
 
 
 def is_grey(texels: Texels) -> bool:

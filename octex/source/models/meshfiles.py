@@ -25,7 +25,7 @@ from octex.source.corners import Corners, Polygons
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import Texels
 from octex.source.materials import AlphaMode, Input, Material, MaterialSource, Texture
-from octex.source.models.options import EVERYTHING, Options
+from octex.source.models.options import Options
 from octex.source.models.polygons import cut_polygons, triangulate
 from octex.source.models.text import parse_numbers, whole_numbers
 from octex.source.surface import Surface, flip_v
@@ -44,7 +44,7 @@ _PLY_COLORS = (("red", "green", "blue", "alpha"), ("diffuse_red", "diffuse_green
                ("r", "g", "b", "a"))  # fmt: skip
 
 
-def load_ply(path: Path, options: Options = EVERYTHING) -> Surface:
+def load_ply(path: Path, options: Options) -> Surface:
     """Read a PLY model: colours of vertices, or else of faces, and the images of its TextureFile comments.
 
     Colours are sRGB values; texture coordinates, of vertices or of faces, have v up.
@@ -63,12 +63,12 @@ def ply_points(
     return _Ply(path).points()
 
 
-def load_off(path: Path, options: Options = EVERYTHING) -> Surface:
+def load_off(path: Path, options: Options) -> Surface:
     """Read an OFF model: colours of vertices, or else of faces, are sRGB values. Raises ModelError."""
     return _Off(path).surface(options)
 
 
-def load_stl(path: Path, options: Options = EVERYTHING) -> Surface:
+def load_stl(path: Path, options: Options) -> Surface:
     """Read an STL model, through trimesh; it is white. Raises ModelError."""
     import trimesh  # takes a third of a second
 
@@ -237,6 +237,8 @@ class _Ply:
         found: dict[str, dict[str, _Values]] = {}
         at = 0
         for element, count, properties in self._elements:
+            if not properties:  # however many there are, they take no place
+                continue
             # In an ASCII file every number takes one place, whatever its type.
             widths = [1 if self._ascii else np.dtype(p.type).itemsize for p in properties]
             kinds = [np.dtype(p.count_type) if p.count_type else None for p in properties]
@@ -281,8 +283,12 @@ class _Ply:
             values = raw[starts[:, None] + np.arange(width)].view(dtype)[:, 0].astype(kind.type)
         return _Values(values, sizes if is_list else None, kind.type)
 
+    def _numbers(self, element: str) -> dict[str, _Values]:
+        """Return the properties of an element that are a number each, not a list."""
+        return {name: each for name, each in self.data.get(element, {}).items() if each.sizes is None}
+
     def _positions(self) -> Float64s:
-        vertex = self.data.get("vertex", {})
+        vertex = self._numbers("vertex")
         if not all(axis in vertex for axis in "xyz"):
             raise ModelError(f"{self.name} has no vertices with x, y and z")
         return np.stack([vertex[axis].values for axis in "xyz"], axis=1).astype(np.float64)
@@ -290,7 +296,7 @@ class _Ply:
     def points(
         self,
     ) -> tuple[Float64s, Float32s, Float64s | None]:
-        positions, vertex = self._positions(), self.data.get("vertex", {})
+        positions, vertex = self._positions(), self._numbers("vertex")
         colors = _ply_colors(vertex)
         if colors is None:
             raise ModelError(f"{self.name} has points without colours; export them with red, green and blue")
@@ -300,15 +306,16 @@ class _Ply:
         return positions, colors, None if normals is None else normals.astype(np.float64)
 
     def surface(self, options: Options) -> Surface:
-        vertex, face = self.data.get("vertex", {}), self.data.get("face", {})
+        vertex, face = self._numbers("vertex"), self._numbers("face")
+        lists = self.data.get("face", {})
         positions = self._positions()
-        listed = face.get("vertex_indices", face.get("vertex_index"))
+        listed = lists.get("vertex_indices", lists.get("vertex_index"))
         indices = sizes = np.empty(0, np.int64)
         if listed is not None and listed.sizes is not None:
             indices, sizes = whole_numbers(listed.values), listed.sizes
         shape = _shape(self.name, positions, indices, sizes)
         colors = shape.colors(_ply_colors(vertex), _ply_colors(face))
-        coordinates = self._coordinates(vertex, face, shape, sizes)
+        coordinates = self._coordinates(vertex, lists.get("texcoord"), shape, sizes)
         if not options.wants("base_color") or not self.images:
             return _colored(self.name, options, shape, colors, coordinates=coordinates)
         if coordinates is None:
@@ -330,11 +337,10 @@ class _Ply:
     def _coordinates(
         self,
         vertex: dict[str, _Values],
-        face: dict[str, _Values],
+        listed: _Values | None,
         shape: _Shape,
         sizes: Int64s,
     ) -> Corners | None:
-        listed = face.get("texcoord")
         if listed is not None and listed.sizes is not None and np.array_equal(listed.sizes, 2 * sizes):
             return Corners(flip_v(listed.values.reshape(-1, 2)), shape.corners.astype(np.int32))
         for u, v in _PLY_COORDINATES:

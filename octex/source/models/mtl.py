@@ -37,9 +37,10 @@ import numpy as np
 from octex.channels import srgb_to_linear
 from octex.errors import ImageError, ModelError
 from octex.files import read_bytes, referred
+from octex.source.images.decode import is_translucent
 from octex.source.images.pyramid import CLAMP, REPEAT, Texels
 from octex.source.materials import Input, Material, Texture
-from octex.source.models.imagefiles import ImageFiles, is_grey, is_translucent
+from octex.source.models.imagefiles import ImageFiles, is_grey
 from octex.source.models.options import Options
 from octex.source.models.text import parse_numbers
 

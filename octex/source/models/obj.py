@@ -23,7 +23,7 @@ from octex.source.colors import screen_colors
 from octex.source.corners import Corners, Creases
 from octex.source.materials import MaterialSource
 from octex.source.models.mtl import Description, Library, Transform, load_materials, wavefront_lines
-from octex.source.models.options import EVERYTHING, Options
+from octex.source.models.options import Options
 from octex.source.models.polygons import cut_polygons, triangulate
 from octex.source.models.text import parse_numbers
 from octex.source.surface import Surface, flip_v
@@ -32,7 +32,7 @@ from octex.source.tangents import corner_frames
 _LISTED = 5
 
 
-def load_obj(path: Path, options: Options = EVERYTHING) -> Surface:
+def load_obj(path: Path, options: Options) -> Surface:
     """Read an OBJ model with what ``options`` asks for of its materials (``mtl`` says how).
 
     Lines, points, curves and groups are left out. ``provenance`` names the other files that were read. Warns
@@ -59,7 +59,8 @@ def load_obj(path: Path, options: Options = EVERYTHING) -> Surface:
     rows = indices[corners, 1]
     if options.materials and (any(each.transforms for each in known) or (rows >= 0).all()):
         uv, *coordinates = _coordinates(text, known, numbers, rows, name)
-    slots = np.array([_normal_slot(each) for each in known])[numbers]
+    mapped_at = [each.material.normal_slot for each in known]
+    slots = np.array([-1 if slot is None else slot for slot in mapped_at])[numbers]
     is_mapped = uv is not None and bool((slots >= 0).any())
     normals = _normals(text, indices[corners, 2], name) if is_mapped or options.normals else None
     if is_mapped or normals is not None:
@@ -68,7 +69,7 @@ def load_obj(path: Path, options: Options = EVERYTHING) -> Surface:
             triangles,
             normals,
             None,
-            _chosen([*coordinates, uv], slots) if uv is not None and is_mapped else None,
+            Corners.chosen([*coordinates, uv], slots) if uv is not None and is_mapped else None,
         )
     source = MaterialSource(
         [each.material for each in known],
@@ -338,20 +339,6 @@ def _coordinates(
                 values.append(flip_v(plain * scale + offset))
         found.append(Corners(np.concatenate(values), bound.astype(np.int32)))
     return found
-
-
-def _normal_slot(description: Description) -> int:
-    """Return which set of coordinates a material's normal map has; −1 if it has none."""
-    normal = description.material.inputs.get("normal")
-    return -1 if normal is None or normal.texture is None else normal.texture.slot
-
-
-def _chosen(coordinates: list[Corners], slots: Int64s) -> Corners:
-    """Return one set of coordinates that holds, for each triangle, what the set ``slots`` has for it."""
-    firsts = np.cumsum([0, *(len(each.values) for each in coordinates)])
-    rows = np.stack([each.rows + first for each, first in zip(coordinates, firsts, strict=False)])
-    values = np.concatenate([each.values for each in coordinates])
-    return Corners(values, rows[slots, np.arange(len(slots))].astype(np.int32))
 
 
 def _normals(text: _Text, rows: Int64s, name: str) -> Corners | None:

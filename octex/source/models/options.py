@@ -20,6 +20,7 @@ class Options(NamedTuple):
         is_named = self.channels is None or channel in self.channels
         return self.materials and is_named and channel not in self.without
 
-
-#: Everything that a model states.
-EVERYTHING = Options()
+    def wants_image(self, channel: str) -> bool:
+        """Say whether a channel's image is to be read; colour is averaged by coverage: alpha comes along."""
+        pair = ("base_color", "alpha")
+        return any(map(self.wants, pair)) if channel in pair else self.wants(channel)

@@ -17,11 +17,12 @@ import numpy as np
 
 from octex.arrays import Array, Float64s, Int32s, Int64s
 from octex.errors import MissingExtraError, ModelError, ModelWarning
+from octex.files import is_absolute
 from octex.source.corners import Corners, Frames, Polygons
 from octex.source.materials import MaterialSource
-from octex.source.models.options import EVERYTHING, Options
+from octex.source.models.options import Options
 from octex.source.models.polygons import cut_polygons, triangulate
-from octex.source.models.usd_materials import Bound, Materials, Slot, is_absolute
+from octex.source.models.usd_materials import Bound, Materials, Slot
 from octex.source.surface import Surface, flip_v
 from octex.source.tangents import corner_frames, transformed
 
@@ -29,7 +30,7 @@ from octex.source.tangents import corner_frames, transformed
 _SPREADS = ("constant", "uniform", "vertex", "varying", "faceVarying")
 
 
-def load_usd(path: Path, options: Options = EVERYTHING) -> Surface:
+def load_usd(path: Path, options: Options) -> Surface:
     """Read the meshes of a USD stage that are shown, with what ``options`` asks for of their materials.
 
     ``uv`` is ``st``, or what the first image is read at, where all meshes have it. ``provenance`` holds the
@@ -88,7 +89,9 @@ class _Scene:
         prims = self._shown()
         materials = {prim.GetPath(): self._bound(prim) for prim in prims}
         mapped = any(
-            bound.normal_slot is not None for _, every in materials.values() for bound in every.values()
+            bound.material.normal_slot is not None
+            for _, every in materials.values()
+            for bound in every.values()
         )
         shapes = [
             (self._placed(prim), shape)
@@ -129,14 +132,14 @@ class _Scene:
                 elif np.linalg.det(matrix[:3, :3]) < 0:
                     part = part._replace(rows=part.rows[:, ::-1])
                 every.append(part)
-            return _concatenated(every)
+            return Corners.joined(every)
 
         vertices, faces = np.concatenate(positions), np.concatenate(triangles)
         made = None
         if has_normals:
             made = Frames(
-                _concatenated([each.normals for each in frames]),
-                _concatenated([each.tangents for each in frames]),
+                Corners.joined([each.normals for each in frames]),
+                Corners.joined([each.tangents for each in frames]),
             )
         slots = zip_longest(*(shape.coordinates for _, shape in shapes))
         coordinates = [joined(list(slot), 0.0) for slot in slots]
@@ -253,14 +256,11 @@ class _Scene:
         if is_mapped or self._options.normals:
             slots = np.full(len(self._materials.every), -1)
             for number, bound in materials.items():
-                slots[number] = -1 if bound.normal_slot is None else bound.normal_slot
-            frames = corner_frames(
-                positions,
-                triangles,
-                normals,
-                None,
-                _chosen(coordinates, slots[numbers]) if is_mapped else None,
-            )
+                slot = bound.material.normal_slot
+                slots[number] = -1 if slot is None else slot
+            none = Corners(np.zeros((1, 2), np.float32), np.zeros((len(numbers), 3), np.int32))
+            mapped = Corners.chosen([*coordinates, none], slots[numbers]) if is_mapped else None
+            frames = corner_frames(positions, triangles, normals, None, mapped)
         first = next((slot.name for bound in materials.values() for slot in bound.slots), "st")
         uv = primvars.corners(first, 2)
         return _Shape(
@@ -374,19 +374,3 @@ def _check_below(numbers: Int64s, count: int, what: str) -> None:
 def _cut_polygons(cut: Int64s, polygons: Int64s, sizes: Int64s) -> Polygons:
     made = cut_polygons(cut, polygons, sizes)
     return Polygons.of_triangles(len(cut)) if made is None else made
-
-
-def _chosen(coordinates: list[Corners], slots: Int64s) -> Corners:
-    """Return one set of coordinates that holds, for each triangle, what the set ``slots`` has for it."""
-    none = Corners(np.zeros((1, 2), np.float32), np.zeros((len(slots), 3), np.int32))
-    every = [none, *coordinates]
-    firsts = np.cumsum([0, *(len(each.values) for each in every)])
-    rows = np.stack([each.rows + np.int32(first) for each, first in zip(every, firsts, strict=False)])
-    return Corners(np.concatenate([each.values for each in every]), rows[slots + 1, np.arange(len(slots))])
-
-
-def _concatenated(parts: list[Corners]) -> Corners:
-    """Put attributes of corners one after another."""
-    firsts = np.cumsum([0, *(len(part.values) for part in parts)])
-    rows = [part.rows + np.int32(first) for part, first in zip(parts, firsts, strict=False)]
-    return Corners(np.concatenate([part.values for part in parts]), np.concatenate(rows))

@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import math
 import warnings
-from pathlib import PurePosixPath, PureWindowsPath
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 from octex.arrays import Float64s
 from octex.channels import CHANNELS, encode, srgb_to_linear
 from octex.errors import ImageError, ModelWarning
+from octex.files import is_absolute
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Texels
 from octex.source.materials import AlphaMode, Input, Material, Texture
@@ -29,6 +29,8 @@ _CHANNELS = {
     "metallic": "metallic", "roughness": "roughness", "occlusion": "occlusion", "normal": "normal",
     "alpha": "opacity",
 }  # fmt: skip
+#: What inputs may be connected to: images, and primvars that readers of them read for a channel.
+_READ = ("UsdUVTexture", "base_color displayColor", "alpha displayOpacity")
 _GREY = (0.18, 0.18, 0.18)
 
 
@@ -54,12 +56,6 @@ class Bound(NamedTuple):
     slots: tuple[Slot, ...] = ()
     reads_color: bool = False
     reads_opacity: bool = False
-
-    @property
-    def normal_slot(self) -> int | None:
-        """The slot of the normal map, if there is one that is wanted."""
-        given = self.material.inputs.get("normal")
-        return None if given is None or given.texture is None else given.texture.slot
 
 
 class Materials:
@@ -113,10 +109,14 @@ class Materials:
             if kind == "UsdUVTexture":
                 inputs[channel] = self._textured(channel, node, output, slots)
             elif kind is not None and kind.startswith("UsdPrimvarReader"):
-                vertex.add(f"{channel} {_value(node, 'varname', '')}")
                 inputs[channel] = Input((1.0,) * CHANNELS[channel].components)
+                kind = f"{channel} {_value(node, 'varname', '')}"
+                vertex.add(kind)
             elif value is not None and channel != "normal":
                 inputs[channel] = Input(tuple(np.atleast_1d(np.array(value, np.float64)).tolist()))
+            if node is not None and kind not in _READ:
+                text = f"{self._name}: {shader.GetPath()}: what {word} is connected to is not read; bake it"
+                warnings.warn(text, ModelWarning, stacklevel=2)
         cutoff = float(_value(shader, "opacityThreshold", 0.0))
         reads_opacity = "alpha displayOpacity" in vertex
         mode: AlphaMode = "mask" if cutoff > 0.0 else "blend"
@@ -141,9 +141,7 @@ class Materials:
             plain = (scale == 1.0).all() and (bias == 0.0).all()
             factor, offset = (1.0,) * 3 if plain else tuple((scale[:3] / 2.0).tolist()), ()
         made = Input(factor, None, lanes, offset if any(offset) else ())
-        pair = ("base_color", "alpha")
-        wanted = any(map(self._options.wants, pair)) if channel in pair else self._options.wants(channel)
-        if not wanted:
+        if not self._options.wants_image(channel):
             return made
         texels = self._image(node, _value(node, "sourceColorSpace", "auto"), channel)
         wraps = [_WRAPS.get(_value(node, axis, "useMetadata"), CLAMP) for axis in ("wrapS", "wrapT")]
@@ -177,12 +175,6 @@ class Materials:
         if (place, change) not in self._texels:
             self._texels[place, change] = _changed(self._texels[place, ""], change)
         return self._texels[place, change]
-
-
-def is_absolute(path: str) -> bool:
-    """Say whether a path is absolute, on this system or another."""
-    windows = PureWindowsPath(path)
-    return PurePosixPath(path).is_absolute() or bool(windows.drive or windows.root)
 
 
 def _plain() -> Bound:
