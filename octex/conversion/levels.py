@@ -377,12 +377,13 @@ def _stored(level: Sums, channels: Sequence[ChannelFormat], columns: SumColumns)
         encode(each, channel.dtype, channel.space)
         for channel, each in zip(channels, by_channel(means.values, channels), strict=True)
     ]
-    facing_values = [
-        encode(each, channel.dtype, channel.space)
-        for channel, each in zip(channels, by_channel(means.facing_values, channels), strict=True)
-    ]
+    facing_values = [np.empty((0, channel.components), channel.dtype) for channel in channels]
     flags = level.flags
     if len(cells):
+        facing_values = [
+            encode(each, channel.dtype, channel.space)
+            for channel, each in zip(channels, by_channel(means.facing_values, channels), strict=True)
+        ]
         counts = np.bitwise_count(flags[cells]).astype(np.int64)
         owners = np.repeat(cells, counts)
         differs = np.zeros(len(owners), np.bool_)

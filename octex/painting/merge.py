@@ -234,7 +234,7 @@ def _blended(
             form, stored = channels[name].format, channels[name].kept_values.copy()
             stored[kept.rows] = encode(new, form.dtype, form.space)
             channels[name] = channels[name]._replace(kept_values=stored)
-    after = OctreeTexture(base.tree, channels, base.placement, base.bounds, base.metadata)
+    after = base.with_cells(base.tree, channels)
 
     rows = rows_of(base.tree.split, cells)
     owners = np.searchsorted(cells, rows.cells)
@@ -302,8 +302,7 @@ def _writable(texture: OctreeTexture) -> tuple[OctreeTexture, dict[str, Channel]
         name: channel._replace(split_values=channel.split_values.copy())
         for name, channel in texture.channels.items()
     }
-    own = OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, texture.metadata)
-    return own, channels
+    return texture.with_cells(texture.tree, channels), channels
 
 
 def _on_leaves(tree: Octree, paint: Sequence[Paint]) -> tuple[Int64s, Float32s, Float32s, Int64s]:

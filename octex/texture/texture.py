@@ -105,22 +105,31 @@ class OctreeTexture:
     ) -> None:
         if not isinstance(tree, Octree):
             raise ArgumentError(f"tree must be an Octree, not {tree!r}")
-        self.tree = tree
         self.placement = Placement.checked(placement)
         self.bounds = _as_bounds(bounds)
         self.metadata = MappingProxyType(as_metadata(metadata))
+        self._hold(tree, as_entries(channels, "channels"))
+
+    def _hold(self, tree: Octree, given: Mapping[str, Channel]) -> None:
+        self.tree = tree
         self._field = Field(tree)
         self._known_mixed: dict[tuple[str, int], tuple[float, Uint8s]] = {}
         self._known_plain: dict[tuple[str, str], PlainLookup | None] = {}
         self._known_stored: dict[str, ChannelRows] = {}
         self._file: File | None = None
-        given = as_entries(channels, "channels")
         for name, channel in given.items():
             if not isinstance(channel, Channel):
                 raise ArgumentError(f"channel {name!r} must be a Channel, not {channel!r}")
             channel.check(name, tree)
         self.channels = MappingProxyType({name: channel.locked() for name, channel in given.items()})
         self._components = {name: channel.format.components for name, channel in given.items()}
+
+    def with_cells(self, tree: Octree, channels: Mapping[str, Channel]) -> OctreeTexture:
+        """Return a texture of another tree and its channels, placed as this one, with its provenance."""
+        made = object.__new__(OctreeTexture)
+        made.placement, made.bounds, made.metadata = self.placement, self.bounds, self.metadata
+        made._hold(tree, channels)
+        return made
 
     def __repr__(self) -> str:
         return f"<OctreeTexture of {', '.join(self.channels) or 'no channels'}; {self.tree!r}>"
