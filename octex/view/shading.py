@@ -40,7 +40,9 @@ def corner_normals(positions: Float64s, triangles: Int32s, crease: float = 40.0)
     within ``crease`` degrees of its own triangle's: edges sharper than that stay sharp. (Thürmer & Wüthrich,
     "Computing Vertex Normals from Polygonal Facets", 1998.)
     """
-    return _smoothed(positions, triangles, welded(positions), np.arange(len(triangles)), crease)
+    return _smoothed(
+        positions, triangles, welded(positions), np.arange(len(triangles), dtype=np.int32), crease
+    )
 
 
 def corner_normals_of(
@@ -62,7 +64,7 @@ def corner_normals_of(
 
 
 def _smoothed(
-    positions: Float64s, triangles: Int32s, places: Int32s, rows: Int64s, crease: float
+    positions: Float64s, triangles: Int32s, places: Int32s, rows: Int32s, crease: float
 ) -> Float32s:
     """Return the normals at the corners of those of triangles (m,) that have ``rows`` (m,), −1 for none.
 
@@ -100,7 +102,7 @@ def _inside(positions: Float64s, triangles: Int32s, chosen: Int64s) -> Bools:
 
 
 @kernel
-def _around(places: Int32s, triangles: Int32s, chosen: Int64s) -> tuple[Int64s, Int64s]:
+def _around(places: Int32s, triangles: Int32s, chosen: Int64s) -> tuple[Int32s, Int32s]:
     """Return the triangles at the places of chosen ones, and which of these each is, −1 for none.
 
     All other places become −1.
@@ -112,8 +114,8 @@ def _around(places: Int32s, triangles: Int32s, chosen: Int64s) -> tuple[Int64s, 
     for n in range(places.size):
         if places[n] >= 0 and not is_used[places[n]]:
             places[n] = -1
-    near = new_array(len(triangles), np.int64)
-    rows = new_array(len(triangles), np.int64)
+    near = new_array(len(triangles), np.int32)
+    rows = new_array(len(triangles), np.int32)
     count = at = 0
     for n in range(len(triangles)):
         if max(places[triangles[n, 0]], places[triangles[n, 1]], places[triangles[n, 2]]) >= 0:
@@ -125,7 +127,7 @@ def _around(places: Int32s, triangles: Int32s, chosen: Int64s) -> tuple[Int64s, 
 
 
 @kernel
-def _by_place(places: Int32s, triangles: Int32s) -> tuple[Int64s, Int64s]:
+def _by_place(places: Int32s, triangles: Int32s) -> tuple[Int32s, Int64s]:
     """Return the corners of triangles by their vertices' places, from 0, and where each place's begin."""
     starts = new_zeros(places.size + 1, np.int64)
     for n in range(len(triangles)):
@@ -134,7 +136,7 @@ def _by_place(places: Int32s, triangles: Int32s) -> tuple[Int64s, Int64s]:
     starts[0] = 0
     for place in range(places.size):
         starts[place + 1] += starts[place]
-    corners = new_array(triangles.size, np.int64)
+    corners = new_array(triangles.size, np.int32)
     for n in range(len(triangles)):
         for corner in range(3):
             place = places[triangles[n, corner]]
@@ -175,10 +177,10 @@ def _measure(
 def _smooth(
     faces: Float64s,
     angles: Float64s,
-    by_place: Int64s,
+    by_place: Int32s,
     starts: Int64s,
     cosines: tuple[float, float],
-    rows: Int64s,
+    rows: Int32s,
     normals: Float32s,
 ) -> None:
     """Fill in the normals of corners, those of triangle n in ``rows[n]``, if it is not below 0.

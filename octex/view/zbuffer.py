@@ -80,33 +80,34 @@ def z_buffer(
     same = _SAME_DEPTH * float(np.abs(screen[:, 3]).max(initial=0.0))
     if behind is None:
         behind = Buffers(np.empty((0, 0), np.int32), np.empty((0, 0, 3), np.float32), np.empty((0, 0)))
+    shape = camera.height, camera.width
+    buffers = Buffers(np.full(shape, -1, np.int32), np.zeros((*shape, 3), np.float32), np.full(shape, np.inf))
     draw = partial(
-        _band, screen, snapped, outside, np.ascontiguousarray(corners, np.int32), same, behind, camera.width
+        _draw_band, screen, snapped, outside, np.ascontiguousarray(corners, np.int32), same, behind, buffers
     )
+    bands = 1 if executor is None else min(cpu_count(), camera.height)
+    ends = list(pairwise(camera.height * band // bands for band in range(bands + 1)))
     if executor is None:
-        return draw((0, camera.height))
-    bands = min(cpu_count(), camera.height)
-    ends = [camera.height * band // bands for band in range(bands + 1)]
-    drawn = list(ordered_map(executor, draw, list(pairwise(ends))))
-    return Buffers(*(np.concatenate(arrays) for arrays in zip(*drawn, strict=True)))
+        draw(*ends)
+    else:
+        list(ordered_map(executor, draw, ends))
+    return buffers
 
 
-def _band(
+def _draw_band(
     screen: Float64s,
     snapped: Bools,
     outside: Uint8s,
     triangles: Int32s,
     same_depth: float,
     behind: Buffers,
-    width: int,
+    buffers: Buffers,
     rows: tuple[int, int],
-) -> Buffers:
-    """Return what the pixels of some rows see."""
-    shape = rows[1] - rows[0], width
-    buffers = Buffers(np.full(shape, -1, np.int32), np.zeros((*shape, 3), np.float32), np.full(shape, np.inf))
-    last, depth = behind.triangle[slice(*rows)], behind.depth[slice(*rows)]
-    _draw(screen, snapped, outside, triangles, same_depth, rows[0], last, depth, *buffers)
-    return buffers
+) -> None:
+    """Find what the pixels of some rows see."""
+    here = slice(*rows)
+    last, own = (behind.triangle[here], behind.depth[here]), (each[here] for each in buffers)
+    _draw(screen, snapped, outside, triangles, same_depth, rows[0], *last, *own)
 
 
 @kernel
