@@ -45,7 +45,7 @@ SAMPLE_MEMORY, SAMPLE_VALUE_MEMORY = 28, 2
 #: Bound of the pieces in one task: enough to hide what a task costs, few enough to stay in the cache.
 TASK_PIECES = 400_000
 #: Little work is cut into so many tasks, of no fewer pieces than this.
-_TASKS, _LEAST_PIECES = 8, 100_000
+_TASKS, _LEAST_PIECES = 8, 250_000
 
 #: Files of parts that are joined to one.
 _JOINED = 16

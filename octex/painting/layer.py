@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from bisect import bisect_left
 from collections.abc import Sequence
 from concurrent.futures import Executor
@@ -92,7 +91,7 @@ def wanted_levels(
     most = int(np.clip(np.ceil(_levels(middle, size, cells)), 0, depth))
 
     def level(at: int) -> int:
-        return math.ceil(Levels(most, depth).wanted(widths[at : at + 1], size, cells)[0])
+        return int(np.ceil(Levels(most, depth).wanted(widths[at : at + 1], size, cells)[0]))
 
     deepest = level(int(np.searchsorted(parts, _FINEST_PART)))
     first = bisect_left(range(widths.size), 1 - deepest, key=lambda at: -level(at))  # that is less deep

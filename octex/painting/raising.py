@@ -442,7 +442,8 @@ def _carried(
         below = refined_below(texture, new_codes[is_refined], level, facings[is_refined], executor)
         rows.append((cells[is_refined], below))
         found.append((cells[is_refined], below.values))
-        looked_up.append((cells[~is_refined], (decode_cells(new_codes[~is_refined]) + 0.5) / 2**level))
+        is_other = ~is_refined & ~is_node[new]  # nodes are averaged
+        looked_up.append((cells[is_other], (decode_cells(new_codes[is_other]) + 0.5) / 2**level))
     others, centres = (np.concatenate(column) for column in zip(*looked_up, strict=True))
     if texture.tree.n_leaves and others.size:
         points = texture.placement.to_rest(centres)
