@@ -16,7 +16,7 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Int32s
 from octex.jit import inlined, kernel
 from octex.view.camera import Camera
-from octex.view.zbuffer import seen_triangles
+from octex.view.zbuffer import z_buffer
 
 #: Surfaces nearer to each other than this, in pixels as they are there, are not told apart ...
 _CLOSE = 0.01
@@ -55,7 +55,7 @@ def visibility_of(
     executor: Executor | None = None,
 ) -> Visibility:
     """Find what the pixels of a camera without distortion see of triangles (m, 3) of vertices (n, 3)."""
-    seen = seen_triangles(vertices, triangles, camera, executor)
+    seen = z_buffer(vertices, triangles, camera, executor).triangle
     planes = np.zeros((*seen.shape, 3), np.float32)
     _find_planes(vertices, triangles, view_of(camera), seen, planes)
     return Visibility(seen, planes)
