@@ -253,6 +253,8 @@ def _raised(
             np.concatenate([added[level], skirt[is_free & is_new & ~where.is_leaf]]), kind="stable"
         )
         wanted.append(distinct(np.concatenate([below[level], raised_ring, skirt[is_new & where.is_leaf]])))
+    if not any(codes.size for codes in (*wanted, *added)):
+        return unchanged(tree), with_skirts, met
     kinds = met.codes, new, with_all_above(skirts)
     stored = [distinct(np.concatenate(each)) for each in zip(*kinds, strict=True)]
     with own_making():
