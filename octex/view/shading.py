@@ -11,7 +11,6 @@ import numpy.typing as npt
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Integers
 from octex.jit import kernel, new_array, new_zeros
 from octex.source.welding import welded
-from octex.tree.octree import distinct
 from octex.view.camera import Camera
 
 # In camera axes: x right, y down, z away from the camera.
@@ -54,13 +53,14 @@ def corner_normals_of(
     """
     if not len(chosen):
         return np.empty((0, 3, 3), np.float32)
-    own = distinct(chosen)
+    is_ascending = bool((chosen[1:] > chosen[:-1]).all())
+    own = (chosen if is_ascending else np.unique(chosen)).astype(np.int64)
     inside = np.flatnonzero(_inside(positions, triangles, own))
     places = np.full(len(positions), -1, np.int32)
     places[inside] = welded(positions[inside])
     near, rows = _around(places, triangles, own)
     normals = _smoothed(positions, triangles[near], places, rows, crease)
-    return normals if np.array_equal(own, chosen) else normals[np.searchsorted(own, chosen)]
+    return normals if is_ascending else normals[np.searchsorted(own, chosen)]
 
 
 def _smoothed(
