@@ -45,3 +45,28 @@ def levelling(pairs: Array, ties: Array, labels: Array, paint: Array, weights: A
         right.append(np.sqrt(tie) * step[None])
     found: Array = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0]
     return found
+
+
+def feathered(
+    pairs: Array, ties: Array, labels: Array, exposures: Array, seen: Array, times: int
+) -> tuple[Array, Array]:
+    """Shares (n, pictures) of labels that fade into their neighbours', and their mean exposures."""
+    count, pictures = len(labels), len(seen)
+    shares = [[float(labels[n] == p) for p in range(pictures)] for n in range(count)]
+    sums = [[shares[n][p] * exposures[n] for p in range(pictures)] for n in range(count)]
+    beside: list[list[tuple[int, float]]] = [[] for _ in range(count)]
+    for (a, b), tie in zip(pairs.tolist(), ties.tolist(), strict=True):
+        beside[a].append((b, tie))
+        beside[b].append((a, tie))
+    for _ in range(times):
+        old, before = [list(each) for each in shares], [list(each) for each in sums]
+        for n in range(count):
+            total = sum(tie for _, tie in beside[n])
+            for p in range(pictures):
+                shares[n][p] = 0.5 * old[n][p] + 0.5 * sum(tie * old[m][p] for m, tie in beside[n]) / total
+                mean = sum(tie * before[m][p] for m, tie in beside[n]) / total
+                sums[n][p] = 0.5 * before[n][p] + 0.5 * mean
+    found = np.array([[shares[n][p] * bool(seen[p][n]) for p in range(pictures)] for n in range(count)])
+    totals = found.sum(axis=1, keepdims=True)
+    means = np.array(sums) / np.maximum(np.array(shares), 1e-12)[..., None]
+    return found / np.where(totals > 0, totals, 1), means

@@ -13,7 +13,7 @@ import octex
 from octex.errors import ArgumentError
 from octex.painting.holes import filled
 from octex.painting.multigrid import graph_of, solve
-from octex.painting.sheets import Sheets, sheets_of
+from octex.painting.sheets import Region, Sheets, sheets_of
 from octex.source.surface import Surface
 from octex.tree.morton import decode_cells
 from octex.tree.placement import Placement
@@ -72,7 +72,7 @@ def test_a_solution_is_that_of_a_dense_solve() -> None:
     sheets, _ = cut(surface, 4)
     values, known = random.random((len(sheets.codes), 3)), random.random(len(sheets.codes)) < 0.1
     known &= places(surface, sheets) @ np.ones(3) < 0.3
-    found = filled(sheets, values, known)
+    found = filled(sheets, values, known, values[known].mean(axis=0))
     expected = naive_sheets.harmonic(sheets.pairs, sheets.ties, values, known, 1e-9)
     apart = np.abs(found - expected).max(axis=1)
     assert apart.max() < 1e-4 * np.ptp(values)
@@ -98,7 +98,7 @@ def test_a_fill_is_harmonic_on_a_sphere() -> None:
     height = points @ np.array([1, 2, 0]) / np.sqrt(5) / np.linalg.norm(points, axis=1)
     harmonic = np.arctanh(np.clip(height, -0.99, 0.99))[:, None]
     known = np.abs(height) > 0.5
-    found = filled(sheets, np.where(known[:, None], harmonic, 0), known)
+    found = filled(sheets, np.where(known[:, None], harmonic, 0), known, np.zeros(1))
     assert np.abs(found - harmonic)[~known].max() < 0.04 * np.ptp(harmonic[~known])
 
 
@@ -109,11 +109,11 @@ def test_nothing_passes_through_thin_parts_or_between_parts() -> None:
     points = places(surface, sheets)
     values = np.where(points[:, 2:] > -0.005, 1.0, 0.0)
     known = (points[:, 0] < 0) & (points[:, 2] > -0.1)
-    found = filled(sheets, np.where(known[:, None], values, 0.5), known)[:, 0]
+    mean = np.average(values[known], axis=0, weights=sheets.areas[known])
+    found = filled(sheets, np.where(known[:, None], values, 0.5), known, mean)[:, 0]
     near = points[:, 2] > -0.1
     np.testing.assert_allclose(found[near], values[near, 0], atol=1e-5)
-    mean = np.average(values[known, 0], weights=sheets.areas[known])
-    np.testing.assert_allclose(found[~near], mean, atol=1e-5)
+    np.testing.assert_allclose(found[~near], mean[0], atol=1e-5)
 
 
 @needs_jit
@@ -145,6 +145,23 @@ def test_a_new_texture_is_whole_and_what_was_there_stays() -> None:
     again = twice.sample(points.rest, "coverage", "nearest")[:, 0]
     once = painted.sample(points.rest, "coverage", "nearest")[:, 0]
     np.testing.assert_allclose(again, 1 - (1 - once) ** 2, atol=0.01)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_region_has_the_sheets_of_the_whole(seed: int) -> None:
+    surface = plain(tilted(together(square(0.0, steps=3), square(0.02, steps=2), square(0.3, steps=1)), seed))
+    whole, placement = cut(surface, 7)
+    codes = np.unique(whole.codes >> 9)
+    region = Region(4, codes[np.random.default_rng(seed).random(codes.size) < 0.3])
+    with ThreadPoolExecutor(1) as executor:
+        some = sheets_of(surface, placement, 7, executor, region)
+    own = np.isin(whole.codes >> 9, region.codes)
+    assert 0 < own.sum() < own.size
+    np.testing.assert_array_equal(some.codes, whole.codes[own])
+    np.testing.assert_allclose(some.areas, whole.areas[own], rtol=1e-12)
+    np.testing.assert_array_equal(some.triangles, whole.triangles[own])
+    inside = own[whole.pairs].all(axis=1)
+    np.testing.assert_array_equal(some.pairs, (np.cumsum(own) - 1)[whole.pairs[inside]])
 
 
 @needs_jit

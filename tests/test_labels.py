@@ -81,6 +81,23 @@ def test_what_levels_borders_is_that_of_least_squares() -> None:
     np.testing.assert_allclose(found, expected, atol=1e-3)
 
 
+def test_labels_fade_into_those_beside_them() -> None:
+    random = np.random.default_rng(5)
+    surface = ball(rings=6)
+    sheets, _ = cut(surface, 3)
+    count = len(sheets.codes)
+    labels = random.integers(-1, 3, count).astype(np.int32)
+    exposures = random.normal(size=(count, 3))
+    weights = (random.random((3, count)) < 0.7).astype(np.float32)
+    graph = graph_of(sheets.pairs, sheets.ties, count)
+    shares, means = labelling.feathered(graph, labels, exposures, weights)
+    naive = naive_labels.feathered(
+        sheets.pairs, sheets.ties, labels, exposures, weights > 0, labelling._FEATHER
+    )
+    np.testing.assert_allclose(shares, naive[0], atol=1e-6)
+    np.testing.assert_allclose(means[shares > 0], naive[1][shares > 0], atol=1e-5)
+
+
 def test_borders_of_other_exposures_are_levelled() -> None:
     random = np.random.default_rng(4)
     surface = ball(rings=24)

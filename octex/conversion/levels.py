@@ -154,7 +154,7 @@ def cell_levels(
     report("sort", 1, 1)
     block_level = max(depth - BLOCK_BITS, 0)
     if reached is not None:
-        blocks = _some(blocks, reached(blocks, block_level))
+        blocks = some_blocks(blocks, reached(blocks, block_level))
     columns = SumColumns.of(channels)
     cell = placement.size / 2**depth
     job = Job(
@@ -204,7 +204,7 @@ def _cell_memory(channels: tuple[ChannelFormat, ...], has_samples: bool) -> int:
     return CELL_MEMORY + VALUE_MEMORY * row + per_sample
 
 
-def _some(blocks: Blocks, chosen: Bools) -> Blocks:
+def some_blocks(blocks: Blocks, chosen: Bools) -> Blocks:
     """Return some of blocks, the first one if none is chosen."""
     chosen[0] |= not chosen.any()
     counts = np.diff(blocks.starts)

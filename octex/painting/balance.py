@@ -32,11 +32,12 @@ _HOLD, _HOLD_GAIN = 1e-4, 1e-9
 def balanced(source: Projected, surface: Surface, balance: Balance, reference: int | None) -> Projected:
     """Return the same paint with pictures that agree best where more than one sees the surface.
 
-    Robust least squares of logarithms of light. The shot ``reference`` keeps its gain; without one the median
-    of the gains is 1. Pictures that overlap no other keep theirs.
+    Robust least squares of logarithms of light, on top of the gains that there are already. The shot
+    ``reference`` keeps its gain; without one the median of the gains is 1. Pictures that overlap no other
+    keep theirs.
     """
     numbers = exposures(source, surface, balance, reference)
-    gains = np.exp(numbers[:, :3]).astype(np.float32)
+    gains = source.gains * np.exp(numbers[:, :3]).astype(np.float32)
     shots = [
         shot._replace(levels=large.moved(evened(shot.levels, row[3:]))) if row[3:].any() else shot
         for shot, row in zip(source.shots, numbers, strict=True)

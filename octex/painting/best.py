@@ -10,7 +10,7 @@ from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.conversion.levels import on_grid
 from octex.conversion.pieces import Blocks
 from octex.painting.holes import level_within
-from octex.painting.labels import exposed, labelled, levelling, views_of
+from octex.painting.labels import exposed, feathered, labelled, levelling, views_of
 from octex.painting.multigrid import graph_of
 from octex.painting.projected import Projected
 from octex.painting.sheets import Sheets, sheets_of
@@ -23,9 +23,9 @@ _ABOVE, _MOST_VIEWS = 1, 1 << 22
 
 
 class Patches(PaintSource):
-    """Paint from the picture of each sheet, levelled; from all of them where that one sees nothing.
+    """Paint from the pictures that sheets have shares of, levelled; from all where these see nothing.
 
-    labels     (sheets,) numbers of shots; exposures (sheets, 3), see `exposed`
+    shares     (sheets, shots), of 1; exposures (sheets, shots, 3), see `exposed`
     mesh       vertices on the grid and triangles, as `Sheets.at` takes them
     own        (m,) the numbers of the triangles that are painted in that mesh
     """
@@ -34,15 +34,15 @@ class Patches(PaintSource):
         self,
         source: Projected,
         sheets: Sheets,
-        labels: Int32s,
-        exposures: Float64s,
+        shares: Float32s,
+        exposures: Float32s,
         mesh: tuple[Int32s, Int32s],
         own: Int32s,
     ) -> None:
         super().__init__(source.channels[0])
         self._source = source
         self._sheets = sheets
-        self._labels = labels
+        self._shares = shares
         self._exposures = exposures
         self._mesh = mesh
         self._own = own
@@ -54,7 +54,7 @@ class Patches(PaintSource):
     def on(self, chosen: Int32s) -> Patches:
         """Return the same paint for some of the triangles, among them all that own a pixel."""
         source = self._source.on(chosen)
-        return Patches(source, self._sheets, self._labels, self._exposures, self._mesh, self._own[chosen])
+        return Patches(source, self._sheets, self._shares, self._exposures, self._mesh, self._own[chosen])
 
     def reaches(self, blocks: Blocks, corners: Float64s, edge: float, rest: Float64s) -> Bools:
         """Say of which blocks a shot may see something."""
@@ -68,16 +68,21 @@ class Patches(PaintSource):
         """Return paint, linear for colours, and coverage (n, components + 1); zeros where there is none."""
         sheets = self._sheets.at(*self._mesh, self._own[triangles], barycentric)
         found = self._source.evaluate(triangles, barycentric, widths)
-        labels = self._labels[sheets]
         components = found.shape[1] - 1
+        shares = np.where(found[:, -1:] > 0, self._shares[sheets], np.float32(0))
+        sums, totals = np.zeros((len(found), components), np.float32), np.zeros(len(found), np.float32)
         for number, shot in enumerate(self._source.shots):
-            own = np.flatnonzero((labels == number) & (found[:, -1] > 0))
+            own = np.flatnonzero(shares[:, number] > 0)
             if not own.size:
                 continue
             alone = self._source.with_shots([shot], [number])
             paint, weights = alone.each(triangles[own], barycentric[own], widths[own])
-            own, paint = own[weights[0] > 0], paint[0][weights[0] > 0]
-            found[own, :components] = exposed(paint, self._exposures[sheets[own]])[:, :components]
+            share = np.where(weights[0] > 0, shares[own, number], np.float32(0))
+            light = exposed(paint[0], self._exposures[sheets[own], number])
+            sums[own] += share[:, None] * light[:, :components]
+            totals[own] += share
+        some = totals > 0
+        found[some, :components] = sums[some] / totals[some, None]
         return found
 
 
@@ -94,6 +99,7 @@ def best(
     graph = graph_of(sheets.pairs, sheets.ties, sheets.codes.size)
     labels = labelled(graph, sheets.codes, sheets.areas, views_of(paint, weights, sheets.areas))
     exposures = levelling(sheets.pairs, sheets.ties, sheets.codes, level, labels, paint, weights)
+    shares, exposures = feathered(graph, labels, exposures, weights)
     mesh = on_grid(surface.rest, placement), surface.triangles
     own = np.arange(len(surface.triangles), dtype=np.int32)
-    return Patches(source, sheets, labels, exposures, mesh, own)
+    return Patches(source, sheets, shares, exposures, mesh, own)

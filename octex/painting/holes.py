@@ -8,9 +8,11 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int32s
+from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.channels import ALPHA, ChannelFormat, decode, encode
+from octex.conversion.cells import BLOCK_BITS
 from octex.conversion.levels import assemble, cell_levels, on_grid
+from octex.conversion.pieces import bin_triangles
 from octex.editing.averages import average
 from octex.editing.nodes import all_nodes
 from octex.editing.split import rows_facing
@@ -18,7 +20,7 @@ from octex.errors import ArgumentError
 from octex.painting.cells import paint_of, painted_channel, refine_paint
 from octex.painting.layer import empty_texture
 from octex.painting.multigrid import added, graph_of, solve
-from octex.painting.sheets import Sheets, sheets_of
+from octex.painting.sheets import Region, Sheets, sheets_of
 from octex.painting.source import COVERAGE
 from octex.parallel import Progress
 from octex.source.base import Source
@@ -26,7 +28,8 @@ from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
 from octex.tree.edit import locate
 from octex.tree.layout import MAX_DEPTH
-from octex.tree.octree import Octree
+from octex.tree.morton import cells_beside
+from octex.tree.octree import distinct
 from octex.tree.placement import Placement
 from octex.tree.split import rows_of
 from octex.view.shading import face_normals
@@ -39,14 +42,16 @@ HOLES: tuple[Holes, ...] = get_args(Holes)
 COVERED = "coverage"
 #: What paint covers to so much is known.
 _KNOWN = 0.5
-#: So many cells are filled at most, by their estimated number: beyond that in larger cells.
+#: So many cells are filled at most, about: beyond that larger ones.
 _MOST_CELLS = 1 << 21
+#: What is not covered is found in blocks of cells this many levels above them.
+_BLOCK = 3
 #: How strongly what is unknown is held at the mean of all that is known: parts without any become that.
 _HOLD = 1e-9
 
 
 class Sheeted(Source):
-    """One value for each sheet of a surface."""
+    """One value for each sheet of a surface, and one, the last, for all else."""
 
     def __init__(self, form: ChannelFormat, sheets: Sheets, grid: Int32s, faces: Int32s, values: Float64s):
         self._channels = (form,)
@@ -80,12 +85,13 @@ def begun(
     if holes == "leave" or not layer.tree.n_leaves:
         return nothing
     progress("fill", 0, 1)
-    level = _level(layer.tree, surface, layer.placement)
-    sheets = sheets_of(surface, layer.placement, level, executor)
-    values, coverage = _paint_on(layer, name, sheets)
-    if (coverage >= 1.0).all():
+    level, region = _uncovered(layer, surface)
+    if not region.codes.size:
         return nothing
-    values = filled(sheets, values, coverage >= _KNOWN)
+    sheets = sheets_of(surface, layer.placement, level, executor, region)
+    values, coverage = _paint_on(layer, name, sheets)
+    mean = decode(layer.channels[name].values[0], form.space).astype(np.float64)
+    values = np.concatenate([filled(sheets, values, coverage >= _KNOWN, mean), mean[None]])
     grid = on_grid(surface.rest, layer.placement)
     source = Sheeted(form, sheets, grid, surface.triangles, values)
     part = surface.part(np.arange(len(surface.triangles)), source)
@@ -95,11 +101,48 @@ def begun(
     return OctreeTexture(tree, channels, layer.placement, layer.bounds, nothing.metadata)
 
 
-def filled(sheets: Sheets, values: Float64s, known: Bools) -> Float64s:
-    """Return values (n, components) of sheets, harmonic where they are not ``known`` (n,)."""
-    if known.all() or not known.any():
-        return values
-    mean = np.average(values[known], axis=0, weights=np.maximum(sheets.areas[known], 1e-12))
+def _uncovered(layer: OctreeTexture, surface: Surface) -> tuple[int, Region]:
+    """Return where a surface is not wholly covered by a layer, and beside that; and the level of its cells.
+
+    That is the level of most of the layer's leaves by area, or a coarser one that has not too many cells.
+    """
+    areas = [np.count_nonzero(~is_node) * 4.0**-level for level, (_, is_node) in enumerate(layer.tree.walk())]
+    level = int(np.argmax(areas))
+    found = _open_blocks(layer, surface, max(level - _BLOCK, 0))
+    many = found.size * 4**_BLOCK / _MOST_CELLS
+    if many > 1:
+        level = max(level - int(np.ceil(np.log(many) / np.log(4))), 0)
+        found = _open_blocks(layer, surface, max(level - _BLOCK, 0))
+    return level, Region(max(level - _BLOCK, 0), found)
+
+
+def _open_blocks(layer: OctreeTexture, surface: Surface, above: int) -> Int64s:
+    """Return the cells of a level in which a layer does not cover the surface wholly, and those beside them.
+
+    A node tells of what lies below it: its coverage is that of the surface in it.
+    """
+    blocks = bin_triangles(on_grid(surface.rest, layer.placement), surface.triangles, above + BLOCK_BITS)
+    alpha = layer.channels[ALPHA.name]
+    full = np.iinfo(alpha.format.dtype).max
+    is_open = alpha.values[:, 0] < full
+    is_open[rows_of(layer.tree.split).cells[alpha.split_values[:, 0] < full]] = True
+    where = locate(layer.tree, blocks.codes, above)
+    missing = ~where.is_leaf & (where.levels < above)
+    found = [blocks.codes[missing | is_open[where.cells]]]
+    firsts = layer.tree.arrays.level_cells
+    for level, (codes, _) in enumerate(layer.tree.walk()):
+        if level > above:
+            own = is_open[firsts[level] : firsts[level + 1]]
+            found.append(codes[own] >> 3 * (level - above))
+    codes = distinct(np.concatenate(found))
+    return distinct(np.concatenate([codes, cells_beside(codes, above)]))
+
+
+def filled(sheets: Sheets, values: Float64s, known: Bools, mean: Float64s) -> Float64s:
+    """Return values (n, components) of sheets, harmonic where they are not ``known`` (n,).
+
+    What hangs together without anything known gets the ``mean`` (components,).
+    """
     free = np.flatnonzero(~known)
     numbers = np.full(known.size, -1, np.int64)
     numbers[free] = np.arange(free.size)
@@ -116,12 +159,6 @@ def filled(sheets: Sheets, values: Float64s, known: Bools) -> Float64s:
     found = values.copy()
     found[free] = solve(graph, sheets.codes[free], sheets.level, hold, right)
     return found
-
-
-def _level(tree: Octree, surface: Surface, placement: Placement) -> int:
-    """Return the level of most of a layer's leaves by area, or a coarser one that has not too many cells."""
-    areas = [np.count_nonzero(~is_node) * 4.0**-level for level, (_, is_node) in enumerate(tree.walk())]
-    return min(int(np.argmax(areas)), level_within(surface, placement, _MOST_CELLS))
 
 
 def level_within(surface: Surface, placement: Placement, most: int) -> int:

@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int32s, Int64s
+from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s
 from octex.jit import inlined, kernel, new_array
-from octex.painting.multigrid import Graph, coarser, graph_of, solve
+from octex.painting.multigrid import Graph, added, coarser, graph_of, solve
 
 #: What a sheet of a cell face's area costs by the best picture's quality, and if its picture does not see it.
-_QUALITY, _UNSEEN = 0.6, 1.0
+_QUALITY, _UNSEEN = 3.0, 1.0
 #: What a border costs that is a cell long: by itself, and where pictures differ by all the range.
 _BORDER, _DIFFERENCE = 0.5, 10.0
 #: Labels are sought so many levels above the sheets, and of so many pictures for each: the cheapest ones.
@@ -25,6 +25,8 @@ _ABOVE, _CANDIDATES = 2, 8
 _PASSES, _MOVES = 12, 8
 #: Light that is as dark as noise; and from what difference of logarithms on pictures tell less.
 DARK, _FAR = 0.02, 0.3
+#: How often labels fade into those beside them.
+_FEATHER = 3
 #: How strongly what levels the borders is held at none: it fades over so many cells as the root's inverse.
 _HOLD = 1e-3
 
@@ -281,7 +283,33 @@ def levelling(
     return solve(graph, codes, level, np.full(codes.size, _HOLD), right)
 
 
-def exposed(light: Float32s, exposures: Float64s) -> Float32s:
+def feathered(
+    graph: Graph, labels: Int32s, exposures: Float64s, weights: Float32s
+) -> tuple[Float32s, Float32s]:
+    """Return how much of each sheet comes from each picture (n, pictures), and its exposure (n, pictures, 3).
+
+    Labels fade over a few sheets into those beside them: each time a sheet takes half of the mean of its
+    neighbours. A picture has the exposures that it has where it comes from. What a picture does not see, of
+    ``weights`` (pictures, n), it has no share of.
+    """
+    count, pictures = labels.size, len(weights)
+    rows = np.repeat(np.arange(count), np.diff(graph.starts))
+    totals = np.maximum(added(rows, graph.weights, count), 1e-12)
+    shares = np.zeros((count, pictures), np.float32)
+    found = np.zeros((count, pictures, 3), np.float32)
+    for number in range(pictures):
+        own = labels == number
+        values = np.column_stack([own, own[:, None] * exposures])
+        for _ in range(_FEATHER):
+            beside = [added(rows, graph.weights * column[graph.others], count) for column in values.T]
+            values = (values + np.stack(beside, axis=1) / totals[:, None]) / 2
+        shares[:, number] = values[:, 0] * (weights[number] > 0)
+        found[:, number] = values[:, 1:] / np.maximum(values[:, :1], 1e-12)
+    shares /= np.maximum(shares.sum(axis=1, keepdims=True), np.float32(1e-12))
+    return shares, found
+
+
+def exposed(light: Float32s, exposures: Floats) -> Float32s:
     """Return light (n, 3) times the exponentials of exposures; what is nearly dark changes less."""
     found = (np.maximum(light, 0) + DARK) * np.exp(exposures) - DARK
     return np.maximum(found, 0).astype(np.float32)

@@ -16,8 +16,8 @@ from octex.source.parts import join
 
 #: The error is made less by this, in the norm of the energy; and after so many steps it is taken as it is.
 _LESS, _STEPS = 1e-6, 200
-#: Coarse problems are solved so many times in each step: 2 is a W-cycle.
-_CYCLES = 2
+#: Coarse problems are solved so many times in each step, 2 is a W-cycle; those of so few rows once.
+_CYCLES, _FEW = 2, 256
 
 
 class Graph(NamedTuple):
@@ -83,6 +83,8 @@ def solve(graph: Graph, codes: Int64s, level: int, hold: Float64s, right: Float6
         diagonal = hold + added(rows, own.weights, hold.size)
         above_graph, cells, above = coarser(own, cells)
         levels.append(_Level(own, diagonal, above))
+        if not own.others.size:
+            break  # each node is alone, and solved by itself
         own, hold = above_graph, added(above, hold, cells.size)
     x = np.zeros_like(right)
     residual = right.copy()
@@ -111,7 +113,7 @@ def _cycle(levels: list[_Level], at: int, right: Float64s) -> Float64s:
     _relax(graph, diagonal, right, x, 0)
     if at + 1 < len(levels):
         left = np.empty_like(right)
-        for cycle in range(_CYCLES if at else 1):
+        for cycle in range(_CYCLES if at and graph.others.size > _FEW else 1):
             if cycle:
                 _relax(graph, diagonal, right, x, 1)
                 _relax(graph, diagonal, right, x, 0)

@@ -175,6 +175,7 @@ def painted(
         layer = projected(ground, pictures, texture, executor, progress, **options)
         if texture is None:
             texture = begun(layer, ground.surface, holes or "smooth", executor, progress)
+            blend = "erase" if blend == "erase" else "over"  # there is nothing to multiply
         if layers is not None:
             layers.append(layer)
         change = merged(
@@ -285,11 +286,13 @@ def projected(
     placement = Placement.around(surface.bounds, depth) if like is None else like.placement
     if like is not None:
         check_inside(surface, placement)
+    number = next((number for number, shot in enumerate(shots) if shot is chosen), None)
     if balance is not None and len(shots) > 1:
-        number = next((number for number, shot in enumerate(shots) if shot is chosen), None)
         source = balanced(source, surface, balance, number)
     if pictures in ("robust", "best") or (pictures is None and len(shots) > 2):
         source = agreeing(source)
+        if balance is not None and len(shots) > 1:  # again, without what only one of them saw
+            source = balanced(source, surface, balance, number)
     paint: PaintSource = source
     if pictures == "best" and len(shots) > 1:
         paint = best(source, surface, placement, depth, executor)

@@ -2,8 +2,9 @@
 
 Points of the surface are read in all pictures that see them, from coarse to fine. Each camera turns, moves
 and zooms a little (Gauss-Newton steps), so that pictures differ least from what all say of a point; what is
-far off counts for less (Zhou & Koltun, "Color Map Optimization", 2014, solved for all cameras at once, with
-steps undone that make it worse). A camera of which pictures tell too little stays as it was given.
+far off counts for less, and what only one of them saw, such as a passer-by, is left out once the coarsest
+agree (Zhou & Koltun, "Color Map Optimization", 2014, solved for all cameras at once, with steps undone that
+make it worse). A camera of which pictures tell too little stays as it was given.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from octex.channels import BASE_COLOR
 from octex.checks import as_choice, as_whole
 from octex.conversion import large
 from octex.errors import ArgumentError
+from octex.painting.agreement import agreeing
 from octex.painting.balance import BALANCES, Balance, balanced
 from octex.painting.consensus import agreed_step, consensus, robust_weights
 from octex.painting.ground import Ground
@@ -49,7 +51,7 @@ _OFF, _NOISE, _OWN = 4.0, 0.02, 0.01
 _DAMPING, _RIGHT, _WRONG = 1e-4, 0.2, 10.0
 #: A camera is moved where what its picture differs by from the others, 0 to 1, falls to so much of what it
 #: was, and by so much.
-_BETTER, _BY = 0.7, 0.002
+_BETTER, _BY = 0.8, 0.002
 #: What is seen at such an angle to the surface's normal, in degrees, or more, is not compared.
 _MAX_ANGLE = 75.0
 #: Numbers of a camera that change: turns about three axes, moves along them, zoom.
@@ -107,10 +109,12 @@ def refine_cameras(
         cameras, numbers = list(began), np.zeros((len(order), _NUMBERS))
         stays = np.zeros(len(order), np.bool_) if reference is None else np.array(order) == reference
 
-        def views(cameras: list[Camera], level: int, balance: Balance | None) -> _Views:
+        def lit(cameras: list[Camera], balance: Balance | None) -> Projected:
             source = _source(ground, cameras, levels, pool)
-            if balance is not None:
-                source = balanced(source, surface, balance, fixed)
+            return source if balance is None else balanced(source, surface, balance, fixed)
+
+        def views(cameras: list[Camera], level: int, balance: Balance | None) -> _Views:
+            source = lit(cameras, balance)
             says = _says(source, samples.triangles, samples.barycentric, _RIM * 2**level)
             pictures = [_read(shot, level) for shot in source.shots]
             return _Views(began, samples.points, pictures, source.gains, says)
@@ -122,6 +126,8 @@ def refine_cameras(
                 stays[np.argmax((given.says * (given.says > 0).sum(axis=0)).sum(axis=1))] = True
             numbers = _agreeing(given, numbers, stays, _FAR * (level + 1))
             cameras = [_moved(*each, samples.points) for each in zip(began, numbers, strict=True)]
+            if done == 0:  # now pictures lie well enough on each other to tell what only one of them saw
+                levels = [shot.levels for shot in agreeing(lit(cameras, balance)).shots]
         light: Balance | None = balance and "full"
         before, after = views(began, 0, light), views(cameras, 0, light)
         is_better = _better(before, after, numbers) & ~stays

@@ -7,14 +7,14 @@ thin part, from one of two walls in a cell to the other, or from part to part.
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from octex.arrays import Float64s, Int32s, Int64s, Uint8s
-from octex.conversion.cells import SPREAD
-from octex.conversion.levels import Run, even_runs, on_grid
-from octex.conversion.pieces import Pieces, bin_triangles, cut, most_pieces
+from octex.arrays import Bools, Float64s, Int32s, Int64s, Uint8s
+from octex.conversion.cells import BLOCK_BITS, SPREAD
+from octex.conversion.levels import Run, even_runs, on_grid, some_blocks
+from octex.conversion.pieces import Blocks, Pieces, bin_triangles, cut, most_pieces
 from octex.jit import kernel, new_array
 from octex.parallel import ordered_map
 from octex.source.corners import at_corners
@@ -22,7 +22,7 @@ from octex.source.parts import edges_of, join
 from octex.source.surface import Surface
 from octex.source.welding import welded
 from octex.tree import morton
-from octex.tree.edit import first_not_below
+from octex.tree.edit import among, first_not_below
 from octex.tree.layout import GRID_BITS
 from octex.tree.octree import distinct
 from octex.tree.placement import Placement
@@ -32,6 +32,27 @@ from octex.tree.split import bits_of
 _SLACK = 1e-6
 #: Sheets, which are points here, are no nearer to each other than this, in cells.
 _NEAR = 0.2
+
+
+#: Of pieces: their cells' Morton codes, facings, triangles, centroids and areas.
+Columns: TypeAlias = tuple[Int64s, Uint8s, Int32s, Float64s, Float64s]
+
+
+class Region(NamedTuple):
+    """A part of space: some of the cells of a level."""
+
+    level: int
+    codes: Int64s  # (n,)   Morton codes, ascending
+
+    def reaches(self, blocks: Blocks, level: int) -> Bools:
+        """Say which blocks of a level the region reaches into."""
+        if level < self.level:
+            return among(blocks.codes, distinct(self.codes >> 3 * (self.level - level)))
+        return self.holds(blocks.codes, level)
+
+    def holds(self, codes: Int64s, level: int) -> Bools:
+        """Say which cells of a level, its own or a finer one, lie in the region."""
+        return among(codes >> 3 * (level - self.level), self.codes)
 
 
 class Table(NamedTuple):
@@ -56,7 +77,7 @@ class Sheets(NamedTuple):
     ties: Float64s  # (k,)   one over how far apart they are, in cells
 
     def at(self, grid: Int32s, faces: Int32s, triangles: Int32s, barycentric: Float64s) -> Int64s:
-        """Return the sheets that points (n,) are on: of their triangle in their cell, or the next one.
+        """Return the sheets that points (n,) are on: of their triangle in their cell or beside it; else −1.
 
         ``grid`` are the surface's vertices in steps of 2⁻³⁰ of the root's edge.
         """
@@ -65,16 +86,21 @@ class Sheets(NamedTuple):
         return found
 
 
-def sheets_of(surface: Surface, placement: Placement, level: int, executor: Executor) -> Sheets:
-    """Cut a surface at rest into its sheets in cells of a level."""
+def sheets_of(
+    surface: Surface, placement: Placement, level: int, executor: Executor, within: Region | None = None
+) -> Sheets:
+    """Cut a surface at rest into its sheets in cells of a level, those of a region if one is given."""
     grid, faces = on_grid(surface.rest, placement), surface.triangles
     blocks = bin_triangles(grid, faces, level)
+    if within is not None:
+        blocks = some_blocks(blocks, within.reaches(blocks, max(level - BLOCK_BITS, 0)))
 
-    def pieces_of(run: Run) -> Pieces:
-        return cut(grid, faces, blocks, run.first_block, run.last_block, level, run.most, 0, SPREAD)
+    def columns_of(run: Run) -> Columns:
+        pieces = cut(grid, faces, blocks, run.first_block, run.last_block, level, run.most, 0, SPREAD)
+        return _columns(pieces, None if within is None else within.holds(pieces.codes, level))
 
     runs = even_runs(most_pieces(grid, faces, blocks, level))
-    columns = [_columns(pieces) for pieces in ordered_map(executor, pieces_of, runs)]
+    columns = list(ordered_map(executor, columns_of, runs))
     codes, bits, triangles, barycentric, areas = (np.concatenate(each) for each in zip(*columns, strict=True))
     order = np.lexsort((codes, triangles))
     codes, triangles = codes[order], triangles[order]
@@ -108,12 +134,13 @@ def sheets_of(surface: Surface, placement: Placement, level: int, executor: Exec
     )
 
 
-def _columns(pieces: Pieces) -> tuple[Int64s, Uint8s, Int32s, Float64s, Float64s]:
-    """Return of pieces their cells' codes, facings, triangles, centroids and areas."""
-    owners = np.repeat(np.arange(pieces.codes.size), np.bitwise_count(pieces.flags))
-    codes = pieces.codes[owners[pieces.entries]]
-    bits = bits_of(pieces.flags)[pieces.entries]
-    return codes, bits, pieces.triangles, pieces.barycentric, pieces.areas
+def _columns(pieces: Pieces, chosen: Bools | None) -> Columns:
+    """Return the columns of the pieces in chosen cells, or in all."""
+    owners = np.repeat(np.arange(pieces.codes.size), np.bitwise_count(pieces.flags))[pieces.entries]
+    some = slice(None) if chosen is None else np.flatnonzero(chosen[owners])
+    bits = bits_of(pieces.flags)[pieces.entries[some]]
+    columns = pieces.codes[owners[some]], bits, pieces.triangles[some], pieces.barycentric[some]
+    return *columns, pieces.areas[some]
 
 
 def _joined(grid: Int32s, faces: Int32s, firsts: Int64s, codes: Int64s, level: int) -> Int64s:
@@ -211,11 +238,16 @@ def _find(
             cell[axis] = min(max(int(place * scale), 0), most)
         code = morton.encode(cell[0], cell[1], cell[2])
         at = first + first_not_below(table.codes[first:end], code, 0)
-        if at == end or table.codes[at] != code:  # by rounding: the nearest of the triangle's cells
-            nearest = 1 << 60
-            for piece in range(first, end):
-                i, j, k = morton.decode(table.codes[piece])
-                apart = (i - cell[0]) ** 2 + (j - cell[1]) ** 2 + (k - cell[2]) ** 2
-                if apart < nearest:
+        if at == end or table.codes[at] != code:  # by rounding: one of the triangle's beside it
+            at, nearest = end, 4
+            for side in range(27 if end > first else 0):
+                x, y, z = side % 3 - 1, side // 3 % 3 - 1, side // 9 - 1
+                apart = x * x + y * y + z * z
+                i, j, k = cell[0] + x, cell[1] + y, cell[2] + z
+                if apart >= nearest or min(i, j, k) < 0 or max(i, j, k) > most:
+                    continue
+                code = morton.encode(i, j, k)
+                piece = first + first_not_below(table.codes[first:end], code, 0)
+                if piece < end and table.codes[piece] == code:
                     nearest, at = apart, piece
         found[n] = table.sheets[at] if at < end else -1
