@@ -6,7 +6,7 @@ Values are averaged, filtered and blended in linear light; encoding and decoding
 from __future__ import annotations
 
 from functools import cache
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -83,11 +83,15 @@ def decode_table(dtype: str, space: ColorSpace) -> Float32s:
     return codes.astype(np.float32)
 
 
+def code_table(dtype: np.dtype[Any], space: ColorSpace) -> Float32s:
+    """Return the table of uint8 or uint16; ``dtype.name`` takes longer than a few values."""
+    return decode_table("uint8" if dtype.itemsize == 1 else "uint16", space)
+
+
 def decode(stored: Array, space: ColorSpace) -> Float32s:
     """Return stored values as float32: linear light for colours, −1 … 1 for directions."""
-    name = stored.dtype.name
-    if name in ("uint8", "uint16"):
-        return decode_table(name, space)[stored]
+    if stored.dtype.kind == "u":
+        return code_table(stored.dtype, space)[stored]
     values = stored.astype(np.float32)
     return srgb_to_linear(values).astype(np.float32) if space == "srgb" else values
 

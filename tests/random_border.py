@@ -143,6 +143,7 @@ def calls() -> list[Call]:
         (w.camera.zoomed, {"times": 2.0}),
         (octex.MappedImage, {"image": w.picture.image, "kind": "box"}),
         (octex.OctreeTexture, {**tree, "bounds": w.texture.bounds}),
+        (w.texture.with_cells, {"tree": w.texture.tree, "channels": w.texture.channels}),
         (w.texture.sample, points),
         (w.texture.sample, {**points, "width": 0.3, "normals": rows}),
         (w.texture.sample, {**points, "dPdx": rows / 9, "dPdy": rows / 99, "gradient": True}),

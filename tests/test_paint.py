@@ -709,6 +709,17 @@ def test_pictures_get_cells_of_half_a_pixel_to_one_unless_they_may_be_finer() ->
         assert 0.25 < finest < 0.55
 
 
+def test_paint_of_one_color_is_that_color_in_all_leaves() -> None:
+    surface, camera = ball(), above(4.0, 64)
+    image = np.full((64, 64, 4), (200, 40, 90, 0), np.uint8)
+    y, x = np.mgrid[:64, :64] - 31.5
+    image[..., 3] = np.clip(25 * (24 - np.hypot(x, y)), 0, 255)
+    layer = octex.project(surface, octex.Projection(image, camera))
+    leaves = layer.tree.leaf_cells()
+    assert (layer.channels["base_color"].values[leaves] == (200, 40, 90)).all()
+    assert np.unique(layer.channels["alpha"].values[leaves]).size > 100
+
+
 def test_one_level_serves_where_pixels_vary_little() -> None:
     # Cells as wide as these would be of levels 6.6, 7.5, 5.3 and 8.6.
     widths = np.repeat([1 / 100, 1 / 180, 1 / 40, 1 / 400], [60, 20, 17, 3])

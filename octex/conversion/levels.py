@@ -45,7 +45,7 @@ SAMPLE_MEMORY, SAMPLE_VALUE_MEMORY = 28, 2
 #: Bound of the pieces in one task: enough to hide what a task costs, few enough to stay in the cache.
 TASK_PIECES = 400_000
 #: Little work is cut into so many tasks, of no fewer pieces than this.
-_TASKS, _LEAST_PIECES = 8, 100_000
+_TASKS, _LEAST_PIECES = 8, 250_000
 
 #: Files of parts that are joined to one.
 _JOINED = 16
@@ -377,12 +377,13 @@ def _stored(level: Sums, channels: Sequence[ChannelFormat], columns: SumColumns)
         encode(each, channel.dtype, channel.space)
         for channel, each in zip(channels, by_channel(means.values, channels), strict=True)
     ]
-    facing_values = [
-        encode(each, channel.dtype, channel.space)
-        for channel, each in zip(channels, by_channel(means.facing_values, channels), strict=True)
-    ]
+    facing_values = [np.empty((0, channel.components), channel.dtype) for channel in channels]
     flags = level.flags
     if len(cells):
+        facing_values = [
+            encode(each, channel.dtype, channel.space)
+            for channel, each in zip(channels, by_channel(means.facing_values, channels), strict=True)
+        ]
         counts = np.bitwise_count(flags[cells]).astype(np.int64)
         owners = np.repeat(cells, counts)
         differs = np.zeros(len(owners), np.bool_)

@@ -22,8 +22,8 @@ from octex.channels import (
     LEAST_COVERAGE,
     ChannelFormat,
     ColorSpace,
+    code_table,
     decode,
-    decode_table,
     encode,
 )
 from octex.editing.nodes import Nodes, all_children, all_nodes, by_level, rows_by_level
@@ -244,7 +244,7 @@ def row_means(channel: Channel, starts: Int64s, rows: Uint32s, weights: Float32s
 def _as_codes(stored: Array, space: ColorSpace) -> tuple[Array, Float32s]:
     """Return stored values as `_means` takes them, and their table."""
     if stored.dtype.kind == "u":
-        return stored, decode_table(stored.dtype.name, space)
+        return stored, code_table(stored.dtype, space)
     return stored if _is_plain(stored, space) else decode(stored, space), NO_TABLE
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from octex.arrays import Array
 from octex.texture import Channel, OctreeTexture
-from octex.tree.edit import Edited
+from octex.tree.edit import Edited, among
 
 
 def carried(
@@ -20,7 +20,7 @@ def carried(
     new cells have zeros. Nodes that did not keep a coefficient before keep their values.
     """
     kept = edited.tree.kept.cells
-    was_kept = np.isin(edited.old[kept], texture.tree.kept.cells)
+    was_kept = among(edited.old[kept], texture.tree.kept.cells.astype(np.int64))
     found = {}
     for name, channel in texture.channels.items():
         own = edited.carried(channel.values) if values is None else values[name]

@@ -16,11 +16,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s
+from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s, Uint64s
 from octex.channels import ALPHA, ONE
 from octex.errors import ArgumentError
+from octex.jit import kernel, popcount
 from octex.texture import Channel, OctreeTexture
-from octex.tree.edit import among, boundary, locate, with_all_above
+from octex.tree.edit import among, boundary, locate, places, with_all_above
 from octex.tree.layout import KEPT, KeptTable, SplitTable, TreeArrays
 from octex.tree.octree import Octree, distinct, rank
 from octex.tree.split import counts_of
@@ -144,12 +145,21 @@ def _tiles_of(tree: Octree, cells: Int64s, level: int) -> Int64s:
     return np.concatenate(found)
 
 
+def coarsest_of(tree: Octree) -> int:
+    """Return the level of the largest leaf or kept node of a tree."""
+    leaves = (level for level, (count, _) in enumerate(tree.cells_by_depth()) if count)
+    kept = np.searchsorted(tree.arrays.level_cells, tree.kept.cells[:1], "right") - 1
+    return int(min([next(leaves, 0), *kept.tolist()]))
+
+
 def coarsest_near(tree: Octree, codes: Sequence[Int64s], finest: int) -> int:
     """Return the level of the largest leaf or kept node, down to ``finest``, that cells are in or beside.
 
     The cells are given level by level; beside it is what is so at its own level. ``finest`` if there is none.
     """
-    for level, own in enumerate(with_all_above(codes)[:finest]):
+    first = coarsest_of(tree)
+    above = with_all_above(codes)[first:finest] if first < finest else []
+    for level, own in enumerate(above, first):
         where = locate(tree, np.sort(np.concatenate([own, boundary(own, level)]), kind="stable"), level)
         is_kept = tree.arrays.flags[where.cells] & KEPT != 0
         if ((where.levels == level) & (where.is_leaf | is_kept)).any():
@@ -176,22 +186,29 @@ def _is_small(tree: Octree, tiles: Tiles) -> bool:
 
 def _children_before(tree: Octree, nodes: Int64s) -> tuple[Int64s, Int64s]:
     """Return the first child cell, and the first child node, of nodes (n,) or of what comes after them."""
-    groups = tree.arrays.groups
-    at = np.minimum(nodes >> 3, groups.shape[0] - 1)
-    # Beyond the last node all masks are empty; beyond the last group all children come before.
-    shifts = np.where(nodes >> 3 > at, 64, 8 * (nodes & 7)).astype(np.uint64)
-    below = np.where(shifts == 64, ~np.uint64(0), (np.uint64(1) << shifts % np.uint64(64)) - np.uint64(1))
-    first, second, ranks = groups[at].T
-    child_nodes = (ranks & np.uint64(0xFFFFFFFF)).astype(np.int64) + np.bitwise_count(first & below)
-    child_cells = (ranks >> np.uint64(32)).astype(np.int64) + np.bitwise_count((first | second) & below)
+    child_cells, child_nodes = np.empty((2, nodes.size), np.int64)
+    _find_children(tree.arrays.groups, nodes, child_cells, child_nodes)
     return child_cells, child_nodes
+
+
+@kernel
+def _find_children(groups: Uint64s, nodes: Int64s, child_cells: Int64s, child_nodes: Int64s) -> None:
+    for n in range(nodes.size):
+        group = min(nodes[n] >> 3, np.int64(groups.shape[0]) - 1)
+        # Beyond the last node all masks are empty; beyond the last group all children come before.
+        below = ~np.uint64(0)
+        if nodes[n] >> 3 == group:
+            below = (np.uint64(1) << np.uint64(8 * (nodes[n] & 7))) - np.uint64(1)
+        first, second, ranks = groups[group, 0], groups[group, 1], groups[group, 2]
+        child_nodes[n] = np.int64(ranks & np.uint64(0xFFFFFFFF)) + popcount(first & below)
+        child_cells[n] = np.int64(ranks >> np.uint64(32)) + popcount((first | second) & below)
 
 
 def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
     """Return a texture of all cells down to the tiles' level, and of the open tiles."""
     tree, level = texture.tree, tiles.level
     codes, is_node = next(islice(tree.walk(), level, None))
-    is_open = is_node & among(codes, tiles.codes)
+    is_open = is_node & _are_open(codes, tiles)
     is_closed = is_node & ~is_open
     numbers = int(tree.arrays.level_nodes[level]) + np.flatnonzero(is_open[is_node])
     levels, cells, nodes = _below([tree], _runs(np.zeros_like(numbers), numbers))
@@ -201,6 +218,14 @@ def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
     )
     made = _joined([texture], texture, level, levels, runs, is_closed)
     return _forgetting(made, int(tree.arrays.level_cells[level]) + np.flatnonzero(is_closed))
+
+
+def _are_open(codes: Int64s, tiles: Tiles) -> Bools:
+    """Say which of all cells of the tiles' level, ascending, are open tiles."""
+    found = np.zeros(codes.size, np.bool_)
+    at = places(tiles.codes, codes)
+    found[at[at >= 0]] = True
+    return found
 
 
 def _forgetting(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
@@ -216,7 +241,7 @@ def _forgetting(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
         name: channel._replace(kept_values=channel.kept_values[stays])
         for name, channel in texture.channels.items()
     }
-    return OctreeTexture(tree, channels, texture.placement, texture.bounds, texture.metadata)
+    return texture.with_cells(tree, channels)
 
 
 def put_back(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> OctreeTexture:
@@ -224,10 +249,12 @@ def put_back(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> Octr
     texture = _with_channels(texture, draft)
     level, trees = tiles.level, (texture.tree, draft.tree)
     (old_codes, was_node), (codes, is_node) = (next(islice(tree.walk(), level, None)) for tree in trees)
-    is_closed = among(codes, old_codes[was_node & ~among(old_codes, tiles.codes)])
+    is_closed, at = was_node & ~_are_open(old_codes, tiles), np.arange(codes.size)
+    if not np.array_equal(codes, old_codes):
+        at = places(codes, old_codes)
+        is_closed = is_closed[at] & (at >= 0)
     owners = np.where(is_closed, 0, 1)
     old, own = (int(tree.arrays.level_cells[level]) for tree in trees)
-    at = np.minimum(np.searchsorted(old_codes, codes), old_codes.size - 1)
     # The level itself: closed cells as they were, with what they keep.
     here = _runs(owners, np.where(is_closed, old + at, own + np.arange(codes.size)))
     # Its nodes, with all below them.
@@ -258,13 +285,7 @@ def with_alpha(texture: OctreeTexture) -> OctreeTexture:
             for rows in (texture.tree.n_cells, texture.tree.split.areas.size, texture.tree.kept.cells.size)
         ),
     )
-    return OctreeTexture(
-        texture.tree,
-        {**texture.channels, ALPHA.name: channel},
-        texture.placement,
-        texture.bounds,
-        texture.metadata,
-    )
+    return texture.with_cells(texture.tree, {**texture.channels, ALPHA.name: channel})
 
 
 def with_channels_of(draft: OctreeTexture, texture: OctreeTexture) -> OctreeTexture:
@@ -272,7 +293,7 @@ def with_channels_of(draft: OctreeTexture, texture: OctreeTexture) -> OctreeText
     if draft.channels.keys() == texture.channels.keys():
         return draft
     channels = {name: draft.channels[name] for name in texture.channels}
-    return OctreeTexture(draft.tree, channels, draft.placement, draft.bounds, draft.metadata)
+    return draft.with_cells(draft.tree, channels)
 
 
 def _is_cut_from(draft: OctreeTexture, texture: OctreeTexture, tiles: Tiles | None) -> bool:
@@ -343,10 +364,7 @@ def _joined(
     for word, own in enumerate(masks):
         packed = [np.ascontiguousarray(each.tree.arrays.groups[:, word]).view(np.uint8) for each in textures]
         own[:n_nodes] = nodes.of(packed)
-    parents, octants = _parents_of(masks, arrays, level)
-    bits = np.uint8(1) << octants[turned]
-    for own in masks:
-        np.bitwise_xor.at(own, parents[turned], bits)
+    _turn(masks, int(arrays.level_nodes[level - 1]), int(arrays.level_nodes[level]), turned)
     groups = np.zeros((masks.shape[1] // 8, 3), np.uint64)
     groups[:, 0], groups[:, 1] = (own.view("<u8") for own in masks)
     rank(groups)
@@ -370,15 +388,22 @@ def _joined(
             row_runs.of([own.split_values for own in own_channels]),
             kept_runs.of([own.kept_values for own in own_channels]),
         )
-    return OctreeTexture(tree, channels, top.placement, top.bounds, top.metadata)
+    return top.with_cells(tree, channels)
 
 
-def _parents_of(masks: Uint8s, arrays: TreeArrays, level: int) -> tuple[Int64s, Uint8s]:
-    """Return the node above each cell of a level, and the cell's octant."""
-    above = slice(*arrays.level_nodes[level - 1 : level + 1].tolist())
-    children = np.unpackbits((masks[0, above] | masks[1, above])[:, None], axis=1, bitorder="little")
-    nodes, octants = np.nonzero(children)
-    return nodes + above.start, octants.astype(np.uint8)
+@kernel
+def _turn(masks: Uint8s, first: int, end: int, turned: Bools) -> None:
+    """Make leaves of those of the children of nodes first … end−1 that are nodes and ``turned``, or nodes."""
+    cell = 0
+    for node in range(first, end):
+        children = masks[0, node] | masks[1, node]
+        for octant in range(8):
+            bit = np.uint8(1 << octant)
+            if children & bit:
+                if cell < turned.size and turned[cell]:
+                    masks[0, node] ^= bit
+                    masks[1, node] ^= bit
+                cell += 1
 
 
 def _split_runs(trees: Sequence[Octree], cells: Runs) -> tuple[Uint32s, Runs, Runs]:

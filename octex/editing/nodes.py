@@ -39,8 +39,9 @@ def nodes_at(tree: Octree, codes: Sequence[Int64s]) -> Nodes:
     """
     found = [Nodes(np.empty(0, np.int64), np.empty(0, np.int64))]
     for level, own in enumerate(codes):
-        where = locate(tree, own, level)
-        found.append(Nodes(np.where(where.levels == level, where.nodes, -1), where.cells))
+        if own.size:
+            where = locate(tree, own, level)
+            found.append(Nodes(np.where(where.levels == level, where.nodes, -1), where.cells))
     return Nodes(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 

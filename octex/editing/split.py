@@ -38,7 +38,7 @@ def with_split(
     tree = texture.tree
     table, order, own = inserted(tree.split, cells, facings, tree.arrays.areas[cells])
     there = own.rows >= 0
-    stays = ~np.isin(rows_of(tree.split).cells, cells)
+    stays = ~among(rows_of(tree.split).cells, cells)
     channels = {}
     for name, channel in texture.channels.items():
         made = rows[name] if name in rows else _stored_facing(channel, own.cells, there, own.rows[there])
@@ -47,7 +47,7 @@ def with_split(
     flags = tree.arrays.flags.copy()
     flags[cells] |= np.uint8(SPLIT)
     tree = tree.with_cell_data(flags, tree.arrays.areas, table, tree.kept)
-    return OctreeTexture(tree, channels, texture.placement, texture.bounds, texture.metadata)
+    return texture.with_cells(tree, channels)
 
 
 def without_split(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
@@ -55,9 +55,8 @@ def without_split(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
     if not cells.size:
         return texture
     tree = texture.tree
-    split, rows = taken(
-        tree.split, np.where(np.isin(tree.split.cells, cells), -1, tree.split.cells.astype(np.int64))
-    )
+    own = tree.split.cells.astype(np.int64)
+    split, rows = taken(tree.split, np.where(among(own, cells), -1, own))
     flags = tree.arrays.flags.copy()
     flags[cells] &= np.uint8(0xFF ^ SPLIT)
     channels = {
@@ -65,7 +64,7 @@ def without_split(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
         for name, channel in texture.channels.items()
     }
     tree = tree.with_cell_data(flags, tree.arrays.areas, split, tree.kept)
-    return OctreeTexture(tree, channels, texture.placement, texture.bounds, texture.metadata)
+    return texture.with_cells(tree, channels)
 
 
 def split_in_vain(texture: OctreeTexture, cells: Int64s) -> Int64s:
@@ -91,5 +90,5 @@ def refaced(texture: OctreeTexture) -> OctreeTexture:
     changed = facings != split.facings
     cells = split.cells[changed].astype(np.int64)
     tree = tree.with_cell_data(flags, tree.arrays.areas, split, tree.kept)
-    texture = OctreeTexture(tree, texture.channels, texture.placement, texture.bounds, texture.metadata)
+    texture = texture.with_cells(tree, texture.channels)
     return with_split(texture, cells, facings[changed], {}) if cells.size else texture

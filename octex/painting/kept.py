@@ -38,7 +38,7 @@ def on_kept(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> OnKept:
     the cells beside them at most: nothing that is not painted depends on them.
     """
     found: list[OnKept] = []
-    above = with_all_above([each.codes for each in paint])
+    above = with_all_above([each.codes for each in paint]) if tree.kept.cells.size else []
     bare = bare_leaves(tree, paint, is_skirt) if tree.kept.cells.size else []
     for level, painted in enumerate(above):
         own = slice(*np.searchsorted(tree.kept.cells, tree.arrays.level_cells[level : level + 2]).tolist())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from functools import partial
@@ -11,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Bools, Float32s, Float64s, Floats, Int32s
-from octex.channels import ALPHA, ChannelFormat
+from octex.channels import ALPHA, ChannelFormat, decode, encode
 from octex.conversion.adapt import adapted
 from octex.conversion.gaps import without_gaps
 from octex.conversion.levels import assemble, cell_levels
@@ -77,16 +78,24 @@ def wanted_levels(
     the paint ``is_alone``, of one picture, all but the finest hundredth has. None goes deeper than ``depth``.
     """
     own = np.isfinite(widths) & (widths > 0.0) & (areas > 0.0)
-    widths, areas = widths[own], areas[own]
+    if not own.all():
+        widths, areas = widths[own], areas[own]
     if not widths.size:
         return Levels(0, 0)
-    order = np.argsort(widths, kind="stable")
-    parts = np.cumsum(areas[order]) / areas.sum()
-    middle = widths[order[np.searchsorted(parts, _FINEST_PART if is_alone else _FINER_PART)]]
+    if (widths[1:] < widths[:-1]).any():
+        order = np.argsort(widths, kind="stable")
+        widths, areas = widths[order], areas[order]
+    parts = np.cumsum(areas)
+    parts /= parts[-1]
+    middle = widths[np.searchsorted(parts, _FINEST_PART if is_alone else _FINER_PART)]
     most = int(np.clip(np.ceil(_levels(middle, size, cells)), 0, depth))
-    levels = np.ceil(Levels(most, depth).wanted(widths, size, cells))
-    deepest = int(levels[order[np.searchsorted(parts, _FINEST_PART)]])
-    return Levels(most, deepest, bool(areas[levels < deepest].sum() <= _UNEVEN_PART * areas.sum()))
+
+    def level(at: int) -> int:
+        return int(np.ceil(Levels(most, depth).wanted(widths[at : at + 1], size, cells)[0]))
+
+    deepest = level(int(np.searchsorted(parts, _FINEST_PART)))
+    first = bisect_left(range(widths.size), 1 - deepest, key=lambda at: -level(at))  # that is less deep
+    return Levels(most, deepest, bool(1.0 - (parts[first - 1] if first else 0.0) <= _UNEVEN_PART))
 
 
 def _levels(widths: Floats, size: float, cells: float) -> Float64s:
@@ -111,9 +120,10 @@ def rasterize_paint(
     Its leaves lie at rest positions, ``cells`` or more in the width of the paint's detail, but as even as
     ``levels`` say, and hold the mean of the paint on the surface inside, weighted by area and coverage. What
     no paint is on has no cells. With ``fit`` leaves hold what brings the field nearest to the paint, as in a
-    conversion.
+    conversion; of paint of one colour these are the means.
     """
     surface, depth = ground.surface, levels.deepest
+    fit = fit and not _is_plain(source)
     nothing = empty_texture(source.channels, placement, surface.bounds)
     touched = source.touched()
     if not touched.size:
@@ -143,6 +153,15 @@ def rasterize_paint(
         progress=progress,
     )  # fmt: skip
     return refaced(OctreeTexture(tree, values, placement, surface.bounds))
+
+
+def _is_plain(source: PaintSource) -> bool:
+    """Say whether all paint has one value, and it is stored without rounding."""
+    if source.color is None:
+        return False
+    form = source.channels[0]
+    stored = decode(encode(source.color, form.dtype, form.space), form.space)
+    return bool(np.allclose(stored, source.color, rtol=1e-6, atol=1e-7))
 
 
 def empty_texture(

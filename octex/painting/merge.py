@@ -37,6 +37,8 @@ from octex.tree.split import rows_of
 
 #: Paint of this coverage or more hides what is below: less than half a step of 8 bits shows through.
 _HIDING = 1.0 - 1.0 / 512.0
+#: Cells that are blended at once.
+_BLOCK = 1 << 16
 
 
 def merge(
@@ -207,34 +209,40 @@ def _blended(
     if may_split.size:
         base = with_split(base, may_split, tree.arrays.flags[may_split] & np.uint8(FACING_FLAGS), {})
     met = {name: own for name, own in base.channels.items() if name in (target, ALPHA.name)}
-    old = {name: decode(own.values[cells], own.format.space) for name, own in met.items()}
-    made = mixed(blend, target, old, values, coverage, is_fresh[cells])
+    fresh = is_fresh[cells]
+    blends = [name for name in met if name == target or blend == "over" or fresh.any()]
     channels, parts = dict(base.channels), dict[str, Channel]()
     averaged: list[str] = []
     for name, channel in base.channels.items():
-        if name in made or ALPHA.name in made or is_fresh.any():
+        if name in blends or ALPHA.name in blends or is_fresh.any():
             arrays = channel.values.copy(), channel.split_values.copy(), channel.kept_values
             channels[name] = Channel(channel.format, *arrays)
             averaged.append(name)
-    for name, (new, part) in made.items():
-        form = channels[name].format
+    for name in blends:
         counts = len(channels[name].values), len(channels[name].split_values), 0
-        parts[name] = Channel(form, *(np.zeros((count, 1), np.float32) for count in counts))
-        channels[name].values[cells] = encode(new, form.dtype, form.space)
-        parts[name].values[cells, 0] = part
+        nothing = (np.zeros((count, 1), np.float32) for count in counts)
+        parts[name] = Channel(channels[name].format, *nothing)
+    for begin in range(0, cells.size, _BLOCK):
+        here = slice(begin, begin + _BLOCK)
+        old = {name: decode(own.values[cells[here]], own.format.space) for name, own in met.items()}
+        made = mixed(blend, target, old, values[here], coverage[here], fresh[here])
+        for name, (new, part) in made.items():
+            form = channels[name].format
+            channels[name].values[cells[here]] = encode(new, form.dtype, form.space)
+            parts[name].values[cells[here], 0] = part
     kept = on_kept(tree, paint, raised.is_skirt)
     if kept.rows.size:
         old = {
             name: decode(own.kept_values[kept.rows], own.format.space)
             for name, own in raised.texture.channels.items()
-            if name in made
+            if name in blends
         }
         fresh = is_fresh[tree.kept.cells[kept.rows]]
         for name, (new, _) in mixed(blend, target, old, kept.values, kept.coverage, fresh).items():
             form, stored = channels[name].format, channels[name].kept_values.copy()
             stored[kept.rows] = encode(new, form.dtype, form.space)
             channels[name] = channels[name]._replace(kept_values=stored)
-    after = OctreeTexture(base.tree, channels, base.placement, base.bounds, base.metadata)
+    after = base.with_cells(base.tree, channels)
 
     rows = rows_of(base.tree.split, cells)
     owners = np.searchsorted(cells, rows.cells)
@@ -302,8 +310,7 @@ def _writable(texture: OctreeTexture) -> tuple[OctreeTexture, dict[str, Channel]
         name: channel._replace(split_values=channel.split_values.copy())
         for name, channel in texture.channels.items()
     }
-    own = OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, texture.metadata)
-    return own, channels
+    return texture.with_cells(texture.tree, channels), channels
 
 
 def _on_leaves(tree: Octree, paint: Sequence[Paint]) -> tuple[Int64s, Float32s, Float32s, Int64s]:
@@ -315,7 +322,8 @@ def _on_leaves(tree: Octree, paint: Sequence[Paint]) -> tuple[Int64s, Float32s, 
             if not (where.is_leaf & (where.levels == level)).all():
                 raise DefectError(f"paint of level {level} does not lie on leaves")
             found.append((where.cells, each.values, each.coverage, each.cells))
-    cells, values, coverage, sources = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+    columns = zip(*found, strict=True)
+    cells, values, coverage, sources = (own[0] if len(own) == 1 else np.concatenate(own) for own in columns)
     if (np.diff(cells) <= 0).any():
         raise DefectError("paint lies twice on a cell, or out of order")
     return cells, values, coverage, sources

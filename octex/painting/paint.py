@@ -282,7 +282,7 @@ def projected(
     depths = wanted_levels(*footprints, size, cells, deepest, is_alone=is_alone)
     depth = depths.deepest
     # Larger cells look farther around: by as many pixels as they are wide, and those of the level read.
-    source = source.near_paint(_REACH << max(finest - depth, 0))
+    source = near if finest <= depth else source.near_paint(_REACH << finest - depth)
     placement = Placement.around(surface.bounds, depth) if like is None else like.placement
     if like is not None:
         check_inside(surface, placement)

@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal, NamedTuple, get_args
 
@@ -131,7 +132,14 @@ def levels_of(projection: Projection, form: ChannelFormat, scale: float = 1.0) -
     size = width, height
     texels = _texels(projection.image, "the image", size)
     _check_size(texels, width, height, projection.name)
-    pixels = _decoded(texels, form)
+    sizes = _sizes(width, height)
+    ends = sizes[:, 0] + sizes[:, 1] * sizes[:, 2]
+    rows = np.empty((int(ends[-1]), 4), np.float32)
+    levels = [
+        rows[first:end].reshape(down, across, 4)
+        for (first, across, down), end in zip(sizes, ends, strict=True)
+    ]
+    pixels = _decoded(texels, form, levels[0])
     factor: np.float32 | Float32s = np.float32(scale)
     if projection.since is not None:
         before = _texels(projection.since, "the picture as it was", size)
@@ -146,19 +154,23 @@ def levels_of(projection: Projection, form: ChannelFormat, scale: float = 1.0) -
         factor = shown * factor
     if projection.key is not None:
         factor = factor * ~_is_key(texels, projection.key)
+    del texels  # as large as what follows
     pixels[:, :, 3] *= np.clip(factor, 0.0, 1.0)
-    ends = _ends(pixels)
+    limits = _ends(pixels)
     pixels[:, :, :3] *= pixels[:, :, 3:]
-    levels = [pixels]
-    while min(levels[-1].shape[:2]) > 1:
-        rows, columns = levels[-1].shape[:2]
-        levels.append(resized(levels[-1], rows // 2, columns // 2))
-    counts = [level.shape[0] * level.shape[1] for level in levels]
-    firsts = np.cumsum([0, *counts[:-1]])
-    sizes = [(first, level.shape[1], level.shape[0]) for first, level in zip(firsts, levels, strict=True)]
-    levels[0] = sharpened(pixels)
-    rows = np.concatenate([level.reshape(-1, 4) for level in levels])
-    return Levels(rows, np.array(sizes, np.int64), ends)
+    for above, level in pairwise(levels):
+        level[:] = resized(above, *level.shape[:2])
+    pixels[:] = sharpened(pixels)
+    return Levels(rows, sizes, limits)
+
+
+def _sizes(width: int, height: int) -> Int64s:
+    """Return the first row, width and height of a picture's levels; see Levels."""
+    sizes = [(0, width, height)]
+    while min(sizes[-1][1:]) > 1:
+        first, across, down = sizes[-1]
+        sizes.append((first + across * down, across // 2, down // 2))
+    return np.array(sizes, np.int64)
 
 
 @kernel
@@ -256,9 +268,11 @@ def _as_fractions(alpha: npt.NDArray[np.uint16 | np.float32]) -> Float32s:
     return fractions
 
 
-def _decoded(texels: npt.NDArray[np.uint16 | np.float32], form: ChannelFormat) -> Float32s:
+def _decoded(
+    texels: npt.NDArray[np.uint16 | np.float32], form: ChannelFormat, out: Float32s | None = None
+) -> Float32s:
     """Return colours as the channel has them decoded, and alpha (height, width, 4)."""
-    pixels = np.empty((*texels.shape[:2], 4), np.float32)
+    pixels = np.empty((*texels.shape[:2], 4), np.float32) if out is None else out
     if texels.dtype == np.uint16:
         is_light = form.space in ("srgb", "linear")
         table = decode_table("uint16", "srgb" if is_light else form.space)

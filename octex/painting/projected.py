@@ -211,6 +211,13 @@ class Projected(PaintSource):
         """Factors of each shot's components (shots, 3)."""
         return self._gains
 
+    @property
+    def color(self) -> Float32s | None:
+        """The value that all pixels with paint have, before and after gains; None for several."""
+        ends = np.concatenate([shot.levels.range for shot in self._shots])
+        is_one = (ends == ends[0]).all() and (self._gains == 1.0).all()
+        return ends[0, : self._channels[0].components] if is_one else None
+
     def with_shots(self, shots: Sequence[Shot], numbers: Sequence[int] | None = None) -> Projected:
         """Return paint from other shots, which have the gains of these, or of some by their numbers."""
         gains = self._gains if numbers is None else self._gains[list(numbers)]
@@ -313,9 +320,14 @@ class Projected(PaintSource):
         vertices, triangles, _ = self._mesh
         places = np.concatenate([np.eye(3), np.full((1, 3), 1 / 3)])
         areas = np.minimum(face_normals(vertices, triangles[touched])[1], self._seen_areas(touched))
-        widths = self.widths(np.repeat(touched, len(places)), np.tile(places, (len(touched), 1)))
-        order = np.argsort(widths)
-        return widths[order], (areas / len(places))[order // len(places)]
+        each = [self.widths(touched, np.tile(place, (len(touched), 1))) for place in places]
+        widths = np.concatenate(each)
+        # Numbers that are not negative are in the order of their bits: a fifth of the time of an argsort.
+        keys = widths.view(np.uint32).astype(np.uint64) << np.uint64(32)
+        keys |= np.arange(widths.size, dtype=np.uint64)
+        keys.sort()
+        order = (keys & np.uint64(0xFFFFFFFF)).astype(np.int64)
+        return widths[order], np.tile(areas / len(places), len(places))[order]
 
     def _seen_areas(self, chosen: Int32s) -> Float64s:
         """Return how much of triangles (n,) pixels see, by the pixels in their middles."""

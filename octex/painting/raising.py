@@ -15,7 +15,7 @@ from octex.conversion.levels import assemble, cell_levels
 from octex.conversion.pieces import Blocks
 from octex.editing.averages import with_summed_areas
 from octex.editing.carried import carried
-from octex.editing.draft import coarsest_near
+from octex.editing.draft import coarsest_near, coarsest_of
 from octex.editing.nodes import all_children, nodes_at
 from octex.editing.refined import Below, refined_below, with_rows
 from octex.editing.split import refaced
@@ -101,7 +101,7 @@ def raise_texture(
     if not adds:
         paint = [] if is_empty else [_on(texture.tree, each, level) for level, each in enumerate(paint)]
     is_skirt = _skirts(texture, paint, ground, executor, progress)
-    edited, paint, met = _raised(texture, is_skirt, paint, ground, hiding, executor, progress)
+    edited, paint, met = _raised(texture, whole.tree, is_skirt, paint, ground, hiding, executor, progress)
     if is_empty:
         edited = edited._replace(old=np.full_like(edited.old, -1))
     with own_making():
@@ -120,6 +120,8 @@ def _skirts(
     """
     tree = texture.tree
     is_skirt: Bools = tree.arrays.areas == SKIRT
+    if not tree.kept.cells.size:
+        return is_skirt
     codes = np.empty(0, np.int64)
     doubted: list[tuple[int, Int64s]] = []
     for level, above in enumerate(with_all_above([each.codes for each in paint])[: tree.max_depth]):
@@ -156,6 +158,7 @@ def _on(tree: Octree, paint: Paint, level: int) -> Paint:
 
 def _raised(
     texture: OctreeTexture,
+    whole: Octree,
     is_skirt: Bools,
     paint: list[Paint],
     ground: Ground,
@@ -170,7 +173,7 @@ def _raised(
         depth = max((level for level, each in enumerate(paint) if each.codes.size), default=0)
         paint = paint[: depth + 1]
         return rebuilt(tree, [each.codes for each in paint]), paint, None
-    shallowest = next((level for level, (leaves, _) in enumerate(tree.cells_by_depth()) if leaves), None)
+    shallowest = coarsest_of(whole)
     added: list[Int64s] = []
     below: list[Int64s] = []
     virtual: list[Int64s] = []  # beside paint: refined from what is above
@@ -186,7 +189,7 @@ def _raised(
         virtual.append(none)
         rings.append(none)
         absent.append(none)
-        if each.codes.size and (tree.kept.cells.size or (shallowest is not None and shallowest < level)):
+        if each.codes.size and shallowest < level:
             around = boundary(each.codes, level)
             where = locate(tree, around, level)
             flags = tree.arrays.flags[where.cells]
@@ -250,6 +253,8 @@ def _raised(
             np.concatenate([added[level], skirt[is_free & is_new & ~where.is_leaf]]), kind="stable"
         )
         wanted.append(distinct(np.concatenate([below[level], raised_ring, skirt[is_new & where.is_leaf]])))
+    if not any(codes.size for codes in (*wanted, *added)):
+        return unchanged(tree), with_skirts, met
     kinds = met.codes, new, with_all_above(skirts)
     stored = [distinct(np.concatenate(each)) for each in zip(*kinds, strict=True)]
     with own_making():
@@ -439,7 +444,8 @@ def _carried(
         below = refined_below(texture, new_codes[is_refined], level, facings[is_refined], executor)
         rows.append((cells[is_refined], below))
         found.append((cells[is_refined], below.values))
-        looked_up.append((cells[~is_refined], (decode_cells(new_codes[~is_refined]) + 0.5) / 2**level))
+        is_other = ~is_refined & ~is_node[new]  # nodes are averaged
+        looked_up.append((cells[is_other], (decode_cells(new_codes[is_other]) + 0.5) / 2**level))
     others, centres = (np.concatenate(column) for column in zip(*looked_up, strict=True))
     if texture.tree.n_leaves and others.size:
         points = texture.placement.to_rest(centres)
@@ -449,12 +455,11 @@ def _carried(
             values[name][chosen] = encode(own[name], channel.format.dtype, channel.format.space)
     channels = carried(texture, edited, values)
     tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
-    all_carried = OctreeTexture(tree, channels, texture.placement, texture.bounds, texture.metadata)
-    made = refaced(with_rows(all_carried, rows))
+    made = refaced(with_rows(texture.with_cells(tree, channels), rows))
     if any(codes.size for codes in added):
         nodes = nodes_at(made.tree, [distinct(codes >> 3) for codes in with_all_above(added)[1:]])
         tree = with_summed_areas(made.tree, nodes)
-        made = OctreeTexture(tree, made.channels, made.placement, made.bounds, made.metadata)
+        made = made.with_cells(tree, made.channels)
     return made, is_fresh
 
 

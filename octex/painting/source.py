@@ -26,6 +26,11 @@ class PaintSource(Source):
         """The channel that is painted, and its coverage, ``alpha``."""
         return self._channels
 
+    @property
+    def color(self) -> Float32s | None:
+        """The value (components,) that all of the paint has, decoded; None if it may have several."""
+        return None
+
     @abstractmethod
     def touched(self) -> Int32s:
         """Return triangles, ascending, in whose neighbourhood all paint lies."""

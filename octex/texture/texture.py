@@ -103,12 +103,15 @@ class OctreeTexture:
         bounds: npt.ArrayLike,
         metadata: Mapping[str, str] | None = None,
     ) -> None:
-        if not isinstance(tree, Octree):
-            raise ArgumentError(f"tree must be an Octree, not {tree!r}")
-        self.tree = tree
         self.placement = Placement.checked(placement)
         self.bounds = _as_bounds(bounds)
         self.metadata = MappingProxyType(as_metadata(metadata))
+        self._hold(tree, channels)
+
+    def _hold(self, tree: Octree, channels: Mapping[str, Channel]) -> None:
+        if not isinstance(tree, Octree):
+            raise ArgumentError(f"tree must be an Octree, not {tree!r}")
+        self.tree = tree
         self._field = Field(tree)
         self._known_mixed: dict[tuple[str, int], tuple[float, Uint8s]] = {}
         self._known_plain: dict[tuple[str, str], PlainLookup | None] = {}
@@ -121,6 +124,16 @@ class OctreeTexture:
             channel.check(name, tree)
         self.channels = MappingProxyType({name: channel.locked() for name, channel in given.items()})
         self._components = {name: channel.format.components for name, channel in given.items()}
+
+    def with_cells(self, tree: Octree, channels: Mapping[str, Channel]) -> OctreeTexture:
+        """Return a texture of another tree and its channels; placement, bounds and provenance are this one's.
+
+        Raises ArgumentError if tree and channels do not fit together.
+        """
+        made = object.__new__(OctreeTexture)
+        made.placement, made.bounds, made.metadata = self.placement, self.bounds, self.metadata
+        made._hold(tree, channels)
+        return made
 
     def __repr__(self) -> str:
         return f"<OctreeTexture of {', '.join(self.channels) or 'no channels'}; {self.tree!r}>"

@@ -69,7 +69,7 @@ def cells_beside(codes: Int64s, level: int) -> Int64s:
     of 4³ cells: a twentieth of the cells' number are sorted.
     """
     blocks, masks = _blocks_beside(codes, level)
-    order = np.argsort(blocks, kind="stable")
+    order = np.argsort(blocks)
     found = np.empty(int(np.bitwise_count(masks).sum()), np.int64)
     return found[: _write_cells(blocks[order], masks[order], codes, found)].copy()
 

@@ -81,7 +81,8 @@ def inserted(
     returned: the order of all rows, those that stay and then those of these cells; and these, by their
     numbers in ``split``, −1 where they are new.
     """
-    stays = ~np.isin(split.cells, cells)
+    at = np.minimum(np.searchsorted(cells, split.cells), max(cells.size - 1, 0))
+    stays = cells[at] != split.cells if cells.size else np.ones(split.cells.size, np.bool_)
     rest, _ = taken(split, np.where(stays, split.cells.astype(np.int64), -1))
     counts = counts_of(facings)
     owners, bits = np.repeat(cells, counts), bits_of(facings)

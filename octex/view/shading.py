@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Float32s, Float64s, Int32s, Int64s, Integers
+from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Integers
 from octex.jit import kernel, new_array, new_zeros
 from octex.source.welding import welded
 from octex.view.camera import Camera
@@ -39,16 +39,9 @@ def corner_normals(positions: Float64s, triangles: Int32s, crease: float = 40.0)
     within ``crease`` degrees of its own triangle's: edges sharper than that stay sharp. (Thürmer & Wüthrich,
     "Computing Vertex Normals from Polygonal Facets", 1998.)
     """
-    faces, angles = np.empty((len(triangles), 3)), np.empty((len(triangles), 3))
-    _measure(positions, triangles, faces, np.empty(len(triangles)), angles)
-
-    # Corners at one position one after the other, whatever vertices they use.
-    by_place, starts = _by_place(welded(positions), triangles)
-
-    normals = np.empty((triangles.size, 3), np.float32)
-    cosines = np.cos(np.radians(crease)), np.cos(np.radians(crease / 2))
-    _smooth(faces, angles.ravel(), by_place, starts, cosines, normals)
-    return normals.reshape(-1, 3, 3)
+    return _smoothed(
+        positions, triangles, welded(positions), np.arange(len(triangles), dtype=np.int32), crease
+    )
 
 
 def corner_normals_of(
@@ -56,39 +49,100 @@ def corner_normals_of(
 ) -> Float32s:
     """Return those of `corner_normals` at the corners of ``chosen`` triangles (k,): (k, 3, 3).
 
-    Measured are the triangles with a corner in the box around these: 30 ms less of a million for a brush.
+    Measured are these, and the triangles that share a corner's position with them.
     """
     if not len(chosen):
         return np.empty((0, 3, 3), np.float32)
-    corners = positions[triangles[chosen].ravel()]
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    is_inside = np.ones(len(positions), np.bool_)
-    for axis in range(3):
-        is_inside &= (positions[:, axis] >= low[axis]) & (positions[:, axis] <= high[axis])
-    first, second, third = triangles.T
-    near = np.flatnonzero(is_inside[first] | is_inside[second] | is_inside[third])
-    is_used = np.zeros(len(positions), np.bool_)
-    is_used[triangles[near]] = True
-    names = np.cumsum(is_used, dtype=np.int32) - np.int32(1)
-    normals = corner_normals(positions[is_used], names[triangles[near]], crease)
-    return normals[np.searchsorted(near, chosen)]
+    is_ascending = bool((chosen[1:] > chosen[:-1]).all())
+    own = (chosen if is_ascending else np.unique(chosen)).astype(np.int64)
+    inside = np.flatnonzero(_inside(positions, triangles, own))
+    places = np.full(len(positions), -1, np.int32)
+    places[inside] = welded(positions[inside])
+    near, rows = _around(places, triangles, own)
+    normals = _smoothed(positions, triangles[near], places, rows, crease)
+    return normals if is_ascending else normals[np.searchsorted(own, chosen)]
+
+
+def _smoothed(
+    positions: Float64s, triangles: Int32s, places: Int32s, rows: Int32s, crease: float
+) -> Float32s:
+    """Return the normals at the corners of those of triangles (m,) that have ``rows`` (m,), −1 for none.
+
+    ``places`` (n,) are numbers of positions, the same for equal ones; what is at −1 counts for nothing.
+    """
+    faces, angles = np.empty((len(triangles), 3)), np.empty((len(triangles), 3))
+    _measure(positions, triangles, faces, np.empty(len(triangles)), angles)
+
+    # Corners at one position one after the other, whatever vertices they use.
+    by_place, starts = _by_place(places, triangles)
+
+    normals = np.empty((int(rows.max(initial=-1)) + 1, 3, 3), np.float32)
+    cosines = np.cos(np.radians(crease)), np.cos(np.radians(crease / 2))
+    _smooth(faces, angles.ravel(), by_place, starts, cosines, rows, normals)
+    return normals
 
 
 @kernel
-def _by_place(places: Int32s, triangles: Int32s) -> tuple[Int64s, Int64s]:
-    """Return the corners of triangles (3 m,) by their vertices' places, and where each place's begin."""
+def _inside(positions: Float64s, triangles: Int32s, chosen: Int64s) -> Bools:
+    """Say which positions are in the box around chosen triangles."""
+    box = new_array((2, 3), np.float64)
+    box[0], box[1] = np.inf, -np.inf
+    for n in range(chosen.size):
+        for corner in range(3):
+            for axis in range(3):
+                here = positions[triangles[chosen[n], corner], axis]
+                box[0, axis], box[1, axis] = min(box[0, axis], here), max(box[1, axis], here)
+    inside = new_zeros(len(positions), np.bool_)
+    for n in range(len(positions)):
+        is_in = True
+        for axis in range(3):
+            is_in = is_in and box[0, axis] <= positions[n, axis] <= box[1, axis]
+        inside[n] = is_in
+    return inside
+
+
+@kernel
+def _around(places: Int32s, triangles: Int32s, chosen: Int64s) -> tuple[Int32s, Int32s]:
+    """Return the triangles at the places of chosen ones, and which of these each is, −1 for none.
+
+    All other places become −1.
+    """
+    is_used = new_zeros(places.size + 1, np.bool_)  # none, −1, is the last
+    for n in range(chosen.size):
+        for corner in range(3):
+            is_used[places[triangles[chosen[n], corner]]] = True
+    for n in range(places.size):
+        if places[n] >= 0 and not is_used[places[n]]:
+            places[n] = -1
+    near = new_array(len(triangles), np.int32)
+    rows = new_array(len(triangles), np.int32)
+    count = at = 0
+    for n in range(len(triangles)):
+        if max(places[triangles[n, 0]], places[triangles[n, 1]], places[triangles[n, 2]]) >= 0:
+            is_chosen = at < chosen.size and chosen[at] == n
+            near[count], rows[count] = n, at if is_chosen else -1
+            at += is_chosen
+            count += 1
+    return near[:count].copy(), rows[:count].copy()
+
+
+@kernel
+def _by_place(places: Int32s, triangles: Int32s) -> tuple[Int32s, Int64s]:
+    """Return the corners of triangles by their vertices' places, from 0, and where each place's begin."""
     starts = new_zeros(places.size + 1, np.int64)
     for n in range(len(triangles)):
         for corner in range(3):
             starts[places[triangles[n, corner]] + 1] += 1
+    starts[0] = 0
     for place in range(places.size):
         starts[place + 1] += starts[place]
-    corners = new_array(triangles.size, np.int64)
+    corners = new_array(triangles.size, np.int32)
     for n in range(len(triangles)):
         for corner in range(3):
             place = places[triangles[n, corner]]
-            corners[starts[place]] = 3 * n + corner
-            starts[place] += 1
+            if place >= 0:
+                corners[starts[place]] = 3 * n + corner
+                starts[place] += 1
     for place in range(places.size, 0, -1):  # each has moved on to where the next begins
         starts[place] = starts[place - 1]
     starts[0] = 0
@@ -123,12 +177,16 @@ def _measure(
 def _smooth(
     faces: Float64s,
     angles: Float64s,
-    by_place: Int64s,
+    by_place: Int32s,
     starts: Int64s,
     cosines: tuple[float, float],
+    rows: Int32s,
     normals: Float32s,
 ) -> None:
-    """Fill in the normals of corners; ``cosines`` are those of the crease angle and of half of it."""
+    """Fill in the normals of corners, those of triangle n in ``rows[n]``, if it is not below 0.
+
+    ``cosines`` are those of the crease angle and of half of it.
+    """
     for place in range(len(starts) - 1):
         first, end = starts[place], starts[place + 1]
         a = b = c = 0.0
@@ -146,6 +204,9 @@ def _smooth(
             is_shared = is_shared and a * face[0] + b * face[1] + c * face[2] > least
         for at in range(first, end):
             corner = by_place[at]
+            row = rows[corner // 3]
+            if row < 0:
+                continue
             own = faces[corner // 3]
             x, y, z = own[0], own[1], own[2]
             if is_shared:
@@ -160,9 +221,9 @@ def _smooth(
                         z += angles[other] * face[2]
             length = np.sqrt(x * x + y * y + z * z)
             scale = 1.0 / length if length > 0.0 else 0.0
-            normals[corner, 0] = x * scale
-            normals[corner, 1] = y * scale
-            normals[corner, 2] = z * scale
+            normals[row, corner % 3, 0] = x * scale
+            normals[row, corner % 3, 1] = y * scale
+            normals[row, corner % 3, 2] = z * scale
 
 
 def light(camera: Camera, points: npt.ArrayLike, faces: npt.ArrayLike, normals: npt.ArrayLike) -> Float32s:
