@@ -99,7 +99,7 @@ def best(
     graph = graph_of(sheets.pairs, sheets.ties, sheets.codes.size)
     labels = labelled(graph, sheets.codes, sheets.areas, views_of(paint, weights, sheets.areas))
     exposures = levelling(sheets.pairs, sheets.ties, sheets.codes, level, labels, paint, weights)
-    shares, exposures = feathered(graph, labels, exposures, weights)
+    shares, feathers = feathered(graph, labels, exposures, weights)
     mesh = on_grid(surface.rest, placement), surface.triangles
     own = np.arange(len(surface.triangles), dtype=np.int32)
-    return Patches(source, sheets, shares, exposures, mesh, own)
+    return Patches(source, sheets, shares, feathers, mesh, own)
