@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 import llvmlite.binding
 import llvmlite.ir as llvm
 from numba import types
-from numba.core import compiler, ir, lowering, rewrites, typed_passes, untyped_passes
+from numba.core import base, compiler, ir, lowering, rewrites, typed_passes, untyped_passes
 from numba.core.analysis import compute_cfg_from_blocks, compute_use_defs, must_use_alloca
 from numba.core.base import BaseContext
 from numba.core.cgutils import pointer_add
@@ -28,6 +28,7 @@ from numba.core.errors import WarningsFixer  # type: ignore[attr-defined]
 from numba.core.postproc import PostProcessor, VariableLifetime
 from numba.core.transforms import canonicalize_cfg
 from numba.core.types.functions import BaseFunction
+from numba.core.typing.context import Context as TypingContext
 from numba.cpython.builtins import cast_int, do_minmax
 from numba.extending import intrinsic
 from numba.np.arrayobj import load_item, store_item
@@ -54,6 +55,8 @@ USED = (
     (BaseContext, ("get_abi_sizeof", "get_function")),
     (ir.Inst, ("_rec_list_vars",)),
     (PassManager, ("_runPass",)),
+    (TypingContext, ("resolve_getattr",)),
+    (base, ("_has_loc",)),
     (PostProcessor, ("run",)),
     (WarningsFixer, ("catch_warnings",)),
     (lowering.Lower, ("_find_singly_assigned_variable", "delvar", "lower_assign")),
@@ -154,10 +157,14 @@ _Instructions: Any = ir.Inst
 _Processors: Any = PostProcessor
 _Warnings: Any = WarningsFixer
 _Builders: Any = llvm.IRBuilder
+_Contexts: Any = TypingContext
+_base: Any = base
 _find_signature: Any = getattr(BaseFunction, "get_call_type", None)
 _find_variables: Any = getattr(ir.Inst, "_rec_list_vars", None)
 _process: Any = getattr(PostProcessor, "run", None)
 _extract: Any = _Builders.extract_value
+_find_attribute: Any = getattr(TypingContext, "resolve_getattr", None)
+_has_loc: Any = getattr(base, "_has_loc", None)
 
 
 def _signature_of(function: Any, context: Any, arguments: Any, keywords: Any) -> Any:
@@ -236,7 +243,24 @@ def _extracted(builder: Any, aggregate: Any, index: Any, name: str = "") -> Any:
     return aggregate
 
 
+def _attribute_of(context: Any, kind: Any, name: str) -> Any:
+    """Return the type of a type's attribute: functions cannot be called as objects."""
+    if name == "__call__" and isinstance(kind, BaseFunction | types.Dispatcher):
+        return None
+    return _find_attribute(context, kind, name)
+
+
+def _takes_place(function: Any) -> bool:
+    """Tell whether numba's function takes the place in the source."""
+    code = getattr(function, "__code__", None)
+    if code is None or hasattr(function, "__wrapped__"):
+        return bool(_has_loc(function))
+    return "loc" in code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
+
+
 _INSTEAD = (
+    (_Contexts, "resolve_getattr", _attribute_of),
+    (_base, "_has_loc", _takes_place),
     (_Builders, "extract_value", _extracted),
     (_Functions, "get_call_type", _signature_of),
     (_Instructions, "_rec_list_vars", _variables_in),
@@ -301,29 +325,30 @@ class _Lower(lowering.Lower):  # type: ignore[misc]
     """
 
     def _find_singly_assigned_variable(self) -> None:
-        super()._find_singly_assigned_variable()
         blocks = self.func_ir.blocks
-        used = compute_use_defs(blocks).usemap
-        befores = compute_cfg_from_blocks(blocks).dominators()
         places: dict[str, list[int]] = {}
         arguments = set()
         for place, block in blocks.items():
             for each in block.find_insts(ir.Assign):
                 places.setdefault(each.target.name, []).append(place)
-                if isinstance(each.value, ir.Arg):
+                if isinstance(each.value, ir.Arg) and not isinstance(
+                    self.typeof(f"arg.{each.value.name}"), types.Omitted
+                ):
                     arguments.add(each.target.name)
         lasting = {name for name, found in places.items() if len(found) == 1} - must_use_alloca(blocks)
-        for place, names in used.items():
+        befores = compute_cfg_from_blocks(blocks).dominators()
+        shared = set()
+        for place, names in compute_use_defs(blocks).usemap.items():
             for name in names & lasting:
                 (first,) = places[name]
+                shared.add(name)
                 if first >= place or first not in befores.get(place, ()):
                     lasting.remove(name)
-        omitted = {name for name in arguments if isinstance(self.typeof(f"arg.{name}"), types.Omitted)}
         # Callers count references to arguments while a call lasts.
-        self._borrowed = lasting & (arguments - omitted)
-        self._singly_assigned_vars |= {
-            name for name in lasting if not self._is_counted(name)
-        } | self._borrowed
+        self._borrowed = lasting & arguments
+        counted = {name for name in lasting & shared if self._is_counted(name)}
+        self._singly_assigned_vars = lasting - (counted - self._borrowed)
+        self._blk_local_varmap: dict[str, Any] = {}
 
     def _is_counted(self, name: str) -> bool:
         """Tell whether references to what a variable holds are counted."""
@@ -355,7 +380,20 @@ class _NativeLowering(typed_passes.NativeLowering):  # type: ignore[misc]
         return _Lower
 
 
+@register_pass(mutates_CFG=False, analysis_only=True)
+class _AnnotateTypes(typed_passes.AnnotateTypes):  # type: ignore[misc]
+    """numba's step that writes the types beside the source, for people: left out."""
+
+    _name = "octex_annotate_types"
+
+    def run_pass(self, state: Any) -> bool:
+        """Return whether something may have been changed."""
+        state.type_annotation = ""
+        return False
+
+
 _STEPS = {
+    typed_passes.AnnotateTypes: _AnnotateTypes,
     untyped_passes.InlineClosureLikes: _InlineClosureLikes,
     typed_passes.NopythonRewrites: _NopythonRewrites,
     typed_passes.NativeLowering: _NativeLowering,
