@@ -15,7 +15,7 @@ from PIL import Image
 import octex
 from octex.channels import encode
 from octex.preview import render, source_shader, texture_shader
-from octex.preview.pictures import rest_normals, visible_hits
+from octex.preview.hits import rest_normals, visible_hits
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "11"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "480"))

@@ -286,9 +286,11 @@ def test_a_material_file_may_have_blanks_in_its_name_and_there_may_be_several(tm
     (tmp_path / "red.mtl").write_text("newmtl red\nKd 1 0 0\n")
     (tmp_path / "dark.mtl").write_text("newmtl dark wood #2\nKd 0 0 0\n")
     (tmp_path / "wood.png").write_bytes(png(random_image(4, 4)))
-    lines = "mtllib my wood.mtl\nmtllib red.mtl dark.mtl\n" + OBJ_SQUARE
+    lines = "mtllib my wood.mtl # of oak\nmtllib red.mtl dark.mtl\n" + OBJ_SQUARE
     path = tmp_path / "a.obj"
-    path.write_text(lines + "usemtl red\nf 1 2 3\nusemtl dark wood #2\nf 1 3 4\nusemtl wood\nf 1/1 2/2 3/3\n")
+    path.write_text(
+        lines + "usemtl red # a colour\nf 1 2 3\nusemtl dark wood #2\nf 1 3 4\nusemtl wood\nf 1/1 2/2 3/3\n"
+    )
     surface = load_surface(path)
     samples = surface.scatter(100)
     values = surface.evaluate(samples)

@@ -12,7 +12,7 @@ import octex
 from octex.channels import linear_to_srgb
 from octex.cli.main import main
 from octex.errors import ArgumentError, ModelError
-from octex.preview.pictures import rest_normals, visible_hits
+from octex.preview.hits import rest_normals, visible_hits
 from octex.view.shading import face_normals
 from octex.view.zbuffer import z_buffer
 from tests.conftest import needs_jit

@@ -21,7 +21,8 @@ from octex.preview import (
     write_preview,
 )
 from octex.preview.directions import best_direction, view_directions
-from octex.preview.shaders import Appearance, Hits, Shown
+from octex.preview.hits import Hits
+from octex.preview.shaders import Appearance, Shown
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
 from octex.tree.octree import Octree
@@ -312,7 +313,7 @@ def test_captions_are_dark_on_the_background(quarters):
     picture = draw_preview(surface, None, (200, 120), 1).astype(int)
     strip = picture[-24:]
     assert strip.min() < 90
-    assert np.median(strip) > 150
+    assert np.median(strip) > 140
     codes = np.rint(255 * linear_to_srgb(background(120, 200)))
     assert np.array_equal(picture[-1, 0], codes[-1, 0])
 

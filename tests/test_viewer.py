@@ -102,6 +102,9 @@ def test_each_pixel_is_what_a_lookup_there_gives(name: str, browser: Any, tmp_pa
     page = opened(browser, file_url(tmp_path / "page.html"))
     assert page.complaints == []
     parity(page, texture, surface)
+    page.check("#cubes")
+    sharp(page)
+    assert page.complaints == []
     page.close()
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import octex
 from octex.errors import ModelError
-from octex.preview.pictures import rest_normals, visible_hits
+from octex.preview.hits import rest_normals, visible_hits
 from octex.source.load import load_motion
 from octex.source.motion import Animation, Motion
 from octex.viewer import write_page

@@ -13,7 +13,7 @@ import pytest
 
 import octex
 from octex.channels import encode
-from octex.preview.pictures import rest_normals, visible_hits
+from octex.preview.hits import rest_normals, visible_hits
 from octex.source.mesh import SurfaceSamples
 from octex.source.surface import Surface
 from octex.viewer import Viewer, write_page

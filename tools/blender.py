@@ -28,7 +28,8 @@ from PIL import Image
 import octex
 from octex.channels import linear_to_srgb
 from octex.preview import render, texture_shader
-from octex.preview.shaders import Appearance, Hits
+from octex.preview.hits import Hits
+from octex.preview.shaders import Appearance
 
 WORKER = Path(__file__).with_name("blender_worker.py")
 DROID = Path(__file__).parents[1] / "samples" / "droid.glb"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -40,14 +41,18 @@ def atlas_layout(mesh: Mesh, sizes: Sequence[int], padding: int, texel: float) -
     if flat is None:
         flat = projected(mesh)
     charts, edges = charts_of(mesh, flat)
-    flat = _upright(flat, charts)
+    order = np.argsort(charts, kind="stable")
+    starts = np.flatnonzero(np.diff(charts[order], prepend=-1))  # in that order, chart by chart
+    flat = _upright(flat[order], starts)
     area = _area(flat)
     low, high = mesh.bounds
     wanted = float((high - low).max()) / (_SIDE * texel)
     for size in sizes:
         least = wanted if size != sizes[-1] else area**-0.5 if area > 0.0 else 1.0
-        placed = _fitted(flat, charts, area, size, padding, least)
-        if placed is not None:
+        found = _fitted(flat, starts, area, size, padding, least)
+        if found is not None:
+            placed = np.empty_like(found)
+            placed[order] = found
             faces = np.arange(len(charts), dtype=np.int32)
             points = (placed / size).reshape(-1, 2).astype(np.float32)
             rows = welded(points)
@@ -62,19 +67,19 @@ def atlas_layout(mesh: Mesh, sizes: Sequence[int], padding: int, texel: float) -
 
 
 def _fitted(
-    flat: Float64s, charts: Int32s, area: float, size: int, padding: int, least: float
+    flat: Float64s, starts: Int64s, area: float, size: int, padding: int, least: float
 ) -> Float64s | None:
     """Place charts in a square map, about as large as they fit; None if not at the ``least`` scale."""
     most = size * np.sqrt(_FULL / area) if area > 0.0 else least
-    low, placed = most, _packed(flat * most, charts, size, padding)
+    low, placed = most, _packed(flat * most, starts, size, padding)
     while placed is None:
         if low <= least:
             return None
         most, low = low, max(low / 2.0, least)
-        placed = _packed(flat * low, charts, size, padding)
+        placed = _packed(flat * low, starts, size, padding)
     while most > low * _CLOSE:
         middle = np.sqrt(low * most)
-        tried = _packed(flat * middle, charts, size, padding)
+        tried = _packed(flat * middle, starts, size, padding)
         if tried is None:
             most = middle
         else:
@@ -193,33 +198,47 @@ def _area(flat: Float64s) -> float:
     return float(np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).sum() / 2)
 
 
-def _upright(flat: Float64s, charts: Int32s) -> Float64s:
-    """Turn charts so that their boxes are small, and put their lowest corners at the origin."""
-    made = np.empty_like(flat)
-    order = np.argsort(charts, kind="stable")
-    angles = np.radians(np.arange(0.0, 90.0, 5.0))
-    for own in np.split(order, np.flatnonzero(np.diff(charts[order])) + 1):
-        points = flat[own].reshape(-1, 2)
-        turned = [points @ _turn(angle) for angle in (angles if own.size < 100_000 else angles[:1])]
-        best = min(turned, key=lambda each: float(np.prod(np.ptp(each, axis=0))))
-        if np.ptp(best[:, 0]) < np.ptp(best[:, 1]):
-            best = best @ _turn(np.pi / 2)
-        made[own] = (best - best.min(axis=0)).reshape(-1, 3, 2)
-    return made
+def _upright(flat: Float64s, starts: Int64s) -> Float64s:
+    """Turn charts so that their boxes are small and wide, and put their lowest corners at the origin.
+
+    ``starts`` says where the triangles (m, 3, 2) of each chart begin.
+    """
+    turns = np.array([_turn(angle) for angle in np.radians(np.arange(0.0, 180.0, 5.0))])
+    least = np.full(len(starts), np.inf)
+    best = np.zeros(len(starts), np.int64)
+    points = flat.reshape(-1, 2)
+    quarter = len(turns) // 2  # where sides change places
+    for n, turn in enumerate(turns[:quarter]):
+        low, high = _boxes((points @ turn).reshape(flat.shape), starts)
+        width, height = (high - low).T
+        found = width * height < least
+        least[found] = (width * height)[found]
+        best[found] = np.where(width < height, n + quarter, n)[found]
+    sizes = np.diff(starts, append=len(flat))
+    turned = flat @ turns[np.repeat(best, sizes)]
+    low, _ = _boxes(turned, starts)
+    upright: Float64s = turned - np.repeat(low, sizes, axis=0)[:, None]
+    return upright
+
+
+def _boxes(flat: Float64s, starts: Int64s) -> tuple[Float64s, Float64s]:
+    """Return the least and the largest coordinates (n, 2) of charts."""
+    a, b, c = flat[:, 0], flat[:, 1], flat[:, 2]
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    return np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts)
 
 
 def _turn(angle: float) -> Float64s:
     return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
 
-def _packed(flat: Float64s, charts: Int32s, size: int, padding: int) -> Float64s | None:
+def _packed(flat: Float64s, starts: Int64s, size: int, padding: int) -> Float64s | None:
     """Place charts (m, 3, 2), in texels from their lowest corners on, in a square map; None: no room."""
     blocks = size // ALIGNMENT
-    order = np.argsort(charts, kind="stable")
-    groups = np.split(order, np.flatnonzero(np.diff(charts[order])) + 1)
-    reaches = np.array([flat[own].max(axis=(0, 1)) for own in groups])
+    _, reaches = _boxes(flat, starts)
     if (reaches + 2 * padding > size).any():
         return None
+    groups = [slice(*ends) for ends in pairwise([*starts.tolist(), len(flat)])]
     free = np.ones((blocks, blocks), np.bool_)
     tried: dict[tuple[int, ...], tuple[int, Bools]] = {}  # where masks are that were placed last, by shape
     placed = np.empty_like(flat)

@@ -134,8 +134,9 @@ def drawn(
     import numpy as np
 
     from octex.channels import encode
-    from octex.preview.pictures import film_surface, rest_normals, visible_hits
-    from octex.preview.shaders import Appearance, Hits, Shader, texture_shader
+    from octex.preview.hits import Hits, rest_normals, visible_hits
+    from octex.preview.pictures import film_surface
+    from octex.preview.shaders import Appearance, Shader, texture_shader
 
     def grey(hits: Hits) -> Appearance:
         return Appearance(np.full((len(hits.width), 3), 0.5))

@@ -23,6 +23,7 @@ from octex.compare import (
     readers_of,
 )
 from octex.files import replacing
+from octex.preview.hits import Hits, rest_normals, visible_hits
 from octex.preview.panels import (
     Panel,
     caption_height,
@@ -33,16 +34,8 @@ from octex.preview.panels import (
     surface_camera,
     texture_facts,
 )
-from octex.preview.pictures import (
-    Film,
-    Leaves,
-    film_leaves,
-    film_surface,
-    rest_normals,
-    visible_hits,
-    visible_level,
-)
-from octex.preview.shaders import Appearance, Hits, Shader, source_shader, texture_shader
+from octex.preview.pictures import Film, Leaves, film_leaves, film_surface, visible_level
+from octex.preview.shaders import Appearance, Shader, source_shader, texture_shader
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.view.camera import Camera

@@ -15,14 +15,8 @@ from octex.channels import encode, linear_to_srgb
 from octex.errors import ArgumentError
 from octex.files import replacing
 from octex.preview.directions import USUAL, Viewpoint, best_direction, view_directions
-from octex.preview.pictures import (
-    Leaves,
-    film_surface,
-    render_leaves,
-    rest_normals,
-    visible_hits,
-    visible_level,
-)
+from octex.preview.hits import rest_normals, visible_hits
+from octex.preview.pictures import Leaves, film_surface, render_leaves, visible_level
 from octex.preview.shaders import Bump, Shader, Shown, source_shader, texture_shader
 from octex.tree.octree import distinct
 from octex.view.camera import Camera
@@ -247,6 +241,6 @@ def captioned(panel: Panel, room: int | None = None) -> Image.Image:
     title, subtitle = ImageFont.load_default(strip * 0.36), ImageFont.load_default(strip * 0.28)
     draw = ImageDraw.Draw(picture)
     middle, top = picture.width // 2, picture.height - (room or strip)
-    draw.text((middle, top + strip * 0.05), panel.title, (30, 30, 32), title, "ma")
-    draw.text((middle, top + strip * 0.50), panel.subtitle, (80, 80, 84), subtitle, "ma")
+    draw.text((middle, top + strip * 0.05), panel.title, (12, 12, 14), title, "ma")
+    draw.text((middle, top + strip * 0.50), panel.subtitle, (40, 40, 44), subtitle, "ma")
     return picture

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple, cast
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Floats, Int32s, Int64s
 from octex.errors import ArgumentError
-from octex.preview.shaders import Appearance, Bump, Hits, Shader, Shown, bent, field_slopes
+from octex.jit import kernel
+from octex.parallel import cpu_count, ordered_map, workers
+from octex.preview.hits import Hits, Seen
+from octex.preview.shaders import Appearance, Bump, Shader, Shown, bent, field_slopes
 from octex.source.corners import Corners, Frames
 from octex.source.tangents import carried
 from octex.tree.morton import decode_cells
@@ -18,7 +21,7 @@ from octex.tree.walk import walk_leaves
 from octex.view.camera import Camera
 from octex.view.cubes import CubeBuffers, rasterize_cubes
 from octex.view.reflection import Material, reflected
-from octex.view.shading import background, corner_normals, face_normals
+from octex.view.shading import background
 from octex.view.shading import light as soft_light
 from octex.view.zbuffer import Buffers, z_buffer
 
@@ -59,26 +62,34 @@ def film_surface(
     light: Environment | None = None,
 ) -> list[Film]:
     """Expose a film to a surface for each look, layer by layer where one of them lets light through."""
-    faces, _ = face_normals(surface.vertices, surface.triangles)
-    smooth = corner_normals(surface.vertices, surface.triangles)
-    resting = rest_normals(surface) if _is_posed(surface) else smooth
     films = [Film(camera, supersample) for _ in looks]
-    fine, layer = camera.scaled(supersample), None
-    for _ in range(_LAYERS):
-        layer = z_buffer(surface.vertices, surface.triangles, fine, behind=layer)
-        opened = np.zeros(layer.triangle.shape, np.bool_)
-        for samples, hits in visible_hits(surface, fine, resting, layer):
-            points = _between(hits.barycentric, surface.vertices[surface.triangles[hits.triangles]])
-            normals = _between(hits.barycentric, smooth[hits.triangles])
-            for film, look in zip(films, looks, strict=True):
-                appearance = look(hits)
-                others = posed_normals(surface, hits.triangles, appearance.normals)
-                seen = lit(appearance, light, camera, points, faces[hits.triangles], normals, others)
-                opened.ravel()[samples] |= film.add(samples, seen)
-        if not opened.any():
-            break
-        layer.triangle[~opened] = -1
+    seen = Seen(surface, camera.scaled(supersample))
+    layer: Buffers | None = None
+
+    def appear(layer: Buffers, pixels: Int64s) -> list[Appearance]:
+        hits, posed = seen.posed(pixels, layer)
+        return [lit(_turned(look(hits), seen, hits), light, camera, *posed) for look in looks]
+
+    with workers() as executor:
+        for _ in range(_LAYERS):
+            layer = z_buffer(surface.vertices, surface.triangles, seen.camera, executor, behind=layer)
+            opened = np.zeros(layer.triangle.shape, np.bool_)
+            blocks = seen.blocks(layer)
+            found = ordered_map(executor, partial(appear, layer), blocks, window=2 * cpu_count())
+            for pixels, appearances in zip(blocks, found, strict=True):
+                for film, appearance in zip(films, appearances, strict=True):
+                    opened.ravel()[pixels] |= film.add(pixels, appearance)
+            if not opened.any():
+                break
+            layer.triangle[~opened] = -1
     return films
+
+
+def _turned(appearance: Appearance, seen: Seen, hits: Hits) -> Appearance:
+    """Return an appearance whose own normals, if it has any, are those of the posed surface."""
+    if appearance.normals is None or not seen.is_posed:
+        return appearance
+    return appearance._replace(normals=posed_normals(seen.surface, hits.triangles, appearance.normals))
 
 
 def lit(
@@ -88,15 +99,16 @@ def lit(
     points: Floats,
     faces: Floats,
     normals: Floats,
-    others: Floats | None = None,
 ) -> Appearance:
     """Return what points look like in a light: all of it reflected toward the camera.
 
-    ``points``, ``faces`` and ``normals`` (n, 3) as for ``shading.light``; ``others`` are normals instead.
+    ``points``, ``faces`` and ``normals`` (n, 3) as for ``shading.light``; an appearance's own normals are
+    taken instead.
     """
     if appearance.reflected is None:
         return appearance
-    normals = normals if others is None else others
+    if appearance.normals is not None:
+        normals = appearance.normals
     if light is None:
         shade = soft_light(camera, points, faces, normals)
         return appearance._replace(reflected=appearance.reflected * shade[:, None])
@@ -107,10 +119,8 @@ def lit(
     return appearance._replace(reflected=reflected(light, camera, points, faces, normals, material))
 
 
-def posed_normals(surface: Surface, triangles: Int32s, normals: Floats | None) -> Floats | None:
+def posed_normals(surface: Surface, triangles: Int32s, normals: Floats) -> Floats:
     """Return what normals at rest (n, 3), on triangles (n,), are on the posed surface."""
-    if normals is None or not _is_posed(surface):
-        return normals
     rows = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
     corners = surface.triangles[triangles]
     resting, posed = surface.rest[corners].reshape(-1, 3), surface.vertices[corners].reshape(-1, 3)
@@ -119,61 +129,13 @@ def posed_normals(surface: Surface, triangles: Int32s, normals: Floats | None) -
     return carried(Frames(each, tangents), rows, resting, posed).normals.values[::3]
 
 
-def rest_normals(surface: Surface) -> Float32s:
-    """Return smooth normals (m, 3, 3) at the corners of triangles at rest."""
-    return corner_normals(surface.rest, surface.triangles)
-
-
-def _is_posed(surface: Surface) -> bool:
-    return not np.array_equal(surface.rest, surface.vertices)
-
-
-def visible_hits(
-    surface: Surface, camera: Camera, normals: Float32s, buffers: Buffers | None = None
-) -> Iterator[tuple[Int64s, Hits]]:
-    """Yield what the camera's pixels see, some at a time, with their numbers row by row.
-
-    ``normals`` are the surface's ``rest_normals``; ``buffers`` say what is seen, by default the nearest.
-    """
-    if buffers is None:
-        buffers = z_buffer(surface.vertices, surface.triangles, camera)
-    # What is one wide on the posed model is so wide at rest.
-    faces, posed_areas = face_normals(surface.vertices, surface.triangles)
-    _, rest_areas = face_normals(surface.rest, surface.triangles)
-    stretch = np.sqrt(rest_areas / np.maximum(posed_areas, 1e-300))
-    is_posed = _is_posed(surface)
-    seen = np.flatnonzero(buffers.triangle >= 0)
-    for first in range(0, len(seen), _BLOCK):
-        pixels = seen[first : first + _BLOCK]
-        triangles = buffers.triangle.ravel()[pixels]
-        barycentric = buffers.barycentric.reshape(-1, 3)[pixels].astype(np.float64)
-        width = camera.pixel_width(buffers.depth.ravel()[pixels]) * stretch[triangles]
-        rest = _between(barycentric, surface.rest[surface.triangles[triangles]])
-        posed = _between(barycentric, surface.vertices[surface.triangles[triangles]])
-        right, down = camera.differentials(posed, faces[triangles])
-        if is_posed:
-            right, down = _at_rest(surface, triangles, right, down)
-        facing = _between(barycentric, normals[triangles])
-        yield pixels, Hits(triangles, barycentric, rest, width.astype(np.float32), right, down, facing)
-
-
-def _at_rest(surface: Surface, triangles: Int32s, *steps: Float64s) -> Iterator[Float64s]:
-    """Yield what steps (n, 3) on posed triangles (n,) are at rest."""
-    used, places = np.unique(triangles, return_inverse=True)
-    posed, rest = (
-        np.diff(positions[surface.triangles[used]], axis=1) for positions in (surface.vertices, surface.rest)
-    )
-    maps = np.einsum("mki,mjk->mij", rest, np.linalg.pinv(posed))
-    return (np.einsum("nij,nj->ni", maps[places], step) for step in steps)
-
-
 class Film:
     """Gathers samples into pixels, those in front before those behind them."""
 
     def __init__(self, camera: Camera, supersample: int) -> None:
         self._shape = camera.height, camera.width
         self._supersample = supersample
-        self._sums = np.zeros((4, camera.height * camera.width))
+        self._sums = np.zeros((camera.height * camera.width, 4))
         # What each sample lets through of what is behind.
         self._passed = np.ones(camera.height * camera.width * supersample**2, np.float32)
 
@@ -182,23 +144,20 @@ class Film:
 
         Returns whether more is seen behind each (n,).
         """
-        row, column = np.divmod(samples, self._shape[1] * self._supersample)
-        pixel = row // self._supersample * self._shape[1] + column // self._supersample
-        passed = self._passed[samples]
-        own = np.float32(1.0) if appearance.coverage is None else appearance.coverage
-        coverage, left = passed * own, passed * (1.0 - own)
-        self._passed[samples] = left
-        for colors in (appearance.reflected, appearance.emitted):
-            if colors is not None:
-                for total, color in zip(self._sums[:3], colors.T, strict=True):
-                    total += np.bincount(pixel, color * coverage, len(total))
-        self._sums[3] += np.bincount(pixel, coverage, self._sums.shape[1])
-        return np.asarray(left > _OPAQUE)
+        opened = np.empty(len(samples), np.bool_)
+        parts = (appearance.reflected, appearance.emitted)
+        reflected, emitted = (_floats(np.empty((0, 3)) if part is None else part) for part in parts)
+        coverage = _floats(np.empty(0) if appearance.coverage is None else appearance.coverage)
+        _expose(
+            samples, self._shape[1], self._supersample, reflected, emitted, coverage,
+            self._passed, self._sums, opened,
+        )  # fmt: skip
+        return opened
 
     def exposure(self) -> tuple[Float64s, Float64s]:
         """Return the pixels' sums (height, width, 3), already multiplied by their coverage, and that."""
-        *color, coverage = (self._sums / self._supersample**2).reshape(4, *self._shape)
-        return np.stack(color, axis=-1), coverage[..., None]
+        sums = (self._sums / self._supersample**2).reshape(*self._shape, 4)
+        return sums[..., :3], sums[..., 3:]
 
     def picture(self) -> Float32s:
         """Return linear light (height, width, 3) over the backdrop."""
@@ -206,9 +165,37 @@ class Film:
         return (color + (1.0 - coverage) * background(*self._shape)).astype(np.float32)
 
 
-def _between(barycentric: Floats, corners: Floats) -> Float64s:
-    """Interpolate corners (n, 3, 3) of triangles at barycentric coordinates (n, 3)."""
-    return cast("Float64s", np.einsum("nk,nkc->nc", barycentric, corners))
+def _floats(values: Floats) -> Float32s:
+    return np.ascontiguousarray(values, np.float32)
+
+
+@kernel
+def _expose(
+    samples: Int64s,
+    width: int,
+    supersample: int,
+    reflected: Float32s,
+    emitted: Float32s,
+    coverage: Float32s,
+    passed: Float32s,
+    sums: Float64s,
+    opened: Bools,
+) -> None:
+    """Add samples to pixels, ``width`` to a row; of what is empty there is nothing, or it covers all."""
+    for n in range(len(samples)):
+        row, column = divmod(samples[n], width * supersample)
+        pixel = row // supersample * width + column // supersample
+        before = passed[samples[n]]
+        own = coverage[n] if len(coverage) else np.float32(1.0)
+        part, left = before * own, before * (np.float32(1.0) - own)
+        for lane in range(3):
+            if len(reflected):
+                sums[pixel, lane] += float(reflected[n, lane]) * part
+            if len(emitted):
+                sums[pixel, lane] += float(emitted[n, lane]) * part
+        sums[pixel, 3] += part
+        passed[samples[n]] = left
+        opened[n] = left > _OPAQUE
 
 
 class Leaves(NamedTuple):
@@ -314,8 +301,9 @@ def film_leaves(
             leaf = buffers.cube.ravel()[samples]
             normals = np.eye(3)[buffers.axis.ravel()[samples]] if cubes else leaves.normals[leaf]
             here = Appearance(*(None if part is None else part[leaf] for part in appearance))
-            others = None if cubes else here.normals
-            here = lit(here, light, camera, leaves.corners[leaf], normals, normals, others)
+            if cubes:
+                here = here._replace(normals=None)
+            here = lit(here, light, camera, leaves.corners[leaf], normals, normals)
             if cubes:  # with their edges drawn, so that they can be told apart
                 on_edge = buffers.border.ravel()[samples, None] < _EDGE
                 dimmed = np.where(on_edge, np.float32(0.75), np.float32(1.0))

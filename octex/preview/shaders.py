@@ -8,28 +8,17 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Float32s, Float64s, Floats, Int32s
+from octex.arrays import Float64s, Floats
 from octex.channels import ALPHA, BASE_COLOR, LUMINANCE, NORMAL, SPECULAR, ChannelFormat, srgb_to_linear
 from octex.checks import as_choice
 from octex.compare import inside_cells
 from octex.errors import ArgumentError
+from octex.preview.hits import Hits
 from octex.source.base import by_channel
 
 if TYPE_CHECKING:
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
-
-
-class Hits(NamedTuple):
-    """Points of a surface that a picture's samples see."""
-
-    triangles: Int32s  # (n,)
-    barycentric: Float64s  # (n, 3)
-    rest: Float64s  # (n, 3)   rest positions
-    width: Float32s  # (n,)   what a sample covers there, in rest units
-    dPdx: Float64s  # (n, 3)   how rest positions change to the sample at its right
-    dPdy: Float64s  # (n, 3)   and to the one below
-    normals: Float64s  # (n, 3)   of the surface at rest
 
 
 class Appearance(NamedTuple):

@@ -26,6 +26,7 @@ from octex.checks import (
     locked,
 )
 from octex.errors import ArgumentError
+from octex.view.differentials import differentials
 from octex.view.lens import COUNTS, DISTORTION_MODELS, DistortionModel, distort, lens_numbers, undistort
 
 #: What a pose matrix means.
@@ -299,23 +300,20 @@ class Camera:
         normals = as_points(normals, "normals").astype(np.float64, copy=False)
         if len(points) != len(normals):
             raise ArgumentError(f"there are {len(normals)} normals for {len(points)} points")
-        with np.errstate(all="ignore"):  # of points that are not finite, or where the camera is
-            return self._differentials(points, normals)
-
-    def _differentials(self, points: Float64s, normals: Float64s) -> tuple[Float64s, Float64s]:
-        rotation = self.world_to_camera[:3, :3]
-        steps = (np.linalg.inv(self.K)[:, :2].T * [1.0, 1.0, 0.0]) @ rotation  # at depth 1
-        if self.projection == "pinhole":
-            rays = points - self.position
-            depths = rays @ rotation[2]
-            rays, scale = rays / depths[:, None], depths[:, None]
-        else:
-            rays, scale = np.broadcast_to(rotation[2], points.shape), np.ones((len(points), 1))
-        facing = np.einsum("nk,nk->n", normals, rays)
-        least = 1e-3 * np.linalg.norm(rays, axis=1)
-        facing = np.where(np.abs(facing) < least, np.copysign(least, facing), facing)
-        right, down = (scale * (step - rays * ((normals @ step) / facing)[:, None]) for step in steps)
+        points, normals = np.ascontiguousarray(points), np.ascontiguousarray(normals)
+        right, down = np.empty((2, len(points), 3))
+        differentials(self.eye, self.projection == "pinhole", points, normals, right, down)
         return right, down
+
+    @property
+    def eye(self) -> Float64s:
+        """Where the camera is, its axis, and a pixel's steps to the right and down at depth 1 (4, 3).
+
+        As kernels read them: `octex.view.differentials`.
+        """
+        rotation = self.world_to_camera[:3, :3]
+        steps = (np.linalg.inv(self.K)[:, :2].T * [1.0, 1.0, 0.0]) @ rotation
+        return np.vstack([self.position, rotation[2], steps])
 
     def pixel_width(self, depth: npt.ArrayLike) -> Float64s:
         """Return how wide a pixel is in the world, across the view, at depths of any shape.

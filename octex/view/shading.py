@@ -214,5 +214,5 @@ def background(height: int, width: int) -> Float32s:
     It is the same across, so that pictures side by side have no seam.
     """
     down = (np.arange(height) + 0.5) / height
-    grey = 0.74 - 0.60 * (down - 0.55) ** 2
+    grey = 0.40 - 0.40 * (down - 0.55) ** 2
     return np.broadcast_to(grey[:, None, None], (height, width, 3)).astype(np.float32)

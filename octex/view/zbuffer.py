@@ -80,33 +80,38 @@ def z_buffer(
     same = _SAME_DEPTH * float(np.abs(screen[:, 3]).max(initial=0.0))
     if behind is None:
         behind = Buffers(np.empty((0, 0), np.int32), np.empty((0, 0, 3), np.float32), np.empty((0, 0)))
-    draw = partial(
-        _band, screen, snapped, outside, np.ascontiguousarray(corners, np.int32), same, behind, camera.width
-    )
+    shape = camera.height, camera.width
+    found = Buffers(np.empty(shape, np.int32), np.empty((*shape, 3), np.float32), np.empty(shape, np.float64))
+    corners = np.ascontiguousarray(corners, np.int32)
+    draw = partial(_draw_band, screen, snapped, outside, corners, same, behind, found)
     if executor is None:
-        return draw((0, camera.height))
+        draw((0, camera.height))
+        return found
     bands = min(cpu_count(), camera.height)
     ends = [camera.height * band // bands for band in range(bands + 1)]
-    drawn = list(ordered_map(executor, draw, list(pairwise(ends))))
-    return Buffers(*(np.concatenate(arrays) for arrays in zip(*drawn, strict=True)))
+    for _ in ordered_map(executor, draw, list(pairwise(ends))):
+        pass
+    return found
 
 
-def _band(
+def _draw_band(
     screen: Float64s,
     snapped: Bools,
     outside: Uint8s,
     triangles: Int32s,
     same_depth: float,
     behind: Buffers,
-    width: int,
+    found: Buffers,
     rows: tuple[int, int],
-) -> Buffers:
-    """Return what the pixels of some rows see."""
-    shape = rows[1] - rows[0], width
-    buffers = Buffers(np.full(shape, -1, np.int32), np.zeros((*shape, 3), np.float32), np.full(shape, np.inf))
-    last, depth = behind.triangle[slice(*rows)], behind.depth[slice(*rows)]
-    _draw(screen, snapped, outside, triangles, same_depth, rows[0], last, depth, *buffers)
-    return buffers
+) -> None:
+    """Fill in what the pixels of some rows see."""
+    band = slice(*rows)
+    triangle, barycentric, depth = found.triangle[band], found.barycentric[band], found.depth[band]
+    triangle[:], barycentric[:], depth[:] = -1, 0.0, np.inf
+    _draw(
+        screen, snapped, outside, triangles, same_depth, rows[0], behind.triangle[band], behind.depth[band],
+        triangle, barycentric, depth,
+    )  # fmt: skip
 
 
 @kernel

@@ -115,8 +115,9 @@ def wavefront_lines(data: bytes, path: Path) -> Iterator[str]:
         text = text.replace("\t", " ")
     for line in text.splitlines():
         line = line.strip()
-        if "#" in line and not line.startswith(("usemtl", "newmtl", "mtllib", "map_", "norm", "bump")):
-            line = line.partition("#")[0]
+        if "#" in line:  # names may hold it: after one, a comment has blanks on both sides of the sign
+            named = line.startswith(("usemtl", "newmtl", "mtllib", "map_", "norm", "bump"))
+            line = line.partition(" # " if named else "#")[0]
         if line:
             yield line
 
@@ -246,7 +247,8 @@ class _Describer:
         if "d" in self._entries:
             opacity = self._numbers("d", 1)[0]
         elif "tr" in self._entries:
-            opacity = 1.0 - self._numbers("Tr", 1)[0]
+            # MeshLab and others write opacity here: of what would not be seen at all, they mean all.
+            opacity = (1.0 - self._numbers("Tr", 1)[0]) or 1.0
         opacity = min(max(opacity, 0.0), 1.0)
         found = self._map("map_d")
         if found is None:

@@ -98,7 +98,7 @@ export class Gpu {
     const lines = [`#define PLANES ${planes}`, `#define SHOWS_${kind === "probe" ? "PROBE" : look.shown.toUpperCase()}`];
     const { isMixed, split, kept, mesh, motion, channels } = part.header;
     const facing = look.facing && kind !== "cubes";
-    const flags = { PROBE: kind === "probe", PICKED: look.picked, MIXED: isMixed, KEPT: isMixed && kept > 0 };
+    const flags = { PROBE: kind === "probe", PICKED: look.picked, MIXED: isMixed, KEPT: isMixed && kept > 0 && kind !== "cubes" };
     Object.assign(flags, { LINEAR_MIXED: isMixed && look.filter === "linear" });
     Object.assign(flags, { MOVED: look.moved, FROM_REST: motion?.start === "rest", POSED: mesh?.posed || look.moved });
     Object.assign(flags, { TURNS: look.moved && motion?.turns });

@@ -1,0 +1,177 @@
+"""What the samples of a picture see of a surface: points at rest, and how these change to the next sample."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from octex.arrays import Float32s, Float64s, Int32s, Int64s
+from octex.jit import kernel
+from octex.view.camera import Camera
+from octex.view.differentials import differential
+from octex.view.shading import corner_normals, face_normals
+from octex.view.zbuffer import Buffers, z_buffer
+
+if TYPE_CHECKING:
+    from octex.source.surface import Surface
+
+#: Samples are worked on this many at a time, so that a large picture needs little memory.
+_BLOCK = 1 << 16
+
+
+class Hits(NamedTuple):
+    """Points of a surface that a picture's samples see."""
+
+    triangles: Int32s  # (n,)
+    barycentric: Float64s  # (n, 3)
+    rest: Float64s  # (n, 3)   rest positions
+    width: Float32s  # (n,)   what a sample covers there, in rest units
+    dPdx: Float64s  # (n, 3)   how rest positions change to the sample at its right
+    dPdy: Float64s  # (n, 3)   and to the one below
+    normals: Float64s  # (n, 3)   of the surface at rest, smooth
+
+
+class Posed(NamedTuple):
+    """The same points on the posed surface."""
+
+    points: Float64s  # (n, 3)
+    faces: Float64s  # (n, 3)   normals of the triangles
+    normals: Float64s  # (n, 3)   smooth normals
+
+
+class Seen:
+    """A surface before a camera."""
+
+    def __init__(self, surface: Surface, camera: Camera, normals: Float32s | None = None) -> None:
+        """Prepare; ``normals`` (m, 3, 3) are the surface's ``rest_normals``, if they are there."""
+        self.surface, self.camera = surface, camera
+        self.is_posed = is_posed(surface)
+        self._resting = rest_normals(surface) if normals is None else normals
+        self._vertices, self._rest = (
+            np.ascontiguousarray(positions, np.float64) for positions in (surface.vertices, surface.rest)
+        )
+        # What is one wide on the posed model is so wide at rest.
+        self._faces, posed_areas = face_normals(surface.vertices, surface.triangles)
+        _, rest_areas = face_normals(surface.rest, surface.triangles)
+        self._stretch = np.sqrt(rest_areas / np.maximum(posed_areas, 1e-300))
+
+    @cached_property
+    def _smooth(self) -> Float32s:
+        if not self.is_posed:
+            return self._resting
+        return corner_normals(self.surface.vertices, self.surface.triangles)
+
+    def blocks(self, buffers: Buffers) -> list[Int64s]:
+        """Return the pixels that see something, numbered row by row, some at a time."""
+        seen = np.flatnonzero(buffers.triangle >= 0)
+        return [seen[first : first + _BLOCK] for first in range(0, len(seen), _BLOCK)]
+
+    def hits(self, pixels: Int64s, buffers: Buffers) -> Hits:
+        """Return what pixels (n,) see."""
+        return self._look(pixels, buffers)[0]
+
+    def posed(self, pixels: Int64s, buffers: Buffers) -> tuple[Hits, Posed]:
+        """Return what pixels (n,) see, also on the posed surface."""
+        hits, points = self._look(pixels, buffers)
+        normals = hits.normals if not self.is_posed else _between(hits, self._smooth)
+        return hits, Posed(points, self._faces[hits.triangles], normals)
+
+    def _look(self, pixels: Int64s, buffers: Buffers) -> tuple[Hits, Float64s]:
+        triangles = buffers.triangle.ravel()[pixels]
+        width = self.camera.pixel_width(buffers.depth.ravel()[pixels]) * self._stretch[triangles]
+        weights, points, rest, right, down, normals = np.empty((6, len(pixels), 3))
+        _hit(
+            self.camera.eye, self.camera.projection == "pinhole", self._vertices, self._rest, self.is_posed,
+            np.ascontiguousarray(self.surface.triangles, np.int32), self._faces, self._resting,
+            triangles, buffers.barycentric.reshape(-1, 3)[pixels],
+            weights, points, rest, right, down, normals,
+        )  # fmt: skip
+        return Hits(triangles, weights, rest, width.astype(np.float32), right, down, normals), points
+
+
+def visible_hits(
+    surface: Surface, camera: Camera, normals: Float32s, buffers: Buffers | None = None
+) -> Iterator[tuple[Int64s, Hits]]:
+    """Yield what the camera's pixels see, some at a time, with their numbers row by row.
+
+    ``normals`` are the surface's ``rest_normals``; ``buffers`` say what is seen, by default the nearest.
+    """
+    if buffers is None:
+        buffers = z_buffer(surface.vertices, surface.triangles, camera)
+    seen = Seen(surface, camera, normals)
+    for pixels in seen.blocks(buffers):
+        yield pixels, seen.hits(pixels, buffers)
+
+
+def rest_normals(surface: Surface) -> Float32s:
+    """Return smooth normals (m, 3, 3) at the corners of triangles at rest."""
+    return corner_normals(surface.rest, surface.triangles)
+
+
+def is_posed(surface: Surface) -> bool:
+    """Tell whether a surface is not as it rests."""
+    return not np.array_equal(surface.rest, surface.vertices)
+
+
+def _between(hits: Hits, corners: Float32s) -> Float64s:
+    """Interpolate what stands at the corners of triangles (m, 3, 3) at hits."""
+    found: Float64s = np.einsum("nk,nkc->nc", hits.barycentric, corners[hits.triangles])
+    return found
+
+
+@kernel
+def _hit(
+    eye: Float64s,
+    perspective: bool,
+    vertices: Float64s,
+    resting: Float64s,
+    is_posed: bool,
+    triangles: Int32s,
+    faces: Float64s,
+    corner_normals: Float32s,
+    seen: Int32s,
+    shares: Float32s,
+    weights: Float64s,
+    points: Float64s,
+    rest: Float64s,
+    right: Float64s,
+    down: Float64s,
+    normals: Float64s,
+) -> None:
+    """Fill in what lies at barycentric ``shares`` (n, 3) of the triangles ``seen`` (n,)."""
+    for n in range(len(seen)):
+        triangle = seen[n]
+        a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
+        u, v, w = float(shares[n, 0]), float(shares[n, 1]), float(shares[n, 2])
+        weights[n, 0], weights[n, 1], weights[n, 2] = u, v, w
+        for axis in range(3):
+            points[n, axis] = u * vertices[a, axis] + v * vertices[b, axis] + w * vertices[c, axis]
+            rest[n, axis] = u * resting[a, axis] + v * resting[b, axis] + w * resting[c, axis]
+            normals[n, axis] = (
+                u * corner_normals[triangle, 0, axis]
+                + v * corner_normals[triangle, 1, axis]
+                + w * corner_normals[triangle, 2, axis]
+            )
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        i, j, k = faces[triangle, 0], faces[triangle, 1], faces[triangle, 2]
+        ax, ay, az, bx, by, bz = differential(eye, perspective, x, y, z, i, j, k)
+        right[n, 0], right[n, 1], right[n, 2] = ax, ay, az
+        down[n, 0], down[n, 1], down[n, 2] = bx, by, bz
+        if not is_posed:
+            continue
+        # Steps along the posed triangle are shares of its edges, which are as large along those at rest.
+        ee = ff = ef = re = rf = de = df = 0.0
+        for axis in range(3):
+            e, f = vertices[b, axis] - vertices[a, axis], vertices[c, axis] - vertices[a, axis]
+            ee, ff, ef = ee + e * e, ff + f * f, ef + e * f
+            re, rf = re + right[n, axis] * e, rf + right[n, axis] * f
+            de, df = de + down[n, axis] * e, df + down[n, axis] * f
+        square = ee * ff - ef * ef
+        scale = 1.0 / square if square > 0.0 else 0.0
+        for axis in range(3):
+            e, f = resting[b, axis] - resting[a, axis], resting[c, axis] - resting[a, axis]
+            right[n, axis] = ((re * ff - rf * ef) * e + (rf * ee - re * ef) * f) * scale
+            down[n, axis] = ((de * ff - df * ef) * e + (df * ee - de * ef) * f) * scale
