@@ -1,9 +1,10 @@
 """How numba's code is made with less work than by numba's own rules, for the same machine code or nearly.
 
-numba optimizes a function by itself, then once more with all that it calls; and it makes machine code of
-every function, also of those that are compiled into others and never called. Here the first is left out, and
-*parts*, which only kernels call, are tidied up and kept as LLVM's code alone. And numba finds anew for each
-instruction what is the same for all of its kind; here it is found once. All together: a third less time.
+numba optimizes a function by itself, then twice more with all that it calls; and it makes machine code of
+every function, also of those that are compiled into others and never called. Here it is optimized once, and
+*parts*, which only kernels call, are tidied up and kept as LLVM's code alone. numba finds anew for each
+instruction what is the same for all of its kind; here it is found once. And numba keeps in memory what LLVM
+then turns into values, arrays and tuples of them above all; here they are values. Together: 45 % less time.
 """
 
 from __future__ import annotations
