@@ -30,7 +30,7 @@ from numba.core.postproc import PostProcessor, VariableLifetime
 from numba.core.transforms import canonicalize_cfg
 from numba.core.types.functions import BaseFunction
 from numba.core.typing.context import Context as TypingContext
-from numba.cpython.builtins import cast_int, do_minmax
+from numba.cpython.builtins import do_minmax
 from numba.extending import intrinsic
 from numba.np.arrayobj import load_item, store_item
 from numba.np.ufunc.array_exprs import RewriteArrayExprs, _is_ufunc
@@ -133,6 +133,14 @@ class _Flags(compiler.Flags):  # type: ignore[misc]
 
 
 @intrinsic  # type: ignore[untyped-decorator]
+def _whole(_context: Any, number: Any) -> Any:
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return context.cast(builder, arguments[0], signature.args[0], signature.return_type)
+
+    return (number if isinstance(number, types.Integer) else types.intp)(number), codegen
+
+
+@intrinsic  # type: ignore[untyped-decorator]
 def _least(context: Any, one: Any, other: Any) -> Any:
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return do_minmax(context, builder, signature.args, arguments, operator.lt)
@@ -150,7 +158,8 @@ def _largest(context: Any, one: Any, other: Any) -> Any:
 
 #: What numba writes in Python and compiles for each type, and the same in LLVM's instructions: by the number
 #: of numbers.
-_DIRECT = {(int, 1): cast_int, (min, 2): _least, (max, 2): _largest}
+_DIRECT = {(int, 1): _whole, (min, 2): _least, (max, 2): _largest}
+_REAL = types.Integer, types.Float
 _PLAIN = types.Number, types.Boolean, types.Array, types.BaseTuple
 _signatures: dict[Any, Any] = {}
 _Functions: Any = BaseFunction
@@ -176,7 +185,7 @@ def _signature_of(function: Any, context: Any, arguments: Any, keywords: Any) ->
     if keywords or not all(isinstance(each, _PLAIN) for each in arguments):
         return _find_signature(function, context, arguments, keywords)
     direct = _DIRECT.get((function.typing_key, len(arguments)))
-    if direct is not None and all(isinstance(each, types.Number | types.Boolean) for each in arguments):
+    if direct is not None and all(isinstance(each, _REAL) for each in arguments):
         of_direct, plain = context.resolve_value_type(direct), tuple(map(types.unliteral, arguments))
         signature = of_direct.get_call_type(context, plain, {})
         function._impl_keys[signature.args] = of_direct.get_impl_key(signature)
