@@ -1,14 +1,18 @@
-"""A real browser for tests: whatever Chromium is installed, driven by playwright."""
+"""A real browser for tests, driven by playwright: whatever Chromium or Firefox is installed."""
 
 from __future__ import annotations
 
 import base64
+import os
+import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +23,10 @@ from octex.texture import OctreeTexture
 
 Floats = npt.NDArray[np.float32]
 
-_PROGRAMS = "chromium", "chromium-browser", "google-chrome", "google-chrome-stable"
+_PROGRAMS = {
+    "chromium": ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable"),
+    "firefox": ("firefox-esr", "firefox"),
+}
 _OPTIONS = ["--headless=new", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
 #: Returns what ``Gpu.probe`` finds as base64.
 _PROBE = """([look, asked]) => {
@@ -47,14 +54,22 @@ _NORMALS = """([look, [width, height]]) => {
 
 
 @contextmanager
-def chromium() -> Iterator[Any]:
-    """Start a browser; skip the test where there is none."""
+def started() -> Iterator[Any]:
+    """Start the browser that OCTEX_TEST_BROWSER names, by default chromium; skip where there is none.
+
+    Firefox is driven by WebDriver BiDi. Without a GPU it has WebGL2 on a screen only (Xvfb).
+    """
     api = pytest.importorskip("playwright.sync_api", reason="playwright drives the browser: pip install it")
-    program = next(filter(None, map(shutil.which, _PROGRAMS)), None)
+    name = os.environ.get("OCTEX_TEST_BROWSER", "chromium")
+    program = next(filter(None, map(shutil.which, _PROGRAMS[name])), None)
     if program is None:
-        pytest.skip(f"there is no browser: none of {', '.join(_PROGRAMS)}")
+        pytest.skip(f"there is no browser: none of {', '.join(_PROGRAMS[name])}")
+    options: dict[str, Any] = {"args": _OPTIONS}
+    if name == "firefox":
+        options = {"channel": "moz-firefox", "headless": "DISPLAY" not in os.environ}
+        options["firefox_user_prefs"] = {"webgl.force-enabled": True}
     with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=_OPTIONS)
+        browser = getattr(playwright, name).launch(executable_path=program, **options)
         yield browser
         browser.close()
 
@@ -65,11 +80,30 @@ def opened(browser: Any, url: str, size: tuple[int, int] = (1280, 720), bypass_c
     page.complaints = []
     page.on("pageerror", lambda error: page.complaints.append(str(error)))
     page.on("console", lambda line: line.type == "error" and page.complaints.append(line.text))
+    if bypass_csp and browser.browser_type.name == "firefox":
+        url = _without_policy(page, url)
     page.goto(url)
     if bypass_csp:
         done = "viewer.isComplete && viewer.pictures > 0 || !document.getElementById('message').hidden"
         page.wait_for_function(f"globalThis.viewer && ({done})", timeout=60_000)
     return page
+
+
+def _without_policy(page: Any, url: str) -> str:
+    """Take its policy off a page, as asking it takes eval and BiDi cannot pass it by; return where it is."""
+    if url.startswith("file:"):
+        path = Path(url2pathname(urlsplit(url).path))
+        text = re.sub("<meta http-equiv=.Content-Security-Policy.[^>]*>", "", path.read_text("utf-8"))
+        path.with_name(f"free-{path.name}").write_text(text, "utf-8")
+        return file_url(path.with_name(f"free-{path.name}"))
+
+    def answer(route: Any) -> None:
+        found = route.fetch()
+        kept = {name: text for name, text in found.headers.items() if name != "content-security-policy"}
+        route.fulfill(response=found, headers=kept)
+
+    page.route(url, answer)
+    return url
 
 
 class Probe:

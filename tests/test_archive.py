@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import octex
 from octex import container
-from octex.archive import entropy
+from octex.archive import entropy, write
 from octex.archive.layout import MAGIC
 from octex.channels import ChannelFormat
 from octex.errors import ArgumentError, TextureFileError
@@ -92,6 +92,17 @@ def test_an_archive_has_the_same_bytes_on_one_thread_and_from_what_was_opened(tm
     texture.save(tmp_path / "a.octz")
     with at_most(1):
         octex.open(tmp_path / "a.octz").save(tmp_path / "b.octz")
+    assert (tmp_path / "a.octz").read_bytes() == (tmp_path / "b.octz").read_bytes()
+
+
+@pytest.mark.parametrize("error", [0, 3])
+def test_an_archive_has_the_same_bytes_when_notes_are_many(
+    error: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    texture = hilly(8)
+    texture.save(tmp_path / "a.octz", max_error=error)
+    monkeypatch.setattr(write, "_MOST_NOTES", 100_000)
+    texture.save(tmp_path / "b.octz", max_error=error)
     assert (tmp_path / "a.octz").read_bytes() == (tmp_path / "b.octz").read_bytes()
 
 

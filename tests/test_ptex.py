@@ -7,6 +7,7 @@ import os
 import struct
 import sys
 import zlib
+from collections.abc import Callable
 from contextlib import nullcontext as nothing
 from pathlib import Path
 from types import ModuleType
@@ -18,7 +19,7 @@ import octex
 from octex.channels import decode, linear_to_srgb
 from octex.cli import convert as command
 from octex.errors import ArgumentError, ModelError
-from octex.formats.ptex.export import _centres, _placed
+from octex.formats.ptex.export import _at, _placed
 from octex.formats.ptex.patches import faces_of, neighbors_of, patches_of
 from octex.formats.ptex.reader import PtexFile
 from octex.formats.ptex.writer import Contents, write_contents
@@ -251,21 +252,28 @@ def test_at_the_centres_of_texels_a_surface_has_their_values(
         for face in range(file.n_faces):
             count = int(file.faces.counts[face])
             log2 = np.repeat(file.faces.log2[face][None], count, axis=0)
-            uv = _centres(patches, log2, np.arange(count))
+            middle = np.full((1, 2), 1 / 3 if triangles else 1 / 2)
+            uv = _at(patches, log2, np.arange(count), middle)[:, 0]
             at = _placed(patches, np.full(count, face, np.int32), uv)
             found = painted.evaluate_all(*at, np.zeros(count, np.float32))
             wanted = decode(file.texels(face).reshape(count, 3), "srgb")
             assert abs(found - wanted).max() < 1e-4
 
 
+def octaves(points: np.ndarray) -> np.ndarray:
+    """Return a colour by position that varies over lengths down to six cells of depth 5."""
+    return np.asarray(sum((waves(points * 2**k) - 0.5) * 0.6**k for k in range(3)) * 0.6 + 0.5)
+
+
 @pytest.mark.parametrize("triangles", [False, True])
+@pytest.mark.parametrize("colors", [waves, octaves])
 def test_there_and_back_a_texture_stays_within_40_decibels(
-    triangles: bool, house: Path, tmp_path: Path
+    triangles: bool, colors: Callable[[np.ndarray], np.ndarray], house: Path, tmp_path: Path
 ) -> None:
     surface = octex.load_surface(house)
     if triangles:
         surface = octex.Surface.from_arrays(surface.vertices, surface.triangles)
-    texture = octex.convert(surface, 5, sources={"base_color": waves})
+    texture = octex.convert(surface, 5, sources={"base_color": colors})
     octex.write_ptex(texture, surface, tmp_path / "made.ptx", texels=texture.tree.n_leaves)
     with PtexFile(tmp_path / "made.ptx") as file:
         assert texture.tree.n_leaves / 4 < file.faces.counts.sum() <= texture.tree.n_leaves

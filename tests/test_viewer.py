@@ -23,7 +23,7 @@ from octex.texture import OctreeTexture
 from octex.viewer import Viewer, write_page
 from octex.viewer.export import MODULES, page_text
 from octex.viewer.pack import pack, prepared
-from tests.browser import Probe, chromium, differences, file_url, opened
+from tests.browser import Probe, differences, file_url, opened, started
 from tests.command import refusal, result
 from tests.conftest import needs_jit
 from tests.painted import ball
@@ -35,7 +35,7 @@ SIZE = 48, 36
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with chromium() as found:
+    with started() as found:
         yield found
 
 

@@ -20,7 +20,7 @@ from octex.texture import OctreeTexture
 from octex.viewer import Viewer
 from octex.viewer.changes import change_between
 from octex.viewer.pack import pack
-from tests.browser import Probe, chromium, differences, opened
+from tests.browser import Probe, differences, opened, started
 from tests.conftest import needs_jit
 from tests.painted import ball
 from tests.small_surfaces import sheet
@@ -38,7 +38,7 @@ _HELD = """async () => {
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with chromium() as found:
+    with started() as found:
         yield found
 
 
@@ -129,6 +129,29 @@ def test_a_stroke_without_new_cells_sends_the_rows_that_it_changes(browser: Any,
 
 
 @needs_jit
+def test_strokes_with_new_cells_send_the_rows_that_they_change(browser: Any, tmp_path: Path) -> None:
+    surface = ball(32)
+    texture = octex.convert(surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)}), depth=7)
+    painter = octex.Painter(texture, surface)
+    last = surface.rest[np.argmax(surface.rest.sum(axis=1))]  # in Morton order cells there stand behind most
+    with served(Viewer(painter.texture, tmp_path / "session.octex", surface)) as viewer:
+        page = opened(browser, viewer.url, (320, 240))
+        sent = []
+        for radius in (0.1, 0.105, 0.11):
+            painter.fill(octex.Sphere(last, radius), (1.0, 0.0, 0.0), max_depth=8)
+            told(viewer, page)
+            sent.append(page.evaluate("viewer.sent"))
+            shown(page, painter.texture(), surface, False)
+        used = page.evaluate(
+            "viewer.parts[0].held.reduce((sum, { array, size }) => sum + array.length / size / 4096, 0)"
+        )
+        assert sent[0] > used / 2 > max(sent[1:]), (sent, used)
+        assert page.evaluate("viewer.gpu.gl.getError()") == 0
+        assert page.complaints == []
+        page.close()
+
+
+@needs_jit
 def test_what_is_otherwise_than_the_page_can_be_sent_is_loaded_anew(browser: Any, tmp_path: Path) -> None:
     surface, path = ball(8), tmp_path / "ball.octex"
     rough = surface.with_sources({"roughness": 0.5, "base_color": lambda p: np.full_like(p, 0.5)})
@@ -183,6 +206,8 @@ def test_a_page_that_is_behind_gets_change_after_change(tmp_path: Path) -> None:
 
 @needs_jit
 def test_the_page_and_cameras_agree_on_what_a_pixel_sees(browser: Any, tmp_path: Path) -> None:
+    if browser.browser_type.name == "firefox":
+        pytest.skip("WebDriver BiDi does not tell playwright of downloads")
     surface, path = ball(32), tmp_path / "ball.octex"
     octex.convert(surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)}), depth=4).save(path)
     with served(Viewer(lambda: octex.open(path), path, surface)) as viewer:

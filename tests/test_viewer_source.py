@@ -18,7 +18,7 @@ from octex.source.mesh import SurfaceSamples
 from octex.source.surface import Surface
 from octex.viewer import Viewer, write_page
 from octex.viewer.maps import maps_of
-from tests.browser import camera_of, chromium, file_url, opened
+from tests.browser import camera_of, file_url, opened, started
 from tests.conftest import needs_jit
 from tests.fixtures import Gltf, png, random_image
 
@@ -38,7 +38,7 @@ _DRAWN = """([width, height]) => {
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with chromium() as found:
+    with started() as found:
         yield found
 
 

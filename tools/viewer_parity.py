@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""Compare what the viewer's shader draws with lookups, on real models, in the Chromium that is installed.
+"""Compare what the viewer's shader draws with lookups, on real models, in the browser that is installed.
 
 usage: tools/viewer_parity.py [MODEL …] [--depth 8] [--size 160x120]
 
@@ -32,7 +32,7 @@ from octex.source.surface import Surface  # noqa: E402
 from octex.texture import OctreeTexture  # noqa: E402
 from octex.viewer import write_page  # noqa: E402
 from octex.viewer.pack import pack  # noqa: E402
-from tests.browser import Probe, chromium, differences, file_url, opened  # noqa: E402
+from tests.browser import Probe, differences, file_url, opened, started  # noqa: E402
 
 MODELS = "BoomBoxWithAxes/BoomBoxWithAxes.gltf", "Avocado/Avocado.gltf", "Suzanne/Suzanne.gltf"
 MODELS = *MODELS, "spot-triangulated/spot.obj"
@@ -51,7 +51,7 @@ def main() -> int:
     failed = False
     head = f"{'model':10} {'tree':9} {'filter':10} {'width':10}"
     print(f"{head} side  pixels   worst   beyond 1  fetches  most      s")
-    with chromium() as browser, TemporaryDirectory() as folder:
+    with started() as browser, TemporaryDirectory() as folder:
         for model in models:
             surface = octex.load_surface(model)
             for kind, texture in _trees(surface, options.depth):

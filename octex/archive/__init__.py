@@ -7,6 +7,6 @@ structure   which children a node has, and flags, after Tamminen and Samet
 areas       of cells, from what their siblings left of their parent's
 values      of channels, from their parents' and from what came before
 models      what the coders are told, chosen by what occurs
-blocks      the streams of a block, in order: the same for counting, encoding and decoding
+blocks      the streams of a block, in order: the same for noting and decoding
 write, read a file; blocks of a level in parallel
 """

@@ -38,8 +38,8 @@ def _code(area: int, areas: Int64s, steps: Uint8s) -> int:
     bits = wide(np.float64(area).view(np.int64))
     code = AREA_ONE + AREA_STEPS * ((bits >> 52) - 1023 - _BITS) + wide(steps[bits >> 44 & 255]) - 1
     code = min(max(code, 0), 253)
-    code += wide(areas[code + 1] <= area)
-    return code + wide(areas[code + 1] <= area)
+    # Areas ascend: neither waits for the other.
+    return code + wide(areas[np.uint64(code + 1)] <= area) + wide(areas[np.uint64(code + 2)] <= area)
 
 
 @inlined
@@ -58,13 +58,13 @@ def _code_area(
 ) -> tuple[int, int]:
     """Code an area as part of a whole; return it and what is left of the ``rest``."""
     areas, steps, parts = tables
-    rest = max(rest, areas[whole] >> 8)
+    rest = max(rest, areas[np.uint64(whole)] >> 8)
     code = _code(rest, areas, steps)
-    part = wide(parts[min(max(whole - code, 0), 255)])
+    part = wide(parts[np.uint64(min(max(whole - code, 0), 255))])
     guess = code if is_last else whole
     symbol = code_symbol(work, (area - guess) & 255, context + span * part, pool, coder, stream)
     area = (guess + symbol) & 255
-    return area, rest - areas[area]
+    return area, rest - areas[np.uint64(area)]
 
 
 @kernel
@@ -78,7 +78,7 @@ def code_areas(
     coder: Int64s,
     stream: Uint32s,
 ) -> None:
-    """Count, encode or decode the areas of cells from ``begin`` on; ``rows``, ``cells`` lie around them."""
+    """Note or decode the areas of cells from ``begin`` on; ``rows``, ``cells`` lie around them."""
     work = coder[PASS]
     rest = whole = wide(0)
     left, node = 1, -1
@@ -88,17 +88,17 @@ def code_areas(
             # A child's face is a quarter of its parent's: so many steps.
             whole = min(wide(areas[cells[node, OWN]]) + 2 * AREA_STEPS, 255)
             rest = tables[0][whole]
-        about = wide(rows[t, ABOUT])
+        about = wide(rows[np.uint64(t), ABOUT])
         left = about >> 4 & 15
         beside = wide(0)
         for axis in range(3):
-            other = wide(rows[t, axis])
-            if other < rows.shape[0]:
-                beside = max(beside, wide(areas[begin + other]))
+            other = wide(rows[np.uint64(t), axis])
+            is_beside = wide(other < rows.shape[0])  # as good as random: no branch
+            beside = max(beside, wide(areas[np.uint64(begin + other * is_beside)]) & -is_beside)
         below = whole - beside
         size = 0 if beside == 0 else 1 + wide(below >= 6) + wide(below >= 12) + wide(below >= 20)
         context = (about & 15) + 10 * (min(left, 4) - 1) + 40 * size
-        area = wide(areas[begin + t])
+        area = wide(areas[np.uint64(begin + t)])
         area, rest = _code_area(work, area, whole, rest, left == 1, context, 200, tables, pool, coder, stream)
         if work == DECODES:
             areas[begin + t] = area

@@ -42,6 +42,12 @@ def ones(mask: int) -> int:
     return popcount(np.uint64(mask))
 
 
+@inlined
+def lowest(mask: int) -> int:
+    """Return the place of a mask's lowest bit, of one that has any."""
+    return popcount(np.uint64(~mask & mask - 1))
+
+
 @kernel
 def _descended(
     groups: Uint64s,
@@ -62,9 +68,10 @@ def _descended(
             inner[k] = leaves[k] = 0
             if node >= 0:
                 inner[k], leaves[k], next_node[k], next_cell[k] = children_of(groups, node)
-        for octant in range(8):
-            if not inner[OWN] >> octant & 1:
-                continue
+        bits = inner[OWN]
+        while bits:
+            octant = lowest(bits)
+            bits &= bits - 1
             if first <= child < last:
                 own = child - first
                 cell = next_cell[OWN] + ones((inner[OWN] | leaves[OWN]) & ((1 << octant) - 1))
@@ -140,9 +147,10 @@ def around_children(
                 inner2, leaves2, _, begins[k] = children_of(groups, beyond)
                 masks[k] = inner2 | leaves2
         left, has_nodes = ones(occupied), int(inner != 0)
-        for octant in range(8):
-            if not occupied >> octant & 1:
-                continue
+        bits = occupied
+        while bits:
+            octant = lowest(bits)
+            bits &= bits - 1
             shape = 0
             for axis in range(3):
                 across = octant ^ 1 << axis
@@ -150,10 +158,9 @@ def around_children(
                 beyond = 2 * axis + upper
                 shape += 1 << 2 * ((occupied >> across & 1) + (masks[beyond] >> across & 1))
                 at = OWN if upper else 2 * axis
-                beside = count
-                if masks[at] >> across & 1 and begins[at] >= 0:
-                    beside = begins[at] - begin + ones(masks[at] & ((1 << across) - 1))
-                rows[t, axis] = beside
+                beside = begins[at] - begin + ones(masks[at] & ((1 << across) - 1))
+                is_beside = (masks[at] >> across & 1) & np.int64(begins[at] >= 0)
+                rows[t, axis] = beside if is_beside else count
             rows[t, ABOUT] = np.int64(shapes[shape]) | left << 4 | has_nodes << 8 | octant << 9
             left -= 1
             t += 1

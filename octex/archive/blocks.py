@@ -1,4 +1,4 @@
-"""The streams of a block, in order: the same for counting, encoding and decoding."""
+"""The streams of a block, in order: the same for noting and decoding."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Streams(Protocol):
     """Where streams come from, or go to."""
 
     def begin(self, most: int) -> tuple[Int64s, Uint32s]:
-        """Return the next stream and its coder; ``most`` is how many intervals it may have."""
+        """Return the next stream and its coder; ``most`` is how many notes it may have."""
 
     def end(self) -> None:
         """Take a stream that is done; raises for one that makes no sense."""

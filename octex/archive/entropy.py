@@ -2,11 +2,12 @@
 
 rANS (Duda 2013, "Asymmetric numeral systems") with four states of 32 bits, which take turns, so that four
 symbols are decoded at once (Giesen 2014, "Interleaved entropy coders"). Frequencies are of 4096. It writes
-backward: the encoder lists where each symbol lies in the unit interval, and turns the list into words at the
-end; the decoder reads forward.
+backward: symbols are counted and noted first; when frequencies are known, the notes are turned into words,
+the last first. The decoder reads forward.
 
-A coder is an array of whole numbers: the states, then PLACE … TURN. Encoding, a stream is the list of
-intervals, each ``state << 28 | start << 16 | size``; decoding, it is the words.
+A coder is an array of whole numbers: the states, then PLACE … TURN. When symbols are noted, a stream is the
+notes, each ``context << 8 | symbol``, contexts of all pools numbered through, or for what has an interval of
+its own ``1 << 31 | start << 13 | size``; decoding, it is the words.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ _LEAST = 1 << 16  # a state is this or more between two symbols
 _WORD = _LEAST - 1
 
 # What a pass does. Of values it also measures how they differ.
-COUNTS, ENCODES, DECODES, MEASURES = 0, 1, 2, 3
+NOTES, DECODES, MEASURES = 0, 1, 2
 
 # What a coder is, after the states.
 PLACE, FAULT, PASS, TURN = 4, 5, 6, 7
@@ -39,6 +40,7 @@ class Pool(NamedTuple):
     intervals: Uint32s  # (tables · 256,)   of a symbol: where it begins, and << 16 its frequency
     symbols: Uint8s  # (tables · 4096,)
     counts: Int64s  # (contexts, symbols)   how often which occurred
+    first: int  # of its contexts, when all pools' are numbered through
 
 
 def new_coder(work: int) -> Int64s:
@@ -51,8 +53,8 @@ def decoder(words: Uint16s) -> tuple[Int64s, Uint32s]:
 
     The words begin with the states, low words first; there are none where all was certain.
     """
-    coder, stream = new_coder(DECODES), np.zeros(words.size + 1, np.uint32)
-    stream[:-1] = words
+    coder, stream = new_coder(DECODES), np.empty(words.size + 1, np.uint32)
+    stream[:-1], stream[-1] = words, 0
     if words.size >= 2 * STATES:
         coder[:STATES] = stream[: 2 * STATES : 2] | stream[1 : 2 * STATES : 2] << np.uint32(16)
         coder[PLACE] = 2 * STATES
@@ -73,12 +75,9 @@ def wide(number: Any) -> int:
 
 @inlined
 def _put(start: int, size: int, coder: Int64s, stream: Uint32s) -> None:
-    """Note a symbol's interval; certain ones take nothing."""
-    turn = coder[TURN]
-    if size < ONE:
-        stream[coder[PLACE]] = turn << 28 | start << 16 | size
-        coder[PLACE] += 1
-    coder[TURN] = (turn + 1) & (STATES - 1)
+    """Note an interval."""
+    stream[np.uint64(coder[PLACE])] = 1 << 31 | start << 13 | size
+    coder[PLACE] += 1
 
 
 @inlined
@@ -104,25 +103,22 @@ def _take(start: int, size: int, coder: Int64s, stream: Uint32s) -> None:
 
 @inlined
 def code_symbol(work: int, symbol: int, context: int, pool: Pool, coder: Int64s, stream: Uint32s) -> int:
-    """Count, encode or decode a symbol in a context; return it. ``work`` is the coder's PASS."""
-    if work == COUNTS:
-        pool.counts[context, symbol] += 1
+    """Note and count, or decode a symbol in a context; return it. ``work`` is the coder's PASS."""
+    if work != DECODES:
+        pool.counts[np.uint64(context), np.uint64(symbol)] += 1
+        stream[np.uint64(coder[PLACE])] = (pool.first + context) << 8 | symbol
+        coder[PLACE] += 1
         return symbol
     table = wide(pool.chosen[np.uint64(context)])
-    if work == DECODES:
-        symbol = wide(pool.symbols[np.uint64(table << PRECISION | _low(coder))])
+    symbol = wide(pool.symbols[np.uint64(table << PRECISION | _low(coder))])
     interval = wide(pool.intervals[np.uint64(table << 8 | symbol)])
-    start, size = interval & 0xFFFF, interval >> 16
-    if work == DECODES:
-        _take(start, size, coder, stream)
-    else:
-        _put(start, size, coder, stream)
+    _take(interval & 0xFFFF, interval >> 16, coder, stream)
     return symbol
 
 
 @inlined
 def code_bits(value: int, count: int, coder: Int64s, stream: Uint32s) -> int:
-    """Encode or decode ``count`` bits, 0 to 36, any as likely as any; return them."""
+    """Note or decode ``count`` bits, 0 to 36, any as likely as any; return them."""
     done = 0
     found = 0
     while done < count:
@@ -139,13 +135,25 @@ def code_bits(value: int, count: int, coder: Int64s, stream: Uint32s) -> int:
 
 
 @kernel
-def _write_words(intervals: Uint32s, count: int, words: Uint16s) -> int:
-    """Turn intervals into words, the last first, at the far end of ``words``; return where they begin."""
+def _write_words(notes: Uint32s, chosen: Uint32s, intervals: Uint32s, words: Uint16s) -> int:
+    """Turn notes into words, the last first, at the far end of ``words``; return where they begin.
+
+    ``chosen`` and ``intervals`` are those of all pools, one after the other.
+    """
     states = np.full(STATES, _LEAST, np.int64)
     at = words.size
-    for i in range(count - 1, -1, -1):
-        interval = wide(intervals[i])
-        turn, start, size = interval >> 28, interval >> 16 & (ONE - 1), interval & (2 * ONE - 1)
+    is_certain = True
+    for i in range(notes.size - 1, -1, -1):
+        note = wide(notes[i])
+        start, size = note >> 13 & (ONE - 1), note & (2 * ONE - 1)
+        if note >> 31 == 0:
+            table = wide(chosen[np.uint64(note >> 8)])
+            interval = wide(intervals[np.uint64(table << 8 | note & 255)])
+            start, size = interval & 0xFFFF, interval >> 16
+        if size == ONE:  # it takes nothing
+            continue
+        is_certain = False
+        turn = np.uint64(i & (STATES - 1))
         state = states[turn]
         if state >= size << 20:
             at -= 1
@@ -153,20 +161,26 @@ def _write_words(intervals: Uint32s, count: int, words: Uint16s) -> int:
             state >>= 16
         whole = np.uint32(state) // np.uint32(size)
         states[turn] = (wide(whole) << PRECISION) + state - wide(whole) * size + start
-    for turn in range(STATES - 1, -1, -1):
+    if is_certain:
+        return at
+    for last in range(STATES - 1, -1, -1):
         at -= 2
-        words[at] = states[turn] & _WORD
-        words[at + 1] = states[turn] >> 16
+        words[at] = states[last] & _WORD
+        words[at + 1] = states[last] >> 16
     return at
 
 
-def words_of(coder: Int64s, intervals: Uint32s) -> Uint16s:
-    """Return the words of the intervals that a coder noted."""
-    count = int(coder[PLACE])
-    if count == 0:
-        return np.empty(0, np.uint16)
-    words = np.empty(count + 2 * STATES, np.uint16)  # an interval is 12 bits or less
-    return words[_write_words(intervals, count, words) :]
+def words_of(notes: Uint32s, chosen: Uint32s, intervals: Uint32s) -> Uint16s:
+    """Return the words of notes; ``chosen`` and ``intervals`` are those of all pools."""
+    words = np.empty(notes.size + 2 * STATES, np.uint16)  # an interval is 12 bits or less
+    return words[_write_words(notes, chosen, intervals, words) :]
+
+
+def intervals_of(pools: list[Pool]) -> tuple[Uint32s, Uint32s]:
+    """Return the table of each context and the intervals of all pools, numbered through."""
+    tables = np.cumsum([0, *(pool.intervals.size >> 8 for pool in pools)])
+    chosen = [pool.chosen + before for pool, before in zip(pools, tables[:-1], strict=True)]
+    return np.concatenate(chosen).astype(np.uint32), np.concatenate([pool.intervals for pool in pools])
 
 
 # Whole numbers without a table, for the tables themselves: how many bits one has, then these, each bit coded
@@ -177,7 +191,7 @@ _LENGTHS = 34
 
 @kernel
 def _code_numbers(numbers: Int64s, chances: Int64s, coder: Int64s, stream: Uint32s) -> None:
-    """Encode or decode whole numbers below 2³² in place: each 0 is followed by how many more there are.
+    """Note or decode whole numbers below 2³² in place: each 0 is followed by how many more there are.
 
     ``chances`` (5, 34, 2) are those of the length's bits and of the highest bits below the first, by the
     length of the number before; the last kind is that of runs.
@@ -226,7 +240,7 @@ def _code_number(number: int, kind: int, chances: Int64s, coder: Int64s, stream:
 def _adapted(
     bit: int, chances: Int64s, kind: int, length: int, part: int, coder: Int64s, stream: Uint32s
 ) -> int:
-    """Encode or decode a bit, 1 in so many of 4096 cases, 1 to 4095, which move to what is seen."""
+    """Note or decode a bit, 1 in so many of 4096 cases, 1 to 4095, which move to what is seen."""
     chance = chances[kind, length, part]
     if coder[PASS] == DECODES:
         bit = int(_low(coder) < chance)
@@ -247,9 +261,9 @@ def _new_chances() -> Int64s:
 
 def encoded_numbers(numbers: Int64s) -> Uint16s:
     """Return the stream of whole numbers (n,), 0 to 2³² − 2."""
-    coder, stream = new_coder(ENCODES), np.empty(120 * numbers.size, np.uint32)
+    coder, stream = new_coder(NOTES), np.empty(120 * numbers.size, np.uint32)
     _code_numbers(numbers.copy(), _new_chances(), coder, stream)
-    return words_of(coder, stream)
+    return words_of(stream[: coder[PLACE]], *[np.empty(0, np.uint32)] * 2)
 
 
 def decoded_numbers(words: Uint16s, count: int) -> Int64s | None:
@@ -282,38 +296,36 @@ def normalized(counts: Int64s) -> Int64s:
 
 
 def pool_of(chosen: Uint8s, sizes: Int64s) -> Pool:
-    """Return what kernels take of frequencies (tables, 256), each row's sum 4096."""
+    """Return what kernels take to decode by frequencies (tables, 256), each row's sum 4096."""
     starts = np.cumsum(sizes, axis=1) - sizes
     symbols = np.repeat(np.tile(np.arange(256, dtype=np.uint8), len(sizes)), sizes.reshape(-1))
-    return Pool(
-        chosen, (sizes << 16 | starts).astype(np.uint32).reshape(-1), symbols, np.empty((0, 0), np.int64)
-    )
+    intervals = (sizes << 16 | starts).astype(np.uint32).reshape(-1)
+    return Pool(chosen, intervals, symbols, np.empty((0, 0), np.int64), 0)
 
 
 @kernel
 def _choose_tables(counts: Int64s, bits: Float64s, chosen: Int64s, sums: Int64s) -> float:
     """Choose for each context the table that codes its symbols in fewest bits; return how many all take.
 
-    ``bits`` (tables, symbols) are what tables take for a symbol; counts are added to their table's ``sums``.
+    ``bits`` (symbols, tables) are what tables take for a symbol; counts are added to their table's ``sums``.
     """
     total = 0.0
-    symbols = np.empty(counts.shape[1], np.int64)
+    costs = np.empty(bits.shape[1])
     for context in range(counts.shape[0]):
-        used = 0
+        costs[:] = 0.0
         for symbol in range(counts.shape[1]):
-            if counts[context, symbol]:
-                symbols[used] = symbol
-                used += 1
-        least = np.inf
-        for table in range(bits.shape[0]):
-            cost = 0.0
-            for n in range(used):
-                cost += bits[table, symbols[n]] * counts[context, symbols[n]]
-            if cost < least:
-                least, chosen[context] = cost, table
-        total += least
-        for n in range(used):
-            sums[chosen[context], symbols[n]] += counts[context, symbols[n]]
+            count = counts[context, symbol]
+            if count:
+                for table in range(np.uint64(bits.shape[1])):  # in vectors
+                    costs[table] += bits[np.uint64(symbol), table] * count
+        table = 0
+        for other in range(1, costs.size):
+            if costs[other] < costs[table]:
+                table = other
+        chosen[context] = table
+        total += costs[table]
+        for symbol in range(counts.shape[1]):
+            sums[table, symbol] += counts[context, symbol]
     return total
 
 
@@ -333,7 +345,7 @@ def shared_tables(counts: Int64s) -> tuple[Uint8s, Int64s]:
         for _ in range(3):
             sums = sums[np.argsort(-sums.sum(axis=1), kind="stable")][:size]
             centres = sums + 0.02
-            bits = np.log2(centres.sum(axis=1, keepdims=True)) - np.log2(centres)
+            bits = (np.log2(centres.sum(axis=1, keepdims=True)) - np.log2(centres)).T.copy()
             sums = np.zeros_like(sums)
             total = _choose_tables(own, bits, found, sums)
         total += _SYMBOL_BITS * np.count_nonzero(sums) + used.size * np.log2(size + 1)

@@ -33,9 +33,11 @@ def no_counts(codings: dict[str, values.Coding]) -> list[Int64s]:
 
 
 def counting(counts: list[Int64s], codings: dict[str, values.Coding]) -> Models:
-    """Return what is counted with."""
+    """Return what symbols are noted and counted with."""
     none = pool_of(np.zeros(0, np.uint8), np.zeros((0, 256), np.int64))
-    return Models([none._replace(counts=each) for each in counts], codings)
+    firsts = np.cumsum([0, *map(len, counts)]).tolist()
+    pools = [none._replace(counts=each, first=first) for each, first in zip(counts, firsts, strict=False)]
+    return Models(pools, codings)
 
 
 def made(counts: list[Int64s], codings: dict[str, values.Coding]) -> tuple[Models, Int64s]:

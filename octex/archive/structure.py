@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.archive.around import OWN, children_of, ones
+from octex.archive.around import OWN, children_of, lowest, ones
 from octex.archive.entropy import DECODES, FAULT, PASS, Pool, code_symbol, wide
 from octex.arrays import Int64s, Uint8s, Uint32s, Uint64s
-from octex.jit import kernel
+from octex.jit import inlined, kernel
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
 
 #: Contexts, and symbols, of the three: 64 · 4 · 4 · 16 for each half; 3 · 4; 5 · 9 · 8 · 6.
@@ -34,6 +34,13 @@ def facing_tables() -> tuple[Uint8s, Uint8s]:
     return together, apart
 
 
+@inlined
+def _mask(masks: Int64s, node: int) -> int:
+    """Return the mask of a node of the block, 0 for one below it."""
+    is_own = wide(node >= 0)  # as good as random: no branch
+    return wide(masks[np.uint64(node * is_own)] & -is_own)
+
+
 @kernel
 def code_structure(
     groups: Uint64s,
@@ -52,7 +59,7 @@ def code_structure(
     coder: Int64s,
     stream: Uint32s,
 ) -> None:
-    """Count, encode or decode the children of nodes ``first`` … ``last``, around which lie cells and nodes.
+    """Note or decode the children of nodes ``first`` … ``last``, around which lie cells and nodes.
 
     Decoding, it writes their masks and the groups' ranks, and their flags. Its children are numbered from
     ``next_node`` and ``next_cell`` on, up to the ends: what goes beyond sets FAULT.
@@ -63,7 +70,6 @@ def code_structure(
     occupied_pool, leaves_pool, flags_pool = pools
     # Of the block's nodes: which children they have, and which is the first.
     masks, begins = np.zeros(last - first, np.int64), np.zeros(last - first, np.int64)
-    beside = np.zeros(6, np.int64)
     kinds = 0  # of the children of the node before: nodes, mixed, leaves
     for node in range(first, last):
         own = node - first
@@ -76,13 +82,12 @@ def code_structure(
             groups[node >> 3, 2] = np.uint64(next_node) | np.uint64(next_cell) << np.uint64(32)
         faces = leaves_beside = 0
         for k in range(6):
-            if cells[own, k] != cells[own, OWN]:
-                faces |= 1 << k
-                leaves_beside += wide(nodes[own, k] < 0)
-            beside[k] = 0
-            if k & 1 == 0 and nodes[own, k] >= first:
-                beside[k] = masks[nodes[own, k] - first]
-        x, y, z = beside[0], beside[2], beside[4]
+            is_there = wide(cells[own, k] != cells[own, OWN])
+            faces |= is_there << k
+            leaves_beside += is_there & wide(nodes[own, k] < 0)
+        x = _mask(masks, nodes[own, 0] - first)
+        y = _mask(masks, nodes[own, 2] - first)
+        z = _mask(masks, nodes[own, 4] - first)
         there = is_node | is_leaf
         context = ((faces << 2 | x >> 1 & 1 | x >> 2 & 2) << 2 | y >> 2 & 3) << 4 | z >> 4
         low = code_symbol(work, there & 15, context, occupied_pool, coder, stream) & 15
@@ -104,9 +109,10 @@ def code_structure(
         shown = parent & FACING_FLAGS
         many = min(ones(shown), 4)
         union = split_before = 0
-        for octant in range(8):
-            if not there >> octant & 1:
-                continue
+        bits = there
+        while bits:
+            octant = lowest(bits)
+            bits &= bits - 1
             some = 0
             for axis in range(3 if many > 1 else 0):
                 across = octant ^ 1 << axis

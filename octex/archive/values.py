@@ -129,7 +129,7 @@ def _code_number(
     coder: Int64s,
     stream: Uint32s,
 ) -> tuple[int, int]:
-    """Count, encode or decode a number near a guess; return it as it will be decoded, and what was coded."""
+    """Note or decode a number near a guess; return it as it will be decoded, and what was coded."""
     most = (1 << 8 * size) - 1
     step = 2 * error + 1
     span = most + 1
@@ -178,8 +178,7 @@ def _code_large(work: int, sign: int, context: int, pool: Pool, coder: Int64s, s
     if token < 16:
         return token
     length = min(4 + (token - 16 >> 2), 31)
-    if work:
-        rest = code_bits(rest, length - 2, coder, stream)
+    rest = code_bits(rest, length - 2, coder, stream)
     return (4 | (token & 3)) << (length - 2) | rest
 
 
@@ -197,10 +196,10 @@ def code_values(
     coder: Int64s,
     stream: Uint32s,
 ) -> None:
-    """Count, encode, decode or measure the values of cells from ``begin`` on.
+    """Note, decode or measure the values of cells from ``begin`` on.
 
     ``rows`` and ``cells`` are what lies around them. Bytes ``given`` (cells, components, size) are what is
-    encoded; ``raw`` is what will be decoded, written unless they are one. ``steps`` are STEPS.
+    noted; ``raw`` is what will be decoded, written unless they are one. ``steps`` are STEPS.
     """
     values = np.zeros((rows.shape[0] + 1) * coding.order.size, np.int64)
     around, terms = np.zeros(4 * _AROUND, np.int64), np.zeros(TERMS + 1, np.int64)

@@ -1,4 +1,4 @@
-"""Write an archive: count what occurs, choose the models, encode; block by block, from mapped arrays."""
+"""Write an archive: note what occurs, choose the models, encode; block by block, from mapped arrays."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import lzma
 import os
 import threading
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from functools import partial
+from functools import partial, reduce
 from itertools import chain
 from typing import Any, BinaryIO, NamedTuple
 
@@ -19,10 +19,11 @@ from octex.archive import blocks, values
 from octex.archive.around import ABOUT, OWN, around_children, around_nodes, shapes
 from octex.archive.blocks import Content, Span
 from octex.archive.entropy import (
-    COUNTS,
-    ENCODES,
     MEASURES,
+    NOTES,
+    PLACE,
     encoded_numbers,
+    intervals_of,
     new_coder,
     pool_of,
     words_of,
@@ -55,7 +56,9 @@ from octex.tree.octree import Octree, no_kept, no_split
 
 #: About so many cells of nodes, and of leaves, are looked at to choose weights, so often.
 _SAMPLE = 1 << 13
-_ROUNDS = 3
+_ROUNDS = 6
+#: So many bytes of notes are kept until they are encoded.
+_MOST_NOTES = 1 << 28
 
 
 def write(
@@ -86,7 +89,8 @@ def write(
     decoded = {name: _copied(channel) if errors[name] else channel for name, channel in given.items()}
     content = Content(arrays, split, kept, given, decoded)
     with replacing(path) as file, workers() as executor:
-        models, numbers = made(_counted(content, codings, executor), codings)
+        counts, noted = _noted(content, codings, executor)
+        models, numbers = made(counts, codings)
         head = {
             "format": FORMAT,
             "metadata": dict(metadata),
@@ -112,21 +116,19 @@ def write(
                 for name, array in others.items()
             ],
         }
-        _write_file(file, content, models, head, numbers, others, executor)
+        encoded = ordered_map(executor, partial(_encoded, intervals_of(models.pools)), noted)
+        _write_file(file, encoded, head, numbers, others)
 
 
 def _write_file(
     file: BinaryIO,
-    content: Content,
-    models: Models,
+    encoded: Iterable[Encoded],
     head: dict[str, Any],
     numbers: Int64s,
     others: Mapping[str, Array],
-    executor: Executor,
 ) -> None:
     file.write(bytes(START))
     records: list[int] = []
-    encoded = _Pass(content, lambda: models, ENCODES).all(executor)
     for numbers_of_children, streams in chain(encoded, _pieces(others)):
         records += numbers_of_children
         for stream in streams:
@@ -148,7 +150,9 @@ def _write_file(
     file.seek(0, os.SEEK_END)
 
 
+Noted = tuple[list[int], list[Uint32s]]
 Encoded = tuple[list[int], list[bytes]]
+_Note = tuple["partial[Noted]", "Noted | None"]
 
 
 def _pieces(others: Mapping[str, Array]) -> Iterator[Encoded]:
@@ -238,69 +242,71 @@ def _first_below(arrays: TreeArrays, node: int) -> tuple[int, int]:
 
 
 class _Streams:
-    """Streams that are counted or encoded."""
+    """Streams of notes."""
 
-    def __init__(self, work: int) -> None:
-        self._work = work
+    def __init__(self) -> None:
         self._open: tuple[Int64s, Uint32s]
-        self.found: list[bytes] = []
+        self.found: list[Uint32s] = []
 
     def begin(self, most: int) -> tuple[Int64s, Uint32s]:
-        """Return a coder and room for so many intervals."""
-        self._open = new_coder(self._work), np.empty(most if self._work == ENCODES else 0, np.uint32)
+        """Return a coder and room for so many notes."""
+        self._open = new_coder(NOTES), np.empty(most, np.uint32)
         return self._open
 
     def end(self) -> None:
-        """Note the words of a stream."""
-        if self._work == ENCODES:
-            self.found.append(words_of(*self._open).astype("<u2").tobytes())
+        """Keep the notes of a stream."""
+        coder, stream = self._open
+        self.found.append(stream[: coder[PLACE]].copy())
 
 
 class _Pass(NamedTuple):
-    """What blocks are counted or encoded with."""
+    """What blocks are noted with."""
 
     content: Content
     models: Callable[[], Models]
-    work: int
 
-    def block(self, block: Block) -> Encoded:
-        """Count or encode the children of nodes."""
-        span, streams = _span(self.content.arrays, block), _Streams(self.work)
+    def block(self, block: Block) -> Noted:
+        """Note the children of nodes."""
+        span, streams = _span(self.content.arrays, block), _Streams()
         blocks.code_children(self.content, self.models(), block, span, streams)
         return [span.end_node - span.node, span.end_cell - span.cell], streams.found
 
-    def split(self, chosen: slice, firsts: Int64s) -> Encoded:
-        """Count or encode the rows of split cells."""
-        streams = _Streams(self.work)
+    def split(self, chosen: slice, firsts: Int64s) -> Noted:
+        """Note the rows of split cells."""
+        streams = _Streams()
         blocks.code_split(self.content, self.models(), chosen, firsts, streams)
         return [], streams.found
 
-    def kept(self, chosen: slice) -> Encoded:
-        """Count or encode the values of kept nodes."""
-        streams = _Streams(self.work)
+    def kept(self, chosen: slice) -> Noted:
+        """Note the values of kept nodes."""
+        streams = _Streams()
         blocks.code_kept(self.content, self.models(), chosen, streams)
         return [], streams.found
 
-    def all(self, executor: Executor) -> Iterator[Encoded]:
-        """Count or encode all, level by level: the blocks of a level in parallel."""
+    def tasks(self) -> list[list[partial[Noted]]]:
+        """Return what notes all, level by level: the blocks of a level in parallel."""
         arrays, split = self.content.arrays, self.content.split
-        tasks: list[list[partial[Encoded]]] = [
+        tasks: list[list[partial[Noted]]] = [
             [partial(self.block, block) for block in blocks_of(arrays.level_nodes, level)]
             for level in range(arrays.level_cells.size - 2)
         ]
         firsts = first_rows(split.facings)
         tasks.append([partial(self.split, part, firsts) for part in parts(split.cells.size)])
         tasks.append([partial(self.kept, part) for part in parts(self.content.kept.cells.size)])
-        for level in tasks:
-            yield from ordered_map(executor, _called, level)
+        return tasks
 
 
-def _called(task: partial[Encoded]) -> Encoded:
+def _called(task: partial[Noted]) -> Noted:
     return task()
 
 
-def _counted(content: Content, codings: dict[str, values.Coding], executor: Executor) -> list[Int64s]:
-    """Return how often what occurs; each thread has counts of its own."""
+def _noted(
+    content: Content, codings: dict[str, values.Coding], executor: Executor
+) -> tuple[list[Int64s], list[_Note]]:
+    """Return how often what occurs, each thread having counts of its own; and the notes of each block.
+
+    Of many, only the first are kept: the others are made anew.
+    """
     found: list[list[Int64s]] = []
     here = threading.local()
 
@@ -311,6 +317,17 @@ def _counted(content: Content, codings: dict[str, values.Coding], executor: Exec
             here.models = counting(counts, codings)
         return here.models  # type: ignore[no-any-return]
 
-    for _ in _Pass(content, own, COUNTS).all(executor):
-        pass
-    return [np.sum(each, axis=0) for each in zip(*found or [no_counts(codings)], strict=True)]
+    noted: list[_Note] = []
+    size = 0
+    for level in _Pass(content, own).tasks():
+        for task, (numbers, streams) in zip(level, ordered_map(executor, _called, level), strict=True):
+            size += sum(stream.nbytes for stream in streams)
+            noted.append((task, (numbers, streams) if size <= _MOST_NOTES else None))
+    return [reduce(np.add, each) for each in zip(*found or [no_counts(codings)], strict=True)], noted
+
+
+def _encoded(models: tuple[Uint32s, Uint32s], note: _Note) -> Encoded:
+    """Return a block's numbers of children and its streams."""
+    task, noted = note
+    numbers, streams = noted or task()
+    return numbers, [words_of(stream, *models).astype("<u2").tobytes() for stream in streams]

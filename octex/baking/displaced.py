@@ -23,12 +23,12 @@ from octex.view.shading import corner_normals
 
 #: What the field has at vertices is evened out over their neighbours, each time by this part: leaves are
 #: fitted, and where the surface passes from layer to layer of them the field is off by a tenth of what it
-#: changes by from cell to cell. Slopes six times, and then sharpened; heights three times. Without, normals
-#: of a sphere in steep relief are off by up to 10 degrees instead of 1, positions by twice as much.
-_PART = 0.9
-_ROUNDS, _ROUNDS_OF_HEIGHTS = 6, 3
-#: Cotangents of angles are no more than this.
-_LARGEST = 1e3
+#: changes by from cell to cell. Slopes are then sharpened. Without, normals of a sphere in steep relief are
+#: off by up to 10 degrees instead of 1, positions by four times as much.
+_PART, _ROUNDS = 0.9, 10
+#: Cotangents of angles are between these: lower ones would make what is evened out grow on some meshes,
+#: higher ones move means off their vertices where triangles are obtuse.
+_LEAST, _LARGEST = -0.2, 1e3
 #: An edge is divided at most so often.
 _MOST_LEVELS = 10
 
@@ -50,7 +50,7 @@ def displace(
     rest until none is longer than ``cell``, by default the texture's finest cell; neighbours divide a shared
     edge alike. Rest positions stay those of the surface undisplaced, as do its texture coordinates and its
     source. New normals, ``posed_frames()``, are those of the displaced surface, by the gradient of the field.
-    Both are evened out over about two cells: relief finer than 8 cells loses some of its slope.
+    Both are evened out over about two cells: relief finer than 8 cells loses a tenth of its slope.
 
     Raises ArgumentError for a channel that is not there or is of directions, for numbers out of range, for
     more than ``most_triangles``, and where the displacement is not finite.
@@ -152,16 +152,15 @@ def _even(triangles: Int32s, positions: Float64s, heights: Float64s, slopes: Flo
     """Even out heights (n,) and slopes (n, 3) of vertices at ``positions`` (n, 3), in place."""
     cotangents, sums = np.empty((len(triangles), 3)), np.empty((len(heights), 5))
     _cotangents(triangles, positions, cotangents)
-    for number in range(_ROUNDS):
-        lift = _PART if number < _ROUNDS_OF_HEIGHTS else 0.0
-        _even_out(triangles, cotangents, positions, heights, slopes, sums, _PART, lift)
+    for _ in range(_ROUNDS):
+        _even_out(triangles, cotangents, positions, heights, slopes, sums, _PART, _PART)
     # What the rounds took of long waves, to first order.
     _even_out(triangles, cotangents, positions, heights, slopes, sums, -_ROUNDS * _PART, 0.0)
 
 
 @kernel
 def _cotangents(triangles: Int32s, positions: Float64s, cotangents: Float64s) -> None:
-    """Fill in those of the angles that face the sides of triangles (m, 3), of obtuse ones 0."""
+    """Fill in those of the angles that face the sides of triangles (m, 3)."""
     for t in range(len(triangles)):
         for side in range(3):
             a, b, c = triangles[t, side], triangles[t, (side + 1) % 3], triangles[t, (side + 2) % 3]
@@ -172,7 +171,7 @@ def _cotangents(triangles: Int32s, positions: Float64s, cotangents: Float64s) ->
                 one += u * u
                 other += v * v
             across = np.sqrt(max(one * other - dot * dot, 0.0))
-            cotangents[t, side] = min(max(dot, 0.0) / across, _LARGEST) if across > 0.0 else 0.0
+            cotangents[t, side] = min(max(dot / across, _LEAST), _LARGEST) if across > 0.0 else 0.0
 
 
 @kernel

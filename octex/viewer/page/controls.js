@@ -1,8 +1,9 @@
-// Mouse, touch and keys on the picture: orbit, pan and zoom. `moved` is called after each change.
+// Mouse, touch and keys on the picture: orbit, pan and zoom. `moved` is called after each change, `rested` once
+// no pointer is down any more.
 
 const STEP = 0.09;
 
-export function control(canvas, camera, moved) {
+export function control(canvas, camera, moved, rested) {
   const pointers = new Map();
   let spread = 0;
 
@@ -37,6 +38,7 @@ export function control(canvas, camera, moved) {
     canvas.addEventListener(name, (event) => {
       pointers.delete(event.pointerId);
       spread = 0;
+      if (!pointers.size) rested();
     });
   }
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());

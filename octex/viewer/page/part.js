@@ -2,6 +2,9 @@
 
 import { Octree, ROW } from "./octree.js";
 
+const MORE = 1 / 8; // of a texture that has grown: the room that it gets for more
+const rowsOf = ({ array, size }) => array.length / (size * ROW);
+
 export class Part {
   constructor(header) {
     this.header = header;
@@ -13,9 +16,9 @@ export class Part {
 
   // The deepest level whose rows fit into this GPU's textures.
   get deepest() {
-    const rows = this.gl.getParameter(this.gl.MAX_TEXTURE_SIZE), { cells } = this.octree;
+    const { cells } = this.octree;
     let level = this.octree.header.depth;
-    while (level > 0 && cells[level + 1] > rows * ROW) level--;
+    while (level > 0 && cells[level + 1] > this.mostRows * ROW) level--;
     return level;
   }
 
@@ -65,10 +68,14 @@ export class Part {
     return [this.nodes, this.tables, ...this.planes];
   }
 
-  allocate(held) {
-    const most = this.gl.getParameter(this.gl.MAX_TEXTURE_SIZE);
-    held.rows = Math.max(Math.min(held.array.length / (held.size * ROW), most), 1);
+  // Make a texture for an array, with room for a part more.
+  allocate(held, more = 0) {
+    held.rows = Math.min(Math.ceil(rowsOf(held) * (1 + more)), this.mostRows);
     held.texture = this.texture(held.format, held.rows);
+  }
+
+  get mostRows() {
+    return this.gl.getParameter(this.gl.MAX_TEXTURE_SIZE);
   }
 
   texture(format, rows) {
@@ -97,7 +104,8 @@ export class Part {
     for (const plane of this.planes) put(plane, cells);
   }
 
-  // Take the octree as it has changed: of textures that stay as large only rows that differ are sent. Returns how many.
+  // Take the octree as it has changed: only rows that differ are sent. Textures that get too small are made anew,
+  // with room for what comes next. Returns how many rows were sent.
   change(header, octree) {
     let sent = 0;
     Object.assign(this.header, header);
@@ -105,20 +113,21 @@ export class Part {
     const arrays = [octree.words, octree.entries, ...octree.planes];
     this.octree = octree;
     this.held.forEach((held, n) => {
-      const before = held.array, after = (held.array = arrays[n]);
-      const isAsLarge = before.length === after.length;
-      if (!isAsLarge) {
+      const before = held.array;
+      held.array = arrays[n];
+      const rows = Math.min(rowsOf(held), this.mostRows), fits = rows <= held.rows;
+      if (!fits) {
         this.gl.deleteTexture(held.texture);
-        this.allocate(held);
+        this.allocate(held, MORE);
       }
-      const [was, now] = [before, after].map((array) => new Uint32Array(array.buffer));
-      const width = now.length / (after.length / (held.size * ROW));
+      const [was, now] = [before, held.array].map((array) => new Uint32Array(array.buffer));
+      const width = now.length / rowsOf(held);
       const differs = (row) => {
         for (let at = row * width; at < (row + 1) * width; at++) if (was[at] !== now[at]) return true;
         return false;
       };
-      for (let row = 0; row < held.rows; row++) {
-        if (isAsLarge && !differs(row)) continue;
+      for (let row = 0; row < rows; row++) {
+        if (fits && !differs(row)) continue;
         this.send(held, row, row + 1);
         sent++;
       }

@@ -14,7 +14,7 @@ import { Player } from "./player.js";
 import { Source } from "./source.js";
 import { watch } from "./connection.js";
 
-const STILL = 160; // milliseconds without a change, after which a sharp picture is drawn
+const STILL = 120; // milliseconds without a change, after which a sharp picture is drawn
 const FRAME = 80; // milliseconds that a picture may take while it moves
 const TURN = 0.35; // radians a second, of the turntable
 
@@ -40,7 +40,7 @@ class Viewer {
     this.offer();
     this.describe();
     element("panel").open = !matchMedia("(max-width: 720px)").matches;
-    control(this.canvas, this.camera, () => this.move());
+    control(this.canvas, this.camera, () => this.move(), () => this.rest());
     this.listen();
     this.gpu.draw(this.look, this.camera, 1, 1);
     await this.read();
@@ -249,9 +249,14 @@ class Viewer {
 
   // Something has changed: draw soon, and sharply once nothing changes.
   move() {
-    this.changed = performance.now();
-    this.isSharp = false;
+    this.due = performance.now() + STILL;
+    this.isDrawn = this.isSharp = false;
     this.again();
+  }
+
+  // Nothing changes any more: draw sharply at once.
+  rest() {
+    this.due = 0;
   }
 
   again() {
@@ -264,21 +269,23 @@ class Viewer {
     const now = performance.now();
     if (this.turning) {
       this.camera.orbit(((now - this.turning) / 1000) * TURN, 0);
-      this.turning = this.changed = now;
+      this.turning = now;
+      this.move();
     }
-    if (this.player?.step(now)) this.changed = now;
-    const isStill = now - this.changed > STILL && this.isComplete;
+    if (this.player?.step(now)) this.move();
+    const isStill = now > this.due && this.isComplete;
     const full = Math.min(window.devicePixelRatio || 1, 2);
     const pixels = this.canvas.clientWidth * this.canvas.clientHeight * full * full;
     const part = this.cost ? Math.sqrt(FRAME / (this.cost * pixels)) : 0.4;
     // Where there is time, a picture that stands still is drawn larger than it is shown: its edges are then smooth.
-    const finest = this.cost * pixels * this.finest ** 2 < STILL ? this.finest : 1;
+    const finest = this.cost * pixels * this.finest ** 2 < 2 * FRAME ? this.finest : 1;
     const scale = isStill ? finest : Math.min(Math.max(part, 0.08), 1);
     try {
-      if (!(isStill && this.isSharp)) this.draw(full * scale);
+      if (!(isStill ? this.isSharp : this.isDrawn)) this.draw(full * scale);
     } catch (error) {
       return fail(error);
     }
+    this.isDrawn = true;
     this.isSharp = isStill;
     if (!this.isSharp || this.turning) this.again();
   }
