@@ -19,9 +19,10 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
+from numba.core.imputils import impl_ret_borrowed
 from numba.core.typing.npydecl import parse_dtype
 from numba.extending import intrinsic
-from numba.np.arrayobj import _empty_nd_impl
+from numba.np.arrayobj import _empty_nd_impl, make_array, populate_array
 
 from octex.jit_parts import USED, PartCompiler, PartContext, WholeCompiler
 
@@ -260,6 +261,10 @@ if DISABLED:
         """Return an array of zeros."""
         return np.zeros(shape, dtype)
 
+    def bytes_of(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        """Return the bytes of a C-ordered array, in rows as long as its last axis."""
+        return array.view(np.uint8)
+
     def decoded(table: Any, code: Any) -> Any:
         """Return what ``table`` has for an unsigned code; a float32 number as it is."""
         return code if isinstance(code, np.floating) else table[code]
@@ -424,6 +429,23 @@ else:
             return array._getvalue()
 
         return _array_type(shape, dtype), codegen
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def bytes_of(_context: Any, array: Any) -> Any:
+        """Return the bytes of a C-ordered array, in rows as long as its last axis."""
+
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            given = make_array(signature.args[0])(context, builder, arguments[0])
+            seen = make_array(signature.return_type)(context, builder)
+            size, one = given.itemsize, context.get_constant(types.intp, 1)
+            *rows, last = cgutils.unpack_tuple(builder, given.shape)
+            data = builder.bitcast(given.data, ir.IntType(8).as_pointer())
+            shape = [*rows, builder.mul(last, size)]
+            strides = [*cgutils.unpack_tuple(builder, given.strides)[:-1], one]
+            populate_array(seen, data, shape, strides, one, given.meminfo, given.parent)
+            return impl_ret_borrowed(context, builder, signature.return_type, seen._getvalue())
+
+        return types.Array(types.uint8, array.ndim, array.layout)(array), codegen
 
     @intrinsic  # type: ignore[untyped-decorator]
     def decoded(_context: Any, table: Any, code: Any) -> Any:

@@ -7,13 +7,13 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 import pytest
 from numba import types
-from numba.core import caching, codegen, compiler, dispatcher, event, ir
+from numba.core import caching, codegen, compiler, dispatcher, event, ir, lowering, postproc
 from numba.core.types import functions
 
 from octex import jit, jit_cache, jit_parts
@@ -206,6 +206,8 @@ def test_types_of_one_name_are_told_apart_by_their_modules() -> None:
         (codegen.CPUCodegen, "_pass_builder"),
         (ir.Inst, "_rec_list_vars"),
         (compiler.Compiler, "_compile_core"),
+        (lowering.Lower, "_find_singly_assigned_variable"),
+        (postproc.PostProcessor, "run"),
     ],
 )
 def test_a_numba_without_what_octex_uses_is_named_and_nothing_is_kept(
@@ -280,6 +282,53 @@ def test_kernels_are_typed_and_compute_as_numbas_own_functions(
     for one, other in zip(found, expected, strict=True):
         assert np.asarray(one).dtype == np.asarray(other).dtype
         assert np.array_equal(one, other)
+
+
+class _Pair(NamedTuple):
+    whole: Any
+    part: Any
+
+
+def _read_and_written(pair: _Pair, grid: Any, flags: Any, first: int, count: Any) -> Any:
+    """Read and write numbers of arrays in all ways, in loops and branches that share variables."""
+    whole, some = pair.whole, pair.part
+    total, last = 0.0, whole[-1]
+    for n in range(grid.shape[0]):
+        row = grid[n]
+        for m in range(grid.shape[1]):
+            if flags[n, m] and first:
+                last = min(last, grid[n, -1 - m])
+                some[np.uint8(m)] += row[m]
+            else:
+                grid[n, m] = max(int(last), n)
+                flags[-1 - n, m] = not flags[n, m]
+        total += max(some[n], last) - min(count, n) + int(some[-1] * 2.6) + int(flags[n, 0])
+        some = whole if n == 1 else some
+    kept = np.empty(3)
+    kept[:] = total
+    return kept, total, last, min(whole[0], np.nan), max(np.nan, whole[0]), max(count, first), pair.whole
+
+
+@needs_jit
+@pytest.mark.parametrize(("kind", "step"), [("f4", 1), ("f8", 2), ("i4", 1), ("u1", 3)])
+def test_numbers_in_arrays_and_the_least_of_two_are_as_numbas_own(
+    kind: str, step: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
+
+    def given() -> tuple[Any, ...]:
+        numbers: Any = np.arange(60).astype(kind)
+        grid: Any = (np.arange(60).reshape(5, 12) * 7 % 31).astype(kind)[:, ::step]
+        flags = np.arange(grid.size).reshape(grid.shape) % 3 > 0
+        return _Pair(numbers[5:20], numbers[:20:step][:20]), grid, flags, 1, np.int32(3)
+
+    own, others = given(), given()
+    found = jit.kernel(_read_and_written)(*own)
+    expected = numba.njit(error_model="numpy")(_read_and_written)(*others)
+    for one, other in zip((*found, *own[0], *own[1:]), (*expected, *others[0], *others[1:]), strict=True):
+        assert np.asarray(one).dtype == np.asarray(other).dtype
+        assert np.array_equal(one, other, equal_nan=True)
+    assert sys.getrefcount(own[1]) == sys.getrefcount(others[1])
 
 
 @needs_jit

@@ -21,8 +21,7 @@ from octex.tree.morton import decode, decode_cells
 #: Bits of a cell's code below that of its cube.
 _BITS = 9
 _SIDE = 10
-#: How far the middle of 3³ places lies behind the first.
-_CENTRE = 1 + _SIDE * (1 + _SIDE)
+_PLACES_OF_CUBE = _SIDE**3
 #: How far the middle of 3³ places lies behind the first.
 _CENTRE = 1 + _SIDE * (1 + _SIDE)
 _CELLS = decode_cells(np.arange(1 << _BITS))
@@ -136,8 +135,8 @@ def _cubes(samples: Samples, heads: Heads, cells: Int64s) -> Cubes:
     cubes = Cubes(
         np.zeros(count + 1, np.int64),
         np.empty(count, np.int64),
-        np.empty(_SIDE**3 * count + 1, np.uint16),
-        np.empty(_SIDE**3 * count + 1, np.int32),
+        np.empty(_PLACES_OF_CUBE * count + 1, np.uint16),
+        np.empty(_PLACES_OF_CUBE * count + 1, np.int32),
     )
     _list(samples.codes, heads, cells, cubes)
     end = cubes.starts[-1]
@@ -234,7 +233,7 @@ def _residuals(
 ) -> None:
     """Write the residuals of the samples in cubes, and the inverse of what their weights sum to."""
     zero, one = np.float32(0), np.float32(1)
-    grid = new_zeros(4 * _SIDE**3, np.float32)
+    grid = new_zeros(4 * _PLACES_OF_CUBE, np.float32)
     for cube in range(cubes.owns.size):
         begin, end = cubes.starts[cube], cubes.starts[cube + 1]
         for entry in range(begin, end):
@@ -272,7 +271,7 @@ def _equations(
     size = axes.shape[0]
     ends = new_zeros(size + 1, np.int64)
     leaves, weights = new_array(27 * size + 1, np.int32), new_array(27 * size + 1, np.float32)
-    grid = new_array(_SIDE**3, np.int32)
+    grid = new_array(_PLACES_OF_CUBE, np.int32)
     grid[:] = -1
     cells, offsets = new_array(28, np.int32), new_array(28, np.int32)
     products = new_array(27, np.float32)

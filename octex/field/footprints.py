@@ -32,6 +32,8 @@ _ROW_STEP = 1.15
 _SHORTEST, _LONGEST = 1e-150, 1e150
 #: What is longer than so many root cells is cut off.
 _ROOTS = 4.0
+#: Least and largest widths that have a level of their own, in root cells.
+_NARROWEST, _WIDEST = 0.25**MAX_DEPTH, 4.0**MAX_DEPTH
 #: What is as near as this to a whole level is read there alone. That saves 15 % of all looks, for 3 % more
 #: error, and one look does for widths of 1, 2, 4 … cells.
 WHOLE = 0.1501
@@ -171,7 +173,7 @@ def _write_look(
 @kernel
 def _levels_of(widths: Float64s, size: float, depth: int, finer: float, levels: Float32s) -> None:
     """Say at which level, 0 … depth and between, looks of some widths are made."""
-    least, most = size * 0.25**MAX_DEPTH, size * 4.0**MAX_DEPTH
+    least, most = size * _NARROWEST, size * _WIDEST
     for n in range(widths.size):
         width = min(max(widths[n], least), most)
         level = np.log2(np.float32(size / width)) + np.float32(finer)

@@ -35,6 +35,7 @@ from octex.field.taps import (
 )
 from octex.field.tiles import Tiles
 from octex.jit import (
+    bytes_of,
     decoded,
     fused_part,
     inlined,
@@ -318,7 +319,7 @@ def _find_taps(
 def _read_ahead(search: Search, codes: Codes, alpha: Uint8s) -> Ahead:
     """Return what is read of cells."""
     flags = search.facings.flags if search.faces else search.facings.flags[:0]
-    return Ahead(codes.values.view(np.uint8), alpha, flags, search.areas)
+    return Ahead(bytes_of(codes.values), alpha, flags, search.areas)
 
 
 @kernel
@@ -352,7 +353,7 @@ def look_up_tiled(
     own_values = new_array((some, results.shape[1]), np.float32)
     own_slopes = new_array((some, gradients.shape[1], 3), np.float32)
     alpha = channel.alpha.values if channel.has_alpha else channel.alpha.values[:0]
-    ahead = _read_ahead(search, channel.codes, alpha.view(np.uint8))
+    ahead = _read_ahead(search, channel.codes, bytes_of(alpha))
     components = channel.codes.values.shape[1]
     seen = step if is_seen else 0
     sums = Sums(
@@ -392,7 +393,7 @@ def look_up_tiled(
                 divide(mean, 1.0, values, slopes)
             else:
                 if search.faces:
-                    split = channel.codes.split_values.view(np.uint8)
+                    split = bytes_of(channel.codes.split_values)
                     face(taps, search.facings, search.first_kept, search.first_row, facing, split)
                 if channel.has_alpha:
                     weigh_by_alpha(taps, channel.alpha, True, False)
