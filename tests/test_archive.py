@@ -153,13 +153,12 @@ def test_what_octex_does_not_know_is_archived_too(tmp_path: Path) -> None:
     texture.save(tmp_path / "a.octex")
     contents = container.read(tmp_path / "a.octex")
     mesh = np.random.default_rng(0).normal(size=(50_000, 3))
-    container.write(
-        tmp_path / "b.octex", {**contents.tensors, "mesh/rest": mesh}, {**contents.metadata, "note": "é"}
-    )
+    extra = {"mesh/rest": mesh, "tree/ages": np.arange(3, dtype=np.uint64)}
+    container.write(tmp_path / "b.octex", {**contents.tensors, **extra}, {**contents.metadata, "note": "é"})
     octex.open(tmp_path / "b.octex").save(tmp_path / "b.octz")
     octex.open(tmp_path / "b.octz").save(tmp_path / "c.octex")
     again = container.read(tmp_path / "c.octex")
-    assert np.array_equal(again.tensors["mesh/rest"], mesh)
+    assert all(np.array_equal(again.tensors[name], array) for name, array in extra.items())
     assert again.metadata["note"] == "é"
 
 

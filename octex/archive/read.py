@@ -195,7 +195,7 @@ def _head(given: Any) -> _Head:
         others
     ):
         raise ValueError
-    if any(name.startswith(("tree/", "split/", "kept/", "channels/")) for name, *_ in others):
+    if any(name in (*TREE, *SPLIT, KEPT) for name, *_ in others):
         raise ValueError
     return _Head(
         metadata,
@@ -311,6 +311,8 @@ def _room(head: _Head) -> dict[str, Array]:
         if head.kept_nodes:
             shapes[f"kept/channels/{name}"] = dtype, (head.kept_nodes, components)
     for name, dtype, shape in head.others:
+        if name in shapes:  # of a channel
+            raise _DamagedError("its head is damaged; copy it again")
         shapes[name] = dtype, shape
     sizes = {key: np.dtype(dtype).itemsize * math.prod(shape) for key, (dtype, shape) in shapes.items()}
     content = room(sum(size + 63 & -64 for size in sizes.values()))
