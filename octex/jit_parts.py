@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 
 import llvmlite.binding
 import llvmlite.ir as llvm
+import numba
 from numba import types
 from numba.core import base, compiler, ir, lowering, rewrites, typed_passes, untyped_passes
 from numba.core.analysis import compute_cfg_from_blocks, compute_use_defs, must_use_alloca
@@ -34,6 +35,9 @@ from numba.cpython.builtins import do_minmax
 from numba.extending import intrinsic
 from numba.np.arrayobj import load_item, store_item
 from numba.np.ufunc.array_exprs import RewriteArrayExprs, _is_ufunc
+
+#: Whether this numba is one whose own rules are known; a newer one goes by those.
+IS_KNOWN = (0, 62) <= numba.version_info.short < (0, 69)
 
 _Passes = llvmlite.binding.newpassmanagers.ModulePassManager
 _OF_LIBRARY = (
@@ -507,19 +511,21 @@ class _Compiler(compiler.Compiler):  # type: ignore[misc]
     def __init__(
         self, typing: Any, target: Any, library: Any, arguments: Any, result: Any, flags: Any, local: Any
     ) -> None:
-        super().__init__(typing, target, library, arguments, result, _Flags(flags), local)
-        _remember(self.state.targetctx)
+        flags = _Flags(flags) if IS_KNOWN else flags
+        super().__init__(typing, target, library, arguments, result, flags, local)
+        if IS_KNOWN:
+            _remember(self.state.targetctx)
 
     def define_pipelines(self) -> list[Any]:
         """Return numba's steps, without those that find nothing to do."""
         pipelines: list[Any] = super().define_pipelines()
-        for each in pipelines:
+        for each in pipelines if IS_KNOWN else ():
             each.__class__ = _Steps
             each.passes = [(_STEPS.get(step, step), words) for step, words in each.passes]
         return pipelines
 
     def _compile_core(self) -> Any:
-        with _found_once():
+        with _found_once() if IS_KNOWN else nullcontext():
             return super()._compile_core()
 
     def compile_extra(self, function: Any) -> Any:

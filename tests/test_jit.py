@@ -227,10 +227,12 @@ def test_a_numba_without_what_octex_uses_is_named_and_nothing_is_kept(
 
 
 @needs_jit
+@pytest.mark.parametrize("is_known", [True, False])
 def test_what_only_kernels_call_is_kept_without_machine_code(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    is_known: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(jit_parts, "IS_KNOWN", is_known)
 
     def made() -> tuple[Any, Any]:
         @jit.part
@@ -270,11 +272,14 @@ def _mixed(numbers: Any, counts: Any, factor: float) -> Any:
 
 
 @needs_jit
-@pytest.mark.parametrize(("kind", "count_kind"), [("f4", "u1"), ("i8", "i4")])
+@pytest.mark.parametrize(
+    ("kind", "count_kind", "is_known"), [("f4", "u1", True), ("i8", "i4", True), ("f8", "u2", False)]
+)
 def test_kernels_are_typed_and_compute_as_numbas_own_functions(
-    kind: str, count_kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: str, count_kind: str, is_known: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(jit_parts, "IS_KNOWN", is_known)
     numbers: Any = np.arange(-3, 4).astype(kind)
     counts: Any = np.arange(7).astype(count_kind)
     found = jit.kernel(_mixed)(numbers, counts.copy(), 1.5)
