@@ -377,6 +377,10 @@ def test_without_its_library_a_model_is_white_with_a_warning(tmp_path: Path) -> 
     with pytest.warns(ModelWarning, match="gone"):
         surface = load_surface(path, sources={"base_color": (1.0, 0.0, 0.5)})
     np.testing.assert_allclose(surface.evaluate(surface.scatter(5)), [[1, 0, 0.5]] * 5)
+    lines = "mtllib gone.mtl\nmtllib lost.mtl\n" + OBJ_SQUARE + "usemtl wood\nf 1 2 3\nusemtl\nf 1 3 4\n"
+    words = "gone.mtl and lost.mtl are missing, so the materials wood, without a name are white; put them"
+    with pytest.warns(ModelWarning, match=words):
+        load_surface(obj(tmp_path / "b.obj", lines))
 
 
 def test_faces_of_a_material_that_is_not_defined_are_white_with_a_warning(tmp_path: Path) -> None:

@@ -303,12 +303,15 @@ def _bind(
 
 def _without_materials(name: str, lost: list[str], library: Library, libraries: list[str]) -> str:
     more = f" and {len(lost) - _LISTED} more" if len(lost) > _LISTED else ""
-    listing = ", ".join(lost[:_LISTED]) + more
+    listing = ", ".join(each or "without a name" for each in lost[:_LISTED]) + more
+    materials, are = (f"material {listing}", "is") if len(lost) == 1 else (f"materials {listing}", "are")
     if library.missing:
-        files = " and ".join(library.missing)
-        return f"{name}: {files} is missing, so the material {listing} is white; put it beside the model"
+        files, lie, them = " and ".join(library.missing), "is", "it"
+        if len(library.missing) > 1:
+            lie, them = "are", "them"
+        return f"{name}: {files} {lie} missing, so the {materials} {are} white; put {them} beside the model"
     files = ", ".join(libraries)
-    return f"{name}: {files} does not define the material {listing}, which is white; add it there"
+    return f"{name}: {files} does not define the {materials}, which {are} white; add what is missing"
 
 
 def _coordinates(
