@@ -11,6 +11,7 @@ import PIL.Image
 
 import octex
 from octex.channels import BASE_COLOR
+from octex.editing.draft import Tiles, cut_out, put_back
 from octex.files import scratch_folder
 from octex.formats.ply import write_points
 from octex.parallel import Progress
@@ -236,4 +237,7 @@ def _process(texture: octex.OctreeTexture, surface: octex.Surface) -> None:
     octex.blur(octex.crop(texture, surface.bounds[0], surface.bounds[1]), 0.1)
     finer = octex.resize(texture, 3)
     finer.sample(surface.rest, filter="nearest")
+    codes, _ = list(finer.tree.walk())[2]
+    tiles = Tiles(2, codes[:1])
+    put_back(finer, tiles, cut_out(finer, tiles))
     octex.mix(finer, texture, 0.3)
