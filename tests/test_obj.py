@@ -399,7 +399,7 @@ def test_many_materials_that_are_not_defined_are_one_warning(tmp_path: Path) -> 
     with pytest.warns(ModelWarning) as said:
         load_surface(obj(tmp_path / "a.obj", OBJ_SQUARE + lines, "newmtl other\n"))
     assert len(said) == 1
-    assert "material m0, m1, m2, m3, m4 and 4 more, which" in str(said[0].message)
+    assert "materials m0, m1, m2, m3, m4 and 4 more, which are white" in str(said[0].message)
 
 
 def test_a_warning_that_is_an_error_stays_what_it_is(tmp_path: Path) -> None:
