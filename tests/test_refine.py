@@ -14,7 +14,7 @@ import pytest
 import octex
 from octex.channels import encode
 from octex.cli.paint import main
-from octex.painting.refine import _moved
+from octex.painting.refine import _better, _moved
 from tests.conftest import needs_jit
 from tests.painted import above, ball, picture_of
 from tests.test_agreement import ring
@@ -84,6 +84,31 @@ def test_every_camera_gets_better_and_a_textured_ball_brings_them_back(pixels: f
     assert np.median(before[1:]) > 0.6 * pixels
     assert (after[1:] < before[1:]).all()
     assert np.median(after[1:]) < 0.25
+
+
+class _Told:
+    """What three pictures show of 1000 points, and how much that tells of where the cameras are."""
+
+    says = np.ones((3, 1000))
+
+    def __init__(self, values: Array, tells: Array) -> None:
+        self._values, self._tells = values, tells
+
+    def seen(self, _numbers: Array) -> tuple[Array, Array]:
+        slopes = np.repeat(np.broadcast_to(self._tells, (3, 1000)), 3, axis=1)[..., None]
+        return np.repeat(self._values, 3, axis=1), np.repeat(slopes, 7, axis=2)
+
+
+def test_where_a_camera_is_the_edges_in_its_picture_tell_not_the_plain_rest() -> None:
+    tells, is_edge = np.full(1000, 0.001), np.arange(1000) < 50
+    tells[is_edge] = 1.0
+    before, after = np.zeros((2, 3, 1000))
+    before[2, is_edge], after[2] = 0.3, np.where(is_edge, 0.02, 0.04)  # the rest in a little other light
+    given, found = _Told(before, tells), _Told(after, tells)
+    numbers = np.zeros((3, 7))
+    assert _better(given, found, numbers).tolist() == [False, False, True]  # type: ignore[arg-type]
+    assert not _better(found, given, numbers).any()  # type: ignore[arg-type]
+    assert not _better(found, found, numbers).any()  # type: ignore[arg-type]
 
 
 def test_the_order_of_pictures_does_not_matter() -> None:

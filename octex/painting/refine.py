@@ -51,7 +51,7 @@ _OFF, _NOISE, _OWN = 4.0, 0.02, 0.01
 _DAMPING, _RIGHT, _WRONG = 1e-4, 0.2, 10.0
 #: A camera is moved where what its picture differs by from the others, 0 to 1, falls to so much of what it
 #: was, and by so much.
-_BETTER, _BY = 0.8, 0.002
+_BETTER, _BY = 0.7, 0.002
 #: What is seen at such an angle to the surface's normal, in degrees, or more, is not compared.
 _MAX_ANGLE = 75.0
 #: Numbers of a camera that change: turns about three axes, moves along them, zoom.
@@ -228,11 +228,13 @@ def _apart(values: Float64s, says: Float64s, far: float) -> Float64s:
 def _better(before: _Views, after: _Views, numbers: Float64s) -> Bools:
     """Say which pictures agree clearly better with the others where their cameras have numbers than without.
 
+    A point counts as much as it tells of where the camera is: by how its colour changes with the numbers.
     Each time as light is evened out best: what other light explains moves no camera.
     """
-    old, new = before.seen(np.zeros_like(numbers))[0], after.seen(numbers)[0]
+    (old, old_slopes), (new, new_slopes) = before.seen(np.zeros_like(numbers)), after.seen(numbers)
     says = np.repeat(np.minimum(before.says, after.says), 3, axis=1) * np.isfinite(old)
     says *= (says > 0).sum(axis=0) > 1
+    says *= np.sqrt((old_slopes**2 + new_slopes**2).sum(axis=2))
     found = np.zeros(len(numbers), np.bool_)
     for n, own in enumerate(says):
         alone = new.copy()
