@@ -234,9 +234,9 @@ def _better(before: _Views, after: _Views, numbers: Float64s) -> Bools:
     (old, old_slopes), (new, new_slopes) = before.seen(np.zeros_like(numbers)), after.seen(numbers)
     says = np.repeat(np.minimum(before.says, after.says), 3, axis=1) * np.isfinite(old)
     says *= (says > 0).sum(axis=0) > 1
-    says *= np.sqrt((old_slopes**2 + new_slopes**2).sum(axis=2))
+    tells = says * np.sqrt((old_slopes**2 + new_slopes**2).sum(axis=2))
     found = np.zeros(len(numbers), np.bool_)
-    for n, own in enumerate(says):
+    for n, own in enumerate(tells):
         alone = new.copy()
         alone[n] = old[n]
         total = float(own.sum())
