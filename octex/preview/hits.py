@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s, Int64s
 from octex.jit import kernel
+from octex.parallel import built_once
 from octex.view.camera import Camera
 from octex.view.differentials import differential
 from octex.view.shading import corner_normals, face_normals
@@ -58,7 +58,7 @@ class Seen:
         _, rest_areas = face_normals(surface.rest, surface.triangles)
         self._stretch = np.sqrt(rest_areas / np.maximum(posed_areas, 1e-300))
 
-    @cached_property
+    @built_once
     def _smooth(self) -> Float32s:
         if not self.is_posed:
             return self._resting
