@@ -131,9 +131,17 @@ def test_tiff_images_keep_every_code_and_value(dtype: str, samples: int) -> None
     else:
         stored = random_light(3, 4, samples, dtype)
         expected = with_alpha(stored.astype(np.float32))
-    found = decode_image(tiff(stored, 1 if samples == 1 else 2), "a")
-    assert found.dtype == expected.dtype
-    np.testing.assert_array_equal(found, expected)
+    for order in "<>":
+        found = decode_image(tiff(stored, 1 if samples == 1 else 2, order=order), "a")
+        assert found.dtype == expected.dtype
+        np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_tiff_images_of_eight_bits_have_either_byte_order(order: str) -> None:
+    stored = random_image(3, 4, 3, "uint8")
+    found = decode_image(tiff(stored, 2, order=order), "a")
+    np.testing.assert_array_equal(found, with_alpha(257 * stored.astype(np.uint16), 65535))
 
 
 @needs_extra
