@@ -165,6 +165,22 @@ def test_tiff_images_may_call_white_0() -> None:
 
 
 @needs_extra
+def test_deep_images_are_to_be_flattened(tmp_path: Path) -> None:
+    import OpenImageIO
+
+    spec = OpenImageIO.ImageSpec(2, 2, 4, "half")
+    spec.channelnames, spec.deep = ("R", "G", "B", "A"), True
+    file = OpenImageIO.ImageOutput.create("a.exr")
+    assert file.open(str(tmp_path / "a.exr"), spec)
+    texels = OpenImageIO.DeepData()
+    texels.init(4, 4, ["half"] * 4, ["R", "G", "B", "A"])
+    assert file.write_deep_image(texels)
+    file.close()
+    with pytest.raises(ImageError, match=r"a\.exr is a deep image, of several layers at a pixel; flatten it"):
+        decode_image((tmp_path / "a.exr").read_bytes(), "a.exr")
+
+
+@needs_extra
 def test_other_formats_of_16_bits_keep_every_code() -> None:
     stored = random_image(3, 4, 3, "uint16")
     for data in (psd(stored), sgi(stored), pnm(stored)):

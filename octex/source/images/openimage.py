@@ -155,7 +155,9 @@ def _find(file: Any, name: str) -> tuple[int, Any, list[int]]:
     part = 0
     while file.seek_subimage(part, 0):
         spec = file.spec()
-        places = [] if spec.deep else _color_channels(spec.channelnames)
+        places = _color_channels(spec.channelnames)
+        if places and spec.deep:
+            raise ImageError(f"{name} is a deep image, of several layers at a pixel; flatten it")
         if places:
             return part, spec, places
         names += spec.channelnames
