@@ -24,6 +24,7 @@ import signal
 import sys
 import time
 import traceback
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
@@ -81,7 +82,9 @@ def forked(work: Callable[[], int], scratch: Path, seconds: int, memory: int) ->
     said = scratch / "said.txt"
     sys.stdout.flush()
     began = time.perf_counter()
-    child = os.fork()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # other threads idle
+        child = os.fork()
     if child == 0:
         code = int(ExitCode.CRASHED)
         try:

@@ -25,6 +25,7 @@ import struct
 import sys
 import tempfile
 import traceback
+import warnings
 import zlib
 from collections import Counter
 from collections.abc import Callable
@@ -83,7 +84,9 @@ def main() -> int:
 def _batch(first: int, end: int, keep: Path | None) -> tuple[int, list[tuple[str, str]], str]:
     """Try some seeds in a process of their own: how far it came, what it told, and what ended it."""
     reading, writing = os.pipe()
-    child = os.fork()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # other threads idle
+        child = os.fork()
     if child == 0:
         try:
             os.close(reading)

@@ -17,6 +17,7 @@ import signal
 import sys
 import tempfile
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -85,7 +86,9 @@ def killed(made: list[OctreeTexture], folder: Path, count: int, chance: random.R
 
 def _writer(texture: OctreeTexture, path: Path) -> int:
     """Start a process that saves a texture over and over; return its number."""
-    child = os.fork()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # other threads idle
+        child = os.fork()
     if child == 0:
         while True:
             texture.save(path)
