@@ -1,7 +1,7 @@
 r"""The archive of a texture: what is on disk.
 
     8 bytes     89 4F 43 54 5A 0D 0A 1A: "\x89OCTZ\r\n\x1a"
-    u32         the format's version, 1
+    u32         the format's version, 2
     u32         bytes of the directory
     u64         where it begins: after the streams, at the end of the file
     u32         CRC-32 of the directory
@@ -37,7 +37,7 @@ from octex.tree.split import counts_of
 
 MAGIC = b"\x89OCTZ\r\n\x1a"
 FORMAT = "octex archive"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 #: Nodes of a block, a multiple of eight: blocks of one level share no group. Also split cells, kept nodes.
 BLOCK = 4096
 PIECE = 1 << 20

@@ -18,7 +18,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octex.archive.around import ABOUT, OWN
-from octex.archive.entropy import DECODES, MEASURES, PASS, Pool, code_bits, code_symbol, wide
+from octex.archive.entropy import (
+    DECODES,
+    MEASURES,
+    NOTES,
+    PASS,
+    Pool,
+    code_bits,
+    code_symbol,
+    code_symbols,
+    wide,
+)
 from octex.arrays import Float64s, Int64s, Uint8s, Uint32s
 from octex.jit import inlined, kernel
 
@@ -58,6 +68,7 @@ class Coding(NamedTuple):
     is_float: int
     error: int  # by how much a value may move
     unit: int  # differences are measured in 2ᵘⁿⁱᵗ
+    by_cell: int  # errors are coded cell by cell, not a component of many cells after the other
     weights: Int64s  # (2 · components · CLASSES · TERMS,)   of leaves and nodes
 
 
@@ -118,50 +129,51 @@ def _write(number: int, raw: Uint8s, row: int, component: int, size: int, is_flo
 
 
 @inlined
-def _code_number(
-    work: int,
-    number: int,
-    guess: int,
-    size: int,
-    error: int,
-    context: int,
-    pool: Pool,
-    coder: Int64s,
-    stream: Uint32s,
-) -> tuple[int, int]:
-    """Note or decode a number near a guess; return it as it will be decoded, and what was coded."""
+def _error(number: int, guess: int, size: int, error: int) -> int:
+    """Return what a guess is off by, in steps of 2 ``error`` + 1, as it is coded."""
     most = (1 << 8 * size) - 1
-    step = 2 * error + 1
-    span = most + 1
-    if error:
-        span = (most + 2 * error) // step + 1
-        guess = min(max(guess, 0), most)
-    sign = wide(0)
-    if work != DECODES:
-        half = span >> 1
-        off = number - guess
-        if error:
-            off = (off + error) // step if off >= 0 else -((error - off) // step)
-            if off < -half:
-                off += span
-            elif off >= span - half:
-                off -= span
-        else:
-            off = (off + half & most) - half
-        sign = 2 * off if off >= 0 else -2 * off - 1
-    if size == 1:
-        sign = code_symbol(work, sign, context, pool, coder, stream)
-    else:
-        sign = _code_large(work, sign, context, pool, coder, stream)
-    off = (sign >> 1 ^ -(sign & 1)) * step
-    number = guess + off
+    half = most + 1 >> 1
     if error == 0:
-        return number & most, off
+        return wide((number - guess + half & most) - half)
+    step = 2 * error + 1
+    span = (most + 2 * error) // step + 1
+    half = span >> 1
+    off = number - min(max(guess, 0), most)
+    off = (off + error) // step if off >= 0 else -((error - off) // step)
+    if off < -half:
+        off += span
+    elif off >= span - half:
+        off -= span
+    return wide(off)
+
+
+@inlined
+def _corrected(guess: int, off: int, size: int, error: int) -> int:
+    """Return the number that a guess is so many steps off from."""
+    most = (1 << 8 * size) - 1
+    if error == 0:
+        return wide(guess + off & most)
+    step = 2 * error + 1
+    number = min(max(guess, 0), most) + off * step
     if number < -error:
-        number += span * step
+        number += ((most + 2 * error) // step + 1) * step
     elif number > most + error:
-        number -= span * step
-    return min(max(number, 0), most), off
+        number -= ((most + 2 * error) // step + 1) * step
+    return wide(min(max(number, 0), most))
+
+
+@inlined
+def _code_error(
+    work: int, off: int, size: int, context: int, pool: Pool, coder: Int64s, stream: Uint32s
+) -> int:
+    """Note or decode by how many steps a guess is off; return it."""
+    sign = off << 1 ^ off >> 63
+    sign = (
+        code_symbol(work, sign, context, pool, coder, stream)
+        if size == 1
+        else _code_large(work, sign, context, pool, coder, stream)
+    )
+    return wide(sign >> 1 ^ -(sign & 1))
 
 
 @inlined
@@ -201,185 +213,333 @@ def code_values(
     ``rows`` and ``cells`` are what lies around them. Bytes ``given`` (cells, components, size) are what is
     noted; ``raw`` is what will be decoded, written unless they are one. ``steps`` are STEPS.
     """
-    values = np.zeros((rows.shape[0] + 1) * coding.order.size, np.int64)
-    around, terms = np.zeros(4 * _AROUND, np.int64), np.zeros(TERMS + 1, np.int64)
+    components = coding.order.size
+    room = (
+        np.empty(_RUN * components * _AROUND, np.int64),
+        np.empty((_RUN, 5), np.int64),
+        np.zeros((components, 8 * _RUN), np.int64),
+        np.zeros((4, 8 * _RUN), np.int64),
+        np.zeros(TERMS + 1, np.int64),
+    )
     task = rows, cells, given, raw, begin, coding, steps, squares, pool, coder, stream
+    work, size, error, unit = coder[PASS], coding.size, coding.error, coding.unit
     # Bytes are read by code of their own, in which these are known.
-    if coding.size == 1 and coding.error == 0 and coding.unit == 0:
-        _code_cells(task, values, around, terms, coder[PASS], 1, 0, 0, 0)
+    if size > 1 or error > 0 or unit > 0 or coding.by_cell:
+        _code_runs(task, room, work, components, size, coding.is_float, error, unit, coding.by_cell)
+    elif components == 1:
+        _code_runs(task, room, work, 1, 1, 0, 0, 0, 0)
+    elif components == 3:
+        _code_runs(task, room, work, 3, 1, 0, 0, 0, 0)
     else:
-        _code_cells(
-            task, values, around, terms, coder[PASS], coding.size, coding.is_float, coding.error, coding.unit
-        )
+        _code_runs(task, room, work, components, 1, 0, 0, 0, 0)
 
 
-# What ``around`` has of each component of a node's cell: its value; the sum that guesses begin with; weighted
-# differences of the cells around; of the cells beside and of the children so far the weights; where the
-# weights stand; how much the cells around differ; of the children so far the sum of differences; differences.
-_VALUE, _SUM, _SIDES, _BESIDE, _SIBLINGS, _WEIGHTS, _MOST, _BEFORE, _RAW = 0, 1, 2, 8, 9, 10, 11, 12, 13
-_AROUND = 20
+#: So many nodes are a run.
+_RUN = 32
+# What a run has of each node: its first child, how many it has, whether one of these is a node; 1 if the cells
+# around have its value, 3 if its children have, too; which of the run's cells whose errors are coded is its
+# first.
+_FIRST, _COUNT, _KIND, _FLAT, _PLACE = 0, 1, 2, 3, 4
+# And of each component of a node's cell: its value; the sum that guesses begin with; weighted differences of
+# the cells around; of the cells beside and of the children so far the weights; where the weights stand; how
+# much the cells around differ; where its contexts begin; differences.
+_VALUE, _SUM, _SIDES, _BESIDE, _SIBLINGS, _WEIGHTS, _MOST, _CONTEXTS, _RAW = 0, 1, 2, 8, 9, 10, 11, 12, 13
+_AROUND = 19
+# And of its cells whose errors are coded: their node, by how much the components so far are off, and of one
+# component the contexts and symbols.
+_NODE, _NOISE, _CONTEXT, _SYMBOL = 0, 1, 2, 3
+
+
+@inlined
+def _code_runs(
+    task: Any,
+    room: Any,
+    work: int,
+    components: int,
+    size: int,
+    is_float: int,
+    error: int,
+    unit: int,
+    by_cell: int,
+) -> None:
+    """Code run after run: errors before the values that they correct, or after them."""
+    rows = task[0]
+    nodes = room[1]
+    t, node = wide(0), wide(0)
+    while t < rows.shape[0]:
+        count = wide(0)
+        while count < _RUN and t < rows.shape[0]:
+            n = np.uint64(count)
+            about = wide(rows[np.uint64(t), ABOUT])
+            kind = about >> 8 & 1
+            nodes[n, _FIRST], nodes[n, _COUNT], nodes[n, _KIND] = t, about >> 4 & 15, kind
+            is_flat = wide(_look_around(task, room, count, node, kind, work, components, size, is_float, unit))
+            if work == NOTES and is_flat:
+                is_flat |= wide(_has_flat(task, room, count, components, size, is_float, error)) << 1
+            nodes[n, _FLAT] = is_flat & -wide(work != MEASURES)
+            t += about >> 4 & 15
+            node += 1
+            count += 1
+        cells = _code_flat(task, room, count, work, components, size, error, unit, by_cell)
+        if work == DECODES and not by_cell:
+            _code_errors(task, room, cells, work, components, size, error, unit)
+        for n in range(count):
+            _guess_children(task, room, n, work, components, size, is_float, error, unit)
+        if work == NOTES:
+            _code_errors(task, room, cells, work, components, size, error, unit)
 
 
 @inlined
 def _look_around(
-    task: Any, values: Int64s, around: Int64s, kind: int, node: int, size: int, is_float: int, unit: int
+    task: Any,
+    room: Any,
+    n: int,
+    node: int,
+    kind: int,
+    work: int,
+    components: int,
+    size: int,
+    is_float: int,
+    unit: int,
 ) -> bool:
-    """Write ``around`` for a node, and its cell's value for children beside which there is none.
-
-    Returns whether the cells around are as it is.
-    """
-    rows, cells, _, raw, _, coding, steps, _, _, _, _ = task
+    """Write what is known around the run's node ``n``; return whether the cells around are as its own."""
+    _, cells, _, raw, _, coding, steps, _, _, _, _ = task
+    around = room[0]
     order, weights = coding.order, coding.weights
-    components = order.size
+    i = np.uint64(node)
+    own, low_x, high_x = cells[i, OWN], cells[i, 0], cells[i, 1]
+    low_y, high_y, low_z, high_z = cells[i, 2], cells[i, 3], cells[i, 4], cells[i, 5]
     differ = wide(0)
     for j in range(components):
-        at, component = _AROUND * j, order[np.uint64(j)]
-        value = _number(raw, cells[np.uint64(node), OWN], component, size, is_float)
-        total = differs = wide(0)
-        for k in range(6):
-            side = _number(raw, cells[np.uint64(node), k], component, size, is_float) - value
-            around[np.uint64(at + _RAW + k)] = side
-            total += side
-            differs += abs(side)
+        at, component = np.uint64(_AROUND * (components * n + j)), order[np.uint64(j)]
+        value = _number(raw, own, component, size, is_float)
+        a = _number(raw, low_x, component, size, is_float) - value
+        b = _number(raw, high_x, component, size, is_float) - value
+        c = _number(raw, low_y, component, size, is_float) - value
+        d = _number(raw, high_y, component, size, is_float) - value
+        e = _number(raw, low_z, component, size, is_float) - value
+        f = _number(raw, high_z, component, size, is_float) - value
+        differs = abs(a) + abs(b) + abs(c) + abs(d) + abs(e) + abs(f)
         differ |= differs
         most = min(differs >> unit + 1, 255)
-        own = ((kind * components + j) * CLASSES + wide(steps[0][np.uint64(most)])) * TERMS
-        far, beside = weights[np.uint64(own + 1)], weights[np.uint64(own + 2)]
-        nearer = weights[np.uint64(own)] - far
-        for k in range(6):
-            around[np.uint64(at + _SIDES + k)] = nearer * around[np.uint64(at + _RAW + k)]
-        around[np.uint64(at + _VALUE)] = value
-        around[np.uint64(at + _SUM)] = (
-            (value << WEIGHT_BITS) + (1 << WEIGHT_BITS - 1) + far * total - 3 * beside * value
-        )
-        around[np.uint64(at + _BESIDE)] = beside
-        around[np.uint64(at + _SIBLINGS)] = weights[np.uint64(own + 3)]
-        around[np.uint64(at + _WEIGHTS)] = own
-        around[np.uint64(at + _MOST)] = most
-        around[np.uint64(at + _BEFORE)] = 0
-        values[np.uint64(rows.shape[0] * components + j)] = value
+        place = ((kind * components + j) * CLASSES + wide(steps[0][np.uint64(most)])) * TERMS
+        far, beside = weights[np.uint64(place + 1)], weights[np.uint64(place + 2)]
+        nearer, siblings = weights[np.uint64(place)] - far, weights[np.uint64(place + 3)]
+        total = (value << WEIGHT_BITS) + (1 << WEIGHT_BITS - 1) - 3 * beside * value
+        around[at + np.uint64(_SUM)] = total + far * (a + b + c + d + e + f)
+        around[at + np.uint64(_VALUE)] = value
+        around[at + np.uint64(_SIDES)], around[at + np.uint64(_SIDES + 1)] = nearer * a, nearer * b
+        around[at + np.uint64(_SIDES + 2)], around[at + np.uint64(_SIDES + 3)] = nearer * c, nearer * d
+        around[at + np.uint64(_SIDES + 4)], around[at + np.uint64(_SIDES + 5)] = nearer * e, nearer * f
+        around[at + np.uint64(_BESIDE)] = beside
+        around[at + np.uint64(_SIBLINGS)] = siblings
+        around[at + np.uint64(_WEIGHTS)] = place
+        around[at + np.uint64(_MOST)] = most
+        around[at + np.uint64(_CONTEXTS)] = (kind * components + j) * CONTEXTS
+        if work == MEASURES:
+            around[at + np.uint64(_RAW)], around[at + np.uint64(_RAW + 1)] = a, b
+            around[at + np.uint64(_RAW + 2)], around[at + np.uint64(_RAW + 3)] = c, d
+            around[at + np.uint64(_RAW + 4)], around[at + np.uint64(_RAW + 5)] = e, f
     return differ == 0
 
 
 @inlined
 def _code_flat(
     task: Any,
-    values: Int64s,
-    around: Int64s,
-    t: int,
+    room: Any,
     count: int,
     work: int,
+    components: int,
     size: int,
-    is_float: int,
     error: int,
-) -> bool:
-    """Code whether a node's children have its cell's values, and these if they do."""
-    rows, _, given, raw, begin, coding, _, _, pool, coder, stream = task
-    order = coding.order
-    components = order.size
-    kind = wide(rows[np.uint64(t), ABOUT]) >> 8 & 1
-    flat = wide(1)
-    if work != DECODES:
-        for n in range(t, t + count):
-            for j in range(components):
-                number = _number(given, begin + n, order[np.uint64(j)], size, is_float)
-                if abs(number - around[np.uint64(_AROUND * j + _VALUE)]) > error:
-                    flat = wide(0)
-    flat = code_symbol(work, flat, SETS * components * CONTEXTS + kind, pool, coder, stream)
-    if flat:
-        for n in range(t, t + count):
-            for j in range(components):
-                number = around[np.uint64(_AROUND * j + _VALUE)]
-                values[np.uint64(n * components + j)] = number
-                if work == DECODES or error > 0:
-                    _write(number, raw, begin + n, order[np.uint64(j)], size, is_float)
-    return flat != 0
+    unit: int,
+    by_cell: int,
+) -> int:
+    """Note or decode which of a run's nodes are flat; list the children of the others, return their number.
+
+    Decodes their errors, too, if these stand cell ``by_cell``.
+    """
+    steps, pool, coder, stream = task[6], task[8], task[9], task[10]
+    around, nodes, errors, listed, _ = room
+    place = wide(0)
+    for n in range(count):
+        i = np.uint64(n)
+        nodes[i, _PLACE] = place
+        if nodes[i, _FLAT]:
+            context = SETS * components * CONTEXTS + nodes[i, _KIND]
+            flat = code_symbol(work, nodes[i, _FLAT] >> 1, context, pool, coder, stream)
+            nodes[i, _FLAT] = 1 | flat << 1
+            if flat:
+                continue
+        for _ in range(nodes[i, _COUNT]):
+            at = np.uint64(place)
+            listed[_NODE, at] = components * _AROUND * n
+            listed[_NOISE, at] = 0
+            for j in range(components if by_cell else 0):
+                about = _AROUND * (components * n + j)
+                varies = min(around[np.uint64(about + _MOST)] + listed[_NOISE, at], 255)
+                context = around[np.uint64(about + _CONTEXTS)] + wide(steps[1][np.uint64(varies)])
+                off = _code_error(work, wide(0), size, context, pool, coder, stream)
+                errors[j, at] = off
+                listed[_NOISE, at] += 2 * abs(off) * (2 * error + 1) >> unit
+            place += 1
+    return place
 
 
 @inlined
-def _code_cells(
+def _code_errors(
+    task: Any, room: Any, count: int, work: int, components: int, size: int, error: int, unit: int
+) -> None:
+    """Note or decode the errors of the cells that are listed, a component after the other."""
+    steps, pool, coder, stream = task[6], task[8], task[9], task[10]
+    around, _, errors, listed, _ = room
+    for j in range(components):
+        for n in range(count):
+            i = np.uint64(n)
+            about = listed[_NODE, i] + _AROUND * j
+            varies = min(around[np.uint64(about + _MOST)] + listed[_NOISE, i], 255)
+            context = around[np.uint64(about + _CONTEXTS)] + wide(steps[1][np.uint64(varies)])
+            if size == 1:
+                listed[_CONTEXT, i] = context
+                listed[_SYMBOL, i] = errors[j, i] << 1 ^ errors[j, i] >> 63
+            else:
+                errors[j, i] = _code_error(work, errors[j, i], size, context, pool, coder, stream)
+        if size == 1:
+            code_symbols(work, listed[_SYMBOL], listed[_CONTEXT], count, pool, coder, stream)
+            for n in range(count):
+                symbol = listed[_SYMBOL, n]
+                errors[j, n] = symbol >> 1 ^ -(symbol & 1)
+        for n in range(count):
+            listed[_NOISE, n] += 2 * abs(errors[j, n]) * (2 * error + 1) >> unit
+
+
+@inlined
+def _has_flat(task: Any, room: Any, n: int, components: int, size: int, is_float: int, error: int) -> bool:
+    """Return whether a node's children are given as its cell is."""
+    given, begin, order = task[2], task[4], task[5].order
+    around, nodes, _, _, _ = room
+    i = np.uint64(n)
+    for t in range(begin + nodes[i, _FIRST], begin + nodes[i, _FIRST] + nodes[i, _COUNT]):
+        for j in range(components):
+            number = _number(given, t, order[np.uint64(j)], size, is_float)
+            if abs(number - around[np.uint64(_AROUND * (components * n + j) + _VALUE)]) > error:
+                return False
+    return True
+
+
+@inlined
+def _guess_children(
     task: Any,
-    values: Int64s,
-    around: Int64s,
-    terms: Int64s,
+    room: Any,
+    n: int,
     work: int,
+    components: int,
     size: int,
     is_float: int,
     error: int,
     unit: int,
 ) -> None:
-    rows, _, given, raw, begin, coding, steps, squares, pool, coder, stream = task
-    _, context_of, parts = steps
-    order, weights = coding.order, coding.weights
-    components = order.size
-    writes = work == DECODES or (error > 0 and work != MEASURES)
-    left, node, t = wide(1), wide(-1), wide(-1)
-    while t + 1 < rows.shape[0]:
-        t += 1
-        about = wide(rows[np.uint64(t), ABOUT])
-        kind = about >> 8 & 1
-        if left == 1:
-            node += 1
-            is_flat = _look_around(task, values, around, kind, node, size, is_float, unit)
-            count = about >> 4 & 15
-            if (
-                is_flat
-                and work != MEASURES
-                and _code_flat(task, values, around, t, count, work, size, is_float, error)
-            ):
-                t += count - 1
-                continue
-        left = about >> 4 & 15
-        x, y, z = _SIDES + (about >> 9 & 1), _SIDES + 2 + (about >> 10 & 1), _SIDES + 4 + (about >> 11 & 1)
-        beside_x = wide(rows[np.uint64(t), 0]) * components
-        beside_y = wide(rows[np.uint64(t), 1]) * components
-        beside_z = wide(rows[np.uint64(t), 2]) * components
-        part = parts[np.uint64(left)]
-        noise = first_off = second_off = third_off = first = second = third = wide(0)
-        for j in range(components):
-            at = _AROUND * j
-            beside = values[np.uint64(beside_x + j)] + values[np.uint64(beside_y + j)]
-            beside += values[np.uint64(beside_z + j)]
-            before = around[np.uint64(at + _BEFORE)]
-            mean = before * part >> 16
-            total = around[np.uint64(at + x)] + around[np.uint64(at + y)] + around[np.uint64(at + z)]
-            total += around[np.uint64(at + _SUM)] + around[np.uint64(at + _BESIDE)] * beside
-            total += around[np.uint64(at + _SIBLINGS)] * mean
-            if j:
-                own = around[np.uint64(at + _WEIGHTS)] + _ERRORS
-                total += weights[np.uint64(own)] * first_off + weights[np.uint64(own + 3)] * first
-                if j > 1:
-                    total += weights[np.uint64(own + 1)] * second_off + weights[np.uint64(own + 4)] * second
-                    total += weights[np.uint64(own + 2)] * third_off + weights[np.uint64(own + 5)] * third
-            guess = total >> WEIGHT_BITS
-            value, number = around[np.uint64(at + _VALUE)], wide(0)
-            if work != DECODES:
-                number = _number(given, begin + t, order[np.uint64(j)], size, is_float)
-            if work == MEASURES:
-                off = number - guess
-                terms[0] = terms[1] = 0
-                for k in range(6):
-                    terms[0 if _SIDES + k in (x, y, z) else 1] += around[at + _RAW + k]
-                terms[2], terms[3], terms[TERMS] = beside - 3 * value, mean, number - value
-                terms[4], terms[5], terms[6] = first_off, second_off, third_off
-                terms[7], terms[8], terms[9] = first, second, third
-                _measure(terms, off, 2.0**-unit, squares, around[at + _WEIGHTS] // TERMS)
-            else:
-                most = around[np.uint64(at + _MOST)] + noise
-                context = wide(context_of[np.uint64(most if size == 1 and error == 0 else min(most, 255))])
-                context += (kind * components + j) * CONTEXTS
-                number, off = _code_number(work, number, guess, size, error, context, pool, coder, stream)
-            if writes:
-                _write(number, raw, begin + t, order[np.uint64(j)], size, is_float)
-            values[np.uint64(t * components + j)] = number
-            around[np.uint64(at + _BEFORE)] = before + number - value
-            if j == 0:
-                first_off, first = off, number - value
-            elif j == 1:
-                second_off, second = off, number - value
-            else:
-                third_off, third = off, number - value
-            noise += 2 * abs(off) >> unit
+    """Guess the values of a node's children: write them by their errors, or write their errors, or measure."""
+    rows, raw, begin, coding, steps = task[0], task[3], task[4], task[5], task[6]
+    around, nodes = room[0], room[1]
+    order = coding.order
+    i = np.uint64(n)
+    first, count = nodes[i, _FIRST], nodes[i, _COUNT]
+    if nodes[i, _FLAT] == 3:
+        if work == DECODES or error > 0:
+            for t in range(begin + first, begin + first + count):
+                for j in range(components):
+                    number = around[np.uint64(_AROUND * (components * n + j) + _VALUE)]
+                    _write(number, raw, t, order[np.uint64(j)], size, is_float)
+        return
+    at = _AROUND * components * n
+    sum_0 = sum_1 = sum_2 = sum_3 = wide(0)
+    for t in range(first, first + count):
+        part = steps[2][np.uint64(first + count - t)]
+        row = np.uint64(t)
+        about = wide(rows[row, ABOUT])
+        beside = wide(rows[row, 0]), wide(rows[row, 1]), wide(rows[row, 2])
+        sides = _SIDES + (about >> 9 & 1), _SIDES + 2 + (about >> 10 & 1), _SIDES + 4 + (about >> 11 & 1)
+        child = t, nodes[i, _PLACE] + t - first, at, beside, sides
+        before = wide(0), wide(0), wide(0), wide(0), wide(0), wide(0)
+        off_0, more_0 = _guess_child(
+            task, room, work, child, 0, sum_0 * part >> 16, before, size, is_float, error, unit
+        )
+        sum_0 += more_0
+        if components > 1:
+            before = off_0, wide(0), wide(0), more_0, wide(0), wide(0)
+            off_1, more_1 = _guess_child(
+                task, room, work, child, 1, sum_1 * part >> 16, before, size, is_float, error, unit
+            )
+            sum_1 += more_1
+            if components > 2:
+                before = off_0, off_1, wide(0), more_0, more_1, wide(0)
+                off_2, more_2 = _guess_child(
+                    task, room, work, child, 2, sum_2 * part >> 16, before, size, is_float, error, unit
+                )
+                sum_2 += more_2
+                if components > 3:
+                    before = off_0, off_1, off_2, more_0, more_1, more_2
+                    _, more_3 = _guess_child(
+                        task, room, work, child, 3, sum_3 * part >> 16, before, size, is_float, error, unit
+                    )
+                    sum_3 += more_3
+
+
+@inlined
+def _guess_child(
+    task: Any,
+    room: Any,
+    work: int,
+    child: Any,
+    j: int,
+    mean: int,
+    before: tuple[int, int, int, int, int, int],
+    size: int,
+    is_float: int,
+    error: int,
+    unit: int,
+) -> tuple[int, int]:
+    """Guess component ``j`` of a child; return the error, and what it has more than its parent."""
+    _, _, given, raw, begin, coding, _, squares, _, _, _ = task
+    around, _, errors, _, terms = room
+    t, place, at, (beside_x, beside_y, beside_z), (x, y, z) = child
+    weights, component = coding.weights, coding.order[np.uint64(j)]
+    at += _AROUND * j
+    beside = _number(raw, beside_x, component, size, is_float)
+    beside += _number(raw, beside_y, component, size, is_float)
+    beside += _number(raw, beside_z, component, size, is_float)
+    total = around[np.uint64(at + x)] + around[np.uint64(at + y)] + around[np.uint64(at + z)]
+    total += around[np.uint64(at + _SUM)] + around[np.uint64(at + _BESIDE)] * beside
+    if j > 0:
+        own = around[np.uint64(at + _WEIGHTS)] + _ERRORS
+        total += weights[np.uint64(own)] * before[0] + weights[np.uint64(own + 3)] * before[3]
+        if j > 1:
+            total += weights[np.uint64(own + 1)] * before[1] + weights[np.uint64(own + 4)] * before[4]
+            if j > 2:
+                total += weights[np.uint64(own + 2)] * before[2] + weights[np.uint64(own + 5)] * before[5]
+    total += around[np.uint64(at + _SIBLINGS)] * mean
+    guess = total >> WEIGHT_BITS
+    value = around[np.uint64(at + _VALUE)]
+    if work == MEASURES:
+        number = _number(given, begin + t, component, size, is_float)
+        terms[0] = terms[1] = 0
+        for k in range(6):
+            terms[0 if _SIDES + k in (x, y, z) else 1] += around[at + _RAW + k]
+        terms[2], terms[3], terms[TERMS] = beside - 3 * value, mean, number - value
+        for k in range(6):
+            terms[4 + k] = before[k]
+        off = number - guess
+        _measure(terms, off, 2.0**-unit, squares, around[at + _WEIGHTS] // TERMS)
+        return off, number - value
+    off = errors[j, np.uint64(place)]
+    if work == NOTES:
+        off = _error(_number(given, begin + t, component, size, is_float), guess, size, error)
+        errors[j, np.uint64(place)] = off
+    number = _corrected(guess, off, size, error)
+    if work == DECODES or error > 0:
+        _write(number, raw, begin + t, component, size, is_float)
+    return off * (2 * error + 1), number - value
 
 
 @inlined
@@ -439,7 +599,7 @@ def code_rows(
 ) -> None:
     """Likewise the values of rows from ``first`` on, a row of each cell of ``owners``, by the cells' own."""
     _, context_of, _ = steps
-    order, size, is_float, error, unit, _ = coding
+    order, size, is_float, error, unit, _, _ = coding
     components = order.size
     work = coder[PASS]
     writes = work == DECODES or error > 0
@@ -453,11 +613,12 @@ def code_rows(
             guess = min(max(own + (shift if components >= 3 else 0), 0), (1 << 8 * size) - 1)
             varies = min((abs(before[j]) >> unit) + noise, 255)
             context = (kind * components + j) * CONTEXTS + wide(context_of[np.uint64(varies)])
-            number = wide(0)
-            if work != DECODES:
-                number = _number(given, first + n, order[j], size, is_float)
-            number, off = _code_number(work, number, guess, size, error, context, pool, coder, stream)
+            off = wide(0)
+            if work == NOTES:
+                off = _error(_number(given, first + n, order[j], size, is_float), guess, size, error)
+            off = _code_error(work, off, size, context, pool, coder, stream)
+            number = _corrected(guess, off, size, error)
             if writes:
                 _write(number, raw, first + n, order[j], size, is_float)
             before[j] = shift = number - own
-            noise += 2 * abs(off) >> unit
+            noise += 2 * abs(off) * (2 * error + 1) >> unit

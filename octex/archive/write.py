@@ -190,7 +190,7 @@ def _coding(
     raw = channel.values
     _, components, size = raw.shape
     weights = np.zeros(values.weights_of(components), np.int64)
-    coding = values.Coding(values.order_of(components), size, int(is_float), 0, 0, weights)
+    coding = values.Coding(values.order_of(components), size, int(is_float), 0, 0, 0, weights)
     if size > 1:  # floats and 16 bits differ by far more steps than 8 bits do
         coding = coding._replace(unit=_unit(raw, coding, sampled))
     pool = pool_of(np.zeros(0, np.uint8), np.zeros((0, 256), np.int64))
