@@ -100,14 +100,20 @@ def numbers_of(raw: Uint8s, coding: Coding) -> Int64s:
 
 
 @inlined
-def _number(raw: Uint8s, row: int, component: int, size: int, is_float: int) -> int:
-    """Return a value as a whole number."""
-    at, part = np.uint64(row), np.uint64(component)
-    number = wide(raw[at, part, 0])
+def _component(j: int, components: int) -> int:
+    """Return which component is coded as the j-th, as ``order_of`` has it."""
+    return wide(1 - j if components >= 3 and j < 2 else j)
+
+
+@inlined
+def _number(raw: Uint8s, at: int, size: int, is_float: int) -> int:
+    """Return the value whose first byte is ``at`` as a whole number."""
+    i = np.uint64(at)
+    number = wide(raw[i])
     if size > 1:
-        number |= wide(raw[at, part, 1]) << 8
+        number |= wide(raw[i + np.uint64(1)]) << 8
         if size > 2:
-            number |= wide(raw[at, part, 2]) << 16 | wide(raw[at, part, 3]) << 24
+            number |= wide(raw[i + np.uint64(2)]) << 16 | wide(raw[i + np.uint64(3)]) << 24
         if is_float:
             sign = 1 << (8 * size - 1)
             number = (2 * sign - 1) - number if number & sign else number | sign
@@ -115,17 +121,17 @@ def _number(raw: Uint8s, row: int, component: int, size: int, is_float: int) -> 
 
 
 @inlined
-def _write(number: int, raw: Uint8s, row: int, component: int, size: int, is_float: int) -> None:
-    at, part = np.uint64(row), np.uint64(component)
+def _write(number: int, raw: Uint8s, at: int, size: int, is_float: int) -> None:
+    i = np.uint64(at)
     if is_float:
         sign = 1 << (8 * size - 1)
         number = number ^ sign if number & sign else (2 * sign - 1) - number
-    raw[at, part, 0] = number & 255
+    raw[i] = number & 255
     if size > 1:
-        raw[at, part, 1] = number >> 8 & 255
+        raw[i + np.uint64(1)] = number >> 8 & 255
         if size > 2:
-            raw[at, part, 2] = number >> 16 & 255
-            raw[at, part, 3] = number >> 24
+            raw[i + np.uint64(2)] = number >> 16 & 255
+            raw[i + np.uint64(3)] = number >> 24
 
 
 @inlined
@@ -163,17 +169,24 @@ def _corrected(guess: int, off: int, size: int, error: int) -> int:
 
 
 @inlined
-def _code_error(
-    work: int, off: int, size: int, context: int, pool: Pool, coder: Int64s, stream: Uint32s
-) -> int:
-    """Note or decode by how many steps a guess is off; return it."""
-    sign = off << 1 ^ off >> 63
-    sign = (
-        code_symbol(work, sign, context, pool, coder, stream)
-        if size == 1
-        else _code_large(work, sign, context, pool, coder, stream)
-    )
+def _folded(off: int) -> int:
+    """Return 0, 1, 2, 3 … for 0, −1, 1, −2 …."""
+    return wide(off << 1 ^ off >> 63)
+
+
+@inlined
+def _unfolded(sign: int) -> int:
     return wide(sign >> 1 ^ -(sign & 1))
+
+
+@inlined
+def _code_folded(
+    work: int, sign: int, size: int, context: int, pool: Pool, coder: Int64s, stream: Uint32s
+) -> int:
+    """Note or decode a folded error; return it."""
+    if size == 1:
+        return code_symbol(work, sign, context, pool, coder, stream)
+    return _code_large(work, sign, context, pool, coder, stream)
 
 
 @inlined
@@ -218,10 +231,11 @@ def code_values(
         np.empty(_RUN * components * _AROUND, np.int64),
         np.empty((_RUN, 5), np.int64),
         np.zeros((components, 8 * _RUN), np.int64),
-        np.zeros((4, 8 * _RUN), np.int64),
+        np.zeros((3, 8 * _RUN), np.int64),
         np.zeros(TERMS + 1, np.int64),
     )
-    task = rows, cells, given, raw, begin, coding, steps, squares, pool, coder, stream
+    flat = given.reshape(-1), raw.reshape(-1)
+    task = rows, cells, flat[0], flat[1], begin, coding, steps, squares, pool, coder, stream
     work, size, error, unit = coder[PASS], coding.size, coding.error, coding.unit
     # Bytes are read by code of their own, in which these are known.
     if size > 1 or error > 0 or unit > 0 or coding.by_cell:
@@ -240,14 +254,14 @@ _RUN = 32
 # around have its value, 3 if its children have, too; which of the run's cells whose errors are coded is its
 # first.
 _FIRST, _COUNT, _KIND, _FLAT, _PLACE = 0, 1, 2, 3, 4
-# And of each component of a node's cell: its value; the sum that guesses begin with; weighted differences of
-# the cells around; of the cells beside and of the children so far the weights; where the weights stand; how
-# much the cells around differ; where its contexts begin; differences.
-_VALUE, _SUM, _SIDES, _BESIDE, _SIBLINGS, _WEIGHTS, _MOST, _CONTEXTS, _RAW = 0, 1, 2, 8, 9, 10, 11, 12, 13
-_AROUND = 19
-# And of its cells whose errors are coded: their node, by how much the components so far are off, and of one
-# component the contexts and symbols.
-_NODE, _NOISE, _CONTEXT, _SYMBOL = 0, 1, 2, 3
+# And of each component of a node's cell: its value; the sum that guesses begin with; those of the cells
+# around; the weights of these, if on a child's side, of the cells beside and of the children so far; where the
+# weights stand; how much the cells around differ; where its contexts begin.
+_VALUE, _SUM, _SIDES, _NEARER, _BESIDE, _SIBLINGS, _WEIGHTS, _MOST, _CONTEXTS = 0, 1, 2, 8, 9, 10, 11, 12, 13
+_AROUND = 14
+# And of its cells whose errors are coded: their node, by how much the components so far are off, the context
+# of the component that is coded. Errors are folded.
+_NODE, _NOISE, _CONTEXT = 0, 1, 2
 
 
 @inlined
@@ -273,7 +287,7 @@ def _code_runs(
             about = wide(rows[np.uint64(t), ABOUT])
             kind = about >> 8 & 1
             nodes[n, _FIRST], nodes[n, _COUNT], nodes[n, _KIND] = t, about >> 4 & 15, kind
-            is_flat = wide(_look_around(task, room, count, node, kind, work, components, size, is_float, unit))
+            is_flat = wide(_look_around(task, room, count, node, kind, components, size, is_float, unit))
             if work == NOTES and is_flat:
                 is_flat |= wide(_has_flat(task, room, count, components, size, is_float, error)) << 1
             nodes[n, _FLAT] = is_flat & -wide(work != MEASURES)
@@ -291,56 +305,70 @@ def _code_runs(
 
 @inlined
 def _look_around(
+    task: Any, room: Any, n: int, node: int, kind: int, components: int, size: int, is_float: int, unit: int
+) -> bool:
+    """Write what is known around the run's node ``n``; return whether the cells around are as its own."""
+    cells = task[1]
+    i, row = np.uint64(node), components * size
+    own = cells[i, OWN] * row
+    sides = (
+        *(cells[i, 0] * row, cells[i, 1] * row, cells[i, 2] * row),
+        *(cells[i, 3] * row, cells[i, 4] * row, cells[i, 5] * row),
+    )
+    differ = _look_at(task, room, n, own, sides, kind, 0, components, size, is_float, unit)
+    if components > 1:
+        differ |= _look_at(task, room, n, own, sides, kind, 1, components, size, is_float, unit)
+    if components > 2:
+        differ |= _look_at(task, room, n, own, sides, kind, 2, components, size, is_float, unit)
+    if components > 3:
+        differ |= _look_at(task, room, n, own, sides, kind, 3, components, size, is_float, unit)
+    return differ == 0
+
+
+@inlined
+def _look_at(
     task: Any,
     room: Any,
     n: int,
-    node: int,
+    own: int,
+    sides: tuple[int, int, int, int, int, int],
     kind: int,
-    work: int,
+    j: int,
     components: int,
     size: int,
     is_float: int,
     unit: int,
-) -> bool:
-    """Write what is known around the run's node ``n``; return whether the cells around are as its own."""
-    _, cells, _, raw, _, coding, steps, _, _, _, _ = task
+) -> int:
+    """Write what is known around in component ``j``; return how much the cells differ."""
+    raw, weights, steps = task[3], task[5].weights, task[6]
     around = room[0]
-    order, weights = coding.order, coding.weights
-    i = np.uint64(node)
-    own, low_x, high_x = cells[i, OWN], cells[i, 0], cells[i, 1]
-    low_y, high_y, low_z, high_z = cells[i, 2], cells[i, 3], cells[i, 4], cells[i, 5]
-    differ = wide(0)
-    for j in range(components):
-        at, component = np.uint64(_AROUND * (components * n + j)), order[np.uint64(j)]
-        value = _number(raw, own, component, size, is_float)
-        a = _number(raw, low_x, component, size, is_float) - value
-        b = _number(raw, high_x, component, size, is_float) - value
-        c = _number(raw, low_y, component, size, is_float) - value
-        d = _number(raw, high_y, component, size, is_float) - value
-        e = _number(raw, low_z, component, size, is_float) - value
-        f = _number(raw, high_z, component, size, is_float) - value
-        differs = abs(a) + abs(b) + abs(c) + abs(d) + abs(e) + abs(f)
-        differ |= differs
-        most = min(differs >> unit + 1, 255)
-        place = ((kind * components + j) * CLASSES + wide(steps[0][np.uint64(most)])) * TERMS
-        far, beside = weights[np.uint64(place + 1)], weights[np.uint64(place + 2)]
-        nearer, siblings = weights[np.uint64(place)] - far, weights[np.uint64(place + 3)]
-        total = (value << WEIGHT_BITS) + (1 << WEIGHT_BITS - 1) - 3 * beside * value
-        around[at + np.uint64(_SUM)] = total + far * (a + b + c + d + e + f)
-        around[at + np.uint64(_VALUE)] = value
-        around[at + np.uint64(_SIDES)], around[at + np.uint64(_SIDES + 1)] = nearer * a, nearer * b
-        around[at + np.uint64(_SIDES + 2)], around[at + np.uint64(_SIDES + 3)] = nearer * c, nearer * d
-        around[at + np.uint64(_SIDES + 4)], around[at + np.uint64(_SIDES + 5)] = nearer * e, nearer * f
-        around[at + np.uint64(_BESIDE)] = beside
-        around[at + np.uint64(_SIBLINGS)] = siblings
-        around[at + np.uint64(_WEIGHTS)] = place
-        around[at + np.uint64(_MOST)] = most
-        around[at + np.uint64(_CONTEXTS)] = (kind * components + j) * CONTEXTS
-        if work == MEASURES:
-            around[at + np.uint64(_RAW)], around[at + np.uint64(_RAW + 1)] = a, b
-            around[at + np.uint64(_RAW + 2)], around[at + np.uint64(_RAW + 3)] = c, d
-            around[at + np.uint64(_RAW + 4)], around[at + np.uint64(_RAW + 5)] = e, f
-    return differ == 0
+    at, component = np.uint64(_AROUND * (components * n + j)), _component(j, components) * size
+    value = _number(raw, own + component, size, is_float)
+    a = _number(raw, sides[0] + component, size, is_float)
+    b = _number(raw, sides[1] + component, size, is_float)
+    c = _number(raw, sides[2] + component, size, is_float)
+    d = _number(raw, sides[3] + component, size, is_float)
+    e = _number(raw, sides[4] + component, size, is_float)
+    f = _number(raw, sides[5] + component, size, is_float)
+    differs = abs(a - value) + abs(b - value) + abs(c - value)
+    differs += abs(d - value) + abs(e - value) + abs(f - value)
+    most = min(differs >> unit + 1, 255)
+    place = ((kind * components + j) * CLASSES + wide(steps[0][np.uint64(most)])) * TERMS
+    far, beside = weights[np.uint64(place + 1)], weights[np.uint64(place + 2)]
+    nearer, siblings = weights[np.uint64(place)] - far, weights[np.uint64(place + 3)]
+    total = ((1 << WEIGHT_BITS) - 6 * far - 3 * (nearer + beside)) * value + (1 << WEIGHT_BITS - 1)
+    around[at] = value
+    around[at + np.uint64(_SUM)] = total + far * (a + b + c + d + e + f)
+    around[at + np.uint64(_SIDES)], around[at + np.uint64(_SIDES + 1)] = a, b
+    around[at + np.uint64(_SIDES + 2)], around[at + np.uint64(_SIDES + 3)] = c, d
+    around[at + np.uint64(_SIDES + 4)], around[at + np.uint64(_SIDES + 5)] = e, f
+    around[at + np.uint64(_NEARER)] = nearer
+    around[at + np.uint64(_BESIDE)] = beside
+    around[at + np.uint64(_SIBLINGS)] = siblings
+    around[at + np.uint64(_WEIGHTS)] = place
+    around[at + np.uint64(_MOST)] = most
+    around[at + np.uint64(_CONTEXTS)] = (kind * components + j) * CONTEXTS
+    return differs
 
 
 @inlined
@@ -371,17 +399,19 @@ def _code_flat(
             nodes[i, _FLAT] = 1 | flat << 1
             if flat:
                 continue
+        node = components * _AROUND * n
+        most = around[np.uint64(node + _MOST)]
+        context = around[np.uint64(node + _CONTEXTS)] + wide(steps[1][np.uint64(most)])
         for _ in range(nodes[i, _COUNT]):
             at = np.uint64(place)
-            listed[_NODE, at] = components * _AROUND * n
-            listed[_NOISE, at] = 0
+            listed[_NODE, at], listed[_NOISE, at], listed[_CONTEXT, at] = node, 0, context
             for j in range(components if by_cell else 0):
-                about = _AROUND * (components * n + j)
+                about = node + _AROUND * j
                 varies = min(around[np.uint64(about + _MOST)] + listed[_NOISE, at], 255)
-                context = around[np.uint64(about + _CONTEXTS)] + wide(steps[1][np.uint64(varies)])
-                off = _code_error(work, wide(0), size, context, pool, coder, stream)
-                errors[j, at] = off
-                listed[_NOISE, at] += 2 * abs(off) * (2 * error + 1) >> unit
+                own = around[np.uint64(about + _CONTEXTS)] + wide(steps[1][np.uint64(varies)])
+                sign = _code_folded(work, wide(0), size, own, pool, coder, stream)
+                errors[j, at] = sign
+                listed[_NOISE, at] += 2 * (sign + 1 >> 1) * (2 * error + 1) >> unit
             place += 1
     return place
 
@@ -394,34 +424,32 @@ def _code_errors(
     steps, pool, coder, stream = task[6], task[8], task[9], task[10]
     around, _, errors, listed, _ = room
     for j in range(components):
-        for n in range(count):
-            i = np.uint64(n)
-            about = listed[_NODE, i] + _AROUND * j
-            varies = min(around[np.uint64(about + _MOST)] + listed[_NOISE, i], 255)
-            context = around[np.uint64(about + _CONTEXTS)] + wide(steps[1][np.uint64(varies)])
-            if size == 1:
-                listed[_CONTEXT, i] = context
-                listed[_SYMBOL, i] = errors[j, i] << 1 ^ errors[j, i] >> 63
-            else:
-                errors[j, i] = _code_error(work, errors[j, i], size, context, pool, coder, stream)
-        if size == 1:
-            code_symbols(work, listed[_SYMBOL], listed[_CONTEXT], count, pool, coder, stream)
+        if j:
             for n in range(count):
-                symbol = listed[_SYMBOL, n]
-                errors[j, n] = symbol >> 1 ^ -(symbol & 1)
-        for n in range(count):
-            listed[_NOISE, n] += 2 * abs(errors[j, n]) * (2 * error + 1) >> unit
+                i = np.uint64(n)
+                about = listed[_NODE, i] + _AROUND * j
+                listed[_NOISE, i] += 2 * (errors[j - 1, i] + 1 >> 1) * (2 * error + 1) >> unit
+                varies = min(around[np.uint64(about + _MOST)] + listed[_NOISE, i], 255)
+                context = around[np.uint64(about + _CONTEXTS)] + wide(steps[1][np.uint64(varies)])
+                listed[_CONTEXT, i] = context
+        if size == 1:
+            code_symbols(work, errors[j], listed[_CONTEXT], count, pool, coder, stream)
+        else:
+            for n in range(count):
+                i = np.uint64(n)
+                sign, context = errors[j, i], listed[_CONTEXT, i]
+                errors[j, i] = _code_folded(work, sign, size, context, pool, coder, stream)
 
 
 @inlined
 def _has_flat(task: Any, room: Any, n: int, components: int, size: int, is_float: int, error: int) -> bool:
     """Return whether a node's children are given as its cell is."""
-    given, begin, order = task[2], task[4], task[5].order
+    given, begin = task[2], task[4]
     around, nodes, _, _, _ = room
     i = np.uint64(n)
     for t in range(begin + nodes[i, _FIRST], begin + nodes[i, _FIRST] + nodes[i, _COUNT]):
         for j in range(components):
-            number = _number(given, t, order[np.uint64(j)], size, is_float)
+            number = _number(given, (t * components + _component(j, components)) * size, size, is_float)
             if abs(number - around[np.uint64(_AROUND * (components * n + j) + _VALUE)]) > error:
                 return False
     return True
@@ -440,9 +468,8 @@ def _guess_children(
     unit: int,
 ) -> None:
     """Guess the values of a node's children: write them by their errors, or write their errors, or measure."""
-    rows, raw, begin, coding, steps = task[0], task[3], task[4], task[5], task[6]
+    rows, raw, begin, steps = task[0], task[3], task[4], task[6]
     around, nodes = room[0], room[1]
-    order = coding.order
     i = np.uint64(n)
     first, count = nodes[i, _FIRST], nodes[i, _COUNT]
     if nodes[i, _FLAT] == 3:
@@ -450,38 +477,38 @@ def _guess_children(
             for t in range(begin + first, begin + first + count):
                 for j in range(components):
                     number = around[np.uint64(_AROUND * (components * n + j) + _VALUE)]
-                    _write(number, raw, t, order[np.uint64(j)], size, is_float)
+                    _write(number, raw, (t * components + _component(j, components)) * size, size, is_float)
         return
     at = _AROUND * components * n
     sum_0 = sum_1 = sum_2 = sum_3 = wide(0)
     for t in range(first, first + count):
         part = steps[2][np.uint64(first + count - t)]
-        row = np.uint64(t)
+        row, each = np.uint64(t), components * size
         about = wide(rows[row, ABOUT])
-        beside = wide(rows[row, 0]), wide(rows[row, 1]), wide(rows[row, 2])
+        beside = wide(rows[row, 0]) * each, wide(rows[row, 1]) * each, wide(rows[row, 2]) * each
         sides = _SIDES + (about >> 9 & 1), _SIDES + 2 + (about >> 10 & 1), _SIDES + 4 + (about >> 11 & 1)
-        child = t, nodes[i, _PLACE] + t - first, at, beside, sides
+        child = (begin + t) * each, nodes[i, _PLACE] + t - first, at, beside, sides
         before = wide(0), wide(0), wide(0), wide(0), wide(0), wide(0)
         off_0, more_0 = _guess_child(
-            task, room, work, child, 0, sum_0 * part >> 16, before, size, is_float, error, unit
+            task, room, work, child, 0, sum_0 * part >> 16, before, components, size, is_float, error, unit
         )
         sum_0 += more_0
         if components > 1:
             before = off_0, wide(0), wide(0), more_0, wide(0), wide(0)
             off_1, more_1 = _guess_child(
-                task, room, work, child, 1, sum_1 * part >> 16, before, size, is_float, error, unit
+                task, room, work, child, 1, sum_1 * part >> 16, before, components, size, is_float, error, unit
             )
             sum_1 += more_1
             if components > 2:
                 before = off_0, off_1, wide(0), more_0, more_1, wide(0)
                 off_2, more_2 = _guess_child(
-                    task, room, work, child, 2, sum_2 * part >> 16, before, size, is_float, error, unit
+                    task, room, work, child, 2, sum_2 * part >> 16, before, components, size, is_float, error, unit
                 )
                 sum_2 += more_2
                 if components > 3:
                     before = off_0, off_1, off_2, more_0, more_1, more_2
                     _, more_3 = _guess_child(
-                        task, room, work, child, 3, sum_3 * part >> 16, before, size, is_float, error, unit
+                        task, room, work, child, 3, sum_3 * part >> 16, before, components, size, is_float, error, unit
                     )
                     sum_3 += more_3
 
@@ -495,22 +522,24 @@ def _guess_child(
     j: int,
     mean: int,
     before: tuple[int, int, int, int, int, int],
+    components: int,
     size: int,
     is_float: int,
     error: int,
     unit: int,
 ) -> tuple[int, int]:
     """Guess component ``j`` of a child; return the error, and what it has more than its parent."""
-    _, _, given, raw, begin, coding, _, squares, _, _, _ = task
+    given, raw, weights, squares = task[2], task[3], task[5].weights, task[7]
     around, _, errors, _, terms = room
-    t, place, at, (beside_x, beside_y, beside_z), (x, y, z) = child
-    weights, component = coding.weights, coding.order[np.uint64(j)]
+    row, place, at, (beside_x, beside_y, beside_z), (x, y, z) = child
+    component = _component(j, components) * size
     at += _AROUND * j
-    beside = _number(raw, beside_x, component, size, is_float)
-    beside += _number(raw, beside_y, component, size, is_float)
-    beside += _number(raw, beside_z, component, size, is_float)
-    total = around[np.uint64(at + x)] + around[np.uint64(at + y)] + around[np.uint64(at + z)]
-    total += around[np.uint64(at + _SUM)] + around[np.uint64(at + _BESIDE)] * beside
+    beside = _number(raw, beside_x + component, size, is_float)
+    beside += _number(raw, beside_y + component, size, is_float)
+    beside += _number(raw, beside_z + component, size, is_float)
+    near = around[np.uint64(at + x)] + around[np.uint64(at + y)] + around[np.uint64(at + z)]
+    total = around[np.uint64(at + _SUM)] + around[np.uint64(at + _NEARER)] * near
+    total += around[np.uint64(at + _BESIDE)] * beside
     if j > 0:
         own = around[np.uint64(at + _WEIGHTS)] + _ERRORS
         total += weights[np.uint64(own)] * before[0] + weights[np.uint64(own + 3)] * before[3]
@@ -520,25 +549,25 @@ def _guess_child(
                 total += weights[np.uint64(own + 2)] * before[2] + weights[np.uint64(own + 5)] * before[5]
     total += around[np.uint64(at + _SIBLINGS)] * mean
     guess = total >> WEIGHT_BITS
-    value = around[np.uint64(at + _VALUE)]
+    value = around[np.uint64(at)]
     if work == MEASURES:
-        number = _number(given, begin + t, component, size, is_float)
-        terms[0] = terms[1] = 0
+        number = _number(given, row + component, size, is_float)
+        terms[0], terms[1] = near - 3 * value, -3 * value - near
         for k in range(6):
-            terms[0 if _SIDES + k in (x, y, z) else 1] += around[at + _RAW + k]
+            terms[1] += around[at + _SIDES + k]
         terms[2], terms[3], terms[TERMS] = beside - 3 * value, mean, number - value
         for k in range(6):
             terms[4 + k] = before[k]
         off = number - guess
         _measure(terms, off, 2.0**-unit, squares, around[at + _WEIGHTS] // TERMS)
         return off, number - value
-    off = errors[j, np.uint64(place)]
+    off = _unfolded(errors[j, np.uint64(place)])
     if work == NOTES:
-        off = _error(_number(given, begin + t, component, size, is_float), guess, size, error)
-        errors[j, np.uint64(place)] = off
+        off = _error(_number(given, row + component, size, is_float), guess, size, error)
+        errors[j, np.uint64(place)] = _folded(off)
     number = _corrected(guess, off, size, error)
     if work == DECODES or error > 0:
-        _write(number, raw, begin + t, component, size, is_float)
+        _write(number, raw, row + component, size, is_float)
     return off * (2 * error + 1), number - value
 
 
@@ -602,23 +631,25 @@ def code_rows(
     order, size, is_float, error, unit, _, _ = coding
     components = order.size
     work = coder[PASS]
-    writes = work == DECODES or error > 0
+    flat = cell_raw.reshape(-1), given.reshape(-1), raw.reshape(-1)
     before = np.zeros(4, np.int64)
     for n in range(owners.size):
         if n == 0 or owners[n] != owners[n - 1]:
             before[:] = 0
         noise = shift = wide(0)
         for j in range(components):
-            own = _number(cell_raw, owners[n], order[j], size, is_float)
+            at = (wide(owners[n]) * components + order[j]) * size
+            own = _number(flat[0], at, size, is_float)
+            at = ((first + n) * components + order[j]) * size
             guess = min(max(own + (shift if components >= 3 else 0), 0), (1 << 8 * size) - 1)
             varies = min((abs(before[j]) >> unit) + noise, 255)
             context = (kind * components + j) * CONTEXTS + wide(context_of[np.uint64(varies)])
             off = wide(0)
             if work == NOTES:
-                off = _error(_number(given, first + n, order[j], size, is_float), guess, size, error)
-            off = _code_error(work, off, size, context, pool, coder, stream)
+                off = _error(_number(flat[1], at, size, is_float), guess, size, error)
+            off = _unfolded(_code_folded(work, _folded(off), size, context, pool, coder, stream))
             number = _corrected(guess, off, size, error)
-            if writes:
-                _write(number, raw, first + n, order[j], size, is_float)
+            if work == DECODES or error > 0:
+                _write(number, flat[2], at, size, is_float)
             before[j] = shift = number - own
             noise += 2 * abs(off) * (2 * error + 1) >> unit
