@@ -59,7 +59,7 @@ def decoder(words: Uint16s) -> tuple[Int64s, Uint32s]:
     coder, stream = new_coder(DECODES), np.empty(words.size + 1, np.uint32)
     stream[:-1], stream[-1] = words, 0
     if words.size >= 2 * STATES:
-        coder[:STATES] = stream[: 2 * STATES : 2] | stream[1 : 2 * STATES : 2] << np.uint32(16)
+        coder[:STATES] = words[: 2 * STATES].view(np.uint32)
         coder[PLACE] = 2 * STATES
     return coder, stream
 

@@ -19,7 +19,7 @@ from octex.archive import blocks, values
 from octex.archive.blocks import Content, Span
 from octex.archive.entropy import decoded_numbers, decoder, is_whole
 from octex.archive.layout import (
-    BLOCK,
+    BLOCKS,
     FORMAT,
     FORMAT_VERSION,
     KEPT,
@@ -116,7 +116,7 @@ def _decoded(content: mmap.mmap) -> Contents:
         head = _head(json.loads(text, object_pairs_hook=without_duplicates))
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError):
         raise _DamagedError("its head is damaged; copy it again") from None
-    _check_records(head, records.size)
+    _check_records(head, version, records.size)
     by_cell = int(version == 1)
     codings = {name: coding._replace(by_cell=by_cell) for name, _, coding, _ in head.channels}
     try:
@@ -273,16 +273,16 @@ def _pieces(head: _Head) -> Iterator[tuple[str, int, int]]:
             yield name, begin, min(begin + PIECE, size)
 
 
-def _check_records(head: _Head, count: int) -> None:
+def _check_records(head: _Head, version: int, count: int) -> None:
     """Refuse a directory whose records are not as many as the head wants: what is decoded is bounded so."""
     channels = len(head.channels)
-    nodes = head.level_nodes
+    nodes, size = head.level_nodes, BLOCKS[version]
     expected = sum(
-        (int(nodes[level + 1]) - 1) // BLOCK - int(nodes[level]) // BLOCK + 1
+        (int(nodes[level + 1]) - 1) // size - int(nodes[level]) // size + 1
         for level in range(nodes.size - 2)
     ) * (2 + 2 * (2 + channels))
-    expected += -(-head.split_cells // BLOCK) * 2 * (1 + channels)
-    expected += -(-head.kept_nodes // BLOCK) * 2 * channels
+    expected += -(-head.split_cells // size) * 2 * (1 + channels)
+    expected += -(-head.kept_nodes // size) * 2 * channels
     expected += 2 * sum(-(-math.prod(shape) * dtype.itemsize // PIECE) for _, dtype, shape in head.others)
     if count != expected:
         raise _DamagedError("its directory has not as many blocks as its head says; copy it again")
@@ -405,11 +405,12 @@ class _Decoding:
             channels = len(self._channels)
             tasks: list[Callable[[], None]] = [
                 partial(rows, part, firsts, self._streams(1, 1 + channels))
-                for part in parts(split.cells.size)
+                for part in parts(split.cells.size, self._models.version)
             ]
             self._decode(tasks, executor)
             tasks = [
-                partial(kept_values, part, self._streams(2, channels)) for part in parts(kept.cells.size)
+                partial(kept_values, part, self._streams(2, channels))
+                for part in parts(kept.cells.size, self._models.version)
             ]
             self._decode(tasks, executor)
             tasks = [
@@ -450,7 +451,7 @@ class _Decoding:
         tasks: list[Callable[[], None]] = []
         node, cell = int(arrays.level_nodes[level + 1]), int(arrays.level_cells[level + 1])
         content = self._content_of(no_split(), no_kept())
-        for block in blocks_of(arrays.level_nodes, level):
+        for block in blocks_of(arrays.level_nodes, level, self._models.version):
             nodes, cells = self._numbers(2)
             streams = self._streams(0, 2 + len(self._channels))
             span = Span(node, cell, node + nodes, cell + cells)
