@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.archive import areas, structure, values
-from octex.archive.layout import FORMAT_VERSION
 from octex.archive.entropy import ONE, TABLES, Pool, pool_of, shared_tables
+from octex.archive.layout import FORMAT_VERSION
 from octex.arrays import Int64s
 
 

@@ -278,8 +278,7 @@ def _check_records(head: _Head, version: int, count: int) -> None:
     channels = len(head.channels)
     nodes, size = head.level_nodes, BLOCKS[version]
     expected = sum(
-        (int(nodes[level + 1]) - 1) // size - int(nodes[level]) // size + 1
-        for level in range(nodes.size - 2)
+        (int(nodes[level + 1]) - 1) // size - int(nodes[level]) // size + 1 for level in range(nodes.size - 2)
     ) * (2 + 2 * (2 + channels))
     expected += -(-head.split_cells // size) * 2 * (1 + channels)
     expected += -(-head.kept_nodes // size) * 2 * channels

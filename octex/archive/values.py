@@ -250,13 +250,13 @@ def code_values(
 
 #: So many nodes are a run.
 _RUN = 32
-# What a run has of each node: its first child, how many it has, whether one of these is a node; 1 if the cells
-# around have its value, 3 if its children have, too; which of the run's cells whose errors are coded is its
-# first.
+# What a run has of each node: its first child, how many it has, whether one of these is a node; 1 if the
+# cells around have its value, 3 if its children have, too; which of the run's cells whose errors are coded is
+# its first.
 _FIRST, _COUNT, _KIND, _FLAT, _PLACE = 0, 1, 2, 3, 4
-# And of each component of a node's cell: its value; the sum that guesses begin with; those of the cells
-# around; the weights of these, if on a child's side, of the cells beside and of the children so far; where the
-# weights stand; how much the cells around differ; where its contexts begin.
+# And of each component of a node's cell: its value; the sum that guesses begin with; values of the cells
+# around; the weights of these, if on a child's side, of the cells beside and of the children so far; where
+# the weights stand; how much the cells around differ; where its contexts begin.
 _VALUE, _SUM, _SIDES, _NEARER, _BESIDE, _SIBLINGS, _WEIGHTS, _MOST, _CONTEXTS = 0, 1, 2, 8, 9, 10, 11, 12, 13
 _AROUND = 14
 # And of its cells whose errors are coded: their node, by how much the components so far are off, the context
@@ -283,14 +283,14 @@ def _code_runs(
     while t < rows.shape[0]:
         count = wide(0)
         while count < _RUN and t < rows.shape[0]:
-            n = np.uint64(count)
+            i = np.uint64(count)
             about = wide(rows[np.uint64(t), ABOUT])
             kind = about >> 8 & 1
-            nodes[n, _FIRST], nodes[n, _COUNT], nodes[n, _KIND] = t, about >> 4 & 15, kind
+            nodes[i, _FIRST], nodes[i, _COUNT], nodes[i, _KIND] = t, about >> 4 & 15, kind
             is_flat = wide(_look_around(task, room, count, node, kind, components, size, is_float, unit))
             if work == NOTES and is_flat:
                 is_flat |= wide(_has_flat(task, room, count, components, size, is_float, error)) << 1
-            nodes[n, _FLAT] = is_flat & -wide(work != MEASURES)
+            nodes[i, _FLAT] = is_flat & -wide(work != MEASURES)
             t += about >> 4 & 15
             node += 1
             count += 1
@@ -467,7 +467,7 @@ def _guess_children(
     error: int,
     unit: int,
 ) -> None:
-    """Guess the values of a node's children: write them by their errors, or write their errors, or measure."""
+    """Guess the values of a node's children: write these by their errors, or the errors, or measure."""
     rows, raw, begin, steps = task[0], task[3], task[4], task[6]
     around, nodes = room[0], room[1]
     i = np.uint64(n)
@@ -496,19 +496,52 @@ def _guess_children(
         if components > 1:
             before = off_0, wide(0), wide(0), more_0, wide(0), wide(0)
             off_1, more_1 = _guess_child(
-                task, room, work, child, 1, sum_1 * part >> 16, before, components, size, is_float, error, unit
+                task,
+                room,
+                work,
+                child,
+                1,
+                sum_1 * part >> 16,
+                before,
+                components,
+                size,
+                is_float,
+                error,
+                unit,
             )
             sum_1 += more_1
             if components > 2:
                 before = off_0, off_1, wide(0), more_0, more_1, wide(0)
                 off_2, more_2 = _guess_child(
-                    task, room, work, child, 2, sum_2 * part >> 16, before, components, size, is_float, error, unit
+                    task,
+                    room,
+                    work,
+                    child,
+                    2,
+                    sum_2 * part >> 16,
+                    before,
+                    components,
+                    size,
+                    is_float,
+                    error,
+                    unit,
                 )
                 sum_2 += more_2
                 if components > 3:
                     before = off_0, off_1, off_2, more_0, more_1, more_2
                     _, more_3 = _guess_child(
-                        task, room, work, child, 3, sum_3 * part >> 16, before, components, size, is_float, error, unit
+                        task,
+                        room,
+                        work,
+                        child,
+                        3,
+                        sum_3 * part >> 16,
+                        before,
+                        components,
+                        size,
+                        is_float,
+                        error,
+                        unit,
                     )
                     sum_3 += more_3
 
