@@ -73,12 +73,12 @@ def _descended(
             octant = lowest(bits)
             bits &= bits - 1
             if first <= child < last:
-                own = child - first
+                own = np.uint64(child - first)
                 cell = next_cell[OWN] + ones((inner[OWN] | leaves[OWN]) & ((1 << octant) - 1))
                 cells_below[own, OWN] = cell
                 for k in range(6):
                     across = octant ^ 1 << (k >> 1)
-                    at = k if octant >> (k >> 1) & 1 == k & 1 else OWN  # else a sibling
+                    at = np.uint64(k if octant >> (k >> 1) & 1 == k & 1 else OWN)  # else a sibling
                     there, below = inner[at] | leaves[at], (1 << across) - 1
                     is_there = there >> across & 1
                     cells_below[own, k] = next_cell[at] + ones(there & below) if is_there else cell
@@ -135,13 +135,14 @@ def around_children(
     masks, begins = np.zeros(7, np.int64), np.zeros(7, np.int64)
     t = 0
     for node in range(first, last):
-        own = node - first
+        own = np.uint64(node - first)
+        parent = cells[own, OWN]
         inner, leaves, _, cell = children_of(groups, node)
         occupied = inner | leaves
         masks[OWN], begins[OWN] = occupied, cell
         for k in range(6):
             beyond = nodes[own, k]
-            masks[k] = 0xFF if cells[own, k] != cells[own, OWN] else 0
+            masks[k] = 0xFF if cells[own, k] != parent else 0
             begins[k] = -1
             if first <= beyond < last:
                 inner2, leaves2, _, begins[k] = children_of(groups, beyond)
@@ -151,17 +152,17 @@ def around_children(
         while bits:
             octant = lowest(bits)
             bits &= bits - 1
-            shape = 0
+            shape, row = 0, np.uint64(t)
             for axis in range(3):
                 across = octant ^ 1 << axis
                 upper = octant >> axis & 1
-                beyond = 2 * axis + upper
+                beyond = np.uint64(2 * axis + upper)
                 shape += 1 << 2 * ((occupied >> across & 1) + (masks[beyond] >> across & 1))
-                at = OWN if upper else 2 * axis
+                at = np.uint64(OWN if upper else 2 * axis)
                 beside = begins[at] + ones(masks[at] & ((1 << across) - 1))
                 is_beside = (masks[at] >> across & 1) & np.int64(begins[at] >= 0)
-                rows[t, axis] = beside if is_beside else cells[own, OWN]
-            rows[t, ABOUT] = np.int64(shapes[shape]) | left << 4 | has_nodes << 8 | octant << 9
+                rows[row, axis] = beside if is_beside else parent
+            rows[row, ABOUT] = np.int64(shapes[np.uint64(shape)]) | left << 4 | has_nodes << 8 | octant << 9
             left -= 1
             t += 1
 

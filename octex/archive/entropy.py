@@ -334,14 +334,18 @@ _SYMBOL_BITS = 7.0  # about what the frequency of a symbol takes
 def normalized(counts: Int64s) -> Int64s:
     """Return frequencies (n, 256) of 4096, at least 1 for each symbol that occurs; 0 for rows without any."""
     found = np.zeros_like(counts)
-    for row in np.flatnonzero(counts.any(axis=1)):
-        own = counts[row]
-        sizes = np.where(own > 0, np.maximum(np.rint(own * (ONE / own.sum())), 1), 0).astype(np.int64)
-        while (excess := int(sizes.sum()) - ONE) > 0:  # what was rounded up comes off the largest
-            largest = int(np.argmax(sizes))
-            sizes[largest] -= min(excess, max(int(sizes[largest]) // 2, 1))
-        sizes[np.argmax(sizes)] -= excess
-        found[row] = sizes
+    rows = np.flatnonzero(counts.any(axis=1))
+    own, places = counts[rows], np.arange(rows.size)
+    sizes = np.maximum(np.rint(own * (ONE / own.sum(axis=1, keepdims=True))), 1).astype(np.int64)
+    sizes[own == 0] = 0
+    excess = sizes.sum(axis=1) - ONE
+    while (excess > 0).any():  # what was rounded up comes off the largest
+        largest = sizes.argmax(axis=1)
+        less = np.minimum(np.maximum(excess, 0), np.maximum(sizes[places, largest] // 2, 1))
+        sizes[places, largest] -= less
+        excess -= less
+    sizes[places, sizes.argmax(axis=1)] -= excess
+    found[rows] = sizes
     return found
 
 

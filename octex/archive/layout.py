@@ -13,11 +13,11 @@ The directory is three lengths (u32), and as many bytes: the head, JSON compress
 stream of numbers (see entropy); and a record for each block.
 
 A block is the children of nodes 16384·n … 16384·n + 16383 of one level; in version 1 of 4096. It has a
-stream for their structure and flags, one for their areas, and one for each channel; it is decoded with nothing
-but the levels above it. Its record is u32s: how many of the children are nodes, how many children there are,
-and of each stream its bytes and their CRC-32. After the levels come blocks of as many split cells (areas of
-rows, then each channel), of as many kept nodes (each channel), and other tensors in pieces of a megabyte,
-compressed with xz.
+stream for their structure and flags, one for their areas, and one for each channel; it is decoded with
+nothing but the levels above it. Its record is u32s: how many of the children are nodes, how many children
+there are, and of each stream its bytes and their CRC-32. After the levels come blocks of as many split cells
+(areas of rows, then each channel), of as many kept nodes (each channel), and other tensors in pieces of a
+megabyte, compressed with xz.
 """
 
 from __future__ import annotations
