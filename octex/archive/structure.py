@@ -1,7 +1,8 @@
 """Which children a node has, which of them are leaves, and their flags, by what is known around.
 
 Of each node in turn: which of the four lower octants are occupied, which of the upper four; which children
-are leaves; then each child's flags. A cell shows no facing that its parent does not.
+are leaves; then each child's flags. A cell shows no facing that its parent does not: where that has one, a
+symbol says for all children at once that they have just it.
 """
 
 from __future__ import annotations

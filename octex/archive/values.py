@@ -7,6 +7,9 @@ The weights are fitted to the texture, for parents of leaves alone and for other
 around the parent vary. What the guess is off by is coded by how much it may be. Where the cells around the
 parent are all as it is, one symbol says first whether its children are, too.
 
+Nodes are taken in runs. By how much errors may be off is known without the guesses: so a component's errors
+of a whole run are decoded at once, four states side by side, before the values that they correct.
+
 Values are compared as whole numbers: integers as they are, floats by their bits, in the order of what they
 stand for. Components of colours are coded green first.
 """
