@@ -91,6 +91,7 @@ class Archive:
     """What an archive holds: level by level its cells, each with its flags, area, values …."""
 
     def __init__(self, content: bytes) -> None:
+        self.version = content[8]
         begin = int.from_bytes(content[16:24], "little")
         lengths = np.frombuffer(content, "<u4", 3, begin).tolist()
         at = begin + 12
@@ -100,7 +101,9 @@ class Archive:
         stream = Stream(content[at + 4 : at + lengths[1]])
         numbers = stream.numbers(count)
         channels = self.head["channels"]
-        contexts = [1 << 15, 12, 2160, 2436] + [44 * each["components"] + 2 for each in channels]
+        contexts = [1 << 15, 11 + self.version, 2160, 2436] + [
+            44 * each["components"] + 2 for each in channels
+        ]
         self.pools = [self.pool(numbers, each) for each in contexts]
         self.weights = [
             [near(next(numbers)) for _ in range(2 * 5 * 10 * each["components"])] for each in channels
@@ -133,13 +136,14 @@ class Archive:
         nodes = {(0, 0, 0): (0, 0)} if head["level_nodes"][1] else {}
         cells = {(0, 0, 0): 0}
         self.firsts: list[int] = []
+        most = 4096 if self.version == 1 else 16384
         for level in range(len(head["level_cells"]) - 2):
             below: dict[tuple[int, ...], int] = {}
             nodes_below: dict[tuple[int, ...], tuple[int, int]] = {}
             order = list(nodes.items())
             first = head["level_nodes"][level]
             while order:
-                size = 4096 - first % 4096
+                size = most - first % most
                 self.block(level, order[:size], nodes, cells, below, nodes_below)
                 order, first = order[size:], first + size
             nodes, cells = nodes_below, below
@@ -148,8 +152,8 @@ class Archive:
         self.split_areas: list[int] = []
         self.split_values: list[list[list[int]]] = [[] for _ in head["channels"]]
         self.kept_values: list[list[list[int]]] = [[] for _ in head["channels"]]
-        for begin in range(0, len(split), 4096):
-            some = split[begin : begin + 4096]
+        for begin in range(0, len(split), most):
+            some = split[begin : begin + most]
             stream = Stream(self.next_bytes())
             for cell in some:
                 rows = (self.flags[cell] & 63).bit_count()
@@ -162,9 +166,9 @@ class Archive:
             owners = [cell for cell in some for _ in range((self.flags[cell] & 63).bit_count())]
             for number in range(len(head["channels"])):
                 self.split_values[number] += self.rows(number, owners, 2)
-        for begin in range(0, len(kept), 4096):
+        for begin in range(0, len(kept), most):
             for number in range(len(head["channels"])):
-                self.kept_values[number] += self.rows(number, kept[begin : begin + 4096], 3)
+                self.kept_values[number] += self.rows(number, kept[begin : begin + most], 3)
         self.others = []
         for each in head["others"]:
             dtype = np.dtype(each["dtype"])
@@ -219,6 +223,7 @@ class Archive:
                 return sum((mask >> k & 1) << i for i, k in enumerate(shown))
 
             union = t = 0
+            alike = self.version > 1 and len(shown) == 1 and stream.symbol(pools[1], 12)
             for octant in range(8):
                 if not there >> octant & 1:
                     continue
@@ -229,7 +234,7 @@ class Archive:
                     some |= self.flags[beside] if beside is not None else 0
                 v = packed(some) & 7 if len(shown) > 1 else 0
                 context = ((min(len(shown), 4) * 9 + u) * 8 + v) * 6 + 2 * t + (parent >> 7)
-                symbol = stream.symbol(pools[2], context)
+                symbol = 1 if alike else stream.symbol(pools[2], context)
                 flags = sum(1 << k for i, k in enumerate(shown) if symbol >> i & 1) | symbol & 192
                 union |= flags & 63
                 t = 1 + (flags >> 7)
@@ -297,55 +302,80 @@ class Archive:
         channel, pool, values = self.head["channels"][number], self.pools[4 + number], self.values[number]
         components, unit = channel["components"], channel["unit"]
         order_of = [1, 0, 2, 3][:components] if components > 2 else range(components)
+
+        def context_of(kind: int, j: int, noise: int) -> int:
+            return (kind * components + j) * 11 + sum(step <= min(noise, 255) for step in STEPS)
+
         stream = Stream(self.next_bytes())
-        for n, (place, (_, cell)) in enumerate(order):
-            around = [moved(place, k) for k in range(6)]
-            value = [values[cell][c] for c in order_of]
-            differ = [
-                [values[cells[each]][c] - values[cell][c] if each in cells else 0 for each in around]
-                for c in order_of
+        run = 32 if self.version > 1 else 1
+        for begin in range(0, len(order), run):
+            nodes = []
+            for n, (place, (_, cell)) in enumerate(order[begin : begin + run], begin):
+                around = [moved(place, k) for k in range(6)]
+                value = [values[cell][c] for c in order_of]
+                differ = [
+                    [values[cells[each]][c] - values[cell][c] if each in cells else 0 for each in around]
+                    for c in order_of
+                ]
+                octants = [octant for m, octant in children if m == n]
+                kind = has_nodes[n]
+                flat = not any(map(any, differ)) and stream.symbol(pool, 44 * components + kind)
+                most = [min(sum(map(abs, each)) >> unit + 1, 255) for each in differ]
+                nodes.append((n, around, cell, value, differ, octants, kind, flat, most))
+            errors: dict[tuple[int, int, int], int] = {}
+            listed = [
+                (n, octant, kind, most)
+                for n, *_, octants, kind, flat, most in nodes
+                if not flat
+                for octant in octants
             ]
-            own_children = [octant for m, octant in children if m == n]
-            kind = has_nodes[n]
-            if not any(map(any, differ)) and stream.symbol(pool, 44 * components + kind):
-                values += [values[cell]] * len(own_children)
-                continue
-            sums = [0] * components
-            for i, octant in enumerate(own_children):
-                found, off = [0] * components, [0] * components
-                beside = [self.beside(n, octant, axis, around, own, masks, firsts) for axis in range(3)]
-                for j, c in enumerate(order_of):
-                    most = min(sum(map(abs, differ[j])) >> unit + 1, 255)
-                    at = (kind * components + j) * 5 + sum(step <= most for step in (1, 4, 16, 48))
-                    w = self.weights[number][10 * at : 10 * at + 10]
-                    on_side = sum(differ[j][2 * axis + (octant >> axis & 1)] for axis in range(3))
-                    total = w[0] * on_side + w[1] * (sum(differ[j]) - on_side)
-                    total += w[2] * sum(values[b][c] - value[j] for b in beside if b is not None)
-                    total += w[3] * (sums[j] * (65536 // (len(own_children) - i)) >> 16)
-                    for k in range(min(j, 3)):
-                        total += w[4 + k] * off[k] + w[7 + k] * (found[order_of[k]] - value[k])
-                    guess = value[j] + (total + 2048 >> 12)
-                    noise = most + sum(2 * abs(each) >> unit for each in off[:j])
-                    context = (kind * components + j) * 11 + sum(step <= min(noise, 255) for step in STEPS)
-                    found[c], off[j] = self.coded(stream, channel, pool, context, guess)
-                    sums[j] += found[c] - value[j]
-                values.append(found)
+            for j in range(components):
+                for n, octant, kind, most in listed if self.version > 1 else []:
+                    noise = most[j] + sum(2 * abs(errors[n, octant, i]) >> unit for i in range(j))
+                    errors[n, octant, j] = self.error(stream, channel, pool, context_of(kind, j, noise))
+            for n, around, cell, value, differ, octants, kind, flat, most in nodes:
+                sums = [0] * components
+                for i, octant in enumerate(octants):
+                    if flat:
+                        values.append(values[cell])
+                        continue
+                    found, off = [0] * components, [0] * components
+                    beside = [self.beside(n, octant, axis, around, own, masks, firsts) for axis in range(3)]
+                    for j, c in enumerate(order_of):
+                        at = (kind * components + j) * 5 + sum(step <= most[j] for step in (1, 4, 16, 48))
+                        w = self.weights[number][10 * at : 10 * at + 10]
+                        on_side = sum(differ[j][2 * axis + (octant >> axis & 1)] for axis in range(3))
+                        total = w[0] * on_side + w[1] * (sum(differ[j]) - on_side)
+                        total += w[2] * sum(values[b][c] - value[j] for b in beside if b is not None)
+                        total += w[3] * (sums[j] * (65536 // (len(octants) - i)) >> 16)
+                        for k in range(min(j, 3)):
+                            total += w[4 + k] * off[k] + w[7 + k] * (found[order_of[k]] - value[k])
+                        guess = value[j] + (total + 2048 >> 12)
+                        if self.version == 1:
+                            noise = most[j] + sum(2 * abs(each) >> unit for each in off[:j])
+                            context = context_of(kind, j, noise)
+                            errors[n, octant, j] = self.error(stream, channel, pool, context)
+                        off[j] = errors[n, octant, j]
+                        found[c] = self.corrected(channel, guess, off[j])
+                        sums[j] += found[c] - value[j]
+                    values.append(found)
         stream.end()
 
-    def coded(self, stream: Stream, channel: Any, pool: Pool, context: int, guess: int) -> tuple[int, int]:
-        bits, error = 8 * np.dtype(channel["dtype"]).itemsize, channel["max_error"]
-        most, step = (1 << bits) - 1, 2 * error + 1
+    def error(self, stream: Stream, channel: Any, pool: Pool, context: int) -> int:
         symbol = stream.symbol(pool, context)
-        if bits > 8 and symbol >= 16:
+        if np.dtype(channel["dtype"]).itemsize > 1 and symbol >= 16:
             length = (symbol - 16) // 4 + 5
             symbol = (4 | symbol & 3) << length - 3 | stream.plain(length - 3)
-        off = near(symbol) * step
+        return near(symbol) * (2 * channel["max_error"] + 1)
+
+    def corrected(self, channel: Any, guess: int, off: int) -> int:
+        most, error = (1 << 8 * np.dtype(channel["dtype"]).itemsize) - 1, channel["max_error"]
         if not error:
-            return guess + off & most, off
-        number = min(max(guess, 0), most) + off
+            return guess + off & most
+        number, step = min(max(guess, 0), most) + off, 2 * error + 1
         steps = (most + 2 * error) // step + 1
         number += steps * step * ((number < -error) - (number > most + error))
-        return min(max(number, 0), most), off
+        return min(max(number, 0), most)
 
     def rows(self, number: int, owners: list[int], kind: int) -> list[list[int]]:
         channel, pool, values = self.head["channels"][number], self.pools[4 + number], self.values[number]
@@ -363,7 +393,8 @@ class Archive:
                 guess = min(max(own + (shift if components > 2 else 0), 0), most)
                 varies = min((abs(before[j]) >> unit) + noise, 255)
                 context = (kind * components + j) * 11 + sum(step <= varies for step in STEPS)
-                row[c], off = self.coded(stream, channel, pool, context, guess)
+                off = self.error(stream, channel, pool, context)
+                row[c] = self.corrected(channel, guess, off)
                 before[j] = shift = row[c] - own
                 noise += 2 * abs(off) >> unit
             found.append(row)

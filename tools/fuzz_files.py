@@ -46,6 +46,7 @@ from octex.tree.placement import Placement
 
 MEMORY = 4 << 30
 SECONDS = 20
+BLOCK = 1 << 14  # of an archive
 EDGES = (0, 1, 7, 255, 2**31 - 1, 2**32 - 1, 2**32, 2**48, 2**63 - 1, 2**64 - 1)
 Random = np.random.Generator
 #: What comes of reading a file that was damaged before.
@@ -357,7 +358,8 @@ def archive(content: bytes, random: Random) -> bytes:
     _set_checksums(json.loads(text), records, bytes(streams))
     text = zlib.compress(text)
     directory = struct.pack("<3I", len(text), len(model), 4 * records.size) + text + model + records.tobytes()
-    first = ARCHIVE + struct.pack("<IIQI", 1, len(directory), 32 + len(streams), zlib.crc32(directory))
+    version = int(random.choice([1, 2, 2, 2]))
+    first = ARCHIVE + struct.pack("<IIQI", version, len(directory), 32 + len(streams), zlib.crc32(directory))
     return first + struct.pack("<I", zlib.crc32(first)) + bytes(streams) + directory
 
 
@@ -367,9 +369,9 @@ def _set_checksums(head: Any, records: np.ndarray, streams: bytes) -> None:
     groups = []
     for level in range(len(head["level_nodes"]) - 2):
         first, end = head["level_nodes"][level : level + 2]
-        groups += [(2, 2 + channels)] * ((end - 1) // 4096 - first // 4096 + 1)
-    groups += [(0, 1 + channels)] * -(-head["split_cells"] // 4096)
-    groups += [(0, channels)] * -(-head["kept_nodes"] // 4096)
+        groups += [(2, 2 + channels)] * ((end - 1) // BLOCK - first // BLOCK + 1)
+    groups += [(0, 1 + channels)] * -(-head["split_cells"] // BLOCK)
+    groups += [(0, channels)] * -(-head["kept_nodes"] // BLOCK)
     at = place = 0
     for numbers, count in groups[: records.size]:
         at += numbers

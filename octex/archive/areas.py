@@ -93,8 +93,8 @@ def code_areas(
         beside = wide(0)
         for axis in range(3):
             other = wide(rows[np.uint64(t), axis])
-            is_beside = wide(other < rows.shape[0])  # as good as random: no branch
-            beside = max(beside, wide(areas[np.uint64(begin + other * is_beside)]) & -is_beside)
+            # Whether one lies there is as good as random: no branch.
+            beside = max(beside, wide(areas[np.uint64(other)]) & -wide(other >= begin))
         below = whole - beside
         size = 0 if beside == 0 else 1 + wide(below >= 6) + wide(below >= 12) + wide(below >= 20)
         context = (about & 15) + 10 * (min(left, 4) - 1) + 40 * size

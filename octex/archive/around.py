@@ -15,9 +15,9 @@ from octex.tree.layout import TreeArrays
 
 #: Where a node's own cell stands, after those around it; where there is none, its own stands there too.
 OWN = 6
-# A row of what is known of a child: which child of the block lies across its faces −x, −y and −z, the number
-# of children where none does; then ABOUT: bits 0 … 3 its shape, 4 … 7 how many children of its node are left,
-# with itself, 8 whether any of these is a node, 9 … 11 its octant.
+# A row of what is known of a child: which cell lies across its faces −x, −y and −z, its parent where none of
+# the block does; then ABOUT: bits 0 … 3 its shape, 4 … 7 how many children of its node are left, with itself,
+# 8 whether any of these is a node, 9 … 11 its octant.
 ABOUT = 3
 
 
@@ -48,7 +48,7 @@ def lowest(mask: int) -> int:
     return popcount(np.uint64(~mask & mask - 1))
 
 
-@kernel
+@inlined
 def _descended(
     groups: Uint64s,
     begin: int,
@@ -57,10 +57,10 @@ def _descended(
     last: int,
     cells_below: Int64s,
     nodes_below: Int64s,
+    room: Int64s,
 ) -> None:
     """Write what lies around nodes ``first`` to ``last``, children of those from ``begin`` on."""
-    inner, leaves = np.empty(7, np.int64), np.empty(7, np.int64)
-    next_node, next_cell = np.empty(7, np.int64), np.empty(7, np.int64)
+    inner, leaves, next_node, next_cell = room[0], room[1], room[2], room[3]
     for row in range(nodes.shape[0]):
         _, _, child, _ = children_of(groups, begin + row)
         for k in range(7):
@@ -73,12 +73,12 @@ def _descended(
             octant = lowest(bits)
             bits &= bits - 1
             if first <= child < last:
-                own = child - first
+                own = np.uint64(child - first)
                 cell = next_cell[OWN] + ones((inner[OWN] | leaves[OWN]) & ((1 << octant) - 1))
                 cells_below[own, OWN] = cell
                 for k in range(6):
                     across = octant ^ 1 << (k >> 1)
-                    at = k if octant >> (k >> 1) & 1 == k & 1 else OWN  # else a sibling
+                    at = np.uint64(k if octant >> (k >> 1) & 1 == k & 1 else OWN)  # else a sibling
                     there, below = inner[at] | leaves[at], (1 << across) - 1
                     is_there = there >> across & 1
                     cells_below[own, k] = next_cell[at] + ones(there & below) if is_there else cell
@@ -88,31 +88,7 @@ def _descended(
             child += 1
 
 
-def around_nodes(arrays: TreeArrays, level: int, first: int, last: int) -> tuple[Int64s, Int64s]:
-    """Return the cells (nodes, 7) and nodes (nodes, 6) around nodes of a level; −1 where there is no node.
-
-    Reads the levels above.
-    """
-    runs = [(first, last)]
-    for above in range(level - 1, -1, -1):
-        low, high = int(arrays.level_nodes[above]), int(arrays.level_nodes[above + 1])
-        runs.append(
-            (
-                _parent(arrays.groups, low, high, runs[-1][0]),
-                _parent(arrays.groups, low, high, runs[-1][1] - 1) + 1,
-            )
-        )
-    cells, nodes = np.zeros((1, 7), np.int64), np.full((1, 6), -1, np.int64)
-    for above in range(level):
-        begin, _ = runs[level - above]
-        own = runs[level - above - 1]
-        around, count = nodes, own[1] - own[0]
-        cells, nodes = np.zeros((count, 7), np.int64), np.full((count, 6), -1, np.int64)
-        _descended(arrays.groups, begin, around, *own, cells, nodes)
-    return cells, nodes
-
-
-@kernel
+@inlined
 def _parent(groups: Uint64s, low: int, high: int, node: int) -> int:
     """Return the node of ``low`` … ``high`` whose child a node is."""
     high -= 1
@@ -125,23 +101,48 @@ def _parent(groups: Uint64s, low: int, high: int, node: int) -> int:
     return low
 
 
+def around_nodes(arrays: TreeArrays, level: int, first: int, last: int) -> tuple[Int64s, Int64s]:
+    """Return the cells (nodes, 7) and nodes (nodes, 6) around nodes of a level; −1 where there is no node.
+
+    Reads the levels above.
+    """
+    return _around_nodes(arrays.groups, arrays.level_nodes, level, first, last)
+
+
+@kernel
+def _around_nodes(
+    groups: Uint64s, level_nodes: Int64s, level: int, first: int, last: int
+) -> tuple[Int64s, Int64s]:
+    runs, room = np.empty((level + 1, 2), np.int64), np.empty((4, 7), np.int64)
+    runs[level, 0], runs[level, 1] = first, last
+    for above in range(level - 1, -1, -1):
+        low, high = level_nodes[above], level_nodes[above + 1]
+        runs[above, 0] = _parent(groups, low, high, runs[above + 1, 0])
+        runs[above, 1] = _parent(groups, low, high, runs[above + 1, 1] - 1) + 1
+    cells, nodes = np.zeros((1, 7), np.int64), np.full((1, 6), -1, np.int64)
+    for above in range(level):
+        around, count = nodes, runs[above + 1, 1] - runs[above + 1, 0]
+        cells, nodes = np.empty((count, 7), np.int64), np.empty((count, 6), np.int64)
+        _descended(groups, runs[above, 0], around, runs[above + 1, 0], runs[above + 1, 1], cells, nodes, room)
+    return cells, nodes
+
+
 @kernel
 def around_children(
     groups: Uint64s, first: int, last: int, cells: Int64s, nodes: Int64s, shapes: Uint8s, rows: Uint32s
 ) -> None:
     """Write a row for each child of the nodes of a block, in order."""
     masks, begins = np.zeros(7, np.int64), np.zeros(7, np.int64)
-    count = rows.shape[0]
-    begin = children_of(groups, first)[3]
     t = 0
     for node in range(first, last):
-        own = node - first
+        own = np.uint64(node - first)
+        parent = cells[own, OWN]
         inner, leaves, _, cell = children_of(groups, node)
         occupied = inner | leaves
         masks[OWN], begins[OWN] = occupied, cell
         for k in range(6):
             beyond = nodes[own, k]
-            masks[k] = 0xFF if cells[own, k] != cells[own, OWN] else 0
+            masks[k] = 0xFF if cells[own, k] != parent else 0
             begins[k] = -1
             if first <= beyond < last:
                 inner2, leaves2, _, begins[k] = children_of(groups, beyond)
@@ -151,17 +152,17 @@ def around_children(
         while bits:
             octant = lowest(bits)
             bits &= bits - 1
-            shape = 0
+            shape, row = 0, np.uint64(t)
             for axis in range(3):
                 across = octant ^ 1 << axis
                 upper = octant >> axis & 1
-                beyond = 2 * axis + upper
+                beyond = np.uint64(2 * axis + upper)
                 shape += 1 << 2 * ((occupied >> across & 1) + (masks[beyond] >> across & 1))
-                at = OWN if upper else 2 * axis
-                beside = begins[at] - begin + ones(masks[at] & ((1 << across) - 1))
+                at = np.uint64(OWN if upper else 2 * axis)
+                beside = begins[at] + ones(masks[at] & ((1 << across) - 1))
                 is_beside = (masks[at] >> across & 1) & np.int64(begins[at] >= 0)
-                rows[t, axis] = beside if is_beside else count
-            rows[t, ABOUT] = np.int64(shapes[shape]) | left << 4 | has_nodes << 8 | octant << 9
+                rows[row, axis] = beside if is_beside else parent
+            rows[row, ABOUT] = np.int64(shapes[np.uint64(shape)]) | left << 4 | has_nodes << 8 | octant << 9
             left -= 1
             t += 1
 

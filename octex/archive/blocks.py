@@ -58,9 +58,9 @@ def code_children(content: Content, models: Models, block: Block, span: Span, st
     shape_of, facings, areas = _fixed()
     cells, nodes = around_nodes(arrays, *block)
     may_be_nodes = block.level + 3 < arrays.level_cells.size
-    coded = streams.begin(11 * (block.last - block.first))
-    own = arrays.groups, arrays.flags, block.first, block.last
-    code_structure(*own, *span, may_be_nodes, cells, nodes, facings, (pools[0], pools[1], pools[2]), *coded)
+    coded = streams.begin(12 * (block.last - block.first))
+    own = arrays.groups, arrays.flags, block.first, block.last, *span, may_be_nodes, cells, nodes
+    code_structure(*own, models.version > 1, facings, (pools[0], pools[1], pools[2]), *coded)
     streams.end()
     rows = np.empty((span.end_cell - span.cell, 4), np.uint32)
     around_children(arrays.groups, block.first, block.last, cells, nodes, shape_of, rows)

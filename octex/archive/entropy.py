@@ -38,7 +38,10 @@ class Pool(NamedTuple):
 
     chosen: Uint8s  # (contexts,)   the table of each
     intervals: Uint32s  # (tables · 256,)   of a symbol: where it begins, and << 16 its frequency
-    symbols: Uint8s  # (tables · 4096,)
+    # To find a symbol, in few bytes, which stay in the fastest memory: where to look from, and of those that
+    # occur, one after the other: where it begins, << 12 its frequency less one, << 24 the symbol.
+    buckets: Uint8s  # (tables · 256,)   for each 16 of 4096
+    occurring: Uint32s  # (tables · 256,)
     counts: Int64s  # (contexts, symbols)   how often which occurred
     first: int  # of its contexts, when all pools' are numbered through
 
@@ -56,7 +59,7 @@ def decoder(words: Uint16s) -> tuple[Int64s, Uint32s]:
     coder, stream = new_coder(DECODES), np.empty(words.size + 1, np.uint32)
     stream[:-1], stream[-1] = words, 0
     if words.size >= 2 * STATES:
-        coder[:STATES] = stream[: 2 * STATES : 2] | stream[1 : 2 * STATES : 2] << np.uint32(16)
+        coder[:STATES] = words[: 2 * STATES].view(np.uint32)
         coder[PLACE] = 2 * STATES
     return coder, stream
 
@@ -109,11 +112,58 @@ def code_symbol(work: int, symbol: int, context: int, pool: Pool, coder: Int64s,
         stream[np.uint64(coder[PLACE])] = (pool.first + context) << 8 | symbol
         coder[PLACE] += 1
         return symbol
-    table = wide(pool.chosen[np.uint64(context)])
-    symbol = wide(pool.symbols[np.uint64(table << PRECISION | _low(coder))])
-    interval = wide(pool.intervals[np.uint64(table << 8 | symbol)])
-    _take(interval & 0xFFFF, interval >> 16, coder, stream)
-    return symbol
+    found = _found(_low(coder), context, pool)
+    _take(found & (ONE - 1), (found >> PRECISION & (ONE - 1)) + 1, coder, stream)
+    return found >> 2 * PRECISION
+
+
+@inlined
+def _found(low: int, context: int, pool: Pool) -> int:
+    """Return what ``occurring`` has of the symbol that ``low`` says."""
+    table = wide(pool.chosen[np.uint64(context)]) << 8
+    at = table + wide(pool.buckets[np.uint64(table | low >> 4)])
+    found = wide(pool.occurring[np.uint64(at)])
+    while low > (found & (ONE - 1)) + (found >> PRECISION & (ONE - 1)):
+        at += 1
+        found = wide(pool.occurring[np.uint64(at)])
+    return found
+
+
+@inlined
+def code_symbols(
+    work: int, symbols: Int64s, contexts: Int64s, count: int, pool: Pool, coder: Int64s, stream: Uint32s
+) -> None:
+    """Note and count, or decode so many symbols whose contexts are known before."""
+    n = wide(0)
+    if work == DECODES:
+        turn, place = coder[TURN], coder[PLACE]
+        a, b, c, d = coder[turn], coder[turn + 1 & 3], coder[turn + 2 & 3], coder[turn + 3 & 3]
+        # Four states at once: none waits for another.
+        while n + 4 <= count and place + 4 < stream.size:
+            a, place = _taken(a, place, n, symbols, contexts, pool, stream)
+            b, place = _taken(b, place, n + 1, symbols, contexts, pool, stream)
+            c, place = _taken(c, place, n + 2, symbols, contexts, pool, stream)
+            d, place = _taken(d, place, n + 3, symbols, contexts, pool, stream)
+            n += 4
+        coder[turn], coder[turn + 1 & 3], coder[turn + 2 & 3], coder[turn + 3 & 3] = a, b, c, d
+        coder[PLACE] = place
+    while n < count:
+        at = np.uint64(n)
+        symbols[at] = code_symbol(work, symbols[at], contexts[at], pool, coder, stream)
+        n += 1
+
+
+@inlined
+def _taken(
+    state: int, place: int, n: int, symbols: Int64s, contexts: Int64s, pool: Pool, stream: Uint32s
+) -> tuple[int, int]:
+    """Decode a symbol; return its state and the place after the words it took, which are there."""
+    low = state & (ONE - 1)
+    found = _found(low, contexts[np.uint64(n)], pool)
+    symbols[np.uint64(n)] = found >> 2 * PRECISION
+    state = ((found >> PRECISION & (ONE - 1)) + 1) * (state >> PRECISION) + low - (found & (ONE - 1))
+    wants = wide(state < _LEAST)
+    return state << 16 * wants | wide(stream[np.uint64(place)]) & -wants, place + wants
 
 
 @inlined
@@ -284,23 +334,32 @@ _SYMBOL_BITS = 7.0  # about what the frequency of a symbol takes
 def normalized(counts: Int64s) -> Int64s:
     """Return frequencies (n, 256) of 4096, at least 1 for each symbol that occurs; 0 for rows without any."""
     found = np.zeros_like(counts)
-    for row in np.flatnonzero(counts.any(axis=1)):
-        own = counts[row]
-        sizes = np.where(own > 0, np.maximum(np.rint(own * (ONE / own.sum())), 1), 0).astype(np.int64)
-        while (excess := int(sizes.sum()) - ONE) > 0:  # what was rounded up comes off the largest
-            largest = int(np.argmax(sizes))
-            sizes[largest] -= min(excess, max(int(sizes[largest]) // 2, 1))
-        sizes[np.argmax(sizes)] -= excess
-        found[row] = sizes
+    rows = np.flatnonzero(counts.any(axis=1))
+    own, places = counts[rows], np.arange(rows.size)
+    sizes = np.maximum(np.rint(own * (ONE / own.sum(axis=1, keepdims=True))), 1).astype(np.int64)
+    sizes[own == 0] = 0
+    excess = sizes.sum(axis=1) - ONE
+    while (excess > 0).any():  # what was rounded up comes off the largest
+        largest = sizes.argmax(axis=1)
+        less = np.minimum(np.maximum(excess, 0), np.maximum(sizes[places, largest] // 2, 1))
+        sizes[places, largest] -= less
+        excess -= less
+    sizes[places, sizes.argmax(axis=1)] -= excess
+    found[rows] = sizes
     return found
 
 
 def pool_of(chosen: Uint8s, sizes: Int64s) -> Pool:
     """Return what kernels take to decode by frequencies (tables, 256), each row's sum 4096."""
     starts = np.cumsum(sizes, axis=1) - sizes
-    symbols = np.repeat(np.tile(np.arange(256, dtype=np.uint8), len(sizes)), sizes.reshape(-1))
     intervals = (sizes << 16 | starts).astype(np.uint32).reshape(-1)
-    return Pool(chosen, intervals, symbols, np.empty((0, 0), np.int64), 0)
+    tables, symbols = np.nonzero(sizes)
+    ranks = np.cumsum(sizes > 0, axis=1) - 1
+    occurring = np.zeros(sizes.shape, np.uint32)
+    own = sizes[tables, symbols] - 1 << PRECISION | starts[tables, symbols]
+    occurring[tables, ranks[tables, symbols]] = symbols << 2 * PRECISION | own
+    buckets = np.repeat(ranks.reshape(-1), sizes.reshape(-1))[:: ONE >> 8].astype(np.uint8)
+    return Pool(chosen, intervals, buckets, occurring.reshape(-1), np.empty((0, 0), np.int64), 0)
 
 
 @kernel

@@ -1,7 +1,7 @@
 r"""The archive of a texture: what is on disk.
 
     8 bytes     89 4F 43 54 5A 0D 0A 1A: "\x89OCTZ\r\n\x1a"
-    u32         the format's version, 1
+    u32         the format's version, 2
     u32         bytes of the directory
     u64         where it begins: after the streams, at the end of the file
     u32         CRC-32 of the directory
@@ -12,11 +12,12 @@ r"""The archive of a texture: what is on disk.
 The directory is three lengths (u32), and as many bytes: the head, JSON compressed with zlib; the models, one
 stream of numbers (see entropy); and a record for each block.
 
-A block is the children of nodes 4096·n … 4096·n + 4095 of one level. It has a stream for their structure and
-flags, one for their areas, and one for each channel; it is decoded with nothing but the levels above it. Its
-record is u32s: how many of the children are nodes, how many children there are, and of each stream its bytes
-and their CRC-32. After the levels come blocks of 4096 split cells (areas of rows, then each channel), of 4096
-kept nodes (each channel), and other tensors in pieces of a megabyte, compressed with xz.
+A block is the children of nodes 16384·n … 16384·n + 16383 of one level; in version 1 of 4096. It has a
+stream for their structure and flags, one for their areas, and one for each channel; it is decoded with
+nothing but the levels above it. Its record is u32s: how many of the children are nodes, how many children
+there are, and of each stream its bytes and their CRC-32. After the levels come blocks of as many split cells
+(areas of rows, then each channel), of as many kept nodes (each channel), and other tensors in pieces of a
+megabyte, compressed with xz.
 """
 
 from __future__ import annotations
@@ -37,9 +38,10 @@ from octex.tree.split import counts_of
 
 MAGIC = b"\x89OCTZ\r\n\x1a"
 FORMAT = "octex archive"
-FORMAT_VERSION = 1
-#: Nodes of a block, a multiple of eight: blocks of one level share no group. Also split cells, kept nodes.
-BLOCK = 4096
+FORMAT_VERSION = 2
+#: Nodes of a block, by version, a multiple of eight: blocks of one level share no group. Also split cells,
+#: kept nodes.
+BLOCKS = {1: 1 << 12, 2: 1 << 14}
 PIECE = 1 << 20
 START = 32
 _IN_MEMORY = 1 << 28
@@ -72,19 +74,20 @@ class Named(NamedTuple):
     kept_values: Uint8s
 
 
-def blocks_of(level_nodes: Int64s, level: int) -> Iterator[Block]:
+def blocks_of(level_nodes: Int64s, level: int, version: int = FORMAT_VERSION) -> Iterator[Block]:
     """Yield the blocks of a level's nodes."""
+    size = BLOCKS[version]
     begin, end = int(level_nodes[level]), int(level_nodes[level + 1])
     while begin < end:
-        last = min((begin // BLOCK + 1) * BLOCK, end)
+        last = min((begin // size + 1) * size, end)
         yield Block(level, begin, last)
         begin = last
 
 
-def parts(count: int) -> Iterator[slice]:
+def parts(count: int, version: int = FORMAT_VERSION) -> Iterator[slice]:
     """Yield runs of split cells or kept nodes."""
-    for begin in range(0, count, BLOCK):
-        yield slice(begin, min(begin + BLOCK, count))
+    for begin in range(0, count, BLOCKS[version]):
+        yield slice(begin, min(begin + BLOCKS[version], count))
 
 
 def as_bytes(array: Array) -> Uint8s:

@@ -11,6 +11,7 @@ import numpy as np
 
 from octex.archive import areas, structure, values
 from octex.archive.entropy import ONE, TABLES, Pool, pool_of, shared_tables
+from octex.archive.layout import FORMAT_VERSION
 from octex.arrays import Int64s
 
 
@@ -19,17 +20,19 @@ class Models(NamedTuple):
 
     pools: list[Pool]
     codings: dict[str, values.Coding]
+    version: int  # of the format
 
 
-def _sizes(codings: dict[str, values.Coding]) -> list[tuple[int, int]]:
+def _sizes(codings: dict[str, values.Coding], version: int) -> list[tuple[int, int]]:
     """Return how many contexts and symbols each pool has."""
-    fixed = [structure.OCCUPIED, structure.LEAVES, structure.FLAGS, (areas.CONTEXTS, 256)]
+    leaves, symbols = structure.LEAVES
+    fixed = [structure.OCCUPIED, (leaves - (version == 1), symbols), structure.FLAGS, (areas.CONTEXTS, 256)]
     return fixed + [(values.contexts_of(coding.order.size), 256) for coding in codings.values()]
 
 
 def no_counts(codings: dict[str, values.Coding]) -> list[Int64s]:
     """Return counts of nothing."""
-    return [np.zeros(size, np.int64) for size in _sizes(codings)]
+    return [np.zeros(size, np.int64) for size in _sizes(codings, FORMAT_VERSION)]
 
 
 def counting(counts: list[Int64s], codings: dict[str, values.Coding]) -> Models:
@@ -37,7 +40,7 @@ def counting(counts: list[Int64s], codings: dict[str, values.Coding]) -> Models:
     none = pool_of(np.zeros(0, np.uint8), np.zeros((0, 256), np.int64))
     firsts = np.cumsum([0, *map(len, counts)]).tolist()
     pools = [none._replace(counts=each, first=first) for each, first in zip(counts, firsts, strict=False)]
-    return Models(pools, codings)
+    return Models(pools, codings, FORMAT_VERSION)
 
 
 def made(counts: list[Int64s], codings: dict[str, values.Coding]) -> tuple[Models, Int64s]:
@@ -50,16 +53,16 @@ def made(counts: list[Int64s], codings: dict[str, values.Coding]) -> tuple[Model
     for coding in codings.values():
         signed = coding.weights
         numbers.append(np.where(signed < 0, -2 * signed - 1, 2 * signed))
-    return Models(pools, codings), np.concatenate(numbers).astype(np.int64)
+    return Models(pools, codings, FORMAT_VERSION), np.concatenate(numbers).astype(np.int64)
 
 
-def most_numbers(codings: dict[str, values.Coding]) -> int:
+def most_numbers(codings: dict[str, values.Coding], version: int) -> int:
     """Return the most numbers that models of such channels have."""
     weights = sum(coding.weights.size for coding in codings.values())
-    return weights + sum(1 + contexts + TABLES * 256 for contexts, _ in _sizes(codings))
+    return weights + sum(1 + contexts + TABLES * 256 for contexts, _ in _sizes(codings, version))
 
 
-def read(numbers: Int64s, codings: dict[str, values.Coding]) -> Models:
+def read(numbers: Int64s, codings: dict[str, values.Coding], version: int) -> Models:
     """Return what numbers say; raises ValueError for what no archive holds."""
     at = 0
 
@@ -71,7 +74,7 @@ def read(numbers: Int64s, codings: dict[str, values.Coding]) -> Models:
         return numbers[at - count : at]
 
     pools = []
-    for contexts, _ in _sizes(codings):
+    for contexts, _ in _sizes(codings, version):
         count = int(take(1)[0])
         chosen = take(contexts)
         if not 1 <= count <= TABLES or (chosen >= count).any():
@@ -88,4 +91,4 @@ def read(numbers: Int64s, codings: dict[str, values.Coding]) -> Models:
         found[name] = coding._replace(weights=np.where(folded & 1, -(folded + 1 >> 1), folded >> 1))
     if at != numbers.size:
         raise ValueError
-    return Models(pools, found)
+    return Models(pools, found, version)

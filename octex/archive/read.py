@@ -19,7 +19,7 @@ from octex.archive import blocks, values
 from octex.archive.blocks import Content, Span
 from octex.archive.entropy import decoded_numbers, decoder, is_whole
 from octex.archive.layout import (
-    BLOCK,
+    BLOCKS,
     FORMAT,
     FORMAT_VERSION,
     KEPT,
@@ -111,15 +111,16 @@ def read(path: str | os.PathLike[str]) -> Contents:
 
 
 def _decoded(content: mmap.mmap) -> Contents:
-    begin, text, model, records = _directory(content)
+    version, begin, text, model, records = _directory(content)
     try:
         head = _head(json.loads(text, object_pairs_hook=without_duplicates))
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError):
         raise _DamagedError("its head is damaged; copy it again") from None
-    _check_records(head, records.size)
-    codings = {name: coding for name, _, coding, _ in head.channels}
+    _check_records(head, version, records.size)
+    by_cell = int(version == 1)
+    codings = {name: coding._replace(by_cell=by_cell) for name, _, coding, _ in head.channels}
     try:
-        models = read_models(_numbers(model, codings), codings)
+        models = read_models(_numbers(model, codings, version), codings, version)
     except ValueError:
         raise _DamagedError("its models are damaged; copy it again") from None
     tensors = _room(head)
@@ -129,15 +130,15 @@ def _decoded(content: mmap.mmap) -> Contents:
     return Contents(tensors, head.metadata, sizes)
 
 
-def _directory(content: mmap.mmap) -> tuple[int, bytes, bytes, Int64s]:
-    """Return where the directory begins, the head's text, the models and the records."""
+def _directory(content: mmap.mmap) -> tuple[int, int, bytes, bytes, Int64s]:
+    """Return the version, where the directory begins, the head's text, the models and the records."""
     first = content[:START]
     if first[:8] != MAGIC:
         raise _DamagedError("is no archive of octex")
     version, length = np.frombuffer(first, "<u4", 2, 8).tolist()
     if zlib.crc32(first[:28]) != int.from_bytes(first[28:], "little"):
         raise _DamagedError("its first bytes are damaged; copy it again")
-    if version != FORMAT_VERSION:
+    if not 1 <= version <= FORMAT_VERSION:
         raise _DamagedError(f"has format version {version}, newer than this octex reads; update octex")
     begin = int.from_bytes(first[16:24], "little")
     if not START <= begin <= len(content) or begin + length != len(content) or length < 12:
@@ -157,17 +158,17 @@ def _directory(content: mmap.mmap) -> tuple[int, bytes, bytes, Int64s]:
         raise _DamagedError("its head is damaged; copy it again")
     at = 12 + lengths[0]
     model = directory[at : at + lengths[1]]
-    return begin, text, model, np.frombuffer(directory[at + lengths[1] :], "<u4").astype(np.int64)
+    return version, begin, text, model, np.frombuffer(directory[at + lengths[1] :], "<u4").astype(np.int64)
 
 
 def _words(stream: bytes) -> Uint16s:
     return np.frombuffer(stream, "<u2", len(stream) // 2)
 
 
-def _numbers(model: bytes, codings: dict[str, values.Coding]) -> Int64s:
+def _numbers(model: bytes, codings: dict[str, values.Coding], version: int) -> Int64s:
     """Return the numbers of the models: how many there are, then their stream."""
     count = int.from_bytes(model[:4], "little")
-    if count > min(most_numbers(codings), _MOST_OF_A_BYTE * len(model)):
+    if count > min(most_numbers(codings, version), _MOST_OF_A_BYTE * len(model)):
         raise ValueError
     numbers = decoded_numbers(_words(model[4:]), count)
     if numbers is None:
@@ -233,7 +234,7 @@ def _channel(given: Any) -> tuple[str, np.dtype[Any], values.Coding, Uint8s]:
     if components < 1 or root.size != components * size or (error and is_float) or error >= 1 << 8 * size:
         raise ValueError
     none = np.zeros(values.weights_of(components), np.int64)
-    coding = values.Coding(values.order_of(components), size, int(is_float), error, unit, none)
+    coding = values.Coding(values.order_of(components), size, int(is_float), error, unit, 0, none)
     return name, np.dtype(dtype), coding, root.reshape(components, size)
 
 
@@ -272,16 +273,15 @@ def _pieces(head: _Head) -> Iterator[tuple[str, int, int]]:
             yield name, begin, min(begin + PIECE, size)
 
 
-def _check_records(head: _Head, count: int) -> None:
+def _check_records(head: _Head, version: int, count: int) -> None:
     """Refuse a directory whose records are not as many as the head wants: what is decoded is bounded so."""
     channels = len(head.channels)
-    nodes = head.level_nodes
+    nodes, size = head.level_nodes, BLOCKS[version]
     expected = sum(
-        (int(nodes[level + 1]) - 1) // BLOCK - int(nodes[level]) // BLOCK + 1
-        for level in range(nodes.size - 2)
+        (int(nodes[level + 1]) - 1) // size - int(nodes[level]) // size + 1 for level in range(nodes.size - 2)
     ) * (2 + 2 * (2 + channels))
-    expected += -(-head.split_cells // BLOCK) * 2 * (1 + channels)
-    expected += -(-head.kept_nodes // BLOCK) * 2 * channels
+    expected += -(-head.split_cells // size) * 2 * (1 + channels)
+    expected += -(-head.kept_nodes // size) * 2 * channels
     expected += 2 * sum(-(-math.prod(shape) * dtype.itemsize // PIECE) for _, dtype, shape in head.others)
     if count != expected:
         raise _DamagedError("its directory has not as many blocks as its head says; copy it again")
@@ -404,11 +404,12 @@ class _Decoding:
             channels = len(self._channels)
             tasks: list[Callable[[], None]] = [
                 partial(rows, part, firsts, self._streams(1, 1 + channels))
-                for part in parts(split.cells.size)
+                for part in parts(split.cells.size, self._models.version)
             ]
             self._decode(tasks, executor)
             tasks = [
-                partial(kept_values, part, self._streams(2, channels)) for part in parts(kept.cells.size)
+                partial(kept_values, part, self._streams(2, channels))
+                for part in parts(kept.cells.size, self._models.version)
             ]
             self._decode(tasks, executor)
             tasks = [
@@ -449,7 +450,7 @@ class _Decoding:
         tasks: list[Callable[[], None]] = []
         node, cell = int(arrays.level_nodes[level + 1]), int(arrays.level_cells[level + 1])
         content = self._content_of(no_split(), no_kept())
-        for block in blocks_of(arrays.level_nodes, level):
+        for block in blocks_of(arrays.level_nodes, level, self._models.version):
             nodes, cells = self._numbers(2)
             streams = self._streams(0, 2 + len(self._channels))
             span = Span(node, cell, node + nodes, cell + cells)

@@ -1,7 +1,8 @@
 """Which children a node has, which of them are leaves, and their flags, by what is known around.
 
 Of each node in turn: which of the four lower octants are occupied, which of the upper four; which children
-are leaves; then each child's flags. A cell shows no facing that its parent does not.
+are leaves; then each child's flags. A cell shows no facing that its parent does not: where that has one, a
+symbol says for all children at once that they have just it.
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ from octex.arrays import Int64s, Uint8s, Uint32s, Uint64s
 from octex.jit import inlined, kernel
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
 
-#: Contexts, and symbols, of the three: 64 · 4 · 4 · 16 for each half; 3 · 4; 5 · 9 · 8 · 6.
+#: Contexts, and symbols, of the three: 64 · 4 · 4 · 16 for each half; 3 · 4, and whether all flags are as the
+#: parent's facing; 5 · 9 · 8 · 6.
 OCCUPIED = 1 << 15, 16
-LEAVES = 12, 256
+LEAVES = 13, 256
 FLAGS = 2160, 256
 
 
@@ -54,6 +56,7 @@ def code_structure(
     may_be_nodes: bool,
     cells: Int64s,
     nodes: Int64s,
+    tells_alike: bool,
     facings: tuple[Uint8s, Uint8s],
     pools: tuple[Pool, Pool, Pool],
     coder: Int64s,
@@ -62,7 +65,8 @@ def code_structure(
     """Note or decode the children of nodes ``first`` … ``last``, around which lie cells and nodes.
 
     Decoding, it writes their masks and the groups' ranks, and their flags. Its children are numbered from
-    ``next_node`` and ``next_cell`` on, up to the ends: what goes beyond sets FAULT.
+    ``next_node`` and ``next_cell`` on, up to the ends: what goes beyond sets FAULT. Where a parent has one
+    facing, one symbol ``tells_alike``: whether all children have just it.
     """
     work = coder[PASS]
     decodes = work == DECODES
@@ -108,8 +112,19 @@ def code_structure(
         parent = wide(flags[cells[own, OWN]])
         shown = parent & FACING_FLAGS
         many = min(ones(shown), 4)
-        union = split_before = 0
+        count = ones(there)
         bits = there
+        if tells_alike and many == 1:
+            alike = wide(1)
+            for n in range(0 if decodes else count):
+                alike &= wide(flags[next_cell + n] == shown)
+            alike = code_symbol(work, alike, 12, leaves_pool, coder, stream)
+            if alike:
+                for n in range(count if decodes else 0):
+                    flags[next_cell + n] = shown
+                next_cell += count
+                bits = wide(0)
+        union = split_before = 0
         while bits:
             octant = lowest(bits)
             bits &= bits - 1

@@ -7,6 +7,9 @@ The weights are fitted to the texture, for parents of leaves alone and for other
 around the parent vary. What the guess is off by is coded by how much it may be. Where the cells around the
 parent are all as it is, one symbol says first whether its children are, too.
 
+Nodes are taken in runs. By how much errors may be off is known without the guesses: so a component's errors
+of a whole run are decoded at once, four states side by side, before the values that they correct.
+
 Values are compared as whole numbers: integers as they are, floats by their bits, in the order of what they
 stand for. Components of colours are coded green first.
 """
@@ -18,7 +21,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octex.archive.around import ABOUT, OWN
-from octex.archive.entropy import DECODES, MEASURES, PASS, Pool, code_bits, code_symbol, wide
+from octex.archive.entropy import (
+    DECODES,
+    MEASURES,
+    NOTES,
+    PASS,
+    Pool,
+    code_bits,
+    code_symbol,
+    code_symbols,
+    wide,
+)
 from octex.arrays import Float64s, Int64s, Uint8s, Uint32s
 from octex.jit import inlined, kernel
 
@@ -58,6 +71,7 @@ class Coding(NamedTuple):
     is_float: int
     error: int  # by how much a value may move
     unit: int  # differences are measured in 2ᵘⁿⁱᵗ
+    by_cell: int  # errors are coded cell by cell, not a component of many cells after the other
     weights: Int64s  # (2 · components · CLASSES · TERMS,)   of leaves and nodes
 
 
@@ -89,14 +103,20 @@ def numbers_of(raw: Uint8s, coding: Coding) -> Int64s:
 
 
 @inlined
-def _number(raw: Uint8s, row: int, component: int, size: int, is_float: int) -> int:
-    """Return a value as a whole number."""
-    at, part = np.uint64(row), np.uint64(component)
-    number = wide(raw[at, part, 0])
+def _component(j: int, components: int) -> int:
+    """Return which component is coded as the j-th, as ``order_of`` has it."""
+    return wide(1 - j if components >= 3 and j < 2 else j)
+
+
+@inlined
+def _number(raw: Uint8s, at: int, size: int, is_float: int) -> int:
+    """Return the value whose first byte is ``at`` as a whole number."""
+    i = np.uint64(at)
+    number = wide(raw[i])
     if size > 1:
-        number |= wide(raw[at, part, 1]) << 8
+        number |= wide(raw[i + np.uint64(1)]) << 8
         if size > 2:
-            number |= wide(raw[at, part, 2]) << 16 | wide(raw[at, part, 3]) << 24
+            number |= wide(raw[i + np.uint64(2)]) << 16 | wide(raw[i + np.uint64(3)]) << 24
         if is_float:
             sign = 1 << (8 * size - 1)
             number = (2 * sign - 1) - number if number & sign else number | sign
@@ -104,64 +124,72 @@ def _number(raw: Uint8s, row: int, component: int, size: int, is_float: int) -> 
 
 
 @inlined
-def _write(number: int, raw: Uint8s, row: int, component: int, size: int, is_float: int) -> None:
-    at, part = np.uint64(row), np.uint64(component)
+def _write(number: int, raw: Uint8s, at: int, size: int, is_float: int) -> None:
+    i = np.uint64(at)
     if is_float:
         sign = 1 << (8 * size - 1)
         number = number ^ sign if number & sign else (2 * sign - 1) - number
-    raw[at, part, 0] = number & 255
+    raw[i] = number & 255
     if size > 1:
-        raw[at, part, 1] = number >> 8 & 255
+        raw[i + np.uint64(1)] = number >> 8 & 255
         if size > 2:
-            raw[at, part, 2] = number >> 16 & 255
-            raw[at, part, 3] = number >> 24
+            raw[i + np.uint64(2)] = number >> 16 & 255
+            raw[i + np.uint64(3)] = number >> 24
 
 
 @inlined
-def _code_number(
-    work: int,
-    number: int,
-    guess: int,
-    size: int,
-    error: int,
-    context: int,
-    pool: Pool,
-    coder: Int64s,
-    stream: Uint32s,
-) -> tuple[int, int]:
-    """Note or decode a number near a guess; return it as it will be decoded, and what was coded."""
+def _error(number: int, guess: int, size: int, error: int) -> int:
+    """Return what a guess is off by, in steps of 2 ``error`` + 1, as it is coded."""
     most = (1 << 8 * size) - 1
-    step = 2 * error + 1
-    span = most + 1
-    if error:
-        span = (most + 2 * error) // step + 1
-        guess = min(max(guess, 0), most)
-    sign = wide(0)
-    if work != DECODES:
-        half = span >> 1
-        off = number - guess
-        if error:
-            off = (off + error) // step if off >= 0 else -((error - off) // step)
-            if off < -half:
-                off += span
-            elif off >= span - half:
-                off -= span
-        else:
-            off = (off + half & most) - half
-        sign = 2 * off if off >= 0 else -2 * off - 1
-    if size == 1:
-        sign = code_symbol(work, sign, context, pool, coder, stream)
-    else:
-        sign = _code_large(work, sign, context, pool, coder, stream)
-    off = (sign >> 1 ^ -(sign & 1)) * step
-    number = guess + off
+    half = most + 1 >> 1
     if error == 0:
-        return number & most, off
+        return wide((number - guess + half & most) - half)
+    step = 2 * error + 1
+    span = (most + 2 * error) // step + 1
+    half = span >> 1
+    off = number - min(max(guess, 0), most)
+    off = (off + error) // step if off >= 0 else -((error - off) // step)
+    if off < -half:
+        off += span
+    elif off >= span - half:
+        off -= span
+    return wide(off)
+
+
+@inlined
+def _corrected(guess: int, off: int, size: int, error: int) -> int:
+    """Return the number that a guess is so many steps off from."""
+    most = (1 << 8 * size) - 1
+    if error == 0:
+        return wide(guess + off & most)
+    step = 2 * error + 1
+    number = min(max(guess, 0), most) + off * step
     if number < -error:
-        number += span * step
+        number += ((most + 2 * error) // step + 1) * step
     elif number > most + error:
-        number -= span * step
-    return min(max(number, 0), most), off
+        number -= ((most + 2 * error) // step + 1) * step
+    return wide(min(max(number, 0), most))
+
+
+@inlined
+def _folded(off: int) -> int:
+    """Return 0, 1, 2, 3 … for 0, −1, 1, −2 …."""
+    return wide(off << 1 ^ off >> 63)
+
+
+@inlined
+def _unfolded(sign: int) -> int:
+    return wide(sign >> 1 ^ -(sign & 1))
+
+
+@inlined
+def _code_folded(
+    work: int, sign: int, size: int, context: int, pool: Pool, coder: Int64s, stream: Uint32s
+) -> int:
+    """Note or decode a folded error; return it."""
+    if size == 1:
+        return code_symbol(work, sign, context, pool, coder, stream)
+    return _code_large(work, sign, context, pool, coder, stream)
 
 
 @inlined
@@ -201,185 +229,382 @@ def code_values(
     ``rows`` and ``cells`` are what lies around them. Bytes ``given`` (cells, components, size) are what is
     noted; ``raw`` is what will be decoded, written unless they are one. ``steps`` are STEPS.
     """
-    values = np.zeros((rows.shape[0] + 1) * coding.order.size, np.int64)
-    around, terms = np.zeros(4 * _AROUND, np.int64), np.zeros(TERMS + 1, np.int64)
-    task = rows, cells, given, raw, begin, coding, steps, squares, pool, coder, stream
+    components = coding.order.size
+    room = (
+        np.empty(_RUN * components * _AROUND, np.int64),
+        np.empty((_RUN, 5), np.int64),
+        np.zeros((components, 8 * _RUN), np.int64),
+        np.zeros((3, 8 * _RUN), np.int64),
+        np.zeros(TERMS + 1, np.int64),
+    )
+    flat = given.reshape(-1), raw.reshape(-1)
+    task = rows, cells, flat[0], flat[1], begin, coding, steps, squares, pool, coder, stream
+    work, size, error, unit = coder[PASS], coding.size, coding.error, coding.unit
     # Bytes are read by code of their own, in which these are known.
-    if coding.size == 1 and coding.error == 0 and coding.unit == 0:
-        _code_cells(task, values, around, terms, coder[PASS], 1, 0, 0, 0)
+    if size > 1 or error > 0 or unit > 0 or coding.by_cell:
+        _code_runs(task, room, work, components, size, coding.is_float, error, unit, coding.by_cell)
+    elif components == 1:
+        _code_runs(task, room, work, 1, 1, 0, 0, 0, 0)
+    elif components == 3:
+        _code_runs(task, room, work, 3, 1, 0, 0, 0, 0)
     else:
-        _code_cells(
-            task, values, around, terms, coder[PASS], coding.size, coding.is_float, coding.error, coding.unit
-        )
+        _code_runs(task, room, work, components, 1, 0, 0, 0, 0)
 
 
-# What ``around`` has of each component of a node's cell: its value; the sum that guesses begin with; weighted
-# differences of the cells around; of the cells beside and of the children so far the weights; where the
-# weights stand; how much the cells around differ; of the children so far the sum of differences; differences.
-_VALUE, _SUM, _SIDES, _BESIDE, _SIBLINGS, _WEIGHTS, _MOST, _BEFORE, _RAW = 0, 1, 2, 8, 9, 10, 11, 12, 13
-_AROUND = 20
+#: So many nodes are a run.
+_RUN = 32
+# What a run has of each node: its first child, how many it has, whether one of these is a node; 1 if the
+# cells around have its value, 3 if its children have, too; which of the run's cells whose errors are coded is
+# its first.
+_FIRST, _COUNT, _KIND, _FLAT, _PLACE = 0, 1, 2, 3, 4
+# And of each component of a node's cell: its value; the sum that guesses begin with; values of the cells
+# around; the weights of these, if on a child's side, of the cells beside and of the children so far; where
+# the weights stand; how much the cells around differ; where its contexts begin.
+_VALUE, _SUM, _SIDES, _NEARER, _BESIDE, _SIBLINGS, _WEIGHTS, _MOST, _CONTEXTS = 0, 1, 2, 8, 9, 10, 11, 12, 13
+_AROUND = 14
+# And of its cells whose errors are coded: their node, by how much the components so far are off, the context
+# of the component that is coded. Errors are folded.
+_NODE, _NOISE, _CONTEXT = 0, 1, 2
+
+
+@inlined
+def _code_runs(
+    task: Any,
+    room: Any,
+    work: int,
+    components: int,
+    size: int,
+    is_float: int,
+    error: int,
+    unit: int,
+    by_cell: int,
+) -> None:
+    """Code run after run: errors before the values that they correct, or after them."""
+    rows = task[0]
+    nodes = room[1]
+    t, node = wide(0), wide(0)
+    while t < rows.shape[0]:
+        count = wide(0)
+        while count < _RUN and t < rows.shape[0]:
+            i = np.uint64(count)
+            about = wide(rows[np.uint64(t), ABOUT])
+            kind = about >> 8 & 1
+            nodes[i, _FIRST], nodes[i, _COUNT], nodes[i, _KIND] = t, about >> 4 & 15, kind
+            is_flat = wide(_look_around(task, room, count, node, kind, components, size, is_float, unit))
+            if work == NOTES and is_flat:
+                is_flat |= wide(_has_flat(task, room, count, components, size, is_float, error)) << 1
+            nodes[i, _FLAT] = is_flat & -wide(work != MEASURES)
+            t += about >> 4 & 15
+            node += 1
+            count += 1
+        cells = _code_flat(task, room, count, work, components, size, error, unit, by_cell)
+        if work == DECODES and not by_cell:
+            _code_errors(task, room, cells, work, components, size, error, unit)
+        for n in range(count):
+            _guess_children(task, room, n, work, components, size, is_float, error, unit)
+        if work == NOTES:
+            _code_errors(task, room, cells, work, components, size, error, unit)
 
 
 @inlined
 def _look_around(
-    task: Any, values: Int64s, around: Int64s, kind: int, node: int, size: int, is_float: int, unit: int
+    task: Any, room: Any, n: int, node: int, kind: int, components: int, size: int, is_float: int, unit: int
 ) -> bool:
-    """Write ``around`` for a node, and its cell's value for children beside which there is none.
-
-    Returns whether the cells around are as it is.
-    """
-    rows, cells, _, raw, _, coding, steps, _, _, _, _ = task
-    order, weights = coding.order, coding.weights
-    components = order.size
-    differ = wide(0)
-    for j in range(components):
-        at, component = _AROUND * j, order[np.uint64(j)]
-        value = _number(raw, cells[np.uint64(node), OWN], component, size, is_float)
-        total = differs = wide(0)
-        for k in range(6):
-            side = _number(raw, cells[np.uint64(node), k], component, size, is_float) - value
-            around[np.uint64(at + _RAW + k)] = side
-            total += side
-            differs += abs(side)
-        differ |= differs
-        most = min(differs >> unit + 1, 255)
-        own = ((kind * components + j) * CLASSES + wide(steps[0][np.uint64(most)])) * TERMS
-        far, beside = weights[np.uint64(own + 1)], weights[np.uint64(own + 2)]
-        nearer = weights[np.uint64(own)] - far
-        for k in range(6):
-            around[np.uint64(at + _SIDES + k)] = nearer * around[np.uint64(at + _RAW + k)]
-        around[np.uint64(at + _VALUE)] = value
-        around[np.uint64(at + _SUM)] = (
-            (value << WEIGHT_BITS) + (1 << WEIGHT_BITS - 1) + far * total - 3 * beside * value
-        )
-        around[np.uint64(at + _BESIDE)] = beside
-        around[np.uint64(at + _SIBLINGS)] = weights[np.uint64(own + 3)]
-        around[np.uint64(at + _WEIGHTS)] = own
-        around[np.uint64(at + _MOST)] = most
-        around[np.uint64(at + _BEFORE)] = 0
-        values[np.uint64(rows.shape[0] * components + j)] = value
+    """Write what is known around the run's node ``n``; return whether the cells around are as its own."""
+    cells = task[1]
+    i, row = np.uint64(node), components * size
+    own = cells[i, OWN] * row
+    sides = (
+        *(cells[i, 0] * row, cells[i, 1] * row, cells[i, 2] * row),
+        *(cells[i, 3] * row, cells[i, 4] * row, cells[i, 5] * row),
+    )
+    differ = _look_at(task, room, n, own, sides, kind, 0, components, size, is_float, unit)
+    if components > 1:
+        differ |= _look_at(task, room, n, own, sides, kind, 1, components, size, is_float, unit)
+    if components > 2:
+        differ |= _look_at(task, room, n, own, sides, kind, 2, components, size, is_float, unit)
+    if components > 3:
+        differ |= _look_at(task, room, n, own, sides, kind, 3, components, size, is_float, unit)
     return differ == 0
+
+
+@inlined
+def _look_at(
+    task: Any,
+    room: Any,
+    n: int,
+    own: int,
+    sides: tuple[int, int, int, int, int, int],
+    kind: int,
+    j: int,
+    components: int,
+    size: int,
+    is_float: int,
+    unit: int,
+) -> int:
+    """Write what is known around in component ``j``; return how much the cells differ."""
+    raw, weights, steps = task[3], task[5].weights, task[6]
+    around = room[0]
+    at, component = np.uint64(_AROUND * (components * n + j)), _component(j, components) * size
+    value = _number(raw, own + component, size, is_float)
+    a = _number(raw, sides[0] + component, size, is_float)
+    b = _number(raw, sides[1] + component, size, is_float)
+    c = _number(raw, sides[2] + component, size, is_float)
+    d = _number(raw, sides[3] + component, size, is_float)
+    e = _number(raw, sides[4] + component, size, is_float)
+    f = _number(raw, sides[5] + component, size, is_float)
+    differs = abs(a - value) + abs(b - value) + abs(c - value)
+    differs += abs(d - value) + abs(e - value) + abs(f - value)
+    most = min(differs >> unit + 1, 255)
+    place = ((kind * components + j) * CLASSES + wide(steps[0][np.uint64(most)])) * TERMS
+    far, beside = weights[np.uint64(place + 1)], weights[np.uint64(place + 2)]
+    nearer, siblings = weights[np.uint64(place)] - far, weights[np.uint64(place + 3)]
+    total = ((1 << WEIGHT_BITS) - 6 * far - 3 * (nearer + beside)) * value + (1 << WEIGHT_BITS - 1)
+    around[at] = value
+    around[at + np.uint64(_SUM)] = total + far * (a + b + c + d + e + f)
+    around[at + np.uint64(_SIDES)], around[at + np.uint64(_SIDES + 1)] = a, b
+    around[at + np.uint64(_SIDES + 2)], around[at + np.uint64(_SIDES + 3)] = c, d
+    around[at + np.uint64(_SIDES + 4)], around[at + np.uint64(_SIDES + 5)] = e, f
+    around[at + np.uint64(_NEARER)] = nearer
+    around[at + np.uint64(_BESIDE)] = beside
+    around[at + np.uint64(_SIBLINGS)] = siblings
+    around[at + np.uint64(_WEIGHTS)] = place
+    around[at + np.uint64(_MOST)] = most
+    around[at + np.uint64(_CONTEXTS)] = (kind * components + j) * CONTEXTS
+    return differs
 
 
 @inlined
 def _code_flat(
     task: Any,
-    values: Int64s,
-    around: Int64s,
-    t: int,
+    room: Any,
     count: int,
     work: int,
+    components: int,
     size: int,
-    is_float: int,
     error: int,
-) -> bool:
-    """Code whether a node's children have its cell's values, and these if they do."""
-    rows, _, given, raw, begin, coding, _, _, pool, coder, stream = task
-    order = coding.order
-    components = order.size
-    kind = wide(rows[np.uint64(t), ABOUT]) >> 8 & 1
-    flat = wide(1)
-    if work != DECODES:
-        for n in range(t, t + count):
-            for j in range(components):
-                number = _number(given, begin + n, order[np.uint64(j)], size, is_float)
-                if abs(number - around[np.uint64(_AROUND * j + _VALUE)]) > error:
-                    flat = wide(0)
-    flat = code_symbol(work, flat, SETS * components * CONTEXTS + kind, pool, coder, stream)
-    if flat:
-        for n in range(t, t + count):
-            for j in range(components):
-                number = around[np.uint64(_AROUND * j + _VALUE)]
-                values[np.uint64(n * components + j)] = number
-                if work == DECODES or error > 0:
-                    _write(number, raw, begin + n, order[np.uint64(j)], size, is_float)
-    return flat != 0
+    unit: int,
+    by_cell: int,
+) -> int:
+    """Note or decode which of a run's nodes are flat; list the children of the others, return their number.
+
+    Decodes their errors, too, if these stand cell ``by_cell``.
+    """
+    steps, pool, coder, stream = task[6], task[8], task[9], task[10]
+    around, nodes, errors, listed, _ = room
+    place = wide(0)
+    for n in range(count):
+        i = np.uint64(n)
+        nodes[i, _PLACE] = place
+        if nodes[i, _FLAT]:
+            context = SETS * components * CONTEXTS + nodes[i, _KIND]
+            flat = code_symbol(work, nodes[i, _FLAT] >> 1, context, pool, coder, stream)
+            nodes[i, _FLAT] = 1 | flat << 1
+            if flat:
+                continue
+        node = components * _AROUND * n
+        most = around[np.uint64(node + _MOST)]
+        context = around[np.uint64(node + _CONTEXTS)] + wide(steps[1][np.uint64(most)])
+        for _ in range(nodes[i, _COUNT]):
+            at = np.uint64(place)
+            listed[_NODE, at], listed[_NOISE, at], listed[_CONTEXT, at] = node, 0, context
+            for j in range(components if by_cell else 0):
+                about = node + _AROUND * j
+                varies = min(around[np.uint64(about + _MOST)] + listed[_NOISE, at], 255)
+                own = around[np.uint64(about + _CONTEXTS)] + wide(steps[1][np.uint64(varies)])
+                sign = _code_folded(work, wide(0), size, own, pool, coder, stream)
+                errors[j, at] = sign
+                listed[_NOISE, at] += 2 * (sign + 1 >> 1) * (2 * error + 1) >> unit
+            place += 1
+    return place
 
 
 @inlined
-def _code_cells(
+def _code_errors(
+    task: Any, room: Any, count: int, work: int, components: int, size: int, error: int, unit: int
+) -> None:
+    """Note or decode the errors of the cells that are listed, a component after the other."""
+    steps, pool, coder, stream = task[6], task[8], task[9], task[10]
+    around, _, errors, listed, _ = room
+    for j in range(components):
+        if j:
+            for n in range(count):
+                i = np.uint64(n)
+                about = listed[_NODE, i] + _AROUND * j
+                listed[_NOISE, i] += 2 * (errors[j - 1, i] + 1 >> 1) * (2 * error + 1) >> unit
+                varies = min(around[np.uint64(about + _MOST)] + listed[_NOISE, i], 255)
+                context = around[np.uint64(about + _CONTEXTS)] + wide(steps[1][np.uint64(varies)])
+                listed[_CONTEXT, i] = context
+        if size == 1:
+            code_symbols(work, errors[j], listed[_CONTEXT], count, pool, coder, stream)
+        else:
+            for n in range(count):
+                i = np.uint64(n)
+                sign, context = errors[j, i], listed[_CONTEXT, i]
+                errors[j, i] = _code_folded(work, sign, size, context, pool, coder, stream)
+
+
+@inlined
+def _has_flat(task: Any, room: Any, n: int, components: int, size: int, is_float: int, error: int) -> bool:
+    """Return whether a node's children are given as its cell is."""
+    given, begin = task[2], task[4]
+    around, nodes, _, _, _ = room
+    i = np.uint64(n)
+    for t in range(begin + nodes[i, _FIRST], begin + nodes[i, _FIRST] + nodes[i, _COUNT]):
+        for j in range(components):
+            number = _number(given, (t * components + _component(j, components)) * size, size, is_float)
+            if abs(number - around[np.uint64(_AROUND * (components * n + j) + _VALUE)]) > error:
+                return False
+    return True
+
+
+@inlined
+def _guess_children(
     task: Any,
-    values: Int64s,
-    around: Int64s,
-    terms: Int64s,
+    room: Any,
+    n: int,
     work: int,
+    components: int,
     size: int,
     is_float: int,
     error: int,
     unit: int,
 ) -> None:
-    rows, _, given, raw, begin, coding, steps, squares, pool, coder, stream = task
-    _, context_of, parts = steps
-    order, weights = coding.order, coding.weights
-    components = order.size
-    writes = work == DECODES or (error > 0 and work != MEASURES)
-    left, node, t = wide(1), wide(-1), wide(-1)
-    while t + 1 < rows.shape[0]:
-        t += 1
-        about = wide(rows[np.uint64(t), ABOUT])
-        kind = about >> 8 & 1
-        if left == 1:
-            node += 1
-            is_flat = _look_around(task, values, around, kind, node, size, is_float, unit)
-            count = about >> 4 & 15
-            if (
-                is_flat
-                and work != MEASURES
-                and _code_flat(task, values, around, t, count, work, size, is_float, error)
-            ):
-                t += count - 1
-                continue
-        left = about >> 4 & 15
-        x, y, z = _SIDES + (about >> 9 & 1), _SIDES + 2 + (about >> 10 & 1), _SIDES + 4 + (about >> 11 & 1)
-        beside_x = wide(rows[np.uint64(t), 0]) * components
-        beside_y = wide(rows[np.uint64(t), 1]) * components
-        beside_z = wide(rows[np.uint64(t), 2]) * components
-        part = parts[np.uint64(left)]
-        noise = first_off = second_off = third_off = first = second = third = wide(0)
-        for j in range(components):
-            at = _AROUND * j
-            beside = values[np.uint64(beside_x + j)] + values[np.uint64(beside_y + j)]
-            beside += values[np.uint64(beside_z + j)]
-            before = around[np.uint64(at + _BEFORE)]
-            mean = before * part >> 16
-            total = around[np.uint64(at + x)] + around[np.uint64(at + y)] + around[np.uint64(at + z)]
-            total += around[np.uint64(at + _SUM)] + around[np.uint64(at + _BESIDE)] * beside
-            total += around[np.uint64(at + _SIBLINGS)] * mean
-            if j:
-                own = around[np.uint64(at + _WEIGHTS)] + _ERRORS
-                total += weights[np.uint64(own)] * first_off + weights[np.uint64(own + 3)] * first
-                if j > 1:
-                    total += weights[np.uint64(own + 1)] * second_off + weights[np.uint64(own + 4)] * second
-                    total += weights[np.uint64(own + 2)] * third_off + weights[np.uint64(own + 5)] * third
-            guess = total >> WEIGHT_BITS
-            value, number = around[np.uint64(at + _VALUE)], wide(0)
-            if work != DECODES:
-                number = _number(given, begin + t, order[np.uint64(j)], size, is_float)
-            if work == MEASURES:
-                off = number - guess
-                terms[0] = terms[1] = 0
-                for k in range(6):
-                    terms[0 if _SIDES + k in (x, y, z) else 1] += around[at + _RAW + k]
-                terms[2], terms[3], terms[TERMS] = beside - 3 * value, mean, number - value
-                terms[4], terms[5], terms[6] = first_off, second_off, third_off
-                terms[7], terms[8], terms[9] = first, second, third
-                _measure(terms, off, 2.0**-unit, squares, around[at + _WEIGHTS] // TERMS)
-            else:
-                most = around[np.uint64(at + _MOST)] + noise
-                context = wide(context_of[np.uint64(most if size == 1 and error == 0 else min(most, 255))])
-                context += (kind * components + j) * CONTEXTS
-                number, off = _code_number(work, number, guess, size, error, context, pool, coder, stream)
-            if writes:
-                _write(number, raw, begin + t, order[np.uint64(j)], size, is_float)
-            values[np.uint64(t * components + j)] = number
-            around[np.uint64(at + _BEFORE)] = before + number - value
-            if j == 0:
-                first_off, first = off, number - value
-            elif j == 1:
-                second_off, second = off, number - value
-            else:
-                third_off, third = off, number - value
-            noise += 2 * abs(off) >> unit
+    """Guess the values of a node's children: write these by their errors, or the errors, or measure."""
+    rows, raw, begin, steps = task[0], task[3], task[4], task[6]
+    around, nodes = room[0], room[1]
+    i = np.uint64(n)
+    first, count = nodes[i, _FIRST], nodes[i, _COUNT]
+    if nodes[i, _FLAT] == 3:
+        if work == DECODES or error > 0:
+            for t in range(begin + first, begin + first + count):
+                for j in range(components):
+                    number = around[np.uint64(_AROUND * (components * n + j) + _VALUE)]
+                    _write(number, raw, (t * components + _component(j, components)) * size, size, is_float)
+        return
+    at = _AROUND * components * n
+    sum_0 = sum_1 = sum_2 = sum_3 = wide(0)
+    for t in range(first, first + count):
+        part = steps[2][np.uint64(first + count - t)]
+        row, each = np.uint64(t), components * size
+        about = wide(rows[row, ABOUT])
+        beside = wide(rows[row, 0]) * each, wide(rows[row, 1]) * each, wide(rows[row, 2]) * each
+        sides = _SIDES + (about >> 9 & 1), _SIDES + 2 + (about >> 10 & 1), _SIDES + 4 + (about >> 11 & 1)
+        child = (begin + t) * each, nodes[i, _PLACE] + t - first, at, beside, sides
+        before = wide(0), wide(0), wide(0), wide(0), wide(0), wide(0)
+        off_0, more_0 = _guess_child(
+            task, room, work, child, 0, sum_0 * part >> 16, before, components, size, is_float, error, unit
+        )
+        sum_0 += more_0
+        if components > 1:
+            before = off_0, wide(0), wide(0), more_0, wide(0), wide(0)
+            off_1, more_1 = _guess_child(
+                task,
+                room,
+                work,
+                child,
+                1,
+                sum_1 * part >> 16,
+                before,
+                components,
+                size,
+                is_float,
+                error,
+                unit,
+            )
+            sum_1 += more_1
+            if components > 2:
+                before = off_0, off_1, wide(0), more_0, more_1, wide(0)
+                off_2, more_2 = _guess_child(
+                    task,
+                    room,
+                    work,
+                    child,
+                    2,
+                    sum_2 * part >> 16,
+                    before,
+                    components,
+                    size,
+                    is_float,
+                    error,
+                    unit,
+                )
+                sum_2 += more_2
+                if components > 3:
+                    before = off_0, off_1, off_2, more_0, more_1, more_2
+                    _, more_3 = _guess_child(
+                        task,
+                        room,
+                        work,
+                        child,
+                        3,
+                        sum_3 * part >> 16,
+                        before,
+                        components,
+                        size,
+                        is_float,
+                        error,
+                        unit,
+                    )
+                    sum_3 += more_3
+
+
+@inlined
+def _guess_child(
+    task: Any,
+    room: Any,
+    work: int,
+    child: Any,
+    j: int,
+    mean: int,
+    before: tuple[int, int, int, int, int, int],
+    components: int,
+    size: int,
+    is_float: int,
+    error: int,
+    unit: int,
+) -> tuple[int, int]:
+    """Guess component ``j`` of a child; return the error, and what it has more than its parent."""
+    given, raw, weights, squares = task[2], task[3], task[5].weights, task[7]
+    around, _, errors, _, terms = room
+    row, place, at, (beside_x, beside_y, beside_z), (x, y, z) = child
+    component = _component(j, components) * size
+    at += _AROUND * j
+    beside = _number(raw, beside_x + component, size, is_float)
+    beside += _number(raw, beside_y + component, size, is_float)
+    beside += _number(raw, beside_z + component, size, is_float)
+    near = around[np.uint64(at + x)] + around[np.uint64(at + y)] + around[np.uint64(at + z)]
+    total = around[np.uint64(at + _SUM)] + around[np.uint64(at + _NEARER)] * near
+    total += around[np.uint64(at + _BESIDE)] * beside
+    if j > 0:
+        own = around[np.uint64(at + _WEIGHTS)] + _ERRORS
+        total += weights[np.uint64(own)] * before[0] + weights[np.uint64(own + 3)] * before[3]
+        if j > 1:
+            total += weights[np.uint64(own + 1)] * before[1] + weights[np.uint64(own + 4)] * before[4]
+            if j > 2:
+                total += weights[np.uint64(own + 2)] * before[2] + weights[np.uint64(own + 5)] * before[5]
+    total += around[np.uint64(at + _SIBLINGS)] * mean
+    guess = total >> WEIGHT_BITS
+    value = around[np.uint64(at)]
+    if work == MEASURES:
+        number = _number(given, row + component, size, is_float)
+        terms[0], terms[1] = near - 3 * value, -3 * value - near
+        for k in range(6):
+            terms[1] += around[at + _SIDES + k]
+        terms[2], terms[3], terms[TERMS] = beside - 3 * value, mean, number - value
+        for k in range(6):
+            terms[4 + k] = before[k]
+        off = number - guess
+        _measure(terms, off, 2.0**-unit, squares, around[at + _WEIGHTS] // TERMS)
+        return off, number - value
+    off = _unfolded(errors[j, np.uint64(place)])
+    if work == NOTES:
+        off = _error(_number(given, row + component, size, is_float), guess, size, error)
+        errors[j, np.uint64(place)] = _folded(off)
+    number = _corrected(guess, off, size, error)
+    if work == DECODES or error > 0:
+        _write(number, raw, row + component, size, is_float)
+    return off * (2 * error + 1), number - value
 
 
 @inlined
@@ -439,25 +664,28 @@ def code_rows(
 ) -> None:
     """Likewise the values of rows from ``first`` on, a row of each cell of ``owners``, by the cells' own."""
     _, context_of, _ = steps
-    order, size, is_float, error, unit, _ = coding
+    order, size, is_float, error, unit, _, _ = coding
     components = order.size
     work = coder[PASS]
-    writes = work == DECODES or error > 0
+    flat = cell_raw.reshape(-1), given.reshape(-1), raw.reshape(-1)
     before = np.zeros(4, np.int64)
     for n in range(owners.size):
         if n == 0 or owners[n] != owners[n - 1]:
             before[:] = 0
         noise = shift = wide(0)
         for j in range(components):
-            own = _number(cell_raw, owners[n], order[j], size, is_float)
+            at = (wide(owners[n]) * components + order[j]) * size
+            own = _number(flat[0], at, size, is_float)
+            at = ((first + n) * components + order[j]) * size
             guess = min(max(own + (shift if components >= 3 else 0), 0), (1 << 8 * size) - 1)
             varies = min((abs(before[j]) >> unit) + noise, 255)
             context = (kind * components + j) * CONTEXTS + wide(context_of[np.uint64(varies)])
-            number = wide(0)
-            if work != DECODES:
-                number = _number(given, first + n, order[j], size, is_float)
-            number, off = _code_number(work, number, guess, size, error, context, pool, coder, stream)
-            if writes:
-                _write(number, raw, first + n, order[j], size, is_float)
+            off = wide(0)
+            if work == NOTES:
+                off = _error(_number(flat[1], at, size, is_float), guess, size, error)
+            off = _unfolded(_code_folded(work, _folded(off), size, context, pool, coder, stream))
+            number = _corrected(guess, off, size, error)
+            if work == DECODES or error > 0:
+                _write(number, flat[2], at, size, is_float)
             before[j] = shift = number - own
-            noise += 2 * abs(off) >> unit
+            noise += 2 * abs(off) * (2 * error + 1) >> unit

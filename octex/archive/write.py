@@ -29,7 +29,6 @@ from octex.archive.entropy import (
     words_of,
 )
 from octex.archive.layout import (
-    BLOCK,
     FORMAT,
     FORMAT_VERSION,
     KEPT,
@@ -56,6 +55,7 @@ from octex.tree.octree import Octree, no_kept, no_split
 
 #: About so many cells of nodes, and of leaves, are looked at to choose weights, so often.
 _SAMPLE = 1 << 13
+_SAMPLED = 1 << 9  # nodes at a time
 _ROUNDS = 6
 #: So many bytes of notes are kept until they are encoded.
 _MOST_NOTES = 1 << 28
@@ -171,11 +171,10 @@ def _sampled(arrays: TreeArrays) -> list[tuple[Span, Uint32s, Int64s]]:
     found = []
     for level in range(max(arrays.level_cells.size - 4, 0), arrays.level_cells.size - 2):
         begin, end = int(arrays.level_nodes[level]), int(arrays.level_nodes[level + 1])
-        size = BLOCK // 8
-        count = min(max(_SAMPLE // (4 * size), 1), -(-(end - begin) // size))
+        count = min(_SAMPLE // (4 * _SAMPLED), -(-(end - begin) // _SAMPLED))
         for n in range(count):
             first = begin + (end - begin) * n // count
-            block = Block(level, first, min(first + size, end))
+            block = Block(level, first, min(first + _SAMPLED, end))
             cells, nodes = around_nodes(arrays, *block)
             span = _span(arrays, block)
             rows = np.empty((span.end_cell - span.cell, 4), np.uint32)
@@ -190,7 +189,7 @@ def _coding(
     raw = channel.values
     _, components, size = raw.shape
     weights = np.zeros(values.weights_of(components), np.int64)
-    coding = values.Coding(values.order_of(components), size, int(is_float), 0, 0, weights)
+    coding = values.Coding(values.order_of(components), size, int(is_float), 0, 0, 0, weights)
     if size > 1:  # floats and 16 bits differ by far more steps than 8 bits do
         coding = coding._replace(unit=_unit(raw, coding, sampled))
     pool = pool_of(np.zeros(0, np.uint8), np.zeros((0, 256), np.int64))
