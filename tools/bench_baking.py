@@ -117,7 +117,7 @@ def compared(texture: octex.OctreeTexture, baked: octex.Surface, size: int) -> C
     owners = source.triangle_materials[points.triangles]
     places = baked.uv.at(points.triangles, points.barycentric) * size
     corners = baked.uv.values[baked.uv.rows].astype(np.float64) * size
-    flat = np.abs(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])) / 2
+    flat = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 2
     edges = np.sqrt(baked.areas() / np.maximum(flat, 1e-12))[points.triangles]
     found, (near, smooth) = np.empty((MIPS, POINTS, 3)), np.zeros((2, POINTS), np.bool_)
     is_mapped = flat[points.triangles] > 1e-9  # the others have no texels

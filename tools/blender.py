@@ -95,7 +95,7 @@ def beside(baked: octex.Surface, far: octex.Camera, size: int, pixels: int) -> n
     """Return corners of a box around what is nearest to a camera: half a texel a pixel wide."""
     assert baked.uv is not None
     flat = baked.uv.values[baked.uv.rows].astype(np.float64) * size
-    texels = np.abs(np.cross(flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0])).sum() / 2
+    texels = np.abs(np.linalg.det(flat[:, 1:] - flat[:, :1])).sum() / 2
     half = 0.25 * pixels * np.sqrt(baked.areas().sum() / texels)
     points = baked.scatter(20_000).points
     middle = points[np.argmin(np.linalg.norm(points - far.position, axis=1))]
