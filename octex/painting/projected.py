@@ -544,9 +544,9 @@ def _is_cut_out(shot: Shot, row: int, column: int, i: int, j: int) -> bool:
         down, right = (side & 1) * (side - 2), (1 - (side & 1)) * (side - 1)
         inside = 0 <= row + down < rows and 0 <= column + right < columns
         inside = inside and 0 <= i + down < height and 0 <= j + right < width
-        if inside and shot.seen.triangle[i + down, j + right] < 0:
-            if shot.levels.pixels[(row + down) * columns + column + right, 3] == np.float32(0.0):
-                return True
+        at = (row + down) * columns + column + right
+        if inside and shot.seen.triangle[i + down, j + right] < 0 and shot.levels.pixels[at, 3] == 0.0:
+            return True
     return False
 
 

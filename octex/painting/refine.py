@@ -245,7 +245,7 @@ def _better(before: _Views, after: _Views, numbers: Float64s) -> Bools:
     others = np.ones_like(found)  # whose cameras have their numbers
     while True:
         better = found.copy()
-        for n in np.flatnonzero(~found):
+        for n in np.flatnonzero(~found).tolist():
             alone = np.where((others | found)[:, None], new, old)
             moved = alone.copy()
             alone[n], moved[n] = old[n], new[n]
