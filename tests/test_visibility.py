@@ -17,7 +17,7 @@ from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
 from octex.view.camera import Camera
 from octex.view.visibility import distances_to_edges, straight, view_of, visibility_of
-from tests.painted import above, ball, one_color, plain, square, together
+from tests.painted import above, ball, one_color, picture_of, plain, square, together
 from tests.solids import cube
 
 Array = npt.NDArray[Any]
@@ -256,6 +256,33 @@ def test_distances_to_edges_are_those_of_the_nearest_background() -> None:
         rim = min(r, c, 79 - r, 79 - c) + 0.5
         assert abs(distances[r, c] - min(expected, rim)) < 0.09 * expected + 0.6
     assert (distances[row, column] == 0).all()
+
+
+def test_beside_an_edge_paint_is_that_of_the_surface_itself() -> None:
+    camera = above(size=64)
+    low, high = square(side=1.2), square(0.5, side=0.513)
+    own, other = (0.3, 0.6, 0.4), (0.7, 0.2, 0.5)
+    colors = np.repeat([own, other], [len(low[0]), len(high[0])], axis=0)
+    surface = Surface.from_arrays(*together(low, high), colors=colors)
+    image = picture_of(surface, camera.scaled(4)).reshape(64, 4, 64, 4, 4).mean((1, 3))
+    image[..., :3] /= np.maximum(image[..., 3:], 1e-9)
+    image[..., 3] = image[..., 3] > 0
+    image[0, :2] = [(0, 0, 0, 1), (1, 1, 1, 1)]  # what splines may reach
+    samples = surface.scatter(4000, 0)
+    pixels = camera.project(samples.points)[0].astype(int)
+    with pool_of(1) as pool:
+        sight = sight_of(surface.vertices, surface.triangles, camera, 0.0, pool)
+        shots = list(take_shots([Projection(image, camera)], BASE_COLOR, [1.0], [sight], pool))
+    mesh = surface.vertices, surface.triangles
+    source = Projected(
+        shots, BASE_COLOR, terms_of(90.0, 0.0, False), *mesh, np.ones(len(mesh[1]), np.float32)
+    )
+    found = source.evaluate(samples.triangles, samples.barycentric, np.zeros(4000, np.float32))
+    margins = sight.margins[pixels[:, 1], pixels[:, 0]]
+    error = np.abs(found[:, :3] - np.where(samples.points[:, 2:] > 0.25, other, own)).max(axis=1)
+    is_seen = found[:, 3] > 0
+    assert error[is_seen & (margins > 1.0)].max() < 0.025
+    assert error[is_seen & (margins < 1.0)].mean() < 0.05
 
 
 def test_a_lens_is_seen_through_a_pinhole_that_is_wide_enough() -> None:

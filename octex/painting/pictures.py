@@ -335,6 +335,15 @@ def _bicubic(
             b += weight * levels.pixels[at, 1]
             c += weight * levels.pixels[at, 2]
             d += weight * levels.pixels[at, 3]
+    return clipped(levels, a, b, c, d)
+
+
+@inlined
+def clipped(
+    levels: Levels, a: np.float32, b: np.float32, c: np.float32, d: np.float32
+) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+    """Return paint, times alpha, and alpha, brought back into the picture's range, which splines leave."""
+    none = np.float32(0.0)
     if not d > none:
         return none, none, none, none
     if d > _OPAQUE:  # the spline may overshoot; colours have done so with it

@@ -17,9 +17,10 @@ from octex.channels import ChannelFormat
 from octex.conversion import large
 from octex.conversion.pieces import Blocks
 from octex.jit import inlined, kernel
-from octex.painting.pictures import Levels, Projection, levels_of, read_paint
+from octex.painting.pictures import Levels, Projection, clipped, levels_of, read_paint
 from octex.painting.source import PaintSource
 from octex.source.corners import at_corners
+from octex.source.images.cubic import catmull_rom
 from octex.source.surface import Surface
 from octex.view.camera import Camera
 from octex.view.lens import distort, distorted, is_bent
@@ -29,6 +30,7 @@ from octex.view.visibility import (
     Visibility,
     distances_to_edges,
     nearness,
+    parts,
     plane_through,
     straight,
     tolerance,
@@ -48,6 +50,10 @@ FADE = 10.0
 _LEAST_SEEN, _WELL_SEEN = 0.5, 1.0
 #: Beside an edge pictures are blurred with what is behind it: within so many pixels others count for more.
 _TRUSTED = 4.0
+#: Nearer than this what is read of a picture may reach beyond an edge.
+_BESIDE = 3.0
+#: How much pixels beside an edge, which others than what their middles see may be mixed into, are believed.
+_MIXED = np.float32(0.15)
 #: Where what faces the camera shades as if it did not, it counts for so much of a cosine.
 _LEAST_COSINE = 1e-3
 #: How strongly the finer of two pictures outweighs the other: by this power of their pixels on the surface.
@@ -481,6 +487,69 @@ def _pixel(view: View, z: float) -> float:
     return float((z if view.is_pinhole else 1.0) / np.sqrt(view.K[0, 0] * view.K[1, 1]))
 
 
+@inlined
+def _read_beside(
+    shot: Shot,
+    triangle: int,
+    place: tuple[float, float],
+    pixel: tuple[float, float],
+    plane: tuple[float, float, float],
+    slack: float,
+) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+    """Return paint at a place as `read_paint` does, of pixels that see the same surface, and nothing else.
+
+    In place of what others hold stands the mean of these, the nearer the more. ``pixel`` is where the camera
+    without distortion sees the place.
+    """
+    (u, v), (x, y), (near, right, down) = place, pixel, plane
+    columns, rows = shot.levels.sizes[0, 1], shot.levels.sizes[0, 2]
+    height, width = shot.seen.triangle.shape
+    left, top = int(np.floor(u - 0.5)), int(np.floor(v - 0.5))
+    of_x, of_y = catmull_rom(np.float32(u - 0.5 - left)), catmull_rom(np.float32(v - 0.5 - top))
+    none = np.float32(0.0)
+    a = b = c = d = e = f = g = h = none
+    share = total = none
+    for n in range(16):
+        row, column = top + n // 4 - 1, left + n % 4 - 1
+        if not (0 <= row < rows and 0 <= column < columns):
+            continue
+        dx, dy = column + 0.5 - u, row + 0.5 - v
+        i, j = int(np.floor(y + dy)), int(np.floor(x + dx))
+        if not (0 <= i < height and 0 <= j < width):
+            continue
+        other = shot.seen.triangle[i, j]
+        if other < 0 or (other != triangle and parts(shot.seen, i, j, x, y, near, right, down, slack)):
+            continue
+        weight, far = of_y[n // 4] * of_x[n % 4], np.float32(dx * dx + dy * dy + 0.1)
+        own = np.float32(1.0) / (far * far)
+        if shot.margins[i, j] < np.float32(1.0) and not _is_cut_out(shot, row, column, i, j):
+            weight, own = weight * _MIXED, own * _MIXED * _MIXED
+        p = shot.levels.pixels[row * columns + column]
+        a, b, c, d = a + weight * p[0], b + weight * p[1], c + weight * p[2], d + weight * p[3]
+        e, f, g, h = e + own * p[0], f + own * p[1], g + own * p[2], h + own * p[3]
+        share += weight
+        total += own
+    if not total > none:
+        return read_paint(shot.levels, u, v, 1.0)
+    rest = (np.float32(1.0) - share) / total
+    return clipped(shot.levels, a + rest * e, b + rest * f, c + rest * g, d + rest * h)
+
+
+@inlined
+def _is_cut_out(shot: Shot, row: int, column: int, i: int, j: int) -> bool:
+    """Say whether a pixel, which sees pixel (i, j), is beside background that the picture has transparent."""
+    columns, rows = shot.levels.sizes[0, 1], shot.levels.sizes[0, 2]
+    height, width = shot.seen.triangle.shape
+    for side in range(4):
+        down, right = (side & 1) * (side - 2), (1 - (side & 1)) * (side - 1)
+        inside = 0 <= row + down < rows and 0 <= column + right < columns
+        inside = inside and 0 <= i + down < height and 0 <= j + right < width
+        at = (row + down) * columns + column + right
+        if inside and shot.seen.triangle[i + down, j + right] < 0 and shot.levels.pixels[at, 3] == 0.0:
+            return True
+    return False
+
+
 @kernel
 def _add(
     shot: Shot,
@@ -558,7 +627,12 @@ def _add(
         if not coverage > 0.0:
             continue
         wide = np.float64(widths[n]) / max(np.float64(stretches[triangle]), 1e-30) * np.sqrt(cosine) / pixel
-        red, green, blue, alpha = read_paint(shot.levels, u, v, wide)
+        if margin < _BESIDE and wide < 2.0:
+            red, green, blue, alpha = _read_beside(
+                shot, triangle, (u, v), (px, py), (near, right, down), slack
+            )
+        else:
+            red, green, blue, alpha = read_paint(shot.levels, u, v, wide)
         if not alpha > 0.0:
             continue
         density = max(shaded, _LEAST_COSINE) / (pixel * pixel)

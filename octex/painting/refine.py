@@ -229,21 +229,31 @@ def _better(before: _Views, after: _Views, numbers: Float64s) -> Bools:
     """Say which pictures agree clearly better with the others where their cameras have numbers than without.
 
     A point counts as much as it tells of where the camera is: by how its colour changes with the numbers.
-    Each time as light is evened out best: what other light explains moves no camera.
+    Each time as light is evened out best: what other light explains moves no camera. Those that do so with
+    all others' numbers, and better than all cameras did without, come first; then those that do so beside
+    these.
     """
     (old, old_slopes), (new, new_slopes) = before.seen(np.zeros_like(numbers)), after.seen(numbers)
     says = np.repeat(np.minimum(before.says, after.says), 3, axis=1) * np.isfinite(old)
     says *= (says > 0).sum(axis=0) > 1
     tells = says * np.sqrt((old_slopes**2 + new_slopes**2).sum(axis=2))
+
+    def apart(values: Float64s, number: int) -> float:
+        return float((tells[number] * _apart(values, says, _FAR)[number]).sum())
+
     found = np.zeros(len(numbers), np.bool_)
-    for n, own in enumerate(tells):
-        alone = new.copy()
-        alone[n] = old[n]
-        total = float(own.sum())
-        then, first, now = (float((own * _apart(each, says, _FAR)[n]).sum()) for each in (alone, old, new))
-        least = min(then, first)
-        found[n] = now < min(_BETTER * least, least - _BY * total)
-    return found
+    others = np.ones_like(found)  # whose cameras have their numbers
+    while True:
+        better = found.copy()
+        for n in np.flatnonzero(~found).tolist():
+            alone = np.where((others | found)[:, None], new, old)
+            moved = alone.copy()
+            alone[n], moved[n] = old[n], new[n]
+            least = apart(alone, n) if found.any() else min(apart(alone, n), apart(old, n))
+            better[n] = apart(moved, n) < min(_BETTER * least, least - _BY * float(tells[n].sum()))
+        if (better == found).all():
+            return found
+        found, others = better, np.zeros_like(found)
 
 
 def _says(source: Projected, triangles: Int32s, barycentric: Float64s, rim: float) -> Float64s:

@@ -188,6 +188,26 @@ def hides(
 
 
 @inlined
+def parts(
+    seen: Visibility,
+    row: int,
+    column: int,
+    x: float,
+    y: float,
+    near: float,
+    right: float,
+    down: float,
+    slack: float,
+) -> bool:
+    """Say whether what a pixel sees hides a point at (x, y), or goes on behind it; see `hides`."""
+    dx, dy = column + 0.5 - x, row + 0.5 - y
+    there = seen.planes[row, column, 0]
+    own = near + right * dx + down * dy - there
+    other = near - (there - seen.planes[row, column, 1] * dx - seen.planes[row, column, 2] * dy)
+    return bool((own < -slack and other < -slack) or (own > slack and other > slack))
+
+
+@inlined
 def visible_part(
     seen: Visibility,
     triangle: int,
