@@ -5,16 +5,19 @@ from __future__ import annotations
 import errno
 import multiprocessing
 import os
-from collections.abc import Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import octex
-from octex.conversion import large
+from octex.conversion import large, levels
 from octex.errors import ArgumentError, InputError, OutputError
+from octex.source import materials
+from octex.source.images.pyramid import store
 from tests.conftest import needs_jit
 from tests.small_surfaces import bent, sheet, tetrahedron, turned
 
@@ -107,6 +110,28 @@ def test_processes_pass_files_and_the_same_bytes_come_out(processes: Executor, t
     assert in_memory == in_files
     with ThreadPoolExecutor(2) as threads:
         assert converted(torus(), tmp_path, executor=threads)[1] == in_memory
+
+
+class Sending(Executor):
+    """Does each task at once, as another process would: from what was written to files."""
+
+    def submit(self, function: Callable[..., Any], /, *given: Any, **named: Any) -> Future[Any]:
+        large._read.cache_clear()
+        done: Future[Any] = Future()
+        done.set_result(function(*given, **named))
+        return done
+
+
+@needs_jit
+def test_images_are_made_ready_once_for_all_processes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = []
+    monkeypatch.setattr(levels, "_LEAST_PIECES", 1)  # many tasks
+    monkeypatch.setattr(materials, "store", lambda *given: made.append(given) or store(*given))
+    model = Path(__file__).parents[1] / "samples" / "droid.glb"
+    octex.convert(model, 7, path=tmp_path / "a.octex", executor=Sending())
+    assert len(made) == 1
 
 
 class Fragile:

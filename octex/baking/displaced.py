@@ -72,7 +72,8 @@ def displace(
     parts = _parts(triangles, resting, surface, cell, most)
     corners, rest_corners = surface.vertices[surface.triangles], resting[surface.triangles]
     normals = _normals(surface, triangles)
-    posed, undisplaced = parts.spread(corners), parts.spread(rest_corners)
+    undisplaced = parts.spread(rest_corners)
+    posed = undisplaced if resting is surface.vertices else parts.spread(corners)
     rest = undisplaced if resting is surface.rest else parts.spread(surface.rest[surface.triangles])
     directions = parts.spread(normals)
     lengths = np.linalg.norm(directions, axis=1)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float64s, Int32s, Int64s
+from octex.jit import kernel
 from octex.source.distinct import distinct_rows
 
 
@@ -24,8 +25,20 @@ class Tessellation(NamedTuple):
     def spread(self, corners: Float64s) -> Float64s:
         """Return values (vertices, k) of those at the corners of parents (t, 3, k), in the middle between."""
         made = np.empty((self.vertices, corners.shape[2]))
-        made[self.points] = np.einsum("pc,pck->pk", self.places, corners[self.owners])
+        _spread(self.points, self.owners, self.places, corners, made)
         return made
+
+
+@kernel
+def _spread(points: Int64s, owners: Int64s, places: Float64s, corners: Float64s, made: Float64s) -> None:
+    for p in range(len(points)):
+        v, t = points[p], owners[p]
+        for k in range(corners.shape[2]):
+            made[v, k] = (
+                places[p, 0] * corners[t, 0, k]
+                + places[p, 1] * corners[t, 1, k]
+                + places[p, 2] * corners[t, 2, k]
+            )
 
 
 def tessellated(triangles: Int64s, levels: Int64s, edges: tuple[Int64s, Int64s]) -> Tessellation:
@@ -68,17 +81,18 @@ def tessellated(triangles: Int64s, levels: Int64s, edges: tuple[Int64s, Int64s])
             places[:, rim, a] = 1 - places[:, rim, b]
         made = numbers[:, fine].reshape(-1, 3)
         wide = (made[:, 0] != made[:, 1]) & (made[:, 1] != made[:, 2]) & (made[:, 2] != made[:, 0])
+        chosen = slice(None) if wide.all() else wide
         parts.append(
             (
-                made[wide].astype(np.int32),
-                np.repeat(own, len(fine))[wide],
-                places[:, fine].reshape(-1, 3, 3)[wide],
+                made[chosen].astype(np.int32),
+                np.repeat(own, len(fine))[chosen],
+                places[:, fine].reshape(-1, 3, 3)[chosen],
                 numbers.ravel(),
                 np.repeat(own, len(grid)),
                 places.reshape(-1, 3),
             )
         )
-    joined = [np.concatenate(each) for each in zip(*parts, strict=True)]
+    joined = parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
     return Tessellation._make([*joined, count])
 
 

@@ -157,6 +157,7 @@ def cell_levels(
         blocks = some_blocks(blocks, reached(blocks, block_level))
     columns = SumColumns.of(channels)
     cell = placement.size / 2**depth
+    surface.source.prepare()
     job = Job(
         surface, channels, columns, grid, blocks, depth, block_level, cell, has_samples, has_gaps, wanted
     )

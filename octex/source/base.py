@@ -47,6 +47,9 @@ class Source(ABC):
         """
         return np.zeros(len(triangles), np.float32)
 
+    def prepare(self) -> None:  # noqa: B027
+        """Make what the first lookup would make, so that other processes get it with the source."""
+
     def with_rest(self, rest: Float64s) -> Source:  # noqa: ARG002
         """Return the same source with widths and directions measured on other rest positions (n, 3)."""
         return self
@@ -82,6 +85,10 @@ class OfAnother(Source):
     def alpha_is_coverage(self) -> bool:
         """Whether the other's ``alpha`` says no more than where it knows something."""
         return self._source.alpha_is_coverage
+
+    def prepare(self) -> None:
+        """Prepare the other source."""
+        self._source.prepare()
 
     def with_filter(self, name: str) -> Self:
         """Return the same source with the other's images read by another filter."""
@@ -156,6 +163,11 @@ class Combined(Source):
         """Return the finest of the sources' texels."""
         edges = [source.texel_edges(triangles) for source in self._every]
         return np.asarray(np.min(edges, axis=0), np.float32)
+
+    def prepare(self) -> None:
+        """Prepare all sources."""
+        for source in self._every:
+            source.prepare()
 
     def with_rest(self, rest: Float64s) -> Combined:
         """Return the same sources on other rest positions (n, 3)."""

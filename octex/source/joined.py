@@ -89,6 +89,12 @@ class Joined(Source):
                 edges[rows] = part.source.texel_edges(own)
         return edges
 
+    def prepare(self) -> None:
+        """Prepare all sources."""
+        for part in self._parts:
+            if part.source:
+                part.source.prepare()
+
     def with_rest(self, rest: Float64s) -> Joined:
         """Return the same sources with widths and directions measured on other rest positions (n, 3)."""
         faces = self._faces.with_rest(rest)

@@ -134,7 +134,7 @@ class MaterialSource(Source):
         widths: Float32s,
     ) -> Float32s:
         """Return values (n, components): light, not multiplied by alpha; fractions; means of directions."""
-        prepared, footprints = self._prepare()
+        prepared, footprints = self._ready()
         values = np.empty((len(triangles), sum(c.components for c in self.channels)), np.float32)
         evaluate(
             prepared.tables,
@@ -151,8 +151,12 @@ class MaterialSource(Source):
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edges of texels, of the finest image on each triangle; infinity without images."""
-        self._prepare()
+        self._ready()
         return self._texel_edges[triangles]
+
+    def prepare(self) -> None:
+        """Make images and their levels as lookups read them."""
+        self._ready()
 
     def with_rest(self, rest: Float64s) -> MaterialSource:
         """Return the same source with widths and directions measured on other rest positions (n, 3)."""
@@ -242,7 +246,7 @@ class MaterialSource(Source):
             if not np.isfinite(corners.values[corners.rows[textured]]).all():
                 raise ModelError(f"{self._name}: texture coordinates are not all finite; repair the model")
 
-    def _prepare(self) -> tuple[_Prepared, Float64s]:
+    def _ready(self) -> tuple[_Prepared, Float64s]:
         """Return what the kernels read, made on the first use."""
         with self._lock:
             if self._prepared is None:

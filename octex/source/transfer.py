@@ -113,6 +113,11 @@ class _Transferred(SpatialSource):
     def _adds_alpha(self) -> bool:
         return self.has_gaps and ALPHA.name not in [form.name for form in self._own_channels]
 
+    def prepare(self) -> None:
+        """Prepare the other's source."""
+        if self._other is not None:
+            self._other.prepare()
+
     def at(self, points: Float64s, normals: Float64s, widths: Float32s) -> Float32s:
         """Return the other's values (n, components) at the points nearest to these."""
         found = self._nearest.nearest(

@@ -84,13 +84,14 @@ def write_contents(contents: Contents, path: Path, executor: Executor) -> None:
     """
     faces, texels = contents.faces, contents.texels
     is_constant = _constant(texels, faces.counts)
+    packing = executor.submit(zlib.compress, packed_faces(faces, is_constant).tobytes(), 9)
     levels, constants = _levels(contents, is_constant, executor)
     parts = [level.parts() for level in levels]
     info = np.zeros(len(levels), LEVEL_INFO)
     info["header"] = [len(each[0]) for each in parts]
     info["bytes"] = [sum(map(len, each)) for each in parts]
     info["faces"] = [len(level.words) for level in levels]
-    packed = zlib.compress(packed_faces(faces, is_constant).tobytes(), 9)
+    packed = packing.result()
     averages = zlib.compress(constants.tobytes(), 9)
     small, large = _metadata(contents.metadata)
     entries = b"".join(small)
