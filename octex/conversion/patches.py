@@ -1,17 +1,14 @@
 """Where two trees' fields are near all over the surface in finest cells: most of them, found brick by brick.
 
 A brick (`field.bricks`) of the finest cells is decoded from both trees; then both fields are sums of 27
-coefficients anywhere in a cell. For lookups with a normal, cells weigh by how they face it: a brick is
-decoded once more for each normal that several samples in it have.
+coefficients anywhere in a cell.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from octex.arrays import Float32s, Int8s, Int64s, Uint8s, Uint64s
+from octex.arrays import Float32s, Int64s, Uint8s, Uint64s
 from octex.conversion.coefficients import SPLIT_KIND
 from octex.conversion.distances import Looked
 from octex.conversion.facings import HIDDEN
@@ -32,8 +29,8 @@ from octex.field.bricks import (
     new_bricks,
     note_nodes,
 )
-from octex.field.taps import direction_of, parts_of, view_of
-from octex.jit import fused_kernel, inlined, new_zeros, part, step, weighted_cube
+from octex.field.taps import view_of
+from octex.jit import fused_kernel, inlined, new_zeros, step, weighted_cube
 from octex.texture.blend import stored
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.morton import decode as decode_cell
@@ -44,27 +41,8 @@ UNSURE, BARE, NEAR = 0, 1, 2
 _STEPS = 3
 #: Where the root lies in its block: the second cell along each axis.
 _ROOT = 1 + 4 * (1 + 4)
-#: A brick is decoded for a normal if so many samples have it: it takes as long as the walks to as many.
-_FEW = 12
-#: Most samples of a brick that are tried with their normals.
-_MOST_WAITING = 2048
 #: Most components of a channel whose coefficients are one vector each.
 _MOST_COMPONENTS = 3
-
-
-class Facing(NamedTuple):
-    """What cells weigh for lookups with a normal, or without."""
-
-    parts: Float32s  # (9,)   see `taps.parts_of`
-    signs: int  # of the normal's components, as bits; −1: no normal
-
-
-class Scratch(NamedTuple):
-    """Where samples are tested."""
-
-    points: Float32s  # (3, points)   in the finest cell, 0 … 1
-    found: Float32s  # (2, components, points)   of both fields
-    bounds: Float32s  # (2, components)
 
 
 def near_cells(found: Looked, full: Looked, samples: Samples, most: float, cells: Int64s) -> Uint8s:
@@ -90,17 +68,9 @@ def near_cells(found: Looked, full: Looked, samples: Samples, most: float, cells
             Values.of(each.codes, None if each.is_alpha else alpha)
             for each, alpha in zip(both, alphas, strict=True)
         ]
-        bricks, turned = (new_bricks(), new_bricks()), (new_bricks(), new_bricks())
+        bricks = new_bricks(), new_bricks()
         _find_near(
-            trees,
-            (values[0], values[1]),
-            bricks,
-            turned,
-            places,
-            ErrorColumns.of([form]),
-            cells,
-            float(most),
-            near,
+            trees, (values[0], values[1]), bricks, places, ErrorColumns.of([form]), cells, float(most), near
         )
     return near
 
@@ -151,81 +121,28 @@ def _corner(level: int, octant: int) -> int:
     return 64 * level + (octant & 1) + 4 * (octant >> 1 & 1) + 16 * (octant >> 2)
 
 
-@inlined
-def _side(number: int) -> int:
-    """Return how many cells there are along the edge of the block from which a step goes down."""
-    return 3 if number == 1 else (4 if number == 2 else 6)
-
-
-@step
-def _list_below(tree: Tree, values: Values, bricks: Bricks, level: int, octant: int, steps: int) -> bool:
-    """List what is in the blocks below a cell of a level, of which the octant of its parent is given.
-
-    Returns whether there are any leaves above the last block.
-    """
-    list_around(bricks, _corner(level, octant))
-    has = bricks.has[level]
-    for number in range(1, steps + 1):
-        list_children(tree, values.codes.values, bricks, number, _side(number))
-        has |= number < steps and bricks.n_over[number] > 0
-    return bool(has)
-
-
 @step
 def _go_down(
-    tree: Tree, values: Values, bricks: Bricks, facing: Facing, level: int, octant: int, steps: int
-) -> None:
-    """Decode the blocks below a cell, which are listed: see `_list_below`."""
+    tree: Tree, values: Values, bricks: Bricks, kinds: Uint64s, level: int, octant: int, steps: int
+) -> np.uint64:
+    """Decode the blocks below a cell of a level, of which the octant of its parent is given.
+
+    Returns the kinds of the cells that these are made of.
+    """
     corner = _corner(level, octant)
+    list_around(bricks, corner)
     has, source, stride = bricks.has[level], corner, 4
     for number in range(1, steps + 1):
-        side = _side(number)
+        side = 3 if number == 1 else (4 if number == 2 else 6)
         target = 64 * (level + 1) if number == 1 else (AT_SIX if number == 2 else AT_TEN)
+        list_children(tree, values.codes.values, bricks, number, side)
         has = decode(values, bricks, 1, number, source, stride, side, target, has)
-        if facing.signs >= 0:
-            for n in range(bricks.n_over[number]):
-                listed = bricks.over[1000 * number + n]
-                _turn(tree, bricks.rows, facing, int(listed >> 16) - 1, target + int(listed >> 1 & 1023))
         if number == 1:
             bricks.has[level + 1] = has
         source, stride = target, 2 * side - 2
     if steps == 1:
         note_nodes(bricks, level + 1)
-
-
-@inlined
-def _turn(tree: Tree, rows: Float32s, facing: Facing, row: int, at: int) -> None:
-    """Let the coefficient of a cell weigh what the cell does for lookups with a normal."""
-    if row >= 0:
-        weight = facing.parts[direction_of(facing.signs, tree.arrays.flags[row])]
-        for number in range(4 * at, 4 * at + 4):
-            rows[number] *= weight
-
-
-@inlined
-def _begin(tree: Tree, values: Values, bricks: Bricks, facing: Facing) -> None:
-    """Write the root's block."""
-    enter(tree, values, bricks, 1)
-    if facing.signs >= 0 and tree.arrays.groups.shape[0] == 0:
-        _turn(tree, bricks.rows, facing, 0, _ROOT)
-
-
-@inlined
-def _octant(brick: int, bottom: int, level: int) -> int:
-    """Return the octant of a brick's ancestor of a level."""
-    return brick >> 3 * (bottom - level) & 7 if level > 0 else 0
-
-
-@inlined
-def _steps(bottom: int, level: int) -> int:
-    """Return how many levels are decoded below a brick's ancestor."""
-    return 1 if level < bottom else _STEPS
-
-
-@step
-def _kinds_of(tree: Tree, bricks: Bricks, kinds: Uint64s, level: int, octant: int, steps: int) -> np.uint64:
-    """Note the kinds of the cells that the blocks below a cell of a level are made of; return them."""
-    found = _note_kinds(tree, bricks, kinds, 1, _corner(level, octant), 4, 3, 64 * (level + 1))
+    found = _note_kinds(tree, bricks, kinds, 1, corner, 4, 3, 64 * (level + 1))
     for number in range(2, steps + 1):
         for n in range(bricks.n_over[number]):
             found |= _kind_of(tree, max(int(bricks.over[1000 * number + n] >> 16) - 1, 0))
@@ -255,7 +172,6 @@ def _find_near(
     trees: tuple[Tree, Tree],
     values: tuple[Values, Values],
     bricks: tuple[Bricks, Bricks],
-    turned: tuple[Bricks, Bricks],
     samples: Places,
     columns: ErrorColumns,
     cells: Int64s,
@@ -264,20 +180,15 @@ def _find_near(
 ) -> None:
     bottom = samples.depth - _STEPS  # the level of bricks
     kinds = new_zeros((2, CELLS), np.uint64)
-    plain = Facing(new_zeros(9, np.float32), -1)
-    scratch = Scratch(
-        new_zeros((3, MOST_POINTS), np.float32),
-        new_zeros((2, columns.kinds.size, MOST_POINTS), np.float32),
-        new_zeros((2, columns.kinds.size), np.float32),
-    )
+    points = new_zeros((3, MOST_POINTS), np.float32)
+    found = new_zeros((2, columns.kinds.size, MOST_POINTS), np.float32)
+    bounds = new_zeros((2, columns.kinds.size), np.float32)
     normal = new_zeros((1, 3), np.float32)
-    waiting = new_zeros((_MOST_WAITING, 3), np.int64)
-    n_waiting = 0
     latest = np.int64(-1)
     of_brick = np.uint64(0)
-    are_known = is_same = False
+    are_known = False
     for side in range(2):
-        _begin(trees[side], values[side], bricks[side], plain)
+        enter(trees[side], values[side], bricks[side], 1)
         if trees[side].arrays.groups.shape[0] == 0:
             kinds[side, _ROOT] = _kind_of(trees[side], 0)
     for n in range(cells.size):
@@ -285,21 +196,6 @@ def _find_near(
             continue
         code = samples.codes[cells[n]]
         brick = code >> 3 * _STEPS
-        if brick != latest and n_waiting > 0:
-            _try_turned(
-                trees,
-                values,
-                bricks,
-                turned,
-                samples,
-                columns,
-                int(latest),
-                waiting[:n_waiting],
-                scratch,
-                most,
-                near,
-            )
-            n_waiting = 0
         if brick != latest:
             level = 0 if latest < 0 else bottom
             changed = brick ^ latest
@@ -307,21 +203,17 @@ def _find_near(
                 changed >>= 3
                 level -= 1
             latest = brick
-            of_brick, are_known, is_same = np.uint64(0), False, False
+            of_brick, are_known = np.uint64(0), False
             while level <= bottom:
-                octant, steps = _octant(int(brick), bottom, level), _steps(bottom, level)
+                octant = int(brick >> 3 * (bottom - level) & 7) if level > 0 else 0
+                steps = 1 if level < bottom else _STEPS
                 for side in range(2):
-                    has = _list_below(trees[side], values[side], bricks[side], level, octant, steps)
-                    if level == bottom and side == 0 and not has:
-                        is_same = True  # all leaves here are finest cells
-                        break
-                    _go_down(trees[side], values[side], bricks[side], plain, level, octant, steps)
-                    below = _kinds_of(trees[side], bricks[side], kinds[side], level, octant, steps)
+                    below = _go_down(
+                        trees[side], values[side], bricks[side], kinds[side], level, octant, steps
+                    )
                     if level == bottom:
                         of_brick |= below
                 level += 1
-        if is_same:
-            continue
         i, j, k = decode_cell(code & (1 << 3 * _STEPS) - 1)
         at = AT_TEN + i + 10 * (j + 10 * k)
         if _are_equal(bricks[0].rows, bricks[1].rows, at):
@@ -330,129 +222,23 @@ def _find_near(
             for axis in range(3):
                 normal[0, axis] = samples.normals[sample, axis]
             hidden = HIDDEN[full_facings(view_of(normal, 0))]
-            if near[n] == NEAR and of_brick & hidden != np.uint64(0):
+            if of_brick & hidden != np.uint64(0):
                 if not are_known:
                     for side in range(2):
                         _kinds_below(trees[side], bricks[side], kinds[side], bottom)
                     are_known = True
-                found = (_kinds_at(kinds[0], at) | _kinds_at(kinds[1], at)) & hidden
-                if found & SPLIT_KIND != np.uint64(0) or (
-                    found != np.uint64(0) and n_waiting == _MOST_WAITING
-                ):
-                    near[n] = BARE
-                elif found != np.uint64(0):  # with its normal the field is another
-                    waiting[n_waiting, 0], waiting[n_waiting, 1], waiting[n_waiting, 2] = n, at, sample
-                    n_waiting += 1
-            if not _is_near(bricks[0].rows, bricks[1].rows, at, samples, sample, columns, most, scratch):
+                if (_kinds_at(kinds[0], at) | _kinds_at(kinds[1], at)) & hidden != np.uint64(0):
+                    near[n] = BARE  # with its normal the field is another
+            count = lay_out(samples.places, samples.normals, sample, points)
+            if not _look_up(bricks[0].rows, bricks[1].rows, at, points, count, found) or not (
+                _are_near(found, columns, count, most, bounds)
+                or (
+                    _are_near(found, columns, 1, most, bounds)
+                    and _are_near(found, columns, count, most + BETWEEN, bounds)
+                )
+            ):
                 near[n] = UNSURE
                 break
-    _try_turned(
-        trees, values, bricks, turned, samples, columns, int(latest), waiting[:n_waiting], scratch, most, near
-    )
-
-
-@part
-def _turn_brick(
-    tree: Tree, values: Values, plain: Bricks, turned: Bricks, facing: Facing, brick: int, bottom: int
-) -> None:
-    """Decode a brick for lookups with a normal; ``plain`` has it without one."""
-    if plain.has[bottom]:
-        _begin(tree, values, turned, facing)
-        for level in range(bottom + 1):
-            octant, steps = _octant(brick, bottom, level), _steps(bottom, level)
-            _list_below(tree, values, turned, level, octant, steps)
-            _go_down(tree, values, turned, facing, level, octant, steps)
-        return
-    turned.has[bottom] = False
-    listed = Bricks(
-        turned.rows, plain.nodes, plain.keeps, turned.has, plain.over, plain.inner, plain.n_over,
-        plain.n_inner, plain.ends, plain.split, plain.counts,
-    )  # fmt: skip
-    _go_down(tree, values, listed, facing, bottom, _octant(brick, bottom, bottom), _STEPS)
-
-
-@part
-def _try_turned(
-    trees: tuple[Tree, Tree],
-    values: tuple[Values, Values],
-    bricks: tuple[Bricks, Bricks],
-    turned: tuple[Bricks, Bricks],
-    samples: Places,
-    columns: ErrorColumns,
-    brick: int,
-    waiting: Int64s,
-    scratch: Scratch,
-    most: float,
-    near: Uint8s,
-) -> None:
-    """Say BARE of cells of a brick that are not surely near looked up with the normals of samples.
-
-    ``waiting`` (n, 3) are a cell, the place of its coefficients, and a sample in it; the brick is decoded
-    anew for each normal that several have.
-    """
-    bottom = samples.depth - _STEPS
-    normal = new_zeros((1, 3), np.float32)
-    facing = new_zeros(9, np.float32)
-    for first in range(waiting.shape[0]):
-        sample = waiting[first, 2]
-        if sample < 0 or near[waiting[first, 0]] != NEAR:
-            continue
-        alike = 0
-        for n in range(first, waiting.shape[0]):
-            alike += _are_parallel(samples.normals, sample, waiting[n, 2])
-        if alike < _FEW:
-            near[waiting[first, 0]] = BARE
-            continue
-        for axis in range(3):
-            normal[0, axis] = samples.normals[sample, axis]
-        x, y, z, signs = view_of(normal, 0)
-        parts_of(facing, x, y, z)
-        for side in range(2):
-            _turn_brick(
-                trees[side], values[side], bricks[side], turned[side], Facing(facing, signs), brick, bottom
-            )
-        for n in range(first, waiting.shape[0]):
-            other = waiting[n, 2]
-            if not _are_parallel(samples.normals, sample, other):
-                continue
-            waiting[n, 2] = -1
-            rows, others, at = turned[0].rows, turned[1].rows, waiting[n, 1]
-            if near[waiting[n, 0]] == NEAR and not _is_near(
-                rows, others, at, samples, other, columns, most, scratch
-            ):
-                near[waiting[n, 0]] = BARE
-
-
-@inlined
-def _are_parallel(normals: Int8s, one: int, other: int) -> bool:
-    """Say whether two samples have the same normal; there is none below zero."""
-    if other < 0:
-        return False
-    same = normals[one, 0] == normals[other, 0]
-    return bool(same & (normals[one, 1] == normals[other, 1]) & (normals[one, 2] == normals[other, 2]))
-
-
-@inlined
-def _is_near(
-    rows: Float32s,
-    others: Float32s,
-    at: int,
-    samples: Places,
-    sample: int,
-    columns: ErrorColumns,
-    most: float,
-    scratch: Scratch,
-) -> bool:
-    """Say whether fields in two bricks are surely near at a sample and around it."""
-    points, found, bounds = scratch
-    count = lay_out(samples.places, samples.normals, sample, points)
-    if not _look_up(rows, others, at, points, count, found):
-        return False
-    if _are_near(found, columns, count, most, bounds):
-        return True
-    return _are_near(found, columns, 1, most, bounds) and _are_near(
-        found, columns, count, most + BETWEEN, bounds
-    )
 
 
 @inlined
