@@ -71,13 +71,17 @@ def hdr(mantissas: npt.NDArray[np.uint8], order: bytes = b"-Y %d +X %d") -> byte
 
 
 def tiff(
-    stored: npt.NDArray[Any], photometric: int, alpha: int | None = None, size: Sequence[int] = ()
+    stored: npt.NDArray[Any],
+    photometric: int,
+    alpha: int | None = None,
+    size: Sequence[int] = (),
+    order: str = "<",
 ) -> bytes:
     """A TIFF file of one strip (TIFF 6.0): (height, width, samples), its last of a kind of extra sample."""
     height, width = size or stored.shape[:2]
     samples = stored.shape[2]
     kind = {"u": 1, "i": 2, "f": 3}[stored.dtype.kind]
-    body = stored.astype(stored.dtype.newbyteorder("<")).tobytes()
+    body = stored.astype(stored.dtype.newbyteorder(order)).tobytes()
     tags: list[tuple[int, int, list[int]]] = [
         (256, 4, [width]),
         (257, 4, [height]),
@@ -95,14 +99,20 @@ def tiff(
     at = 8 + len(body)
     extra, entries = b"", b""
     for tag, field, values in tags:
-        value = struct.pack(f"<{len(values)}{'H' if field == 3 else 'I'}", *values)
+        value = struct.pack(f"{order}{len(values)}{'H' if field == 3 else 'I'}", *values)
         if len(value) > 4:
             place = at + len(extra)
             extra += value
-            value = struct.pack("<I", place)
-        entries += struct.pack("<HHI", tag, field, len(values)) + value.ljust(4, b"\0")
-    directory = struct.pack("<H", len(tags)) + entries + bytes(4)
-    return b"II*\0" + struct.pack("<I", at + len(extra)) + body + extra + directory
+            value = struct.pack(f"{order}I", place)
+        entries += struct.pack(f"{order}HHI", tag, field, len(values)) + value.ljust(4, b"\0")
+    directory = struct.pack(f"{order}H", len(tags)) + entries + bytes(4)
+    return (
+        {"<": b"II*\0", ">": b"MM\0*"}[order]
+        + struct.pack(f"{order}I", at + len(extra))
+        + body
+        + extra
+        + directory
+    )
 
 
 def psd(stored: npt.NDArray[Any]) -> bytes:

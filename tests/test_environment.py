@@ -187,6 +187,11 @@ def test_numbers_out_of_range_are_refused(wrong):
         Environment.of(np.ones((8, 16)), **wrong)
 
 
+def test_a_picture_higher_than_wide_is_no_map_of_all_directions():
+    with pytest.raises(ImageError, match="its 4 × 24 texels are higher than wide"):
+        Environment.of(np.ones((24, 4, 3), np.float32))
+
+
 def test_what_is_no_picture_is_refused(tmp_path):
     (tmp_path / "light.hdr").write_bytes(b"nothing")
     for path in (tmp_path / "light.hdr", tmp_path / "missing.hdr"):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from octex.errors import ImageError, ModelError
+from octex.errors import ImageError, ModelError, ModelWarning
 from octex.source.load import load_surface
 from tests.fixtures import (
     SQUARE,
@@ -60,8 +60,6 @@ def broken(change: str, tmp_path: Path) -> Path:
         gltf.json["nodes"][node]["translation"] = True
     elif change == "infinite transform":
         gltf.json["nodes"][node]["scale"] = [1e999, 1, 1]
-    elif change == "no coordinates":
-        del attributes["TEXCOORD_0"]
     elif change == "coordinates not finite":
         attributes["TEXCOORD_0"] = gltf.accessor(np.full((4, 2), np.inf, np.float32))
     elif change == "few coordinates":
@@ -176,7 +174,6 @@ def broken(change: str, tmp_path: Path) -> Path:
         ("scale of one number", r"nodes\[0\]: scale must be 3 numbers, not 0\.5"),
         ("translation of one number", r"nodes\[0\]: translation must be 3 numbers"),
         ("infinite transform", "Infinity is not JSON|not all finite"),
-        ("no coordinates", "no TEXCOORD_0"),
         ("coordinates not finite", "texture coordinates are not all finite"),
         ("few coordinates", "has 2 rows for 4 vertices"),
         ("node cycle", "reached twice"),
@@ -262,15 +259,12 @@ def test_a_bad_image_is_named(tmp_path: Path, change: str, message: str) -> None
         ("extensions.KHR_materials_pbrSpecularGlossiness.specularFactor", [1], "specularFactor must be 3"),
         ("extensions", "none", r"materials\[0\].extensions must be an object, not 'none'"),
         ("alphaCutoff", "half", "alphaCutoff must be a number"),
-        ("occlusionTexture.texCoord", 1, r"primitives\[0\] has a textured material but no TEXCOORD_1;"),
-        ("occlusionTexture.texCoord", 10**30, "no TEXCOORD_1000"),
         ("occlusionTexture.texCoord", -1, "texCoord must be a whole number, not -1"),
         ("occlusionTexture.texCoord", 0.5, "texCoord must be a whole number, not 0.5"),
         ("occlusionTexture.extensions.KHR_texture_transform", "turned", "transform must be an object"),
         ("occlusionTexture.extensions.KHR_texture_transform.rotation", "left", "rotation must be a number"),
         ("occlusionTexture.extensions.KHR_texture_transform.scale", 2, "scale must be 2 numbers, not 2"),
         ("occlusionTexture.extensions.KHR_texture_transform.offset", [1], "offset must be 2 numbers"),
-        ("occlusionTexture.extensions.KHR_texture_transform.texCoord", 3, "no TEXCOORD_3"),
     ],
 )
 def test_what_is_wrong_with_a_material_is_named(tmp_path: Path, place: str, value: Any, message: str) -> None:
@@ -287,6 +281,15 @@ def test_what_is_wrong_with_a_material_is_named(tmp_path: Path, place: str, valu
         load_surface(gltf.save(tmp_path / "bad.glb"))
     assert str(caught.value).startswith("bad.glb")
     assert len(str(caught.value)) < 250
+
+
+def test_textured_meshes_without_coordinates_read_one_texel(tmp_path: Path) -> None:
+    gltf = Gltf()
+    gltf.show(gltf.primitive(material=gltf.material(gltf.texture(gltf.image(png(random_image(4, 4)))))))
+    with pytest.warns(ModelWarning, match="of meshes without TEXCOORD_0, which read one texel"):
+        surface = load_surface(gltf.save(tmp_path / "a.glb"))
+    found = surface.evaluate(surface.scatter(20))
+    np.testing.assert_allclose(found, np.repeat(found[:1], 20, axis=0), atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["NORMAL", "TANGENT", "TEXCOORD_0", "TEXCOORD_1", "COLOR_0"])

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from octex.channels import srgb_to_linear
-from octex.errors import ImageError, ModelError
+from octex.errors import ImageError, ModelError, ModelWarning
 from octex.source.load import load_surface
 from octex.source.surface import Surface
 from tests.fixtures import SQUARE, SQUARE_TRIANGLES, ply, ply_square, png, random_image, stl
@@ -243,7 +243,7 @@ def test_bad_textures_of_a_ply_file_are_named(tmp_path: Path) -> None:
     with pytest.raises(ImageError, match=r"a\.ply: wood\.png cannot be read as an image"):
         load_surface(path)
     (tmp_path / "wood.png").write_bytes(png(random_image(2, 2)))
-    with pytest.raises(ModelError, match=r"a\.ply names the image wood\.png but has no texture coordinates"):
+    with pytest.warns(ModelWarning, match=r"a\.ply names the image wood\.png but has no texture coordinates"):
         load_surface(ply(tmp_path / "a.ply", ply_square(), comments=comments))
     with pytest.raises(ModelError, match="texnumber is not among its 1 TextureFiles"):
         load_surface(ply(tmp_path / "a.ply", ply_square(**st, texnumber=("int", [0, 1])), comments=comments))
@@ -284,6 +284,30 @@ def test_off_colours_may_be_fractions_with_alpha(tmp_path: Path) -> None:
     samples = surface.scatter(5)
     np.testing.assert_allclose(surface.evaluate(samples), [[1, 0, 0]] * 5)
     np.testing.assert_allclose(surface.evaluate(samples, "alpha"), 0.5)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_triangle_strips_of_a_ply_file_are_its_faces(tmp_path: Path, encoding: str) -> None:
+    """Range scans have them: −1 ends a strip, and repeated vertices begin another within one."""
+    points = {axis: ("float", [n**k for n in range(8)]) for k, axis in enumerate("xyz", 1)}
+    strips = [[0, 1, 2, 3, -1, 4, 5, 6, -1, -1, 1, 2], [3, 4, 5, 5, 6, 6, 7, 0]]
+    path = ply(
+        tmp_path / "a.ply",
+        {"vertex": points, "tristrips": {"vertex_indices": ("list int int", strips)}},
+        encoding=encoding,
+    )
+    expected = [[0, 1, 2], [2, 1, 3], [4, 5, 6], [3, 4, 5], [7, 6, 0]]
+    found = load_surface(path).triangles
+    assert {tuple(np.roll(row, -row.argmin())) for row in found} == {
+        tuple(np.roll(row, -np.argmin(row))) for row in expected
+    }
+    assert len(found) == len(expected)
+
+
+def test_off_faces_may_go_on_to_other_lines(tmp_path: Path) -> None:
+    points = "0 0 0\n2 0 0\n2 2 0\n0 2 0\n1 1 5\n"
+    surface = load_surface(off(tmp_path / "a.off", f"OFF\n5 2 0\n{points}4 0 \n1 \n2 \n3 \n\n3 0\n1 4\n"))
+    np.testing.assert_array_equal(surface.triangles, [[0, 1, 2], [0, 2, 3], [0, 1, 4]])
 
 
 def test_off_faces_have_colours_of_their_own_and_any_number_of_corners(tmp_path: Path) -> None:

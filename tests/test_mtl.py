@@ -247,7 +247,9 @@ def test_an_image_is_read_once_however_often_it_is_named(tmp_path: Path) -> None
 
 
 def test_options_that_are_left_out_change_nothing(tmp_path: Path) -> None:
-    options = '-blendu off -blendv on -boost 2 -cc on -texres 64 -t 1 2 3 -type sphere "a.png"'
+    options = (
+        '-blendu off -blendv on -boost 2 -cc on -colorspace sRGB -texres 64 -t 1 2 3 -type sphere "a.png"'
+    )
     found = describe(tmp_path, f"map_Kd {options}")
     np.testing.assert_array_equal(
         texels(found.material.inputs["base_color"])[..., :3], COLORS.astype(np.uint16) * 257

@@ -350,7 +350,6 @@ def test_a_bad_model_is_refused_in_one_line_that_names_it(tmp_path: Path, lines:
 @pytest.mark.parametrize(
     ("mtl", "faces", "error", "message"),
     [
-        (WOOD, "f 1 2 3\n", ModelError, "textured faces without texture coordinates"),
         ("newmtl wood\nmap_Kd gone.png\n", FACES, ImageError, "material wood: the image gone.png is missing"),
         ("newmtl wood\nmap_Kd " + "a" * 300 + "\n", FACES, ImageError, "is missing"),
         ("newmtl wood\nmap_Kd a.mtl\n", FACES, ImageError, "material wood: a.mtl cannot be read as an image"),
@@ -365,6 +364,17 @@ def test_a_bad_material_is_named(
 ) -> None:
     with pytest.raises(error, match=message):
         load_surface(wooden(tmp_path, mtl, faces))
+
+
+@pytest.mark.parametrize(("square", "faces"), [(OBJ_SQUARE, "f 1 2 3\n" + FACES), ("", "f 1/1 2/2 3/3\n")])
+def test_textured_faces_without_coordinates_read_one_texel(tmp_path: Path, square: str, faces: str) -> None:
+    bare = "v 0 0 0\nv 1 0 0\nv 1 1 0\n"
+    path = wooden(tmp_path, faces=faces, square=square or bare)
+    with pytest.warns(ModelWarning, match=r"a\.obj has 1 textured triangles without texture coordinates"):
+        surface = load_surface(path)
+    samples = surface.scatter(200, seed=0)
+    found = surface.evaluate(samples)[samples.triangles == 0]
+    np.testing.assert_allclose(found, np.repeat(found[:1], len(found), axis=0), atol=1e-6)
 
 
 def test_without_its_library_a_model_is_white_with_a_warning(tmp_path: Path) -> None:

@@ -131,9 +131,17 @@ def test_tiff_images_keep_every_code_and_value(dtype: str, samples: int) -> None
     else:
         stored = random_light(3, 4, samples, dtype)
         expected = with_alpha(stored.astype(np.float32))
-    found = decode_image(tiff(stored, 1 if samples == 1 else 2), "a")
-    assert found.dtype == expected.dtype
-    np.testing.assert_array_equal(found, expected)
+    for order in "<>":
+        found = decode_image(tiff(stored, 1 if samples == 1 else 2, order=order), "a")
+        assert found.dtype == expected.dtype
+        np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_tiff_images_of_eight_bits_have_either_byte_order(order: str) -> None:
+    stored = random_image(3, 4, 3, "uint8")
+    found = decode_image(tiff(stored, 2, order=order), "a")
+    np.testing.assert_array_equal(found, with_alpha(257 * stored.astype(np.uint16), 65535))
 
 
 @needs_extra
@@ -154,6 +162,22 @@ def test_tiff_images_may_call_white_0() -> None:
     np.testing.assert_array_equal(decode_image(tiff(stored, 0), "a"), with_alpha(65535 - stored, 65535))
     light = random_light(3, 4, 1)
     np.testing.assert_array_equal(decode_image(tiff(light, 0), "a"), with_alpha(1 - light))
+
+
+@needs_extra
+def test_deep_images_are_to_be_flattened(tmp_path: Path) -> None:
+    import OpenImageIO
+
+    spec = OpenImageIO.ImageSpec(2, 2, 4, "half")
+    spec.channelnames, spec.deep = ("R", "G", "B", "A"), True
+    file = OpenImageIO.ImageOutput.create("a.exr")
+    assert file.open(str(tmp_path / "a.exr"), spec)
+    texels = OpenImageIO.DeepData()
+    texels.init(4, 4, ["half"] * 4, ["R", "G", "B", "A"])
+    assert file.write_deep_image(texels)
+    file.close()
+    with pytest.raises(ImageError, match=r"a\.exr is a deep image, of several layers at a pixel; flatten it"):
+        decode_image((tmp_path / "a.exr").read_bytes(), "a.exr")
 
 
 @needs_extra

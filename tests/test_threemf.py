@@ -97,6 +97,10 @@ def test_the_file_says_colours_as_the_specification_has_them(tmp_path: Path) -> 
     with zipfile.ZipFile(tmp_path / "square.3mf") as package:
         tree = ElementTree.fromstring(package.read("3D/3dmodel.model"))
     assert tree.get("unit") == "millimeter"
+    read = octex.load_surface(tmp_path / "square.3mf")
+    samples = read.scatter(100, seed=0)
+    np.testing.assert_allclose(read.vertices[read.triangles], surface.vertices[surface.triangles][:2])
+    np.testing.assert_allclose(read.evaluate(samples), surface.evaluate(samples), atol=1e-6)
     group = tree.find(f".//{MATERIALS}colorgroup")
     assert group is not None
     texts = [str(each.get("color")).upper() for each in group]

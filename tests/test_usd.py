@@ -382,9 +382,6 @@ def test_damaged_stages_are_refused_in_one_line(tmp_path: Path, baked: Surface) 
     without(lambda _, mesh: mesh.CreatePointsAttr([(0, 0, float("nan"))] * 4), "points that are not finite")
     without(lambda made, _: made.stage.RemovePrim("/mesh"), "has no triangles")
     without(
-        lambda _, mesh: UsdGeom.PrimvarsAPI(mesh).RemovePrimvar("st"), "textured material but no primvar st"
-    )
-    without(
         lambda _, mesh: UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st").Set(Vt.Vec2fArray(2)), "uses a value 3"
     )
     without(lambda made, _: (made.path.parent / "image.png").unlink(), "image.png is not there", ImageError)
@@ -420,6 +417,55 @@ def test_what_is_connected_and_not_read_is_said(tmp_path: Path) -> None:
     surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(color)
     with pytest.warns(ModelWarning, match="what diffuseColor is connected to is not read; bake it"):
         made.read()
+
+
+def test_images_without_coordinates_are_read_at_0_0(tmp_path: Path) -> None:
+    made = Stage(tmp_path)
+    made.material(made.square(st=None))
+    with pytest.warns(ModelWarning, match=r"/mesh lack the primvar st: images are read at \(0, 0\)"):
+        read = made.read()
+    expected = srgb_to_linear(made.codes[1, 0] / 255.0)
+    np.testing.assert_allclose(colors_at(read, QUARTERS), [expected] * 4, atol=1e-3)
+
+
+def test_an_image_without_a_file_is_its_fallback(tmp_path: Path) -> None:
+    made = Stage(tmp_path)
+    made.material(made.square(), fallback=("Float4", Gf.Vec4f(0.2, 0.4, 0.6, 1.0)))
+    UsdShade.Shader.Get(made.stage, "/material/image").GetPrim().RemoveProperty("inputs:file")
+    with pytest.warns(ModelWarning, match="/material/image names no image, so it is its fallback"):
+        read = made.read()
+    np.testing.assert_allclose(colors_at(read, QUARTERS), [[0.2, 0.4, 0.6]] * 4, atol=1e-6)
+
+
+def test_what_programs_write_besides_the_specification_is_read(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Paths with backslashes, bindings without their schema, shapes that are no meshes, missing files."""
+    made = Stage(tmp_path)
+    mesh = made.square()
+    made.material(mesh)
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "image.png").rename(tmp_path / "maps/image.png")
+    UsdShade.Shader.Get(made.stage, "/material/image").GetInput("file").Set(".\\maps\\image.png")
+    mesh.GetPrim().RemoveAPI(UsdShade.MaterialBindingAPI)
+    UsdGeom.Sphere.Define(made.stage, "/ball")
+    made.stage.DefinePrim("/part").GetReferences().AddReference("gone.usda")
+    made.stage.GetRootLayer().Save()
+    text = made.path.read_text().replace("metersPerUnit = 1", "metersPerUnit = 0.5")
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    assert layer.ImportFromString(text)
+    made.path = tmp_path / "model.usdc"
+    layer.Export(str(made.path))
+    capfd.readouterr()
+    with pytest.warns(ModelWarning) as said:
+        read = octex.load_surface(made.path)
+    texts = " ".join(str(each.message) for each in said)
+    assert "leaves out 1 Sphere" in texts
+    assert "gone.usda" in texts
+    assert capfd.readouterr().err == ""
+    np.testing.assert_allclose(read.bounds, [[0, 0, 0], [0.5, 0.5, 0]])
+    found = colors_at(read, 0.5 * np.array(QUARTERS))
+    np.testing.assert_allclose(found, srgb_to_linear(made.codes.reshape(-1, 3) / 255.0), atol=1e-3)
 
 
 def test_without_usd_core_its_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

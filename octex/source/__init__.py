@@ -1,7 +1,7 @@
 """Where values come from: models, their geometry, materials and images, as one surface with a source.
 
 images/     image files decoded, their levels stored, footprints read by filters
-models/     glTF, USD, OBJ, PLY, OFF and STL files read
+models/     glTF, USD, OBJ, PLY, OFF, STL and 3MF files read
 base        what a source is; sources joined
 materials   the source that model files have
 evaluate    its kernels

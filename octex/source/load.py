@@ -19,6 +19,7 @@ from octex.source.models.gltf import load_gltf, load_gltf_motion
 from octex.source.models.meshfiles import load_off, load_ply, load_stl
 from octex.source.models.obj import load_obj
 from octex.source.models.options import Options
+from octex.source.models.threemf import load_3mf
 from octex.source.models.usd import load_usd
 from octex.source.motion import Motion
 from octex.source.surface import Surface
@@ -30,6 +31,7 @@ _READERS: dict[str, Callable[[Path, Options], Surface]] = {
     ".ply": load_ply,
     ".off": load_off,
     ".stl": load_stl,
+    ".3mf": load_3mf,
     **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), load_usd),
 }
 

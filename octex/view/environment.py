@@ -16,7 +16,7 @@ import numpy.typing as npt
 from octex.arrays import Float32s, Float64s, Int64s
 from octex.channels import decode
 from octex.checks import as_number, as_reals
-from octex.errors import ArgumentError
+from octex.errors import ArgumentError, ImageError
 from octex.jit import inlined, kernel
 from octex.source.images.decode import as_texels, read_image_file
 from octex.source.images.pyramid import Texels
@@ -76,10 +76,18 @@ class Environment:
     ) -> Environment:
         """Make one of an image file, ``.hdr``, ``.exr`` or another; else as ``of``."""
         texels, _ = read_image_file(Path(path))
-        return cls._of(_as_light(texels), as_number(exposure, "exposure", -64.0, 64.0), up)
+        return cls._of(_as_light(texels), as_number(exposure, "exposure", -64.0, 64.0), up, Path(path).name)
 
     @classmethod
-    def _of(cls, light: Float64s, exposure: float, up: npt.ArrayLike) -> Environment:
+    def _of(
+        cls, light: Float64s, exposure: float, up: npt.ArrayLike, name: str = "the picture"
+    ) -> Environment:
+        height, width = light.shape[:2]
+        if height > width:  # the faces of a cube, one below another
+            raise ImageError(
+                f"{name} is no light from all around: its {width} × {height} texels are higher than wide; "
+                "give a latitude-longitude map, twice as wide as high"
+            )
         tables = _tables(_resampled(np.maximum(light, 0.0)) * 2.0**exposure)
         return cls(Tables(*tables, _axes_of(up)))
 

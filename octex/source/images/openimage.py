@@ -57,7 +57,7 @@ def deep_format(data: bytes) -> str | None:
 
 def _tiff_is_deep(data: bytes) -> bool:
     """Whether a TIFF image is of more than eight bits, but for what Pillow reads whole."""
-    directory = PIL.TiffImagePlugin.ImageFileDirectory_v2(data[: 16 if data[2:3] in b"+\0" else 8])
+    directory = PIL.TiffImagePlugin.ImageFileDirectory_v2(data[: 16 if b"+" in data[2:4] else 8])
     file = io.BytesIO(data)
     file.seek(directory.next)
     directory.load(file)
@@ -155,7 +155,9 @@ def _find(file: Any, name: str) -> tuple[int, Any, list[int]]:
     part = 0
     while file.seek_subimage(part, 0):
         spec = file.spec()
-        places = [] if spec.deep else _color_channels(spec.channelnames)
+        places = _color_channels(spec.channelnames)
+        if places and spec.deep:
+            raise ImageError(f"{name} is a deep image, of several layers at a pixel; flatten it")
         if places:
             return part, spec, places
         names += spec.channelnames

@@ -7,6 +7,7 @@ samplers, texture transforms and all texture coordinates but the first.
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Sequence
 from functools import partial
 from itertools import zip_longest
@@ -16,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Float32s, Float64s, Floats, Int32s, Int64s
-from octex.errors import ModelError
+from octex.errors import ModelError, ModelWarning
 from octex.source.corners import Corners, Frames
 from octex.source.materials import MaterialSource
 from octex.source.models.gltf_animation import fields_at
@@ -313,10 +314,11 @@ class _Scene:
             name = f"TEXCOORD_{slot.number}"
             given = uv if slot.number == 0 else self._attribute(shape, name, (2,))
             if given is None:
-                raise ModelError(
-                    f"{self._document.name}: {shape.name} has a textured material but no {name}; "
-                    "give the mesh texture coordinates, or export it without the texture"
+                text = (
+                    f"{self._document.name}: a textured material is of meshes without {name}, which read one"
                 )
+                warnings.warn(text + " texel; give them coordinates", ModelWarning, stacklevel=2)
+                given = np.zeros((len(shape.positions), 2))
             with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused in use
                 coordinates.append(slot.applied(given).astype(np.float32))
         frames = self._frames(shape, bound, coordinates) if has_normals else None

@@ -9,6 +9,8 @@ import io
 import logging
 import re
 import warnings
+from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,7 +18,7 @@ import numpy as np
 
 from octex.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s
 from octex.channels import ONE
-from octex.errors import ImageError, ModelError
+from octex.errors import ImageError, ModelError, ModelWarning
 from octex.files import read_bytes, referred
 from octex.jit import kernel
 from octex.source.alone import alone
@@ -47,6 +49,7 @@ _PLY_COLORS = (("red", "green", "blue", "alpha"), ("diffuse_red", "diffuse_green
 def load_ply(path: Path, options: Options) -> Surface:
     """Read a PLY model: colours of vertices, or else of faces, and the images of its TextureFile comments.
 
+    Faces are polygons, or strips of triangles where there are none, as range scans have them.
     Colours are sRGB values; texture coordinates, of vertices or of faces, have v up.
     Raises ModelError or ImageError.
     """
@@ -90,8 +93,8 @@ def load_stl(path: Path, options: Options) -> Surface:
                 f"{path.name}: a facet's vertices are not three times three numbers; export it again"
             ) from None
     faces = np.array(mesh.faces, np.int64)
-    shape = _shape(path.name, np.array(mesh.vertices, np.float64), faces.ravel(), np.full(len(faces), 3))
-    return _colored(path.name, options, shape, None)
+    shape = cut_shape(path.name, np.array(mesh.vertices, np.float64), faces.ravel(), np.full(len(faces), 3))
+    return colored_surface(path.name, options, shape, None)
 
 
 class _Shape(NamedTuple):
@@ -112,7 +115,7 @@ class _Shape(NamedTuple):
         return None
 
 
-def _shape(
+def cut_shape(
     name: str,
     positions: Float64s,
     indices: Int64s,
@@ -128,22 +131,21 @@ def _shape(
     return _Shape(positions, triangles, corners, numbers, cut_polygons(corners, numbers, sizes))
 
 
-def _colored(
+def colored_surface(
     name: str,
     options: Options,
     shape: _Shape,
     colors: Corners | None,
-    textures: list[Texture] | None = None,
+    textures: Sequence[Texture | None] = (None,),
     numbers: Int32s | None = None,
     coordinates: Corners | None = None,
 ) -> Surface:
     """Build a surface of colours and textures alone; any alpha of a colour below 1 counts as it is."""
     translucent = colors is not None and bool((colors.values[:, 3] < 1).any())
     mode: AlphaMode = "blend" if translucent else "opaque"
-    textured: list[Texture | None] = [*textures] if textures else [None]
     materials = [
         Material({"base_color": Input((1.0, 1.0, 1.0), each), "alpha": Input((1.0,), each, (3,))}, mode)
-        for each in textured
+        for each in textures
     ]
     if numbers is None:
         numbers = np.zeros(len(shape.triangles), np.int32)
@@ -313,16 +315,22 @@ class _Ply:
         indices = sizes = np.empty(0, np.int64)
         if listed is not None and listed.sizes is not None:
             indices, sizes = whole_numbers(listed.values), listed.sizes
-        shape = _shape(self.name, positions, indices, sizes)
+        strips = self.data.get("tristrips", {})
+        listed = strips.get("vertex_indices", strips.get("vertex_index"))
+        if not len(sizes) and listed is not None and listed.sizes is not None:
+            indices = _of_strips(whole_numbers(listed.values), listed.sizes)
+            sizes = np.full(len(indices) // 3, 3)
+        shape = cut_shape(self.name, positions, indices, sizes)
         colors = shape.colors(_ply_colors(vertex), _ply_colors(face))
         coordinates = self._coordinates(vertex, lists.get("texcoord"), shape, sizes)
         if not options.wants("base_color") or not self.images:
-            return _colored(self.name, options, shape, colors, coordinates=coordinates)
+            return colored_surface(self.name, options, shape, colors, coordinates=coordinates)
         if coordinates is None:
-            raise ModelError(
-                f"{self.name} names the image {self.images[0]} but has no texture coordinates; give it some, "
-                "or remove the TextureFile comment"
+            text = (
+                f"{self.name} names the image {self.images[0]} but has no texture coordinates to read it at"
             )
+            warnings.warn(text + ", so it is left out; give it some", ModelWarning, stacklevel=2)
+            return colored_surface(self.name, options, shape, colors)
         textures = [Texture(self._image(image)) for image in self.images]
         numbers = None
         if "texnumber" in face:
@@ -332,7 +340,7 @@ class _Ply:
                     f"{self.name}: a face's texnumber is not among its {len(textures)} TextureFiles"
                 )
             numbers = chosen[shape.numbers].astype(np.int32)
-        return _colored(self.name, options, shape, colors, textures, numbers, coordinates)
+        return colored_surface(self.name, options, shape, colors, textures, numbers, coordinates)
 
     def _coordinates(
         self,
@@ -376,6 +384,21 @@ def _ply_colors(element: dict[str, _Values]) -> Float32s | None:
             columns.append(each.values / largest)
         return screen_colors(np.stack(columns, axis=1))
     return None
+
+
+def _of_strips(indices: Int64s, sizes: Int64s) -> Int64s:
+    """Return the triangles, vertex after vertex, of strips of so many indices, which −1 also ends."""
+    strip = np.repeat(np.arange(len(sizes)), sizes) + np.cumsum(indices < 0)
+    begins = np.ones(len(indices), np.bool_)
+    begins[1:] = (strip[1:] != strip[:-1]) | (indices[:-1] < 0)
+    place = np.arange(len(indices))
+    place -= np.maximum.accumulate(np.where(begins, place, 0))
+    first = np.flatnonzero((place >= 2) & (indices >= 0)) - 2
+    # Every other triangle of a strip is listed the other way round.
+    odd = place[first] % 2
+    triangles = np.stack([indices[first + odd], indices[first + 1 - odd], indices[first + 2]], axis=1)
+    whole: Int64s = triangles[(triangles != np.roll(triangles, 1, axis=1)).all(axis=1)]
+    return whole.ravel()
 
 
 @kernel
@@ -441,7 +464,7 @@ class _Off:
         if vertices < 0 or faces < 0 or vertices + faces > len(lines):
             raise ModelError(f"{self.name} is truncated: it has fewer lines than vertices and faces")
         self._vertices = self._rows(lines[:vertices])
-        self._faces = self._rows(lines[vertices : vertices + faces])
+        self._faces = self._rows(_whole_faces(lines[vertices:], faces))
 
     def _rows(self, lines: list[str]) -> _Rows:
         counts = np.array([len(line.split()) for line in lines], np.int64)
@@ -460,10 +483,19 @@ class _Off:
             raise ModelError(f"{self.name}: a face has fewer corners than it says; export it again")
         within = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
         indices = whole_numbers(faces.values[np.repeat(faces.starts + 1, sizes) + within])
-        shape = _shape(self.name, positions, indices, sizes)
+        shape = cut_shape(self.name, positions, indices, sizes)
         of_vertices = _off_colors(vertices, np.full(len(positions), self._skip), self._tail)
         of_faces = _off_colors(faces, sizes + 1, 0)
-        return _colored(self.name, options, shape, shape.colors(of_vertices, of_faces))
+        return colored_surface(self.name, options, shape, shape.colors(of_vertices, of_faces))
+
+
+def _whole_faces(lines: list[str], count: int) -> list[str]:
+    """Return a line a face; of a file that goes on to the next line within a face, joined ones."""
+    if all(len(line.split()) > int(line.split()[0]) for line in lines[:count] if line.split()[0].isdigit()):
+        return lines[:count]
+    words = iter(" ".join(lines).split())
+    faces = [[word, *islice(words, int(word))] for word in islice(words, count) if word.isdigit()]
+    return [" ".join(face) for face in faces]
 
 
 class _Rows(NamedTuple):

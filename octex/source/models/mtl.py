@@ -22,8 +22,8 @@ to it. The field's practice is followed:
   leftovers: without a map or a Pr in any material in use, they make a channel only if asked for by name.
 * -mm base gain makes base + gain · t of the stored values t, kept in 0 … 1. -s and then -o change a map's
   coordinates, -clamp on repeats the image's edge. Left out, as elsewhere: -t (turbulence), -blendu, -blendv,
-  -boost, -cc, -texres, -type; map_Ns (exponents, gloss or roughness, as the program likes), map_Ka, disp,
-  decal, refl, Ni, Tf, illum, and sheen, clear coat and anisotropy (Ps, Pc, Pcr, aniso, anisor).
+  -boost, -cc, -colorspace, -texres, -type; map_Ns (exponents, gloss or roughness, as the program likes),
+  map_Ka, disp, decal, refl, Ni, Tf, illum, and sheen, clear coat and anisotropy (Ps, Pc, Pcr, aniso, anisor).
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ from octex.source.models.text import parse_numbers
 
 # How many words follow an option of a texture map; up to three numbers follow the last three.
 _OPTION_WORDS = {
-    "-blendu": 1, "-blendv": 1, "-boost": 1, "-bm": 1, "-cc": 1, "-clamp": 1, "-imfchan": 1, "-mm": 2,
-    "-texres": 1, "-type": 1, "-o": 3, "-s": 3, "-t": 3,
+    "-blendu": 1, "-blendv": 1, "-boost": 1, "-bm": 1, "-cc": 1, "-clamp": 1, "-colorspace": 1,
+    "-imfchan": 1, "-mm": 2, "-texres": 1, "-type": 1, "-o": 3, "-s": 3, "-t": 3,
 }  # fmt: skip
 _LANES = {"r": 0, "g": 1, "b": 2, "m": 3}
 

@@ -217,6 +217,8 @@ def _faces(text: _Text, name: str) -> tuple[Int64s, Int64s]:
         line = text.faces[-1 - count]
         raise ModelError(f"{name}: a line 'f {line[:40]}' is not a face; export the model again")
     corners = corners[:count]
+    if not text.coordinates:  # some exporters count what they leave out
+        corners[:, 1] = -1
     _check(corners[:, 0], 0, len(text.vertices), name, "vertex")
     _check(corners[:, 1], -1, len(text.coordinates), name, "texture coordinate")
     return corners, sizes
@@ -323,15 +325,17 @@ def _coordinates(
 ) -> list[Corners]:
     """Bind texture coordinates, as they are and then, slot by slot, as each material's maps change them."""
     textured = np.array([bool(each.transforms) for each in known])[numbers]
-    if (rows[textured] < 0).any():
-        raise ModelError(
-            f"{name} has textured faces without texture coordinates; give them some, or remove the texture"
-        )
+    lacking = int((rows[textured] < 0).any(axis=1).sum())
+    if lacking:
+        said = f"{name} has {lacking} textured triangles without texture coordinates: they read one texel"
+        warnings.warn(said + "; give them some", ModelWarning, stacklevel=2)
     plain = _numbers(text.coordinates, 1, name, "vt")
     if plain.shape[1] == 1:
         plain = np.append(plain, np.zeros_like(plain), axis=1)
     plain = np.where(np.isnan(plain), 0.0, plain)[:, :2]
-    rows = np.maximum(rows, 0)
+    if lacking:  # as elsewhere, at (0, 0)
+        plain = np.append(plain, np.zeros((1, 2)), axis=0)
+    rows = np.where(rows < 0, max(len(plain) - 1, 0), rows)
     found = [Corners(flip_v(plain), rows.astype(np.int32))]
     for slot in range(max(len(each.transforms) for each in known)):
         values, bound = [found[0].values], rows.copy()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from collections import Counter
 from collections.abc import Mapping
 from itertools import zip_longest
 from pathlib import Path
@@ -34,19 +35,29 @@ def load_usd(path: Path, options: Options) -> Surface:
     """Read the meshes of a USD stage that are shown, with what ``options`` asks for of their materials.
 
     ``uv`` is ``st``, or what the first image is read at, where all meshes have it. ``provenance`` holds the
-    digests of the images. Point instancers are left out, and materials other than UsdPreviewSurface are
-    white, with ModelWarning. Raises ModelError, ImageError, or MissingExtraError without usd-core.
+    digests of the images. Point instancers and shapes that are no meshes are left out, materials other than
+    UsdPreviewSurface are white, and where coordinates are missing images are read at (0, 0), as the
+    specification says, with ModelWarning. Raises ModelError, ImageError, or MissingExtraError without
+    usd-core.
     """
     try:
-        from pxr import Tf, Usd
+        from pxr import Tf, Usd, UsdUtils
     except ImportError:
         raise MissingExtraError.needed(f"{path.name}: to read USD", "usd-core", "usd") from None
+    quiet = UsdUtils.CoalescingDiagnosticDelegate()  # keeps off the screen what OpenUSD prints while it lives
     try:
         stage = Usd.Stage.Open(str(path.absolute()))
+        _refuse_absolute(stage, path.name)
+        faults = dict.fromkeys(" ".join(str(fault).split()) for fault in stage.GetCompositionErrors())
+        if faults:
+            more = f" … and {len(faults) - 1} more like that" if len(faults) > 1 else ""
+            text = f"{path.name} is not whole: {next(iter(faults))[:200]}{more}"
+            warnings.warn(text, ModelWarning, stacklevel=2)
+        return _Scene(stage, path.name, options).surface()
     except Tf.ErrorException:
         raise ModelError(f"{path.name} is damaged, or no USD stage; export it again") from None
-    _refuse_absolute(stage, path.name)
-    return _Scene(stage, path.name, options).surface()
+    finally:
+        del quiet
 
 
 def _refuse_absolute(stage: Any, name: str) -> None:
@@ -83,6 +94,7 @@ class _Scene:
         self._time = Usd.TimeCode.EarliestTime()
         self._places = UsdGeom.XformCache(self._time)
         self._materials = Materials(name, options)
+        self._lacking: dict[str, list[str]] = {}  # meshes without coordinates that are asked for, by name
 
     def surface(self) -> Surface:
         """Return all that is shown."""
@@ -98,6 +110,10 @@ class _Scene:
             for prim in prims
             if len((shape := self._shape(prim, *materials[prim.GetPath()], mapped)).triangles)
         ]
+        for name, meshes in self._lacking.items():
+            more = f" and {len(meshes) - 1} more" if len(meshes) > 1 else ""
+            text = f"{self._name}: {meshes[0]}{more} lack the primvar {name}: images are read at (0, 0) there"
+            warnings.warn(text, ModelWarning, stacklevel=2)
         if not shapes:
             raise ModelError(f"{self._name} has no triangles; octex needs a surface, not points or curves")
         has_normals = mapped or (self._options.normals and any(each.is_smooth for _, each in shapes))
@@ -165,20 +181,29 @@ class _Scene:
         from pxr import Usd, UsdGeom
 
         found = []
+        others: Counter[str] = Counter()
         every = iter(Usd.PrimRange(self._stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()))
         for prim in every:
             if prim.IsA(UsdGeom.PointInstancer):
                 every.PruneChildren()
                 text = f"{self._name}: {prim.GetPath()} is a point instancer, which octex leaves out"
                 warnings.warn(text, ModelWarning, stacklevel=2)
-            elif prim.IsA(UsdGeom.Mesh):
+            elif prim.IsA(UsdGeom.Gprim):
                 seen = UsdGeom.Imageable(prim)
                 is_hidden = seen.ComputeVisibility(self._time) == UsdGeom.Tokens.invisible
-                if not is_hidden and seen.ComputePurpose() in (
+                if is_hidden or seen.ComputePurpose() not in (
                     UsdGeom.Tokens.default_,
                     UsdGeom.Tokens.render,
                 ):
+                    continue
+                if prim.IsA(UsdGeom.Mesh):
                     found.append(prim)
+                else:
+                    others[prim.GetTypeName()] += 1
+        if others:
+            listing = ", ".join(f"{count} {kind}" for kind, count in others.items())
+            text = f"{self._name}: of its shapes octex reads meshes, and leaves out {listing}; export meshes"
+            warnings.warn(text, ModelWarning, stacklevel=2)
         return found
 
     def _placed(self, prim: Any) -> Float64s:
@@ -188,7 +213,8 @@ class _Scene:
         placed = np.array(self._places.GetLocalToWorldTransform(prim)).T
         if UsdGeom.GetStageUpAxis(self._stage) == UsdGeom.Tokens.z:
             placed = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]]) @ placed
-        placed[:3] *= UsdGeom.GetStageMetersPerUnit(self._stage)
+        # Some programs write single precision, which UsdGeom's own function refuses.
+        placed[:3] *= float(self._stage.GetMetadata("metersPerUnit"))
         return np.asarray(placed, np.float64)
 
     def _bound(self, prim: Any) -> tuple[dict[int, Int64s], dict[int, Bound]]:
@@ -280,10 +306,8 @@ class _Scene:
             asked: Slot = bound.slots[slot]
             found = primvars.corners(asked.name, 2)
             if found is None:
-                raise ModelError(
-                    f"{primvars.what} has a textured material but no primvar {asked.name}; give the mesh "
-                    "texture coordinates, or export it without the texture"
-                )
+                self._lacking.setdefault(asked.name, []).append(primvars.place)
+                found = Corners(np.zeros((1, 2), np.float32), np.zeros_like(rows))
             values.append(flip_v(asked.applied(found.values)))
             rows[chosen] = found.rows[chosen] + np.int32(first)
             first += len(found.values)
@@ -314,7 +338,7 @@ class _Primvars:
     ) -> None:
         from pxr import UsdGeom
 
-        self.what = what
+        self.what, self.place = what, str(prim.GetPath())
         self._mesh, self._api, self._time = UsdGeom.Mesh(prim), UsdGeom.PrimvarsAPI(prim), time
         self._rows = {
             "constant": np.zeros(triangles.shape, np.int64),

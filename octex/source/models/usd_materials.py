@@ -107,7 +107,9 @@ class Materials:
             node, output, value = found
             kind = None if node is None else node.GetIdAttr().Get()
             if kind == "UsdUVTexture":
-                inputs[channel] = self._textured(channel, node, output, slots)
+                made = self._textured(channel, node, output, slots)
+                if made is not None:
+                    inputs[channel] = made
             elif kind is not None and kind.startswith("UsdPrimvarReader"):
                 inputs[channel] = Input((1.0,) * CHANNELS[channel].components)
                 kind = f"{channel} {_value(node, 'varname', '')}"
@@ -127,8 +129,8 @@ class Materials:
         material = Material(inputs, mode, cutoff if mode == "mask" else 0.5)
         return Bound(material, tuple(slots), "base_color displayColor" in vertex, reads_opacity)
 
-    def _textured(self, channel: str, node: Any, output: str, slots: dict[Slot, int]) -> Input:
-        """Return what a channel that reads an image is made of."""
+    def _textured(self, channel: str, node: Any, output: str, slots: dict[Slot, int]) -> Input | None:
+        """Return what a channel that reads an image is made of; None for normals of no image."""
         scale = np.array(_value(node, "scale", (1.0,) * 4), np.float64)
         bias = np.array(_value(node, "bias", (0.0,) * 4), np.float64)
         lanes = _LANES.get(output, (0, 1, 2))
@@ -136,6 +138,12 @@ class Materials:
             lanes = lanes[:1]
         elif len(lanes) == 1:
             lanes *= 3
+        asset = _value(node, "file", None)
+        if asset is None or not asset.path:
+            text = f"{self._name}: {node.GetPath()} names no image, so it is its fallback"
+            warnings.warn(text, ModelWarning, stacklevel=2)
+            fallback = np.array(_value(node, "fallback", (0.0, 0.0, 0.0, 1.0)), np.float64)
+            return None if channel == "normal" else Input(tuple(fallback[list(lanes)].tolist()))
         factor, offset = tuple(scale[list(lanes)].tolist()), tuple(bias[list(lanes)].tolist())
         if channel == "normal":  # 2t − 1 of the texel t is what the factor scales
             plain = (scale == 1.0).all() and (bias == 0.0).all()
@@ -143,24 +151,25 @@ class Materials:
         made = Input(factor, None, lanes, offset if any(offset) else ())
         if not self._options.wants_image(channel):
             return made
-        texels = self._image(node, _value(node, "sourceColorSpace", "auto"), channel)
+        texels = self._image(node, asset, _value(node, "sourceColorSpace", "auto"), channel)
         wraps = [_WRAPS.get(_value(node, axis, "useMetadata"), CLAMP) for axis in ("wrapS", "wrapT")]
         place = slots.setdefault(_slot(node), len(slots))
         return made._replace(texture=Texture(texels, wraps[0], wraps[1], False, place))
 
-    def _image(self, node: Any, space: str, channel: str) -> Texels:
+    def _image(self, node: Any, asset: Any, space: str, channel: str) -> Texels:
         """Return an image as codes in the space of a channel."""
         from pxr import Ar
 
-        asset = _value(node, "file", None)
         what = f"{self._name}: {node.GetPath()}"
-        if asset is None or not asset.path:
-            raise ImageError(f"{what} names no image; export the model again")
         if is_absolute(asset.path):
             raise ImageError(
                 f"{what} names {asset.path}; absolute paths are not followed; name it from the model's folder"
             )
         place = asset.resolvedPath
+        if not place:  # some programs write paths as Windows does
+            resolver, root = Ar.GetResolver(), node.GetPrim().GetStage().GetRootLayer()
+            relative = asset.path.replace("\\", "/")
+            place = str(resolver.Resolve(resolver.CreateIdentifier(relative, root.resolvedPath)))
         is_light = CHANNELS[channel].space == "srgb" or channel == "alpha"
         change = {"raw": "to sRGB" if is_light else "", "sRGB": "" if is_light else "to linear"}.get(
             space, ""

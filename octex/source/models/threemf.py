@@ -1,0 +1,276 @@
+"""3MF packages: meshes as the build places them, with their colours.
+
+Core Specification 1.3, Materials and Properties 1.2, Production 1.1. Positions are the file's own numbers,
+whatever their unit. Colour groups, base materials and textures are read; of composites and multi-properties,
+which blend these, the material with the largest share and the last layer, with ModelWarning.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+import zipfile
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from octex.arrays import Float32s, Float64s, Int32s, Int64s
+from octex.channels import ONE
+from octex.errors import ModelError, ModelWarning
+from octex.files import read_bytes
+from octex.source.colors import screen_colors
+from octex.source.corners import Corners
+from octex.source.images.decode import decode_image
+from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
+from octex.source.materials import Texture
+from octex.source.models.meshfiles import colored_surface, cut_shape
+from octex.source.models.options import Options
+from octex.source.surface import Surface, flip_v
+
+_WRAPS = {"wrap": REPEAT, "mirror": MIRROR}
+_MODEL = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
+_NESTED = 64
+
+
+def load_3mf(path: Path, options: Options) -> Surface:
+    """Read what the build of a 3MF package places. Raises ModelError or ImageError."""
+    try:
+        package = zipfile.ZipFile(io.BytesIO(read_bytes(path)))
+    except zipfile.BadZipFile:
+        raise ModelError(f"{path.name} is damaged, or no 3MF package; export it again") from None
+    with package:
+        return _Package(package, path.name, options).surface()
+
+
+class _Group(NamedTuple):
+    """Consecutive rows of the tables, and the number of the image that they are places in, 0 for none."""
+
+    first: int
+    size: int
+    image: int
+    is_blended: bool = False
+
+
+class _Mesh(NamedTuple):
+    """Triangles, and what is bound to them."""
+
+    positions: Float64s
+    triangles: Int64s  # (m, 3)
+    rows: Int64s  # (m, 3)   of the tables, of each corner
+    images: Int32s  # (m,)   the number of each triangle's, 0 for none
+
+
+class _Package:
+    """Collects the meshes of a package; corners have rows of two tables: colours, and places in images."""
+
+    def __init__(self, package: zipfile.ZipFile, name: str, options: Options) -> None:
+        self._package, self._name, self._options = package, name, options
+        self._groups: dict[tuple[str, str], _Group] = {}
+        self._objects: dict[tuple[str, str], Element] = {}
+        self._images: list[Texture | None] = [None]
+        self._colors: list[Float32s] = [np.ones((1, 4), np.float32)]  # row 0 is of what has none
+        self._places: list[Float64s] = [np.zeros((1, 2))]
+        self._parts: dict[str, Element] = {}
+
+    def surface(self) -> Surface:
+        """Return all that the build places."""
+        root = self._root()
+        meshes = [
+            mesh
+            for item in _within(self._part(root), "build", "item")
+            for mesh in self._placed(_path(item, root), item, 0)
+        ]
+        if not meshes:
+            raise ModelError(f"{self._name} has no triangles; octex needs a surface, not slices or beams")
+        firsts = np.cumsum([0, *(len(mesh.positions) for mesh in meshes)])
+        triangles = np.concatenate([m.triangles + first for m, first in zip(meshes, firsts, strict=False)])
+        positions = np.concatenate([mesh.positions for mesh in meshes])
+        shape = cut_shape(self._name, positions, triangles.ravel(), np.full(len(triangles), 3))
+        rows = np.concatenate([mesh.rows for mesh in meshes]).ravel()[shape.corners].astype(np.int32)
+        images = np.concatenate([mesh.images for mesh in meshes])[shape.numbers]
+        return colored_surface(
+            self._name, self._options, shape,
+            Corners(np.concatenate(self._colors), rows) if rows.any() else None,
+            self._images, images,
+            Corners(flip_v(np.concatenate(self._places)), rows) if images.any() else None,
+        )  # fmt: skip
+
+    def _root(self) -> str:
+        """Return the part that the package's relations call its model."""
+        if "_rels/.rels" in self._package.namelist():
+            for each in self._parsed("_rels/.rels"):
+                if each.get("Type") == _MODEL:
+                    return each.get("Target", "").lstrip("/")
+        return "3D/3dmodel.model"
+
+    def _read(self, part: str) -> bytes:
+        try:
+            return self._package.read(part.lstrip("/"))
+        except KeyError:
+            raise ModelError(f"{self._name} has no part {part}; export it again") from None
+
+    def _parsed(self, part: str) -> Element:
+        data = self._read(part)
+        if b"<!DOCTYPE" in data:  # the specification has none, and they may blow up
+            raise ModelError(f"{self._name}: {part} has a document type, which 3MF forbids; export it again")
+        try:
+            return ElementTree.fromstring(data)
+        except ElementTree.ParseError as error:
+            raise ModelError(f"{self._name}: {part} is damaged ({error}); export it again") from None
+
+    def _part(self, part: str) -> Element:
+        """Return a model part, whose objects and groups are known from then on."""
+        if part not in self._parts:
+            self._parts[part] = root = self._parsed(part)
+            textures = {each.get("id", ""): each for each in _within(root, "resources", "texture2d")}
+            for resources in _within(root, "resources"):
+                for each in resources:
+                    key = part, each.get("id", "")
+                    if _tag(each) == "object":
+                        self._objects[key] = each
+                    elif self._options.materials:
+                        self._group(key, each, textures)
+        return self._parts[part]
+
+    def _group(self, key: tuple[str, str], group: Element, textures: dict[str, Element]) -> None:
+        """Add the rows of a group to the tables."""
+        kind, rows = _tag(group), list(group)
+        count, image = len(rows), 0
+        colors, places = np.ones((count, 4), np.float32), np.zeros((count, 2))
+        if kind in ("colorgroup", "basematerials"):
+            word = "color" if kind == "colorgroup" else "displaycolor"
+            codes = [_color(each.get(word, "#FFFFFFFF")) for each in rows]
+            colors = screen_colors(np.array(codes, np.float64).reshape(-1, 4) / 255.0)
+        elif kind == "texture2dgroup" and self._options.wants("base_color"):
+            image = self._image(textures[group.get("texid", "")])
+            places = np.array([[each.get("u"), each.get("v")] for each in rows], np.float64).reshape(-1, 2)
+        elif kind in ("multiproperties", "compositematerials"):
+            self._blended(key, group)
+            return
+        elif kind != "texture2dgroup":
+            return
+        self._groups[key] = _Group(sum(map(len, self._colors)), count, image)
+        self._colors.append(colors)
+        self._places.append(places)
+
+    def _blended(self, key: tuple[str, str], group: Element) -> None:
+        """Add rows for a group that blends others: those of one of them."""
+        part, _ = key
+        if _tag(group) == "multiproperties":
+            layer = len(group.get("pids", "").split()) - 1
+            other = group.get("pids", "").split()[layer]
+            chosen = [int((each.get("pindices", "").split() + ["0"] * (layer + 1))[layer]) for each in group]
+        else:
+            other = group.get("matid", "")
+            listed = [int(word) for word in group.get("matindices", "").split()]
+            chosen = [
+                listed[int(np.argmax([float(word) for word in each.get("values", "").split()]))]
+                for each in group
+            ]
+        of = self._groups.get((part, other))
+        if of is not None:
+            taken = of.first + self._checked(np.array(chosen, np.int64), of.size)
+            colors, places = np.concatenate(self._colors), np.concatenate(self._places)
+            self._groups[key] = _Group(len(colors), len(taken), of.image, True)
+            self._colors.append(colors[taken])
+            self._places.append(places[taken])
+
+    def _image(self, texture: Element) -> int:
+        """Return the number of an image."""
+        place = texture.get("path", "")
+        texels = decode_image(self._read(place), f"{self._name}: {place}")
+        texels[..., 3] = ONE[texels.dtype.name]
+        u, v = (_WRAPS.get(texture.get(f"tilestyle{axis}", "wrap"), CLAMP) for axis in "uv")
+        self._images.append(Texture(texels, u, v))
+        return len(self._images) - 1
+
+    def _placed(self, part: str, item: Element, depth: int) -> list[_Mesh]:
+        """Return the meshes of an item of the build, or of a component, in the space that it is placed in."""
+        self._part(part)
+        number = item.get("objectid", "")
+        if depth > _NESTED or (part, number) not in self._objects:
+            raise ModelError(
+                f"{self._name}: object {number!r} is missing, or contains itself; export it again"
+            )
+        entry = self._objects[part, number]
+        meshes = [
+            mesh
+            for each in _within(entry, "components", "component")
+            for mesh in self._placed(_path(each, part), each, depth + 1)
+        ]
+        meshes += [self._mesh(part, entry, mesh) for mesh in _within(entry, "mesh")]
+        given = item.get("transform")
+        if given is None:
+            return meshes
+        matrix = np.array(given.split(), np.float64).reshape(4, 3)
+        # A mirroring transform turns triangles inside out.
+        order = slice(None, None, -1 if np.linalg.det(matrix[:3]) < 0 else 1)
+        linear, offset = matrix[:3], matrix[3]
+        return [
+            _Mesh(
+                each.positions @ linear + offset, each.triangles[:, order], each.rows[:, order], each.images
+            )
+            for each in meshes
+        ]
+
+    def _mesh(self, part: str, entry: Element, mesh: Element) -> _Mesh:
+        corners = [(v.get("x"), v.get("y"), v.get("z")) for v in _within(mesh, "vertices", "vertex")]
+        faces = _within(mesh, "triangles", "triangle")
+        used = [(face.get("v1"), face.get("v2"), face.get("v3")) for face in faces]
+        triangles = np.array(used, np.int64).reshape(-1, 3)
+        rows, images = np.zeros((len(faces), 3), np.int64), np.zeros(len(faces), np.int32)
+        own, index = entry.get("pid", ""), entry.get("pindex", "0")
+        groups = np.array([face.get("pid", own) for face in faces])
+        bound = [
+            (first := face.get("p1", index), face.get("p2", first), face.get("p3", first)) for face in faces
+        ]
+        chosen = np.array(bound, np.int64).reshape(-1, 3)
+        for number in np.unique(groups):
+            group = self._groups.get((part, str(number)))
+            if group is not None:
+                if group.is_blended:
+                    text = f"{self._name}: of materials that are blended one is read; bake them to a texture"
+                    warnings.warn(text, ModelWarning, stacklevel=2)
+                its = groups == number
+                rows[its] = group.first + self._checked(chosen[its], group.size)
+                images[its] = group.image
+        return _Mesh(
+            np.array(corners, np.float64).reshape(-1, 3), self._used(triangles, len(corners)), rows, images
+        )
+
+    def _checked(self, chosen: Int64s, count: int) -> Int64s:
+        if chosen.size and not 0 <= chosen.min() <= chosen.max() < count:
+            raise ModelError(f"{self._name}: a property {chosen.max()} is used of {count}; export it again")
+        return chosen
+
+    def _used(self, triangles: Int64s, count: int) -> Int64s:
+        if triangles.size and not 0 <= triangles.min() <= triangles.max() < count:
+            raise ModelError(f"{self._name}: a triangle uses a vertex that is not among the {count}")
+        return triangles
+
+
+def _tag(element: Element) -> str:
+    """Return an element's name without its namespace: files differ in these."""
+    return element.tag.rpartition("}")[2]
+
+
+def _within(element: Element, *names: str) -> list[Element]:
+    """Return the elements that a path of names leads to."""
+    found = [element]
+    for name in names:
+        found = [each for one in found for each in one if _tag(each) == name]
+    return found
+
+
+def _path(element: Element, part: str) -> str:
+    """Return the part that an item or a component names, else its own (Production Extension)."""
+    paths = [value for key, value in element.items() if key.rpartition("}")[2] == "path"]
+    return paths[0].lstrip("/") if paths else part
+
+
+def _color(code: str) -> tuple[int, ...]:
+    """Return the four bytes of a colour #RRGGBB or #RRGGBBAA."""
+    return tuple(bytes.fromhex(code.lstrip("#").ljust(8, "F"))[:4])
