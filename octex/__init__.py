@@ -38,7 +38,7 @@ The rooms, each of which knows only those before it
     cli         the commands, and the pages of octex help
 
 Common ground: ahead, arrays, channels, checks, compare, container, errors, files, functions, jit,
-jit_cache, jit_parts, parallel, remote.
+parallel, remote.
 """
 
 from __future__ import annotations

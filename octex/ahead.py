@@ -1,6 +1,6 @@
 """Compile ahead: while a command compiles and runs, other processes compile what it needs later.
 
-All keep what they compile in the same folders (`jit_cache`). `signatures.txt` lists what Python calls
+All keep what they compile in the same folders (`jit.cache`). `signatures.txt` lists what Python calls
 kernels with, in the order of need, in sections; `tools/signatures.py` writes it. A line that no longer fits
 is passed over: the command compiles what it misses.
 """
@@ -154,7 +154,7 @@ def lines(*sections: str) -> list[str]:
 
 def read(line: str) -> tuple[Any, tuple[Any, ...]]:
     """Return a kernel and the types of arguments that a line names; raises what is raised if it has none."""
-    from octex.jit_cache import read_types
+    from octex.jit.cache import read_types
 
     home, text = line.split(" ", 1)
     module, name = home.split(":")

@@ -11,8 +11,9 @@ from typing import Any
 
 import pytest
 
-from octex import ahead, jit_cache
+from octex import ahead
 from octex.cli.convert import main
+from octex.jit import cache
 from tests.conftest import needs_jit
 
 SECTIONS = "convert", "preview", "view", "paint", "warm-up"
@@ -166,8 +167,8 @@ def test_helpers_begin_with_the_largest_that_they_end_in_time_and_go_on_from_the
 @needs_jit
 def test_what_calls_more_is_larger() -> None:
     (first,) = (line for line in ahead.lines("convert") if "evaluate:evaluate" in line)
-    assert ahead._size_of(first) > 5 * ahead._size_of("octex.jit:low_bits int64") > 0
-    assert ahead._size_of("octex.jit:gone int64") == 0
+    assert ahead._size_of(first) > 5 * ahead._size_of("octex.jit.instructions:low_bits int64") > 0
+    assert ahead._size_of("octex.jit.instructions:gone int64") == 0
 
 
 @needs_jit
@@ -177,9 +178,10 @@ def test_a_helper_compiles_what_is_listed_and_passes_over_what_does_not_fit(
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     listed = tmp_path / "list.txt"
     listed.write_text(
-        "# what\n[some]\noctex.jit:low_bits int64\noctex.jit:gone int64\noctex.gone:low_bits int64\n"
-        "octex.jit:low_bits int64, int64\noctex.jit:low_bits gone\nnonsense\n\n[other]\n"
-        "octex.jit:low_bits int32\n"
+        "# what\n[some]\noctex.jit.instructions:low_bits int64\noctex.jit.instructions:gone int64\n"
+        "octex.gone:low_bits int64\noctex.jit.instructions:low_bits int64, int64\n"
+        "octex.jit.instructions:low_bits gone\nnonsense\n\n[other]\n"
+        "octex.jit.instructions:low_bits int32\n"
     )
     code = f"from octex import ahead; ahead.LIST = ahead.Path({str(listed)!r}); ahead.main()"
     call = [sys.executable, "-c", code, "0", "1", "some"]
@@ -190,7 +192,7 @@ def test_a_helper_compiles_what_is_listed_and_passes_over_what_does_not_fit(
         assert helper.stdout is not None
         assert helper.stdout.read() == b""
     (kept,) = (tmp_path / "cache").glob("*/*")
-    assert kept.name.startswith("octex.jit.low_bits-")
+    assert kept.name.startswith("octex.jit.instructions.low_bits-")
 
 
 @needs_jit
@@ -203,7 +205,7 @@ def test_what_is_listed_are_kernels_and_types_of_their_arguments(section: str) -
             kernel, arguments = ahead.read(line)
         except (AttributeError, ImportError, ValueError):
             continue
-        assert jit_cache.types_text(arguments) == line.split(" ", 1)[1]
+        assert cache.types_text(arguments) == line.split(" ", 1)[1]
         fitting += len(inspect.signature(kernel.py_func).parameters) == len(arguments)
     assert len(listed) > 10
     assert fitting > 0.8 * len(listed)

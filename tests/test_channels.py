@@ -24,9 +24,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import octex
-from octex import channels, checks, errors, jit, jit_cache, parallel
+from octex import channels, checks, errors, jit, parallel
 from octex.channels import decode, encode, linear_to_srgb, srgb_to_linear
 from octex.errors import ArgumentError, ExitCode
+from octex.jit import cache
 from octex.tree.layout import MAX_DEPTH
 from tests.conftest import needs_jit
 
@@ -275,7 +276,7 @@ def test_a_cache_whose_types_are_gone_is_written_anew(tmp_path: Path) -> None:
     call = [sys.executable, "-c", "from octex import jit; print(jit.low_bits(3))"]
     options: dict[str, Any] = {"env": os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}, "capture_output": True}
     assert subprocess.run(call, **options, check=True).stdout == b"7\n"
-    (kept,) = tmp_path.rglob("octex.jit.low_bits-*.nbc")
+    (kept,) = tmp_path.rglob("octex.jit.instructions.low_bits-*.nbc")
     with kept.open("rb") as file:
         head = pickle.dumps(pickle.load(file))
     kept.write_bytes(head + b"coctex.a_module_that_was\nIts_type\n.")
@@ -548,9 +549,9 @@ def test_exit_codes_are_the_shells_and_say_what_they_mean() -> None:
 def test_compiled_code_on_disk_is_of_this_state_of_all_that_it_is_compiled_from() -> None:
     # numba alone looks at the kernel's own file, and keeps callers of a function that has changed elsewhere.
     state = jit.low_bits._cache._cache_file._state  # type: ignore[attr-defined]
-    assert state.endswith(f", {jit_cache.digest_behind('octex.jit')}")
-    others = {jit_cache.digest_behind(f"octex.{name}") for name in ("channels", "checks")}
-    assert jit_cache.digest_behind("octex.jit") not in others
+    assert state.endswith(f", {cache.digest_behind('octex.jit.instructions')}")
+    others = {cache.digest_behind(f"octex.{name}") for name in ("channels", "checks")}
+    assert cache.digest_behind("octex.jit.instructions") not in others
 
 
 @needs_jit
@@ -558,7 +559,7 @@ def test_what_kernels_call_is_in_a_module_behind_theirs() -> None:
     calls = 0
     for found in pkgutil.walk_packages(octex.__path__, "octex."):
         module = importlib.import_module(found.name)
-        behind = jit_cache.modules_behind(module.__name__)
+        behind = cache.modules_behind(module.__name__)
         for kernel in [each for each in vars(module).values() if hasattr(each, "py_func")]:
             if kernel.__module__ != module.__name__:
                 continue

@@ -16,8 +16,9 @@ from numba import types
 from numba.core import caching, codegen, compiler, dispatcher, event, ir, lowering, postproc
 from numba.core.types import functions
 
-from octex import jit, jit_cache, jit_parts
+from octex import jit
 from octex.field.sources import Group, Tables
+from octex.jit import cache, compilers, decorators, shortcuts
 from tests.conftest import needs_jit
 
 #: Files one version after the other beside the same work of another process, each in step with it.
@@ -99,8 +100,8 @@ def test_of_processes_that_miss_the_same_one_compiles_it_and_the_others_wait(tmp
 def test_what_is_kept_serves_this_numba_this_source_and_this_key_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def files() -> jit_cache.CodeFiles:
-        return jit_cache.CodeFiles(str(tmp_path), test_processes_that_add_versions_at_once_keep_all)
+    def files() -> cache.CodeFiles:
+        return cache.CodeFiles(str(tmp_path), test_processes_that_add_versions_at_once_keep_all)
 
     files().save(of("this"), [1, 2])
     assert files().load(of("this")) == [1, 2]
@@ -111,8 +112,8 @@ def test_what_is_kept_serves_this_numba_this_source_and_this_key_only(
         files().save(of("this"), [3])  # takes the other's place
     assert files().load(of("this")) is None
     function = test_processes_that_add_versions_at_once_keep_all
-    assert jit_cache.CodeFiles(str(tmp_path), function, "of another file").load(of("this")) is None
-    monkeypatch.setattr(jit_cache, "digest_behind", lambda _module: "changed")
+    assert cache.CodeFiles(str(tmp_path), function, "of another file").load(of("this")) is None
+    monkeypatch.setattr(cache, "digest_behind", lambda _module: "changed")
     files().save(of("this"), [4])
     assert files().load(of("this")) == [4]
     assert len(list(tmp_path.iterdir())) == 1
@@ -121,7 +122,7 @@ def test_what_is_kept_serves_this_numba_this_source_and_this_key_only(
 
 
 def test_what_is_not_whole_or_cannot_be_written_is_as_if_it_were_not_there(tmp_path: Path) -> None:
-    files = jit_cache.CodeFiles(str(tmp_path), jit_cache.key_text)
+    files = cache.CodeFiles(str(tmp_path), cache.key_text)
     files.save(of("this"), [1, 2])
     (path,) = tmp_path.iterdir()
     whole = path.read_bytes()
@@ -133,11 +134,11 @@ def test_what_is_not_whole_or_cannot_be_written_is_as_if_it_were_not_there(tmp_p
     files.save(of("this"), [1])
     assert files.load(of("this")) is None
     assert list(tmp_path.iterdir()) == [path]
-    jit_cache.CodeFiles(str(tmp_path / "nowhere"), jit_cache.key_text).save(of("this"), [1])
+    cache.CodeFiles(str(tmp_path / "nowhere"), cache.key_text).save(of("this"), [1])
 
 
 def test_functions_of_one_name_have_files_of_their_own(tmp_path: Path) -> None:
-    def made(number: int) -> jit_cache.CodeFiles:
+    def made(number: int) -> cache.CodeFiles:
         if number:
 
             def number_of() -> int:
@@ -148,7 +149,7 @@ def test_functions_of_one_name_have_files_of_their_own(tmp_path: Path) -> None:
             def number_of() -> int:
                 return 2
 
-        return jit_cache.CodeFiles(str(tmp_path), number_of)
+        return cache.CodeFiles(str(tmp_path), number_of)
 
     made(0).save(of("this"), "two")
     made(1).save(of("this"), "one")
@@ -158,17 +159,17 @@ def test_functions_of_one_name_have_files_of_their_own(tmp_path: Path) -> None:
 def test_code_that_is_shipped_serves_processors_with_all_that_it_may_use(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    name, features = jit_cache.PORTABLE
+    name, features = cache.PORTABLE
 
     def on(triple: str, *features: str) -> tuple[Any, ...]:
         return ("this",), (triple, "processor", ",".join(features)), ("bytecode",)
 
-    jit_cache.CodeFiles(str(tmp_path), jit_cache.key_text).save(
-        (("this",), ("x86_64-linux", *jit_cache.PORTABLE), ("bytecode",)), [1, 2]
+    cache.CodeFiles(str(tmp_path), cache.key_text).save(
+        (("this",), ("x86_64-linux", *cache.PORTABLE), ("bytecode",)), [1, 2]
     )
-    monkeypatch.setattr(jit_cache, "SHIPPED", tmp_path)
+    monkeypatch.setattr(cache, "SHIPPED", tmp_path)
     monkeypatch.setattr("numba.config.BOUNDSCHECK", None)
-    load = jit_cache.CodeFiles(str(tmp_path / "own"), jit_cache.key_text).load
+    load = cache.CodeFiles(str(tmp_path / "own"), cache.key_text).load
     enough = ["+64bit", *features.split(","), "-avx512f"]
     assert load(on("x86_64-linux", *enough)) == [1, 2]
     assert load(on("x86_64-windows", *enough)) is None
@@ -184,7 +185,7 @@ def test_code_that_is_shipped_serves_processors_with_all_that_it_may_use(
 def test_types_of_one_name_are_told_apart_by_their_modules() -> None:
     other = type("Tables", (tuple,), {"_fields": Tables._fields, "__module__": "elsewhere"})
     arrays = [types.Array(types.uint64, 1, "C"), types.Array(types.uint16, 1, "C")]
-    own, others = (jit_cache.type_text(types.NamedTuple(arrays, kind)) for kind in (Tables, other))
+    own, others = (cache.type_text(types.NamedTuple(arrays, kind)) for kind in (Tables, other))
     assert own == "octex.field.sources:Tables(array(uint64, 1d, C), array(uint16, 1d, C))"
     assert others == own.replace("octex.field.sources", "elsewhere")
     assert Group.__name__ not in own
@@ -232,7 +233,7 @@ def test_what_only_kernels_call_is_kept_without_machine_code(
     is_known: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(jit_parts, "IS_KNOWN", is_known)
+    monkeypatch.setattr(compilers, "IS_KNOWN", is_known)
 
     def made() -> tuple[Any, Any]:
         @jit.part
@@ -279,7 +280,7 @@ def test_kernels_are_typed_and_compute_as_numbas_own_functions(
     kind: str, count_kind: str, is_known: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(jit_parts, "IS_KNOWN", is_known)
+    monkeypatch.setattr(compilers, "IS_KNOWN", is_known)
     numbers: Any = np.arange(-3, 4).astype(kind)
     counts: Any = np.arange(7).astype(count_kind)
     found = jit.kernel(_mixed)(numbers, counts.copy(), 1.5)
@@ -339,16 +340,16 @@ def test_numbers_in_arrays_and_the_least_of_two_are_as_numbas_own(
 @needs_jit
 def test_what_is_found_once_is_what_numba_finds() -> None:
     jit.low_bits(3)
-    assert jit_parts._signatures
-    for (context, function, arguments), signature in jit_parts._signatures.items():
-        assert jit_parts._find_signature(function, context, arguments, {}) == signature
+    assert shortcuts._signatures
+    for (context, function, arguments), signature in shortcuts._signatures.items():
+        assert shortcuts._find_signature(function, context, arguments, {}) == signature
     lines = [line for block in compiler.run_frontend(_mixed).blocks.values() for line in block.body]
     before = [line.list_vars() for line in lines]
-    with jit_parts._found_once():
+    with shortcuts.found_once():
         assert [line.list_vars() for line in lines] == before
-        assert ir.Inst._rec_list_vars is not jit_parts._find_variables
-    assert ir.Inst._rec_list_vars is jit_parts._find_variables
-    assert functions.BaseFunction.get_call_type is jit_parts._find_signature
+        assert ir.Inst._rec_list_vars is not shortcuts._find_variables
+    assert ir.Inst._rec_list_vars is shortcuts._find_variables
+    assert functions.BaseFunction.get_call_type is shortcuts._find_signature
     assert sum(map(len, before)) > 50
 
 
@@ -370,5 +371,5 @@ def test_garbage_is_sought_as_before_after_compiling() -> None:
     double._cache.flush()  # what earlier tests kept
     with event.install_listener("numba:compile", Listener()):
         assert double(1.5) == 3.0
-    assert set(seen) == {jit.MANY_OBJECTS}
+    assert set(seen) == {decorators.MANY_OBJECTS}
     assert gc.get_threshold() == before

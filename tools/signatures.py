@@ -16,17 +16,17 @@ MODEL = ROOT / "samples" / "droid.glb"
 _HEAD = "# What kernels are called with, by `tools/signatures.py`. See `octex/ahead.py`.\n"
 _RECORDER = """
 import importlib, json, sys
-from octex import jit, jit_cache
+from octex.jit import cache, decorators
 
 calls = []
 
 def recorded(compiled, *others):
-    kinds = tuple(map(jit._unlocked, map(compiled.typeof_pyval, others[2:])))
+    kinds = tuple(map(decorators._unlocked, map(compiled.typeof_pyval, others[2:])))
     function = compiled.py_func
-    calls.append(f"{function.__module__}:{function.__qualname__} {jit_cache.types_text(kinds)}")
+    calls.append(f"{function.__module__}:{function.__qualname__} {cache.types_text(kinds)}")
     return compile_for_args(compiled, *others)
 
-compile_for_args, jit._compile_for_args = jit._compile_for_args, recorded
+compile_for_args, decorators._compile_for_args = decorators._compile_for_args, recorded
 module, *arguments = sys.argv[1:]
 code = importlib.import_module(module).main(arguments)
 print(json.dumps(calls))

@@ -3,7 +3,7 @@
 usage: python tools/wheels.py OUTPUT [PYTHON ...]     needs: pip install build twine wheel
 
 Each PYTHON (default: the one that runs this) gets a wheel whose kernels are compiled already, for x86-64
-processors with AVX2 (`octex/jit_cache.py`), by the numba that pip installs with it: with another one they are
+processors with AVX2 (`octex/jit/cache.py`), by the numba that pip installs with it: with another one they are
 compiled on first use. The test is README's first command, in a new environment: nothing may be compiled, and
 the files must be those that native code writes, to the byte.
 """
@@ -23,7 +23,7 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 _SECTIONS = "convert", "preview", "view", "paint", "warm-up"
 _COMPILE = "import sys; from octex import ahead; ahead.main()"
-_PORTABLE = "from octex.jit_cache import PORTABLE; print(*PORTABLE)"
+_PORTABLE = "from octex.jit.cache import PORTABLE; print(*PORTABLE)"
 _KERNELS = f"""
 from octex import ahead
 print(*dict.fromkeys(line.split(" ")[0].replace(":", ".") for line in ahead.lines(*{_SECTIONS})))

@@ -247,29 +247,27 @@ class _Merger:
         Those that hold the place; where the leaf there has not merged, those whose values reach it.
         """
         may = depths < self._limits
-        splits = np.repeat(np.logical_or.reduceat(failing & may, pruned.starts), pruned.sizes)
         codes, depth = self._finest.codes, self._finest.tree.max_depth
-        others = codes[failing & ~may]
+        chosen, others = failing & may, codes[failing & ~may]
         for level in np.unique(depths[may]).tolist() if others.size else ():
-            shift = 3 * (depth - level)
-            held = _around(others >> shift, level)
-            firsts, ends = np.searchsorted(codes, [held << shift, held + 1 << shift])
-            stored = firsts < ends
-            firsts, ends = firsts[stored], ends[stored]
-            merged = may[firsts] & (depths[firsts] == level)
-            splits |= _marked(firsts[merged], ends[merged], codes.size)
-        return splits
+            beside = self._held(_around(others >> 3 * (depth - level), level), level)
+            chosen |= beside & may & (depths == level)
+        return np.repeat(np.logical_or.reduceat(chosen, pruned.starts), pruned.sizes)
 
     def _around(self, starts: Int64s, depths: Uint8s) -> Bools:
         """Mark the finest cells in leaves and in the cells of their sizes around: as far as splits reach."""
         codes, depth = self._finest.codes, self._finest.tree.max_depth
         marked = np.zeros(codes.size, np.bool_)
         for level in np.unique(depths[starts]).tolist():
-            shift = 3 * (depth - level)
-            held = _around(codes[starts[depths[starts] == level]] >> shift, level)
-            firsts, ends = np.searchsorted(codes, [held << shift, held + 1 << shift])
-            marked |= _marked(firsts, ends, codes.size)
+            held = codes[starts[depths[starts] == level]] >> 3 * (depth - level)
+            marked |= self._held(_around(held, level), level)
         return marked
+
+    def _held(self, cells: Int64s, level: int) -> Bools:
+        """Mark the finest cells in cells of a level."""
+        shift = 3 * (self._finest.tree.max_depth - level)
+        firsts, ends = np.searchsorted(self._finest.codes, [cells << shift, cells + 1 << shift])
+        return _marked(firsts, ends, self._finest.codes.size)
 
     def _looked(self, pruned: Pruned) -> Looked:
         """Return what is looked up of a pruned tree."""

@@ -39,7 +39,7 @@ LONGEST = 600.0
 _IMPORT = re.compile(r"^(?:from|import) (octex[\w.]*)(?: import (\([^)]*\)|.*))?", re.MULTILINE)
 
 #: Code that a wheel brings along (`tools/wheels.py`), for every processor with these features: x86-64-v3.
-SHIPPED = Path(__file__).with_name("compiled")
+SHIPPED = Path(__file__).parents[1] / "compiled"
 PORTABLE = (
     "x86-64-v3",
     "+avx,+avx2,+bmi,+bmi2,+crc32,+cx16,+f16c,+fma,+fxsr,+lzcnt,+movbe,+popcnt,+sahf,+sse3,+sse4.1,+sse4.2,"
@@ -228,7 +228,7 @@ def _digest_of(module: str) -> str:
 @cache
 def _source_of(module: str) -> str:
     """Return a module's text; nothing for what is not a module of octex."""
-    path = Path(__file__).parents[1].joinpath(*module.split("."))
+    path = Path(__file__).parents[2].joinpath(*module.split("."))
     for file in (path.with_suffix(".py"), path / "__init__.py"):
         if file.is_file():
             return file.read_text(encoding="utf-8")

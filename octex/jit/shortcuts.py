@@ -1,10 +1,7 @@
-"""How numba's code is made with less work than by numba's own rules, for the same machine code or nearly.
+"""numba's steps from Python to LLVM's code with less work, for the same code or nearly.
 
-numba optimizes a function by itself, then twice more with all that it calls; and it makes machine code of
-every function, also of those that are compiled into others and never called. Here it is optimized once, and
-*parts*, which only kernels call, are tidied up and kept as LLVM's code alone. numba finds anew for each
-instruction what is the same for all of its kind; here it is found once. And numba keeps in memory what LLVM
-then turns into values, arrays and tuples of them above all; here they are values. Together: 45 % less time.
+numba finds anew for each instruction what is the same for all of its kind; here it is found once. And it
+keeps in memory what LLVM then turns into values, arrays and tuples of them above all; here they are values.
 """
 
 from __future__ import annotations
@@ -15,15 +12,12 @@ from contextlib import contextmanager, nullcontext
 from functools import cache, partial
 from typing import Any, ClassVar
 
-import llvmlite.binding
 import llvmlite.ir as llvm
-import numba
 from numba import types
 from numba.core import base, compiler, ir, lowering, rewrites, typed_passes, untyped_passes
 from numba.core.analysis import compute_cfg_from_blocks, compute_use_defs, must_use_alloca
 from numba.core.base import BaseContext
 from numba.core.cgutils import pointer_add
-from numba.core.codegen import CPUCodegen, JITCodeLibrary
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import PassManager, _pass_registry, register_pass
 from numba.core.errors import WarningsFixer  # type: ignore[attr-defined]
@@ -36,26 +30,9 @@ from numba.extending import intrinsic
 from numba.np.arrayobj import load_item, store_item
 from numba.np.ufunc.array_exprs import RewriteArrayExprs, _is_ufunc
 
-#: Whether this numba is one whose own rules are known; a newer one goes by those.
-IS_KNOWN = (0, 62) <= numba.version_info.short < (0, 69)
-
-_Passes = llvmlite.binding.newpassmanagers.ModulePassManager
-_OF_LIBRARY = (
-    *("_ensure_finalized", "_finalize_dynamic_globals", "_finalize_final_module", "_get_module_for_linking"),
-    *("_optimize_final_module", "_optimize_functions", "get_pointer_to_function"),
-    "serialize_using_object_code",
-)
-_OF_PASSES = (
-    *("add_dead_code_elimination_pass", "add_global_dead_code_eliminate_pass"),
-    *("add_instruction_combine_pass", "add_simplify_cfg_pass", "add_sroa_pass"),
-)
-#: What is used of numba and LLVM beyond what they document: of which classes, and its names.
-USED = (
-    (JITCodeLibrary, _OF_LIBRARY),
-    (CPUCodegen, ("_module_pass_manager", "_pass_builder")),
-    (_Passes, _OF_PASSES),
+#: What is used of numba beyond what it documents: of which classes, and its names.
+USED_OF_STEPS = (
     (compiler.Flags, ("values",)),
-    (compiler.Compiler, ("_compile_core",)),
     (BaseFunction, ("get_call_type", "get_impl_key")),
     (BaseContext, ("get_abi_sizeof", "get_function")),
     (ir.Inst, ("_rec_list_vars",)),
@@ -68,57 +45,7 @@ USED = (
 )
 
 
-class Whole(JITCodeLibrary):  # type: ignore[misc]
-    """The code of a kernel: optimized once, with all that it calls."""
-
-    def _optimize_functions(self, module: Any) -> None:
-        module.data_layout = self._codegen._data_layout
-
-    def _optimize_final_module(self) -> None:
-        passes, builder = self._codegen._module_pass_manager()
-        passes.run(self._final_module, builder)
-
-
-class Part(Whole):
-    """The code of a part, of which there is no machine code."""
-
-    @property
-    def codegen(self) -> Any:
-        """Where what belongs to machine code is set: nowhere."""
-        return _Nowhere
-
-    def _optimize_final_module(self) -> None:
-        """Remove what is not needed; the rest is done in the kernels that this becomes part of."""
-        passes = llvmlite.binding.create_new_module_pass_manager()
-        passes.add_global_dead_code_eliminate_pass()
-        passes.add_sroa_pass()
-        passes.add_instruction_combine_pass()
-        passes.add_simplify_cfg_pass()
-        passes.add_dead_code_elimination_pass()
-        passes.add_global_dead_code_eliminate_pass()
-        passes.run(self._final_module, self._codegen._pass_builder())
-
-    def _finalize_final_module(self) -> None:
-        self._finalize_dynamic_globals()
-        self._finalized = True
-
-    def get_pointer_to_function(self, _name: str) -> int:
-        """Say that nothing can be called."""
-        self._ensure_finalized()
-        return 0
-
-    def serialize_using_object_code(self) -> tuple[str, str, bytes]:
-        """Return what is kept on disk."""
-        return self.name, "bitcode", self._get_module_for_linking().as_bitcode()
-
-
-class _Nowhere:
-    @staticmethod
-    def set_env(_name: str, _environment: Any) -> None:
-        """Set nothing: environments are for what calls Python."""
-
-
-class _Flags(compiler.Flags):  # type: ignore[misc]
+class Flags(compiler.Flags):  # type: ignore[misc]
     """numba's options, which it compares with others for all that it looks up."""
 
     __slots__ = ()
@@ -284,7 +211,7 @@ _INSTEAD = (
 
 
 @contextmanager
-def _found_once() -> Iterator[None]:
+def found_once() -> Iterator[None]:
     """While the block lasts, numba finds as the functions above do; it compiles in one thread at a time."""
     with global_compiler_lock:
         before = [(owner, name, getattr(owner, name)) for owner, name, _ in _INSTEAD]
@@ -297,7 +224,7 @@ def _found_once() -> Iterator[None]:
                 setattr(owner, name, function)
 
 
-class _Steps(PassManager):  # type: ignore[misc]
+class Steps(PassManager):  # type: ignore[misc]
     """numba's steps, one after the other; nobody is told."""
 
     def _runPass(self, _index: int, step: Any, state: Any) -> None:  # noqa: N802
@@ -406,7 +333,7 @@ class _AnnotateTypes(typed_passes.AnnotateTypes):  # type: ignore[misc]
         return False
 
 
-_STEPS = {
+STEPS = {
     typed_passes.AnnotateTypes: _AnnotateTypes,
     untyped_passes.InlineClosureLikes: _InlineClosureLikes,
     typed_passes.NopythonRewrites: _NopythonRewrites,
@@ -484,7 +411,7 @@ _ELEMENT: dict[Any, Any] = {operator.getitem: _get_element, operator.setitem: _s
 _sizes: dict[Any, int] = {}  # in bytes, of LLVM's types
 
 
-def _remember(target: Any) -> None:
+def remember(target: Any) -> None:
     """Let a function's own copy of numba's target find at once what it is asked for again and again."""
     get_function, get_size = target.get_function, target.get_abi_sizeof
 
@@ -503,66 +430,3 @@ def _remember(target: Any) -> None:
         return _sizes[kind]
 
     target.get_function, target.get_abi_sizeof = function_of, size_of
-
-
-class _Compiler(compiler.Compiler):  # type: ignore[misc]
-    _library: type[Whole]
-
-    def __init__(
-        self, typing: Any, target: Any, library: Any, arguments: Any, result: Any, flags: Any, local: Any
-    ) -> None:
-        flags = _Flags(flags) if IS_KNOWN else flags
-        super().__init__(typing, target, library, arguments, result, flags, local)
-        if IS_KNOWN:
-            _remember(self.state.targetctx)
-
-    def define_pipelines(self) -> list[Any]:
-        """Return numba's steps, without those that find nothing to do."""
-        pipelines: list[Any] = super().define_pipelines()
-        for each in pipelines if IS_KNOWN else ():
-            each.__class__ = _Steps
-            each.passes = [(_STEPS.get(step, step), words) for step, words in each.passes]
-        return pipelines
-
-    def _compile_core(self) -> Any:
-        with _found_once() if IS_KNOWN else nullcontext():
-            return super()._compile_core()
-
-    def compile_extra(self, function: Any) -> Any:
-        library = self._library(self.state.targetctx.codegen(), function.__qualname__)
-        library.enable_object_caching()
-        self.state.library = library
-        return super().compile_extra(function)
-
-
-class WholeCompiler(_Compiler):
-    """Compiles kernels."""
-
-    _library = Whole
-
-
-class PartCompiler(_Compiler):
-    """Compiles parts."""
-
-    _library = Part
-
-
-class PartContext:
-    """numba's target as code that was kept is read for it: as parts."""
-
-    def __init__(self, context: Any) -> None:
-        self._context = context
-        self.typing_context = context.typing_context
-        self.get_executable = context.get_executable
-
-    def codegen(self) -> PartContext:
-        """Return what reads code that was kept."""
-        return self
-
-    def unserialize_library(self, data: Any) -> Part:
-        """Read a part."""
-        name, _, code = data
-        part = Part(self._context.codegen(), name)
-        part._final_module = llvmlite.binding.parse_bitcode(code)
-        part._finalize_final_module()
-        return part

@@ -1,273 +1,24 @@
-"""How octex compiles: one decorator, and the bit instructions that numba lacks.
+"""Rows of four numbers and boxes eight at a time as vectors, which the compiler does not make by itself.
 
-With ``NUMBA_DISABLE_JIT=1`` every kernel runs as plain Python; the intrinsics then have plain twins.
+A sweep of the fit takes 55 to 65 ns a leaf so, where scalars take 86 to 91.
 """
 
 from __future__ import annotations
 
-import gc
-import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
-from operator import attrgetter
-from threading import Lock
-from typing import Any, TypeVar
+from typing import Any
 
-import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.core.imputils import impl_ret_borrowed
-from numba.core.typing.npydecl import parse_dtype
 from numba.extending import intrinsic
-from numba.np.arrayobj import _empty_nd_impl, make_array, populate_array
 
-from octex.jit_parts import USED, PartCompiler, PartContext, WholeCompiler
-
-Function = TypeVar("Function", bound=Callable[..., Any])
-Scalar = TypeVar("Scalar", bound=np.generic)
-
-#: What is used of numba beyond what it documents, of its functions and of their caches on disk.
-_USED = "_compile_for_args", "_insert", "add_overload", "get_call_template", "overloads", "typeof_pyval"
-_USED_OF_CACHE = (
-    *("_cache._cache_file.load", "_cache._cache_file.save", "_cache._cache_file._source_stamp"),
-    *("_cache._impl.rebuild", "_cache.cache_path", "_cache.save_overload"),
-)
-#: New objects after which Python looks for garbage while kernels are compiled, which make hundreds of
-#: thousands: by its own 700, that takes a tenth of the time.
-MANY_OBJECTS = 100_000
-
-#: True when kernels run as plain Python.
-DISABLED: bool = bool(numba.config.DISABLE_JIT)
-
-
-def kernel(function: Function) -> Function:
-    """Compile ``function`` on first call, cached on disk, releasing the GIL.
-
-    Kernels take arrays, scalars and named tuples of them; they never raise and never allocate per element.
-    """
-    return _compiled(function)
-
-
-def inlined(function: Function) -> Function:
-    """Compile ``function`` into the kernels that call it.
-
-    For the small steps of a hot loop, where a call costs as much as the work. They must not create arrays:
-    without numba's runtime they count no references, which otherwise costs 100 to 200 ns a call with a tuple
-    of arrays (coherent lookups: 24 million a second instead of 4). Only kernels can call them: without what
-    Python calls, octex compiles in six sevenths of the time.
-    """
-    return _part(function, forceinline=True, _nrt=False)
-
-
-def step(function: Function) -> Function:
-    """Compile ``function`` for kernels to call, as ``inlined`` does, but not into each call."""
-    return _part(function, _nrt=False)
-
-
-def part(function: Function) -> Function:
-    """Compile ``function`` for kernels to call. It may create arrays, as ``kernel`` lets it."""
-    return _part(function)
-
-
-def fused_part(function: Function) -> Function:
-    """Compile like ``part``, but let a product and a sum be one instruction, rounded once."""
-    return _part(function, fastmath={"contract"})
-
-
-def _part(function: Function, **options: Any) -> Function:
-    """Compile a function that only kernels can call."""
-    compiled: Any = _compiled(function, PartCompiler, no_cpython_wrapper=True, **options)
-    if not DISABLED:
-        compiled.add_overload = partial(_add_overload, compiled)
-        compiled._compile_for_args = partial(_refuse, compiled.__name__)
-    return compiled  # type: ignore[no-any-return]
-
-
-def _add_overload(compiled: Any, result: Any) -> None:
-    """Note what was compiled for a kernel's call, out of Python's reach."""
-    compiled.overloads[tuple(result.signature.args)] = result
-
-
-def _refuse(name: str, *_arguments: Any, **_keywords: Any) -> None:
-    raise TypeError(f"{name} can be called in kernels only")
-
-
-def summing_kernel(function: Function) -> Function:
-    """Compile like ``kernel``, but let sums be reordered to run in vectors: their last bits may vary."""
-    return _compiled(function, fastmath={"reassoc", "contract"})
-
-
-def fused_kernel(function: Function) -> Function:
-    """Compile like ``kernel``, but let a product and a sum be one instruction, rounded once."""
-    return _compiled(function, fastmath={"contract"})
-
-
-def _compiled(function: Function, by: type[Any] = WholeCompiler, **options: Any) -> Function:
-    from octex.jit_cache import CodeFiles  # not above: nothing is compiled from it
-
-    # Without the entry for C, which nobody calls, each version is a module less to compile.
-    plain = partial(numba.njit, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)
-    compiler = partial(plain, pipeline_class=by)
-    used: tuple[str, ...] = (*_USED, *_USED_OF_CACHE)
-    try:
-        compiled: Any = compiler(cache=True)(function)
-    except RuntimeError:  # no folder that numba could write its cache to: compile in every process
-        compiled, used = compiler(cache=False)(function), _USED
-    if DISABLED:
-        return compiled  # type: ignore[no-any-return]
-    missing = [name for name in used if not _has(compiled, name)]
-    missing += [name for owner, names in USED for name in names if not hasattr(owner, name)]
-    if missing:
-        # Code that is kept on disk by numba's rules alone may be stale.
-        warnings.warn(
-            f"numba {numba.__version__} has no {' and no '.join(missing)} in its functions, which octex "
-            f"uses: {function.__name__} is compiled in every process; install a numba that octex knows",
-            RuntimeWarning,
-            stacklevel=3,
-        )
-        return plain(cache=False)(function)  # type: ignore[no-any-return]
-    compiled.get_call_template = partial(_call_template, compiled.get_call_template)
-    compiled._compile_for_args = partial(_compile_for_args, compiled, compiled._compile_for_args, set())
-    if used != _USED:
-        kept = compiled._cache
-        kept._cache_file = CodeFiles(kept.cache_path, function, kept._cache_file._source_stamp)
-        kept.save_overload = partial(_keep, kept.save_overload)
-        if by is PartCompiler:
-            kept._impl.rebuild = partial(_rebuild_part, kept._impl.rebuild)
-        compiled.compile = partial(_compile, compiled.compile, kept._cache_file)
-    return compiled  # type: ignore[no-any-return]
-
-
-def _compile(compile: Callable[..., Any], files: Any, signature: Any) -> Any:
-    with files.turns():
-        return compile(signature)
-
-
-def _rebuild_part(rebuild: Callable[..., Any], context: Any, kept: Any) -> Any:
-    return rebuild(PartContext(context), kept)
-
-
-def _keep(save: Callable[..., None], signature: Any, result: Any) -> None:
-    """Save what was compiled; what numba has lost of it is used, and compiled anew by the next process.
-
-    llvmlite finds a module that it has compiled in a set, which another thread may change at that moment when
-    it drops a module: the object code is then not handed on.
-    """
-    try:
-        save(signature, result)
-    except RuntimeError as error:
-        if not str(error).startswith("no compiled object yet"):
-            raise
-
-
-def _has(compiled: Any, name: str) -> bool:
-    try:
-        attrgetter(name)(compiled)
-    except AttributeError:
-        return False
-    return True
-
-
-def _compile_for_args(
-    compiled: Any, compile_for_args: Callable[..., Any], known: set[Any], *arguments: Any
-) -> Any:
-    """Return the code for arguments: for read-only arrays that for arrays that can be written to.
-
-    Their types differ, and each kernel would be compiled once more. Kernels write to what they are given to
-    write to, and to nothing else.
-    """
-    with _little_garbage_sought():
-        if not any(map(_has_locked, arguments)):
-            return compile_for_args(*arguments)
-        given = tuple(map(compiled.typeof_pyval, arguments))
-        code = compiled.compile(tuple(map(_unlocked, given)))
-    with _LOCK:
-        if given not in known:
-            known.add(given)
-            compiled._insert([each._code for each in given], code, False)
-    return code
-
-
-_LOCK = Lock()
-_compiling = 0  # calls that wait for code
-_usual: tuple[int, ...] = ()  # Python's thresholds while none does
-
-
-@contextmanager
-def _little_garbage_sought() -> Iterator[None]:
-    global _compiling, _usual
-    with _LOCK:
-        if _compiling == 0:
-            _usual = gc.get_threshold()
-            gc.set_threshold(max(_usual[0], MANY_OBJECTS) if _usual[0] else 0, *_usual[1:])
-        _compiling += 1
-    try:
-        yield
-    finally:
-        with _LOCK:
-            _compiling -= 1
-            if _compiling == 0:
-                gc.set_threshold(*_usual)
-
-
-def _has_locked(argument: Any) -> bool:
-    if isinstance(argument, np.ndarray):
-        return not argument.flags.writeable
-    return isinstance(argument, tuple) and any(map(_has_locked, argument))
-
-
-def _unlocked(given: Any) -> Any:
-    """Return the type of the same arguments if all arrays could be written to."""
-    if isinstance(given, types.Array):
-        return given.copy(readonly=False)
-    if isinstance(given, types.BaseTuple):
-        return types.BaseTuple.from_types(
-            tuple(map(_unlocked, given.types)), getattr(given, "instance_class", None)
-        )
-    return given
-
-
-def _call_template(resolve: Callable[..., Any], arguments: Any, keywords: Any) -> Any:
-    """Choose what a call in a kernel compiles: one version for all numbers, not one for each constant.
-
-    What is inlined gets its constants all the same.
-    """
-    keywords = {name: types.unliteral(each) for name, each in dict(keywords).items()}
-    return resolve(tuple(types.unliteral(each) for each in arguments), keywords)
-
+from octex.jit.decorators import DISABLED
+from octex.jit.instructions import pointer_to
 
 if DISABLED:
-
-    def popcount(bits: int | np.uint64) -> int:
-        """Count the set bits of an unsigned 64-bit integer."""
-        return int(bits).bit_count()
-
-    def trailing_zeros(bits: int | np.uint64) -> int:
-        """Index of the lowest set bit of a non-zero unsigned 64-bit integer."""
-        bits = int(bits)
-        return (bits & -bits).bit_length() - 1
-
-    def prefetch(array: np.ndarray[Any, Any], row: int) -> None:
-        """Ask for the memory of a row of an array ahead of its use."""
-
-    def new_array(shape: Any, dtype: type[Scalar] | np.dtype[Scalar]) -> np.ndarray[Any, np.dtype[Scalar]]:
-        """Return an array that is not filled in."""
-        return np.empty(shape, dtype)
-
-    def new_zeros(shape: Any, dtype: type[Scalar] | np.dtype[Scalar]) -> np.ndarray[Any, np.dtype[Scalar]]:
-        """Return an array of zeros."""
-        return np.zeros(shape, dtype)
-
-    def bytes_of(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-        """Return the bytes of a C-ordered array, in rows as long as its last axis."""
-        return array.view(np.uint8)
-
-    def decoded(table: Any, code: Any) -> Any:
-        """Return what ``table`` has for an unsigned code; a float32 number as it is."""
-        return code if isinstance(code, np.floating) else table[code]
 
     def weighted_rows(rows: Any, numbers: Any, weights: Any, first: int, end: int) -> Any:
         """Return Σ weights[i] · rows[numbers[i]] for i from ``first`` to ``end`` − 1: four float32.
@@ -356,120 +107,11 @@ if DISABLED:
         return int(nodes[place >> 3]) * 8 + (place & 7) if count else -1
 
 else:
-
-    @intrinsic  # type: ignore[untyped-decorator]
-    def popcount(_context: Any, _bits: Any) -> Any:
-        """Count the set bits of an unsigned 64-bit integer: one instruction."""
-
-        def codegen(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-            return builder.ctpop(arguments[0])
-
-        return types.int64(types.uint64), codegen
-
-    @intrinsic  # type: ignore[untyped-decorator]
-    def trailing_zeros(_context: Any, _bits: Any) -> Any:
-        """Index of the lowest set bit of a non-zero unsigned 64-bit integer: one instruction."""
-
-        def codegen(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-            zero_is_undefined = ir.Constant(ir.IntType(1), 0)
-            return builder.cttz(arguments[0], zero_is_undefined)
-
-        return types.int64(types.uint64), codegen
-
-    @intrinsic  # type: ignore[untyped-decorator]
-    def prefetch(_context: Any, array: Any, _row: Any) -> Any:
-        """Ask for the memory of a row of an array ahead of its use; any number will do."""
-
-        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            data = context.make_array(signature.args[0])(context, builder, arguments[0])
-            stride = builder.extract_value(data.strides, 0)
-            address = builder.add(builder.ptrtoint(data.data, stride.type), builder.mul(arguments[1], stride))
-            pointer = builder.inttoptr(address, ir.IntType(8).as_pointer())
-            number = ir.IntType(32)
-            to_read, keep, of_data = (ir.Constant(number, value) for value in (0, 3, 1))
-            form = ir.FunctionType(ir.VoidType(), [pointer.type, number, number, number])
-            function = builder.module.declare_intrinsic("llvm.prefetch", [pointer.type], form)
-            builder.call(function, [pointer, to_read, keep, of_data])
-            return context.get_dummy_value()
-
-        return types.void(array, types.int64), codegen
-
-    # numba compiles its own ``empty`` and ``zeros`` anew for each type, in each process.
-
-    def _allocated(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        shape, kind = arguments[0], signature.args[0]
-        sizes, kinds = [shape], [kind]
-        if isinstance(kind, types.BaseTuple):
-            sizes, kinds = cgutils.unpack_tuple(builder, shape), list(kind)
-        pairs = zip(sizes, kinds, strict=True)
-        sizes = [context.cast(builder, size, own, types.intp) for size, own in pairs]
-        return _empty_nd_impl(context, builder, signature.return_type, sizes)
-
-    def _array_type(shape: Any, dtype: Any) -> Any:
-        dimensions = len(shape) if isinstance(shape, types.BaseTuple) else 1
-        return types.Array(parse_dtype(dtype), dimensions, "C")(shape, dtype)
-
-    @intrinsic  # type: ignore[untyped-decorator]
-    def new_array(_context: Any, shape: Any, dtype: Any) -> Any:
-        """Return an array that is not filled in."""
-
-        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return _allocated(context, builder, signature, arguments)._getvalue()
-
-        return _array_type(shape, dtype), codegen
-
-    @intrinsic  # type: ignore[untyped-decorator]
-    def new_zeros(_context: Any, shape: Any, dtype: Any) -> Any:
-        """Return an array of zeros."""
-
-        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            array = _allocated(context, builder, signature, arguments)
-            count = builder.mul(array.nitems, array.itemsize)
-            cgutils.memset(builder, array.data, count, 0)
-            return array._getvalue()
-
-        return _array_type(shape, dtype), codegen
-
-    @intrinsic  # type: ignore[untyped-decorator]
-    def bytes_of(_context: Any, array: Any) -> Any:
-        """Return the bytes of a C-ordered array, in rows as long as its last axis."""
-
-        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            given = make_array(signature.args[0])(context, builder, arguments[0])
-            seen = make_array(signature.return_type)(context, builder)
-            size, one = given.itemsize, context.get_constant(types.intp, 1)
-            *rows, last = cgutils.unpack_tuple(builder, given.shape)
-            data = builder.bitcast(given.data, ir.IntType(8).as_pointer())
-            shape = [*rows, builder.mul(last, size)]
-            strides = [*cgutils.unpack_tuple(builder, given.strides)[:-1], one]
-            populate_array(seen, data, shape, strides, one, given.meminfo, given.parent)
-            return impl_ret_borrowed(context, builder, signature.return_type, seen._getvalue())
-
-        return types.Array(types.uint8, array.ndim, array.layout)(array), codegen
-
-    @intrinsic  # type: ignore[untyped-decorator]
-    def decoded(_context: Any, table: Any, code: Any) -> Any:
-        """Return what ``table`` has for an unsigned code; a float32 number as it is."""
-
-        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            if signature.args[1] == types.float32:
-                return arguments[1]
-            index = builder.zext(arguments[1], ir.IntType(64))
-            return builder.load(_pointer(context, builder, signature.args[0], arguments[0], index))
-
-        return (code if code == types.float32 else table.dtype)(table, code), codegen
-
-    # Rows of four as vectors, which the compiler does not make by itself: a sweep of the fit takes 55 to
-    # 65 ns a leaf so, where scalars take 86 to 91.
-
     _FOUR = ir.VectorType(ir.FloatType(), 4)
     _NOTHING = ir.Constant(_FOUR, ir.Undefined)
 
     def _lane(k: int) -> Any:
         return ir.Constant(ir.IntType(32), k)
-
-    def _pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
-        return builder.gep(context.make_array(array_type)(context, builder, array).data, [index])
 
     def _fill(builder: Any, value: Any) -> Any:
         """Put a number into all four lanes."""
@@ -477,7 +119,7 @@ else:
         return builder.shuffle_vector(builder.insert_element(_NOTHING, value, _lane(0)), _NOTHING, zeros)
 
     def _load_four(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
-        place = _pointer(context, builder, array_type, array, index)
+        place = pointer_to(context, builder, array_type, array, index)
         four = builder.load(builder.bitcast(place, _FOUR.as_pointer()))
         four.align = 4
         return four
@@ -513,7 +155,7 @@ else:
                 b = _load_four(context, builder, *array, builder.add(source, apart))
                 for p, q, place in ((near, far, target), (far, near, builder.add(target, to_apart))):
                     products = builder.fmul(p, a, flags=_FUSED), builder.fmul(q, b, flags=_FUSED)
-                    pointer = _pointer(context, builder, *array, place)
+                    pointer = pointer_to(context, builder, *array, place)
                     mean = builder.fadd(*products, flags=_FUSED)
                     builder.store(mean, builder.bitcast(pointer, _FOUR.as_pointer())).align = 4
             return context.get_dummy_value()
@@ -577,7 +219,7 @@ else:
             ends = []
             for row in (axis, axis + 3):
                 index = builder.add(start, ir.Constant(node.type, 8 * row))
-                pointer = _pointer(context, builder, array_type, bounds, index)
+                pointer = pointer_to(context, builder, array_type, bounds, index)
                 end = builder.load(builder.bitcast(pointer, _EIGHT.as_pointer()))
                 end.align = 4
                 ends.append(end)
@@ -601,7 +243,7 @@ else:
             bounds, node, x, y, z, limit, squares = arguments
             point = [_splat(builder, coordinate) for coordinate in (x, y, z)]
             total = _box_squares(context, builder, signature.args[0], bounds, node, point)
-            pointer = _pointer(context, builder, signature.args[6], squares, ir.Constant(node.type, 0))
+            pointer = pointer_to(context, builder, signature.args[6], squares, ir.Constant(node.type, 0))
             builder.store(total, builder.bitcast(pointer, _EIGHT.as_pointer())).align = 4
             inside = builder.fcmp_ordered("<=", total, _splat(builder, limit))
             return builder.zext(builder.bitcast(inside, ir.IntType(8)), ir.IntType(64))
@@ -625,7 +267,7 @@ else:
             places = cgutils.alloca_once_value(builder, ir.Constant(numbers, [-1] * 8))
             first, step = ir.Constant(count.type, 0), ir.Constant(count.type, 1)
             with cgutils.for_range_slice(builder, first, count, step) as (row, _):
-                node = builder.load(_pointer(context, builder, signature.args[1], nodes, row))
+                node = builder.load(pointer_to(context, builder, signature.args[1], nodes, row))
                 squares = _box_squares(context, builder, signature.args[0], bounds, node, point)
                 place = builder.add(builder.shl(_splat(builder, node), ir.Constant(numbers, [3] * 8)), lanes)
                 is_less = builder.fcmp_ordered("<", squares, builder.load(least))
@@ -651,13 +293,17 @@ else:
         """Loop over the rows that are named: yield the place and the content of each, and its weight."""
         rows, numbers, weights, first, end = arguments[:5]
         with cgutils.for_range_slice(builder, first, end, ir.Constant(first.type, 1)) as (index, _):
-            number = builder.load(_pointer(context, builder, signature.args[1], numbers, index))
+            number = builder.load(pointer_to(context, builder, signature.args[1], numbers, index))
             start = builder.shl(builder.sext(number, index.type), ir.Constant(index.type, 2))
-            row = _pointer(context, builder, signature.args[0], rows, start)
+            row = pointer_to(context, builder, signature.args[0], rows, start)
             place = builder.bitcast(row, _FOUR.as_pointer())
             content = builder.load(place)
             content.align = 4
-            yield place, content, builder.load(_pointer(context, builder, signature.args[2], weights, index))
+            yield (
+                place,
+                content,
+                builder.load(pointer_to(context, builder, signature.args[2], weights, index)),
+            )
 
     @intrinsic  # type: ignore[untyped-decorator]
     def weighted_rows(_context: Any, rows: Any, numbers: Any, weights: Any, _first: Any, _end: Any) -> Any:
@@ -686,7 +332,7 @@ else:
                 for _ in range(number // 3**axis % 3):
                     index = builder.add(index, step)
             index = builder.shl(index, ir.Constant(index.type, 2))
-            row = _pointer(context, builder, signature.args[0], rows, index)
+            row = pointer_to(context, builder, signature.args[0], rows, index)
             content = builder.load(builder.bitcast(row, _FOUR.as_pointer()))
             content.align = 4
             sums.append(content)
@@ -745,9 +391,3 @@ else:
 
         four = types.UniTuple(types.float32, 4)
         return types.void(rows, numbers, weights, types.int64, types.int64, four), codegen
-
-
-@kernel
-def low_bits(count: int) -> np.uint64:
-    """Return a mask of the lowest ``count`` bits, 0 ≤ count ≤ 63."""
-    return (np.uint64(1) << np.uint64(count)) - np.uint64(1)

@@ -1,0 +1,36 @@
+"""How octex compiles: what makes kernels of functions, and the instructions that numba lacks.
+
+With ``NUMBA_DISABLE_JIT=1`` every kernel runs as plain Python; the instructions then have plain twins.
+
+shortcuts     numba's steps from Python to LLVM's code, with less work
+compilers     those of kernels, and of the parts that only kernels call
+decorators    kernel, part …: what compiles functions
+cache         where compiled kernels are kept, and whether they are still what the source says
+instructions  bits, memory, arrays
+vectors       rows of four numbers, and boxes eight at a time
+"""
+
+from octex.jit.decorators import DISABLED as DISABLED
+from octex.jit.decorators import fused_kernel as fused_kernel
+from octex.jit.decorators import fused_part as fused_part
+from octex.jit.decorators import inlined as inlined
+from octex.jit.decorators import kernel as kernel
+from octex.jit.decorators import part as part
+from octex.jit.decorators import step as step
+from octex.jit.decorators import summing_kernel as summing_kernel
+from octex.jit.instructions import bytes_of as bytes_of
+from octex.jit.instructions import decoded as decoded
+from octex.jit.instructions import low_bits as low_bits
+from octex.jit.instructions import new_array as new_array
+from octex.jit.instructions import new_zeros as new_zeros
+from octex.jit.instructions import popcount as popcount
+from octex.jit.instructions import prefetch as prefetch
+from octex.jit.instructions import trailing_zeros as trailing_zeros
+from octex.jit.vectors import add_to_rows as add_to_rows
+from octex.jit.vectors import nearest_box as nearest_box
+from octex.jit.vectors import refine_rows as refine_rows
+from octex.jit.vectors import spline_box as spline_box
+from octex.jit.vectors import spline_rows as spline_rows
+from octex.jit.vectors import squares_to_boxes as squares_to_boxes
+from octex.jit.vectors import weighted_cube as weighted_cube
+from octex.jit.vectors import weighted_rows as weighted_rows
