@@ -160,3 +160,11 @@ def test_damaged_packages_are_refused_in_one_line(
     (tmp_path / "bad.3mf").write_bytes(b"PK and no more")
     with pytest.raises(ModelError, match="is damaged, or no 3MF package"):
         octex.load_surface(tmp_path / "bad.3mf")
+
+
+def test_a_small_package_that_unpacks_to_much_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.3mf"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr("3D/3dmodel.model", b" " * 3_000_000)
+    with pytest.raises(ModelError, match=r"3D/3dmodel.model unpacks to 3,000,000 bytes, more than 200 times"):
+        octex.load_surface(path)

@@ -33,16 +33,19 @@ from octex.source.surface import Surface, flip_v
 _WRAPS = {"wrap": REPEAT, "mirror": MIRROR}
 _MODEL = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
 _NESTED = 64
+#: Parts are so many times as large as the package at most; text of meshes packs to a twentieth.
+_UNPACKED = 200
 
 
 def load_3mf(path: Path, options: Options) -> Surface:
     """Read what the build of a 3MF package places. Raises ModelError or ImageError."""
+    data = read_bytes(path)
     try:
-        package = zipfile.ZipFile(io.BytesIO(read_bytes(path)))
+        package = zipfile.ZipFile(io.BytesIO(data))
     except zipfile.BadZipFile:
         raise ModelError(f"{path.name} is damaged, or no 3MF package; export it again") from None
     with package:
-        return _Package(package, path.name, options).surface()
+        return _Package(package, path.name, options, _UNPACKED * len(data)).surface()
 
 
 class _Group(NamedTuple):
@@ -66,8 +69,8 @@ class _Mesh(NamedTuple):
 class _Package:
     """Collects the meshes of a package; corners have rows of two tables: colours, and places in images."""
 
-    def __init__(self, package: zipfile.ZipFile, name: str, options: Options) -> None:
-        self._package, self._name, self._options = package, name, options
+    def __init__(self, package: zipfile.ZipFile, name: str, options: Options, most: int) -> None:
+        self._package, self._name, self._options, self._most = package, name, options, most
         self._groups: dict[tuple[str, str], _Group] = {}
         self._objects: dict[tuple[str, str], Element] = {}
         self._images: list[Texture | None] = [None]
@@ -108,9 +111,15 @@ class _Package:
 
     def _read(self, part: str) -> bytes:
         try:
-            return self._package.read(part.lstrip("/"))
+            entry = self._package.getinfo(part.lstrip("/"))
         except KeyError:
             raise ModelError(f"{self._name} has no part {part}; export it again") from None
+        if entry.file_size > self._most:
+            raise ModelError(
+                f"{self._name}: {part} unpacks to {entry.file_size:,} bytes, more than {_UNPACKED} times the "
+                "file, as no model does; export it again"
+            )
+        return self._package.read(entry)
 
     def _parsed(self, part: str) -> Element:
         data = self._read(part)
