@@ -79,14 +79,15 @@ def tessellated(triangles: Int64s, levels: Int64s, edges: tuple[Int64s, Int64s])
             )
             places[:, rim, b] = along * step / n
             places[:, rim, a] = 1 - places[:, rim, b]
-        made = numbers[:, fine].reshape(-1, 3)
-        wide = (made[:, 0] != made[:, 1]) & (made[:, 1] != made[:, 2]) & (made[:, 2] != made[:, 0])
-        chosen = slice(None) if wide.all() else wide
+        room = len(own) * len(fine)
+        made, parents = np.empty((room, 3), np.int32), np.empty(room, np.int64)
+        shares = np.empty((room, 3, 3))
+        wide = _divide(own, numbers, places, fine, made, parents, shares)
         parts.append(
             (
-                made[chosen].astype(np.int32),
-                np.repeat(own, len(fine))[chosen],
-                places[:, fine].reshape(-1, 3, 3)[chosen],
+                made[:wide],
+                parents[:wide],
+                shares[:wide],
                 numbers.ravel(),
                 np.repeat(own, len(grid)),
                 places.reshape(-1, 3),
@@ -94,6 +95,32 @@ def tessellated(triangles: Int64s, levels: Int64s, edges: tuple[Int64s, Int64s])
         )
     joined = parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
     return Tessellation._make([*joined, count])
+
+
+@kernel
+def _divide(
+    own: Int64s,
+    numbers: Int64s,
+    places: Float64s,
+    fine: Int64s,
+    made: Int32s,
+    parents: Int64s,
+    shares: Float64s,
+) -> int:
+    """Write the triangles of parents' grids, but those that coarser edges leave without area; count them."""
+    count = 0
+    for t in range(len(own)):
+        for f in range(len(fine)):
+            a, b, c = numbers[t, fine[f, 0]], numbers[t, fine[f, 1]], numbers[t, fine[f, 2]]
+            if a == b or b == c or c == a:
+                continue
+            made[count, 0], made[count, 1], made[count, 2] = a, b, c
+            parents[count] = own[t]
+            for corner in range(3):
+                for k in range(3):
+                    shares[count, corner, k] = places[t, fine[f, corner], k]
+            count += 1
+    return count
 
 
 def edges_of(triangles: Int64s) -> tuple[Int64s, Int64s]:
