@@ -1,5 +1,5 @@
-// Mouse, touch and keys on the picture: orbit, pan and zoom. `moved` is called after each change, `rested` once
-// no pointer is down any more.
+// Mouse, touch and keys on the picture: orbit, pan and zoom. `moved` is called after each change, with whether a
+// pointer is down; `rested` once none is any more.
 
 const STEP = 0.09;
 
@@ -32,7 +32,7 @@ export function control(canvas, camera, moved, rested) {
     } else {
       camera.orbit((-dx / height) * 4, (dy / height) * 4);
     }
-    moved();
+    moved(true);
   });
   for (const name of ["pointerup", "pointercancel"]) {
     canvas.addEventListener(name, (event) => {

@@ -15,6 +15,7 @@ import { Source } from "./source.js";
 import { watch } from "./connection.js";
 
 const STILL = 120; // milliseconds without a change, after which a sharp picture is drawn
+const HELD = 500; // and while a pointer is down, as it would hold up what moves on
 const FRAME = 80; // milliseconds that a picture may take while it moves
 const TURN = 0.35; // radians a second, of the turntable
 
@@ -40,7 +41,7 @@ class Viewer {
     this.offer();
     this.describe();
     element("panel").open = !matchMedia("(max-width: 720px)").matches;
-    control(this.canvas, this.camera, () => this.move(), () => this.rest());
+    control(this.canvas, this.camera, (isHeld) => this.move(isHeld), () => this.rest());
     this.listen();
     this.gpu.draw(this.look, this.camera, 1, 1);
     await this.read();
@@ -248,8 +249,8 @@ class Viewer {
   }
 
   // Something has changed: draw soon, and sharply once nothing changes.
-  move() {
-    this.due = performance.now() + STILL;
+  move(isHeld = false) {
+    this.due = performance.now() + (isHeld ? HELD : STILL);
     this.isDrawn = this.isSharp = false;
     this.again();
   }
