@@ -168,3 +168,17 @@ def test_a_small_package_that_unpacks_to_much_is_refused(tmp_path: Path) -> None
         file.writestr("3D/3dmodel.model", b" " * 3_000_000)
     with pytest.raises(ModelError, match=r"3D/3dmodel.model unpacks to 3,000,000 bytes, more than 200 times"):
         octex.load_surface(path)
+
+
+def test_components_that_multiply_are_refused(tmp_path: Path) -> None:
+    objects = [square(1, '<triangle v1="0" v2="1" v3="2"/>')]
+    for number in range(2, 42):
+        twice = f'<component objectid="{number - 1}"/>' * 2
+        objects.append(f'<object id="{number}"><components>{twice}</components></object>')
+    build = '<build><item objectid="{}"/></build>'
+    text = f"<resources>{''.join(objects)}</resources>"
+    path = package(tmp_path / "a.3mf", {"3D/3dmodel.model": text + build.format(5)})
+    assert len(octex.load_surface(path).triangles) == 16
+    package(path, {"3D/3dmodel.model": text + build.format(41)})
+    with pytest.raises(ModelError, match=r"a.3mf places the same parts too many times"):
+        octex.load_surface(path)

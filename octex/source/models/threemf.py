@@ -35,6 +35,9 @@ _MODEL = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
 _NESTED = 64
 #: Parts are so many times as large as the package at most; text of meshes packs to a twentieth.
 _UNPACKED = 200
+#: What is placed takes so many bytes beside as many times those of the package at most: components that share
+#: components multiply. A placement takes so much by itself.
+_PLACED, _TIMES, _PLACEMENT = 2**28, 1000, 4096
 
 
 def load_3mf(path: Path, options: Options) -> Surface:
@@ -45,7 +48,7 @@ def load_3mf(path: Path, options: Options) -> Surface:
     except zipfile.BadZipFile:
         raise ModelError(f"{path.name} is damaged, or no 3MF package; export it again") from None
     with package:
-        return _Package(package, path.name, options, _UNPACKED * len(data)).surface()
+        return _Package(package, path.name, options, len(data)).surface()
 
 
 class _Group(NamedTuple):
@@ -69,14 +72,16 @@ class _Mesh(NamedTuple):
 class _Package:
     """Collects the meshes of a package; corners have rows of two tables: colours, and places in images."""
 
-    def __init__(self, package: zipfile.ZipFile, name: str, options: Options, most: int) -> None:
-        self._package, self._name, self._options, self._most = package, name, options, most
+    def __init__(self, package: zipfile.ZipFile, name: str, options: Options, size: int) -> None:
+        self._package, self._name, self._options = package, name, options
+        self._most, self._left = _UNPACKED * size, _PLACED + _TIMES * size
         self._groups: dict[tuple[str, str], _Group] = {}
         self._objects: dict[tuple[str, str], Element] = {}
         self._images: list[Texture | None] = [None]
         self._colors: list[Float32s] = [np.ones((1, 4), np.float32)]  # row 0 is of what has none
         self._places: list[Float64s] = [np.zeros((1, 2))]
         self._parts: dict[str, Element] = {}
+        self._meshes: dict[tuple[str, str], list[_Mesh]] = {}  # of objects, as they stand there
 
     def surface(self) -> Surface:
         """Return all that the build places."""
@@ -210,7 +215,14 @@ class _Package:
             for each in _within(entry, "components", "component")
             for mesh in self._placed(_path(each, part), each, depth + 1)
         ]
-        meshes += [self._mesh(part, entry, mesh) for mesh in _within(entry, "mesh")]
+        if (part, number) not in self._meshes:
+            self._meshes[part, number] = [self._mesh(part, entry, mesh) for mesh in _within(entry, "mesh")]
+        meshes += self._meshes[part, number]
+        self._left -= _PLACEMENT + sum(array.nbytes for mesh in meshes for array in mesh)
+        if self._left < 0:
+            raise ModelError(
+                f"{self._name} places the same parts too many times; export it with fewer copies"
+            )
         given = item.get("transform")
         if given is None:
             return meshes
