@@ -153,7 +153,7 @@ def _ordered(
 def _source(
     ground: Ground, cameras: Sequence[Camera], levels: Sequence[Levels], executor: Executor
 ) -> Projected:
-    sights = ground.sights(cameras, 0.0, executor)
+    sights = ground.sights(cameras, _RIM * 2 ** max(_LEVELS), executor)
     shots = [shot_of(sight, own) for sight, own in zip(sights, levels, strict=True)]
     surface = ground.surface
     return Projected(
