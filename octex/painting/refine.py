@@ -34,8 +34,8 @@ from octex.source.surface import Surface, as_surface
 from octex.view.camera import Camera
 
 #: Points of the surface that are looked at. Of these every sixth is compared at the coarsest level; at finer
-#: ones, and to judge what is found, those where a picture tells most, so many of each.
-_POINTS, _EVERY, _TELLING = 60_000, 6, 800
+#: ones, and to judge what is found, those where a picture tells most: so many of each, and of all.
+_POINTS, _EVERY, _TELLING, _MOST = 60_000, 6, 800, 20_000
 #: Levels of pictures, each twice as coarse, that are read one after the other, and tries on each.
 _LEVELS, _TRIES = (2, 1, 0), 12
 #: A step in which no number of a camera changes by so many pixels is the last of its level.
@@ -205,7 +205,7 @@ def _telling(views: _Views, numbers: Float64s, far: float) -> Int64s:
     says = np.repeat(views.says, 3, axis=1) * np.isfinite(values).reshape(len(values), -1)
     weights = _weights(np.nan_to_num(values).reshape(says.shape), says, far)
     tells = (weights.reshape(values.shape) * np.nan_to_num(steep)).sum(axis=2)
-    order = np.argsort(-tells, axis=1, kind="stable")[:, :_TELLING]
+    order = np.argsort(-tells, axis=1, kind="stable")[:, : min(_TELLING, _MOST // len(tells) + 1)]
     found = np.zeros(tells.shape, np.bool_)
     np.put_along_axis(found, order, np.take_along_axis(tells, order, axis=1) > 0, axis=1)
     return np.flatnonzero(found.any(axis=0))
