@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -76,8 +77,9 @@ def grid(change: Any = None) -> Gltf:
     return gltf
 
 
-def draco(gltf: Gltf, entry: dict[str, Any], *, required: bool = True) -> None:
-    """Code a primitive by Draco; its accessors have no content left."""
+@cache
+def draco_code() -> tuple[bytes, dict[str, int]]:
+    """The grid's code by Draco, and the number that each attribute has in it. This takes two seconds."""
     coder = pytest.importorskip("DracoPy", reason="the extra octex[draco] is not installed")
     data = coder.encode(
         ATTRIBUTES["POSITION"],
@@ -91,7 +93,7 @@ def draco(gltf: Gltf, entry: dict[str, Any], *, required: bool = True) -> None:
     )
     kinds = {each["attribute_type"]: each["unique_id"] for each in coder.decode(data).attributes}
     kind = coder.AttributeType
-    numbers = {
+    return data, {
         "POSITION": kinds[kind.POSITION],
         "NORMAL": kinds[kind.NORMAL],
         "TEXCOORD_0": kinds[kind.TEX_COORD],
@@ -99,7 +101,12 @@ def draco(gltf: Gltf, entry: dict[str, Any], *, required: bool = True) -> None:
         "TEXCOORD_1": 7,
         "TANGENT": 9,
     }
-    coded = {"bufferView": gltf.view(data), "attributes": numbers}
+
+
+def draco(gltf: Gltf, entry: dict[str, Any], *, required: bool = True) -> None:
+    """Code a primitive by Draco; its accessors have no content left."""
+    data, numbers = draco_code()
+    coded = {"bufferView": gltf.view(data), "attributes": dict(numbers)}
     entry["extensions"] = {"KHR_draco_mesh_compression": coded}
     gltf.json["extensionsUsed"] = ["KHR_draco_mesh_compression"]
     if required:
