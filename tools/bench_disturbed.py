@@ -186,7 +186,7 @@ def disturbed(
     verdicts = []
     for what, (given, hidden) in disturbances(ring.pictures, ring.cameras, surface).items():
         options, refines, below = _TOLD[what]
-        if report.quick and what.endswith("off"):
+        if report.quick and what not in ("strangers", "all together"):
             continue  # all together goes the same ways
         averaged = painted(given, pictures="average")[1]
         off = ["", ""]
