@@ -15,11 +15,11 @@ from octex.painting.cells import (
     among_at,
     are_beside,
     is_within,
+    leave_bare,
     paint_at,
     with_skirt,
 )
-from octex.tree.edit import among, boundary, locate, with_all_above
-from octex.tree.layout import FACING_FLAGS
+from octex.tree.edit import among, boundary, locate, places, with_all_above
 from octex.tree.octree import Octree, distinct
 
 
@@ -118,15 +118,19 @@ def _touch(codes: Int64s, leaves: Sequence[Int64s], level: int, *, half: bool = 
 
 
 def bare_leaves(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[Int64s]:
-    """Return leaves that the surface is in and not all of it painted, by level."""
+    """Return leaves that the surface is in and not all of it painted, by level.
+
+    What lies in larger cells of paint is painted with them.
+    """
     found = []
     for level, (codes, is_node) in enumerate(tree.walk()):
         here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
-        facings = tree.arrays.flags[here] & np.uint8(FACING_FLAGS)
+        flags = tree.arrays.flags[here]
         is_bare = ~is_node & ~is_skirt[here]
-        if level < len(paint):
-            there = among(codes, paint[level].codes)
-            own = paint[level].facings[np.searchsorted(paint[level].codes, codes[there])]
-            is_bare[there] &= facings[there] & ~own != 0
+        for above, each in enumerate(paint[: level + 1]):
+            if each.codes.size:
+                at = places(codes >> 3 * (level - above), each.codes)
+                there = at >= 0
+                is_bare[there] &= leave_bare(flags[there], each.flags[at[there]])
         found.append(codes[is_bare])
     return found

@@ -212,9 +212,9 @@ def _raised(
     has_absent = any(codes.size for codes in absent)
     hides = bool(tops) and any((each.coverage >= hiding).any() for each in paint)
     unraised, bare = _bare(tree, is_skirt, paint, above, tops, met) if has_absent or hides else ([], [])
-    freed = _freed(tree, paint, tops, bare, hiding) if hides else []
     first = next((level for level, codes in enumerate(painted) if codes.size), 0)
-    coarsest = coarsest_near(tree, painted, first) if has_absent else 0
+    coarsest = coarsest_near(tree, painted, first) if has_absent or hides else 0
+    freed = _freed(tree, paint, tops, bare, coarsest, hiding) if hides else []
     wanted: list[Int64s] = []
     skirts: list[Int64s] = []  # none lies in another
     with_skirts: list[Paint] = []
@@ -288,7 +288,7 @@ def _bare(
         there = np.flatnonzero(among(inside, painted[level]))
         at = np.searchsorted(codes, inside[there]) + int(met.tree.arrays.level_cells[level])
         facings = met.tree.arrays.flags[at] & np.uint8(FACING_FLAGS)
-        own = paint[level].facings[np.searchsorted(painted[level], inside[there])]
+        own = paint[level].flags[np.searchsorted(painted[level], inside[there])]
         is_bare[there] = facings & ~own != 0
         bare[level] = distinct(np.concatenate([bare[level], inside[is_bare]]))
     return unraised, bare
@@ -299,32 +299,40 @@ def _freed(
     paint: Sequence[Paint],
     tops: Sequence[tuple[int, Int64s]],
     bare: Sequence[Int64s],
+    coarsest: int,
     hiding: float,
 ) -> list[Int64s]:
     """Return those of the leaves that are raised, ``tops``, that need keep nothing, by level.
 
-    Two of their own size around them there is no kept node, no ``bare`` surface and no paint through which
-    something shows: no cell off the surface below them is refined from what was there.
+    Two of their own size around them there is no ``bare`` surface and no paint through which something shows,
+    so that no cell off the surface below them is refined from what was there. Nor is there around any cell
+    above them that leaves or kept nodes of its size are beside; these are of level ``coarsest`` or deeper.
     """
+    none = np.empty(0, np.int64)
     levels = range(max(len(bare), len(paint)))
-    old = [[np.empty(0, np.int64)] for _ in levels]
-    for level, own in enumerate(bare):
-        old[level].append(own)
+    shown = [[none, *bare[level : level + 1]] for level in levels]
     for level, each in enumerate(paint):
-        old[level].append(each.codes[each.coverage < hiding])
-    ends = np.searchsorted(tree.kept.cells, tree.arrays.level_cells)
-    for level in range(tree.max_depth + 1 if tree.kept.cells.size else 0):
-        kept = tree.kept.cells[ends[level] : ends[level + 1]].astype(np.int64)
-        if kept.size:
-            old[level].append(tree.level_codes(level)[kept - tree.arrays.level_cells[level]])
-    shown = [distinct(np.concatenate(own)) for own in old]
-    freed = []
-    for level in levels:
-        codes = distinct(np.concatenate([np.empty(0, np.int64), *(own for at, own in tops if at == level)]))
-        near = distinct(np.concatenate([codes, boundary(codes, level)]))
-        near = near[are_beside(near, shown, level)] if codes.size else near
-        freed.append(codes[~among(codes, near) & ~among(codes, boundary(near, level))])
+        shown[level].append(each.codes[each.coverage < hiding])
+    seen = [distinct(np.concatenate(own)) for own in shown]
+    given = [distinct(np.concatenate([none, *(own for at, own in tops if at == level)])) for level in levels]
+    held, freed = none, []
+    for level, codes in enumerate(with_all_above(given)):
+        is_held = among(codes >> 3, held)
+        if level >= coarsest and codes.size:
+            near = distinct(np.concatenate([codes, boundary(codes, level)]))
+            where = locate(tree, near, level)
+            has_own = where.is_leaf | (tree.arrays.flags[where.cells] & KEPT != 0)
+            own = near[(where.levels == level) & has_own]
+            near = near[are_beside(near, seen, level)]
+            is_held |= _in_or_beside(codes, own, level) & _in_or_beside(codes, near, level)
+        held = codes[is_held]
+        freed.append(given[level][~among(given[level], held)])
     return freed
+
+
+def _in_or_beside(codes: Int64s, others: Int64s, level: int) -> Bools:
+    """Say which cells (n,) of a level are among others of that level, or beside some."""
+    return among(codes, others) | among(codes, boundary(others, level))
 
 
 def _is_beside_old(
@@ -340,7 +348,7 @@ def _is_beside_old(
     near = distinct(np.concatenate([cells, boundary(distinct(cells), coarsest)]))
     near = near[among(near, above[coarsest])]
     old = near[are_beside(near, bare, coarsest)]
-    return among(cells, old) | among(cells, boundary(old, coarsest))
+    return _in_or_beside(cells, old, coarsest)
 
 
 def _facing_cells(tree: Octree, is_skirt: Bools, level: int) -> Int64s:
