@@ -79,13 +79,13 @@ def _painted_flags(layer: OctreeTexture) -> Uint8s:
     return flags
 
 
-def leave_bare(flags: Uint8s, painted: Uint8s) -> Bools:
-    """Say which cells (n,) have facings that the paint on them, of flags ``painted`` (n,), is not on.
+def leave_bare(facings: Uint8s, painted: Uint8s) -> Bools:
+    """Say which cells (n,) have some of their facings left bare by the paint on them, of flags (n,).
 
-    What neither the texture nor the paint tells apart is painted as a whole.
+    Paint that tells no facings apart is on the cell as a whole.
     """
-    is_split: Bools = (flags | painted) & SPLIT != 0
-    return is_split & (flags & ~painted & np.uint8(FACING_FLAGS) != 0)
+    bare: Bools = (painted & SPLIT != 0) & (facings & ~painted & np.uint8(FACING_FLAGS) != 0)
+    return bare
 
 
 def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opacity: float) -> list[Paint]:
@@ -164,11 +164,16 @@ def facings_within(codes: Int64s, paint: Sequence[Paint], level: int) -> Uint8s:
     return found & np.uint8(FACING_FLAGS)
 
 
-def beside_larger(codes: Int64s, tree: Octree, level: int) -> Bools:
-    """Say which cells (n,) of a level, in no leaf of a tree, are beside leaves that are larger."""
+def beside_larger(codes: Int64s, tree: Octree, tops: Sequence[Int64s], level: int) -> Bools:
+    """Say which cells (n,) of a level, in no leaf of a tree, are beside leaves that are larger.
+
+    Those do not count that are among ``tops``, given by level.
+    """
     around = boundary(codes, level)
     where = locate(tree, around, level)
-    return among(codes, boundary(around[where.is_leaf & (where.levels < level)], level))
+    around = around[where.is_leaf & (where.levels < level)]
+    around = around[~is_within(around, tops[:level], level)]
+    return among(codes, boundary(around, level))
 
 
 def skirt_of(outer: Int64s, painted: Sequence[Int64s], ring: Int64s, met: Int64s, level: int) -> Int64s:
