@@ -17,6 +17,7 @@ import argparse
 import os
 import shutil
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -31,7 +32,7 @@ from bench_painting import painting, ring
 from bench_processing import processing
 from bench_sources import cloud, transfer
 from bench_texture import paper, psnr
-from bench_tools import Report, Setup
+from bench_tools import Report, Setup, octex_worker
 from bench_whole import whole
 
 BENCHMARKS = {
@@ -95,7 +96,8 @@ def main(arguments: list[str] | None = None) -> int:
     load = os.getloadavg()[0]
     print(f"{os.cpu_count()} processors, load {load:.1f}", end="")
     print(": wall times will be disturbed" if load > 0.5 and not options.quick else "")
-    with TemporaryDirectory(prefix="octex-bench-") as folder:
+    quick_worker = octex_worker() if options.quick else nullcontext()
+    with TemporaryDirectory(prefix="octex-bench-") as folder, quick_worker as worker:
         setup = Setup(
             quick=options.quick,
             repeats=1 if options.quick else max(options.repeats, 1),
@@ -104,6 +106,7 @@ def main(arguments: list[str] | None = None) -> int:
             peers=options.peers and options.peers.resolve(),
             peer_python=peer_python,
             models=options.models,
+            worker=worker,
         )
         for name in options.names or BENCHMARKS:
             BENCHMARKS[name](setup, report)

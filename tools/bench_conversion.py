@@ -19,12 +19,12 @@ from bench_tools import (
     Report,
     Setup,
     Spent,
+    Task,
     Worker,
     copy_speed,
     in_turns,
     megabytes,
     millions,
-    octex_worker,
     pinned,
     run_program,
     timed,
@@ -43,11 +43,11 @@ def torus(setup: Setup, report: Report) -> None:
     for task in (
         () if setup.quick else ("tree", "keys")
     ):  # what they compile is in the cache before memory is measured
-        with octex_worker(task, around=20, across=10, depth=6) as worker:
+        with Task(setup, task, pin=False, around=20, across=10, depth=6) as worker:
             worker.run()
     with ExitStack() as stack:
-        tree = stack.enter_context(octex_worker("tree", setup.core, **size))
-        keys = stack.enter_context(octex_worker("keys", setup.core, **size))
+        tree = stack.enter_context(Task(setup, "tree", **size))
+        keys = stack.enter_context(Task(setup, "keys", **size))
         octex_tree, octex_keys = "octex, tree with flags and areas", "octex, sorted keys alone"
         contestants: dict[str, Callable[[], Spent]] = {octex_tree: tree.spent, octex_keys: keys.spent}
         open3d, openvdb = "Open3D VoxelGrid, cells read out", "OpenVDB meshToVolume"
@@ -143,7 +143,7 @@ def large(setup: Setup, report: Report) -> None:
     report.title(f"large: painted torus, {2 * around * across:,} triangles, {size}² texels, depth {depth}")
     path = setup.folder / "large.octex"
     arguments = {"around": around, "across": across, "size": size, "depth": depth, "path": str(path)}
-    with octex_worker("large", **arguments) as worker:
+    with Task(setup, "large", pin=False, **arguments) as worker:
         made = worker.run()
     convert, save = Spent(**made["convert"]), Spent(**made["save"])
     report.line("leaves, bytes of the file", f"{made['leaves']:,}, {megabytes(made['bytes'])}")
@@ -153,7 +153,7 @@ def large(setup: Setup, report: Report) -> None:
     )
     report.line("save", save)
     level = 3 if setup.quick else 5
-    with octex_worker("look", setup.core, path=str(path), level=level) as worker:
+    with Task(setup, "look", path=str(path), level=level) as worker:
         looks = [worker.run() for _ in range(setup.repeats)]
     look = {name: median(look[name] for look in looks) for name in looks[0]}
     report.line("open: nothing cached, cached", f"{look['cold'] * 1e3:.2f} ms, {look['warm'] * 1e3:.2f} ms")

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from bench_inputs import RADIUS, scattered_on_sphere, seen_on_sphere
 from bench_lookups import sphere_texture
-from bench_tools import Report, Setup, Spent, in_turns, megabytes, octex_worker, pinned, run_program, timed
+from bench_tools import Report, Setup, Spent, Task, in_turns, megabytes, pinned, run_program, timed
 from painted_sphere import View, painted_sphere, view
 
 import octex
@@ -261,11 +261,12 @@ def pages(setup: Setup, report: Report) -> None:
     sphere_texture(depth).save(path)
     size = path.stat().st_size
     report.title(f"pages: pictures from a file of {megabytes(size)}")
-    for n in (20, 256, 1024):
-        with octex_worker("picture", path=str(path), pixels=n) as worker:
+    sizes = (20, 64) if setup.quick else (20, 256, 1024)
+    for n in sizes:
+        with Task(setup, "picture", pin=False, path=str(path), pixels=n) as worker:
             answer = worker.run()
         report.line(f"{n}², read", f"{answer['touched'] / 1e6:.2f} MB in {answer['wall']:.3f} s")
         if n == 20:
             report.at_most("pages: 20²", answer["touched"] / 1e6, 0.5, "MB")
-        if n == 1024:
-            report.at_most("pages: 1024², of the file", answer["touched"] / size, 1.0)
+        if n == sizes[-1]:
+            report.at_most(f"pages: {n}², of the file", answer["touched"] / size, 1.0)

@@ -14,10 +14,10 @@ from bench_tools import (
     Report,
     Setup,
     Spent,
+    Task,
     Worker,
     in_turns,
     millions,
-    octex_worker,
     pinned,
     run_program,
     timed,
@@ -322,7 +322,9 @@ def resident(setup: Setup, report: Report) -> None:
     texture.save(path)
     report.title(f"resident: sphere, {1 << depth} cells along an edge, bytes a cell")
     report.line("all arrays", f"{texture.nbytes / leaves:.2f}")
-    with octex_worker("resident", path=str(path), count=2000 if setup.quick else 2_000_000) as worker:
+    with Task(
+        setup, "resident", pin=False, path=str(path), count=2000 if setup.quick else 2_000_000
+    ) as worker:
         answer = worker.run()
     report.line("tiles", f"{answer['tiles'] / leaves:.2f}")
     report.at_most(

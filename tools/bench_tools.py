@@ -42,6 +42,7 @@ class Setup(NamedTuple):
     peers: Path | None
     peer_python: str | None
     models: Path | None
+    worker: Worker | None  # for all tasks of a quick run
 
 
 class Verdict(NamedTuple):
@@ -169,10 +170,10 @@ class Worker:
         self._process.wait()
         self._process.stdout.close()
 
-    def run(self) -> dict[str, Any]:
-        """Have the work done once; return the answer."""
+    def run(self, words: str = "") -> dict[str, Any]:
+        """Have the work done once, on a line of words; return the answer."""
         assert self._process.stdin and self._process.stdout
-        self._process.stdin.write("\n")
+        self._process.stdin.write(f"{words}\n")
         self._process.stdin.flush()
         for line in self._process.stdout:
             if line.startswith("{"):
@@ -186,9 +187,35 @@ class Worker:
         return Spent(answer["cpu"], answer["wall"])
 
 
-def octex_worker(task: str, core: int | None = None, **arguments: object) -> Worker:
-    """Start a task of ``bench_worker.py``."""
-    return Worker([sys.executable, str(HERE / "bench_worker.py"), task, json.dumps(arguments)], core)
+def octex_worker(core: int | None = None) -> Worker:
+    """Start ``bench_worker.py``."""
+    return Worker([sys.executable, str(HERE / "bench_worker.py")], core)
+
+
+class Task:
+    """A task of ``bench_worker.py``, in a process of its own; in a quick run one process has them all."""
+
+    def __init__(self, setup: Setup, name: str, *, pin: bool = True, **arguments: object) -> None:
+        self._words = json.dumps([name, arguments])
+        self._own = None if setup.worker else octex_worker(setup.core if pin else None)
+        self._worker = setup.worker or self._own
+
+    def __enter__(self) -> Task:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._own:
+            self._own.__exit__()
+
+    def run(self) -> dict[str, Any]:
+        """Do it once; return the answer."""
+        assert self._worker
+        return self._worker.run(self._words)
+
+    def spent(self) -> Spent:
+        """Do it once; return the time it took by its own account."""
+        answer = self.run()
+        return Spent(answer["cpu"], answer["wall"])
 
 
 class Output(NamedTuple):

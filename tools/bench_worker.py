@@ -1,6 +1,6 @@
 """Octex's own side of the benchmarks that need a process to themselves; started by bench.py.
 
-usage: bench_worker.py TASK ARGUMENTS-AS-JSON       does the task once for each line it reads
+usage: bench_worker.py       does a task for each line that it reads, of JSON: its name and its arguments
 """
 
 from __future__ import annotations
@@ -203,11 +203,14 @@ TASKS: dict[str, Callable[..., Callable[[], Answer]]] = {
 }
 
 
-def main(name: str, arguments: str) -> None:
-    task = TASKS[name](**json.loads(arguments))
-    for _ in sys.stdin:
-        print(json.dumps(task()), flush=True)
+def main() -> None:
+    tasks: dict[str, Callable[[], Answer]] = {}
+    for line in sys.stdin:
+        if line not in tasks:
+            name, arguments = json.loads(line)
+            tasks[line] = TASKS[name](**arguments)
+        print(json.dumps(tasks[line]()), flush=True)
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()
