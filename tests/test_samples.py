@@ -185,8 +185,8 @@ def test_the_numbered_scripts_run_from_anywhere(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(SAMPLES)
-    monkeypatch.setenv("OCTEX_SAMPLE_DEPTH", "6")
-    monkeypatch.setenv("OCTEX_SAMPLE_WIDTH", "160")
+    monkeypatch.setenv("OCTEX_SAMPLE_DEPTH", "5")
+    monkeypatch.setenv("OCTEX_SAMPLE_WIDTH", "96")
     monkeypatch.setattr(sys, "argv", [script])
     runpy.run_path(str(SAMPLES / script), run_name="__main__")
     assert sorted(path.name for path in tmp_path.rglob("*.*")) == written

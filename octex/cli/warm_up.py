@@ -20,6 +20,7 @@ from octex.source.vxz import unpack_vxz
 from octex.texture import FILTERS
 from octex.tree.morton import encode_cells
 from octex.tree.order import order_in_space, put_rows
+from octex.tree.search import Points
 from octex.view.environment import Environment
 
 # A needle: few cells, but at a depth at which cells come in several blocks.
@@ -137,10 +138,11 @@ def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
             coarse.sample(samples.rest, list(texture.channels), filter)
     octex.convert(surface, 4, max_error=2, detail="stretch")
     mixed = octex.convert(surface, 4, detail=lambda rest: np.where(rest[:, 0] > rest[0, 0], 4.0, 2.0))
-    for points in (surface.scatter(100).rest, surface.scatter(100).rest.astype(np.float32)):
-        mixed.sample(points, list(mixed.channels))
-        numbers = order_in_space(points, *mixed.placement)  # as for more points than are warmed up with
-        put_rows(np.empty((numbers.size, 3), np.float32), numbers, np.empty((len(points), 3), np.float32))
+    points = surface.scatter(100).rest
+    mixed.sample(points, list(mixed.channels))
+    # As for more points than are warmed up with.
+    numbers = order_in_space(Points.of(points), *mixed.placement)
+    put_rows(np.empty((numbers.size, 3), np.float32), numbers, np.empty((100, 3), np.float32))
     encode_cells([(1, 2, 3)])
     texture.tree.level_codes(6)
     write_points(texture, folder / "points.ply")

@@ -25,6 +25,7 @@ from octex.jit import decoded, inlined, kernel, new_zeros, popcount, prefetch, t
 from octex.tree.areas import AREAS
 from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
 from octex.tree.octree import Octree
+from octex.tree.search import Origin, Points, position
 
 #: Points whose taps are found before any is blended: enough that calls cost little, few enough that their
 #: taps stay in the processor's second cache.
@@ -173,26 +174,35 @@ def finish(
     return end, n_empty, n_rim
 
 
-@kernel
-def place_points(points: Floats, origin: tuple[float, float, float], size: float, places: Float64s) -> int:
-    """Write where rest positions (n, 3) lie in texture space, clamped to 0 … 1.
-
-    Returns the first position that is not finite, or −1.
-    """
-    inverse = 1.0 / size
+@inlined
+def _place_rows(rows: Floats, origin: Origin, inverse: float, places: Float64s) -> bool:
+    """Write where rows (n, 3) lie; say whether some are not finite."""
     faults = 0
-    for n in range(points.shape[0]):
-        x, y, z = np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2])
+    for n in range(rows.shape[0]):
+        x, y, z = np.float64(rows[n, 0]), np.float64(rows[n, 1]), np.float64(rows[n, 2])
         faults |= int(not ((abs(x) < np.inf) & (abs(y) < np.inf) & (abs(z) < np.inf)))
         places[n, 0] = min(max(0.0, (x - origin[0]) * inverse), 1.0)
         places[n, 1] = min(max(0.0, (y - origin[1]) * inverse), 1.0)
         places[n, 2] = min(max(0.0, (z - origin[2]) * inverse), 1.0)
-    if faults == 0:
+    return faults != 0
+
+
+@kernel
+def place_points(points: Points, origin: Origin, size: float, places: Float64s) -> int:
+    """Write where points lie in texture space (n, 3), clamped to 0 … 1.
+
+    Returns the first position that is not finite, or −1.
+    """
+    if points.singles.shape[0] > 0:
+        is_faulty = _place_rows(points.singles, origin, 1.0 / size, places)
+    else:
+        is_faulty = _place_rows(points.doubles, origin, 1.0 / size, places)
+    if not is_faulty:
         return -1
-    for n in range(points.shape[0]):
-        for axis in range(3):
-            if not abs(np.float64(points[n, axis])) < np.inf:
-                return n
+    for n in range(places.shape[0]):
+        x, y, z = position(points, n)
+        if not ((abs(x) < np.inf) & (abs(y) < np.inf) & (abs(z) < np.inf)):
+            return n
     return -1
 
 

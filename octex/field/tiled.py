@@ -48,7 +48,7 @@ from octex.jit import (
     trailing_zeros,
 )
 from octex.tree.layout import SPLIT
-from octex.tree.search import Origin
+from octex.tree.search import Origin, Points, count_of, position
 
 Five = tuple[float, float, float, float, float]
 
@@ -325,7 +325,8 @@ def _read_ahead(search: Search, codes: Codes, alpha: Uint8s) -> Ahead:
 @kernel
 def look_up_tiled(
     search: Search,
-    points: Floats,
+    singles: Floats,
+    doubles: Floats,
     which: Int64s,
     origin: Origin,
     size: float,
@@ -335,21 +336,22 @@ def look_up_tiled(
     gradients: Float32s,
     lost: Int64s,
 ) -> tuple[int, int, int]:
-    """Write the mean (n, components) of a channel at rest positions (n, 3), and its gradient.
+    """Write the mean (n, components) of a channel at points, see `Points`, and its gradient.
 
     If ``which`` (m,) is not empty, only these points are looked up. ``gradients`` (n, components, 3) or
     (0, components, 3). In ``lost`` (2, n) are listed the points that have no cells around them, and those at
     the rim, for the walk. Returns how many they are, and the first that is not finite, where all stopped, or
     −1.
     """
+    points = Points(singles, doubles)
     gradient, is_some = gradients.shape[0] > 0, which.size > 0
-    all_points = which.size if is_some else points.shape[0]
+    all_points = which.size if is_some else count_of(points)
     step = max(min(_STEP, all_points), 1)
     is_seen = search.faces and not (gradient or channel.has_alpha)
     is_split = search.facings.rows.size > 0 and search.faces and not is_seen
     room, places, each = _new_room(search, step, is_split, gradient)
     some = step if is_some else 0
-    own_points, own_normals = new_array((some, 3), points.dtype), new_array((some, 3), np.float32)
+    own_points, own_normals = new_array((some, 3), np.float64), new_array((some, 3), np.float32)
     own_values = new_array((some, results.shape[1]), np.float32)
     own_slopes = new_array((some, gradients.shape[1], 3), np.float32)
     alpha = channel.alpha.values if channel.has_alpha else channel.alpha.values[:0]
@@ -368,14 +370,16 @@ def look_up_tiled(
     for begin in range(0, all_points, step):
         count = min(step, all_points - begin)
         end = begin + count
-        here, given, facing = places[:count], points[begin:end], normals[begin:end]
+        here, given, facing = places[:count], _run_of(points, begin, end), normals[begin:end]
         values, slopes = results[begin:end], gradients[begin:end]
         if is_some:
-            _pick_rows(points, which[begin:end], own_points)
-            given, values, slopes = own_points[:count], own_values[:count], own_slopes[:count]
-            if search.faces:
-                _pick_rows(normals, which[begin:end], own_normals)
-                facing = own_normals[:count]
+            for n in range(count):
+                at = np.uint64(which[begin + n])
+                own_points[n, 0], own_points[n, 1], own_points[n, 2] = position(points, at)
+                for axis in range(3 if search.faces else 0):
+                    own_normals[n, axis] = normals[at, axis]
+            given, facing = Points(points.singles[:0], own_points[:count]), own_normals[:count]
+            values, slopes = own_values[:count], own_slopes[:count]
         fault = place_points(given, origin, size, here)
         if fault >= 0:
             return n_empty, n_rim, begin + fault
@@ -402,7 +406,7 @@ def look_up_tiled(
                     blend_slopes(taps, channel.codes, 1.0 / size, values, slopes)
         if is_some:
             for n in range(count):
-                at = which[begin + n]
+                at = np.uint64(which[begin + n])
                 for component in range(results.shape[1]):
                     results[at, component] = values[n, component]
                     for axis in range(3 if gradient else 0):
@@ -415,7 +419,7 @@ def look_up_tiled(
 @kernel
 def add_tiled(
     search: Search,
-    points: Floats,
+    points: Points,
     origin: Origin,
     size: float,
     normals: Float32s,
@@ -426,20 +430,21 @@ def add_tiled(
     sums: Sums,
     lost: Int64s,
 ) -> tuple[int, int]:
-    """Add what looks of `quadratic` at rest positions (n, 3) show, times their shares, to the owners' sums.
+    """Add what looks of `quadratic` at points show, times their shares, to the owners' sums.
 
     Normals are those of the owners. ``left`` (n,) takes what mixes facings. Else as `look_up_tiled`.
     """
-    step = max(min(_STEP, points.shape[0]), 1)
+    all_points = count_of(points)
+    step = max(min(_STEP, all_points), 1)
     room, places, each = _new_room(search, step, False, False)
     facing = new_array((step if search.faces else 0, 3), np.float32)
     ahead = _read_ahead(search, codes, search.areas[:0].reshape(0, 1))
     n_empty = n_rim = 0
-    for begin in range(0, points.shape[0], step):
-        end = min(begin + step, points.shape[0])
+    for begin in range(0, all_points, step):
+        end = min(begin + step, all_points)
         count = end - begin
         here, taps, empty, rim = places[:count], _of_points(room, count), lost[0, n_empty:], lost[1, n_rim:]
-        place_points(points[begin:end], origin, size, here)
+        place_points(_run_of(points, begin, end), origin, size, here)
         task = each[:count], search.is_off, search.last, taps, 0, empty, rim, ahead
         _, more, rest = quadratic_taps(search.tiles, here, *task)
         looks = codes, owners[begin:end], shares[begin:end]
@@ -457,19 +462,16 @@ def add_tiled(
 
 
 @part
+def _run_of(points: Points, begin: int, end: int) -> Points:
+    """Return a run of points."""
+    return Points(points.singles[begin:end], points.doubles[begin:end])
+
+
+@part
 def _of_points(taps: Taps, count: int) -> Taps:
     """Return the taps of fewer points."""
     starts, ends, covers = taps.starts[:count], taps.ends[:count], taps.covers[:count]
     return Taps(taps.rows, taps.weights, taps.slopes, starts, ends, covers)
-
-
-@inlined
-def _pick_rows(rows: Floats, which: Int64s, taken: Floats) -> None:
-    """Take some rows (n, 3)."""
-    for n in range(which.size):
-        at = np.uint64(which[n])
-        for axis in range(3):
-            taken[n, axis] = rows[at, axis]
 
 
 @inlined

@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s
+from octex.arrays import Float32s, Float64s, Int32s, Int64s
 from octex.jit import inlined, kernel, new_array, new_zeros, prefetch
 from octex.tree.morton import encode
-from octex.tree.search import UNITS, Origin
+from octex.tree.search import UNITS, Origin, Points, count_of, position
 
 #: Fewer points than this are sorted one by one.
 _SORTED_SINGLY = 24
@@ -49,18 +49,18 @@ def order_of(places: Float64s) -> Order:
 
 
 @kernel
-def order_in_space(points: Floats, origin: Origin, size: float) -> Int32s:
-    """Return the numbers of rest positions (n, 3) by cells of the level _COARSE, in Morton order.
+def order_in_space(points: Points, origin: Origin, size: float) -> Int32s:
+    """Return the numbers of points by cells of the level _COARSE, in Morton order.
 
     Returns none if they come in a like order, or are not all finite.
     """
-    n = points.shape[0]
+    n = count_of(points)
     cells, shift = 1 << _COARSE, np.float64(1 << _COARSE) / size
     digits, counts = new_array(n, np.uint16), new_zeros((1 << 3 * _COARSE) + 1, np.int64)
     nothing = new_array(0, np.int32)
     previous, changes = -1, 0
     for m in range(n):
-        x, y, z = np.float64(points[m, 0]), np.float64(points[m, 1]), np.float64(points[m, 2])
+        x, y, z = position(points, m)
         if not (abs(x) < np.inf and abs(y) < np.inf and abs(z) < np.inf):
             return nothing
         i = int(min(max((x - origin[0]) * shift, 0.0), cells - 1.0))

@@ -21,6 +21,40 @@ UNITS = 1 << MAX_DEPTH
 
 Origin = tuple[float, float, float]
 
+_NO_SINGLES, _NO_DOUBLES = np.empty((0, 3), np.float32), np.empty((0, 3))
+
+
+class Points(NamedTuple):
+    """Rest positions of either precision, for kernels of one version: one of the arrays is empty."""
+
+    singles: Floats  # (n, 3) or (0, 3)   float32
+    doubles: Floats  # (n, 3) or (0, 3)   float64
+
+    @classmethod
+    def of(cls, rows: Floats) -> Points:
+        """Return rows (n, 3) of float32 or float64, as kernels take them."""
+        return cls(*singles_and_doubles(rows))
+
+
+def singles_and_doubles(rows: Floats) -> tuple[Floats, Floats]:
+    """Return the arrays of ``Points``: handed over one by one they take a call a microsecond less."""
+    return (rows, _NO_DOUBLES) if rows.itemsize == 4 else (_NO_SINGLES, rows)
+
+
+@inlined
+def count_of(points: Points) -> int:
+    """Return how many points there are."""
+    return len(points.singles) + len(points.doubles)
+
+
+@inlined
+def position(points: Points, n: int | np.uint64) -> tuple[float, float, float]:
+    """Return where a point is."""
+    if len(points.singles) > 0:
+        rows = points.singles
+        return np.float64(rows[n, 0]), np.float64(rows[n, 1]), np.float64(rows[n, 2])
+    return points.doubles[n, 0], points.doubles[n, 1], points.doubles[n, 2]
+
 
 @inlined
 def fixed(coordinate: float) -> int:
@@ -260,18 +294,18 @@ def nearest_cells(
 @kernel
 def in_leaves(
     arrays: TreeArrays,
-    points: Floats,
+    points: Points,
     origin: Origin,
     size: float,
     inside: Bools,
 ) -> int:
-    """Write to ``inside`` (n,) whether a leaf holds each rest position (n, 3).
+    """Write to ``inside`` (n,) whether a leaf holds each point.
 
     Returns the index of the first position that is not finite, where it stopped, or −1.
     """
     scratch = new_scratch(arrays)
-    for n in range(points.shape[0]):
-        x, y, z = np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2])
+    for n in range(count_of(points)):
+        x, y, z = position(points, n)
         if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
             return n
         x, y, z = (x - origin[0]) / size, (y - origin[1]) / size, (z - origin[2]) / size

@@ -75,7 +75,7 @@ def patches_of(mesh: Mesh, mesh_type: str | None = None) -> Patches:
         first_faces,
         np.repeat(np.arange(len(sizes), dtype=np.int32), per),
         numbers,
-        cut,
+        np.ascontiguousarray(cut),
         first_cut,
         order,
     )
