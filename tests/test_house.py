@@ -29,6 +29,7 @@ ROWS = [
         "jit",
         "parallel",
         "channels",
+        "npz",
     },
     {"tree"},
     {"nearest"},
