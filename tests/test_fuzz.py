@@ -28,6 +28,17 @@ def fuzz(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return fuzz_files
 
 
+@pytest.mark.parametrize("kind", [".octex", ".octz", "points", "voxels", "cameras"])
+def test_files_that_are_sound_answer_in_every_way(kind: str, tmp_path: Path, fuzz: ModuleType) -> None:
+    for number in range(4):
+        parts = fuzz.files(number, tmp_path)[kind]
+        path = tmp_path / f"good{parts.ending}"
+        path.write_bytes(parts.content)
+        for seed in range(60):
+            word = fuzz.use(path, kind, Random(seed))
+            assert word == "sound" or kind == "points"  # of which a cloud needs three
+
+
 def test_damaged_files_of_many_seeds_are_refused_or_answer(tmp_path: Path, fuzz: ModuleType) -> None:
     outcomes = [fuzz.attempt(seed, tmp_path) for seed in range(400)]
     assert [what for word, what in outcomes if word == "FOUND"] == []

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from octex.archive import entropy, models
+from octex.archive.coding import Coding, order_of, weights_of
 from octex.archive.layout import BLOCKS, FORMAT_VERSION, MAGIC, PIECE, START
-from octex.archive.values import Coding, order_of, weights_of
 from octex.channels import ChannelFormat
 from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable
