@@ -662,6 +662,165 @@ def test_a_full_disk_leaves_the_cameras_that_were_there(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == [path]
 
 
+# Metashape
+
+#: k1, k2, k3, p1, p2, b1, b2 of Metashape.
+METASHAPE = {
+    "f": 500.0, "cx": -9.5, "cy": 12.25, "b1": 1.5, "b2": -0.75, "k1": -0.2, "k2": 0.05, "k3": 0.01,
+    "p1": 2e-3, "p2": -1e-3,
+}  # fmt: skip
+
+
+def metashape(numbers=METASHAPE, kind="frame", reference="LOCAL_CS[]", resolution=(640, 480), **changes):
+    """Write a chunk whose component turns, moves and scales its cameras; return it and one's true pose."""
+    turn, shift, scale = view(7)[:3, :3], np.array([0.5, -0.25, 2.0]), 1.75
+    words = {"rotation": turn, "translation": shift, "scale": scale} | changes
+    given = to_opengl(view(1)) @ np.diag([1.0, -1.0, -1.0, 1.0])  # from the camera's axes, y down
+    own = given.copy()
+    own[:3, :3], own[:3, 3] = turn.T @ given[:3, :3], turn.T @ (given[:3, 3] - shift) / scale
+
+    def text(values):
+        return " ".join(map(repr, np.asarray(values).ravel().tolist()))
+
+    calibration = "".join(f"<{name}>{value!r}</{name}>" for name, value in numbers.items())
+    size = f'<resolution width="{resolution[0]}" height="{resolution[1]}"/>'
+    placed = "".join(f"<{name}>{text(values)}</{name}>" for name, values in words.items())
+    return f'''<?xml version="1.0" encoding="UTF-8"?>
+<document version="2.0.0"><chunk label="Chunk 1" enabled="true">
+<sensors next_id="1"><sensor id="3" label="lens" type="{kind}">{size}
+<calibration type="{kind}" class="initial">{size}<f>77</f></calibration>
+<calibration type="{kind}" class="adjusted">{size}{calibration}</calibration></sensor></sensors>
+<components next_id="1"><component id="0" label="Component 1">
+<transform>{placed}</transform></component></components>
+<cameras next_id="3"><camera id="0" sensor_id="3" component_id="0" label="a.jpg">
+<transform>{text(own)}</transform></camera>
+<group id="0" label="g"><camera id="1" sensor_id="3" component_id="0" label="b">
+<transform>{text(own)}</transform><orientation>1</orientation></camera></group>
+<camera id="2" sensor_id="3" label="not aligned"/></cameras>
+<reference>{reference}</reference></chunk></document>'''
+
+
+def test_metashape_cameras_see_what_its_manual_says(tmp_path):
+    path = tmp_path / "cameras.xml"
+    path.write_text(metashape(), encoding="utf-8-sig")
+    frames = read_cameras(path)
+    assert [(frame.name, frame.size, frame.image) for frame in frames] == [
+        ("a.jpg", (640, 480), None),
+        ("b", (640, 480), None),
+    ]
+    f, cx, cy, b1, b2, k1, k2, k3, p1, p2 = METASHAPE.values()
+    pixels = []
+    for point in POINTS:
+        x, y, z = view(1)[:3, :3] @ point + view(1)[:3, 3]
+        x, y = x / z, y / z
+        r2 = x * x + y * y
+        radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+        right = x * radial + p1 * (r2 + 2 * x * x) + 2 * p2 * x * y
+        down = y * radial + p2 * (r2 + 2 * y * y) + 2 * p1 * x * y
+        pixels.append([320 + cx + right * f + right * b1 + down * b2, 240 + cy + down * f])
+    for frame in frames:
+        sees(frame.camera(), pixels)
+
+
+def test_metashape_cameras_may_be_fisheyes(tmp_path):
+    path = tmp_path / "cameras.xml"
+    numbers = {name: METASHAPE[name] for name in ("f", "k1", "k2", "k3", "p1", "p2")} | {"k4": -0.02}
+    path.write_text(metashape(numbers, "fisheye"), encoding="utf-8")
+    pixels = []
+    for point in POINTS:
+        x, y, z = view(1)[:3, :3] @ point + view(1)[:3, 3]
+        angle, across = np.arctan2(np.hypot(x, y), z), np.hypot(x, y)
+        x, y = x / across * angle, y / across * angle
+        r2 = x * x + y * y
+        radial = 1 - 0.2 * r2 + 0.05 * r2**2 + 0.01 * r2**3 - 0.02 * r2**4
+        right = x * radial + 2e-3 * (r2 + 2 * x * x) - 2e-3 * x * y
+        down = y * radial - 1e-3 * (r2 + 2 * y * y) + 4e-3 * x * y
+        pixels.append([320 + 500 * right, 240 + 500 * down])
+    sees(read_cameras(path)[0].camera(), pixels)
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        ("<document>", "is not XML"),
+        ("<!DOCTYPE a><document/>", "has a document type"),
+        ("<plist/>", "is no file of cameras; export them from Metashape as Agisoft XML"),
+        ("<document><chunk/></document>", "has no cameras"),
+        (metashape(kind="spherical"), "type 'spherical' is not known; octex knows frame and fisheye"),
+        (metashape({"f": 0.0}), "frame 'a.jpg': sensor 'lens': f must be above zero, not 0"),
+        (metashape({"f": 500.0, "k4": 0.1}), "k4 must be zero"),
+        (metashape({"f": float("nan")}), "f must be a finite number, not nan"),
+        (metashape(resolution=("", 480)), "width must be a number, not ''"),
+        (metashape(reference="GEOGCS[]"), "the chunk's coordinates are on the earth"),
+        (metashape(scale=(1, 2)), "the component's transform: scale must be 1 numbers, not 2"),
+        (metashape(rotation=np.ones((3, 3))), "frame 'a.jpg': transform: "),
+        (metashape().replace('sensor_id="3"', 'sensor_id="4"'), "sensor_id '4' names no sensor of the file"),
+    ],
+)
+def test_metashape_files_that_cannot_be_used_are_refused_by_field(tmp_path, content, complaint):
+    path = tmp_path / "cameras.xml"
+    path.write_text(content, encoding="utf-8")
+    assert complaint in refusal(path)
+
+
+# OpenMVS
+
+
+def openmvs(version, size=(640, 480), pose=(0, 0, 0)):
+    """Write a scene of two pictures, of which the second has no pose: the camera is mounted on a platform."""
+
+    def text(words):
+        return struct.pack("<Q", len(words)) + words.encode()
+
+    def placed(matrix):
+        origin = -matrix[:3, :3].T @ matrix[:3, 3]
+        return matrix[:3, :3].tobytes() + origin.tobytes()
+
+    mount = view(5)
+    scale = 1.0 if any(size) else 1 / 640
+    K = np.array([[500.0 * scale, 0.0, 309.5 * scale], [0.0, 510.0 * scale, 249.5 * scale], [0.0, 0.0, 1.0]])
+    camera = text("lens") + (text("RGB") if version > 3 else b"") + struct.pack("<II", *size)
+    platform = text("rig") + struct.pack("<Q", 1) + camera + K.tobytes() + placed(mount)
+    platform += struct.pack("<Q", 1) + placed(np.linalg.inv(mount) @ view(1))
+    content = (
+        b"MVSI" + struct.pack("<II", version, 0) + struct.pack("<Q", 1) + platform + struct.pack("<Q", 2)
+    )
+    for name, which in (("images/a.jpg", pose), ("images/b.jpg", (0, 0, 2**32 - 1))):
+        content += text(name) + (text("") if version > 4 else b"") + struct.pack("<III", *which)
+        content += struct.pack("<I", 9) if version > 2 else b""
+        content += struct.pack("<3fQ2I4f", 1, 2, 3, 1, 0, 5, 1, 2, 3, 4) if version > 6 else b""
+    return content + bytes(40)
+
+
+@pytest.mark.parametrize("version", range(1, 8))
+def test_openmvs_cameras_see_what_their_numbers_say(tmp_path, version):
+    path = tmp_path / "scene.mvs"
+    for size in ((640, 480), (0, 0)):
+        path.write_bytes(openmvs(version, size))
+        (frame,) = read_cameras(path)
+        assert (frame.name, frame.image) == ("images/a.jpg", tmp_path / "images/a.jpg")
+        assert frame.size == (size if any(size) else None)
+        # Whole numbers are the middles of OpenMVS's pixels.
+        sees(frame.camera((640, 480)), expected(view(1), 500.0, 510.0, (310.0, 250.0)))
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        (b"MVSI" + struct.pack("<II", 8, 0), "is of version 8 of OpenMVS's scenes; octex reads 1 to 7"),
+        (openmvs(3)[:60], "the file ends here"),
+        (b"MVSI" + struct.pack("<IIQ", 3, 0, 2**60), "the number of platforms, 1152921504606846976, is more"),
+        (openmvs(3, pose=(1, 0, 0)), "frame 'images/a.jpg': platform 1 does not stand in the file"),
+        (openmvs(3, pose=(0, 0, 1)), "camera 0 or pose 1 does not stand in the file"),
+        (openmvs(3, size=(640, 0)), "camera 0: height must be a whole number"),
+    ],
+)
+def test_openmvs_scenes_that_cannot_be_used_are_refused(tmp_path, content, complaint):
+    path = tmp_path / "scene.mvs"
+    path.write_bytes(content)
+    assert complaint in refusal(path)
+
+
 # Any file
 
 
@@ -707,13 +866,15 @@ def test_a_file_that_cannot_be_is_refused(tmp_path):
     assert "no file can be named" in refusal("a\0b")
 
 
-@pytest.mark.parametrize("kind", ["ours", "transforms", "gltf", "glb", "text", "binary"])
+@pytest.mark.parametrize("kind", ["ours", "transforms", "gltf", "glb", "text", "binary", "xml", "mvs"])
 def test_a_damaged_file_of_each_kind_is_read_or_refused(tmp_path, kind):
     path = {
         "ours": tmp_path / "a.json",
         "transforms": tmp_path / "transforms.json",
         "gltf": tmp_path / "a.gltf",
         "glb": tmp_path / "a.glb",
+        "xml": tmp_path / "a.xml",
+        "mvs": tmp_path / "a.mvs",
         "text": tmp_path,
         "binary": tmp_path,
     }[kind]
@@ -721,6 +882,8 @@ def test_a_damaged_file_of_each_kind_is_read_or_refused(tmp_path, kind):
         write_cameras(path, ours())
     elif kind in ("text", "binary"):
         (colmap_text if kind == "text" else colmap_binary)(path)
+    elif kind in ("xml", "mvs"):
+        path.write_bytes(metashape().encode() if kind == "xml" else openmvs(7))
     else:
         path.write_bytes(
             glb(gltf()) if kind == "glb" else json.dumps(transforms() if kind[0] == "t" else gltf()).encode()

@@ -566,10 +566,12 @@ def test_a_preview_is_drawn_of_what_was_painted(
     scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     drawn: list[tuple[list[str] | None, list[str]]] = []
+    views: list[Any] = []
 
-    def write_preview(_path: Path, surface: Any, texture: Any, **_: Any) -> None:
+    def write_preview(_path: Path, surface: Any, texture: Any, *, view: Any, **_: Any) -> None:
         names = None if surface is None else [form.name for form in surface.channels]
         drawn.append((names, list(texture.channels)))
+        views.append(view)
 
     monkeypatch.setattr("octex.preview.write_preview", write_preview)
     preview = tmp_path / "preview.png"
@@ -578,6 +580,10 @@ def test_a_preview_is_drawn_of_what_was_painted(
     new = [scene.model, tmp_path / "new.octex", *scene.shot[2:], "--preview", preview]
     result(capsys, *new, "--out", tmp_path / "b.octex", "--channel", "occlusion")
     assert drawn == [(["base_color"], ["base_color"]), (None, ["occlusion"])]
+    result(capsys, *scene.shot, "--out", tmp_path / "c.octex", "--preview", preview, "--up", "0,0,1")
+    rows = -scene.camera.world_to_camera[:3, :3]
+    np.testing.assert_allclose([views[0].direction, views[0].up], [rows[2], rows[1]], atol=1e-9)
+    assert (views[2].direction, views[2].up) == (None, (0.0, 0.0, 1.0))
 
 
 # --- pictures to paint on

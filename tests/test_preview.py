@@ -18,6 +18,7 @@ from octex.preview import (
     render_leaves,
     source_shader,
     texture_shader,
+    viewpoint_among,
     write_preview,
 )
 from octex.preview.directions import best_direction, view_directions
@@ -452,6 +453,21 @@ def test_a_preview_is_drawn_from_where_it_is_asked_for(quarters):
     for row, column in ((10, 37), (10, 53), (26, 37), (26, 53)):  # about the middle, (18, 45)
         assert np.abs(turned[36 - row, 90 - column] - usual[0][row, column]).max() < 30
     assert np.abs(turned[10, 37] - usual[0][10, 37]).max() > 100
+
+
+def test_pictures_are_seen_from_where_their_cameras_stand():
+    points = np.random.default_rng(0).random((20, 3))
+    up = (0.0, 0.0, 1.0)
+    ways = np.array([[1.0, -0.4, 0.2], [1.0, 0.0, 0.2], [1.0, 0.4, 0.2]])
+    row = [Camera.fitted(points, way, size=(40, 30), up=up) for way in ways]
+    units = ways / np.linalg.norm(ways, axis=1, keepdims=True)
+    for some, direction in ((row, units.mean(axis=0)), (row[:1], units[0])):
+        made = viewpoint_among(some).camera(points, lambda: np.zeros(3), (40, 30))
+        expected = Camera.fitted(points, direction, size=(40, 30), up=up)
+        np.testing.assert_allclose(made.world_to_camera, expected.world_to_camera, atol=1e-9)
+    around = [Camera.fitted(points, way, size=(40, 30), up=up) for way in (*units[2:], *-units[2:])]
+    made = viewpoint_among(around).camera(points, lambda: np.zeros(3), (40, 30))
+    np.testing.assert_allclose(made.world_to_camera, around[0].world_to_camera, atol=1e-9)
 
 
 # --- what is transparent

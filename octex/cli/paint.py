@@ -84,7 +84,8 @@ def _paint(options: argparse.Namespace, program: str) -> int:
             made = with_entries(made, surface, entries)
             if draw is not None:  # first: without room for it, nothing is left unannounced
                 with progress.stage("draw"):
-                    draw(*_previewed(whole, made, channel_of(layers[0])))
+                    cameras = [] if options.unwrap else [shot.camera for shot in shots]
+                    draw(*_previewed(whole, made, channel_of(layers[0])), cameras)
             with progress.stage("write"):
                 if options.layer_out is not None:
                     with_entries(layers[0], surface, entries).save(options.layer_out)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from octex.cli.arguments import bump, length, light, position, real
 from octex.cli.parser import option
@@ -16,12 +15,14 @@ if TYPE_CHECKING:
     from octex.preview import Bump
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
+    from octex.view.camera import Camera
     from octex.view.environment import Environment
 
 VIEW_OPTIONS = (
     option(
         "--direction",
-        "from the model toward the camera that draws it (default: the side that shows most)",
+        "from the model toward the camera that draws it (default: from where pictures that are painted were "
+        "taken; else the side that shows most)",
         metavar="X,Y,Z",
         type=position,
     ),
@@ -53,23 +54,36 @@ VIEW_OPTIONS = (
 VIEW_WORDS = {each.word for each in VIEW_OPTIONS}
 
 
-def previewing(
-    options: argparse.Namespace, model: Path
-) -> Callable[[Surface | None, OctreeTexture], None] | None:
-    """Return what draws --preview of a surface and its texture; None where none is asked for.
+class Draw(Protocol):
+    """Draws --preview of a surface and its texture, as some cameras see it if no option says from where."""
+
+    def __call__(
+        self, surface: Surface | None, texture: OctreeTexture, cameras: Sequence[Camera] = ()
+    ) -> None:
+        """Write the picture."""
+
+
+def previewing(options: argparse.Namespace, model: Path) -> Draw | None:
+    """Return what draws --preview; None where none is asked for.
 
     Raises CameraError for a frame that the model's file does not have.
     """
     if options.preview is None:
         return None
     from octex.cli.shots import frame_of
-    from octex.preview import Viewpoint, write_preview
+    from octex.preview import Viewpoint, viewpoint_among, write_preview
     from octex.view.camera_files import read_cameras
 
-    name = options.frame
+    name, light, bump = options.frame, light_of(options), bump_of(options)
     frame = None if name is None else frame_of(read_cameras(model), name, model)
     view = Viewpoint(options.direction, options.up or (0.0, 1.0, 0.0), options.zoom or 1.0, frame)
-    return partial(write_preview, options.preview, view=view, light=light_of(options), bump=bump_of(options))
+    is_free = frame is None and options.direction is None and options.up is None
+
+    def draw(surface: Surface | None, texture: OctreeTexture, cameras: Sequence[Camera] = ()) -> None:
+        seen = viewpoint_among(cameras)._replace(zoom=view.zoom) if cameras and is_free else view
+        write_preview(options.preview, surface, texture, view=seen, light=light, bump=bump)
+
+    return draw
 
 
 def light_of(options: argparse.Namespace) -> Environment | None:

@@ -8,13 +8,16 @@ masked in all of them no picture has seen.
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
+from functools import partial
+
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from octex.conversion import large
 from octex.jit import inlined, kernel
-from octex.painting.pictures import masked
-from octex.painting.projected import Projected, Shot
+from octex.painting.pictures import Levels, masked
+from octex.painting.projected import Projected, Shot, most_ahead
+from octex.parallel import ordered_map
 from octex.view.lens import is_bent, undistort
 
 #: Pixels of a patch, each way.
@@ -33,22 +36,23 @@ _SUPPORT = 0.5
 #: Patches are masked where so much of what is around is far off.
 _MAJORITY = 0.5
 #: So many points of all pictures are looked at together.
-_POINTS = 1 << 21
+_POINTS = 1 << 20
 
 
-def agreeing(source: Projected) -> Projected:
+def agreeing(source: Projected, executor: Executor) -> Projected:
     """Return the same paint, its pictures masked where they do not agree with the others."""
-    found = [_differences(source, number) for number in range(len(source.shots))]
+    numbers = range(len(source.shots))
+    found = list(ordered_map(executor, partial(_differences, source), numbers))
     known = np.concatenate([each[np.isfinite(each)] for each in found])
     if not known.size:
         return source
     far = float(np.clip(_TIMES * np.quantile(known, 0.75), _LEAST_FAR, _MOST_FAR))
-    masks = [_mask(differences, far) for differences in found]
-    shots = [
-        shot if mask.all() else shot._replace(levels=large.moved(masked(shot.levels, mask)))
-        for shot, mask in zip(source.shots, masks, strict=True)
-    ]
-    return source.with_shots(shots)
+
+    def agreed(number: int) -> Levels:
+        levels, mask = source.shots[number].levels, _mask(found[number], far)
+        return levels if mask.all() else masked(levels, mask)
+
+    return source.with_levels(ordered_map(executor, agreed, numbers, window=most_ahead()))
 
 
 def _differences(source: Projected, number: int) -> Float32s:

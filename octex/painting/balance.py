@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from typing import Literal, get_args
 
 import numpy as np
 
 from octex.arrays import Float32s, Float64s
-from octex.conversion import large
 from octex.painting.consensus import agreed_step, robust_weights
 from octex.painting.pictures import Levels
-from octex.painting.projected import Projected, pixels_of_points
+from octex.painting.projected import Projected, most_ahead, pixels_of_points
+from octex.parallel import ordered_map
 from octex.source.surface import Surface
 
 #: What is evened out: one gain for each picture; or gains of each component, and what is lost in the corners.
@@ -29,7 +30,9 @@ _ROUNDS, _FAR = 10, 0.02
 _HOLD, _HOLD_GAIN = 1e-4, 1e-9
 
 
-def balanced(source: Projected, surface: Surface, balance: Balance, reference: int | None) -> Projected:
+def balanced(
+    source: Projected, surface: Surface, balance: Balance, reference: int | None, executor: Executor
+) -> Projected:
     """Return the same paint with pictures that agree best where more than one sees the surface.
 
     Robust least squares of logarithms of light, on top of the gains that there are already. The shot
@@ -38,11 +41,13 @@ def balanced(source: Projected, surface: Surface, balance: Balance, reference: i
     """
     numbers = exposures(source, surface, balance, reference)
     gains = source.gains * np.exp(numbers[:, :3]).astype(np.float32)
-    shots = [
-        shot._replace(levels=large.moved(evened(shot.levels, row[3:]))) if row[3:].any() else shot
-        for shot, row in zip(source.shots, numbers, strict=True)
-    ]
-    return source.with_shots(shots).with_gains(gains)
+
+    def lit(number: int) -> Levels:
+        levels, vignetting = source.shots[number].levels, numbers[number, 3:]
+        return evened(levels, vignetting) if vignetting.any() else levels
+
+    every = ordered_map(executor, lit, range(len(numbers)), window=most_ahead())
+    return source.with_levels(every).with_gains(gains)
 
 
 def exposures(source: Projected, surface: Surface, balance: Balance, reference: int | None) -> Float64s:

@@ -288,11 +288,11 @@ def projected(
         check_inside(surface, placement)
     number = next((number for number, shot in enumerate(shots) if shot is chosen), None)
     if balance is not None and len(shots) > 1:
-        source = balanced(source, surface, balance, number)
+        source = balanced(source, surface, balance, number, executor)
     if pictures in ("robust", "best") or (pictures is None and len(shots) > 2):
-        source = agreeing(source)
+        source = agreeing(source, executor)
         if balance is not None and len(shots) > 1:  # again, without what only one of them saw
-            source = balanced(source, surface, balance, number)
+            source = balanced(source, surface, balance, number, executor)
     paint: PaintSource = source
     if pictures == "best" and len(shots) > 1:
         paint = best(source, surface, placement, depth, executor)

@@ -6,7 +6,7 @@ import hashlib
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
-from functools import cached_property, partial
+from functools import partial
 from itertools import islice
 from typing import NamedTuple
 
@@ -19,6 +19,7 @@ from octex.conversion.pieces import Blocks
 from octex.jit import inlined, kernel
 from octex.painting.pictures import Levels, Projection, clipped, levels_of, read_paint
 from octex.painting.source import PaintSource
+from octex.parallel import built_once
 from octex.source.corners import at_corners
 from octex.source.images.cubic import catmull_rom
 from octex.source.surface import Surface
@@ -229,6 +230,16 @@ class Projected(PaintSource):
         gains = self._gains if numbers is None else self._gains[list(numbers)]
         return Projected(shots, self._channels[0], self._terms, *self._mesh, gains, self._shading)
 
+    def with_levels(self, every: Iterable[Levels]) -> Projected:
+        """Return paint from other pictures of the same shots."""
+        pairs = zip(self._shots, every, strict=True)
+        return self.with_shots(
+            [
+                shot if levels is shot.levels else shot._replace(levels=large.moved(levels))
+                for shot, levels in pairs
+            ]
+        )
+
     def with_gains(self, gains: Float32s) -> Projected:
         """Return the same paint with other gains."""
         return Projected(self._shots, self._channels[0], self._terms, *self._mesh, gains, self._shading)
@@ -240,7 +251,7 @@ class Projected(PaintSource):
             return self
         return Projected(shots, self._channels[0], self._terms, *self._mesh, self._gains, self._shading)
 
-    @cached_property
+    @built_once
     def _normals(self) -> Float32s:
         return self._shading(np.arange(len(self._mesh[1]), dtype=np.int32))
 

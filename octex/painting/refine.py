@@ -111,7 +111,7 @@ def refine_cameras(
 
         def lit(cameras: list[Camera], balance: Balance | None) -> Projected:
             source = _source(ground, cameras, levels, pool)
-            return source if balance is None else balanced(source, surface, balance, fixed)
+            return source if balance is None else balanced(source, surface, balance, fixed, pool)
 
         def views(cameras: list[Camera], level: int, balance: Balance | None) -> _Views:
             source = lit(cameras, balance)
@@ -127,7 +127,7 @@ def refine_cameras(
             numbers = _agreeing(given, numbers, stays, _FAR * (level + 1))
             cameras = [_moved(*each, samples.points) for each in zip(began, numbers, strict=True)]
             if done == 0:  # now pictures lie well enough on each other to tell what only one of them saw
-                levels = [shot.levels for shot in agreeing(lit(cameras, balance)).shots]
+                levels = [shot.levels for shot in agreeing(lit(cameras, balance), pool).shots]
         light: Balance | None = balance and "full"
         before, after = views(began, 0, light), views(cameras, 0, light)
         is_better = _better(before, after, numbers) & ~stays

@@ -3,6 +3,7 @@
 from octex.preview.differences import draw_difference as draw_difference
 from octex.preview.differences import write_difference as write_difference
 from octex.preview.directions import Viewpoint as Viewpoint
+from octex.preview.directions import viewpoint_among as viewpoint_among
 from octex.preview.panels import draw_preview as draw_preview
 from octex.preview.panels import write_preview as write_preview
 from octex.preview.pictures import render as render

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -18,6 +18,8 @@ _THREE_QUARTER = np.array([0.56, 0.42, 1.0]) / np.linalg.norm([0.56, 0.42, 1.0])
 _FLAT, _SLANT = 0.85, 0.45
 #: Another side is shown than the usual one if it has so many times its detail.
 _CLEARLY = 1.1
+#: Unit vectors whose mean is shorter point all around.
+_ALIKE = 0.5
 
 
 class Viewpoint(NamedTuple):
@@ -39,6 +41,21 @@ class Viewpoint(NamedTuple):
 
 
 USUAL = Viewpoint()
+
+
+def viewpoint_among(cameras: Sequence[Camera]) -> Viewpoint:
+    """Return from where cameras see, and what is up in their pictures, on average.
+
+    Where they look from all around, it is the first one's.
+    """
+    turns = [camera.world_to_camera[:3, :3] for camera in cameras]
+    direction, up = (_mean(np.array([-turn[axis] for turn in turns])) for axis in (2, 1))
+    return Viewpoint(direction, up)
+
+
+def _mean(vectors: Float64s) -> Float64s:
+    mean: Float64s = vectors.mean(axis=0)
+    return mean if np.linalg.norm(mean) >= _ALIKE else vectors[0]
 
 
 def view_directions(normals: Floats, areas: Floats) -> Float64s:

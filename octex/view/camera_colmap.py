@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import reprlib
-import struct
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from octex.files import read_bytes
 from octex.view.camera import Distortion
 from octex.view.camera_records import (
     BrokenError,
+    Bytes,
     Frame,
     Json,
     as_finite,
@@ -130,36 +130,8 @@ def _parameters_of(model: str) -> int:
     return _COLMAP_MODELS[model].focals + 2 + _COLMAP_MODELS[model].distortion
 
 
-class _Bytes:
-    """Bytes that are read from the front."""
-
-    def __init__(self, content: bytes) -> None:
-        self._content = content
-        self._at = 0
-
-    def take(self, layout: str) -> tuple[Any, ...]:
-        """Return the next values, little-endian."""
-        start = self._at
-        self.skip(struct.calcsize(f"<{layout}"))
-        return struct.unpack_from(f"<{layout}", self._content, start)
-
-    def skip(self, count: int) -> None:
-        """Leave out bytes."""
-        if count > len(self._content) - self._at:
-            raise BrokenError("the file ends here; copy or export it again")
-        self._at += count
-
-    def text(self) -> str:
-        """Return what stands before the next zero, and leave out both."""
-        start, end = self._at, self._content.find(b"\0", self._at)
-        if end < 0:
-            raise BrokenError("the file ends in a name; copy or export it again")
-        self._at = end + 1
-        return self._content[start:end].decode("utf-8")
-
-
 def _optics_binary(content: bytes) -> Iterator[tuple[int, _Optics]]:
-    data = _Bytes(content)
+    data = Bytes(content)
     with within("the number of cameras"):
         (count,) = data.take("Q")
     for number in range(count):
@@ -172,7 +144,7 @@ def _optics_binary(content: bytes) -> Iterator[tuple[int, _Optics]]:
 
 
 def _images_binary(content: bytes) -> Iterator[tuple[str, list[float], int]]:
-    data = _Bytes(content)
+    data = Bytes(content)
     with within("the number of images"):
         (count,) = data.take("Q")
     for number in range(count):

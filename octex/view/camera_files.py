@@ -3,6 +3,8 @@
 glTF               .gltf, .glb: the cameras of the scene's nodes
 transforms.json    NeRF, instant-ngp, nerfstudio: a JSON object with "frames"
 COLMAP             a folder with cameras and images, .bin or .txt, or one of these files
+Metashape          .xml, exported as Agisoft XML
+OpenMVS            .mvs: a scene
 octex cameras      a JSON object with "octex_cameras", as ``write_cameras`` writes it
 arrays             .npz: ``viewmats`` and ``Ks`` as gsplat has them, and what `camera_arrays` says
 
@@ -11,6 +13,7 @@ What a file holds decides how it is read, not its name (but for COLMAP's files, 
 
 from __future__ import annotations
 
+import codecs
 import json
 import os
 import reprlib
@@ -24,16 +27,19 @@ import numpy as np
 from octex.arrays import Float64s
 from octex.checks import as_entries, as_path
 from octex.errors import ArgumentError, CameraError, OutputError
-from octex.files import read_bytes, referred, replacing
+from octex.files import read_bytes, replacing
 from octex.source.models.gltf_file import Document
 from octex.view.camera import Camera, Convention
 from octex.view.camera_arrays import read_arrays
 from octex.view.camera_colmap import colmap_folder, read_colmap
 from octex.view.camera_gltf import read_gltf
+from octex.view.camera_metashape import read_metashape
+from octex.view.camera_openmvs import MARK, read_openmvs
 from octex.view.camera_records import (
     BrokenError,
     Json,
     Lens,
+    beside,
     choice_field,
     file_name,
     fixed_lens,
@@ -150,6 +156,10 @@ def _read_document(path: Path, content: bytes) -> list[Frame]:
         return read_gltf(path, Document(path, content))
     if content.startswith(b"PK"):
         return read_arrays(path, content)
+    if content.startswith(MARK):
+        return read_openmvs(path, content)
+    if content.removeprefix(codecs.BOM_UTF8).lstrip().startswith(b"<"):
+        return read_metashape(path, content)
     document = _parsed(content)
     if _OURS in document:
         return _read_ours(path, document)
@@ -158,8 +168,8 @@ def _read_document(path: Path, content: bytes) -> list[Frame]:
     if "asset" in document:
         return read_gltf(path, Document(path, content))
     raise BrokenError(
-        "is no file of cameras; give a .gltf or .glb file, a transforms.json, a COLMAP model, an .npz of "
-        "viewmats and Ks, or a file that octex wrote"
+        "is no file of cameras; give a .gltf or .glb file, a transforms.json, a COLMAP model, Metashape's "
+        ".xml, OpenMVS's .mvs, an .npz of viewmats and Ks, or a file that octex wrote"
     )
 
 
@@ -263,10 +273,7 @@ def _transforms_frame(path: Path, name: str, record: Json) -> Frame:
     pose = matrix_field(record, "transform_matrix", (4, 4), (3, 4))
     with within("transform_matrix"):
         view = view_of_pose(pose, "opengl")
-    try:
-        base = referred(path.parent, name)
-    except OSError:
-        base = path.parent / file_name(name)
+    base = beside(path, name)
     tried = [Path(f"{base}{ending}") for ending in _ENDINGS]
     image = next((place for place in tried if is_file(place)), base)
     return Frame(name, image, size, path, lens, view, distortion=distortion, distortion_model=model)

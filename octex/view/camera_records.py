@@ -6,6 +6,7 @@ import contextlib
 import math
 import re
 import reprlib
+import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 
 from octex.arrays import Float64s
 from octex.errors import ArgumentError, CameraError, ModelError
+from octex.files import referred
 from octex.source.models.gltf_scene import rotation_matrix
 from octex.view.camera import (
     LARGEST,
@@ -40,7 +42,7 @@ class Frame(NamedTuple):
 
     name: str  # transforms.json: file_path; COLMAP: the image's name; glTF: the node's or camera's name
     # Where the file says that the picture is, which need not exist; of an absolute path only the name counts,
-    # beside the file. transforms.json only.
+    # beside the file. transforms.json and OpenMVS only.
     image: Path | None
     size: tuple[int, int] | None  # (width, height), if the file says
     file: Path
@@ -123,12 +125,59 @@ def file_name(name: str) -> str:
     return re.split(r"[/\\]", name)[-1]
 
 
+def beside(path: Path, name: str) -> Path:
+    """Return where a file says that a picture is; of an absolute path, the name beside the file."""
+    try:
+        return referred(path.parent, name)
+    except OSError:
+        return path.parent / file_name(name)
+
+
 def is_file(path: Path) -> bool:
     """Say whether a path is a file that can be looked at."""
     try:
         return path.is_file()
     except (OSError, ValueError):  # too long a name, for example
         return False
+
+
+class Bytes:
+    """Bytes that are read from the front."""
+
+    def __init__(self, content: bytes) -> None:
+        self._content = content
+        self._at = 0
+
+    @property
+    def left(self) -> int:
+        """How many bytes there are still."""
+        return len(self._content) - self._at
+
+    def take(self, layout: str) -> tuple[Any, ...]:
+        """Return the next values, little-endian."""
+        start = self._at
+        self.skip(struct.calcsize(f"<{layout}"))
+        return struct.unpack_from(f"<{layout}", self._content, start)
+
+    def skip(self, count: int) -> None:
+        """Leave out bytes."""
+        if count > self.left:
+            raise BrokenError("the file ends here; copy or export it again")
+        self._at += count
+
+    def piece(self, count: int) -> bytes:
+        """Return the next bytes."""
+        start = self._at
+        self.skip(count)
+        return self._content[start : self._at]
+
+    def text(self) -> str:
+        """Return what stands before the next zero, and leave out both."""
+        start, end = self._at, self._content.find(b"\0", self._at)
+        if end < 0:
+            raise BrokenError("the file ends in a name; copy or export it again")
+        self._at = end + 1
+        return self._content[start:end].decode("utf-8")
 
 
 # Fields of JSON objects
