@@ -284,14 +284,19 @@ class Archive:
 
     def __init__(self, content: bytes) -> None:
         self.content = content
-        begin = int.from_bytes(content[16:24], "little")
+        self.version, begin = (
+            int.from_bytes(content[8:12], "little"),
+            int.from_bytes(content[16:24], "little"),
+        )
         directory = content[begin:]
         text, model, _ = struct.unpack_from("<3I", directory)
         self.head = json.loads(zlib.decompress(directory[12 : 12 + text]))
         self.model = directory[12 + text : 12 + text + model]
         self.records: list[int] = np.frombuffer(directory[12 + text + model :], "<u4").tolist()
         self.places = list(places(self.head))
-        self.fields = [*self._fields(self.head)]  # what each record is: its name, or of a stream its kind
+        self.fields = [
+            *self._fields(self.head, self.version)
+        ]  # what each record is: its name, or of a stream its kind
         at = START
         self.streams: list[tuple[str, int, bytes]] = []  # kind, which record has its length, bytes
         for n, name in enumerate(self.fields):
@@ -300,9 +305,9 @@ class Archive:
                 at += self.records[n]
 
     @staticmethod
-    def _fields(head: Any) -> Iterator[str]:
+    def _fields(head: Any, version: int) -> Iterator[str]:
         channels = [f"channel {each['name']}" for each in head["channels"]]
-        size = BLOCKS[FORMAT_VERSION]
+        size = BLOCKS[version]
 
         def streams(names: list[str]) -> Iterator[str]:
             for name in names:
@@ -333,7 +338,7 @@ class Archive:
             codings[each["name"]] = Coding(order_of(each["components"]), 1, 0, 0, 0, 0, weights)
         parts, at = [], 0
         pools = ("occupied", "leaves", "flags", "areas", *codings)
-        for name, (contexts, _) in zip(pools, models._sizes(codings, FORMAT_VERSION), strict=True):
+        for name, (contexts, _) in zip(pools, models._sizes(codings, self.version), strict=True):
             tables = int(numbers[at])
             for part, size in (("count", 1), ("tables", contexts), ("frequencies", 256 * tables)):
                 parts.append((f"{name} {part}", at, at + size))
@@ -350,7 +355,7 @@ class Archive:
         model: bytes | None = None,
         records: list[int] | None = None,
         streams: list[bytes] | None = None,
-        version: int = FORMAT_VERSION,
+        version: int = 0,
     ) -> bytes:
         """Return a file of other parts, whose checksums are right."""
         text = zlib.compress(json.dumps(self.head if head is None else head).encode(), 1)
@@ -363,9 +368,9 @@ class Archive:
             parts = streams
         record_bytes = struct.pack(f"<{len(found)}I", *found)
         directory = struct.pack("<3I", len(text), len(model), len(record_bytes)) + text + model + record_bytes
-        return self.begun(directory, b"".join(parts), version)
+        return self.begun(directory, b"".join(parts), version or self.version)
 
-    def begun(self, directory: bytes, streams: bytes, version: int = FORMAT_VERSION) -> bytes:
+    def begun(self, directory: bytes, streams: bytes, version: int) -> bytes:
         """Return a file with its first bytes."""
         first = MAGIC + struct.pack(
             "<IIQI", version, len(directory), START + len(streams), zlib.crc32(directory)
@@ -387,8 +392,8 @@ class Archive:
         return first + self.content[START:], f"start {name}"
 
     def older(self, chance: Random) -> Damaged:  # noqa: ARG002
-        """Say that it is of another version."""
-        return self.built(version=1), "start version 1"
+        """Say that it is of the other version."""
+        return self.built(version=FORMAT_VERSION + 1 - self.version), "start other version"
 
     def described(self, chance: Random) -> Damaged:
         """Change a field of the head."""
@@ -407,7 +412,7 @@ class Archive:
         whole = found[: ends[part]] + own + found[ends[part + 1] :]
         if part and chance.random() < 0.8:  # with its length
             whole = whole[: 4 * part - 4] + struct.pack("<I", len(own)) + whole[4 * part :]
-        return self.begun(whole, self.content[START:begin]), f"directory {name}"
+        return self.begun(whole, self.content[START:begin], self.version), f"directory {name}"
 
     def modelled(self, chance: Random) -> Damaged:
         """Change numbers of the models: any, or so that they are possible ones."""
@@ -496,11 +501,12 @@ class Arrays:
     def zipped(self, chance: Random) -> Damaged:
         """Change a byte of what zip says of its members."""
         found = bytearray(self.content)
-        mark, size = chance.choice(((b"PK\3\4", 30), (b"PK\1\2", 46), (b"PK\5\6", 22)))
+        kinds = (("member", b"PK\3\4", 30), ("directory", b"PK\1\2", 46), ("end", b"PK\5\6", 22))
+        name, mark, size = chance.choice(kinds)
         begins = [at for at in range(len(found)) if found[at : at + 4] == mark]
         at = chance.choice(begins) + chance.randrange(size)
         found[at] = chance.choice((0, 1, 255, found[at] ^ 1 << chance.randrange(8)))
-        return bytes(found), f"zip {mark[2]}"
+        return bytes(found), f"zip {name}"
 
     def described(self, chance: Random) -> Damaged:
         """Change what an array says of itself: its type, order, shape."""

@@ -55,8 +55,11 @@ MEMORY = 2 << 30
 SECONDS = 60
 #: So many seeds damage files that are made of one texture.
 SHARE = 200
+#: The archive of version 1, which is read and not written any more.
+GOLDEN = Path(__file__).parents[1] / "tests" / "golden" / "wavy_1.octz"
+_OLD = ".octz of version 1"
 #: Of twenty files so many are of a kind.
-KINDS = (".octex",) * 8 + (".octz",) * 8 + ("points",) + ("voxels",) * 2 + ("cameras",)
+KINDS = (".octex",) * 8 + (".octz",) * 7 + (_OLD, "points", "voxels", "voxels", "cameras")
 SCRATCH = "/dev/shm" if Path("/dev/shm").is_dir() else None  # files of a millisecond's life
 
 
@@ -127,7 +130,7 @@ class Tried:
         words = ("refused", "unsound", "sound")
         rows: dict[str, Counter[str]] = {}
         for key, count in self._counts.items():
-            word, what = key.split("|", 1)
+            word, what = key.removesuffix(", then blind").split("|", 1)
             form = what.split(":", 1)[0]
             for name in (what, form, "all"):
                 rows.setdefault(name, Counter())[word] += count
@@ -186,6 +189,7 @@ def files(number: int, folder: Path) -> dict[str, Render | Archive | Arrays]:
     for ending in (".octex", ".octz"):
         texture.save(folder / f"good{ending}")
         found[ending] = damage.parted(folder / f"good{ending}")
+    found[_OLD] = damage.parted(GOLDEN)
     chance = np.random.default_rng(number)
     return found | {each.__name__: each(chance) for each in (damage.points, damage.voxels, damage.cameras)}
 
@@ -194,19 +198,19 @@ def attempt(seed: int, folder: Path, keep: Path | None = None) -> tuple[str, str
     """Try a seed: "refused", "unsound", "sound", and what was damaged; or "FOUND", and what it is."""
     chance = Random(seed)
     kind = chance.choice(KINDS)
-    ending = kind if kind.startswith(".") else ".npz"
-    path = folder / f"damaged{ending}"
+    parts = files(seed // SHARE, folder)[kind]
+    path = folder / f"damaged{parts.ending}"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        content, what, is_changed = damaged(files(seed // SHARE, folder)[kind], chance)
+        content, what, is_changed = damaged(parts, chance)
         path.write_bytes(content)
         try:
             word = use(path, kind, chance)
-            if is_changed and kind == ".octz" and word != "refused":
+            if is_changed and parts.ending == ".octz" and word != "refused":
                 raise AssertionError("it opens, but bytes of it were changed")
         except Exception:
             if keep:
-                (keep / f"{seed}{ending}").write_bytes(content)
+                (keep / f"{seed}{parts.ending}").write_bytes(content)
             return "FOUND", f"seed {seed}, {kind}: {what}: {traceback.format_exc()}"
     return word, f"{kind}: {what}"
 
