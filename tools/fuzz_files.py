@@ -6,8 +6,8 @@
     python tools/fuzz_files.py --count 500000 --log all.jsonl     go on after the last seed of that log
     NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=/tmp/bounds python tools/fuzz_files.py --count 1000
 
-A seed takes one of a hundred and more small files that are sound, textures and layers as .octex and .octz,
-points, voxels and cameras as .npz, and damages it (see damage.py): blindly, or knowing its structure, any
+A seed takes a small file that is sound, a texture or layer as .octex or .octz, points, voxels or cameras as
+.npz, another texture every 200 seeds, and damages it (see damage.py): blindly, or knowing its structure, any
 field of a header, any element of an array, any number of an archive's models, with every checksum made right
 again. It is then opened, described, validated, and some of this is done, by chance: a lookup in some way,
 also of a level, a save, as an archive and back, a merge as a layer, a conversion, a projection.
