@@ -5,6 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
+
+# The other processors have tests to run, and threads that wait for work in BLAS spin. Read with numpy.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from hypothesis import settings
@@ -33,6 +37,18 @@ def no_helpers() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as changed:
         changed.setattr(ahead, "cpu_count", lambda: 1)
         yield
+
+
+@pytest.fixture
+def small_previews(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let commands draw small previews: theirs have 13 million samples."""
+    from octex import preview
+
+    def small(*arguments: Any, **options: Any) -> None:
+        write(*arguments, **{"size": (320, 176), **options})
+
+    write = preview.write_preview
+    monkeypatch.setattr(preview, "write_preview", small)
 
 
 @pytest.fixture(scope="session")

@@ -118,12 +118,12 @@ def test_a_passer_by_is_left_out_in_any_order_of_pictures() -> None:
 
 @needs_jit
 def test_pictures_that_memory_has_no_room_for_lie_in_files_meanwhile(tmp_path: Path) -> None:
-    surface, cameras, images = ring()
-    images[2][30:60, 40:70, :3] = 0.9, 0.02, 0.02
+    surface, cameras, images = ring(5, 48)
+    images[2][15:30, 20:35, :3] = 0.9, 0.02, 0.02
     shots = [*projections(images[:4], cameras[:4]), octex.Projection(images[4][..., :3], cameras[4])]
     options: dict[str, Any] = {"max_depth": 5, "balance": "full"}
     expected = digest(octex.paint(None, surface, shots, **options))
-    need = 64 * 5 * 96 * 96
+    need = 64 * 5 * 48 * 48
     other = tmp_path / "other"
     assert digest(octex.paint(None, surface, shots, memory=need, folder=other, **options)) == expected
     with pytest.raises(ArgumentError, match=r"folder: .*other is no folder; name one that is there"):

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
+import inspect
+import io
 import os
+import pkgutil
 import re
 import subprocess
 import sys
+from contextlib import redirect_stdout
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,6 +25,7 @@ from octex.cli.models import DEFAULT_FILTER
 from octex.cli.parser import Parser
 from octex.errors import ExitCode
 from tests.command import python, refusal, result
+from tests.conftest import needs_jit
 from tests.fixtures import OBJ_SQUARE, obj, png, random_image, textured_square
 
 HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.texture", "octex.tree")
@@ -198,57 +206,50 @@ print([name for name in {HEAVY} if name in sys.modules], file=sys.stderr)
     assert done.stderr.splitlines()[-1] == "[]"
 
 
+@pytest.fixture(scope="module")
+def warmed() -> tuple[str, set[Any]]:
+    """What warming up says, and the kernels that Python calls meanwhile."""
+    from numba.core.registry import CPUDispatcher
+
+    called, said = set[Any](), io.StringIO()
+    call = CPUDispatcher.__call__
+
+    def recorded(kernel: Any, *arguments: Any) -> Any:
+        called.add(kernel.py_func)
+        return call(kernel, *arguments)
+
+    with pytest.MonkeyPatch.context() as changed, redirect_stdout(said):
+        changed.setattr(CPUDispatcher, "__call__", recorded)
+        assert main(["--warm-up"]) == ExitCode.DONE
+    return said.getvalue(), called
+
+
 def test_warming_up_says_how_long_it_took(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    warmed: tuple[str, set[Any]], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert re.fullmatch(r"compiled and cached in \d+\.\d s\n", result(capsys, "--warm-up"))
+    assert re.fullmatch(r"compiled and cached in \d+\.\d s\n", warmed[0])
     monkeypatch.setattr("octex.cli.warm_up.warm_up", lambda _progress: None)
     assert result(capsys, "--warm-up", "--quiet") == ""
 
 
-def test_warming_up_calls_every_kernel_that_is_called_from_python() -> None:
-    code = """
-import ast, functools, importlib, inspect, pkgutil
-import octex
-from octex import jit, parallel
-
-called = set()
-
-def recorded(function):
-    @functools.wraps(function)
-    def wrapper(*arguments):
-        called.add(wrapper.kernel)
-        return function(*arguments)
-    wrapper.kernel = function.__module__ + "." + function.__name__
-    return wrapper
-
-decorators = {"kernel", "inlined", "step", "part", "fused_part", "summing_kernel", "fused_kernel"}
-for name in decorators:
-    setattr(jit, name, recorded)
-names = [module.name for module in pkgutil.walk_packages(octex.__path__, "octex.")]
-modules = list(map(importlib.import_module, names))
-entries = set()
-for module in modules:
-    for node in ast.walk(ast.parse(inspect.getsource(module))):
-        if isinstance(node, ast.FunctionDef) and not decorators & {
-            getattr(decorator, "id", "") for decorator in node.decorator_list
-        }:
-            words = {inner.id for inner in ast.walk(node) if isinstance(inner, ast.Name)}
-            used = [getattr(module, word, None) for word in words]
-            entries |= {value.kernel for value in used if isinstance(getattr(value, "kernel", None), str)}
-assert len(entries) > 20
-for module in modules:
-    for name, value in list(vars(module).items()):
-        if isinstance(getattr(value, "kernel", None), str) and value.kernel not in entries:
-            setattr(module, name, value.__wrapped__)  # plain Python is slow enough
-from octex.cli.warm_up import warm_up
-from octex.painting import balance, refine
-balance._POINTS = refine._POINTS = 100
-warm_up(parallel.silent)
-print(sorted(entries - called))
-"""
-    done = python(code, env={**os.environ, "NUMBA_DISABLE_JIT": "1"})
-    assert (done.stdout, done.stderr) == ("[]\n", "")
+@needs_jit
+def test_warming_up_calls_every_kernel_that_is_called_from_python(warmed: tuple[str, set[Any]]) -> None:
+    decorators = {"kernel", "inlined", "step", "part", "fused_part", "summing_kernel", "fused_kernel"}
+    entries = {}
+    for found in pkgutil.walk_packages(octex.__path__, "octex."):
+        module = importlib.import_module(found.name)
+        for node in ast.walk(ast.parse(inspect.getsource(module))):
+            if isinstance(node, ast.FunctionDef) and not decorators & {
+                getattr(decorator, "id", "") for decorator in node.decorator_list
+            }:
+                names = [inner for inner in ast.walk(node) if isinstance(inner, ast.Name)]
+                words = {name.id for name in names} - {
+                    name.id for name in names if isinstance(name.ctx, ast.Store)
+                }
+                kernels = [getattr(getattr(module, word, None), "py_func", None) for word in words]
+                entries |= {each: f"{each.__module__}.{each.__name__}" for each in kernels if each}
+    assert len(entries) > 20
+    assert sorted(name for kernel, name in entries.items() if kernel not in warmed[1]) == []
 
 
 # --- the order of arguments

@@ -34,6 +34,7 @@ def square(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.usefixtures("small_previews")
 def test_commands_read_a_texture_at_an_address_as_in_a_file(
     capsys: pytest.CaptureFixture[str], square: Path, tmp_path: Path
 ) -> None:

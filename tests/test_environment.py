@@ -283,6 +283,7 @@ def test_a_preview_in_light_differs_from_the_soft_one():
 # --- from the shell
 
 
+@pytest.mark.usefixtures("small_previews")
 def test_previews_and_views_are_lit_from_the_shell(tmp_path, capsys):
     from octex.cli.convert import main as convert
     from octex.cli.paint import main as paint

@@ -41,19 +41,26 @@ def tool() -> ModuleType:
     return module
 
 
-def test_good_and_broken_files_are_told_apart(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, str]:
+    """What the tool says of a folder of good and broken files and of damaged copies."""
+    folder = tmp_path_factory.mktemp("files")
     image = png(random_image(8, 8))
-    (tmp_path / "whole.png").write_bytes(image)
-    (tmp_path / "cut.png").write_bytes(image[:-30])
-    (tmp_path / "notes.txt").write_text("neither a model nor an image")
-    textured_square(tmp_path / "square.glb", image)
+    (folder / "whole.png").write_bytes(image)
+    (folder / "cut.png").write_bytes(image[:-30])
+    (folder / "notes.txt").write_text("neither a model nor an image")
+    textured_square(folder / "square.glb", image)
     report = {"issues": {"messages": [{"code": "ODD", "severity": 0}, {"code": "MEH", "severity": 1}]}}
-    (tmp_path / "square.glb.report.json").write_text(json.dumps(report))
-    (tmp_path / "inner").mkdir()
-    (tmp_path / "inner" / "cut.glb").write_bytes((tmp_path / "square.glb").read_bytes()[:100])
-    obj(tmp_path / "inner" / "lost.obj", OBJ_SQUARE + "f 1 2 9\n")
-    code, text = fragile(tmp_path, "--depth", "3", "--json")
-    trials = by_file(text)
+    (folder / "square.glb.report.json").write_text(json.dumps(report))
+    (folder / "inner").mkdir()
+    (folder / "inner" / "cut.glb").write_bytes((folder / "square.glb").read_bytes()[:100])
+    obj(folder / "inner" / "lost.obj", OBJ_SQUARE + "f 1 2 9\n")
+    return fragile(folder, "--depth", "3", "--damage", "2", "--json")
+
+
+def test_good_and_broken_files_are_told_apart(report: tuple[int, str]) -> None:
+    code, text = report
+    trials = {name: trial for name, trial in by_file(text).items() if " damaged " not in name}
     assert code == 0
     assert {name: trial["result"] for name, trial in trials.items()} == {
         "whole.png": "converted",
@@ -68,15 +75,30 @@ def test_good_and_broken_files_are_told_apart(tmp_path: Path) -> None:
     assert all(trial["limit"] == 256 << 20 and trial["bytes"] > 0 for trial in trials.values())
 
 
-def test_the_table_ends_with_a_count_of_each_result(tmp_path: Path) -> None:
-    (tmp_path / "cut.png").write_bytes(png(random_image(8, 8))[:-30])
-    code, text = fragile(tmp_path)
-    assert code == 0
-    assert text.splitlines()[0].startswith("refused ")
-    assert "1 files: 1 refused" in text
+def test_the_table_ends_with_a_count_of_each_result(
+    tool: ModuleType,
+    report: tuple[int, str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    trials = [tool.Trial(**trial) for trial in json.loads(report[1])]
+    monkeypatch.setattr(tool, "tried", lambda *_: trials)
+    assert tool.main([str(tmp_path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    for trial, line in zip(trials, lines, strict=False):
+        assert line.startswith(f"{trial.result} ")
+        assert f"  {trial.file}" in line
+    results = [trial.result for trial in trials]
+    assert lines[-2].startswith(f"{len(trials)} files: ")
+    for result in ("converted", "refused"):
+        assert f"{results.count(result)} {result}" in lines[-2]
+    assert lines[-1] == "1 converted although the validator found errors"
 
 
-def test_damaged_copies_are_tried_too_and_are_the_same_each_time(tool: ModuleType, tmp_path: Path) -> None:
+def test_damaged_copies_are_tried_too_and_are_the_same_each_time(
+    tool: ModuleType, tmp_path: Path, report: tuple[int, str]
+) -> None:
     data = png(random_image(8, 8))
     (tmp_path / "a.png").write_bytes(data)
     obj(tmp_path / "a.obj", OBJ_SQUARE)
@@ -91,9 +113,12 @@ def test_damaged_copies_are_tried_too_and_are_the_same_each_time(tool: ModuleTyp
     whole = (tmp_path / "a.glb").read_bytes()
     length = int.from_bytes(whole[12:16], "little")
     assert {copy[: 20 + length] for copy in copies("a.glb")} == {whole[: 20 + length]}
-    code, text = fragile(tmp_path, "--damage", "2", "--json")
+    code, text = report
+    copied = {name for name in by_file(text) if " damaged " in name}
     assert code == 0
-    assert "a.png damaged 1" in by_file(text)
+    assert copied == {
+        f"{name} damaged {n}" for name in ("whole.png", "cut.png", "square.glb") for n in (0, 1)
+    }
 
 
 def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:

@@ -82,7 +82,7 @@ def draco(gltf: Gltf, entry: dict[str, Any], *, required: bool = True) -> None:
     data = coder.encode(
         ATTRIBUTES["POSITION"],
         TRIANGLES.astype(np.uint32),
-        quantization_bits=30,
+        quantization_bits=24,  # 30 take two seconds
         preserve_order=True,
         colors=ATTRIBUTES["COLOR_0"],
         tex_coord=ATTRIBUTES["TEXCOORD_0"].astype(np.float64),

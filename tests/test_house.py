@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -72,8 +73,13 @@ PROJECT = tomllib.loads((ROOT.parent / "pyproject.toml").read_text(encoding="utf
 COMMANDS = {target.partition(":")[0] for target in PROJECT["scripts"].values()}
 
 
-def imports(module: str) -> Iterator[str]:
+@cache
+def imports(module: str) -> list[str]:
     """Names of the modules that a module imports, at its top or in its functions, but not for types only."""
+    return list(_imports(module))
+
+
+def _imports(module: str) -> Iterator[str]:
     tree = ast.parse((ROOT / f"{module}.py").read_text(encoding="utf-8"))
     pending: list[ast.AST] = [tree]
     while pending:

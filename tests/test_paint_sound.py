@@ -310,6 +310,29 @@ def test_half_a_coat_of_fine_paint_is_half_a_coat_on_kept_coefficients_too() -> 
     assert found.tree.kept.cells.size
 
 
+def test_a_coat_is_on_kept_coefficients_also_where_a_texture_faces_other_ways_than_the_surface() -> None:
+    surface = ball(16)
+    colors = 0.5 + 0.4 * surface.vertices
+    inside_out = Surface.from_arrays(surface.vertices, surface.triangles[:, ::-1], colors=colors)
+    texture = octex.convert(inside_out, 4)
+    texture = octex.fill(texture, inside_out, octex.Sphere((0, 0, 1), 0.7), (1, 0, 0), max_depth=5)
+    assert texture.tree.kept.cells.size
+    everywhere = np.ones(len(surface.triangles), bool)
+    found = octex.fill(texture, surface, everywhere, (0, 0, 0), opacity=0.2, blend="erase", max_depth=4)
+    np.testing.assert_allclose(found.sample(surface.scatter(2000).rest, "alpha"), 0.8, atol=1e-6)
+
+
+def test_a_second_coat_over_part_of_finer_paint_adds_no_cells() -> None:
+    for surface in (plain(square(steps=8), (0.2, 0.5, 0.7)), ball(16)):
+        texture = octex.convert(surface, 3)
+        radius = 0.3 * texture.placement.size
+        first, second = (octex.Sphere(tuple(surface.rest[0] + [x, 0, 0]), radius) for x in (0, radius))
+        found = octex.fill(texture, surface, first, (1, 0, 0), max_depth=5)
+        once = octex.fill(found, surface, second, (0, 1, 0), max_depth=5)
+        twice = octex.fill(once, surface, second, (0, 1, 0), max_depth=5)
+        assert found.tree.n_leaves < once.tree.n_leaves == twice.tree.n_leaves
+
+
 # --- rows of split nodes
 
 

@@ -14,7 +14,7 @@ import pytest
 import octex
 from octex.channels import encode
 from octex.cli.paint import main
-from octex.painting.refine import _better, _moved
+from octex.painting.refine import _better, _moved, _pixel_at
 from tests.conftest import needs_jit
 from tests.painted import above, ball, picture_of
 from tests.test_agreement import ring
@@ -24,7 +24,7 @@ pytestmark = needs_jit
 
 
 def off(camera: octex.Camera, number: int, points: Array) -> octex.Camera:
-    return _moved(camera, np.random.default_rng(number).normal(0, 0.7, 7), points)
+    return _moved(camera, _pixel_at(camera, points), np.random.default_rng(number).normal(0, 0.7, 7))
 
 
 def textured(count: int, size: int) -> tuple[octex.Surface, list[octex.Camera], list[Array]]:
@@ -155,10 +155,10 @@ def test_a_number_of_a_camera_is_about_a_pixel(is_parallel: bool) -> None:
         camera = octex.Camera(64, 64, np.diag([50.0, 50, 1]), camera.world_to_camera, "orthographic")
     points = np.random.default_rng(0).uniform(-0.4, 0.4, (50, 3))
     for number in range(7):
-        moved = _moved(camera, np.eye(7)[number], points)
+        moved = _moved(camera, _pixel_at(camera, points), np.eye(7)[number])
         if number not in (2, 5):  # about the axis of the view and along it, where less changes
             assert 0.2 < shift(moved, camera, points) < 3
-    assert np.array_equal(_moved(camera, np.zeros(7), points).K, camera.K)
+    assert np.array_equal(_moved(camera, _pixel_at(camera, points), np.zeros(7)).K, camera.K)
 
 
 def test_refined_cameras_are_kept_in_a_file(tmp_path: Path) -> None:

@@ -204,7 +204,10 @@ def vxz(compression: str = "lzma", style: str = "as_is", **changes: Any) -> byte
         "none": bytes,
         "deflate": lambda data: zlib.compress(data, 9)[2:-4],
         "lzma": lambda data: lzma.compress(
-            data, lzma.FORMAT_RAW, filters=[{"id": lzma.FILTER_LZMA2, "preset": 9}]
+            # Not 64 MB of a dictionary, and ten times that beside it, for a few bytes.
+            data,
+            lzma.FORMAT_RAW,
+            filters=[{"id": lzma.FILTER_LZMA2, "preset": 9, "dict_size": 1 << 16}],
         ),
     }[compression]
     values = {"base_color": COLORS, "alpha": ALPHA, "intersected": ALPHA}

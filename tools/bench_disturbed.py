@@ -166,22 +166,27 @@ def disturbed(
     depth: int,
     points: Points,
 ) -> None:
-    """Paint a ring as it is and disturbed, as an average and as well as octex can; print a table."""
+    """Paint a ring as it is and disturbed, as an average and as well as octex can; print a table.
+
+    Its last decibels are those at points that a picture shows: strangers do not hide them in all.
+    """
 
     def painted(given: Ring, **options: Any) -> tuple[Array, float]:
         texture = octex.paint(None, surface, given.projections(), max_depth=depth, **options)
         found = texture.sample(points.samples.rest, normals=points.samples.normals)
         found = 255 * linear_to_srgb(np.clip(found, 0, 1))
-        error = (found - points.truth)[points.seen.any(axis=0)]
-        return found, float(20 * np.log10(255 / np.sqrt((error**2).mean())))
+        return found, decibels(found, points.seen.any(axis=0))
+
+    def decibels(found: Array, some: Array) -> float:
+        return float(20 * np.log10(255 / np.sqrt(((found - points.truth)[some] ** 2).mean())))
 
     clean, level = painted(ring)
     wanted = min(level, _CLEAN)
-    rows = [["as it is", f"{painted(ring, pictures='average')[1]:.1f}", f"{level:.1f}", "", "", "", ""]]
+    rows = [["as it is", f"{painted(ring, pictures='average')[1]:.1f}", f"{level:.1f}", *[""] * 5]]
     verdicts = []
     for what, (given, hidden) in disturbances(ring.pictures, ring.cameras, surface).items():
         options, refines, below = _TOLD[what]
-        if report.quick and what.endswith("off"):
+        if report.quick and what not in ("strangers", "all together"):
             continue  # all together goes the same ways
         averaged = painted(given, pictures="average")[1]
         off = ["", ""]
@@ -195,29 +200,31 @@ def disturbed(
             verdicts.append((report.at_most, f"{what}, pixels left", float(after), 0.25, ""))
         found, figure = painted(given, **options)
         spent = process_time() - began
-        ghosts = ""
+        ghosts = shown = ""
         if hidden is not None:
-            many = _few_disturbed(ring, hidden, points)
+            count, sees = _hiding(ring, hidden, points), points.seen.sum(axis=0)
+            shown = f"{decibels(found, sees > count):.1f}"
+            many = (sees >= _SEEN) & (count <= _DISTURBED)
             share = 100 * float((np.abs(found - clean).max(axis=1)[many] > _GHOST).mean())
             ghosts = f"{share:.2f} %"
             if not refines:
                 verdicts.append((report.at_most, f"{what}, points with ghosts", share, _GHOSTS, "%"))
-        rows.append([what, f"{averaged:.1f}", f"{figure:.1f}", *off, ghosts, f"{spent:.0f} s"])
+        rows.append([what, f"{averaged:.1f}", f"{figure:.1f}", *off, ghosts, shown, f"{spent:.0f} s"])
         verdicts.append((report.at_most, f"{what}, below clean", wanted - figure, below, "dB"))
-    report.table([name, "averaged, dB", "octex, dB", "off, pixels", "refined", "ghosts", "cpu"], rows)
+    heads = ["averaged, dB", "octex, dB", "off, pixels", "refined", "ghosts", "shown, dB", "cpu"]
+    report.table([name, *heads], rows)
     for judge, what, value, target, unit in verdicts:
         judge(f"ring: {name}, {what}", value, target, unit)
 
 
-def _few_disturbed(ring: Ring, hidden: Sequence[Array], points: Points) -> Array:
-    """Say which points enough pictures see, of which few are disturbed there."""
+def _hiding(ring: Ring, hidden: Sequence[Array], points: Points) -> Array:
+    """Return in how many of the pictures that see a point a stranger hides it (n,)."""
     count = np.zeros(points.seen.shape[1], np.int64)
     for camera, there, seen in zip(ring.cameras, hidden, points.seen, strict=True):
         pixels, _ = camera.project(points.samples.points)
         i, j = np.clip(pixels.astype(np.int64), 0, [camera.width - 1, camera.height - 1]).T
         count += seen & there[j, i]
-    many: Array = (points.seen.sum(axis=0) >= _SEEN) & (count <= _DISTURBED)
-    return many
+    return count
 
 
 def disturbances(

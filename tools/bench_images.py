@@ -21,16 +21,15 @@ _FILTERS = ("trilinear", "ripmap", "sat", "ewa")
 _STRETCHES = (1, 2, 4, 8, 16)
 _WIDTHS = (0.7, 1.5, 4.0)  # of the footprint's short side, in texels
 _ANGLES = (0.0, 0.3, 0.8, 1.2)
-_SIDE = 512
 
 
 def filters(setup: Setup, report: Report) -> None:
     """Image filters under stretched footprints: error beside the mean over the footprint, and time."""
-    count, fine = (20, 8) if setup.quick else (300, 48)
-    report.title(f"filters: {_SIDE}² texels, footprints of {_WIDTHS} texels times the stretch, turned")
+    side, count, fine = (64, 20, 8) if setup.quick else (512, 300, 48)
+    report.title(f"filters: {side}² texels, footprints of {_WIDTHS} texels times the stretch, turned")
     rng = np.random.default_rng(0)
     errors: dict[str, dict[str, list[float]]] = {}
-    for image, texels in _images(rng).items():
+    for image, texels in _images(rng, side).items():
         errors[image] = {name: [] for name in _FILTERS}
         for stretch in _STRETCHES:
             squares = np.zeros(len(_FILTERS))
@@ -39,7 +38,7 @@ def filters(setup: Setup, report: Report) -> None:
                     squares += _squared_errors(texels, stretch, width, angle, count, fine, rng)
             for name, square in zip(_FILTERS, squares, strict=True):
                 errors[image][name].append(float(np.sqrt(square / (len(_WIDTHS) * len(_ANGLES)))))
-    times = _times(setup)
+    times = _times(setup, side)
     heads = ["RMS, sRGB codes; stretch", *(f"{stretch} : 1" for stretch in _STRETCHES)]
     rows = [
         [f"{image}, {name}", *(f"{value:.2f}" for value in each)]
@@ -59,11 +58,11 @@ def filters(setup: Setup, report: Report) -> None:
         report.at_most(f"filters: EWA's time beside trilinear's, {stretch} : 1", ewa / other, 4)
 
 
-def _images(rng: np.random.Generator) -> dict[str, npt.NDArray[np.uint8]]:
+def _images(rng: np.random.Generator, side: int) -> dict[str, npt.NDArray[np.uint8]]:
     """Return what fades with frequency, as pictures do, with hard edges and without."""
-    frequencies = np.hypot(*np.meshgrid(np.fft.fftfreq(_SIDE), np.fft.fftfreq(_SIDE)))
+    frequencies = np.hypot(*np.meshgrid(np.fft.fftfreq(side), np.fft.fftfreq(side)))
     frequencies[0, 0] = 1.0
-    pink = np.fft.ifft2(np.fft.fft2(rng.normal(size=(_SIDE, _SIDE))) / frequencies).real
+    pink = np.fft.ifft2(np.fft.fft2(rng.normal(size=(side, side))) / frequencies).real
     pink = (pink - pink.mean()) / pink.std()
     smooth = np.clip(128 + 50 * pink, 0, 255).astype(np.uint8)
     edges = np.where((10 * pink).astype(int) % 2 == 0, 30, 220).astype(np.uint8)
@@ -78,7 +77,7 @@ def _surface(
     turned = _rotation(angle) @ across @ _rotation(1.7 * angle + 1.0)
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
     vertices = np.column_stack([4.0 * corners, np.zeros(3)])
-    uv = 4.0 * corners @ turned.T / _SIDE
+    uv = 4.0 * corners @ turned.T / len(texels)
     return octex.Surface.from_arrays(vertices, [[0, 1, 2]], uv=uv, image=texels, filter=filter)
 
 
@@ -118,11 +117,11 @@ def _squared_errors(
     return np.array(errors)
 
 
-def _times(setup: Setup) -> dict[str, list[float]]:
+def _times(setup: Setup, side: int) -> dict[str, list[float]]:
     """Return nanoseconds a lookup by filter and stretch, over all widths, points in rows."""
-    side = 30 if setup.quick else 300
-    texels = np.random.default_rng(1).integers(0, 256, (_SIDE, _SIDE, 3)).astype(np.uint8)
-    grid = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(-1, 2) / side
+    across = 30 if setup.quick else 300
+    texels = np.random.default_rng(1).integers(0, 256, (side, side, 3)).astype(np.uint8)
+    grid = np.stack(np.meshgrid(np.arange(across), np.arange(across)), axis=-1).reshape(-1, 2) / across
     places = grid[grid[:, 0] >= grid[:, 1]] * 4.0
     times: dict[str, list[float]] = {name: [] for name in _FILTERS}
     for stretch in _STRETCHES:

@@ -1,14 +1,15 @@
 #!/usr/bin/env python
-"""Have Blender photograph a model, paint it with all photographs but one, and compare with that one.
+"""Paint a model with all photographs but one, and compare with that one: of a real set, or Blender's own.
 
 usage: tools/photographs.py PYTHON [MODEL] [--count 14] [--width 800] [--held-out 4] [--keep FOLDER]
+       tools/photographs.py --scan MESH --cameras FILE [--balance full] [--refine-cameras] [--keep FOLDER]
 
 PYTHON is that of an environment with PyPI's bpy (5.0.1 is for Python 3.11); it runs photographs_worker.py.
 The model stands in sun and skylight on a ground that no mesh has; the photographs are JPEG files, the bare
 mesh is a PLY, the cameras are a transforms.json. With --keep an earlier run's photographs in FOLDER serve
 again. Photographs that are held out are drawn from what the others painted, and compared inside the
-silhouette, two pixels from its edge: as they are, and without the difference of their means, for what shines
-looks lighter from some sides.
+silhouette, two pixels from its edge, where others saw the surface: as they are, and without the difference of
+their means, for what shines looks lighter from some sides, and nothing tells how long one was exposed.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -28,41 +30,57 @@ from PIL import Image
 
 import octex
 from octex.channels import linear_to_srgb
+from octex.painting.balance import BALANCES
 from octex.painting.paint import PICTURES
 from octex.preview import render, texture_shader
-from octex.view.zbuffer import z_buffer
+from octex.preview.hits import rest_normals, visible_hits
 
 WORKER = Path(__file__).with_name("photographs_worker.py")
 DROID = Path(__file__).parents[1] / "samples" / "droid.glb"
 #: Pixels from the silhouette's edge on that are compared: those at it show the ground, too.
 FROM_EDGE = 2
+#: How much of what is compared others saw, at least.
+COVERED = 0.5
 
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("python", type=Path)
+    parser.add_argument("python", type=Path, nargs="?")
     parser.add_argument("model", type=Path, nargs="?", default=DROID)
     parser.add_argument("--count", type=int, default=14)
     parser.add_argument("--width", type=int, default=800)
     parser.add_argument("--rays", type=int, default=48, help="paths of light a pixel")
     parser.add_argument("--held-out", type=int, default=4)
+    parser.add_argument("--scan", type=Path, help="a bare mesh, of real photographs")
+    parser.add_argument("--cameras", type=Path, help="their cameras, which name them")
     parser.add_argument("--pictures", choices=PICTURES, nargs="+", default=PICTURES)
+    parser.add_argument("--balance", choices=BALANCES)
+    parser.add_argument("--refine-cameras", action="store_true")
     parser.add_argument("--keep", type=Path, help="a folder for photographs and pictures")
     options = parser.parse_args(arguments)
+    if (options.python is None) == (options.cameras is None):
+        parser.error("give PYTHON, or --scan and --cameras")
     with folder_at(options.keep) as folder:
-        if not (folder / "transforms.json").exists():
+        if options.cameras is None and not (folder / "transforms.json").exists():
             photograph(options, folder)
-        surface = octex.load_surface(folder / "scan.ply")
-        frames = octex.read_cameras(folder / "transforms.json")
-        given = [octex.Projection(folder / each.name, each.camera()) for each in frames]
+        surface = octex.load_surface(options.scan or folder / "scan.ply")
+        frames = octex.read_cameras(options.cameras or folder / "transforms.json")
+        frames = [each for each in frames if each.image is not None and each.image.exists()]
+        given = [octex.Projection(each.image, each.camera()) for each in frames]
+        if options.refine_cameras:
+            cameras = octex.refine_cameras(surface, given)
+            given = [replace(each, camera=camera) for each, camera in zip(given, cameras, strict=True)]
         chosen = np.linspace(0, len(given), options.held_out, endpoint=False).astype(int).tolist()
         for pictures in options.pictures:
             for number in chosen:
                 others = [each for n, each in enumerate(given) if n != number]
-                texture = octex.paint(None, surface, others, pictures=pictures)
+                texture = octex.paint(
+                    None, surface, others, pictures=pictures, balance=options.balance, coverage=True
+                )
                 found = compared(surface, texture, given[number], folder / f"{pictures}{number:02d}.png")
                 print(
-                    f"{pictures}, {frames[number].name}: {found[0]:.1f} dB, {found[1]:.1f} without the means"
+                    f"{pictures}, {frames[number].name}: {found[0]:.1f} dB, {found[1]:.1f} without the means",
+                    flush=True,
                 )
     return 0
 
@@ -96,7 +114,9 @@ def compared(
     assert isinstance(camera, octex.Camera)
     truth = np.asarray(Image.open(str(held.image)).convert("RGB"), np.float64)
     made = 255 * linear_to_srgb(np.clip(render(surface, camera, texture_shader(texture)), 0, 1))
-    inside = z_buffer(surface.vertices, surface.triangles, camera).triangle >= 0
+    inside = np.zeros(truth.shape[:2], np.bool_)
+    for pixels, hits in visible_hits(surface, camera, rest_normals(surface)):
+        inside.ravel()[pixels] = texture.sample(hits.rest, "coverage", normals=hits.normals)[:, 0] > COVERED
     for _ in range(FROM_EDGE):
         around = np.pad(inside, 1)
         inside = around[:-2, 1:-1] & around[2:, 1:-1] & around[1:-1, :-2] & around[1:-1, 2:] & inside

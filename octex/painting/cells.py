@@ -17,7 +17,7 @@ from octex.parallel import ordered_map
 from octex.texture import OctreeTexture
 from octex.tree import morton
 from octex.tree.edit import among, boundary, first_not_below, locate, places
-from octex.tree.layout import FACING_FLAGS
+from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.octree import Octree, distinct
 from octex.tree.split import rows_of
 
@@ -34,7 +34,7 @@ class Paint(NamedTuple):
     values: Float32s  # (n, components)   decoded
     coverage: Float32s  # (n,)   0 … 1
     cells: Int64s  # (n,)   the cells of the paint octree that say what each facing has
-    facings: Uint8s  # (n,)   which of them have paint
+    flags: Uint8s  # (n,)   the facings that have paint, and SPLIT where these are told from others
 
 
 def paint_of(layer: OctreeTexture, opacity: float) -> tuple[ChannelFormat, list[Paint]]:
@@ -45,7 +45,7 @@ def paint_of(layer: OctreeTexture, opacity: float) -> tuple[ChannelFormat, list[
     if len(layer.channels) != 2 or ALPHA.name not in layer.channels:
         raise ArgumentError("a layer has one channel, and alpha: what paint covers")
     values, coverage = layer.channels[painted_channel(layer)], layer.channels[ALPHA.name]
-    facings = _painted_facings(layer)
+    flags = _painted_flags(layer)
     found = []
     for level, (codes, is_node) in enumerate(layer.tree.walk()):
         cells = np.flatnonzero(~is_node) + int(layer.tree.arrays.level_cells[level])
@@ -59,7 +59,7 @@ def paint_of(layer: OctreeTexture, opacity: float) -> tuple[ChannelFormat, list[
                 decode(values.values[cells], values.format.space),
                 part[has_paint],
                 cells,
-                facings[cells],
+                flags[cells],
             )
         )
     return values.format, found
@@ -70,13 +70,22 @@ def painted_channel(layer: OctreeTexture) -> str:
     return next(name for name in layer.channels if name != ALPHA.name)
 
 
-def _painted_facings(layer: OctreeTexture) -> Uint8s:
-    """Return the facings of a layer's cells (cells,) that have paint: all, but in split cells."""
-    facings = layer.tree.arrays.flags & np.uint8(FACING_FLAGS)
+def _painted_flags(layer: OctreeTexture) -> Uint8s:
+    """Return the flags of paint on a layer's cells (cells,); without SPLIT all of a cell is painted."""
+    flags = layer.tree.arrays.flags & np.uint8(FACING_FLAGS)
     rows = rows_of(layer.tree.split)
-    facings[rows.cells] = 0
-    np.bitwise_or.at(facings, rows.cells, rows.bits * (layer.channels[ALPHA.name].split_values[:, 0] > 0))
-    return facings
+    flags[rows.cells] = SPLIT
+    np.bitwise_or.at(flags, rows.cells, rows.bits * (layer.channels[ALPHA.name].split_values[:, 0] > 0))
+    return flags
+
+
+def leave_bare(facings: Uint8s, painted: Uint8s) -> Bools:
+    """Say which cells (n,) have some of their facings left bare by the paint on them, of flags (n,).
+
+    Paint that tells no facings apart is on the cell as a whole.
+    """
+    bare: Bools = (painted & SPLIT != 0) & (facings & ~painted & np.uint8(FACING_FLAGS) != 0)
+    return bare
 
 
 def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opacity: float) -> list[Paint]:
@@ -99,7 +108,7 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
             continue
         coarse = found[level]
         found[level] = some(coarse, ~below)
-        parents, cells, facings = coarse.codes[below], coarse.cells[below], coarse.facings[below]
+        parents, cells, flags = coarse.codes[below], coarse.cells[below], coarse.flags[below]
         source_codes = parents
         for deeper in range(level + 1, len(walk)):
             codes, is_node = walk[deeper]
@@ -111,7 +120,7 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
             if leaves.size:
                 owners = np.searchsorted(source_codes, leaves >> 3 * (deeper - level))
                 values, coverage = _refined_paint(layer, name, leaves, deeper, opacity)
-                finer = Paint(leaves, values, coverage, cells[owners], facings[owners])
+                finer = Paint(leaves, values, coverage, cells[owners], flags[owners])
                 found[deeper] = _joined(found[deeper], finer)
     return found
 
@@ -151,15 +160,20 @@ def facings_within(codes: Int64s, paint: Sequence[Paint], level: int) -> Uint8s:
     found = np.zeros(codes.size, np.uint8)
     for above, each in enumerate(paint[: level + 1]):
         at = places(codes >> 3 * (level - above), each.codes)
-        found[at >= 0] |= each.facings[at[at >= 0]]
-    return found
+        found[at >= 0] |= each.flags[at[at >= 0]]
+    return found & np.uint8(FACING_FLAGS)
 
 
-def beside_larger(codes: Int64s, tree: Octree, level: int) -> Bools:
-    """Say which cells (n,) of a level, in no leaf of a tree, are beside leaves that are larger."""
+def beside_larger(codes: Int64s, tree: Octree, tops: Sequence[Int64s], level: int) -> Bools:
+    """Say which cells (n,) of a level, in no leaf of a tree, are beside leaves that are larger.
+
+    Those do not count that are among ``tops``, given by level.
+    """
     around = boundary(codes, level)
     where = locate(tree, around, level)
-    return among(codes, boundary(around[where.is_leaf & (where.levels < level)], level))
+    around = around[where.is_leaf & (where.levels < level)]
+    around = around[~is_within(around, tops[:level], level)]
+    return among(codes, boundary(around, level))
 
 
 def skirt_of(outer: Int64s, painted: Sequence[Int64s], ring: Int64s, met: Int64s, level: int) -> Int64s:
@@ -200,20 +214,20 @@ def skirt_on_nothing(
 def paint_at(paint: Sequence[Paint], codes: Int64s, level: int) -> Paint:
     """Return the paint in cells of a level, ascending: of larger ones and the mean of smaller ones too."""
     sums = np.zeros((codes.size, paint[0].values.shape[1] + 2))
-    cells, facings = np.zeros(codes.size, np.int64), np.zeros(codes.size, np.uint8)
+    cells, flags = np.zeros(codes.size, np.int64), np.zeros(codes.size, np.uint8)
     for at, each in enumerate(paint):
         if each.codes.size:
-            _add_within(codes, level - at, each, sums, cells, facings)
+            _add_within(codes, level - at, each, sums, cells, flags)
     has = sums[:, -1] > 0
     sums = sums[has]
     values = (sums[:, :-2] / np.maximum(sums[:, -2:-1], 1e-30)).astype(np.float32)
     coverage = (sums[:, -2] / sums[:, -1]).astype(np.float32)
-    return Paint(codes[has], values, coverage, cells[has], facings[has])
+    return Paint(codes[has], values, coverage, cells[has], flags[has])
 
 
 @kernel
 def _add_within(
-    codes: Int64s, steps: int, paint: Paint, sums: Float64s, cells: Int64s, facings: Uint8s
+    codes: Int64s, steps: int, paint: Paint, sums: Float64s, cells: Int64s, flags: Uint8s
 ) -> None:
     """Add paint on cells of a level so many ``steps`` above that of ``codes``, or below, by area."""
     finer, coarser = (codes, paint.codes) if steps >= 0 else (paint.codes, codes)
@@ -231,7 +245,7 @@ def _add_within(
         sums[n, components] += weight * paint.coverage[own]
         sums[n, components + 1] += weight
         cells[n] = paint.cells[own]
-        facings[n] |= paint.facings[own]
+        flags[n] |= paint.flags[own]
 
 
 def with_skirt(
@@ -298,7 +312,7 @@ def _average_beside(skirt: Paint, level: int, paint: Paint) -> None:
                     coverage += np.float64(paint.coverage[at])
                     count += 1
                     skirt.cells[n] = paint.cells[at]
-                    skirt.facings[n] |= paint.facings[at]
+                    skirt.flags[n] |= paint.flags[at]
         for component in range(components):
             skirt.values[n, component] = sums[component] / max(coverage, 1e-30)
         skirt.coverage[n] = coverage / max(count, 1)
@@ -312,8 +326,8 @@ def _place(code: int) -> tuple[int, int, int]:
 
 def some(paint: Paint, chosen: Bools | slice) -> Paint:
     """Return the paint on some of the cells."""
-    codes, values, coverage, cells, facings = paint
-    return Paint(codes[chosen], values[chosen], coverage[chosen], cells[chosen], facings[chosen])
+    codes, values, coverage, cells, flags = paint
+    return Paint(codes[chosen], values[chosen], coverage[chosen], cells[chosen], flags[chosen])
 
 
 def _joined(*parts: Paint) -> Paint:

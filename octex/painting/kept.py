@@ -15,11 +15,11 @@ from octex.painting.cells import (
     among_at,
     are_beside,
     is_within,
+    leave_bare,
     paint_at,
     with_skirt,
 )
-from octex.tree.edit import among, boundary, locate, with_all_above
-from octex.tree.layout import FACING_FLAGS
+from octex.tree.edit import among, boundary, locate, places, with_all_above
 from octex.tree.octree import Octree, distinct
 
 
@@ -31,15 +31,14 @@ class OnKept(NamedTuple):
     coverage: Float32s  # (n,)   0 … 1
 
 
-def on_kept(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> OnKept:
-    """Return the paint on kept nodes around which all of the surface is painted, in all its facings.
+def on_kept(tree: Octree, paint: Sequence[Paint], bare: Sequence[Int64s]) -> OnKept:
+    """Return the paint on kept nodes around which there are no ``bare`` leaves, given by level.
 
     It is the mean of the paint in them. The field reads their coefficients in cells off the surface, and from
     the cells beside them at most: nothing that is not painted depends on them.
     """
     found: list[OnKept] = []
     above = with_all_above([each.codes for each in paint]) if tree.kept.cells.size else []
-    bare = bare_leaves(tree, paint, is_skirt) if tree.kept.cells.size else []
     for level, painted in enumerate(above):
         own = slice(*np.searchsorted(tree.kept.cells, tree.arrays.level_cells[level : level + 2]).tolist())
         if own.start == own.stop:
@@ -55,17 +54,18 @@ def on_kept(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> OnKept:
     return OnKept(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
-def with_old_skirts(tree: Octree, paint: Sequence[Paint], is_skirt: Bools, executor: Executor) -> list[Paint]:
+def with_old_skirts(
+    tree: Octree, paint: Sequence[Paint], bare: Sequence[Int64s], is_skirt: Bools, executor: Executor
+) -> list[Paint]:
     """Add the skirts of a tree, ``is_skirt`` (cells,), that are beside paint, which lies on leaves.
 
-    Beside them is no surface but what is painted, or beside paint itself.
+    Beside them are no ``bare`` leaves, given by level, but such as are beside paint themselves.
     """
     found = list(paint)
     if not tree.kept.cells.size:
         return found
     cells = [locate(tree, each.codes, level).cells for level, each in enumerate(paint)]
     painted = [each.codes[~is_skirt[own]] for each, own in zip(paint, cells, strict=True)]
-    bare: list[Int64s] = []
     for level, (codes, is_node) in enumerate(tree.walk()):
         here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
         skirt = codes[~is_node & is_skirt[here]]
@@ -78,7 +78,6 @@ def with_old_skirts(tree: Octree, paint: Sequence[Paint], is_skirt: Bools, execu
         reaches[~reaches] = _touch(skirt[~reaches], painted, level)
         skirt = skirt[reaches]
         if skirt.size:
-            bare = bare or bare_leaves(tree, paint, is_skirt)
             around = boundary(skirt, level)
             far = [own[among_at(own, at, around, level)] for at, own in enumerate(bare)]
             far = [own[~_touch(own, painted, at)] for at, own in enumerate(far)]
@@ -118,15 +117,19 @@ def _touch(codes: Int64s, leaves: Sequence[Int64s], level: int, *, half: bool = 
 
 
 def bare_leaves(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[Int64s]:
-    """Return leaves that the surface is in and not all of it painted, by level."""
+    """Return leaves that the surface is in and not all of it painted, by level.
+
+    What lies in larger cells of paint is painted with them.
+    """
     found = []
     for level, (codes, is_node) in enumerate(tree.walk()):
         here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
-        facings = tree.arrays.flags[here] & np.uint8(FACING_FLAGS)
+        flags = tree.arrays.flags[here]
         is_bare = ~is_node & ~is_skirt[here]
-        if level < len(paint):
-            there = among(codes, paint[level].codes)
-            own = paint[level].facings[np.searchsorted(paint[level].codes, codes[there])]
-            is_bare[there] &= facings[there] & ~own != 0
+        for above, each in enumerate(paint[: level + 1]):
+            if each.codes.size:
+                at = places(codes >> 3 * (level - above), each.codes)
+                there = at >= 0
+                is_bare[there] &= leave_bare(flags[there], each.flags[at[there]])
         found.append(codes[is_bare])
     return found

@@ -23,7 +23,7 @@ from octex.painting.averages import (
 )
 from octex.painting.cells import Paint, paint_of, painted_channel, refine_paint
 from octex.painting.ground import Ground
-from octex.painting.kept import on_kept, with_old_skirts
+from octex.painting.kept import bare_leaves, on_kept, with_old_skirts
 from octex.painting.pictures import BLENDS, Blend
 from octex.painting.raising import Raised, raise_texture
 from octex.parallel import Progress, as_progress, workers
@@ -130,8 +130,10 @@ def merged(
         return None
     with own_making():
         paint = refine_paint(raised.paint, layer, raised.texture.tree, opacity)
-        paint = with_old_skirts(raised.texture.tree, paint, raised.is_skirt, executor)
-        made = _blended(part, raised, paint, layer, target, blend, opacity)
+        tree, is_skirt = raised.texture.tree, raised.is_skirt
+        bare = bare_leaves(tree, paint, is_skirt) if tree.kept.cells.size else []
+        paint = with_old_skirts(tree, paint, bare, is_skirt, executor)
+        made = _blended(part, raised, paint, bare, layer, target, blend, opacity)
     return Change(tiles, with_channels_of(part, given), made)
 
 
@@ -195,6 +197,7 @@ def _blended(
     texture: OctreeTexture,
     raised: Raised,
     paint: Sequence[Paint],
+    bare: Sequence[Int64s],
     layer: OctreeTexture,
     target: str,
     blend: Blend,
@@ -230,7 +233,7 @@ def _blended(
             form = channels[name].format
             channels[name].values[cells[here]] = encode(new, form.dtype, form.space)
             parts[name].values[cells[here], 0] = part
-    kept = on_kept(tree, paint, raised.is_skirt)
+    kept = on_kept(tree, paint, bare)
     if kept.rows.size:
         old = {
             name: decode(own.kept_values[kept.rows], own.format.space)

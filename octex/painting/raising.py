@@ -28,6 +28,7 @@ from octex.painting.cells import (
     beside_larger,
     facings_within,
     is_within,
+    leave_bare,
     skirt_of,
     skirt_on_nothing,
     some,
@@ -205,16 +206,20 @@ def _raised(
         return unchanged(tree), paint, None
     depth = max((level for level, each in enumerate(paint) if each.codes.size), default=0)
     met = _met_cells(ground, texture, tops, depth, executor, progress)
+    split = [
+        distinct(np.concatenate([none, *(own for at, own in tops if at == level)]))
+        for level in range(max(tree.max_depth, depth) + 1)
+    ]
     # New cells of paint, and what is above them, count as met: whatever the surface says, no skirt holds any.
     new = with_all_above([np.concatenate([below[level], added[level]]) for level in range(depth + 1)])
     painted = [each.codes for each in paint]
     above = with_all_above(painted)
     has_absent = any(codes.size for codes in absent)
     hides = bool(tops) and any((each.coverage >= hiding).any() for each in paint)
-    unraised, bare = _bare(tree, is_skirt, paint, above, tops, met) if has_absent or hides else ([], [])
-    freed = _freed(tree, paint, tops, bare, hiding) if hides else []
+    unraised, bare = _bare(tree, is_skirt, paint, above, split, met) if has_absent or hides else ([], [])
     first = next((level for level, codes in enumerate(painted) if codes.size), 0)
-    coarsest = coarsest_near(tree, painted, first) if has_absent else 0
+    coarsest = coarsest_near(tree, painted, first) if has_absent or hides else 0
+    freed = _freed(tree, paint, split, bare, coarsest, hiding) if hides else []
     wanted: list[Int64s] = []
     skirts: list[Int64s] = []  # none lies in another
     with_skirts: list[Paint] = []
@@ -241,9 +246,10 @@ def _raised(
         skirt = np.sort(np.concatenate([skirt, *extra]), kind="stable")
         skirt = skirt[~is_within(skirt, skirts, level) & ~among(skirt, new[level])]
         where = locate(tree, skirt, level)
-        # What the surface meets in leaves beside kept nodes is not known: they might not stay as they are.
+        # What the surface meets in leaves beside kept nodes that are not raised is not known: they might not
+        # stay as they are.
         is_below_kept = (where.levels < level) & (tree.arrays.flags[where.cells] & KEPT != 0)
-        is_below_kept[is_below_kept] = beside_larger(skirt[is_below_kept], tree, level)
+        is_below_kept[is_below_kept] = beside_larger(skirt[is_below_kept], tree, split, level)
         skirt, where = skirt[~is_below_kept], where.of(~is_below_kept)
         skirts.append(skirt)
         is_free = ~is_within(skirt, painted, level)  # others are painted with the larger cells around them
@@ -266,7 +272,7 @@ def _bare(
     is_skirt: Bools,
     paint: Sequence[Paint],
     above: Sequence[Int64s],
-    tops: Sequence[tuple[int, Int64s]],
+    tops: Sequence[Int64s],
     met: Met,
 ) -> tuple[list[Int64s], list[Int64s]]:
     """Return where the surface is not painted, by level: leaves that are not raised, and all there will be.
@@ -274,22 +280,15 @@ def _bare(
     ``above`` are painted cells and all above them, ``tops`` the leaves that are raised.
     """
     painted = [each.codes for each in paint]
-    split = [
-        distinct(np.concatenate([np.empty(0, np.int64), *(own for at, own in tops if at == level)]))
-        for level in range(max(tree.max_depth + 1, len(met.codes)))
-    ]
-    unraised = [
-        own[~among(own, split[level])] for level, own in enumerate(bare_leaves(tree, paint, is_skirt))
-    ]
+    unraised = [own[~among(own, tops[level])] for level, own in enumerate(bare_leaves(tree, paint, is_skirt))]
     bare = [*unraised, *[np.empty(0, np.int64)] * (len(met.codes) - len(unraised))]
     for level, codes in enumerate(met.codes):
-        inside = codes[is_within(codes >> 3, split[:level], level - 1)] if level else codes[:0]
+        inside = codes[is_within(codes >> 3, tops[:level], level - 1)] if level else codes[:0]
         is_bare = ~among(inside, above[level]) & ~is_within(inside, painted, level)
         there = np.flatnonzero(among(inside, painted[level]))
         at = np.searchsorted(codes, inside[there]) + int(met.tree.arrays.level_cells[level])
-        facings = met.tree.arrays.flags[at] & np.uint8(FACING_FLAGS)
-        own = paint[level].facings[np.searchsorted(painted[level], inside[there])]
-        is_bare[there] = facings & ~own != 0
+        own = paint[level].flags[np.searchsorted(painted[level], inside[there])]
+        is_bare[there] = leave_bare(met.tree.arrays.flags[at], own)
         bare[level] = distinct(np.concatenate([bare[level], inside[is_bare]]))
     return unraised, bare
 
@@ -297,34 +296,40 @@ def _bare(
 def _freed(
     tree: Octree,
     paint: Sequence[Paint],
-    tops: Sequence[tuple[int, Int64s]],
+    tops: Sequence[Int64s],
     bare: Sequence[Int64s],
+    coarsest: int,
     hiding: float,
 ) -> list[Int64s]:
     """Return those of the leaves that are raised, ``tops``, that need keep nothing, by level.
 
-    Two of their own size around them there is no kept node, no ``bare`` surface and no paint through which
-    something shows: no cell off the surface below them is refined from what was there.
+    Two of their own size around them there is no ``bare`` surface and no paint through which something shows,
+    so that no cell off the surface below them is refined from what was there. Nor is there around any cell
+    above them that leaves or kept nodes of its size are beside; these are of level ``coarsest`` or deeper.
     """
-    levels = range(max(len(bare), len(paint)))
-    old = [[np.empty(0, np.int64)] for _ in levels]
-    for level, own in enumerate(bare):
-        old[level].append(own)
-    for level, each in enumerate(paint):
-        old[level].append(each.codes[each.coverage < hiding])
-    ends = np.searchsorted(tree.kept.cells, tree.arrays.level_cells)
-    for level in range(tree.max_depth + 1 if tree.kept.cells.size else 0):
-        kept = tree.kept.cells[ends[level] : ends[level + 1]].astype(np.int64)
-        if kept.size:
-            old[level].append(tree.level_codes(level)[kept - tree.arrays.level_cells[level]])
-    shown = [distinct(np.concatenate(own)) for own in old]
-    freed = []
-    for level in levels:
-        codes = distinct(np.concatenate([np.empty(0, np.int64), *(own for at, own in tops if at == level)]))
-        near = distinct(np.concatenate([codes, boundary(codes, level)]))
-        near = near[are_beside(near, shown, level)] if codes.size else near
-        freed.append(codes[~among(codes, near) & ~among(codes, boundary(near, level))])
+    none = np.empty(0, np.int64)
+    shown = [[none, *bare[level : level + 1]] for level in range(len(tops))]
+    for level, each in enumerate(paint[: len(tops)]):
+        shown[level].append(each.codes[each.coverage < hiding])
+    seen = [distinct(np.concatenate(own)) for own in shown]
+    held, freed = none, []
+    for level, codes in enumerate(with_all_above(tops)):
+        is_held = among(codes >> 3, held)
+        if level >= coarsest and codes.size:
+            near = distinct(np.concatenate([codes, boundary(codes, level)]))
+            where = locate(tree, near, level)
+            has_own = where.is_leaf | (tree.arrays.flags[where.cells] & KEPT != 0)
+            own = near[(where.levels == level) & has_own]
+            near = near[are_beside(near, seen, level)]
+            is_held |= _in_or_beside(codes, own, level) & _in_or_beside(codes, near, level)
+        held = codes[is_held]
+        freed.append(tops[level][~among(tops[level], held)])
     return freed
+
+
+def _in_or_beside(codes: Int64s, others: Int64s, level: int) -> Bools:
+    """Say which cells (n,) of a level are among others of that level, or beside some."""
+    return among(codes, others) | among(codes, boundary(others, level))
 
 
 def _is_beside_old(
@@ -340,7 +345,7 @@ def _is_beside_old(
     near = distinct(np.concatenate([cells, boundary(distinct(cells), coarsest)]))
     near = near[among(near, above[coarsest])]
     old = near[are_beside(near, bare, coarsest)]
-    return among(cells, old) | among(cells, boundary(old, coarsest))
+    return _in_or_beside(cells, old, coarsest)
 
 
 def _facing_cells(tree: Octree, is_skirt: Bools, level: int) -> Int64s:

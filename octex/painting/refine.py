@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int32s
+from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.channels import BASE_COLOR
 from octex.checks import as_choice, as_whole
 from octex.conversion import large
@@ -33,8 +33,9 @@ from octex.parallel import Progress, as_progress, ordered_map, workers
 from octex.source.surface import Surface, as_surface
 from octex.view.camera import Camera
 
-#: Points of the surface that are compared.
-_POINTS = 10_000
+#: Points of the surface that are looked at. Of these every sixth is compared at the coarsest level; at finer
+#: ones, and to judge what is found, those where a picture tells most: so many of each, and of all.
+_POINTS, _EVERY, _TELLING, _MOST = 60_000, 6, 800, 20_000
 #: Levels of pictures, each twice as coarse, that are read one after the other, and tries on each.
 _LEVELS, _TRIES = (2, 1, 0), 12
 #: A step in which no number of a camera changes by so many pixels is the last of its level.
@@ -106,6 +107,7 @@ def refine_cameras(
         order, fixed = _ordered(ground, cameras, levels, reference, pool)
         began, levels = [cameras[n] for n in order], [levels[n] for n in order]
         samples = surface.scatter(_POINTS)
+        scales = [_pixel_at(camera, samples.points) for camera in began]
         cameras, numbers = list(began), np.zeros((len(order), _NUMBERS))
         stays = np.zeros(len(order), np.bool_) if reference is None else np.array(order) == reference
 
@@ -117,20 +119,24 @@ def refine_cameras(
             source = lit(cameras, balance)
             says = _says(source, samples.triangles, samples.barycentric, _RIM * 2**level)
             pictures = [_read(shot, level) for shot in source.shots]
-            return _Views(began, samples.points, pictures, source.gains, says)
+            return _Views(began, scales, samples.points, pictures, source.gains, says)
 
         for done, level in enumerate(_LEVELS):
             report("refine", done, len(_LEVELS))
             given = views(cameras, level, balance)
             if not stays.any():
                 stays[np.argmax((given.says * (given.says > 0).sum(axis=0)).sum(axis=1))] = True
-            numbers = _agreeing(given, numbers, stays, _FAR * (level + 1))
-            cameras = [_moved(*each, samples.points) for each in zip(began, numbers, strict=True)]
+            far = _FAR * (level + 1)
+            every = np.arange(0, len(samples.points), _EVERY)
+            some = _telling(given, numbers, far) if done else every
+            numbers = _agreeing(given.at(some), numbers, stays, far)
+            cameras = [_moved(*each) for each in zip(began, scales, numbers, strict=True)]
             if done == 0:  # now pictures lie well enough on each other to tell what only one of them saw
                 levels = [shot.levels for shot in agreeing(lit(cameras, balance), pool).shots]
         light: Balance | None = balance and "full"
         before, after = views(began, 0, light), views(cameras, 0, light)
-        is_better = _better(before, after, numbers) & ~stays
+        some = np.union1d(_telling(before, 0 * numbers, _FAR), _telling(after, numbers, _FAR))
+        is_better = _better(before.at(some), after.at(some), numbers) & ~stays
         cameras = [each[1 if moves else 0] for *each, moves in zip(began, cameras, is_better, strict=True)]
         report("refine", len(_LEVELS), len(_LEVELS))
     found = dict(zip(order, cameras, strict=True))
@@ -153,7 +159,7 @@ def _ordered(
 def _source(
     ground: Ground, cameras: Sequence[Camera], levels: Sequence[Levels], executor: Executor
 ) -> Projected:
-    sights = ground.sights(cameras, 0.0, executor)
+    sights = ground.sights(cameras, _RIM * 2 ** max(_LEVELS), executor)
     shots = [shot_of(sight, own) for sight, own in zip(sights, levels, strict=True)]
     surface = ground.surface
     return Projected(
@@ -166,21 +172,43 @@ class _Views(NamedTuple):
     """Pictures at a level, and who sees which points."""
 
     cameras: Sequence[Camera]  # as given
+    scales: Sequence[float]  # see `_pixel_at`
     points: Float64s  # (n, 3)
     pictures: Sequence[Float32s]
     gains: Float32s
     says: Float64s  # (pictures, n)
+
+    def at(self, some: Int64s) -> _Views:
+        """Return the same at some of the points."""
+        return self._replace(points=self.points[some], says=self.says[:, some])
+
+    def seen_by(self, n: int, numbers: Float64s) -> tuple[Float64s, Float64s]:
+        """Return what a picture shows of the points that it tells of (k, 3), and how that changes."""
+        some = self.points[self.says[n] > 0]
+        return _seen(self.pictures[n], self.cameras[n], some, self.scales[n], numbers, self.gains[n])
 
     def seen(self, numbers: Float64s) -> tuple[Float64s, Float64s]:
         """Return what pictures show (pictures, n · 3), and how that changes with numbers of cameras."""
         values = np.full((*self.says.shape, 3), np.nan)
         slopes = np.zeros((*values.shape, _NUMBERS))
         for n, say in enumerate(self.says > 0):
-            some = self.points[say]
-            values[n, say], slopes[n, say] = _seen(
-                self.pictures[n], self.cameras[n], some, self.points, numbers[n], self.gains[n]
-            )
+            values[n, say], slopes[n, say] = self.seen_by(n, numbers[n])
         return values.reshape(len(values), -1), np.nan_to_num(slopes).reshape(len(slopes), -1, _NUMBERS)
+
+
+def _telling(views: _Views, numbers: Float64s, far: float) -> Int64s:
+    """Return the points where pictures that agree tell most of where cameras are: of each picture as many."""
+    values, steep = np.full((2, *views.says.shape, 3), np.nan)
+    for n, say in enumerate(views.says > 0):
+        values[n, say], slopes = views.seen_by(n, numbers[n])
+        steep[n, say] = (slopes**2).sum(axis=2)
+    says = np.repeat(views.says, 3, axis=1) * np.isfinite(values).reshape(len(values), -1)
+    weights = _weights(np.nan_to_num(values).reshape(says.shape), says, far)
+    tells = (weights.reshape(values.shape) * np.nan_to_num(steep)).sum(axis=2)
+    order = np.argsort(-tells, axis=1, kind="stable")[:, : min(_TELLING, _MOST // len(tells) + 1)]
+    found = np.zeros(tells.shape, np.bool_)
+    np.put_along_axis(found, order, np.take_along_axis(tells, order, axis=1) > 0, axis=1)
+    return np.flatnonzero(found.any(axis=0))
 
 
 def _agreeing(views: _Views, numbers: Float64s, stays: Bools, far: float) -> Float64s:
@@ -195,8 +223,8 @@ def _agreeing(views: _Views, numbers: Float64s, stays: Bools, far: float) -> Flo
 
     least, damping = cost(values, numbers), _DAMPING
     for _ in range(_TRIES):
-        weights, known = says * np.isfinite(values), np.nan_to_num(values)
-        weights = weights / (1.0 + ((known - _middle(known, weights, far)) / far) ** 2) ** 2
+        known = np.nan_to_num(values)
+        weights = _weights(known, says * np.isfinite(values), far)
         ridge = held + damping * np.einsum("in,inp->ip", weights, slopes**2).max(axis=1, keepdims=True)
         ridge[stays] = np.inf
         step = agreed_step(slopes, known, weights, ridge, held * numbers)
@@ -209,6 +237,11 @@ def _agreeing(views: _Views, numbers: Float64s, stays: Bools, far: float) -> Flo
         if np.abs(step).max() < _STILL:
             break
     return numbers
+
+
+def _weights(values: Float64s, says: Float64s, far: float) -> Float64s:
+    """Return how much pictures count: the less the farther they are from what most say (Geman & McClure)."""
+    return says / (1.0 + ((values - _middle(values, says, far)) / far) ** 2) ** 2
 
 
 def _middle(values: Float64s, says: Float64s, far: float) -> Float64s:
@@ -297,11 +330,11 @@ def _read(shot: Shot, level: int) -> Float32s:
 
 
 def _seen(
-    picture: Float32s, camera: Camera, points: Float64s, around: Float64s, numbers: Float64s, gains: Float32s
+    picture: Float32s, camera: Camera, points: Float64s, scale: float, numbers: Float64s, gains: Float32s
 ) -> tuple[Float64s, Float64s]:
     """Return what a picture shows of points (n, 3), and how that changes with the camera's numbers."""
     height, width = picture.shape[:2]
-    pixels, _ = _moved(camera, numbers, around).project(points)
+    pixels, _ = _moved(camera, scale, numbers).project(points)
     places = pixels * [width / camera.width, height / camera.height] - 0.5
     inside = ((places >= 0) & (places <= [width - 1, height - 1])).all(axis=1)
     i, j = np.where(inside[:, None], np.floor(np.nan_to_num(places)), 0).astype(np.int64).T
@@ -315,24 +348,31 @@ def _seen(
     for number in range(_NUMBERS):
         step = numbers.copy()
         step[number] += _TRIAL
-        there, _ = _moved(camera, step, around).project(points)
+        there, _ = _moved(camera, scale, step).project(points)
         moved = (there - pixels) * [width / camera.width, height / camera.height] / _TRIAL
         slopes[..., number] = read[:, 3:6] * moved[:, :1] + read[:, 6:] * moved[:, 1:]
     return read[:, :3], slopes
 
 
-def _moved(camera: Camera, numbers: Float64s, points: Float64s) -> Camera:
-    """Return a camera turned and moved so that points shift by so many pixels, and zoomed likewise."""
+def _pixel_at(camera: Camera, points: Float64s) -> float:
+    """Return how wide a camera's pixel is in the middle of points (n, 3)."""
     focal = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
+    depths = points @ camera.world_to_camera[2, :3] + camera.world_to_camera[2, 3]
+    return (abs(float(np.median(depths))) if camera.projection == "pinhole" else 1.0) / focal
+
+
+def _moved(camera: Camera, scale: float, numbers: Float64s) -> Camera:
+    """Return a camera turned and moved so that points shift by so many pixels, and zoomed likewise.
+
+    ``scale`` is how wide its pixels are there; see `_pixel_at`.
+    """
+    size = max(camera.width, camera.height)
     view = camera.world_to_camera.copy()
-    depth = float(np.median(points @ view[2, :3] + view[2, 3]))
-    is_pinhole = camera.projection == "pinhole"
-    pixel = abs(depth) / focal if is_pinhole else 1.0 / focal
-    turn = _rotation(numbers[:3] / (focal if is_pinhole else max(camera.width, camera.height)))
-    view[:3] = turn @ view[:3]
-    view[:3, 3] += numbers[3:6] * pixel
+    focal = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])) if camera.projection == "pinhole" else size
+    view[:3] = _rotation(numbers[:3] / focal) @ view[:3]
+    view[:3, 3] += numbers[3:6] * scale
     K = camera.K.copy()
-    K[:2, :2] *= np.exp(numbers[6] / (max(camera.width, camera.height) / 2))
+    K[:2, :2] *= np.exp(numbers[6] / (size / 2))
     return replace(camera, world_to_camera=view, K=K)
 
 

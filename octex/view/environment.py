@@ -94,8 +94,9 @@ class Environment:
     @classmethod
     def studio(cls, exposure: float = 0.0) -> Environment:
         """Return the built-in one: a lamp beside the camera, two strips, a bright ceiling; it follows it."""
-        tables = _tables(_studio() * 2.0 ** as_number(exposure, "exposure", -64.0, 64.0))
-        return cls(Tables(*tables, np.eye(3)), follows=True)
+        stops = as_number(exposure, "exposure", -64.0, 64.0)
+        light, shapes = _studio_tables()
+        return cls(Tables(light * np.float32(2.0**stops), shapes, np.eye(3)), follows=True)
 
     def seen_by(self, camera: Camera) -> Tables:
         """Return the tables with the axes that they have for a camera."""
@@ -191,6 +192,12 @@ def _ramp(values: Float64s, low: float, high: float) -> Float64s:
     """Return 0 at ``low``, 1 at ``high``, and a smooth step between."""
     t = np.clip((values - low) / (high - low), 0.0, 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t))
+
+
+@cache
+def _studio_tables() -> tuple[Float32s, Int64s]:
+    """Return the tables of the built-in one."""
+    return _tables(_studio())
 
 
 def _directions(height: int, width: int) -> Float64s:
