@@ -24,7 +24,7 @@ from octex.field.taps import place_points
 from octex.field.tiles import build_tiles
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
-from octex.tree.search import Points
+from octex.tree.search import Positions
 from tests import naive
 from tests.conftest import needs_jit
 from tests.strategies import Leaves, leaf_sets, points_around, with_random_data
@@ -181,7 +181,7 @@ def test_blends_and_covers_are_those_of_the_reference(filter: str, drawn: Drawn,
         values = [random.integers(0, table.size, shape, dtype) for shape in rows]
         decoded = [table[codes] for codes in values]
     places, results = np.empty_like(points), np.empty((len(points), 3), np.float32)
-    assert place_points(Points.of(points), *UNIT, places) == -1
+    assert place_points(Positions.of(points), *UNIT, places) == -1
     taps = Finder(Field(tree), filter).find(places)
     blend(taps, Codes(*values, table), False, results)
     field = reference(tree, "linear" if filter == "nearest" else filter, np.concatenate(decoded[:2]))

@@ -9,7 +9,7 @@ from octex import jit
 from octex.jit import kernel
 from octex.tree.layout import TreeArrays
 from octex.tree.octree import Octree
-from octex.tree.search import Points, child, find, in_leaves, nearest_cells
+from octex.tree.search import Positions, child, find, in_leaves, nearest_cells
 from tests import naive
 from tests.strategies import Leaves, leaf_sets, points_around
 
@@ -85,7 +85,7 @@ def test_points_are_in_leaves_when_a_leaf_holds_them(drawn: tuple[Leaves, np.nda
     tree = Octree.from_leaves(*leaves)
     cells = naive.cells_of(leaves.places())
     inside = np.empty(len(points), np.bool_)
-    assert in_leaves(tree.arrays, Points.of(points), *UNIT, inside) == -1
+    assert in_leaves(tree.arrays, Positions.of(points), *UNIT, inside) == -1
     numbers = [naive.find(cells, point) for point in points.tolist()]
     assert inside.tolist() == [number >= 0 and cells[number].is_leaf for number in numbers]
 
@@ -120,7 +120,7 @@ def test_positions_that_are_not_finite_are_reported(value: float) -> None:
     points = np.full((3, 3), 0.5)
     points[1, 2] = value
     assert nearest_cells(tree.arrays, points, *UNIT, np.empty(3, np.int64), np.empty(3, np.bool_)) == 1
-    assert in_leaves(tree.arrays, Points.of(points), *UNIT, np.empty(3, np.bool_)) == 1
+    assert in_leaves(tree.arrays, Positions.of(points), *UNIT, np.empty(3, np.bool_)) == 1
 
 
 @given(leaf_sets(), st.integers(0, 2**32 - 1))
@@ -133,6 +133,6 @@ def test_damaged_structures_are_searched_without_harm(leaves: Leaves, seed: int)
     cells = np.empty(50, np.int64)
     nearest_cells(arrays, points, *UNIT, cells, np.empty(50, np.bool_))
     assert cells.min() >= 0 and cells.max() < tree.n_cells
-    in_leaves(arrays, Points.of(points), *UNIT, np.empty(50, np.bool_))
+    in_leaves(arrays, Positions.of(points), *UNIT, np.empty(50, np.bool_))
     for x, y, z in points.tolist():
         assert 0 <= find(arrays, x, y, z, 21)[0] < tree.n_cells

@@ -20,7 +20,7 @@ from octex.source.vxz import unpack_vxz
 from octex.texture import FILTERS
 from octex.tree.morton import encode_cells
 from octex.tree.order import order_in_space, put_rows
-from octex.tree.search import Points
+from octex.tree.search import Positions
 from octex.view.environment import Environment
 
 # A needle: few cells, but at a depth at which cells come in several blocks.
@@ -141,7 +141,7 @@ def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
     points = surface.scatter(100).rest
     mixed.sample(points, list(mixed.channels))
     # As for more points than are warmed up with.
-    numbers = order_in_space(Points.of(points), *mixed.placement)
+    numbers = order_in_space(Positions.of(points), *mixed.placement)
     put_rows(np.empty((numbers.size, 3), np.float32), numbers, np.empty((100, 3), np.float32))
     encode_cells([(1, 2, 3)])
     texture.tree.level_codes(6)

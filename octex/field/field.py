@@ -35,7 +35,7 @@ from octex.field.windows import MOST_TAPS, Walk, new_walk
 from octex.parallel import built_once
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
-from octex.tree.search import Points, nearest_cells
+from octex.tree.search import Positions, nearest_cells
 
 #: Taps of a point that a walk is given room for at first.
 _WALKED = 24
@@ -230,7 +230,7 @@ class Field:
         for begin in range(0, len(points), BLOCK):
             some = points[begin : begin + BLOCK]
             here = places[: len(some)]
-            fault = place_points(Points.of(some), *placement, here)
+            fault = place_points(Positions.of(some), *placement, here)
             if fault >= 0:
                 raise NotFiniteError(begin + fault)
             taps = finder.find(here)

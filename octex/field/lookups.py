@@ -23,7 +23,7 @@ from octex.tree.morton import encode_cells
 from octex.tree.octree import distinct
 from octex.tree.order import order_of
 from octex.tree.placement import Placement
-from octex.tree.search import Points, singles_and_doubles
+from octex.tree.search import Positions, singles_and_doubles
 
 #: Points for which it is worth while to sort them.
 _LEAST_SORTED = 64
@@ -201,7 +201,7 @@ class _Lookup:
         (channel,), (results,) = self._channels, self._answers
         alpha = None if channel.is_alpha or self._alpha is None else self._alpha.codes
         places, missed = np.empty((len(points), 3)), np.empty(len(points), np.int32)
-        fault = place_points(Points.of(points), *self._placement, places)
+        fault = place_points(Positions.of(points), *self._placement, places)
         if fault >= 0:
             return fault
         asked = Asked(places, order_of(places), results, missed)
@@ -365,7 +365,7 @@ class _Lookup:
 
         def add_some(search: Search, which: Int64s, lost: Int64s) -> tuple[int, int, int]:
             some, rest = (looks.of(which), left[: which.size]) if which.size else (looks, left)
-            given = Points.of(some.points), *self._placement, facing, some.owners, some.shares
+            given = Positions.of(some.points), *self._placement, facing, some.owners, some.shares
             parts = np.zeros_like(rest) if which.size else rest
             counts = add_tiled(search, *given, parts, codes, sums[0], lost)
             if which.size:
@@ -416,7 +416,7 @@ class _Lookup:
         if len(self._places) < len(points):
             self._places = np.empty((len(points), 3))
         places = self._places[: len(points)]
-        fault = place_points(Points.of(points), *self._placement, places)
+        fault = place_points(Positions.of(points), *self._placement, places)
         if here.tree.max_depth not in self._finders:
             self._finders[here.tree.max_depth] = Finder(
                 here, self._query.filter, gradient=bool(self._gradients), whole=self._field
@@ -616,7 +616,7 @@ class _Listing(_Lookup):
         """List the cells that hold points that are looked at, at each level, whatever is stored."""
         depth, code = self._field.tree.max_depth, FILTERS.index(self._query.filter)
         places = np.empty((len(points), 3))
-        fault = place_points(Points.of(points), *self._placement, places)
+        fault = place_points(Positions.of(points), *self._placement, places)
         if fault >= 0:
             return {}, fault
         if self._query.footprints is None:
@@ -625,7 +625,7 @@ class _Listing(_Lookup):
         for _, by_level in spread(points, self._query.footprints, self._placement.size, depth, code):
             for level, looks in by_level.items():
                 places = np.empty((len(looks.points), 3))
-                place_points(Points.of(looks.points), *self._placement, places)
+                place_points(Positions.of(looks.points), *self._placement, places)
                 found.setdefault(level, []).append(Reads(_NO_ROWS, _cells_at(places, level)))
         return joined_reads(found), -1
 

@@ -25,7 +25,7 @@ from octex.jit import decoded, inlined, kernel, new_zeros, popcount, prefetch, t
 from octex.tree.areas import AREAS
 from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
 from octex.tree.octree import Octree
-from octex.tree.search import Origin, Points, position
+from octex.tree.search import Origin, Positions, position
 
 #: Points whose taps are found before any is blended: enough that calls cost little, few enough that their
 #: taps stay in the processor's second cache.
@@ -188,7 +188,7 @@ def _place_rows(rows: Floats, origin: Origin, inverse: float, places: Float64s) 
 
 
 @kernel
-def place_points(points: Points, origin: Origin, size: float, places: Float64s) -> int:
+def place_points(points: Positions, origin: Origin, size: float, places: Float64s) -> int:
     """Write where points lie in texture space (n, 3), clamped to 0 … 1.
 
     Returns the first position that is not finite, or −1.

@@ -48,7 +48,7 @@ from octex.jit import (
     trailing_zeros,
 )
 from octex.tree.layout import SPLIT
-from octex.tree.search import Origin, Points, count_of, position
+from octex.tree.search import Origin, Positions, count_of, position
 
 Five = tuple[float, float, float, float, float]
 
@@ -336,14 +336,14 @@ def look_up_tiled(
     gradients: Float32s,
     lost: Int64s,
 ) -> tuple[int, int, int]:
-    """Write the mean (n, components) of a channel at points, see `Points`, and its gradient.
+    """Write the mean (n, components) of a channel at points, see `Positions`, and its gradient.
 
     If ``which`` (m,) is not empty, only these points are looked up. ``gradients`` (n, components, 3) or
     (0, components, 3). In ``lost`` (2, n) are listed the points that have no cells around them, and those at
     the rim, for the walk. Returns how many they are, and the first that is not finite, where all stopped, or
     −1.
     """
-    points = Points(singles, doubles)
+    points = Positions(singles, doubles)
     gradient, is_some = gradients.shape[0] > 0, which.size > 0
     all_points = which.size if is_some else count_of(points)
     step = max(min(_STEP, all_points), 1)
@@ -378,7 +378,7 @@ def look_up_tiled(
                 own_points[n, 0], own_points[n, 1], own_points[n, 2] = position(points, at)
                 for axis in range(3 if search.faces else 0):
                     own_normals[n, axis] = normals[at, axis]
-            given, facing = Points(points.singles[:0], own_points[:count]), own_normals[:count]
+            given, facing = Positions(points.singles[:0], own_points[:count]), own_normals[:count]
             values, slopes = own_values[:count], own_slopes[:count]
         fault = place_points(given, origin, size, here)
         if fault >= 0:
@@ -419,7 +419,7 @@ def look_up_tiled(
 @kernel
 def add_tiled(
     search: Search,
-    points: Points,
+    points: Positions,
     origin: Origin,
     size: float,
     normals: Float32s,
@@ -462,9 +462,9 @@ def add_tiled(
 
 
 @part
-def _run_of(points: Points, begin: int, end: int) -> Points:
+def _run_of(points: Positions, begin: int, end: int) -> Positions:
     """Return a run of points."""
-    return Points(points.singles[begin:end], points.doubles[begin:end])
+    return Positions(points.singles[begin:end], points.doubles[begin:end])
 
 
 @part

@@ -15,7 +15,7 @@ from octex.errors import ArgumentError
 from octex.parallel import ordered_map, workers
 from octex.tree.order import order_in_space, put_rows
 from octex.tree.placement import Placement
-from octex.tree.search import Points
+from octex.tree.search import Positions
 
 #: What is given of points: arrays of a row each by name, "points" (n, 3) among them.
 Given = Mapping[str, Array]
@@ -119,7 +119,7 @@ def in_space(
             numbers = _NO_NUMBERS
             if len(here["points"]) > BLOCK:
                 here["points"] = _as_kernels_take_it(here["points"])
-                numbers = order_in_space(Points.of(here["points"]), *placement)
+                numbers = order_in_space(Positions.of(here["points"]), *placement)
             if not numbers.size:
                 in_blocks(here, there, look_up, threads, executor)
                 continue
@@ -138,7 +138,7 @@ def block_in_space(look_up: LookUp, placement: Placement, given: Given, answers:
     """
     numbers = _NO_NUMBERS
     if len(given["points"]) >= _LEAST_SORTED:
-        numbers = order_in_space(Points.of(given["points"]), *placement)
+        numbers = order_in_space(Positions.of(given["points"]), *placement)
     if not numbers.size:
         return look_up(given, answers)
     here, found = _in_order(numbers, given, answers)

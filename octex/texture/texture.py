@@ -62,7 +62,7 @@ from octex.texture.lookup import (
 from octex.texture.spans import Spans, add_reads, cells_of, nodes_read
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
-from octex.tree.search import Points, in_leaves
+from octex.tree.search import Positions, in_leaves
 
 #: What ``sample`` takes for no blur, and for no sharpness, if nobody says.
 _NONE = 0.0
@@ -558,7 +558,7 @@ class OctreeTexture:
 
     def _holds(self, given: Given, answers: list[Array]) -> int:
         """Say of a block of points whether leaves hold them: what `lookup.in_blocks` takes."""
-        return in_leaves(self.tree.arrays, Points.of(given["points"]), *self.placement, answers[0])
+        return in_leaves(self.tree.arrays, Positions.of(given["points"]), *self.placement, answers[0])
 
     def _read_for(self, count: int) -> None:
         """Prepare for so many lookups."""

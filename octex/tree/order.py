@@ -14,7 +14,7 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Int32s, Int64s
 from octex.jit import inlined, kernel, new_array, new_zeros, prefetch
 from octex.tree.morton import encode
-from octex.tree.search import UNITS, Origin, Points, count_of, position
+from octex.tree.search import UNITS, Origin, Positions, count_of, position
 
 #: Fewer points than this are sorted one by one.
 _SORTED_SINGLY = 24
@@ -49,7 +49,7 @@ def order_of(places: Float64s) -> Order:
 
 
 @kernel
-def order_in_space(points: Points, origin: Origin, size: float) -> Int32s:
+def order_in_space(points: Positions, origin: Origin, size: float) -> Int32s:
     """Return the numbers of points by cells of the level _COARSE, in Morton order.
 
     Returns none if they come in a like order, or are not all finite.

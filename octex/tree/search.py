@@ -24,31 +24,31 @@ Origin = tuple[float, float, float]
 _NO_SINGLES, _NO_DOUBLES = np.empty((0, 3), np.float32), np.empty((0, 3))
 
 
-class Points(NamedTuple):
+class Positions(NamedTuple):
     """Rest positions of either precision, for kernels of one version: one of the arrays is empty."""
 
     singles: Floats  # (n, 3) or (0, 3)   float32
     doubles: Floats  # (n, 3) or (0, 3)   float64
 
     @classmethod
-    def of(cls, rows: Floats) -> Points:
+    def of(cls, rows: Floats) -> Positions:
         """Return rows (n, 3) of float32 or float64, as kernels take them."""
         return cls(*singles_and_doubles(rows))
 
 
 def singles_and_doubles(rows: Floats) -> tuple[Floats, Floats]:
-    """Return the arrays of ``Points``: handed over one by one they take a call a microsecond less."""
+    """Return the arrays of ``Positions``: handed over one by one they take a call a microsecond less."""
     return (rows, _NO_DOUBLES) if rows.itemsize == 4 else (_NO_SINGLES, rows)
 
 
 @inlined
-def count_of(points: Points) -> int:
+def count_of(points: Positions) -> int:
     """Return how many points there are."""
     return len(points.singles) + len(points.doubles)
 
 
 @inlined
-def position(points: Points, n: int | np.uint64) -> tuple[float, float, float]:
+def position(points: Positions, n: int | np.uint64) -> tuple[float, float, float]:
     """Return where a point is."""
     if len(points.singles) > 0:
         rows = points.singles
@@ -294,7 +294,7 @@ def nearest_cells(
 @kernel
 def in_leaves(
     arrays: TreeArrays,
-    points: Points,
+    points: Positions,
     origin: Origin,
     size: float,
     inside: Bools,
