@@ -11,7 +11,7 @@ Array = npt.NDArray[Any]
 
 
 def mode(colors: Array, weights: Array, own: int) -> Array:
-    """Return the codes of the mode of the colours with a weight; NaN for none, or where a picture has none."""
+    """Return the codes of the mode of the colours with a weight; NaN for none, or if `own` has none."""
     none = np.full(3, np.nan)
     seen = [i for i in range(len(weights)) if weights[i] > 0]
     if own not in seen or len(seen) < 3:

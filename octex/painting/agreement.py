@@ -188,12 +188,12 @@ def _mask(differences: Float32s, far: float) -> Float32s:
     share = _around(is_far) / np.maximum(_around(sees), np.float32(1e-9))
     unlike = _filled(np.where(known, share, 0), known) > np.where(known, _MAJORITY, _FILLED)
     say = _around(is_far, 2)
-    masked = unlike & (say >= _CERTAIN) & (say > _MAJORITY * _around(sees, 2))
+    group = unlike & (say >= _CERTAIN) & (say > _MAJORITY * _around(sees, 2))
     count = -1
-    while count < masked.sum():  # all that hangs together
-        count = masked.sum()
-        masked = _beside(masked) & unlike
-    found: Float32s = (~_beside(masked)).astype(np.float32)
+    while count < group.sum():  # all that hangs together
+        count = group.sum()
+        group = _beside(group) & unlike
+    found: Float32s = (~_beside(group)).astype(np.float32)
     return found
 
 
@@ -206,8 +206,9 @@ def _around(values: Float32s, reach: int = 1) -> Float32s:
     """Return the sums of 3 × 3 patches, or of others as far as ``reach``."""
     rows, columns = values.shape
     wide = np.pad(values, reach)
-    sums = sum(wide[i : i + rows] for i in range(2 * reach + 1))
-    found: Float32s = sum(sums[:, j : j + columns] for j in range(2 * reach + 1))
+    steps = range(2 * reach + 1)
+    sums = reduce(np.add, [wide[i : i + rows] for i in steps])
+    found: Float32s = reduce(np.add, [sums[:, j : j + columns] for j in steps])
     return found
 
 
