@@ -29,17 +29,21 @@ def mode(colors: Array, weights: Array, own: int) -> Array:
     return np.asarray(codes[best]) if support[best] >= 1.5 * say[best] else none
 
 
-def beyond(codes: Array, modes: Array) -> Array:
-    """Return how far codes are from the nearest between the least and the largest of the modes around."""
+def off(codes: Array, modes: Array) -> Array:
+    """Return how far codes are from the mode of their patch and from lines between it and those around."""
     rows, columns, _ = modes.shape
     found = np.full((rows, columns), np.nan)
     for i in range(rows):
         for j in range(columns):
-            if np.isfinite(modes[i, j]).all():
-                around = near(modes, i, j, 1).reshape(-1, 3)
-                around = around[np.isfinite(around).all(axis=1)]
-                nearest = np.clip(codes[i, j], around.min(axis=0), around.max(axis=0))
-                found[i, j] = abs(codes[i, j] - nearest).max()
+            own, code = modes[i, j].astype(np.float64), codes[i, j].astype(np.float64)
+            if np.isfinite(own).all():
+                apart = [abs(code - own).max()]
+                for other in near(modes, i, j, 1).reshape(-1, 3).astype(np.float64):
+                    if np.isfinite(other).all() and (other != own).any():
+                        part = np.dot(code - own, other - own) / np.linalg.norm(other - own) ** 2
+                        nearest = own if part < 0 else other if part > 1 else own + part * (other - own)
+                        apart.append(abs(code - nearest).max())
+                found[i, j] = min(apart)
     return found
 
 

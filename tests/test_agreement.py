@@ -41,15 +41,18 @@ def test_the_mode_is_the_colour_that_most_are_near_to() -> None:
             assert np.isfinite(found).any() == (count > 2)
 
 
-def test_a_picture_differs_by_what_it_is_beyond_all_modes_around() -> None:
+def test_a_picture_differs_by_what_it_is_off_all_between_modes() -> None:
     random = np.random.default_rng(6)
     codes, modes = random.uniform(0, 255, (2, 9, 13, 3)).astype(np.float32)
     modes[random.random((9, 13)) < 0.6] = np.nan
-    found = agreement._beyond(codes, modes)
-    np.testing.assert_allclose(found, naive_agreement.beyond(codes, modes), atol=1e-4)
-    stripes = np.where(np.arange(13) % 2, 30, 200)[None, :, None] * np.ones((9, 1, 3))
-    shifted = np.roll(stripes, 1, axis=1)
-    assert not agreement._beyond(shifted.astype(np.float32), stripes.astype(np.float32)).any()
+    found = agreement._off(codes, modes)
+    np.testing.assert_allclose(found, naive_agreement.off(codes, modes), atol=1e-3)
+    stripes = np.empty((9, 13, 3), np.float32)
+    stripes[:, ::2], stripes[:, 1::2] = 200, 30
+    assert agreement._off(np.roll(stripes, 1, axis=1), stripes).max() < 1e-3
+    green = np.empty_like(stripes)
+    green[:] = 90, 150, 90  # no component of it leaves its range
+    assert agreement._off(green, stripes).min() > 25
 
 
 def test_masks_leave_out_what_is_far_off_with_a_rim_and_no_few_patches() -> None:

@@ -1,9 +1,9 @@
 """Which pictures agree where several see the surface: masks without what only one of them saw.
 
 A picture is looked at in patches. At each the colours of all pictures that see that place, as wide as the
-patch, have a mode: the colour that most of them are near to. A picture whose colour is far beyond those that
-the modes have there and in the next patches saw something else, a passer-by or a reflection: detail that is
-a little out of place lies between them. It is masked where enough patches say so, and in all that hangs
+patch, have a mode: the colour that most of them are near to. A picture whose colour is far from all between
+that mode and those of the next patches saw something else, a passer-by or a reflection: detail that is a
+little out of place lies between them. It is masked where enough patches say so, and in all that hangs
 together with them; where no more than two see, as it is around. What is masked in all of them no picture has
 seen.
 """
@@ -61,7 +61,7 @@ def agreeing(source: Projected, executor: Executor) -> Projected:
 
 
 def _differences(source: Projected, number: int) -> Float32s:
-    """Return by how many codes a picture is beyond what most say, per patch; NaN where that is not known."""
+    """Return by how many codes a picture is off what most say, per patch; NaN where that is not known."""
     shot = source.shots[number]
     width, height = shot.levels.sizes[0, 1:]
     rows, columns = -(-height // PATCH), -(-width // PATCH)
@@ -78,7 +78,7 @@ def _differences(source: Projected, number: int) -> Float32s:
         found = np.empty_like(colors[number])
         find_modes(colors, weights, number, found)
         codes[patches[some]], modes[patches[some]] = as_codes(colors[number]), found
-    return _beyond(codes.reshape(rows, columns, 3), modes.reshape(rows, columns, 3))
+    return _off(codes.reshape(rows, columns, 3), modes.reshape(rows, columns, 3))
 
 
 def _seen_at(source: Projected, shot: Shot, rows: int, columns: int) -> tuple[Int64s, Int32s, Float64s]:
@@ -108,18 +108,21 @@ def as_codes(colors: Float32s) -> Float32s:
     return found
 
 
-def _beyond(codes: Float32s, modes: Float32s) -> Float32s:
-    """Return by how much the worst component of codes lies outside those of the modes of 3 × 3 patches.
+def _off(codes: Float32s, modes: Float32s) -> Float32s:
+    """Return how far codes are from what lies between a patch's mode and one next to it, by components.
 
-    Both are (rows, columns, 3). NaN where a patch has no mode itself.
+    Both are (rows, columns, 3). The nearest points of lines are sought, and the least of their differences'
+    worst components. NaN where a patch has no mode itself.
     """
     rows, columns = modes.shape[:2]
     wide = np.pad(modes, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
-    around = [wide[i : i + rows, j : j + columns] for i in range(3) for j in range(3)]
-    beyond = np.maximum(reduce(np.fmin, around) - codes, codes - reduce(np.fmax, around)).max(axis=2)
-    found: Float32s = np.where(
-        np.isnan(modes[:, :, 0]), np.float32(np.nan), np.maximum(beyond, np.float32(0))
-    )
+    off = codes - modes
+    found: Float32s = np.abs(off).max(axis=2)
+    for i, j in np.ndindex(3, 3):
+        way = wide[i : i + rows, j : j + columns] - modes
+        part = (off * way).sum(axis=2) / np.maximum((way * way).sum(axis=2), np.float32(1e-6))
+        nearest = np.clip(part, 0, 1)[:, :, None] * way
+        found = np.fmin(found, np.abs(off - nearest).max(axis=2))
     return found
 
 
