@@ -226,13 +226,15 @@ def test_what_is_empty_is_filled_from_around_it() -> None:
     np.testing.assert_allclose(values.sum(axis=2), 1.0, atol=1e-5)
 
 
-@pytest.fixture(params=["xatlas", "own charts"])
+@pytest.fixture(params=["xatlas", "xatlas by pieces", "own charts"])
 def unwrapped(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Have charts made by each program there is for them."""
-    if request.param == "xatlas":
-        pytest.importorskip("xatlas", reason="the extra octex[atlas] is not installed")
-    else:
+    if request.param == "own charts":
         monkeypatch.setitem(sys.modules, "xatlas", None)
+        return
+    pytest.importorskip("xatlas", reason="the extra octex[atlas] is not installed")
+    if request.param == "xatlas by pieces":
+        monkeypatch.setattr(atlas, "_PIECE", 400)
 
 
 @pytest.mark.usefixtures("unwrapped")
