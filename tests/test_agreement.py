@@ -34,24 +34,43 @@ def test_the_mode_is_the_colour_that_most_are_near_to() -> None:
             np.float32
         )
         for own in range(count):
-            found = np.empty(300, np.float32)
-            agreement.find_differences(colors, weights, own, found)
-            expected = [naive_agreement.difference(colors[:, n], weights[:, n], own) for n in range(300)]
+            found = np.empty((300, 3), np.float32)
+            agreement.find_modes(colors, weights, own, found)
+            expected = [naive_agreement.mode(colors[:, n], weights[:, n], own) for n in range(300)]
             np.testing.assert_allclose(found, expected, atol=0.01)
             assert np.isfinite(found).any() == (count > 2)
 
 
-def test_masks_leave_out_what_is_far_off_with_a_rim_and_no_single_patch() -> None:
+def test_a_picture_differs_by_what_it_is_off_all_between_modes() -> None:
+    random = np.random.default_rng(6)
+    codes, modes = random.uniform(0, 255, (2, 9, 13, 3)).astype(np.float32)
+    modes[random.random((9, 13)) < 0.6] = np.nan
+    found = agreement._off(codes, modes)
+    np.testing.assert_allclose(found, naive_agreement.off(codes, modes), atol=1e-3)
+    stripes = np.empty((9, 13, 3), np.float32)
+    stripes[:, ::2], stripes[:, 1::2] = 200, 30
+    assert agreement._off(np.roll(stripes, 1, axis=1), stripes).max() < 1e-3
+    green = np.empty_like(stripes)
+    green[:] = 90, 150, 90  # no component of it leaves its range
+    assert agreement._off(green, stripes).min() > 25
+
+
+def test_masks_leave_out_what_is_far_off_with_a_rim_and_no_few_patches() -> None:
     random = np.random.default_rng(1)
-    for _ in range(20):
-        differences = random.uniform(0, 12, (9, 13)).astype(np.float32)
-        i, j = random.integers(0, 8, 2)
-        differences[i : i + 4, j : j + 5] += 30
+    counts = []
+    for _ in range(60):
+        differences = random.uniform(0, 21, (14, 18)).astype(np.float32)
+        i, j = random.integers(0, 13, 2)
+        differences[i : i + 4, j : j + random.integers(1, 6)] += 30
+        differences[i : i + 2, j:18] += 30
         found = agreement._mask(differences, 20.0)
         np.testing.assert_array_equal(found, naive_agreement.mask(differences, 20.0))
-    lone = np.zeros((9, 9), np.float32)
-    lone[4, 4] = 50
-    assert agreement._mask(lone, 20.0).all()
+        counts.append(int((found == 0).sum()))
+    assert min(counts) == 0
+    assert max(counts) > 40
+    few = np.zeros((9, 9), np.float32)
+    few[3:5, 3:6] = 50
+    assert agreement._mask(few, 20.0).all()
 
 
 def test_what_is_not_known_is_masked_as_it_is_around() -> None:

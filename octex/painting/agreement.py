@@ -1,15 +1,17 @@
 """Which pictures agree where several see the surface: masks without what only one of them saw.
 
 A picture is looked at in patches. At each the colours of all pictures that see that place, as wide as the
-patch, have a mode: the colour that most of them are near to. A picture that is far from it saw something
-else, a passer-by or a reflection, and is masked there; where no more than two see, as it is around. What is
-masked in all of them no picture has seen.
+patch, have a mode: the colour that most of them are near to. A picture whose colour is far from all between
+that mode and those of the next patches saw something else, a passer-by or a reflection: detail that is a
+little out of place lies between them. It is masked where enough patches say so, and in all that hangs
+together with them; where no more than two see, as it is around. What is masked in all of them no picture has
+seen.
 """
 
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from functools import partial
+from functools import partial, reduce
 
 import numpy as np
 
@@ -26,15 +28,18 @@ PATCH = 4
 _LEAST = 3
 #: A picture's say grows with its weight, by this power: three that see a place aslant outvote one from ahead.
 _SAY = 0.125
-#: Pictures differ by noise, and by what is out of place: more than so many times their third quartile of
+#: Pictures differ by noise, and by what is out of place: more than so many times this quantile of their
 #: differences is another thing, which lies in this range of codes.
-_TIMES, _LEAST_FAR, _MOST_FAR = 3.0, 16.0, 40.0
+_TIMES, _QUANTILE, _LEAST_FAR, _MOST_FAR = 3.0, 0.9, 16.0, 40.0
 #: So far apart, in codes, colours support each other by a fourth.
 _APART = 10.0
 #: A mode is none unless others say so too: this much of the picture's own say.
 _SUPPORT = 0.5
-#: Patches are masked where so much of what is around is far off.
-_MAJORITY = 0.5
+#: Patches are unlike the others where so much of what is around is far off; where that is not known,
+#: where so much of it is filled in.
+_MAJORITY, _FILLED = 0.5, 0.3
+#: They are masked if most of the 5 × 5 patches around one of them, and at least so many, are far off.
+_CERTAIN = 8
 #: So many points of all pictures are looked at together.
 _POINTS = 1 << 20
 
@@ -46,7 +51,7 @@ def agreeing(source: Projected, executor: Executor) -> Projected:
     known = np.concatenate([each[np.isfinite(each)] for each in found])
     if not known.size:
         return source
-    far = float(np.clip(_TIMES * np.quantile(known, 0.75), _LEAST_FAR, _MOST_FAR))
+    far = float(np.clip(_TIMES * np.quantile(known, _QUANTILE), _LEAST_FAR, _MOST_FAR))
 
     def agreed(number: int) -> Levels:
         levels, mask = source.shots[number].levels, _mask(found[number], far)
@@ -60,7 +65,7 @@ def _differences(source: Projected, number: int) -> Float32s:
     shot = source.shots[number]
     width, height = shot.levels.sizes[0, 1:]
     rows, columns = -(-height // PATCH), -(-width // PATCH)
-    found = np.full(rows * columns, np.nan, np.float32)
+    codes, modes = np.full((2, rows * columns, 3), np.nan, np.float32)
     patches, triangles, barycentric = _seen_at(source, shot, rows, columns)
     own = source.with_shots([shot], [number])
     step = max(_POINTS // len(source.shots), 1)
@@ -70,10 +75,10 @@ def _differences(source: Projected, number: int) -> Float32s:
         widths = own.widths(*where)
         widths = np.where(np.isfinite(widths), PATCH * widths, np.float32(0)).astype(np.float32)
         colors, weights = source.each(*where, widths)
-        differences = np.empty(len(patches[some]), np.float32)
-        find_differences(colors, weights, number, differences)
-        found[patches[some]] = differences
-    return found.reshape(rows, columns)
+        found = np.empty_like(colors[number])
+        find_modes(colors, weights, number, found)
+        codes[patches[some]], modes[patches[some]] = as_codes(colors[number]), found
+    return _off(codes.reshape(rows, columns, 3), modes.reshape(rows, columns, 3))
 
 
 def _seen_at(source: Projected, shot: Shot, rows: int, columns: int) -> tuple[Int64s, Int32s, Float64s]:
@@ -97,6 +102,30 @@ def _seen_at(source: Projected, shot: Shot, rows: int, columns: int) -> tuple[In
     return patches, seen, source.barycentric_at(shot, seen, middles)
 
 
+def as_codes(colors: Float32s) -> Float32s:
+    """Return codes, of a square root of light."""
+    found: Float32s = np.float32(255.0) * np.sqrt(np.maximum(colors, np.float32(0.0)))
+    return found
+
+
+def _off(codes: Float32s, modes: Float32s) -> Float32s:
+    """Return how far codes are from what lies between a patch's mode and one next to it, by components.
+
+    Both are (rows, columns, 3). The nearest points of lines are sought, and the least of their differences'
+    worst components. NaN where a patch has no mode itself.
+    """
+    rows, columns = modes.shape[:2]
+    wide = np.pad(modes, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
+    off = codes - modes
+    found: Float32s = np.abs(off).max(axis=2)
+    for i, j in np.ndindex(3, 3):
+        way = wide[i : i + rows, j : j + columns] - modes
+        part = (off * way).sum(axis=2) / np.maximum((way * way).sum(axis=2), np.float32(1e-6))
+        nearest = np.clip(part, 0, 1)[:, :, None] * way
+        found = np.fmin(found, np.abs(off - nearest).max(axis=2))
+    return found
+
+
 @inlined
 def _apart(colors: Float32s, i: int, j: int, n: int) -> np.float32:
     """Return by how many codes, of a square root of light, two colours differ in their worst component."""
@@ -116,13 +145,13 @@ def nearness_of(codes: float) -> float:
 
 
 @kernel
-def find_differences(colors: Float32s, weights: Float32s, own: int, found: Float32s) -> None:
-    """Write by how many codes a picture is off the mode of all (pictures, n); NaN where none is known.
+def find_modes(colors: Float32s, weights: Float32s, own: int, found: Float32s) -> None:
+    """Write the codes (n, 3) of the mode of pictures (pictures, n) where one sees; NaN where none is known.
 
     The mode is the picture's colour which the others support most, each by its say.
     """
     count = len(weights)
-    for n in range(found.size):
+    for n in range(len(found)):
         found[n] = np.nan
         if not weights[own, n] > 0.0:
             continue
@@ -147,7 +176,9 @@ def find_differences(colors: Float32s, weights: Float32s, own: int, found: Float
             if support > most:
                 best, most, alone = i, support, say
         if most - alone >= _SUPPORT * alone:
-            found[n] = _apart(colors, best, own, n)
+            for component in range(3):
+                light = max(colors[best, n, component], np.float32(0.0))
+                found[n, component] = np.float32(255.0) * np.sqrt(light)
 
 
 def _mask(differences: Float32s, far: float) -> Float32s:
@@ -156,17 +187,31 @@ def _mask(differences: Float32s, far: float) -> Float32s:
     if not known.any():
         return np.ones(differences.shape, np.float32)
     is_far = np.where(known, np.nan_to_num(differences) > far, False).astype(np.float32)
-    share = _around(is_far) / np.maximum(_around(known.astype(np.float32)), 1e-9)
-    unlike = _filled(np.where(known, share, 0).astype(np.float32), known) > _MAJORITY
-    found: Float32s = (_around(unlike.astype(np.float32)) == 0).astype(np.float32)
+    sees = known.astype(np.float32)
+    share = _around(is_far) / np.maximum(_around(sees), np.float32(1e-9))
+    unlike = _filled(np.where(known, share, 0), known) > np.where(known, _MAJORITY, _FILLED)
+    say = _around(is_far, 2)
+    group = unlike & (say >= _CERTAIN) & (say > _MAJORITY * _around(sees, 2))
+    count = -1
+    while count < group.sum():  # all that hangs together
+        count = group.sum()
+        group = _beside(group) & unlike
+    found: Float32s = (~_beside(group)).astype(np.float32)
     return found
 
 
-def _around(values: Float32s) -> Float32s:
-    """Return the sums of 3 × 3 patches."""
-    wide = np.pad(values, 1)
-    rows = wide[:-2] + wide[1:-1] + wide[2:]
-    found: Float32s = rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]
+def _beside(some: Bools) -> Bools:
+    """Say which patches are some, or next to them."""
+    return _around(some.astype(np.float32)) > 0
+
+
+def _around(values: Float32s, reach: int = 1) -> Float32s:
+    """Return the sums of 3 × 3 patches, or of others as far as ``reach``."""
+    rows, columns = values.shape
+    wide = np.pad(values, reach)
+    steps = range(2 * reach + 1)
+    sums = reduce(np.add, [wide[i : i + rows] for i in steps])
+    found: Float32s = reduce(np.add, [sums[:, j : j + columns] for j in steps])
     return found
 
 
