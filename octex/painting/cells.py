@@ -16,7 +16,8 @@ from octex.jit import inlined, kernel, new_array, new_zeros
 from octex.parallel import ordered_map
 from octex.texture import OctreeTexture
 from octex.tree import morton
-from octex.tree.edit import among, boundary, first_not_below, locate, places
+from octex.tree.beside import boundary, near, with_boundary
+from octex.tree.edit import among, first_not_below, locate, places
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.octree import Octree, distinct
 from octex.tree.split import rows_of
@@ -138,14 +139,13 @@ def are_beside(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
     """Say which cells (n,) of a level have some of leaves, given by level, in or beside them."""
     if not codes.size:
         return np.zeros(0, np.bool_)
-    near = distinct(np.concatenate([codes, boundary(codes, level)]))
+    around = with_boundary(codes, level)
     below = np.empty(0, np.int64)
     for deeper in range(len(leaves) - 1, level - 1, -1):
         if leaves[deeper].size:
             own = leaves[deeper] >> 3 * (deeper - level)
-            below = np.concatenate([below, own[among(own, near)]])
-    taken = near[is_within(near, [*leaves[:level], distinct(below)], level)]
-    return among(codes, taken) | among(codes, boundary(taken, level))
+            below = np.concatenate([below, own[among(own, around)]])
+    return near(codes, around[is_within(around, [*leaves[:level], distinct(below)], level)], level)
 
 
 def among_at(codes: Int64s, level: int, others: Int64s, at: int) -> Bools:
@@ -173,17 +173,17 @@ def beside_larger(codes: Int64s, tree: Octree, tops: Sequence[Int64s], level: in
     where = locate(tree, around, level)
     around = around[where.is_leaf & (where.levels < level)]
     around = around[~is_within(around, tops[:level], level)]
-    return among(codes, boundary(around, level))
+    return near(codes, around, level)
 
 
 def skirt_of(outer: Int64s, painted: Sequence[Int64s], ring: Int64s, met: Int64s, level: int) -> Int64s:
     """Return those cells beside paint, off the surface, that nothing but paint and its boundary is beside."""
     if not outer.size:
         return outer
-    bare = met[among(met, boundary(outer, level))]
+    bare = met[near(met, outer, level)]
     bare = bare[~among(bare, ring)]
     bare = bare[~is_within(bare, painted, level)]
-    return outer[~among(outer, boundary(bare, level))]
+    return outer[~near(outer, bare, level)]
 
 
 def skirt_on_nothing(
@@ -203,10 +203,9 @@ def skirt_on_nothing(
     """
     shift = 3 * (level - top)
     tops = distinct(absent >> shift)
-    near = distinct(np.concatenate([tops, boundary(tops, top)]))
-    outer = met[among(met >> shift, near)]
+    outer = met[near(met >> shift, tops, top)]
     outer = outer[~among(outer, ring) & ~is_within(outer, painted, level)]
-    taken = distinct(np.concatenate([outer, boundary(outer, level)]) >> shift)
+    taken = distinct(with_boundary(outer, level) >> shift)
     free = tops[~among(tops, taken) & ~are_beside(tops, unraised, top)]
     return absent[among(absent >> shift, free)]
 
