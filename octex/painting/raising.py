@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -125,24 +126,25 @@ def _skirts(
         return is_skirt
     codes = np.empty(0, np.int64)
     doubted: list[tuple[int, Int64s]] = []
-    for level, above in enumerate(with_all_above([each.codes for each in paint])[: tree.max_depth]):
-        where = nodes_at(tree, [*[codes[:0]] * level, above])
-        kept = above[(where.numbers >= 0) & (tree.arrays.flags[where.cells] & KEPT != 0)]
-        codes = distinct(np.concatenate([codes, with_boundary(kept, level)]))
-        where = nodes_at(tree, [*[codes[:0]] * level, codes])
-        numbers = where.numbers[where.numbers >= 0]
-        codes = (codes[where.numbers >= 0, None] << 3 | np.arange(8)).reshape(-1)
-        found = locate(tree, codes, level + 1)
-        codes, found = codes[found.levels == level + 1], found.of(found.levels == level + 1)
-        if not codes.size:
+    painted = with_all_above([each.codes for each in paint])
+    walk = islice(enumerate(tree.walk()), 1, None)
+    for (deeper, (below, is_node)), above in zip(walk, painted, strict=False):
+        where = locate(tree, above, deeper - 1)
+        is_kept = (where.levels == deeper - 1) & (tree.arrays.flags[where.cells] & KEPT != 0)
+        codes = distinct(np.concatenate([codes, with_boundary(above[is_kept], deeper - 1)]))
+        where = locate(tree, codes, deeper - 1)
+        children, starts = all_children(tree, where.nodes[(where.levels == deeper - 1) & ~where.is_leaf])
+        if not children.size:
+            codes = codes[:0]
             continue
-        children, starts = all_children(tree, numbers)
         looks = tree.arrays.areas[children].astype(np.int64) << 8 | tree.arrays.flags[children] & FACING_FLAGS
         counts = np.diff(starts, append=children.size)
         is_filled = np.minimum.reduceat(looks, starts) == np.maximum.reduceat(looks, starts)
-        is_filled = np.repeat(is_filled & (counts > 4), counts) & found.is_leaf & ~is_skirt[found.cells]
+        own = children - tree.arrays.level_cells[deeper]
+        is_filled = np.repeat(is_filled & (counts > 4), counts) & ~is_node[own] & ~is_skirt[children]
         if is_filled.any():
-            doubted.append((level + 1, codes[is_filled]))
+            doubted.append((deeper, below[own[is_filled]]))
+        codes = below[own]
     if doubted:
         met = _met_cells(ground, texture, doubted, doubted[-1][0], executor, progress)
         for level, own in doubted:
