@@ -103,8 +103,9 @@ def _gather(codes: Int64s, level: int, blocks: Int64s, masks: Uint64s) -> None:
 
 @inlined
 def _slot(code: int, bits: int) -> int:
-    """Return where a table of 2^bits slots has a code, or the next ones do (Knuth's multiplicative hash)."""
-    return int(np.int64(np.uint64(code) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(64 - bits)))
+    """Return where a table of 2^bits slots has a code, or the next ones do; near codes come far apart."""
+    last = (1 << bits) - 1
+    return ((code ^ code >> bits ^ code >> 2 * bits) & last) * 0x9E3779B1 & last
 
 
 @inlined
