@@ -37,7 +37,7 @@ The rooms, each of which knows only those before it
     viewer      textures in a browser: a page, the walk as a shader, a server
     cli         the commands, and the pages of octex help
 
-Common ground: ahead, arrays, channels, checks, compare, container, errors, files, functions, jit,
+Common ground: ahead, arrays, channels, checks, compare, container, errors, files, functions, jit, npz,
 parallel, remote.
 """
 

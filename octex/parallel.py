@@ -163,6 +163,21 @@ def workers(
         yield pool
 
 
+@contextmanager
+def sharing(executor: Executor) -> Iterator[Executor]:
+    """Yield who does tasks that write to arrays of this process.
+
+    That is ``executor``, or what it has as ``here``, if that works in this process; else threads that end
+    with the block.
+    """
+    here = getattr(executor, "here", executor)
+    if isinstance(here, (_Here, ThreadPoolExecutor)):
+        yield here
+        return
+    with workers() as own:
+        yield own
+
+
 def ordered_map(
     executor: Executor,
     function: Callable[[Item], Result],

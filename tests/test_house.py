@@ -30,6 +30,7 @@ ROWS = [
         "jit",
         "parallel",
         "channels",
+        "npz",
     },
     {"tree"},
     {"nearest"},

@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 
 import octex
-from octex.conversion import large, levels
+from octex.conversion import facings, large, levels, sides
 from octex.errors import ArgumentError, InputError, OutputError
+from octex.parallel import sharing
 from octex.source import materials
 from octex.source.images.pyramid import store
 from tests.conftest import needs_jit
@@ -110,6 +111,29 @@ def test_processes_pass_files_and_the_same_bytes_come_out(processes: Executor, t
     assert in_memory == in_files
     with ThreadPoolExecutor(2) as threads:
         assert converted(torus(), tmp_path, executor=threads)[1] == in_memory
+
+
+@pytest.mark.parametrize("name", ["sheet", "bent"])
+def test_sides_are_told_apart_in_parallel_as_in_one_thread(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    octex.convert(SURFACES[name], 6, threads=1).save(tmp_path / "one.octex")
+    assert octex.open(tmp_path / "one.octex").tree.split.cells.size
+    for module, name_of_size in ((sides, "_RUN"), (sides, "_BLOCK"), (facings, "_BLOCK")):
+        monkeypatch.setattr(module, name_of_size, 50)
+    octex.convert(SURFACES[name], 6, threads=3).save(tmp_path / "three.octex")
+    assert (tmp_path / "one.octex").read_bytes() == (tmp_path / "three.octex").read_bytes()
+
+
+def test_what_writes_to_arrays_of_this_process_is_done_in_it(processes: Executor, tmp_path: Path) -> None:
+    with ThreadPoolExecutor(2) as threads, large.scratch(tmp_path) as folder:
+        tasks = large.Tasks(threads, folder, is_here=True)
+        for given in (threads, tasks):
+            with sharing(given) as found:
+                assert found is threads
+        for given in (processes, large.Tasks(processes, folder, is_here=False)):
+            with sharing(given) as found:
+                assert found.submit(os.getpid).result() == os.getpid()
 
 
 class Sending(Executor):

@@ -5,7 +5,10 @@ entropy     symbols of known frequencies to words and back; tables that contexts
 around      what lies around a cell: what is known of it before it is decoded
 structure   which children a node has, and flags, after Tamminen and Samet
 areas       of cells, from what their siblings left of their parent's
+coding      of values: as whole numbers, and what guesses are off by as symbols
+weights     of guesses, fitted by least squares
 values      of channels, from their parents' and from what came before
+rows        of split cells, and of kept nodes, from their cells' own
 models      what the coders are told, chosen by what occurs
 blocks      the streams of a block, in order: the same for noting and decoding
 write, read a file; blocks of a level in parallel

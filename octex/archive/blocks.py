@@ -8,12 +8,14 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from octex.archive import values
 from octex.archive.areas import area_tables, code_areas, code_row_areas
 from octex.archive.around import around_children, around_nodes, shapes
+from octex.archive.coding import KEPT_NODES, SPLIT_ROWS, STEPS
 from octex.archive.layout import Block, Named
 from octex.archive.models import Models
+from octex.archive.rows import code_rows
 from octex.archive.structure import code_structure, facing_tables
+from octex.archive.values import code_values
 from octex.arrays import Int64s, Uint8s, Uint32s
 from octex.tree.layout import KeptTable, SplitTable, TreeArrays
 
@@ -71,7 +73,7 @@ def code_children(content: Content, models: Models, block: Block, span: Span, st
         coded = streams.begin(len(rows) * (4 * coding.order.size + 1))
         task = content.given[name].values, content.decoded[name].values, span.cell
         none = np.empty((0, 0, 0))
-        values.code_values(rows, cells, *task, coding, values.STEPS, none, pool, *coded)
+        code_values(rows, cells, *task, coding, STEPS, none, pool, *coded)
         streams.end()
 
 
@@ -84,15 +86,13 @@ def code_split(content: Content, models: Models, chosen: slice, firsts: Int64s, 
     own = split.facings[chosen], split.areas, first, content.arrays.areas
     code_row_areas(cells, *own, _fixed()[2], models.pools[3], *coded)
     streams.end()
-    _code_rows(content, models, owners, first, values.SPLIT_ROWS, lambda each: each.split_values, streams)
+    _code_rows(content, models, owners, first, SPLIT_ROWS, lambda each: each.split_values, streams)
 
 
 def code_kept(content: Content, models: Models, chosen: slice, streams: Streams) -> None:
     """Code the values of kept nodes, each channel."""
     cells = content.kept.cells[chosen]
-    _code_rows(
-        content, models, cells, chosen.start, values.KEPT_NODES, lambda each: each.kept_values, streams
-    )
+    _code_rows(content, models, cells, chosen.start, KEPT_NODES, lambda each: each.kept_values, streams)
 
 
 def _code_rows(
@@ -107,6 +107,6 @@ def _code_rows(
     for (name, coding), pool in zip(models.codings.items(), models.pools[4:], strict=True):
         coded = streams.begin(4 * owners.size * coding.order.size)
         given, decoded = content.given[name], content.decoded[name]
-        task = rows_of(given), rows_of(decoded), first, kind, coding, values.STEPS, pool
-        values.code_rows(owners, decoded.values, *task, *coded)
+        task = rows_of(given), rows_of(decoded), first, kind, coding, STEPS, pool
+        code_rows(owners, decoded.values, *task, *coded)
         streams.end()

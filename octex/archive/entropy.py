@@ -358,33 +358,37 @@ def pool_of(chosen: Uint8s, sizes: Int64s) -> Pool:
     occurring = np.zeros(sizes.shape, np.uint32)
     own = sizes[tables, symbols] - 1 << PRECISION | starts[tables, symbols]
     occurring[tables, ranks[tables, symbols]] = symbols << 2 * PRECISION | own
-    buckets = np.repeat(ranks.reshape(-1), sizes.reshape(-1))[:: ONE >> 8].astype(np.uint8)
+    buckets = np.repeat(ranks.astype(np.uint8).reshape(-1), sizes.reshape(-1))[:: ONE >> 8].copy()
     return Pool(chosen, intervals, buckets, occurring.reshape(-1), np.empty((0, 0), np.int64), 0)
 
 
 @kernel
-def _choose_tables(counts: Int64s, bits: Float64s, chosen: Int64s, sums: Int64s) -> float:
+def _choose_tables(
+    symbols: Uint8s, counts: Int64s, ends: Int64s, bits: Float64s, chosen: Int64s, sums: Int64s
+) -> float:
     """Choose for each context the table that codes its symbols in fewest bits; return how many all take.
 
+    Of contexts, one after the other up to ``ends``, there are the ``symbols`` that occur, and how often.
     ``bits`` (symbols, tables) are what tables take for a symbol; counts are added to their table's ``sums``.
     """
     total = 0.0
     costs = np.empty(bits.shape[1])
-    for context in range(counts.shape[0]):
+    begin = wide(0)
+    for context in range(ends.size):
         costs[:] = 0.0
-        for symbol in range(counts.shape[1]):
-            count = counts[context, symbol]
-            if count:
-                for table in range(np.uint64(bits.shape[1])):  # in vectors
-                    costs[table] += bits[np.uint64(symbol), table] * count
+        for i in range(begin, ends[context]):
+            count = np.float64(counts[i])
+            for table in range(np.uint64(bits.shape[1])):  # in vectors
+                costs[table] += bits[np.uint64(symbols[i]), table] * count
         table = 0
         for other in range(1, costs.size):
             if costs[other] < costs[table]:
                 table = other
         chosen[context] = table
         total += costs[table]
-        for symbol in range(counts.shape[1]):
-            sums[table, symbol] += counts[context, symbol]
+        for i in range(begin, ends[context]):
+            sums[table, symbols[i]] += counts[i]
+        begin = ends[context]
     return total
 
 
@@ -397,6 +401,9 @@ def shared_tables(counts: Int64s) -> tuple[Uint8s, Int64s]:
     used = np.flatnonzero(counts.any(axis=1))
     chosen = np.zeros(len(counts), np.uint8)
     own = counts[used]
+    contexts, symbols = np.nonzero(own)
+    occurring = symbols.astype(np.uint8), own[contexts, symbols]
+    ends = np.cumsum(np.bincount(contexts, minlength=used.size))
     sums = own[np.argsort(-own.sum(axis=1), kind="stable")]
     least, nearest, sizes = np.inf, np.zeros(used.size, np.int64), np.ones((1, counts.shape[1]), np.int64)
     for size in sorted({min(size, used.size) for size in _SIZES} - {0}, reverse=True):
@@ -406,7 +413,7 @@ def shared_tables(counts: Int64s) -> tuple[Uint8s, Int64s]:
             centres = sums + 0.02
             bits = (np.log2(centres.sum(axis=1, keepdims=True)) - np.log2(centres)).T.copy()
             sums = np.zeros_like(sums)
-            total = _choose_tables(own, bits, found, sums)
+            total = _choose_tables(*occurring, ends, bits, found, sums)
         total += _SYMBOL_BITS * np.count_nonzero(sums) + used.size * np.log2(size + 1)
         if total < least:
             least, nearest, sizes = total, found, sums

@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.archive import areas, structure, values
+from octex.archive import areas, structure
+from octex.archive.coding import Coding, contexts_of
 from octex.archive.entropy import ONE, TABLES, Pool, pool_of, shared_tables
 from octex.archive.layout import FORMAT_VERSION
 from octex.arrays import Int64s
@@ -19,23 +20,23 @@ class Models(NamedTuple):
     """How all is coded."""
 
     pools: list[Pool]
-    codings: dict[str, values.Coding]
+    codings: dict[str, Coding]
     version: int  # of the format
 
 
-def _sizes(codings: dict[str, values.Coding], version: int) -> list[tuple[int, int]]:
+def _sizes(codings: dict[str, Coding], version: int) -> list[tuple[int, int]]:
     """Return how many contexts and symbols each pool has."""
     leaves, symbols = structure.LEAVES
     fixed = [structure.OCCUPIED, (leaves - (version == 1), symbols), structure.FLAGS, (areas.CONTEXTS, 256)]
-    return fixed + [(values.contexts_of(coding.order.size), 256) for coding in codings.values()]
+    return fixed + [(contexts_of(coding.order.size), 256) for coding in codings.values()]
 
 
-def no_counts(codings: dict[str, values.Coding]) -> list[Int64s]:
+def no_counts(codings: dict[str, Coding]) -> list[Int64s]:
     """Return counts of nothing."""
     return [np.zeros(size, np.int64) for size in _sizes(codings, FORMAT_VERSION)]
 
 
-def counting(counts: list[Int64s], codings: dict[str, values.Coding]) -> Models:
+def counting(counts: list[Int64s], codings: dict[str, Coding]) -> Models:
     """Return what symbols are noted and counted with."""
     none = pool_of(np.zeros(0, np.uint8), np.zeros((0, 256), np.int64))
     firsts = np.cumsum([0, *map(len, counts)]).tolist()
@@ -43,7 +44,7 @@ def counting(counts: list[Int64s], codings: dict[str, values.Coding]) -> Models:
     return Models(pools, codings, FORMAT_VERSION)
 
 
-def made(counts: list[Int64s], codings: dict[str, values.Coding]) -> tuple[Models, Int64s]:
+def made(counts: list[Int64s], codings: dict[str, Coding]) -> tuple[Models, Int64s]:
     """Return the models for what was counted, and the numbers that say them."""
     pools, numbers = [], []
     for each in counts:
@@ -56,13 +57,13 @@ def made(counts: list[Int64s], codings: dict[str, values.Coding]) -> tuple[Model
     return Models(pools, codings, FORMAT_VERSION), np.concatenate(numbers).astype(np.int64)
 
 
-def most_numbers(codings: dict[str, values.Coding], version: int) -> int:
+def most_numbers(codings: dict[str, Coding], version: int) -> int:
     """Return the most numbers that models of such channels have."""
     weights = sum(coding.weights.size for coding in codings.values())
     return weights + sum(1 + contexts + TABLES * 256 for contexts, _ in _sizes(codings, version))
 
 
-def read(numbers: Int64s, codings: dict[str, values.Coding], version: int) -> Models:
+def read(numbers: Int64s, codings: dict[str, Coding], version: int) -> Models:
     """Return what numbers say; raises ValueError for what no archive holds."""
     at = 0
 

@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from octex.archive import blocks, values
+from octex.archive import blocks
 from octex.archive.blocks import Content, Span
+from octex.archive.coding import Coding, order_of, weights_of
 from octex.archive.entropy import decoded_numbers, decoder, is_whole
 from octex.archive.layout import (
     BLOCKS,
@@ -85,7 +86,7 @@ class _Head(NamedTuple):
     split_rows: int
     kept_nodes: int
     root: tuple[int, int]  # flags and area
-    channels: list[tuple[str, np.dtype[Any], values.Coding, Uint8s]]  # with the root's value
+    channels: list[tuple[str, np.dtype[Any], Coding, Uint8s]]  # with the root's value
     others: list[tuple[str, np.dtype[Any], tuple[int, ...]]]
 
 
@@ -165,7 +166,7 @@ def _words(stream: bytes) -> Uint16s:
     return np.frombuffer(stream, "<u2", len(stream) // 2)
 
 
-def _numbers(model: bytes, codings: dict[str, values.Coding], version: int) -> Int64s:
+def _numbers(model: bytes, codings: dict[str, Coding], version: int) -> Int64s:
     """Return the numbers of the models: how many there are, then their stream."""
     count = int.from_bytes(model[:4], "little")
     if count > min(most_numbers(codings, version), _MOST_OF_A_BYTE * len(model)):
@@ -225,7 +226,7 @@ def _check_levels(cells: Int64s, nodes: Int64s) -> None:
         raise ValueError
 
 
-def _channel(given: Any) -> tuple[str, np.dtype[Any], values.Coding, Uint8s]:
+def _channel(given: Any) -> tuple[str, np.dtype[Any], Coding, Uint8s]:
     name, dtype = _name(given["name"]), given["dtype"]
     size, components = _DTYPES[dtype], _whole(given["components"], 4)
     error, unit = _whole(given["max_error"], 65535), _whole(given["unit"], 32)
@@ -233,8 +234,8 @@ def _channel(given: Any) -> tuple[str, np.dtype[Any], values.Coding, Uint8s]:
     is_float = dtype.startswith("float")
     if components < 1 or root.size != components * size or (error and is_float) or error >= 1 << 8 * size:
         raise ValueError
-    none = np.zeros(values.weights_of(components), np.int64)
-    coding = values.Coding(values.order_of(components), size, int(is_float), error, unit, 0, none)
+    none = np.zeros(weights_of(components), np.int64)
+    coding = Coding(order_of(components), size, int(is_float), error, unit, 0, none)
     return name, np.dtype(dtype), coding, root.reshape(components, size)
 
 

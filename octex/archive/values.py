@@ -9,205 +9,37 @@ parent are all as it is, one symbol says first whether its children are, too.
 
 Nodes are taken in runs. By how much errors may be off is known without the guesses: so a component's errors
 of a whole run are decoded at once, four states side by side, before the values that they correct.
-
-Values are compared as whole numbers: integers as they are, floats by their bits, in the order of what they
-stand for. Components of colours are coded green first.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from octex.archive.around import ABOUT, OWN
-from octex.archive.entropy import (
-    DECODES,
-    MEASURES,
-    NOTES,
-    PASS,
-    Pool,
-    code_bits,
-    code_symbol,
-    code_symbols,
-    wide,
+from octex.archive.coding import (
+    CLASSES,
+    CONTEXTS,
+    SETS,
+    TERMS,
+    WEIGHT_BITS,
+    Coding,
+    code_folded,
+    component_of,
+    corrected,
+    error_of,
+    folded,
+    number_at,
+    unfolded,
+    write_number,
 )
+from octex.archive.entropy import DECODES, MEASURES, NOTES, PASS, Pool, code_symbol, code_symbols, wide
+from octex.archive.weights import measure
 from octex.arrays import Float64s, Int64s, Uint8s, Uint32s
 from octex.jit import inlined, kernel
 
-#: What a guess weighs: sums of differences on the cell's side, on the other, beside; the mean of the
-#: siblings' so far; how 3 components were off, and differ.
-TERMS = 10
 _ERRORS = 4
-#: How much the cells around vary, in steps of the channel's unit: classes have weights, contexts tables.
-CLASSES = 5
-CONTEXTS = 11
-#: Nodes, leaves, rows of split cells, kept nodes.
-SETS = 4
-LEAVES, NODES, SPLIT_ROWS, KEPT_NODES = 0, 1, 2, 3
-#: Weights are of 2¹².
-WEIGHT_BITS = 12
-_MOST_WEIGHT = 8 << WEIGHT_BITS
-
-_CLASS_ENDS = np.array([1, 4, 16, 48], np.int64)
-_CONTEXT_ENDS = np.array([1, 2, 3, 6, 10, 16, 24, 36, 52, 80], np.int64)
-#: 2¹⁶ / n, for the mean of siblings.
-_PARTS = np.array([0, *(65536 // n for n in range(1, 9))], np.int64)
-
-
-def _steps(ends: Int64s) -> Uint8s:
-    return np.searchsorted(ends, np.arange(1 << 11), side="right").astype(np.uint8)
-
-
-#: What kernels take: the class, and the context, of how much differences vary, 0 … 2047; parts of means.
-STEPS = _steps(_CLASS_ENDS), _steps(_CONTEXT_ENDS), _PARTS
-
-
-class Coding(NamedTuple):
-    """How a channel's values are coded: what kernels take."""
-
-    order: Int64s  # (components,)   in which they are coded
-    size: int  # bytes of a value: 1, 2, 4
-    is_float: int
-    error: int  # by how much a value may move
-    unit: int  # differences are measured in 2ᵘⁿⁱᵗ
-    by_cell: int  # errors are coded cell by cell, not a component of many cells after the other
-    weights: Int64s  # (2 · components · CLASSES · TERMS,)   of leaves and nodes
-
-
-def weights_of(components: int) -> int:
-    """Return how many weights a channel has."""
-    return 2 * components * CLASSES * TERMS
-
-
-def contexts_of(components: int) -> int:
-    """Return how many contexts a channel has."""
-    return SETS * components * CONTEXTS + 2
-
-
-def new_squares(components: int) -> Float64s:
-    """Return room for what ``code_values`` measures: of each class sums of squares, the count last."""
-    return np.zeros((2 * components * CLASSES, TERMS + 1, TERMS + 1))
-
-
-def order_of(components: int) -> Int64s:
-    """Return the order in which components are coded."""
-    return np.array([1, 0, 2, 3][:components] if components >= 3 else range(components), np.int64)
-
-
-def numbers_of(raw: Uint8s, coding: Coding) -> Int64s:
-    """Return values (n, components, size) as whole numbers (n, components)."""
-    numbers: Int64s = raw.astype(np.int64) @ (1 << 8 * np.arange(coding.size))
-    sign = 1 << (8 * coding.size - 1)
-    return np.where(numbers & sign, 2 * sign - 1 - numbers, numbers | sign) if coding.is_float else numbers
-
-
-@inlined
-def _component(j: int, components: int) -> int:
-    """Return which component is coded as the j-th, as ``order_of`` has it."""
-    return wide(1 - j if components >= 3 and j < 2 else j)
-
-
-@inlined
-def _number(raw: Uint8s, at: int, size: int, is_float: int) -> int:
-    """Return the value whose first byte is ``at`` as a whole number."""
-    i = np.uint64(at)
-    number = wide(raw[i])
-    if size > 1:
-        number |= wide(raw[i + np.uint64(1)]) << 8
-        if size > 2:
-            number |= wide(raw[i + np.uint64(2)]) << 16 | wide(raw[i + np.uint64(3)]) << 24
-        if is_float:
-            sign = 1 << (8 * size - 1)
-            number = (2 * sign - 1) - number if number & sign else number | sign
-    return number
-
-
-@inlined
-def _write(number: int, raw: Uint8s, at: int, size: int, is_float: int) -> None:
-    i = np.uint64(at)
-    if is_float:
-        sign = 1 << (8 * size - 1)
-        number = number ^ sign if number & sign else (2 * sign - 1) - number
-    raw[i] = number & 255
-    if size > 1:
-        raw[i + np.uint64(1)] = number >> 8 & 255
-        if size > 2:
-            raw[i + np.uint64(2)] = number >> 16 & 255
-            raw[i + np.uint64(3)] = number >> 24
-
-
-@inlined
-def _error(number: int, guess: int, size: int, error: int) -> int:
-    """Return what a guess is off by, in steps of 2 ``error`` + 1, as it is coded."""
-    most = (1 << 8 * size) - 1
-    half = most + 1 >> 1
-    if error == 0:
-        return wide((number - guess + half & most) - half)
-    step = 2 * error + 1
-    span = (most + 2 * error) // step + 1
-    half = span >> 1
-    off = number - min(max(guess, 0), most)
-    off = (off + error) // step if off >= 0 else -((error - off) // step)
-    if off < -half:
-        off += span
-    elif off >= span - half:
-        off -= span
-    return wide(off)
-
-
-@inlined
-def _corrected(guess: int, off: int, size: int, error: int) -> int:
-    """Return the number that a guess is so many steps off from."""
-    most = (1 << 8 * size) - 1
-    if error == 0:
-        return wide(guess + off & most)
-    step = 2 * error + 1
-    number = min(max(guess, 0), most) + off * step
-    if number < -error:
-        number += ((most + 2 * error) // step + 1) * step
-    elif number > most + error:
-        number -= ((most + 2 * error) // step + 1) * step
-    return wide(min(max(number, 0), most))
-
-
-@inlined
-def _folded(off: int) -> int:
-    """Return 0, 1, 2, 3 … for 0, −1, 1, −2 …."""
-    return wide(off << 1 ^ off >> 63)
-
-
-@inlined
-def _unfolded(sign: int) -> int:
-    return wide(sign >> 1 ^ -(sign & 1))
-
-
-@inlined
-def _code_folded(
-    work: int, sign: int, size: int, context: int, pool: Pool, coder: Int64s, stream: Uint32s
-) -> int:
-    """Note or decode a folded error; return it."""
-    if size == 1:
-        return code_symbol(work, sign, context, pool, coder, stream)
-    return _code_large(work, sign, context, pool, coder, stream)
-
-
-@inlined
-def _code_large(work: int, sign: int, context: int, pool: Pool, coder: Int64s, stream: Uint32s) -> int:
-    """Code a number below 2³² as its length and two highest bits, and the others as they are."""
-    token, rest = sign, wide(0)
-    if sign >= 16:
-        length = 4
-        while sign >> (length + 1):
-            length += 1
-        token = 16 + (length - 4) * 4 + (sign >> (length - 2) & 3)
-        rest = sign & ((1 << (length - 2)) - 1)
-    token = code_symbol(work, token, context, pool, coder, stream)
-    if token < 16:
-        return token
-    length = min(4 + (token - 16 >> 2), 31)
-    rest = code_bits(rest, length - 2, coder, stream)
-    return (4 | (token & 3)) << (length - 2) | rest
 
 
 @kernel
@@ -345,14 +177,14 @@ def _look_at(
     """Write what is known around in component ``j``; return how much the cells differ."""
     raw, weights, steps = task[3], task[5].weights, task[6]
     around = room[0]
-    at, component = np.uint64(_AROUND * (components * n + j)), _component(j, components) * size
-    value = _number(raw, own + component, size, is_float)
-    a = _number(raw, sides[0] + component, size, is_float)
-    b = _number(raw, sides[1] + component, size, is_float)
-    c = _number(raw, sides[2] + component, size, is_float)
-    d = _number(raw, sides[3] + component, size, is_float)
-    e = _number(raw, sides[4] + component, size, is_float)
-    f = _number(raw, sides[5] + component, size, is_float)
+    at, component = np.uint64(_AROUND * (components * n + j)), component_of(j, components) * size
+    value = number_at(raw, own + component, size, is_float)
+    a = number_at(raw, sides[0] + component, size, is_float)
+    b = number_at(raw, sides[1] + component, size, is_float)
+    c = number_at(raw, sides[2] + component, size, is_float)
+    d = number_at(raw, sides[3] + component, size, is_float)
+    e = number_at(raw, sides[4] + component, size, is_float)
+    f = number_at(raw, sides[5] + component, size, is_float)
     differs = abs(a - value) + abs(b - value) + abs(c - value)
     differs += abs(d - value) + abs(e - value) + abs(f - value)
     most = min(differs >> unit + 1, 255)
@@ -412,7 +244,7 @@ def _code_flat(
                 about = node + _AROUND * j
                 varies = min(around[np.uint64(about + _MOST)] + listed[_NOISE, at], 255)
                 own = around[np.uint64(about + _CONTEXTS)] + wide(steps[1][np.uint64(varies)])
-                sign = _code_folded(work, wide(0), size, own, pool, coder, stream)
+                sign = code_folded(work, wide(0), size, own, pool, coder, stream)
                 errors[j, at] = sign
                 listed[_NOISE, at] += 2 * (sign + 1 >> 1) * (2 * error + 1) >> unit
             place += 1
@@ -441,7 +273,7 @@ def _code_errors(
             for n in range(count):
                 i = np.uint64(n)
                 sign, context = errors[j, i], listed[_CONTEXT, i]
-                errors[j, i] = _code_folded(work, sign, size, context, pool, coder, stream)
+                errors[j, i] = code_folded(work, sign, size, context, pool, coder, stream)
 
 
 @inlined
@@ -452,7 +284,7 @@ def _has_flat(task: Any, room: Any, n: int, components: int, size: int, is_float
     i = np.uint64(n)
     for t in range(begin + nodes[i, _FIRST], begin + nodes[i, _FIRST] + nodes[i, _COUNT]):
         for j in range(components):
-            number = _number(given, (t * components + _component(j, components)) * size, size, is_float)
+            number = number_at(given, (t * components + component_of(j, components)) * size, size, is_float)
             if abs(number - around[np.uint64(_AROUND * (components * n + j) + _VALUE)]) > error:
                 return False
     return True
@@ -480,7 +312,8 @@ def _guess_children(
             for t in range(begin + first, begin + first + count):
                 for j in range(components):
                     number = around[np.uint64(_AROUND * (components * n + j) + _VALUE)]
-                    _write(number, raw, (t * components + _component(j, components)) * size, size, is_float)
+                    place = (t * components + component_of(j, components)) * size
+                    write_number(number, raw, place, size, is_float)
         return
     at = _AROUND * components * n
     sum_0 = sum_1 = sum_2 = sum_3 = wide(0)
@@ -568,11 +401,11 @@ def _guess_child(
     given, raw, weights, squares = task[2], task[3], task[5].weights, task[7]
     around, _, errors, _, terms = room
     row, place, at, (beside_x, beside_y, beside_z), (x, y, z) = child
-    component = _component(j, components) * size
+    component = component_of(j, components) * size
     at += _AROUND * j
-    beside = _number(raw, beside_x + component, size, is_float)
-    beside += _number(raw, beside_y + component, size, is_float)
-    beside += _number(raw, beside_z + component, size, is_float)
+    beside = number_at(raw, beside_x + component, size, is_float)
+    beside += number_at(raw, beside_y + component, size, is_float)
+    beside += number_at(raw, beside_z + component, size, is_float)
     near = around[np.uint64(at + x)] + around[np.uint64(at + y)] + around[np.uint64(at + z)]
     total = around[np.uint64(at + _SUM)] + around[np.uint64(at + _NEARER)] * near
     total += around[np.uint64(at + _BESIDE)] * beside
@@ -587,7 +420,7 @@ def _guess_child(
     guess = total >> WEIGHT_BITS
     value = around[np.uint64(at)]
     if work == MEASURES:
-        number = _number(given, row + component, size, is_float)
+        number = number_at(given, row + component, size, is_float)
         terms[0], terms[1] = near - 3 * value, -3 * value - near
         for k in range(6):
             terms[1] += around[at + _SIDES + k]
@@ -595,97 +428,13 @@ def _guess_child(
         for k in range(6):
             terms[4 + k] = before[k]
         off = number - guess
-        _measure(terms, off, 2.0**-unit, squares, around[at + _WEIGHTS] // TERMS)
+        measure(terms, off, 2.0**-unit, squares, around[at + _WEIGHTS] // TERMS)
         return off, number - value
-    off = _unfolded(errors[j, np.uint64(place)])
+    off = unfolded(errors[j, np.uint64(place)])
     if work == NOTES:
-        off = _error(_number(given, row + component, size, is_float), guess, size, error)
-        errors[j, np.uint64(place)] = _folded(off)
-    number = _corrected(guess, off, size, error)
+        off = error_of(number_at(given, row + component, size, is_float), guess, size, error)
+        errors[j, np.uint64(place)] = folded(off)
+    number = corrected(guess, off, size, error)
     if work == DECODES or error > 0:
-        _write(number, raw, row + component, size, is_float)
+        write_number(number, raw, row + component, size, is_float)
     return off * (2 * error + 1), number - value
-
-
-@inlined
-def _measure(terms: Int64s, off: int, scale: float, squares: Float64s, number: int) -> None:
-    """Add to the sums of least squares: terms by terms, the number wanted last; how many there are."""
-    weight = 1.0 / (abs(off) * scale + 0.5)
-    for n in range(TERMS + 1):
-        if terms[n] == 0:
-            continue
-        weighted = weight * (terms[n] * scale)
-        for m in range(min(n, TERMS - 1) + 1):
-            squares[number, n, m] += weighted * (terms[m] * scale)
-    squares[number, TERMS, TERMS] += 1.0
-
-
-@kernel
-def solve(squares: Float64s, weights: Int64s) -> None:
-    """Write the weights that make weighted squares of errors least, 0 of few; Cholesky's way."""
-    for number in range(squares.shape[0]):
-        square, right = squares[number], np.zeros(TERMS)
-        if square[TERMS, TERMS] < 4 * TERMS:
-            continue
-        ridge = 1e-3 * np.sqrt(square[TERMS, TERMS])
-        for n in range(TERMS):
-            right[n] = square[TERMS, n]
-            square[n, n] += ridge
-            for m in range(n + 1):
-                total = square[n, m]
-                for k in range(m):
-                    total -= square[n, k] * square[m, k]
-                square[n, m] = np.sqrt(max(total, ridge)) if n == m else total / square[m, m]
-        for n in range(TERMS):
-            for k in range(n):
-                right[n] -= square[n, k] * right[k]
-            right[n] /= square[n, n]
-        for n in range(TERMS - 1, -1, -1):
-            for k in range(n + 1, TERMS):
-                right[n] -= square[k, n] * right[k]
-            right[n] /= square[n, n]
-            weight = np.rint(right[n] * (1 << WEIGHT_BITS))
-            weights[number * TERMS + n] = int(min(max(weight, -_MOST_WEIGHT), _MOST_WEIGHT))
-
-
-@kernel
-def code_rows(
-    owners: Uint32s,
-    cell_raw: Uint8s,
-    given: Uint8s,
-    raw: Uint8s,
-    first: int,
-    kind: int,
-    coding: Coding,
-    steps: tuple[Uint8s, Uint8s, Int64s],
-    pool: Pool,
-    coder: Int64s,
-    stream: Uint32s,
-) -> None:
-    """Likewise the values of rows from ``first`` on, a row of each cell of ``owners``, by the cells' own."""
-    _, context_of, _ = steps
-    order, size, is_float, error, unit, _, _ = coding
-    components = order.size
-    work = coder[PASS]
-    flat = cell_raw.reshape(-1), given.reshape(-1), raw.reshape(-1)
-    before = np.zeros(4, np.int64)
-    for n in range(owners.size):
-        if n == 0 or owners[n] != owners[n - 1]:
-            before[:] = 0
-        noise = shift = wide(0)
-        for j in range(components):
-            at = (wide(owners[n]) * components + order[j]) * size
-            own = _number(flat[0], at, size, is_float)
-            at = ((first + n) * components + order[j]) * size
-            guess = min(max(own + (shift if components >= 3 else 0), 0), (1 << 8 * size) - 1)
-            varies = min((abs(before[j]) >> unit) + noise, 255)
-            context = (kind * components + j) * CONTEXTS + wide(context_of[np.uint64(varies)])
-            off = wide(0)
-            if work == NOTES:
-                off = _error(_number(flat[1], at, size, is_float), guess, size, error)
-            off = _unfolded(_code_folded(work, _folded(off), size, context, pool, coder, stream))
-            number = _corrected(guess, off, size, error)
-            if work == DECODES or error > 0:
-                _write(number, flat[2], at, size, is_float)
-            before[j] = shift = number - own
-            noise += 2 * abs(off) * (2 * error + 1) >> unit

@@ -15,9 +15,10 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from octex.archive import blocks, values
+from octex.archive import blocks
 from octex.archive.around import ABOUT, OWN, around_children, around_nodes, shapes
 from octex.archive.blocks import Content, Span
+from octex.archive.coding import STEPS, Coding, numbers_of, order_of, weights_of
 from octex.archive.entropy import (
     MEASURES,
     NOTES,
@@ -47,6 +48,8 @@ from octex.archive.layout import (
     room,
 )
 from octex.archive.models import Models, counting, made, no_counts
+from octex.archive.values import code_values
+from octex.archive.weights import new_squares, solve
 from octex.arrays import Array, Int64s, Uint8s, Uint32s
 from octex.files import replacing
 from octex.parallel import ordered_map, workers
@@ -185,30 +188,30 @@ def _sampled(arrays: TreeArrays) -> list[tuple[Span, Uint32s, Int64s]]:
 
 def _coding(
     channel: Named, is_float: bool, error: int, sampled: list[tuple[Span, Uint32s, Int64s]]
-) -> values.Coding:
+) -> Coding:
     raw = channel.values
     _, components, size = raw.shape
-    weights = np.zeros(values.weights_of(components), np.int64)
-    coding = values.Coding(values.order_of(components), size, int(is_float), 0, 0, 0, weights)
+    weights = np.zeros(weights_of(components), np.int64)
+    coding = Coding(order_of(components), size, int(is_float), 0, 0, 0, weights)
     if size > 1:  # floats and 16 bits differ by far more steps than 8 bits do
         coding = coding._replace(unit=_unit(raw, coding, sampled))
     pool = pool_of(np.zeros(0, np.uint8), np.zeros((0, 256), np.int64))
     for _ in range(_ROUNDS):
-        squares = values.new_squares(components)
+        squares = new_squares(components)
         for span, rows, cells in sampled:
             state = squares, pool, new_coder(MEASURES), np.empty(0, np.uint32)
-            values.code_values(rows, cells, raw, raw, span.cell, coding, values.STEPS, *state)
-        values.solve(squares, weights)
+            code_values(rows, cells, raw, raw, span.cell, coding, STEPS, *state)
+        solve(squares, weights)
     return coding._replace(error=error)
 
 
-def _unit(raw: Uint8s, coding: values.Coding, sampled: list[tuple[Span, Uint32s, Int64s]]) -> int:
+def _unit(raw: Uint8s, coding: Coding, sampled: list[tuple[Span, Uint32s, Int64s]]) -> int:
     """Return the unit in which values differ from their parents' by about eight, or none if that is less."""
     usual = []
     for span, rows, cells in sampled:
         node = np.cumsum(np.append(1, rows[:-1, ABOUT] >> 4 & 15 == 1)) - 1
-        parents = values.numbers_of(raw[cells[node, OWN]], coding)
-        usual.append(np.abs(values.numbers_of(raw[span.cell : span.end_cell], coding) - parents).reshape(-1))
+        parents = numbers_of(raw[cells[node, OWN]], coding)
+        usual.append(np.abs(numbers_of(raw[span.cell : span.end_cell], coding) - parents).reshape(-1))
     return max(int(np.median(np.concatenate(usual))).bit_length() - 3, 0) if usual else 0
 
 
@@ -300,7 +303,7 @@ def _called(task: partial[Noted]) -> Noted:
 
 
 def _noted(
-    content: Content, codings: dict[str, values.Coding], executor: Executor
+    content: Content, codings: dict[str, Coding], executor: Executor
 ) -> tuple[list[Int64s], list[_Note]]:
     """Return how often what occurs, each thread having counts of its own; and the notes of each block.
 

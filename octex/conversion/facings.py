@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from itertools import pairwise
 
 import numpy as np
@@ -11,6 +12,7 @@ from octex.conversion import large
 from octex.conversion.coefficients import SPLIT_KIND
 from octex.field.field import Field, Listed
 from octex.jit import kernel, new_zeros, trailing_zeros
+from octex.parallel import ordered_map
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree
@@ -22,11 +24,11 @@ _BLOCK = 1 << 16
 _NODE = 8
 
 
-def kinds_around(tree: Octree) -> Uint64s:
+def kinds_around(tree: Octree, executor: Executor) -> Uint64s:
     """Return the kinds of all leaves that lookups in each leaf may read (cells,).
 
-    0 where none of them face opposite ways or are split. Found from the root down: what is around a cell is
-    around what lies in it.
+    0 where none of them face opposite ways or are split. Found from the root down, a level's cells in
+    parallel: what is around a cell is around what lies in it. ``executor`` is one of `parallel.sharing`.
     """
     n_cells, firsts = tree.n_cells, tree.arrays.level_cells.tolist()
     kinds, parents = large.empty(n_cells, np.uint64), large.zeros(n_cells, np.uint32)
@@ -37,13 +39,18 @@ def kinds_around(tree: Octree) -> Uint64s:
     meets, codes = large.zeros(n_cells, np.bool_), large.zeros(n_cells, np.int64)  # codes of those looked at
     for level, (first, end) in enumerate(pairwise(firsts)):
         chosen = np.flatnonzero(meets[parents[first:end]]) + first if level else np.arange(1)
-        for begin in range(0, len(chosen), _BLOCK):
-            some = chosen[begin : begin + _BLOCK]
+        own = field.level(level)
+
+        def look(some: Int64s, level: int = level, own: Field = own) -> None:
             codes[some] = codes[parents[some]] << 3 | octants[some] & 7
-            taps = _around(field, level, codes[some])
+            taps = _around(own, level, codes[some])
             around = np.bitwise_or.reduceat(kinds[taps.rows], taps.starts[:-1])
             meets[some] = _face_opposite(around) | (around & SPLIT_KIND > 0)
             found[some] = np.where(meets[some] & (octants[some] < _NODE), around, 0)
+
+        parts = [chosen[begin : begin + _BLOCK] for begin in range(0, len(chosen), _BLOCK)]
+        for _ in ordered_map(executor, look, parts):
+            pass
     return found
 
 
@@ -115,6 +122,6 @@ HIDDEN = np.array(
 
 
 def _around(field: Field, level: int, codes: Int64s) -> Listed:
-    """Return the taps in the middles of a level's cells, where all 3×3×3 cells around weigh."""
+    """Return the taps of a level's field in the middles of its cells, where all 3×3×3 cells around weigh."""
     centres = (decode_cells(codes) + np.float64(0.5)) / 2**level
-    return field.level(level).taps(centres, Placement((0.0, 0.0, 0.0), 1.0))
+    return field.taps(centres, Placement((0.0, 0.0, 0.0), 1.0))

@@ -244,6 +244,7 @@ class Tasks(Executor):
 
     def __init__(self, executor: Executor, scratch: Scratch, *, is_here: bool) -> None:
         self._executor, self._scratch, self._is_here = executor, scratch, is_here
+        self.here = executor if is_here else None  # as `parallel.sharing` asks
         self._written: dict[int, tuple[Any, str]] = {}
 
     def submit(self, function: Callable[..., Any], /, *given: Any, **named: Any) -> Future[Any]:

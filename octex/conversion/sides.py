@@ -22,7 +22,7 @@ from octex.conversion.numbering import Leaves
 from octex.conversion.samples import Samples, sample_points
 from octex.editing.split import split_in_vain, with_split, without_split
 from octex.field.field import Field
-from octex.parallel import Progress
+from octex.parallel import Progress, ordered_map, sharing
 from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.octree import Octree
@@ -39,7 +39,7 @@ _LEAST_WEIGHT = 0.03
 #: Samples looked up at once.
 _BLOCK = 1 << 16
 #: Leaves looked at at once.
-_RUN = 1 << 20
+_RUN = 1 << 17
 _UNIT = Placement((0.0, 0.0, 0.0), 1.0)
 
 
@@ -78,7 +78,8 @@ def with_sides(
     `fit.fitted_rows` for the rest.
     """
     leaves = Leaves.of(tree, samples)
-    chosen = _in_sight(tree, leaves, samples)
+    with sharing(executor) as threads:
+        chosen = _in_sight(tree, leaves, samples, threads)
     if not chosen.any():
         return tree, dict(values)
     whole = np.sort(leaves.numbers_of(chosen))
@@ -99,14 +100,16 @@ def with_sides(
     return made.tree, dict(made.channels)
 
 
-def _in_sight(tree: Octree, leaves: Leaves, samples: Samples) -> Bools:
+def _in_sight(tree: Octree, leaves: Leaves, samples: Samples, executor: Executor) -> Bools:
     """Say which leaves, in order, weigh where lookups with normals find something else than others."""
-    kinds, count = kinds_around(tree), len(leaves.firsts) - 1
+    kinds, count = kinds_around(tree, executor), len(leaves.firsts) - 1
     field = Field(tree)
     owners = np.repeat(tree.split.cells, np.bitwise_count(tree.split.facings)).astype(np.int64)
-    reached = np.zeros(tree.n_cells, np.bool_)
-    runs = [(begin, min(begin + _RUN, count)) for begin in range(0, count, _RUN)]
-    for first, end in runs:
+    reached = np.zeros(tree.n_cells, np.bool_)  # threads write nothing but True
+    found = np.empty(count, np.bool_)
+
+    def reach(first: int) -> None:
+        end = min(first + _RUN, count)
         counts, around = np.diff(leaves.firsts[first : end + 1]), kinds[leaves.numbers(first, end)]
         beside = around > 0
         mixed = np.flatnonzero(np.repeat(beside, counts)) + leaves.firsts[first]
@@ -120,8 +123,10 @@ def _in_sight(tree: Octree, leaves: Leaves, samples: Samples) -> Bools:
                 in_table = rows >= tree.n_cells
                 rows[in_table] = owners[rows[in_table] - tree.n_cells]
                 reached[rows] = True
-    found = np.empty(count, np.bool_)
-    for first, end in runs:
-        order = leaves.numbers(first, end)
-        found[first:end] = reached[order] & (tree.arrays.flags[order] & FACING_FLAGS > 0)
+
+    for _ in ordered_map(executor, reach, range(0, count, _RUN)):
+        pass
+    for first in range(0, count, _RUN):
+        order = leaves.numbers(first, min(first + _RUN, count))
+        found[first : first + _RUN] = reached[order] & (tree.arrays.flags[order] & FACING_FLAGS > 0)
     return found

@@ -351,7 +351,7 @@ def look_up_tiled(
     some = step if is_some else 0
     own_points, own_normals = new_array((some, 3), points.dtype), new_array((some, 3), np.float32)
     own_values = new_array((some, results.shape[1]), np.float32)
-    own_slopes = new_array((some, gradients.shape[1], 3), np.float32)
+    own_slopes = new_array((some if gradient else 0, gradients.shape[1], 3), np.float32)
     alpha = channel.alpha.values if channel.has_alpha else channel.alpha.values[:0]
     ahead = _read_ahead(search, channel.codes, bytes_of(alpha))
     components = channel.codes.values.shape[1]

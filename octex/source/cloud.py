@@ -19,6 +19,7 @@ from octex.checks import as_number, as_path, as_reals, as_text, locked
 from octex.errors import ArgumentError, ModelError
 from octex.files import open_file, read_bytes, reading
 from octex.nearest.points import Points
+from octex.npz import read_npz
 from octex.source.colors import linear_colors, screen_colors
 from octex.source.mesh import Mesh
 from octex.source.models.text import parse_numbers
@@ -267,18 +268,13 @@ def _read_npz(path: Path) -> _Arrays:
     with open_file(path) as file:
         if not zipfile.is_zipfile(file):
             raise ModelError(f"{path.name} is no .npz file; save it with np.savez(…, points=…, colors=…)")
-    try:
-        with open_file(path) as file, np.load(file, allow_pickle=False) as arrays:
-            found = {
-                kind: next((arrays[name] for name in names if name in arrays), None)
-                for kind, names in _NAMES.items()
-            }
-    except (ValueError, EOFError, KeyError, AttributeError, TypeError, NotImplementedError) as error:
-        raise ModelError(f"{path.name} is no .npz file of arrays ({error}); save it again") from None
-    except Exception as error:  # zipfile and zlib have errors of their own
-        if isinstance(error, OSError):
-            raise
-        raise ModelError(f"{path.name} is damaged ({error}); save it again") from None
+        try:
+            arrays = read_npz(file, {name for names in _NAMES.values() for name in names})
+        except ValueError as error:
+            raise ModelError(f"{path.name} is no .npz file of arrays ({error}); save it again") from None
+    found = {
+        kind: next((arrays[name] for name in names if name in arrays), None) for kind, names in _NAMES.items()
+    }
     for kind in ("points", "colors"):
         if found[kind] is None:
             raise ModelError(f"{path.name} has no array {kind!r}; save it with np.savez(…, {kind}=…)")

@@ -16,6 +16,7 @@ from octex.channels import ALPHA, BASE_COLOR, CHANNELS, ChannelFormat
 from octex.checks import as_array, as_entries, as_path, as_positive, as_reals, as_text, locked
 from octex.errors import ArgumentError, ModelError
 from octex.files import open_file, read_bytes, reading
+from octex.npz import read_npz
 from octex.source.materials import MOST_IN_FLOAT16
 from octex.source.vxz import ENDING, unpack_vxz
 
@@ -113,7 +114,9 @@ class Voxels:
         channels = {
             each: rows
             for each, rows in arrays.items()
-            if each not in {place, *_DEPTHS, *_OTHERS} and rows.ndim in (1, 2) and len(rows) == len(coords)
+            if each not in {place, *_DEPTHS, *_OTHERS}
+            and rows.ndim in (1, 2)
+            and rows.shape[:1] == coords.shape[:1]
         }
         color = next((each for each in _COLORS if each in channels and channels[each].ndim == 2), None)
         if color is not None and channels[color].shape[1] in (3, 4):
@@ -211,10 +214,8 @@ def is_voxels(path: Path) -> bool:
 
 
 def _read_npz(path: Path) -> dict[str, Array]:
-    try:
-        with open_file(path) as file, np.load(file, allow_pickle=False) as arrays:
-            return dict(arrays)
-    except Exception as error:  # zipfile and zlib have errors of their own
-        if isinstance(error, (OSError, MemoryError)):
-            raise
-        raise ModelError(f"{path.name} is no .npz file of arrays ({error}); save it again") from None
+    with open_file(path) as file:
+        try:
+            return read_npz(file)
+        except ValueError as error:
+            raise ModelError(f"{path.name} is no .npz file of arrays ({error}); save it again") from None

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import io
 import reprlib
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from octex.npz import read_npz
 from octex.view.camera import LARGEST, NO_DISTORTION, Camera, Convention
 from octex.view.camera_records import BrokenError, Frame, choice_field, fixed_lens, view_of_pose, within
 from octex.view.lens import DISTORTION_MODELS
@@ -33,9 +33,8 @@ _INTRINSICS = ("Ks", "K", "intrinsics")
 def read_arrays(path: Path, content: bytes) -> list[Frame]:
     """Read the cameras of an .npz file."""
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        arrays = read_npz(io.BytesIO(content))
+    except (ValueError, OSError) as error:
         raise BrokenError(
             f"cannot be read as an .npz file ({error}); save it again, without objects"
         ) from None

@@ -1,0 +1,659 @@
+"""Small files of octex, and what damages them: blindly, or knowing what stands where.
+
+A way takes the parts of a file that is sound, and chance, and returns the bytes of one that is not, with
+what of it was changed. Checksums are made right again, but where they are what is changed.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import lzma
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+
+from octex.archive import entropy, models
+from octex.archive.coding import Coding, order_of, weights_of
+from octex.archive.layout import BLOCKS, FORMAT_VERSION, MAGIC, PIECE, START
+from octex.channels import ChannelFormat
+from octex.texture import Channel, OctreeTexture
+from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable
+from octex.tree.octree import Octree
+from octex.tree.placement import Placement
+
+#: The bytes of a damaged file, and what was changed.
+Damaged = tuple[bytes, str]
+EDGES = (0, 1, 7, 255, 2**31 - 1, 2**32 - 1, 2**32, 2**48, 2**63 - 1, 2**64 - 1)
+CHANNELS = ("base_color", "alpha", "height")
+#: What comes of reading a file that was damaged before.
+UNREADABLE = (ValueError, KeyError, IndexError, TypeError, OverflowError, MemoryError, RecursionError)
+UNREADABLE += (struct.error, zlib.error, lzma.LZMAError)
+
+
+def made(seed: int) -> OctreeTexture:
+    """Make a small texture with split cells, kept nodes and channels of any type."""
+    chance = np.random.default_rng(seed)
+    depth = int(chance.integers(0, 6))
+    codes = np.unique(chance.integers(0, 8**depth, int(chance.integers(0, 60))))
+    leaves = [np.empty(0, np.int64)] * (depth + 1)
+    if depth > 1:
+        coarse = np.unique(codes[::7] >> 3)
+        leaves[depth - 1], codes = coarse, codes[~np.isin(codes >> 3, coarse)]
+    leaves[depth] = codes
+    tree = Octree.from_levels(leaves)
+    flags = chance.integers(1, FACING_FLAGS + 1, tree.n_cells, dtype=np.uint8)
+    masks = [(found, is_node) for found, is_node in tree.walk()]
+    begins = tree.arrays.level_cells
+    for level in range(tree.max_depth - 1, -1, -1):
+        own = flags[begins[level] : begins[level + 1]]
+        own[masks[level][1]] = 0
+        below = flags[begins[level + 1] : begins[level + 2]]
+        np.bitwise_or.at(own, np.searchsorted(masks[level][0], masks[level + 1][0] >> 3), below)
+    split = SplitTable(np.empty(0, np.uint32), np.empty(0, np.uint8), np.empty(0, np.uint8))
+    is_kept = np.zeros(tree.n_cells, np.bool_)
+    if chance.random() < 0.5:
+        is_split = chance.random(tree.n_cells) < 0.3
+        facings = flags[is_split]
+        rows = int(np.bitwise_count(facings).sum())
+        areas = chance.integers(0, 256, rows, dtype=np.uint8)
+        split = SplitTable(np.flatnonzero(is_split).astype(np.uint32), facings, areas)
+        if tree.n_cells > 1:
+            is_kept = np.concatenate([is_node for _, is_node in masks]) & (chance.random(tree.n_cells) < 0.3)
+        flags[is_split] |= SPLIT
+        flags[is_kept] |= KEPT
+    kept = KeptTable(np.flatnonzero(is_kept).astype(np.uint32))
+    tree = tree.with_cell_data(flags, chance.integers(0, 256, tree.n_cells, dtype=np.uint8), split, kept)
+    channels = {}
+    for name in CHANNELS[: int(chance.integers(1, 4))]:
+        kinds = ["uint8", "uint16", "float16", "float32"] if name == "height" else ["uint8", "uint16"]
+        dtype = "uint8" if name == "base_color" else str(chance.choice(kinds))
+        components = 3 if name == "base_color" else 1
+        counts = tree.n_cells, split.areas.size, kept.cells.size
+        values = [chance.random((count, components)) for count in counts]
+        one = 1 if dtype.startswith("f") else np.iinfo(dtype).max
+        form = ChannelFormat(name, components, "srgb" if components == 3 else "data", dtype)  # type: ignore[arg-type]
+        channels[name] = Channel(form, *((each * one).astype(dtype) for each in values))
+    return OctreeTexture(tree, channels, Placement((0.0, 0.0, 0.0), 1.0), [[0.0] * 3, [1.0] * 3])
+
+
+# Bytes.
+
+
+def blind(content: bytes, chance: Random) -> bytes:
+    """Change bytes, knowing nothing."""
+    found = bytearray(content)
+    at = chance.randrange(max(len(found), 1))
+    count = chance.choice((1, 1, 2, 8, 100))
+    match chance.randrange(7):
+        case 0:
+            return bytes(found[:at])
+        case 1:
+            return bytes(found[:at] + found[at : at + count] + found[at:])
+        case 2:
+            return bytes(found[:at] + found[at + count :])
+        case 3:
+            found[at : at + count] = bytes(len(found[at : at + count]))
+        case 4:
+            found[at : at + count] = b"\xff" * len(found[at : at + count])
+        case 5:
+            found[at : at + count] = chance.randbytes(len(found[at : at + count]))
+        case _:
+            for _ in range(count if found else 0):
+                found[chance.randrange(len(found))] ^= 1 << chance.randrange(8)
+    return bytes(found)
+
+
+def odd_number(old: int, bits: int, chance: Random) -> int:
+    """Return another whole number of so many bits."""
+    new = (old + 1, old - 1, old ^ 1 << chance.randrange(bits), chance.getrandbits(bits), *EDGES)
+    return chance.choice(new) % (1 << bits)
+
+
+# JSON.
+
+_INSIDE = object()  # a step into JSON that is a text
+
+
+def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield the ways to all that a value of JSON holds, also in texts that are JSON."""
+    if isinstance(value, str) and value[:1] in ("[", "{"):
+        path, value = (*path, _INSIDE), json.loads(value)
+    for key in value if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ():
+        yield (*path, key)
+        yield from places(value[key], (*path, key))
+
+
+def odd(value: Any, chance: Random) -> Any:
+    """Return something else in the place of a value of JSON."""
+    others: list[Any] = [None, True, -1, 1.5, 1e308, float("nan"), "", "x", [], {}, [value], "\ud800", *EDGES]
+    if isinstance(value, int):
+        others += [value + 1, value - 1, value * 2, -value] * 5
+    if isinstance(value, float):
+        others += [-value, value * 2, value * 1e30, value * 1e-30] * 3
+    if isinstance(value, list):
+        others += [value[:-1], value + value[:1], value[::-1], value * 100] * 3
+    if isinstance(value, str):
+        words = ("U8", "U16", "F16", "F32", "F64", "I64", "BF16", "uint8", "float32", "float16", "2", "srgb")
+        others += [chance.choice(words), chance.choice(words), value + "0", value[:-1], value * 1000]
+    return chance.choice(others)
+
+
+def changed(value: Any, path: tuple[Any, ...], chance: Random) -> Any:
+    """Return a value of JSON with another in one place, or without it, or under another name."""
+    if not path:
+        return odd(value, chance)
+    if path[0] is _INSIDE:
+        return json.dumps(changed(json.loads(value), path[1:], chance))
+    copy = dict(value) if isinstance(value, dict) else list(value)
+    key = path[0]
+    if len(path) > 1 or chance.random() < 0.8:
+        copy[key] = changed(value[key], path[1:], chance)
+    elif isinstance(value, dict) and chance.random() < 0.5:
+        copy[chance.choice((key + "x", key[:-1], *value))] = copy.pop(key)
+    else:
+        del copy[key]
+    return copy
+
+
+def named(path: tuple[Any, ...]) -> str:
+    """Return the name of a place, for tables: the same for all elements of a list."""
+    return "/".join("#" if isinstance(step, int) else step for step in path if step is not _INSIDE)
+
+
+# The render file.
+
+
+class Render:
+    """The parts of an ``.octex`` file."""
+
+    ending = ".octex"
+
+    def __init__(self, content: bytes) -> None:
+        self.content = content
+        self.length = int.from_bytes(content[:8], "little")
+        self.entries = json.loads(content[8 : 8 + self.length])
+        self.tensors = {name: entry for name, entry in self.entries.items() if "dtype" in entry}
+        self.places = list(places(self.entries))
+        self.arrays = [
+            name for name, each in self.tensors.items() if each["data_offsets"][1] > each["data_offsets"][0]
+        ]
+
+    def of(self, name: str) -> tuple[int, int, int]:
+        """Return where an array begins and ends, and the bytes of an element."""
+        first, last = (8 + self.length + offset for offset in self.tensors[name]["data_offsets"])
+        return first, last, int(self.tensors[name]["dtype"][1:]) // 8
+
+    def blind(self, chance: Random) -> Damaged:
+        """Change bytes."""
+        return blind(self.content, chance), "blind"
+
+    def header(self, chance: Random) -> Damaged:
+        """Change a field of the header."""
+        path = chance.choice(self.places)
+        text = json.dumps(changed(self.entries, path, chance)).encode()
+        if chance.random() < 0.02:  # a name twice
+            key = chance.choice(list(self.entries))
+            text = b"{%s:%s," % (json.dumps(key).encode(), json.dumps(self.entries[key]).encode()) + text[1:]
+        size = len(text) if chance.random() < 0.1 else max(self.length, len(text))
+        return size.to_bytes(8, "little") + text.ljust(size) + self.content[
+            8 + self.length :
+        ], f"header {named(path)}"
+
+    def size(self, chance: Random) -> Damaged:
+        """Change the length of the header."""
+        return odd_number(self.length, 64, chance).to_bytes(8, "little") + self.content[8:], "header length"
+
+    def array(self, chance: Random) -> Damaged:
+        """Change an element of an array."""
+        name = chance.choice(self.arrays)
+        first, last, size = self.of(name)
+        at = first + size * chance.randrange((last - first) // size)
+        if chance.random() < 0.2:
+            other = first + size * chance.randrange((last - first) // size)
+            new = self.content[other : other + size]
+        else:
+            old = int.from_bytes(self.content[at : at + size], "little")
+            new = odd_number(old, 8 * size, chance).to_bytes(size, "little")
+        return self.content[:at] + new + self.content[at + size :], f"array {name}"
+
+    def resized(self, chance: Random) -> Damaged:
+        """Make an array longer or shorter, or of another type, with a header that says so."""
+        name = chance.choice(list(self.tensors))
+        entries = json.loads(json.dumps(self.entries))
+        entry, (first, last, size) = entries[name], self.of(name)
+        data = self.content[first:last]
+        if chance.random() < 0.3:
+            same = [
+                each
+                for each in ("U8", "I8", "U16", "F16", "U32", "F32", "U64", "F64")
+                if int(each[1:]) == 8 * size
+            ]
+            entry["dtype"] = chance.choice(same)
+        elif chance.random() < 0.3:
+            entry["shape"] = chance.choice((entry["shape"][::-1], [*entry["shape"], 1], [len(data) // size]))
+        else:
+            row = max(size * (entry["shape"][1] if len(entry["shape"]) > 1 else 1), 1)
+            rows = max(entry["shape"][0] + chance.choice((-1, 1, -entry["shape"][0], 7)), 0)
+            data = (data + data + bytes(8 * row))[: rows * row]
+            entry["shape"][0] = len(data) // row
+        more = len(data) - (last - first)
+        begin = entry["data_offsets"][0]
+        for other, each in entries.items():
+            if "dtype" in each and (
+                each["data_offsets"][0] > begin
+                or (other != name and each["data_offsets"] > entry["data_offsets"])
+            ):
+                each["data_offsets"] = [offset + more for offset in each["data_offsets"]]
+        entry["data_offsets"][1] += more
+        text = json.dumps(entries, separators=(",", ":")).encode().ljust(self.length)
+        return len(text).to_bytes(8, "little") + text + self.content[
+            8 + self.length : first
+        ] + data + self.content[last:], f"resized {name}"
+
+    ways: tuple[tuple[int, Callable[[Render, Random], Damaged]], ...] = (
+        (4, blind), (1, size), (8, header), (9, array), (2, resized)
+    )  # fmt: skip
+
+
+# The archive.
+
+
+#: Of an archive's first bytes the names, where they begin, and how many they are.
+_START = (
+    ("magic", 0, 8),
+    ("version", 8, 4),
+    ("length", 12, 4),
+    ("begin", 16, 8),
+    ("directory's checksum", 24, 4),
+    ("checksum", 28, 4),
+)
+
+
+class Archive:
+    """The parts of an ``.octz`` file."""
+
+    ending = ".octz"
+
+    def __init__(self, content: bytes) -> None:
+        self.content = content
+        self.version, begin = (
+            int.from_bytes(content[8:12], "little"),
+            int.from_bytes(content[16:24], "little"),
+        )
+        directory = content[begin:]
+        text, model, _ = struct.unpack_from("<3I", directory)
+        self.head = json.loads(zlib.decompress(directory[12 : 12 + text]))
+        self.model = directory[12 + text : 12 + text + model]
+        self.records: list[int] = np.frombuffer(directory[12 + text + model :], "<u4").tolist()
+        self.places = list(places(self.head))
+        self.fields = [
+            *self._fields(self.head, self.version)
+        ]  # what each record is: its name, or of a stream its kind
+        at = START
+        self.streams: list[tuple[str, int, bytes]] = []  # kind, which record has its length, bytes
+        for n, name in enumerate(self.fields):
+            if name.endswith("length"):
+                self.streams.append((name.removesuffix(" length"), n, content[at : at + self.records[n]]))
+                at += self.records[n]
+
+    @staticmethod
+    def _fields(head: Any, version: int) -> Iterator[str]:
+        channels = [f"channel {each['name']}" for each in head["channels"]]
+        size = BLOCKS[version]
+
+        def streams(names: list[str]) -> Iterator[str]:
+            for name in names:
+                yield f"{name} length"
+                yield f"{name} checksum"
+
+        for first, end in zip(head["level_nodes"][:-2], head["level_nodes"][1:], strict=False):
+            for _ in range((end - 1) // size - first // size + 1):
+                yield from ("nodes", "cells")
+                yield from streams(["structure", "areas", *channels])
+        for _ in range(-(-head["split_cells"] // size)):
+            yield from streams(["row areas", *(f"split {name}" for name in channels)])
+        for _ in range(-(-head["kept_nodes"] // size)):
+            yield from streams([f"kept {name}" for name in channels])
+        for each in head["others"]:
+            for _ in range(-(-int(np.prod(each["shape"])) * np.dtype(each["dtype"]).itemsize // PIECE)):
+                yield from streams(["other"])
+
+    @cached_property
+    def numbers(self) -> tuple[np.ndarray, list[tuple[str, int, int]]]:
+        """The models' numbers, and of their parts the names, where they begin and end."""
+        count = int.from_bytes(self.model[:4], "little")
+        numbers = entropy.decoded_numbers(np.frombuffer(self.model[4:], "<u2"), count)
+        assert numbers is not None
+        codings = {}
+        for each in self.head["channels"]:
+            weights = np.zeros(weights_of(each["components"]), np.int64)
+            codings[each["name"]] = Coding(order_of(each["components"]), 1, 0, 0, 0, 0, weights)
+        parts, at = [], 0
+        pools = ("occupied", "leaves", "flags", "areas", *codings)
+        for name, (contexts, _) in zip(pools, models._sizes(codings, self.version), strict=True):
+            tables = int(numbers[at])
+            for part, size in (("count", 1), ("tables", contexts), ("frequencies", 256 * tables)):
+                parts.append((f"{name} {part}", at, at + size))
+                at += size
+        for name, coding in codings.items():
+            parts.append((f"{name} weights", at, at + coding.weights.size))
+            at += coding.weights.size
+        return numbers, parts
+
+    def built(
+        self,
+        *,
+        head: Any = None,
+        model: bytes | None = None,
+        records: list[int] | None = None,
+        streams: list[bytes] | None = None,
+        version: int = 0,
+    ) -> bytes:
+        """Return a file of other parts, whose checksums are right."""
+        text = zlib.compress(json.dumps(self.head if head is None else head).encode(), 1)
+        model = self.model if model is None else model
+        found = list(self.records if records is None else records)
+        parts = [content for _, _, content in self.streams]
+        if streams is not None:
+            for (_, record, _), content in zip(self.streams, streams, strict=True):
+                found[record : record + 2] = len(content), zlib.crc32(content)
+            parts = streams
+        record_bytes = struct.pack(f"<{len(found)}I", *found)
+        directory = struct.pack("<3I", len(text), len(model), len(record_bytes)) + text + model + record_bytes
+        return self.begun(directory, b"".join(parts), version or self.version)
+
+    def begun(self, directory: bytes, streams: bytes, version: int) -> bytes:
+        """Return a file with its first bytes."""
+        first = MAGIC + struct.pack(
+            "<IIQI", version, len(directory), START + len(streams), zlib.crc32(directory)
+        )
+        return first + struct.pack("<I", zlib.crc32(first)) + streams + directory
+
+    def blind(self, chance: Random) -> Damaged:
+        """Change bytes."""
+        return blind(self.content, chance), "blind"
+
+    def start(self, chance: Random) -> Damaged:
+        """Change a field of the first bytes."""
+        name, at, size = chance.choice(_START)
+        old = int.from_bytes(self.content[at : at + size], "little")
+        new = odd_number(old, 8 * size, chance).to_bytes(size, "little")
+        first = self.content[:at] + new + self.content[at + size : START]
+        if name != "checksum":
+            first = first[:28] + struct.pack("<I", zlib.crc32(first[:28]))
+        return first + self.content[START:], f"start {name}"
+
+    def older(self, chance: Random) -> Damaged:  # noqa: ARG002
+        """Say that it is of the other version."""
+        return self.built(version=FORMAT_VERSION + 1 - self.version), "start other version"
+
+    def described(self, chance: Random) -> Damaged:
+        """Change a field of the head."""
+        path = chance.choice(self.places)
+        return self.built(head=changed(self.head, path, chance)), f"head {named(path)}"
+
+    def directory(self, chance: Random) -> Damaged:
+        """Change bytes of the directory: its lengths, the compressed head, the models, the records."""
+        begin = int.from_bytes(self.content[16:24], "little")
+        found = self.content[begin:]
+        text, model, _ = struct.unpack_from("<3I", found)
+        ends = [0, 12, 12 + text, 12 + text + model, len(found)]
+        part = chance.randrange(4)
+        own = blind(found[ends[part] : ends[part + 1]], chance)
+        name = ("lengths", "head", "models", "records")[part]
+        whole = found[: ends[part]] + own + found[ends[part + 1] :]
+        if part and chance.random() < 0.8:  # with its length
+            whole = whole[: 4 * part - 4] + struct.pack("<I", len(own)) + whole[4 * part :]
+        return self.begun(whole, self.content[START:begin], self.version), f"directory {name}"
+
+    def modelled(self, chance: Random) -> Damaged:
+        """Change numbers of the models: any, or so that they are possible ones."""
+        numbers, parts = self.numbers
+        numbers = numbers.copy()
+        name, first, end = chance.choice(parts)
+        most = {"tables": 4, "weights": 1 << 17}.get(name.split()[-1], 1 << 32)
+        for _ in range(chance.choice((1, 3, 50))):
+            at = chance.randrange(first, end)
+            if name.endswith("frequencies") and chance.random() < 0.9:  # their sum stays
+                table = at - (at - first) % 256
+                given = chance.choice(np.flatnonzero(numbers[table : table + 256]).tolist()) + table
+                some = chance.choice((1, int(numbers[given])))
+                numbers[given] -= some
+                numbers[at] += some
+            elif chance.random() < 0.5:
+                numbers[at] = chance.randrange(most)
+            else:
+                numbers[at] = chance.choice((0, 1, 2, 255, 256, 4095, 4096, 65536, 1 << 17, 2**31, 2**32 - 2))
+        model = numbers.size.to_bytes(4, "little") + entropy.encoded_numbers(numbers).tobytes()
+        return self.built(model=model), f"models {name}"
+
+    def recorded(self, chance: Random) -> Damaged:
+        """Change a number of the records."""
+        if not self.records:
+            return self.blind(chance)
+        at = chance.randrange(len(self.records))
+        records = list(self.records)
+        records[at] = odd_number(records[at], 32, chance)
+        return self.built(records=records), f"records {self.fields[at]}"
+
+    def streamed(self, chance: Random) -> Damaged:
+        """Change a stream."""
+        if not self.streams:
+            return self.blind(chance)
+        streams = [content for _, _, content in self.streams]
+        at = chance.randrange(len(streams))
+        if chance.random() < 0.1:
+            streams[at] = chance.choice(streams)
+        else:
+            streams[at] = blind(streams[at], chance)
+        return self.built(streams=streams), f"stream {self.streams[at][0]}"
+
+    ways: tuple[tuple[int, Callable[[Archive, Random], Damaged]], ...] = (
+        (3, blind),
+        (1, start),
+        (1, older),
+        (6, described),
+        (3, directory),
+        (2, modelled),
+        (4, recorded),
+        (8, streamed),
+    )
+
+
+# Arrays of numpy.
+
+
+class Arrays:
+    """The arrays of an ``.npz`` file of points, of voxels or of cameras."""
+
+    ending = ".npz"
+
+    def __init__(self, arrays: dict[str, np.ndarray]) -> None:
+        self.members = [self._member(name, array) for name, array in arrays.items()]
+        self.content = self._zipped(self.members)
+
+    @staticmethod
+    def _member(name: str, array: np.ndarray) -> tuple[str, bytes, np.ndarray]:
+        file = io.BytesIO()
+        np.lib.format.write_array(file, array, allow_pickle=False)
+        return name, file.getvalue()[: -array.nbytes or None], array
+
+    @staticmethod
+    def _zipped(members: list[tuple[str, bytes, np.ndarray]]) -> bytes:
+        file = io.BytesIO()
+        with zipfile.ZipFile(file, "w") as archive:
+            for name, head, array in members:
+                archive.writestr(f"{name}.npy", head + array.tobytes())
+        return file.getvalue()
+
+    def blind(self, chance: Random) -> Damaged:
+        """Change bytes."""
+        return blind(self.content, chance), "blind"
+
+    def zipped(self, chance: Random) -> Damaged:
+        """Change a byte of what zip says of its members."""
+        found = bytearray(self.content)
+        kinds = (("member", b"PK\3\4", 30), ("directory", b"PK\1\2", 46), ("end", b"PK\5\6", 22))
+        name, mark, size = chance.choice(kinds)
+        begins = [at for at in range(len(found)) if found[at : at + 4] == mark]
+        at = chance.choice(begins) + chance.randrange(size)
+        found[at] = chance.choice((0, 1, 255, found[at] ^ 1 << chance.randrange(8)))
+        return bytes(found), f"zip {name}"
+
+    def described(self, chance: Random) -> Damaged:
+        """Change what an array says of itself: its type, order, shape."""
+        members = list(self.members)
+        at = chance.randrange(len(members))
+        name, head, array = members[at]
+        if chance.random() < 0.3:
+            head = blind(head, chance)
+        else:
+            types = (
+                "|O",
+                "<U4",
+                "|V8",
+                "<f2",
+                "<f8",
+                ">f4",
+                "<i8",
+                "|b1",
+                "<c8",
+                "<M8[s]",
+                "<u8",
+                "|S0",
+                "<f16",
+            )
+            descr = chance.choice((array.dtype.str, *types, [("a", "<f4")]))
+            shape = list(array.shape)
+            if chance.random() < 0.7:
+                shape = chance.choice(
+                    (
+                        [],
+                        [0],
+                        [-1],
+                        [2**63],
+                        [2**31, 2**31],
+                        [*shape, 1],
+                        shape[1:],
+                        shape[::-1],
+                        [1e9],
+                        [True],
+                        [2**40],
+                    )
+                )
+                if chance.random() < 0.3:
+                    shape = [chance.choice(EDGES), *array.shape[1:]]
+            text = repr(
+                {"descr": descr, "fortran_order": chance.choice((False, True, 3)), "shape": tuple(shape)}
+            )
+            text = text.ljust(117) + "\n"
+            head = head[:8] + struct.pack("<H", len(text)) + text.encode()
+        members[at] = name, head, array
+        return self._zipped(members), f"header {name}"
+
+    def valued(self, chance: Random) -> Damaged:
+        """Change an element, or rows."""
+        members = list(self.members)
+        at = chance.randrange(len(members))
+        name, head, array = members[at]
+        copy = array.copy()
+        flat = copy.reshape(-1)
+        if not flat.size or array.dtype.kind not in "iuf":
+            return self.blind(chance)
+        for _ in range(chance.choice((1, 1, 3))):
+            place = chance.randrange(flat.size)
+            if array.dtype.kind == "f":
+                flat[place] = chance.choice(
+                    (np.nan, np.inf, -np.inf, 1e308, 1e-320, -1.0, 0.0, 1e30, -flat[place])
+                )
+            else:
+                size = array.dtype.itemsize
+                flat.view(f"u{size}")[place] = odd_number(int(flat.view(f"u{size}")[place]), 8 * size, chance)
+        members[at] = name, head, copy
+        return self._zipped(members), f"values {name}"
+
+    def listed(self, chance: Random) -> Damaged:
+        """Leave arrays out, name them otherwise, or twice."""
+        members = list(self.members)
+        at = chance.randrange(len(members))
+        name, head, array = members[at]
+        match chance.randrange(4):
+            case 0:
+                del members[at]
+            case 1:
+                members[at] = chance.choice([each for each, *_ in self.members]), head, array
+            case 2:
+                members[at] = (
+                    chance.choice(("coords", "points", "depth", "", "../x", "names", "K", "size", "é")),
+                    head,
+                    array,
+                )
+            case _:
+                cut = array[: chance.randrange(len(array) + 1)] if array.ndim else array[None]
+                members[at] = self._member(name, cut)
+        return self._zipped(members), f"members {name}"
+
+    ways: tuple[tuple[int, Callable[[Arrays, Random], Damaged]], ...] = (
+        (2, blind), (2, zipped), (4, described), (5, valued), (2, listed)
+    )  # fmt: skip
+
+
+def points(chance: np.random.Generator) -> Arrays:
+    """Return coloured points with normals."""
+    n = int(chance.integers(1, 30))
+    normals = chance.normal(size=(n, 3)).astype(np.float32)
+    return Arrays({"points": chance.random((n, 3)), "colors": chance.random((n, 4)), "normals": normals})
+
+
+def voxels(chance: np.random.Generator) -> Arrays:
+    """Return voxels of several depths."""
+    n, depth = int(chance.integers(1, 30)), int(chance.integers(1, 5))
+    coords = np.unique(chance.integers(0, 1 << depth, (n, 3), dtype=np.int32), axis=0)
+    n = len(coords)
+    arrays = {
+        "coords": coords,
+        "depths": np.full(n, depth, np.uint8),
+        "origin": chance.random(3),
+        "size": np.array(2.0),
+    }
+    return Arrays(
+        {
+            **arrays,
+            "base_color": chance.integers(0, 256, (n, 3), dtype=np.uint8),
+            "roughness": chance.random((n, 1)),
+        }
+    )
+
+
+def cameras(chance: np.random.Generator) -> Arrays:
+    """Return cameras with lenses."""
+    n = int(chance.integers(1, 4))
+    turns = np.linalg.qr(chance.normal(size=(n, 3, 3)))[0]
+    turns *= np.linalg.det(turns)[:, None, None]
+    poses = np.tile(np.eye(4), (n, 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = turns, chance.normal(size=(n, 3))
+    K = np.array([[40.0, 0.0, 16.0], [0.0, 40.0, 12.0], [0.0, 0.0, 1.0]])
+    arrays = {
+        "Ks": np.tile(K, (n, 1, 1)),
+        "width": np.array(32),
+        "height": np.full(n, 24),
+        "distortion": chance.normal(0, 0.01, (n, 4)),
+    }
+    names = np.array([f"{k}.png" for k in range(n)])
+    if chance.random() < 0.5:
+        return Arrays({"viewmats": poses, **arrays, "names": names})
+    return Arrays({"camtoworlds": poses, "convention": np.array("opengl"), **arrays, "names": names})
+
+
+def parted(path: Path) -> Render | Archive:
+    """Return the parts of a file that is sound."""
+    content = path.read_bytes()
+    return Archive(content) if content.startswith(MAGIC) else Render(content)
