@@ -12,10 +12,10 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from octex.errors import ArgumentError
+from octex.tree.beside import boundary, near, with_boundary
 from octex.tree.edit import (
     Edited,
     among,
-    boundary,
     cull,
     facings_of_nodes,
     first_children,
@@ -455,7 +455,11 @@ def test_cells_beside_others_are_those_that_share_a_corner() -> None:
         codes = np.unique(random.integers(0, 8**level, int(random.integers(1, 60))))
         cells = {tuple(cell) for cell in decode_cells(codes).tolist()}
         steps = [step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)]
-        near = {tuple(x + d - 1 for x, d in zip(cell, step, strict=True)) for cell in cells for step in steps}
-        inside = sorted(cell for cell in near - cells if min(cell) >= 0 and max(cell) < 2**level)
+        wide = {tuple(x + d - 1 for x, d in zip(cell, step, strict=True)) for cell in cells for step in steps}
+        inside = sorted(cell for cell in wide - cells if min(cell) >= 0 and max(cell) < 2**level)
         expected = encode_cells(np.array(inside, np.int64).reshape(-1, 3))
         np.testing.assert_array_equal(boundary(codes, level), np.sort(expected))
+        both = np.union1d(codes, expected)
+        np.testing.assert_array_equal(with_boundary(codes, level), both)
+        asked = random.integers(0, 8**level, 60)
+        np.testing.assert_array_equal(near(asked, codes, level), np.isin(asked, both))

@@ -20,7 +20,7 @@ from octex.painting.pictures import BLENDS, Blend
 from octex.painting.sharpened import sharpened
 from octex.parallel import pool_of
 from octex.texture import OctreeTexture
-from octex.tree.edit import boundary
+from octex.tree.beside import boundary
 from octex.tree.layout import KEPT, SPLIT
 from octex.tree.morton import decode_cells
 from tests.conftest import needs_jit

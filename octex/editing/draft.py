@@ -21,7 +21,8 @@ from octex.channels import ALPHA, ONE
 from octex.errors import ArgumentError
 from octex.jit import kernel, popcount
 from octex.texture import Channel, OctreeTexture
-from octex.tree.edit import among, boundary, locate, places, with_all_above
+from octex.tree.beside import with_boundary
+from octex.tree.edit import among, locate, places, with_all_above
 from octex.tree.layout import KEPT, KeptTable, SplitTable, TreeArrays
 from octex.tree.octree import Octree, distinct, rank
 from octex.tree.split import counts_of
@@ -109,7 +110,7 @@ def tiles_around(texture: OctreeTexture, codes: Sequence[Int64s]) -> Tiles | Non
     if not 0 < level < tree.max_depth:
         return None
     edited = _at(codes, level)
-    around = np.concatenate([edited, boundary(edited, level), _tiles_of(tree, _brightest(texture), level)])
+    around = np.concatenate([with_boundary(edited, level), _tiles_of(tree, _brightest(texture), level)])
     tiles = Tiles(level, distinct(around))
     return tiles if _is_small(tree, tiles) else None
 
@@ -160,7 +161,7 @@ def coarsest_near(tree: Octree, codes: Sequence[Int64s], finest: int) -> int:
     first = coarsest_of(tree)
     above = with_all_above(codes)[first:finest] if first < finest else []
     for level, own in enumerate(above, first):
-        where = locate(tree, np.sort(np.concatenate([own, boundary(own, level)]), kind="stable"), level)
+        where = locate(tree, with_boundary(own, level), level)
         is_kept = tree.arrays.flags[where.cells] & KEPT != 0
         if ((where.levels == level) & (where.is_leaf | is_kept)).any():
             return level

@@ -25,7 +25,8 @@ import numpy.typing as npt
 
 from octex.arrays import Array, Int32s, Int64s, Uint8s, Uint32s, Uint64s
 from octex.jit import inlined, kernel, new_zeros, part, popcount, prefetch, trailing_zeros
-from octex.tree.morton import cells_beside, decode, decode_cells
+from octex.tree.beside import with_boundary
+from octex.tree.morton import decode, decode_cells
 from octex.tree.octree import Octree
 
 #: Deepest level of the dense grid, which then takes 128 kB.
@@ -124,8 +125,7 @@ def marked(tiles: Tiles, tree: Octree) -> Tiles:
         blocks = _distinct(tree.level_codes(level)[counts] >> 3 * max(level - depth + 2, 0))
         near = _distinct(octants >> 3 * up)
         for _ in range(2):
-            around = np.concatenate([near, cells_beside(near, depth - 2 - up)])
-            near = _distinct(np.sort(around, kind="stable"))
+            near = with_boundary(near, depth - 2 - up)
         _mark(tiles, np.intersect1d(blocks, near, assume_unique=True), up, reach, marks)
     return tiles._replace(marks=marks)
 

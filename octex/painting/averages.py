@@ -49,10 +49,10 @@ def _split_above(tree: Octree, is_new: Bools, before: Octree) -> list[Int64s]:
     above = np.empty(0, np.int64)
     for level, (codes, is_node) in reversed(list(enumerate(tree.walk()))):
         here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
-        is_split = is_node & (tree.arrays.flags[here] & SPLIT != 0)
-        where = locate(before, codes, level)
-        is_split &= (where.levels == level) & ~where.is_leaf
-        found.insert(0, codes[is_split & among(codes, above)])
+        own = codes[is_node & (tree.arrays.flags[here] & SPLIT != 0)]
+        own = own[among(own, above)]
+        where = locate(before, own, level)
+        found.insert(0, own[(where.levels == level) & ~where.is_leaf])
         above = distinct(np.concatenate([above, codes[is_new[here]]]) >> 3)
     return found
 

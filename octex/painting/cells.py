@@ -12,11 +12,12 @@ from octex.arrays import Bools, Float32s, Float64s, Int64s, Uint8s
 from octex.channels import ALPHA, ChannelFormat, decode
 from octex.editing.refined import refined_values
 from octex.errors import ArgumentError
-from octex.jit import inlined, kernel, new_array, new_zeros
+from octex.jit import kernel, new_array, new_zeros
 from octex.parallel import ordered_map
 from octex.texture import OctreeTexture
 from octex.tree import morton
-from octex.tree.edit import among, boundary, first_not_below, locate, places
+from octex.tree.beside import boundary, near, with_boundary
+from octex.tree.edit import among, first_not_below, locate, places
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.octree import Octree, distinct
 from octex.tree.split import rows_of
@@ -138,18 +139,19 @@ def are_beside(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
     """Say which cells (n,) of a level have some of leaves, given by level, in or beside them."""
     if not codes.size:
         return np.zeros(0, np.bool_)
-    near = distinct(np.concatenate([codes, boundary(codes, level)]))
+    around = with_boundary(codes, level)
     below = np.empty(0, np.int64)
     for deeper in range(len(leaves) - 1, level - 1, -1):
         if leaves[deeper].size:
             own = leaves[deeper] >> 3 * (deeper - level)
-            below = np.concatenate([below, own[among(own, near)]])
-    taken = near[is_within(near, [*leaves[:level], distinct(below)], level)]
-    return among(codes, taken) | among(codes, boundary(taken, level))
+            below = np.concatenate([below, own[among(own, around)]])
+    return near(codes, around[is_within(around, [*leaves[:level], distinct(below)], level)], level)
 
 
 def among_at(codes: Int64s, level: int, others: Int64s, at: int) -> Bools:
     """Say which cells of a level lie in, or hold, others of level ``at``."""
+    if not codes.size:
+        return np.zeros(0, np.bool_)
     if level < at:
         return among(codes, distinct(others >> 3 * (at - level)))
     return among(codes >> 3 * (level - at), others)
@@ -159,8 +161,9 @@ def facings_within(codes: Int64s, paint: Sequence[Paint], level: int) -> Uint8s:
     """Return which facings have paint in cells (n,) of a level, which may lie in larger painted ones."""
     found = np.zeros(codes.size, np.uint8)
     for above, each in enumerate(paint[: level + 1]):
-        at = places(codes >> 3 * (level - above), each.codes)
-        found[at >= 0] |= each.flags[at[at >= 0]]
+        if each.codes.size:
+            at = places(codes >> 3 * (level - above), each.codes)
+            found[at >= 0] |= each.flags[at[at >= 0]]
     return found & np.uint8(FACING_FLAGS)
 
 
@@ -173,17 +176,17 @@ def beside_larger(codes: Int64s, tree: Octree, tops: Sequence[Int64s], level: in
     where = locate(tree, around, level)
     around = around[where.is_leaf & (where.levels < level)]
     around = around[~is_within(around, tops[:level], level)]
-    return among(codes, boundary(around, level))
+    return near(codes, around, level)
 
 
 def skirt_of(outer: Int64s, painted: Sequence[Int64s], ring: Int64s, met: Int64s, level: int) -> Int64s:
     """Return those cells beside paint, off the surface, that nothing but paint and its boundary is beside."""
     if not outer.size:
         return outer
-    bare = met[among(met, boundary(outer, level))]
+    bare = met[near(met, outer, level)]
     bare = bare[~among(bare, ring)]
     bare = bare[~is_within(bare, painted, level)]
-    return outer[~among(outer, boundary(bare, level))]
+    return outer[~near(outer, bare, level)]
 
 
 def skirt_on_nothing(
@@ -203,10 +206,9 @@ def skirt_on_nothing(
     """
     shift = 3 * (level - top)
     tops = distinct(absent >> shift)
-    near = distinct(np.concatenate([tops, boundary(tops, top)]))
-    outer = met[among(met >> shift, near)]
+    outer = met[near(met >> shift, tops, top)]
     outer = outer[~among(outer, ring) & ~is_within(outer, painted, level)]
-    taken = distinct(np.concatenate([outer, boundary(outer, level)]) >> shift)
+    taken = distinct(with_boundary(outer, level) >> shift)
     free = tops[~among(tops, taken) & ~are_beside(tops, unraised, top)]
     return absent[among(absent >> shift, free)]
 
@@ -271,36 +273,36 @@ def with_skirt(
 def _average_beside(skirt: Paint, level: int, paint: Paint) -> None:
     """Fill in the mean of the paint beside cells.
 
-    The paint in and around a block of 4³ cells is looked up for all that are in it.
+    The paint in and around a block of 8³ cells is looked up for all that are in it.
     """
     components = paint.values.shape[1]
     sums = new_array(components, np.float64)
-    nearest = new_zeros(27, np.int64)  # in each direction, where the paint beside the block before was
-    around = new_array((6, 6, 6), np.int64)  # where the paint of the block and of cells beside it is, or −1
+    nearest = new_zeros(64, np.int64)  # of each block of 4³ in reach, where the paint was for the one before
+    around = new_array((10, 10, 10), np.int64)  # the place of paint in the block and beside it, or −1
     last = np.int64(-1)
     end = ((1 << level) - 1) >> 2
     for n in range(skirt.codes.size):
         code = skirt.codes[n]
-        if code >> 6 != last:
-            last = code >> 6
+        if code >> 9 != last:
+            last = code >> 9
             around[:] = -1
-            i, j, k = morton.decode(last)
-            for side in range(27):
-                x, y, z = i + side % 3 - 1, j + side // 3 % 3 - 1, k + side // 9 - 1
+            i, j, k = morton.decode(last << 3)
+            for side in range(64):
+                x, y, z = i + side % 4 - 1, j + side // 4 % 4 - 1, k + side // 16 - 1
                 if min(x, y, z) < 0 or max(x, y, z) > end:
                     continue
                 block = morton.encode(x, y, z)
                 at = first_not_below(paint.codes, block << 6, nearest[side])
                 nearest[side] = at
                 while at < paint.codes.size and paint.codes[at] >> 6 == block:
-                    u, v, w = _place(paint.codes[at])
+                    u, v, w = morton.decode(paint.codes[at] & 63)
                     u, v, w = u + 4 * (x - i) + 1, v + 4 * (y - j) + 1, w + 4 * (z - k) + 1
-                    if min(u, v, w) >= 0 and max(u, v, w) < 6:
+                    if min(u, v, w) >= 0 and max(u, v, w) < 10:
                         around[w, v, u] = at
                     at += 1
         sums[:] = 0.0
         coverage, count = 0.0, 0
-        u, v, w = _place(code)
+        u, v, w = morton.decode(code & 511)
         for z in range(w, w + 3):
             for y in range(v, v + 3):
                 for x in range(u, u + 3):
@@ -316,12 +318,6 @@ def _average_beside(skirt: Paint, level: int, paint: Paint) -> None:
         for component in range(components):
             skirt.values[n, component] = sums[component] / max(coverage, 1e-30)
         skirt.coverage[n] = coverage / max(count, 1)
-
-
-@inlined
-def _place(code: int) -> tuple[int, int, int]:
-    """Return where a cell is in its block of 4³."""
-    return code & 1 | code >> 2 & 2, code >> 1 & 1 | code >> 3 & 2, code >> 2 & 1 | code >> 4 & 2
 
 
 def some(paint: Paint, chosen: Bools | slice) -> Paint:

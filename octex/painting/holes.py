@@ -26,9 +26,9 @@ from octex.parallel import Progress
 from octex.source.base import Source
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
+from octex.tree.beside import with_boundary
 from octex.tree.edit import locate
 from octex.tree.layout import MAX_DEPTH
-from octex.tree.morton import cells_beside
 from octex.tree.octree import distinct
 from octex.tree.placement import Placement
 from octex.tree.split import rows_of
@@ -134,8 +134,7 @@ def _open_blocks(layer: OctreeTexture, surface: Surface, above: int) -> Int64s:
         if level > above:
             own = is_open[firsts[level] : firsts[level + 1]]
             found.append(codes[own] >> 3 * (level - above))
-    codes = distinct(np.concatenate(found))
-    return distinct(np.concatenate([codes, cells_beside(codes, above)]))
+    return with_boundary(distinct(np.concatenate(found)), above)
 
 
 def filled(sheets: Sheets, values: Float64s, known: Bools, mean: Float64s) -> Float64s:

@@ -19,7 +19,8 @@ from octex.painting.cells import (
     paint_at,
     with_skirt,
 )
-from octex.tree.edit import among, boundary, locate, places, with_all_above
+from octex.tree.beside import boundary, near, with_boundary
+from octex.tree.edit import among, locate, places, with_all_above
 from octex.tree.octree import Octree, distinct
 
 
@@ -91,8 +92,8 @@ def _are_near(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
     top = max(level - 2, 0)
     inside = [own >> 3 * (at - top) for at, own in enumerate(leaves) if at >= top]
     coarse = [*leaves[:top], distinct(np.concatenate(inside))]
-    near = [distinct(np.concatenate([own, boundary(own, at)])) for at, own in enumerate(coarse)]
-    return is_within(codes >> 3 * (level - top), near, top)
+    around = [with_boundary(own, at) for at, own in enumerate(coarse)]
+    return is_within(codes >> 3 * (level - top), around, top)
 
 
 def _touch(codes: Int64s, leaves: Sequence[Int64s], level: int, *, half: bool = False) -> Bools:
@@ -103,16 +104,15 @@ def _touch(codes: Int64s, leaves: Sequence[Int64s], level: int, *, half: bool = 
     if not codes.size:
         return np.zeros(0, np.bool_)
     around = boundary(codes, level)
-    found = among(codes, boundary(around[is_within(around, leaves[: level + 1], level)], level))
+    found = near(codes, around[is_within(around, leaves[: level + 1], level)], level)
     for at in range(level + 1, len(leaves)):
         own = leaves[at][among_at(leaves[at], at, around, level)]
         if not own.size:
             continue
-        near = distinct(np.concatenate([own, boundary(own, at)]))
+        reached = with_boundary(own, at)
         if half:
-            near = distinct(near >> 3 * (at - level - 1))
-            near = np.concatenate([near, boundary(near, level + 1)]) >> 3
-        found |= among(codes, distinct(near if half else near >> 3 * (at - level)))
+            reached = with_boundary(distinct(reached >> 3 * (at - level - 1)), level + 1)
+        found |= among(codes, distinct(reached >> 3 * (1 if half else at - level)))
     return found
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -39,11 +40,11 @@ from octex.painting.ground import Ground
 from octex.painting.kept import bare_leaves
 from octex.parallel import Progress
 from octex.texture import OctreeTexture
+from octex.tree.beside import boundary, near, with_boundary
 from octex.tree.edit import (
     Edited,
     Located,
     among,
-    boundary,
     locate,
     raised,
     rebuilt,
@@ -125,24 +126,25 @@ def _skirts(
         return is_skirt
     codes = np.empty(0, np.int64)
     doubted: list[tuple[int, Int64s]] = []
-    for level, above in enumerate(with_all_above([each.codes for each in paint])[: tree.max_depth]):
-        where = nodes_at(tree, [*[codes[:0]] * level, above])
-        kept = above[(where.numbers >= 0) & (tree.arrays.flags[where.cells] & KEPT != 0)]
-        codes = distinct(np.concatenate([codes, kept, boundary(kept, level)]))
-        where = nodes_at(tree, [*[codes[:0]] * level, codes])
-        numbers = where.numbers[where.numbers >= 0]
-        codes = (codes[where.numbers >= 0, None] << 3 | np.arange(8)).reshape(-1)
-        found = locate(tree, codes, level + 1)
-        codes, found = codes[found.levels == level + 1], found.of(found.levels == level + 1)
-        if not codes.size:
+    painted = with_all_above([each.codes for each in paint])
+    walk = islice(enumerate(tree.walk()), 1, None)
+    for (deeper, (below, is_node)), above in zip(walk, painted, strict=False):
+        where = locate(tree, above, deeper - 1)
+        is_kept = (where.levels == deeper - 1) & (tree.arrays.flags[where.cells] & KEPT != 0)
+        codes = distinct(np.concatenate([codes, with_boundary(above[is_kept], deeper - 1)]))
+        where = locate(tree, codes, deeper - 1)
+        children, starts = all_children(tree, where.nodes[(where.levels == deeper - 1) & ~where.is_leaf])
+        if not children.size:
+            codes = codes[:0]
             continue
-        children, starts = all_children(tree, numbers)
         looks = tree.arrays.areas[children].astype(np.int64) << 8 | tree.arrays.flags[children] & FACING_FLAGS
         counts = np.diff(starts, append=children.size)
         is_filled = np.minimum.reduceat(looks, starts) == np.maximum.reduceat(looks, starts)
-        is_filled = np.repeat(is_filled & (counts > 4), counts) & found.is_leaf & ~is_skirt[found.cells]
+        own = children - tree.arrays.level_cells[deeper]
+        is_filled = np.repeat(is_filled & (counts > 4), counts) & ~is_node[own] & ~is_skirt[children]
         if is_filled.any():
-            doubted.append((level + 1, codes[is_filled]))
+            doubted.append((deeper, below[own[is_filled]]))
+        codes = below[own]
     if doubted:
         met = _met_cells(ground, texture, doubted, doubted[-1][0], executor, progress)
         for level, own in doubted:
@@ -199,7 +201,7 @@ def _raised(
             virtual[-1] = around[is_refined]
             rings[-1] = around[(where.levels == level) & ~is_old]
             is_absent = (where.levels < level - 1) & ~where.is_leaf & (flags & KEPT == 0)
-            absent[-1] = around[is_absent & among(around, boundary(below[-1], level))]
+            absent[-1] = around[is_absent & near(around, below[-1], level)]
             is_below = is_refined & where.is_leaf
             tops += _above(around[is_below], where.of(is_below), level)
     if not tops and not any(codes.size for codes in (*added, *virtual)):
@@ -316,20 +318,15 @@ def _freed(
     for level, codes in enumerate(with_all_above(tops)):
         is_held = among(codes >> 3, held)
         if level >= coarsest and codes.size:
-            near = distinct(np.concatenate([codes, boundary(codes, level)]))
-            where = locate(tree, near, level)
+            around = with_boundary(codes, level)
+            where = locate(tree, around, level)
             has_own = where.is_leaf | (tree.arrays.flags[where.cells] & KEPT != 0)
-            own = near[(where.levels == level) & has_own]
-            near = near[are_beside(near, seen, level)]
-            is_held |= _in_or_beside(codes, own, level) & _in_or_beside(codes, near, level)
+            own = around[(where.levels == level) & has_own]
+            around = around[are_beside(around, seen, level)]
+            is_held |= near(codes, own, level) & near(codes, around, level)
         held = codes[is_held]
         freed.append(tops[level][~among(tops[level], held)])
     return freed
-
-
-def _in_or_beside(codes: Int64s, others: Int64s, level: int) -> Bools:
-    """Say which cells (n,) of a level are among others of that level, or beside some."""
-    return among(codes, others) | among(codes, boundary(others, level))
 
 
 def _is_beside_old(
@@ -342,10 +339,9 @@ def _is_beside_old(
     if not codes.size:
         return np.zeros(0, np.bool_)
     cells = codes >> 3 * (level - coarsest)
-    near = distinct(np.concatenate([cells, boundary(distinct(cells), coarsest)]))
-    near = near[among(near, above[coarsest])]
-    old = near[are_beside(near, bare, coarsest)]
-    return _in_or_beside(cells, old, coarsest)
+    around = with_boundary(distinct(cells), coarsest)
+    around = around[among(around, above[coarsest])]
+    return near(cells, around[are_beside(around, bare, coarsest)], coarsest)
 
 
 def _facing_cells(tree: Octree, is_skirt: Bools, level: int) -> Int64s:
@@ -393,8 +389,7 @@ def _are_near(cells: Sequence[tuple[int, Int64s]], blocks: Blocks, level: int) -
     """Say which blocks of a level meet cells, given by level, or cells beside these."""
     found = np.zeros(blocks.codes.size, np.bool_)
     for at, codes in cells:
-        near = np.concatenate([codes, boundary(codes, at)])
-        found |= among_at(blocks.codes, level, np.sort(near), at)
+        found |= among_at(blocks.codes, level, with_boundary(codes, at), at)
     return found
 
 

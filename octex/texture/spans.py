@@ -12,7 +12,7 @@ from octex.container import header_length
 from octex.field.lookups import Reads
 from octex.field.tiles import MOST_TOP_LEVEL, can_be_tiled
 from octex.texture.channel import Channel
-from octex.tree.morton import cells_beside
+from octex.tree.beside import with_boundary
 from octex.tree.octree import Octree, count_before, distinct
 
 
@@ -83,9 +83,9 @@ def nodes_read(tree: Octree, cells: Mapping[int, Int64s], filter: str) -> Iterat
     for level in range(deepest - 1, 0, -1):
         here = cells.get(level + 1, wanted[:0])
         if filter == "quartic":  # whose windows reach one cell farther
-            here = _with_those_beside(here, level + 1)
+            here = with_boundary(here, level + 1)
         wanted = distinct(np.concatenate([wanted, here]) >> 3)
-        around[level] = _with_those_beside(wanted, level)
+        around[level] = with_boundary(wanted, level)
     codes = nodes = np.zeros(min(tree.n_nodes, 1), np.int64)
     for level in range(1, deepest):
         parents, codes, numbers = _child_nodes(tree, codes, nodes)
@@ -95,10 +95,6 @@ def nodes_read(tree: Octree, cells: Mapping[int, Int64s], filter: str) -> Iterat
             with_near = np.bincount(parents[is_near], minlength=nodes.size) > 0
             yield numbers[with_near[parents]]
         codes, nodes = codes[is_near], numbers[is_near]
-
-
-def _with_those_beside(cells: Int64s, level: int) -> Int64s:
-    return distinct(np.concatenate([cells, cells_beside(cells, level)]))
 
 
 def _child_nodes(tree: Octree, codes: Int64s, nodes: Int64s) -> tuple[Int64s, Int64s, Int64s]:

@@ -7,6 +7,7 @@ order       points in Morton order
 placement   rest positions ⇄ texture space, the root cell
 octree      build from leaves, truncate, validate
 edit        trees made from trees
+beside      cells beside others
 split       the split table, read and changed
 validate    what must hold
 search      the stored cell at a point, or nearest to it

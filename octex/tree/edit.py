@@ -13,7 +13,6 @@ import numpy as np
 from octex.arrays import Array, Bools, Int64s, Uint8s, Uint64s
 from octex.jit import inlined, kernel, new_zeros, popcount
 from octex.tree.layout import FACING_FLAGS, KEPT, MAX_DEPTH, KeptTable, TreeArrays
-from octex.tree.morton import cells_beside
 from octex.tree.octree import Octree, distinct
 from octex.tree.search import child
 from octex.tree.split import taken
@@ -29,7 +28,7 @@ class Edited(NamedTuple):
 
     def carried(self, values: Array) -> Array:
         """Return the old cells' values (cells, …) for the new cells; zeros for those that were not there."""
-        found = values[np.maximum(self.old, 0)]
+        found = values.take(self.old, axis=0, mode="clip")
         found[self.old < 0] = 0
         return found
 
@@ -208,14 +207,6 @@ def first_not_below(known: Int64s, code: int, start: int) -> int:
         else:
             high = middle
     return low
-
-
-def boundary(codes: Int64s, level: int) -> Int64s:
-    """Return the boundary layer of some cells of a level, ascending (paper 4.1, step 3).
-
-    These are the cells beside them, at faces, edges and corners, without themselves.
-    """
-    return cells_beside(codes, level) if codes.size else codes
 
 
 def with_all_above(codes: Sequence[Int64s]) -> list[Int64s]:

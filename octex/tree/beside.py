@@ -1,0 +1,151 @@
+"""Cells beside others, at faces, edges and corners: gathered as bits of blocks of 4³ cells, unsorted."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from octex.arrays import Bools, Int64s, Uint64s
+from octex.jit import inlined, kernel, new_array, trailing_zeros
+from octex.tree.edit import first_not_below
+from octex.tree.morton import decode, spread
+from octex.tree.octree import distinct
+
+#: The cells of a block of 4³, as bits, that are the first along each axis.
+_FIRST_PLACES = np.array(
+    [sum(1 << cell for cell in range(64) if not cell & 9 << axis) for axis in range(3)], np.uint64
+)
+
+
+def boundary(codes: Int64s, level: int) -> Int64s:
+    """Return the boundary layer of some cells of a level, ascending (paper 4.1, step 3).
+
+    These are the cells beside them, without themselves. Codes given ascend, here and below.
+    """
+    return _around(codes, level, codes)
+
+
+def with_boundary(codes: Int64s, level: int) -> Int64s:
+    """Return some cells of a level with their boundary layer, ascending."""
+    return _around(codes, level, codes[:0])
+
+
+def near(codes: Int64s, others: Int64s, level: int) -> Bools:
+    """Say which cells (n,) of a level are among others, or beside some."""
+    found = np.zeros(codes.size, np.bool_)
+    if codes.size and others.size:
+        blocks = distinct(codes >> 6)
+        _read(codes, blocks, _masks_around(others, level, blocks), found)
+    return found
+
+
+def _around(codes: Int64s, level: int, without: Int64s) -> Int64s:
+    if not codes.size:
+        return codes
+    above = max(level - 2, 0)  # of few blocks all
+    blocks = np.arange(8**above) if above < 4 else with_boundary(distinct(codes >> 6), above)
+    masks = _masks_around(codes, level, blocks)
+    _clear(without, blocks, masks)
+    found = np.empty(int(np.bitwise_count(masks).sum()), np.int64)
+    _write(blocks, masks, found)
+    return found
+
+
+def _masks_around(codes: Int64s, level: int, blocks: Int64s) -> Uint64s:
+    """Return for each of blocks (n,), ascending, the bits of its cells that are among some, or beside."""
+    masks = np.zeros(blocks.size, np.uint64)
+    _gather(np.ascontiguousarray(codes), level, blocks, masks)
+    return masks
+
+
+@kernel
+def _gather(codes: Int64s, level: int, blocks: Int64s, masks: Uint64s) -> None:
+    around = new_array(27, np.uint64)
+    ways = new_array((3, 3), np.int64)  # along each axis the bits of the blocks before, here and after it
+    bits = 1
+    while 1 << bits < 2 * blocks.size:
+        bits += 1
+    slots = new_array(1 << bits, np.int32)  # of a hash table: blocks' numbers, or −1
+    slots[:] = -1
+    for at in range(blocks.size):
+        slot = _slot(blocks[at], bits)
+        while slots[slot] >= 0:
+            slot = slot + 1 & slots.size - 1
+        slots[slot] = at
+    end = 1 << max(level - 2, 0)
+    inside = ~np.uint64(0) >> np.uint64(64 - 8 ** min(level, 2))  # of a block that are in the root
+    n = 0
+    while n < codes.size:
+        block = codes[n] >> 6
+        mask = np.uint64(0)
+        while n < codes.size and codes[n] >> 6 == block:
+            mask |= np.uint64(1) << np.uint64(codes[n] & 63)
+            n += 1
+        around[12], around[13], around[14] = _widened(mask, 0)
+        for side in range(12, 15):
+            around[side - 3], around[side], around[side + 3] = _widened(around[side], 1)
+        for side in range(9, 18):
+            around[side - 9], around[side], around[side + 9] = _widened(around[side], 2)
+        for axis, first in enumerate(decode(block)):
+            for step in range(3):
+                is_out = first + step < 1 or first + step > end
+                ways[axis, step] = -1 if is_out else spread(first + step - 1) << axis
+        for side in range(27):
+            own = around[side] & inside
+            x, y, z = ways[0, side % 3], ways[1, side // 3 % 3], ways[2, side // 9]
+            if own == np.uint64(0) or x | y | z < 0:
+                continue
+            slot = _slot(x | y | z, bits)
+            while slots[slot] >= 0 and blocks[slots[slot]] != x | y | z:
+                slot = slot + 1 & slots.size - 1
+            if slots[slot] >= 0:
+                masks[slots[slot]] |= own
+
+
+@inlined
+def _slot(code: int, bits: int) -> int:
+    """Return where a table of 2^bits slots has a code, or the next ones do; near codes come far apart."""
+    last = (1 << bits) - 1
+    return ((code ^ code >> bits ^ code >> 2 * bits) & last) * 0x9E3779B1 & last
+
+
+@inlined
+def _widened(mask: np.uint64, axis: int) -> tuple[np.uint64, np.uint64, np.uint64]:
+    """Return cells of a block, as bits, with those beside them along an axis: before, in and after it."""
+    step = np.uint64(1 << axis)  # from an even place to the next
+    carry, across = np.uint64(7) * step, np.uint64(9) * step  # from an odd one; from the last to the first
+    first, second = mask & _FIRST_PLACES[axis], mask >> step & _FIRST_PLACES[axis]
+    third = mask >> (step + carry) & _FIRST_PLACES[axis]
+    fourth = mask >> across & _FIRST_PLACES[axis]
+    one, two, three = first | second | third, second | third | fourth, third | fourth
+    own = first | second | one << step | two << (step + carry) | three << across
+    return first << across, own, fourth
+
+
+@kernel
+def _clear(codes: Int64s, blocks: Int64s, masks: Uint64s) -> None:
+    """Clear the bits of cells, all of which are in blocks."""
+    at = 0
+    for code in codes:
+        at = first_not_below(blocks, code >> 6, at)
+        masks[at] &= ~(np.uint64(1) << np.uint64(code & 63))
+
+
+@kernel
+def _read(codes: Int64s, blocks: Int64s, masks: Uint64s, found: Bools) -> None:
+    """Say of cells, all of which are in blocks, whether their bits are set."""
+    at = 0
+    for n in range(codes.size):
+        at = first_not_below(blocks, codes[n] >> 6, at)
+        found[n] = masks[at] >> np.uint64(codes[n] & 63) & np.uint64(1) != 0
+
+
+@kernel
+def _write(blocks: Int64s, masks: Uint64s, found: Int64s) -> None:
+    """Write the cells whose bits are set."""
+    count = 0
+    for n in range(blocks.size):
+        mask = masks[n]
+        while mask != np.uint64(0):
+            found[count] = blocks[n] << 6 | np.int64(trailing_zeros(mask))
+            mask &= mask - np.uint64(1)
+            count += 1
