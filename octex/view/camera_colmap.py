@@ -9,22 +9,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float64s
 from octex.errors import CameraError
 from octex.files import read_bytes
-from octex.view.camera import Distortion
 from octex.view.camera_records import (
     BrokenError,
     Bytes,
     Frame,
-    Json,
+    Optics,
     as_finite,
-    fixed_lens,
     intrinsics_of,
     is_file,
-    pixels_field,
     reading,
     rotation_of,
+    size_of,
     view_of_pose,
     within,
 )
@@ -73,13 +70,6 @@ def colmap_folder(path: Path) -> tuple[Path, str] | None:
     )
 
 
-class _Optics(NamedTuple):
-    size: tuple[int, int]
-    K: Float64s
-    distortion: Distortion
-    model: DistortionModel
-
-
 def read_colmap(folder: Path, ending: str) -> list[Frame]:
     """Read the cameras and images of a folder whose files have an ending."""
     optics_path, images_path = folder / f"cameras{ending}", folder / f"images{ending}"
@@ -92,7 +82,7 @@ def read_colmap(folder: Path, ending: str) -> list[Frame]:
         return [_colmap_frame(images_path, image, optics) for image in images]
 
 
-def _colmap_frame(path: Path, image: tuple[str, list[float], int], optics: dict[int, _Optics]) -> Frame:
+def _colmap_frame(path: Path, image: tuple[str, list[float], int], optics: dict[int, Optics]) -> Frame:
     name, numbers, camera = image
     with within(f"frame {name!r}"):
         values = np.array([as_finite(value, "quaternion and translation") for value in numbers])
@@ -101,16 +91,11 @@ def _colmap_frame(path: Path, image: tuple[str, list[float], int], optics: dict[
         pose[:3, 3] = values[4:]
         if camera not in optics:
             raise BrokenError(f"camera {camera} does not stand in {path.with_stem('cameras').name}")
-        size, K, distortion, model = optics[camera]
-        view = view_of_pose(pose, "opencv")
-        return Frame(
-            name, None, size, path, fixed_lens(K), view, distortion=distortion, distortion_model=model
-        )
+        return optics[camera].frame(name, path, view_of_pose(pose, "opencv"))
 
 
-def _optics(model: str, width: int, height: int, parameters: Sequence[float]) -> _Optics:
-    record: Json = {"width": width, "height": height}
-    size = pixels_field(record, "width"), pixels_field(record, "height")
+def _optics(model: str, width: int, height: int, parameters: Sequence[float]) -> Optics:
+    size = size_of(width, height)
     values = [as_finite(value, "parameters") for value in parameters]
     focals, count, lens = _COLMAP_MODELS[model]
     focal_x, focal_y = values[0], values[focals - 1]
@@ -118,7 +103,7 @@ def _optics(model: str, width: int, height: int, parameters: Sequence[float]) ->
     if not (focal_x > 0.0 and focal_y > 0.0):
         raise BrokenError(f"focal lengths must be above zero, not {focal_x:g} and {focal_y:g}")
     rest += [0.0] * (_LEAST[lens] - count)
-    return _Optics(size, intrinsics_of(focal_x, focal_y, center_x, center_y), tuple(rest), lens)
+    return Optics(size, intrinsics_of(focal_x, focal_y, center_x, center_y), tuple(rest), lens)
 
 
 def _parameters_of(model: str) -> int:
@@ -130,7 +115,7 @@ def _parameters_of(model: str) -> int:
     return _COLMAP_MODELS[model].focals + 2 + _COLMAP_MODELS[model].distortion
 
 
-def _optics_binary(content: bytes) -> Iterator[tuple[int, _Optics]]:
+def _optics_binary(content: bytes) -> Iterator[tuple[int, Optics]]:
     data = Bytes(content)
     with within("the number of cameras"):
         (count,) = data.take("Q")
@@ -163,7 +148,7 @@ def _lines(content: bytes) -> Iterator[tuple[int, str]]:
             yield number, line.strip()
 
 
-def _optics_text(content: bytes) -> Iterator[tuple[int, _Optics]]:
+def _optics_text(content: bytes) -> Iterator[tuple[int, Optics]]:
     for number, line in _lines(content):
         if not line:
             continue

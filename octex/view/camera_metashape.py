@@ -8,24 +8,21 @@ from __future__ import annotations
 
 import reprlib
 from pathlib import Path
-from typing import NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from octex.arrays import Float64s
-from octex.view.camera import Distortion
 from octex.view.camera_records import (
     BrokenError,
     Frame,
+    Optics,
     as_finite,
-    fixed_lens,
-    pixels_field,
+    size_of,
     view_of_pose,
     within,
 )
-from octex.view.lens import DistortionModel
 
 #: What other coordinates than local ones are called in WKT.
 _ON_EARTH = "GEOGCS", "GEOCCS", "PROJCS", "COMPD_CS", "GEOGCRS", "GEODCRS", "PROJCRS", "COMPOUNDCRS"
@@ -33,13 +30,6 @@ _ON_EARTH = "GEOGCS", "GEOCCS", "PROJCS", "COMPD_CS", "GEOGCRS", "GEODCRS", "PRO
 _TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 #: Numbers of a calibration that octex has none for.
 _UNKNOWN = "p3", "p4"
-
-
-class _Sensor(NamedTuple):
-    size: tuple[int, int]
-    K: Float64s
-    distortion: Distortion
-    model: DistortionModel
 
 
 def read_metashape(path: Path, content: bytes) -> list[Frame]:
@@ -79,10 +69,7 @@ def _frames(path: Path, chunk: Element) -> list[Frame]:
             with within("transform"):
                 view = view_of_pose(pose @ _TO_OPENGL, "opengl")
             with within(f"sensor {sensor.get('label')!r}"):
-                size, K, distortion, model = _sensor(sensor)
-        frames.append(
-            Frame(name, None, size, path, fixed_lens(K), view, distortion=distortion, distortion_model=model)
-        )
+                frames.append(_optics(sensor).frame(name, path, view))
     return frames
 
 
@@ -109,7 +96,7 @@ def _placed(transform: Element, pose: Float64s) -> Float64s:
     return placed
 
 
-def _sensor(sensor: Element) -> _Sensor:
+def _optics(sensor: Element) -> Optics:
     kind = sensor.get("type", "frame")
     if kind not in ("frame", "fisheye"):
         raise BrokenError(f"type {kind!r} is not known; octex knows frame and fisheye")
@@ -118,8 +105,7 @@ def _sensor(sensor: Element) -> _Sensor:
     resolution = sensor.find("resolution")
     if calibration is None or resolution is None:
         raise BrokenError("calibration or resolution is missing; align the photos, then export again")
-    record = {each: _number(resolution.get(each), each) for each in ("width", "height")}
-    size = pixels_field(record, "width"), pixels_field(record, "height")
+    size = size_of(*(_number(resolution.get(each), each) for each in ("width", "height")))
 
     def number(field: str) -> float:
         text = calibration.findtext(field)
@@ -142,8 +128,8 @@ def _sensor(sensor: Element) -> _Sensor:
     # Metashape's p1 goes with x², which is OpenCV's second.
     k1, k2, p1, p2, k3, k4 = map(number, ("k1", "k2", "p2", "p1", "k3", "k4"))
     if kind == "fisheye":
-        return _Sensor(size, K, (k1, k2, p1, p2, k3, k4, 0.0, 0.0), "fisheye")
-    return _Sensor(size, K, (k1, k2, p1, p2, k3), "opencv")
+        return Optics(size, K, (k1, k2, p1, p2, k3, k4, 0.0, 0.0), "fisheye")
+    return Optics(size, K, (k1, k2, p1, p2, k3), "opencv")
 
 
 def _numbers(element: Element, count: int) -> Float64s:

@@ -15,7 +15,7 @@ from octex.view.camera_records import (
     as_finite,
     beside,
     fixed_lens,
-    pixels_field,
+    size_of,
     view_of_pose,
     within,
 )
@@ -86,10 +86,7 @@ def _platform(data: Bytes, version: int) -> tuple[list[_Camera], list[Float64s]]
             for _ in range(2 if version > 3 else 1):  # its name, and its band's
                 _text(data)
             width, height = data.take("II")
-            size = None
-            if width or height:
-                record = {"width": width, "height": height}
-                size = pixels_field(record, "width"), pixels_field(record, "height")
+            size = size_of(width, height) if width or height else None
             K = _matrix(data, 3, "K").reshape(3, 3)
             cameras.append(_Camera(size, K, _pose(data)))
     for number in _numbered(data, "pose"):

@@ -83,6 +83,23 @@ class Frame(NamedTuple):
         return replace(camera, projection=self.projection, world_to_camera=self.world_to_camera)
 
 
+class Optics(NamedTuple):
+    """What pictures of one camera share."""
+
+    size: tuple[int, int]  # (width, height)
+    K: Float64s
+    distortion: Distortion
+    model: DistortionModel
+
+    def frame(self, name: str, file: Path, view: Float64s) -> Frame:
+        """Return a frame of a file by its world-to-camera matrix."""
+        lens = fixed_lens(self.K)
+        return Frame(
+            name, None, self.size, file, lens, view,
+            distortion=self.distortion, distortion_model=self.model,
+        )  # fmt: skip
+
+
 class BrokenError(Exception):
     """Say what is wrong, without the file's name."""
 
@@ -249,6 +266,12 @@ def pixels_field(record: Json, field: str) -> int:
     if not (1.0 <= number <= LARGEST_SIZE and number.is_integer()):
         raise BrokenError(f"{field} must be a whole number from 1 to {LARGEST_SIZE}, not {number:g}")
     return int(number)
+
+
+def size_of(width: object, height: object) -> tuple[int, int]:
+    """Return how large a picture is: whole numbers of pixels."""
+    record: Json = {"width": width, "height": height}
+    return pixels_field(record, "width"), pixels_field(record, "height")
 
 
 def numbers_field(record: Json, field: str, *counts: int) -> Float64s:
