@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -441,19 +442,18 @@ def test_the_finer_of_two_pictures_outweighs_the_other() -> None:
     np.testing.assert_allclose(other, sampled, atol=1e-6)
 
 
-@pytest.mark.parametrize(("balance", "depth"), [(None, 7), ("gain", 6), ("full", 6)])
-def test_the_order_of_pictures_in_one_blend_mode_does_not_matter(balance: Any, depth: int) -> None:
+@pytest.mark.parametrize("balance", [None, "gain", "full"])
+def test_the_order_of_pictures_in_one_blend_mode_does_not_matter(balance: Any) -> None:
     surface, random = ball(12), np.random.default_rng(4)
     pictures = []
     for number, direction in enumerate([(0.1, 0.2, 1), (0.5, 0.1, 1), (-0.4, 0.3, 1)]):
         camera = octex.Camera.fitted(surface.vertices, direction, size=(48, 48))
         noise = random.integers(0, 256, (48, 48, 3)).astype(np.uint8)
         pictures.append(octex.Projection(noise, camera, opacity=1.0 - 0.2 * number))
-    first = octex.paint(None, surface, pictures, max_depth=depth, balance=balance)
-    assert first.tree.n_leaves > 10_000 >> 2 * (7 - depth)
-    one, two, three = pictures  # each is the first, the second and the last
-    for order in ((two, three, one), (three, one, two), (three, two, one)):
-        other = octex.paint(None, surface, order, max_depth=depth, balance=balance)
+    first = octex.paint(None, surface, pictures, max_depth=7, balance=balance)
+    assert first.tree.n_leaves > 10_000
+    for order in list(permutations(pictures))[1:]:
+        other = octex.paint(None, surface, order, max_depth=7, balance=balance)
         assert np.array_equal(other.tree.arrays.flags, first.tree.arrays.flags)
         for name, channel in first.channels.items():
             assert np.array_equal(other.channels[name].values, channel.values)
