@@ -12,9 +12,13 @@ import PIL.Image
 import pytest
 
 import octex
-from octex.channels import encode
+from octex.channels import BASE_COLOR, encode
 from octex.cli.paint import main
+from octex.painting import refine
+from octex.painting.ground import Ground
+from octex.painting.pictures import levels_of
 from octex.painting.refine import _better, _moved, _pixel_at
+from octex.parallel import workers
 from tests.conftest import needs_jit
 from tests.painted import above, ball, picture_of
 from tests.test_agreement import ring
@@ -38,6 +42,24 @@ def textured(count: int, size: int) -> tuple[octex.Surface, list[octex.Camera], 
     surface = octex.Surface.from_arrays(plain.vertices, plain.triangles, colors=np.clip(colors, 0.05, 0.95))
     cameras = ring(count, size)[1]
     return surface, cameras, [picture_of(surface, camera) for camera in cameras]
+
+
+def test_points_are_compared_at_the_coarsest_level_too() -> None:
+    surface, cameras, images = textured(5, 96)
+    samples = surface.scatter(500)
+    with workers(1) as executor:
+        levels = [
+            levels_of(octex.Projection(*each), BASE_COLOR) for each in zip(images, cameras, strict=True)
+        ]
+        source = refine._source(Ground(surface), cameras, levels, executor)
+    counts = []
+    for level in (0, max(refine._LEVELS)):
+        rim = refine._RIM * 2**level
+        says = refine._says(source, samples.triangles, samples.barycentric, rim)
+        counts.append(np.count_nonzero(says))
+        for shot, own in zip(source.shots, says > 0, strict=True):
+            assert (refine._margins(shot, samples.points[own]) >= rim).all()
+    assert 0.1 * counts[0] < counts[1] < counts[0]
 
 
 def disturbed(camera: octex.Camera, number: int, pixels: float) -> octex.Camera:
