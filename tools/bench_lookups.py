@@ -212,11 +212,9 @@ def _questions(name: str, surface: octex.Surface, setup: Setup, report: Report) 
     color = octex.convert(surface, depth, fit=False, channels="base_color", dtype="float32")
     merged = octex.convert(surface, depth, max_error=2, channels="base_color")
     clear = octex.convert(surface, depth, fit=False, sources={"alpha": 0.5})
-    centre, reach = surface.rest.mean(axis=0), 0.2 * float(np.ptp(surface.bounds, axis=0).max())
-    ball = octex.Sphere(tuple(centre.tolist()), reach)
-    painted = octex.fill(texture, surface, ball, (1, 0, 0), max_depth=depth + 1)
     samples = surface.scatter(count)
     points, normals = np.ascontiguousarray(samples.rest), samples.normals
+    painted = octex.fill(texture, surface, _tenth(points), (1, 0, 0), max_depth=depth + 1)
     cell = texture.placement.size / 2**depth
     widths = cell * 2.0 ** np.random.default_rng(0).uniform(1, 6, count)
     names = list(texture.channels)
@@ -258,6 +256,12 @@ def _questions(name: str, surface: octex.Surface, setup: Setup, report: Report) 
     report.at_most(f"questions: {name}, a call with one point", 1e6 * taken.cpu / calls, 25, "µs")
 
 
+def _tenth(points: npt.NDArray[np.floating]) -> octex.Sphere:
+    """Return the ball around the first point that holds a tenth of all."""
+    apart = np.linalg.norm(points - points[0], axis=1)
+    return octex.Sphere(tuple(points[0].tolist()), float(np.quantile(apart, 0.1)))
+
+
 #: Models whose lookups in adaptive and painted textures are compared with those in even ones.
 MIXED = ("BoomBox", "Avocado", "Suzanne")
 #: The least rates then, of that of as many points in an even tree: adaptive, painted.
@@ -281,12 +285,10 @@ def mixed(setup: Setup, report: Report) -> None:
         even = octex.convert(surface, depth, fit=False)
         samples = surface.scatter(many)
         points = np.ascontiguousarray(samples.rest, np.float32)
-        apart = np.linalg.norm(points - points[0], axis=1)
-        ball = octex.Sphere(tuple(points[0].tolist()), float(np.quantile(apart, 0.1)))
         textures = {
             "even": even,
             "adaptive": octex.convert(surface, depth, max_error=2),
-            "painted": octex.fill(even, surface, ball, (1, 0, 0), max_depth=depth + 1),
+            "painted": octex.fill(even, surface, _tenth(points), (1, 0, 0), max_depth=depth + 1),
         }
         camera = octex.Camera.fitted(surface.vertices, (0.5, 0.4, 1.0), size=(side, side))
         hits = [hit.rest for _, hit in visible_hits(surface, camera, rest_normals(surface))]
