@@ -26,7 +26,8 @@ windows        the cells around a point, level by level
 neighborhood   taps by the walk; what cells below leaves refine from, for edits
 bricks         coefficients decoded for points that lie close together
 field          the field over one tree: which of these finds the taps
-lookups        what is asked, at all levels; the rows that lookups blend or read, for others
+lookups        what is asked, at all levels
+listing        the rows that lookups blend or read, for others
 
 Trees of one depth that were painted more finely have tiles too, of both levels: marked where the walk, or
 bricks, answer.

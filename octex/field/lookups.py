@@ -1,4 +1,4 @@
-"""Lookups: the looks of footprints at all levels, through sources, stages and sinks; blended or listed."""
+"""Lookups: the looks of footprints at all levels, through sources, stages and sinks."""
 
 from __future__ import annotations
 
@@ -8,19 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s, Uint8s, Uint32s
+from octex.arrays import Float32s, Floats, Int64s, Uint8s
 from octex.channels import ColorSpace, decode
 from octex.field.bricks import Asked, Values, look_up_crowded, new_bricks
 from octex.field.field import Field, Finder
 from octex.field.footprints import Footprints, Probes, passed_on, spread
-from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, divide, list_taps, weigh_by_alpha
+from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, divide, weigh_by_alpha
 from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
 from octex.field.taps import BLOCK, Facings, Taps, leave_mixed, place_points, weigh_by_area
 from octex.field.tiled import Search, Weighed, add_tiled, look_up_tiled
 from octex.field.tiles import Tiles
 from octex.field.windows import new_walk
-from octex.tree.morton import encode_cells
-from octex.tree.octree import distinct
 from octex.tree.order import order_of
 from octex.tree.placement import Placement
 from octex.tree.search import Positions, singles_and_doubles
@@ -34,7 +32,6 @@ _NO_TABLE = np.empty(0, np.float32)
 _NO_VECTORS = np.empty((0, 3), np.float32)
 _NO_BYTES = np.empty(0, np.uint8)
 _NO_NUMBERS = np.empty(0, np.int64)
-_NO_ROWS = np.empty(0, np.uint32)
 #: What `look_up_tiled` returns where tiles have all points.
 _ALL_FOUND = 0, 0, -1
 _NO_FACINGS = Facings(_NO_BYTES, np.empty(0, np.uint32), np.empty(0, np.uint32))
@@ -83,13 +80,13 @@ def look_up(
     """
     if not channels:
         return -1
-    task = _Lookup(field, placement, query, channels, alpha, answers, gradients)
+    task = Lookup(field, placement, query, channels, alpha, answers, gradients)
     if query.footprints is not None:
         return task.footprints(points)
     if len(channels) == 1 or not task.is_sortable(len(points)):
         return task.at(points)
     alone = (
-        _Lookup(field, placement, query, [channel], alpha, [answer], ())
+        Lookup(field, placement, query, [channel], alpha, [answer], ())
         for channel, answer in zip(channels, answers, strict=True)
     )
     return max(each.at(points) for each in alone)
@@ -120,14 +117,14 @@ def plain_lookup(
     field: Field, placement: Placement, filter: str, channel: ChannelRows, alpha: ChannelRows | None
 ) -> PlainLookup | None:
     """Prepare plain lookups of a channel; None where leaves are not looked up by tiles."""
-    task = _Lookup(field, placement, Query(filter), [channel], alpha, [], [])
+    task = Lookup(field, placement, Query(filter), [channel], alpha, [], [])
     if not task.is_tiled:
         return None
     assert task._channel is not None
     return PlainLookup(next(task._searches(field)), placement, task._channel)
 
 
-class _Lookup:
+class Lookup:
     """One lookup: what is the same for all its blocks of points."""
 
     def __init__(
@@ -209,7 +206,7 @@ class _Lookup:
         n_missed = look_up_crowded(self._field.mixed, values, asked, new_bricks(), new_walk())
         if n_missed:
             rows = missed[:n_missed].astype(np.int64)
-            self._look_again(points, rows, [0], self._alpha, _Lookup.leaves)
+            self._look_again(points, rows, [0], self._alpha, Lookup.leaves)
         return -1
 
     def tiled(self, points: Floats) -> int:
@@ -226,7 +223,7 @@ class _Lookup:
 
         rim, fault = self._search_tiles(self._field, len(points), look_up_some)
         if rim.size:
-            self._look_again(points, rim, [0], self._alpha, _Lookup.untiled)
+            self._look_again(points, rim, [0], self._alpha, Lookup.untiled)
         return fault
 
     def _search_tiles(
@@ -294,10 +291,10 @@ class _Lookup:
         for begin in range(0, len(points), BLOCK):
             rows = slice(begin, begin + BLOCK)
             normals = None if self._query.normals is None else self._query.normals[rows]
-            taps, fault = self._weighed_taps(self._field, points[rows], normals)
+            taps, fault = self.weighed_taps(self._field, points[rows], normals)
             if fault >= 0:
                 return begin + fault
-            for number, channel in self._each_weighed(taps, is_asked, always=False):
+            for number, channel in self.each_weighed(taps, is_asked, always=False):
                 used, codes = _as_read(taps, channel)
                 results = self._answers[number][rows]
                 blend(used, codes, is_asked and self._alpha is None and number == self._numbers[0], results)
@@ -317,7 +314,7 @@ class _Lookup:
             bare = self._add_looks(run, by_level)
             if bare.size:
                 numbers = [n for n, channel in enumerate(self._channels) if not channel.is_alpha]
-                self._look_again(points, run.start + bare, numbers, None, _Lookup.footprints)
+                self._look_again(points, run.start + bare, numbers, None, Lookup.footprints)
         return -1
 
     def _add_looks(self, run: slice, by_level: dict[int, Probes]) -> Int64s:
@@ -329,10 +326,10 @@ class _Lookup:
         gradient = bool(self._gradients)
         sums = [Sums.of(n_points, channel.codes.components, gradient) for channel in self._channels]
         normals = None if self._query.normals is None else self._query.normals[run]
-        for level, looks in _levels(by_level, self._field.tree.max_depth):
+        for level, looks in coarse_to_fine(by_level, self._field.tree.max_depth):
             here = self._field.level(level)
             add = self._add_by_tiles if self.adds_tiled(here) else self._add_by_taps
-            _pass_on(by_level, level, looks, add(here, looks, normals, sums))
+            pass_on(by_level, level, looks, add(here, looks, normals, sums))
         bare = np.zeros(n_points, np.bool_)
         for number, channel in enumerate(self._channels):
             gradients = self._gradients[number][run] if gradient else _NO_GRADIENTS
@@ -350,8 +347,8 @@ class _Lookup:
             rows = slice(begin, begin + BLOCK)
             owners = looks.owners[rows]
             facing = None if normals is None else normals[owners]
-            taps, _ = self._weighed_taps(here, looks.points[rows], facing, left[rows])
-            for number, channel in self._each_weighed(taps, False, always=True):
+            taps, _ = self.weighed_taps(here, looks.points[rows], facing, left[rows])
+            for number, channel in self.each_weighed(taps, False, always=True):
                 used, codes = _as_read(taps, channel)
                 add_up(used, codes, False, owners, looks.shares[rows], sums[number])
         return left
@@ -392,21 +389,21 @@ class _Lookup:
         rows: Int64s,
         numbers: Sequence[int],
         alpha: ChannelRows | None,
-        look_up_points: Callable[[_Lookup, Floats], int],
+        look_up_points: Callable[[Lookup, Floats], int],
     ) -> None:
         """Look some channels of some points up anew, in another way."""
         answers = [np.empty((rows.size, self._answers[n].shape[1]), np.float32) for n in numbers]
         gradients = [np.empty((*answer.shape, 3), np.float32) for answer in answers if self._gradients]
         channels = [self._channels[n] for n in numbers]
         query = self._query.of(rows)
-        again = _Lookup(self._field, self._placement, query, channels, alpha, answers, gradients)
+        again = Lookup(self._field, self._placement, query, channels, alpha, answers, gradients)
         look_up_points(again, points[rows])
         for at, number in enumerate(numbers):
             self._answers[number][rows] = answers[at]
             if self._gradients:
                 self._gradients[number][rows] = gradients[at]
 
-    def _weighed_taps(
+    def weighed_taps(
         self, here: Field, points: Floats, normals: Float32s | None, left: Float32s | None = None
     ) -> tuple[Taps, int]:
         """Return the taps of a block of points in a level's field, weighed; and the first that is not finite.
@@ -436,7 +433,7 @@ class _Lookup:
         """Say whether a level's averages may mix opposite facings."""
         return here is not self._field and self._query.mixed is not None and here.tree.split.cells.size > 0
 
-    def _each_weighed(self, taps: Taps, is_asked: bool, *, always: bool) -> Iterator[tuple[int, ChannelRows]]:
+    def each_weighed(self, taps: Taps, is_asked: bool, *, always: bool) -> Iterator[tuple[int, ChannelRows]]:
         """Yield the channels by number, those that are not alpha after their taps weigh by it."""
         alpha, is_covered = self._alpha, False
         for number in self._numbers:
@@ -462,236 +459,17 @@ def _as_read(taps: Taps, channel: ChannelRows) -> tuple[Taps, Codes]:
     return taps._replace(rows=np.arange(end, dtype=np.uint32)), Codes(decoded, none, none, _NO_TABLE)
 
 
-def _levels(by_level: dict[int, Probes], depth: int) -> Iterator[tuple[int, Probes]]:
+def coarse_to_fine(by_level: dict[int, Probes], depth: int) -> Iterator[tuple[int, Probes]]:
     """Yield the levels that have looks, coarse before fine; looks may be added below the latest."""
     for level in range(depth + 1):
         if level in by_level:
             yield level, by_level[level]
 
 
-def _pass_on(by_level: dict[int, Probes], level: int, looks: Probes, left: Float32s) -> None:
+def pass_on(by_level: dict[int, Probes], level: int, looks: Probes, left: Float32s) -> None:
     """Look at the next level for what was not seen at this."""
     if left.size:
         none = Probes(looks.points[:0], looks.owners[:0], looks.shares[:0])
         more = passed_on(looks, left, _ROUNDED, by_level.get(level + 1, none))
         if more.shares.size:
             by_level[level + 1] = more
-
-
-_NO_SLOPES = np.empty((0, 3), np.float32)
-
-
-class TapList(NamedTuple):
-    """What points blend, in compressed sparse rows: Σ weights · values, over a point's taps, is its value.
-
-    Rows count cells, then the rows of the kept nodes, then those of the split cells.
-    """
-
-    starts: Int64s  # (n + 1,)   a point's taps are those from its start to the next one's
-    rows: Int64s  # (taps,)   none twice for a point
-    weights: Float32s  # (taps,)   1 in sum for each point
-
-
-def list_blends(
-    field: Field,
-    placement: Placement,
-    points: Floats,
-    query: Query,
-    channel: ChannelRows,
-    alpha: ChannelRows | None,
-) -> tuple[TapList, int]:
-    """List what `lookups.look_up` blends of a channel; also the first row that is not finite, or −1."""
-    task = _Listing(field, placement, query, [channel], alpha, [], [])
-    if query.footprints is None:
-        return task.leaves_listed(points)
-    return task.footprints_listed(points, query.footprints)
-
-
-class Reads(NamedTuple):
-    """What lookups of a channel read at a level."""
-
-    rows: Uint32s  # (n,)   each once
-    cells: Int64s  # (m,)   the Morton codes of those that hold the looks' points, ascending
-
-
-def reads_of(
-    field: Field,
-    placement: Placement,
-    points: Floats,
-    query: Query,
-    channel: ChannelRows,
-    *,
-    cells_alone: bool = False,
-) -> tuple[dict[int, Reads], int]:
-    """Return what `lookups.look_up` reads of a channel, by the level looked at.
-
-    With ``cells_alone`` no rows, and only the cells that no content of the tree changes. Returns also the
-    first row of points that is not finite, or −1.
-    """
-    listing = _Listing(field, placement, query, [channel], None, [], [])
-    return listing.cells(points) if cells_alone else listing.reads(points)
-
-
-class _Listing(_Lookup):
-    """Lookups of one channel."""
-
-    def leaves_listed(self, points: Floats) -> tuple[TapList, int]:
-        """List the blends of leaves."""
-        counts, rows, weights = [np.zeros(1, np.int64)], [np.empty(0, np.uint32)], [np.empty(0, np.float32)]
-        for begin in range(0, len(points), BLOCK):
-            some = slice(begin, begin + BLOCK)
-            normals = None if self._query.normals is None else self._query.normals[some]
-            taps, fault = self._weighed_taps(self._field, points[some], normals)
-            if fault >= 0:
-                return _join_parts(counts, rows, weights), begin + fault
-            self._weigh_all(taps, always=False)
-            room = int((taps.ends - taps.starts).sum()) + 1
-            starts, found = np.empty(len(points[some]) + 1, np.int64), np.empty(room, np.uint32)
-            shares = np.empty(room, np.float32)
-            list_taps(taps, 1.0, starts, found, shares, _NO_SLOPES)
-            counts.append(np.diff(starts))
-            rows.append(found[: starts[-1]])
-            weights.append(shares[: starts[-1]])
-        return _join_parts(counts, rows, weights), -1
-
-    def footprints_listed(self, points: Floats, footprints: Footprints) -> tuple[TapList, int]:
-        """List the blends of footprints: looks at all levels, added up."""
-        counts, rows, weights = [np.zeros(1, np.int64)], [np.empty(0, np.int64)], [np.empty(0, np.float32)]
-        is_finite = np.isfinite(points).all(axis=1)
-        if not is_finite.all():
-            return _join_parts(counts, rows, weights), int(np.argmin(is_finite))
-        depth, code = self._field.tree.max_depth, FILTERS.index(self._query.filter)
-        for run, by_level in spread(points, footprints, self._placement.size, depth, code):
-            n_points = run.stop - run.start
-            keys, parts = [np.empty(0, np.int64)], [np.empty(0)]
-            for _, taps, owner_of, shares in self._looks(run, by_level):
-                self._weigh_all(taps, always=True)
-                look, at = _each_tap(taps)
-                keys.append(owner_of[look].astype(np.int64) << 32 | taps.rows[at])
-                parts.append(taps.weights[at].astype(np.float64) * shares[look])
-            key, which = np.unique(np.concatenate(keys), return_inverse=True)
-            part = np.bincount(which, np.concatenate(parts), key.size)
-            owner, row = key >> 32, key & 0xFFFFFFFF
-            totals = np.bincount(owner, part, n_points)
-            (bare,) = np.nonzero(totals == 0)
-            is_any = (totals[owner] != 0) & (part != 0)
-            owner, row, part = owner[is_any], row[is_any], part[is_any] / totals[owner[is_any]]
-            if bare.size:  # alpha is zero throughout
-                numbers = run.start + bare
-                again = _Listing(
-                    *(self._field, self._placement, self._query.of(numbers), self._channels, None, [], [])
-                )
-                more, _ = again.footprints_listed(points[numbers], footprints.of(numbers))
-                owner = np.concatenate([owner, np.repeat(bare, np.diff(more.starts))])
-                order = np.argsort(owner, kind="stable")
-                row = np.concatenate([row, more.rows])[order]
-                part = np.concatenate([part, more.weights])[order]
-            counts.append(np.bincount(owner, minlength=n_points))
-            rows.append(row)
-            weights.append(part.astype(np.float32))
-        return _join_parts(counts, rows, weights), -1
-
-    def reads(self, points: Floats) -> tuple[dict[int, Reads], int]:
-        """List what is read at each level."""
-        depth, code = self._field.tree.max_depth, FILTERS.index(self._query.filter)
-        found: dict[int, list[Reads]] = {}
-        if self._query.footprints is None:
-            for begin in range(0, len(points), BLOCK):
-                some = slice(begin, begin + BLOCK)
-                normals = None if self._query.normals is None else self._query.normals[some]
-                taps, fault = self._weighed_taps(self._field, points[some], normals)
-                if fault >= 0:
-                    return {}, begin + fault
-                found.setdefault(depth, []).append(self._read(taps, depth))
-        else:
-            is_finite = np.isfinite(points).all(axis=1)
-            if not is_finite.all():
-                return {}, int(np.argmin(is_finite))
-            for run, by_level in spread(points, self._query.footprints, self._placement.size, depth, code):
-                for level, taps, _, _ in self._looks(run, by_level):
-                    found.setdefault(level, []).append(self._read(taps, level))
-        return joined_reads(found), -1
-
-    def cells(self, points: Floats) -> tuple[dict[int, Reads], int]:
-        """List the cells that hold points that are looked at, at each level, whatever is stored."""
-        depth, code = self._field.tree.max_depth, FILTERS.index(self._query.filter)
-        places = np.empty((len(points), 3))
-        fault = place_points(Positions.of(points), *self._placement, places)
-        if fault >= 0:
-            return {}, fault
-        if self._query.footprints is None:
-            return {depth: Reads(_NO_ROWS, _cells_at(places, depth))}, -1
-        found: dict[int, list[Reads]] = {}
-        for _, by_level in spread(points, self._query.footprints, self._placement.size, depth, code):
-            for level, looks in by_level.items():
-                places = np.empty((len(looks.points), 3))
-                place_points(Positions.of(looks.points), *self._placement, places)
-                found.setdefault(level, []).append(Reads(_NO_ROWS, _cells_at(places, level)))
-        return joined_reads(found), -1
-
-    def _read(self, taps: Taps, level: int) -> Reads:
-        """Return what the taps of the latest block of points read, and which cells hold these."""
-        places = self._places[: taps.starts.size]
-        return Reads(distinct(taps.rows[_each_tap(taps)[1]]).astype(np.uint32), _cells_at(places, level))
-
-    def _looks(self, run: slice, by_level: dict[int, Probes]) -> Iterator[tuple[int, Taps, Int32s, Float32s]]:
-        """Yield the level, the taps, the owners and the shares of the looks of a run, in blocks."""
-        normals = None if self._query.normals is None else self._query.normals[run]
-        for level, looks in _levels(by_level, self._field.tree.max_depth):
-            left, owners = np.zeros(len(looks.points), np.float32), looks.owners
-            for begin in range(0, len(looks.points), BLOCK):
-                some = slice(begin, begin + BLOCK)
-                facing = None if normals is None else normals[owners[some]]
-                here = self._field.level(level)
-                taps, _ = self._weighed_taps(here, looks.points[some], facing, left[some])
-                yield level, taps, owners[some], looks.shares[some]
-            _pass_on(by_level, level, looks, left)
-
-    def _weigh_all(self, taps: Taps, *, always: bool) -> None:
-        """Let taps weigh as the channel's do."""
-        for _ in self._each_weighed(taps, False, always=always):
-            pass
-
-
-def _cells_at(places: Float64s, level: int) -> Int64s:
-    """Return the Morton codes of the cells of a level that hold points of texture space, ascending."""
-    side = 1 << level
-    return distinct(encode_cells(np.minimum((places * side).astype(np.int64), side - 1)))
-
-
-def joined_reads(found: dict[int, list[Reads]]) -> dict[int, Reads]:
-    """Join what several blocks of points read, by level."""
-    return {
-        level: Reads(
-            distinct(np.concatenate([each.rows for each in parts])).astype(np.uint32),
-            distinct(np.concatenate([each.cells for each in parts])),
-        )
-        for level, parts in found.items()
-    }
-
-
-def _each_tap(taps: Taps) -> tuple[Int64s, Int64s]:
-    """Return of each tap, point after point, the point's number and where it is."""
-    counts = taps.ends - taps.starts
-    points = np.repeat(np.arange(counts.size), counts)
-    before = np.cumsum(counts) - counts
-    return points, np.arange(points.size) + (taps.starts - before)[points]
-
-
-def _join_parts(
-    counts: Sequence[Int64s], rows: Sequence[Uint32s] | Sequence[Int64s], weights: Sequence[Float32s]
-) -> TapList:
-    """Join the taps of runs of points, of which so many are each point's."""
-    return TapList(
-        np.cumsum(np.concatenate(counts)), np.concatenate(rows).astype(np.int64), np.concatenate(weights)
-    )
-
-
-def joined(lists: Sequence[TapList]) -> TapList:
-    """Join the taps of points, one list's after another's."""
-    if len(lists) == 1:
-        return lists[0]
-    none = np.zeros(1, np.int64), np.empty(0, np.int64), np.empty(0, np.float32)
-    _, *more = zip(none, *lists, strict=True)
-    counts = [none[0], *(np.diff(each.starts) for each in lists)]
-    return _join_parts(counts, *more)

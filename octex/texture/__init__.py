@@ -11,7 +11,7 @@ set         textures of parts by name, looked up by part
 folder      what a set is on disk
 """
 
-from octex.field.lookups import TapList as TapList
+from octex.field.listing import TapList as TapList
 from octex.field.splines import FILTERS as FILTERS
 from octex.texture.channel import Channel as Channel
 from octex.texture.set import TextureSet as TextureSet

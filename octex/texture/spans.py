@@ -9,7 +9,7 @@ import numpy as np
 
 from octex.arrays import Array, Int64s
 from octex.container import header_length
-from octex.field.lookups import Reads
+from octex.field.listing import Reads
 from octex.field.tiles import MOST_TOP_LEVEL, can_be_tiled
 from octex.texture.channel import Channel
 from octex.tree.beside import with_boundary

@@ -30,19 +30,8 @@ from octex.checks import (
 )
 from octex.errors import ArgumentError, InputError, TextureFileError
 from octex.field.field import Field
-from octex.field.lookups import (
-    ChannelRows,
-    PlainLookup,
-    Query,
-    Reads,
-    TapList,
-    joined,
-    joined_reads,
-    list_blends,
-    look_up,
-    plain_lookup,
-    reads_of,
-)
+from octex.field.listing import Reads, TapList, joined, joined_reads, list_blends, reads_of
+from octex.field.lookups import ChannelRows, PlainLookup, Query, look_up, plain_lookup
 from octex.field.splines import FILTERS
 from octex.files import is_address
 from octex.texture.blend import NO_GRADIENTS, make_unit, mixed_cells, stored

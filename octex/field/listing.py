@@ -1,0 +1,239 @@
+"""What lookups blend and read, listed: for solvers, and for files that are read by parts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s, Uint32s
+from octex.field.field import Field
+from octex.field.footprints import Footprints, Probes, spread
+from octex.field.lookups import ChannelRows, Lookup, Query, coarse_to_fine, pass_on
+from octex.field.sinks import list_taps
+from octex.field.splines import FILTERS
+from octex.field.taps import BLOCK, Taps, place_points
+from octex.tree.morton import encode_cells
+from octex.tree.octree import distinct
+from octex.tree.placement import Placement
+from octex.tree.search import Positions
+
+_NO_ROWS = np.empty(0, np.uint32)
+_NO_SLOPES = np.empty((0, 3), np.float32)
+
+
+class TapList(NamedTuple):
+    """What points blend, in compressed sparse rows: Σ weights · values, over a point's taps, is its value.
+
+    Rows count cells, then the rows of the kept nodes, then those of the split cells.
+    """
+
+    starts: Int64s  # (n + 1,)   a point's taps are those from its start to the next one's
+    rows: Int64s  # (taps,)   none twice for a point
+    weights: Float32s  # (taps,)   1 in sum for each point
+
+
+def list_blends(
+    field: Field,
+    placement: Placement,
+    points: Floats,
+    query: Query,
+    channel: ChannelRows,
+    alpha: ChannelRows | None,
+) -> tuple[TapList, int]:
+    """List what `lookups.look_up` blends of a channel; also the first row that is not finite, or −1."""
+    task = _Listing(field, placement, query, [channel], alpha, [], [])
+    if query.footprints is None:
+        return task.leaves_listed(points)
+    return task.footprints_listed(points, query.footprints)
+
+
+class Reads(NamedTuple):
+    """What lookups of a channel read at a level."""
+
+    rows: Uint32s  # (n,)   each once
+    cells: Int64s  # (m,)   the Morton codes of those that hold the looks' points, ascending
+
+
+def reads_of(
+    field: Field,
+    placement: Placement,
+    points: Floats,
+    query: Query,
+    channel: ChannelRows,
+    *,
+    cells_alone: bool = False,
+) -> tuple[dict[int, Reads], int]:
+    """Return what `lookups.look_up` reads of a channel, by the level looked at.
+
+    With ``cells_alone`` no rows, and only the cells that no content of the tree changes. Returns also the
+    first row of points that is not finite, or −1.
+    """
+    listing = _Listing(field, placement, query, [channel], None, [], [])
+    return listing.cells(points) if cells_alone else listing.reads(points)
+
+
+class _Listing(Lookup):
+    """Lookups of one channel."""
+
+    def leaves_listed(self, points: Floats) -> tuple[TapList, int]:
+        """List the blends of leaves."""
+        counts, rows, weights = [np.zeros(1, np.int64)], [np.empty(0, np.uint32)], [np.empty(0, np.float32)]
+        for begin in range(0, len(points), BLOCK):
+            some = slice(begin, begin + BLOCK)
+            normals = None if self._query.normals is None else self._query.normals[some]
+            taps, fault = self.weighed_taps(self._field, points[some], normals)
+            if fault >= 0:
+                return _join_parts(counts, rows, weights), begin + fault
+            self._weigh_all(taps, always=False)
+            room = int((taps.ends - taps.starts).sum()) + 1
+            starts, found = np.empty(len(points[some]) + 1, np.int64), np.empty(room, np.uint32)
+            shares = np.empty(room, np.float32)
+            list_taps(taps, 1.0, starts, found, shares, _NO_SLOPES)
+            counts.append(np.diff(starts))
+            rows.append(found[: starts[-1]])
+            weights.append(shares[: starts[-1]])
+        return _join_parts(counts, rows, weights), -1
+
+    def footprints_listed(self, points: Floats, footprints: Footprints) -> tuple[TapList, int]:
+        """List the blends of footprints: looks at all levels, added up."""
+        counts, rows, weights = [np.zeros(1, np.int64)], [np.empty(0, np.int64)], [np.empty(0, np.float32)]
+        is_finite = np.isfinite(points).all(axis=1)
+        if not is_finite.all():
+            return _join_parts(counts, rows, weights), int(np.argmin(is_finite))
+        depth, code = self._field.tree.max_depth, FILTERS.index(self._query.filter)
+        for run, by_level in spread(points, footprints, self._placement.size, depth, code):
+            n_points = run.stop - run.start
+            keys, parts = [np.empty(0, np.int64)], [np.empty(0)]
+            for _, taps, owner_of, shares in self._looks(run, by_level):
+                self._weigh_all(taps, always=True)
+                look, at = _each_tap(taps)
+                keys.append(owner_of[look].astype(np.int64) << 32 | taps.rows[at])
+                parts.append(taps.weights[at].astype(np.float64) * shares[look])
+            key, which = np.unique(np.concatenate(keys), return_inverse=True)
+            part = np.bincount(which, np.concatenate(parts), key.size)
+            owner, row = key >> 32, key & 0xFFFFFFFF
+            totals = np.bincount(owner, part, n_points)
+            (bare,) = np.nonzero(totals == 0)
+            is_any = (totals[owner] != 0) & (part != 0)
+            owner, row, part = owner[is_any], row[is_any], part[is_any] / totals[owner[is_any]]
+            if bare.size:  # alpha is zero throughout
+                numbers = run.start + bare
+                again = _Listing(
+                    *(self._field, self._placement, self._query.of(numbers), self._channels, None, [], [])
+                )
+                more, _ = again.footprints_listed(points[numbers], footprints.of(numbers))
+                owner = np.concatenate([owner, np.repeat(bare, np.diff(more.starts))])
+                order = np.argsort(owner, kind="stable")
+                row = np.concatenate([row, more.rows])[order]
+                part = np.concatenate([part, more.weights])[order]
+            counts.append(np.bincount(owner, minlength=n_points))
+            rows.append(row)
+            weights.append(part.astype(np.float32))
+        return _join_parts(counts, rows, weights), -1
+
+    def reads(self, points: Floats) -> tuple[dict[int, Reads], int]:
+        """List what is read at each level."""
+        depth, code = self._field.tree.max_depth, FILTERS.index(self._query.filter)
+        found: dict[int, list[Reads]] = {}
+        if self._query.footprints is None:
+            for begin in range(0, len(points), BLOCK):
+                some = slice(begin, begin + BLOCK)
+                normals = None if self._query.normals is None else self._query.normals[some]
+                taps, fault = self.weighed_taps(self._field, points[some], normals)
+                if fault >= 0:
+                    return {}, begin + fault
+                found.setdefault(depth, []).append(self._read(taps, depth))
+        else:
+            is_finite = np.isfinite(points).all(axis=1)
+            if not is_finite.all():
+                return {}, int(np.argmin(is_finite))
+            for run, by_level in spread(points, self._query.footprints, self._placement.size, depth, code):
+                for level, taps, _, _ in self._looks(run, by_level):
+                    found.setdefault(level, []).append(self._read(taps, level))
+        return joined_reads(found), -1
+
+    def cells(self, points: Floats) -> tuple[dict[int, Reads], int]:
+        """List the cells that hold points that are looked at, at each level, whatever is stored."""
+        depth, code = self._field.tree.max_depth, FILTERS.index(self._query.filter)
+        places = np.empty((len(points), 3))
+        fault = place_points(Positions.of(points), *self._placement, places)
+        if fault >= 0:
+            return {}, fault
+        if self._query.footprints is None:
+            return {depth: Reads(_NO_ROWS, _cells_at(places, depth))}, -1
+        found: dict[int, list[Reads]] = {}
+        for _, by_level in spread(points, self._query.footprints, self._placement.size, depth, code):
+            for level, looks in by_level.items():
+                places = np.empty((len(looks.points), 3))
+                place_points(Positions.of(looks.points), *self._placement, places)
+                found.setdefault(level, []).append(Reads(_NO_ROWS, _cells_at(places, level)))
+        return joined_reads(found), -1
+
+    def _read(self, taps: Taps, level: int) -> Reads:
+        """Return what the taps of the latest block of points read, and which cells hold these."""
+        places = self._places[: taps.starts.size]
+        return Reads(distinct(taps.rows[_each_tap(taps)[1]]).astype(np.uint32), _cells_at(places, level))
+
+    def _looks(self, run: slice, by_level: dict[int, Probes]) -> Iterator[tuple[int, Taps, Int32s, Float32s]]:
+        """Yield the level, the taps, the owners and the shares of the looks of a run, in blocks."""
+        normals = None if self._query.normals is None else self._query.normals[run]
+        for level, looks in coarse_to_fine(by_level, self._field.tree.max_depth):
+            left, owners = np.zeros(len(looks.points), np.float32), looks.owners
+            for begin in range(0, len(looks.points), BLOCK):
+                some = slice(begin, begin + BLOCK)
+                facing = None if normals is None else normals[owners[some]]
+                here = self._field.level(level)
+                taps, _ = self.weighed_taps(here, looks.points[some], facing, left[some])
+                yield level, taps, owners[some], looks.shares[some]
+            pass_on(by_level, level, looks, left)
+
+    def _weigh_all(self, taps: Taps, *, always: bool) -> None:
+        """Let taps weigh as the channel's do."""
+        for _ in self.each_weighed(taps, False, always=always):
+            pass
+
+
+def _cells_at(places: Float64s, level: int) -> Int64s:
+    """Return the Morton codes of the cells of a level that hold points of texture space, ascending."""
+    side = 1 << level
+    return distinct(encode_cells(np.minimum((places * side).astype(np.int64), side - 1)))
+
+
+def joined_reads(found: dict[int, list[Reads]]) -> dict[int, Reads]:
+    """Join what several blocks of points read, by level."""
+    return {
+        level: Reads(
+            distinct(np.concatenate([each.rows for each in parts])).astype(np.uint32),
+            distinct(np.concatenate([each.cells for each in parts])),
+        )
+        for level, parts in found.items()
+    }
+
+
+def _each_tap(taps: Taps) -> tuple[Int64s, Int64s]:
+    """Return of each tap, point after point, the point's number and where it is."""
+    counts = taps.ends - taps.starts
+    points = np.repeat(np.arange(counts.size), counts)
+    before = np.cumsum(counts) - counts
+    return points, np.arange(points.size) + (taps.starts - before)[points]
+
+
+def _join_parts(
+    counts: Sequence[Int64s], rows: Sequence[Uint32s] | Sequence[Int64s], weights: Sequence[Float32s]
+) -> TapList:
+    """Join the taps of runs of points, of which so many are each point's."""
+    return TapList(
+        np.cumsum(np.concatenate(counts)), np.concatenate(rows).astype(np.int64), np.concatenate(weights)
+    )
+
+
+def joined(lists: Sequence[TapList]) -> TapList:
+    """Join the taps of points, one list's after another's."""
+    if len(lists) == 1:
+        return lists[0]
+    none = np.zeros(1, np.int64), np.empty(0, np.int64), np.empty(0, np.float32)
+    _, *more = zip(none, *lists, strict=True)
+    counts = [none[0], *(np.diff(each.starts) for each in lists)]
+    return _join_parts(counts, *more)
