@@ -67,28 +67,19 @@ def build_tiles(tree: Octree) -> Tiles:
         return _one_tile(tree)
     depth, groups, level_nodes = tree.max_depth, tree.arrays.groups, tree.arrays.level_nodes.tolist()
     top_level = depth - 3 * max(-(-(depth - MOST_TOP_LEVEL) // 3), 1)
-    masks, firsts = [], []
-    rows = 0
-    for level in range(top_level, depth - 2, 3):
-        first, end = level_nodes[level : level + 2]
-        masks.append(np.zeros(8 * (end - first), np.uint64))
-        firsts.append(np.zeros(8 * (end - first), np.uint32))
-        rows += end - first
+    nodes = {level: level_nodes[level : level + 2] for level in range(top_level, depth - 2, 3)}
+    rows = sum(end - first for first, end in nodes.values())
+    masks, firsts = _new_rows(rows, np.uint64), _new_rows(rows, np.uint32)
+    row = 0
+    for level, (first, end) in nodes.items():
+        some, row = slice(8 * row, 8 * (row + end - first)), row + end - first
         of_cells = level == depth - 3
-        _fill_tiles(
-            groups, first, of_cells, 0 if of_cells else rows - level_nodes[level + 3], masks[-1], firsts[-1]
-        )
+        offset = 0 if of_cells else row - level_nodes[level + 3]
+        _fill_tiles(groups, first, of_cells, offset, masks[some], firsts[some])
     top = np.full((1 << top_level,) * 3, rows, np.int32)
     places = decode_cells(tree.level_codes(top_level)[tree.is_node(top_level)])
     top[tuple(places.T[::-1])] = np.arange(len(places))
-    return Tiles(
-        depth,
-        top_level,
-        top.reshape(-1),
-        _join_rows(masks, np.uint64),
-        _join_rows(firsts, np.uint32),
-        _NO_MARKS,
-    )
+    return Tiles(depth, top_level, top.reshape(-1), masks, firsts, _NO_MARKS)
 
 
 def painted_levels(tree: Octree) -> list[int]:
@@ -158,21 +149,18 @@ def _mark(tiles: Tiles, codes: Int64s, up: int, reach: int, marks: Uint64s) -> N
 def _one_tile(tree: Octree) -> Tiles:
     """Derive the only tile of a tree of less than three levels: its cells lie in the first octant."""
     depth = tree.max_depth
-    masks, firsts = np.zeros(8, np.uint64), np.zeros(8, np.uint32)
+    masks, firsts = _new_rows(1, np.uint64), _new_rows(1, np.uint32)
     masks[0] = np.bitwise_or.reduce(np.uint64(1) << tree.level_codes(depth).astype(np.uint64))
     firsts[0] = tree.arrays.level_cells[depth]
-    top = np.zeros(1, np.int32)
-    return Tiles(depth, 0, top, _join_rows([masks], np.uint64), _join_rows([firsts], np.uint32), _NO_MARKS)
+    return Tiles(depth, 0, np.zeros(1, np.int32), masks, firsts, _NO_MARKS)
 
 
-def _join_rows(parts: list[Array], dtype: npt.DTypeLike) -> Array:
-    """Join parts, and a row of zeros, so that no row straddles two cache lines."""
-    size = sum(part.size for part in parts) + 8
-    memory = np.empty(size * np.dtype(dtype).itemsize + CACHE_LINE, np.uint8)
+def _new_rows(rows: int, dtype: npt.DTypeLike) -> Array:
+    """Return zeros for the octants of rows and of the empty one; no row straddles two cache lines."""
+    size = 8 * (rows + 1) * np.dtype(dtype).itemsize
+    memory = np.zeros(size + CACHE_LINE, np.uint8)
     start = -memory.ctypes.data % CACHE_LINE
-    joined = memory[start : start + memory.size - CACHE_LINE].view(dtype)
-    np.concatenate([*parts, np.zeros(8, dtype)], out=joined)
-    return joined
+    return memory[start : start + size].view(dtype)
 
 
 @inlined
