@@ -1,8 +1,11 @@
-"""The types of arrays, by what their elements are."""
+"""The types of arrays, by what their elements are; and zeros in files, which many are."""
 
 from __future__ import annotations
 
-from typing import Any
+import mmap
+import os
+import tempfile
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,3 +29,23 @@ Floats = npt.NDArray[np.floating[Any]]
 ChannelCodes = npt.NDArray[np.uint8 | np.uint16]
 #: What channels store.
 ChannelValues = npt.NDArray[np.uint8 | np.uint16 | np.float32]
+
+
+def zeros(count: int, most_in_memory: int = 1 << 28) -> Uint8s:
+    """Return so many zeros: in memory, or if they are more in a temporary file, whose pages may leave it.
+
+    Raises OSError where there is no room for that file.
+    """
+    if count <= most_in_memory:
+        return np.zeros(count, np.uint8)
+    with tempfile.TemporaryFile() as file:
+        return np.frombuffer(zeros_in(file, count), np.uint8)
+
+
+def zeros_in(file: IO[bytes], count: int) -> mmap.mmap:
+    """Map a new file, which becomes so many zeros; writes to them are writes to it."""
+    if hasattr(os, "posix_fallocate"):
+        os.posix_fallocate(file.fileno(), 0, count)  # a page without room would end the process
+    else:
+        file.truncate(count)
+    return mmap.mmap(file.fileno(), count)

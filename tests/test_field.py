@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import gc
+import mmap
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -21,7 +24,7 @@ from octex.field.field import Field, Finder, Listed, NotFiniteError
 from octex.field.sinks import Codes, blend
 from octex.field.splines import FILTERS
 from octex.field.taps import place_points
-from octex.field.tiles import build_tiles
+from octex.field.tiles import CACHE_LINE, build_tiles
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.search import Positions
@@ -260,3 +263,29 @@ def test_the_field_of_a_level_does_not_keep_the_whole_one() -> None:
     assert whole() is None
     assert np.array_equal(level.taps(points, UNIT).rows, expected.rows)
     assert level.level(2) is level.level(2)
+
+
+@pytest.mark.parametrize("is_full", [False, True])
+def test_tiles_of_many_cells_lie_in_a_file_if_there_is_room(
+    is_full: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_room(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    tree = Octree.from_leaves(np.unique(np.random.default_rng(0).integers(0, 8**5, 3000)), 5)
+    expected = build_tiles(tree)
+    monkeypatch.setattr("octex.field.tiles._IN_MEMORY", 0)
+    if is_full:
+        monkeypatch.setattr("octex.arrays.zeros_in", no_room)
+    found = build_tiles(tree)
+    for ours, theirs in ((found.masks, expected.masks), (found.firsts, expected.firsts)):
+        assert np.array_equal(ours, theirs)
+        assert ours.ctypes.data % CACHE_LINE == 0
+        assert (type(_owner(ours)) is mmap.mmap) is not is_full
+
+
+def _owner(array: Any) -> Any:
+    """Return what an array's memory belongs to."""
+    while isinstance(array, np.ndarray | memoryview) and (base := getattr(array, "base", None)) is not None:
+        array = base
+    return array.obj if isinstance(array, memoryview) else array

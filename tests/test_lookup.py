@@ -16,6 +16,7 @@ import octex
 from octex import parallel
 from octex.errors import ArgumentError
 from octex.texture import FILTERS, OctreeTexture, TextureSet, lookup
+from octex.texture.lookup import in_space
 from tests.conftest import needs_jit
 from tests.small_textures import eight_colors, shell
 
@@ -267,6 +268,29 @@ def test_many_points_are_looked_up_in_blocks_alike() -> None:
     for name in FILTERS:
         found = np.concatenate([texture.sample(piece, filter=name) for piece in pieces])
         assert np.array_equal(texture.sample(points, filter=name), found)
+
+
+@pytest.mark.parametrize("given", [[], ["normals"], ["width"]])
+def test_points_of_many_leaves_are_looked_up_in_the_order_of_space(
+    given: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    texture, random = shell(4, keep=0.0), np.random.default_rng(0)
+    points = random.random((300, 3))
+    options = {"normals": random.normal(size=(300, 3)), "width": random.random(300) * 0.2}
+    expected = texture.sample(points, **{name: options[name] for name in given})
+    in_order = []
+
+    def watched(*task: Any) -> None:
+        in_order.append(len(task[0]["points"]))
+        in_space(*task)
+
+    monkeypatch.setattr(lookup, "BLOCK", 40)
+    monkeypatch.setattr("octex.texture.texture.in_space", watched)
+    for most, calls in ((texture.tree.n_leaves + 1, []), (texture.tree.n_leaves, [300])):
+        monkeypatch.setattr("octex.texture.texture._MANY_LEAVES", most)
+        found = texture.sample(points, **{name: options[name] for name in given})
+        assert np.array_equal(found, expected)
+        assert in_order == calls
 
 
 @pytest.mark.usefixtures("small_blocks")

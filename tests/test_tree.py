@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from octex.errors import ArgumentError, TextureFileError
 from octex.tree import octree as octree_module
 from octex.tree import validate as validate_module
-from octex.tree.layout import KEPT, SPLIT, KeptTable, SplitTable, TreeArrays
+from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable, TreeArrays
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -265,6 +265,28 @@ def test_validate_finds_nodes_whose_flags_are_not_their_childrens() -> None:
     flags[8] = 0b1100
     with pytest.raises(TextureFileError, match="node cell 0: its normal flags"):
         tree.with_cell_data(flags, tree.arrays.areas).validate()
+
+
+@needs_jit
+@given(leaf_sets(6), st.integers(0, 2**32 - 1), st.data())
+def test_validate_names_the_node_whose_flags_are_not_its_childrens(
+    leaves: Leaves, seed: int, data: st.DataObject
+) -> None:
+    tree = with_random_data(Octree.from_leaves(*leaves), seed, keep=0.0)
+    tree.validate()
+    nodes = np.flatnonzero(np.concatenate([is_node for _, is_node in tree.walk()]))
+    if nodes.size == 0 or tree.max_depth == 0:
+        return
+    flags = tree.arrays.flags & FACING_FLAGS
+    flags[data.draw(st.sampled_from(nodes.tolist()))] ^= data.draw(st.integers(1, FACING_FLAGS))
+    together = np.zeros_like(flags)
+    for level in range(tree.max_depth):
+        first, end, last = tree.arrays.level_cells[level : level + 3]
+        parents = np.searchsorted(tree.level_codes(level), tree.level_codes(level + 1) >> 3)
+        np.bitwise_or.at(together[first:end], parents, flags[end:last])
+    node = nodes[together[nodes] != flags[nodes]][0]
+    with pytest.raises(TextureFileError, match=f"node cell {node}: its normal flags"):
+        Octree(tree.arrays._replace(flags=flags)).validate()
 
 
 @pytest.mark.parametrize(

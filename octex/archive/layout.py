@@ -22,9 +22,7 @@ megabyte, compressed with xz.
 
 from __future__ import annotations
 
-import mmap
 import os
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import NamedTuple
@@ -44,7 +42,6 @@ FORMAT_VERSION = 2
 BLOCKS = {1: 1 << 12, 2: 1 << 14}
 PIECE = 1 << 20
 START = 32
-_IN_MEMORY = 1 << 28
 
 TREE = tuple(f"tree/{name}" for name in TreeArrays._fields)
 SPLIT = tuple(f"split/{name}" for name in SplitTable._fields)
@@ -114,18 +111,6 @@ def known_names(tensors: Mapping[str, Array], channels: Sequence[str]) -> set[st
     for name in channels:
         found |= {f"channels/{name}", f"split/channels/{name}", f"kept/channels/{name}"}
     return found & tensors.keys()
-
-
-def room(count: int) -> Uint8s:
-    """Return so many zeros: in memory, or if they are many in a temporary file, whose pages may leave it."""
-    if count <= _IN_MEMORY:
-        return np.zeros(count, np.uint8)
-    with tempfile.TemporaryFile() as file:
-        if hasattr(os, "posix_fallocate"):
-            os.posix_fallocate(file.fileno(), 0, count)  # a page without room would end the process
-        else:
-            file.truncate(count)
-        return np.frombuffer(mmap.mmap(file.fileno(), count), np.uint8)
 
 
 def first_rows(facings: Uint8s) -> Int64s:

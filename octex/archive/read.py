@@ -33,11 +33,10 @@ from octex.archive.layout import (
     first_rows,
     named,
     parts,
-    room,
 )
 from octex.archive.models import Models, most_numbers
 from octex.archive.models import read as read_models
-from octex.arrays import Array, Int64s, Uint8s, Uint16s, Uint32s
+from octex.arrays import Array, Int64s, Uint8s, Uint16s, Uint32s, zeros
 from octex.container import without_duplicates
 from octex.errors import ArgumentError, TextureFileError
 from octex.files import open_file
@@ -316,7 +315,7 @@ def _room(head: _Head) -> dict[str, Array]:
             raise _DamagedError("its head is damaged; copy it again")
         shapes[name] = dtype, shape
     sizes = {key: np.dtype(dtype).itemsize * math.prod(shape) for key, (dtype, shape) in shapes.items()}
-    content = room(sum(size + 63 & -64 for size in sizes.values()))
+    content = zeros(sum(size + 63 & -64 for size in sizes.values()))
     tensors: dict[str, Array] = {}
     at = 0
     for key, (dtype, shape) in shapes.items():

@@ -45,12 +45,11 @@ from octex.archive.layout import (
     known_names,
     named,
     parts,
-    room,
 )
 from octex.archive.models import Models, counting, made, no_counts
 from octex.archive.values import code_values
 from octex.archive.weights import new_squares, solve
-from octex.arrays import Array, Int64s, Uint8s, Uint32s
+from octex.arrays import Array, Int64s, Uint8s, Uint32s, zeros
 from octex.files import replacing
 from octex.parallel import ordered_map, workers
 from octex.tree.layout import KeptTable, SplitTable, TreeArrays
@@ -217,7 +216,7 @@ def _unit(raw: Uint8s, coding: Coding, sampled: list[tuple[Span, Uint32s, Int64s
 
 def _copied(channel: Named) -> Named:
     """Return arrays of the same shapes for the values that will be read; the root's are kept."""
-    copy = Named(*(room(array.size).reshape(array.shape) for array in channel))
+    copy = Named(*(zeros(array.size).reshape(array.shape) for array in channel))
     copy.values[0] = channel.values[0]
     return copy
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 import errno
 import io
 import mmap
-import os
 import pickle
 import secrets
 import zlib
@@ -27,7 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Array, Int64s
+from octex.arrays import Array, Int64s, zeros_in
 from octex.errors import ArgumentError, OctexError, OutputError
 from octex.files import scratch_folder
 
@@ -65,11 +64,7 @@ class Scratch:
             return np.empty(shape, dtype)
         path = self.new_path()
         with path.open("x+b") as file:
-            if hasattr(os, "posix_fallocate"):
-                os.posix_fallocate(file.fileno(), 0, size)  # a page without room would end the process
-            else:
-                file.truncate(size)
-            mapping = mmap.mmap(file.fileno(), size)
+            mapping = zeros_in(file, size)
         array: Array = np.frombuffer(mapping, dtype).reshape(shape)
         self._files[array.ctypes.data] = _File(path, size, mapping)
         return array

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Array, Int32s, Int64s, Uint8s, Uint32s, Uint64s
+from octex.arrays import Array, Int32s, Int64s, Uint8s, Uint32s, Uint64s, zeros
 from octex.jit import inlined, kernel, new_zeros, part, popcount, prefetch, trailing_zeros
 from octex.tree.beside import with_boundary
 from octex.tree.morton import decode, decode_cells
@@ -37,6 +37,9 @@ _LEAST_PART = 1 / 16
 
 #: Bytes that memory is read in.
 CACHE_LINE = 64
+
+#: Most bytes of rows that stay in memory: those of 64 M cells. Others may leave it, as their texture may.
+_IN_MEMORY = 1 << 26
 
 Integer: TypeAlias = int | np.integer[Any]
 
@@ -158,7 +161,10 @@ def _one_tile(tree: Octree) -> Tiles:
 def _new_rows(rows: int, dtype: npt.DTypeLike) -> Array:
     """Return zeros for the octants of rows and of the empty one; no row straddles two cache lines."""
     size = 8 * (rows + 1) * np.dtype(dtype).itemsize
-    memory = np.zeros(size + CACHE_LINE, np.uint8)
+    try:
+        memory = zeros(size + CACHE_LINE, _IN_MEMORY)
+    except OSError:  # no room for a file
+        memory = np.zeros(size + CACHE_LINE, np.uint8)
     start = -memory.ctypes.data % CACHE_LINE
     return memory[start : start + size].view(dtype)
 

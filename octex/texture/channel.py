@@ -12,6 +12,9 @@ from octex.checks import as_choice, locked
 from octex.errors import ArgumentError
 from octex.tree.octree import Octree
 
+#: Rows that are looked at together.
+_PIECE = 1 << 18
+
 
 class Channel(NamedTuple):
     """A named array of values, one a cell: a leaf's value, or a node's average."""
@@ -72,4 +75,9 @@ class Channel(NamedTuple):
     def is_finite(self) -> bool:
         """Say whether no value is infinite or not a number."""
         arrays = self.values, self.split_values, self.kept_values
-        return all(np.isfinite(array).all() for array in arrays if array.dtype.kind == "f")
+        return all(
+            np.isfinite(array[begin : begin + _PIECE]).all()
+            for array in arrays
+            if array.dtype.kind == "f"
+            for begin in range(0, len(array), _PIECE)
+        )

@@ -58,6 +58,9 @@ _NONE = 0.0
 #: Points that `OctreeTexture.sample` looks up the short way, and their types.
 _FEW = 64
 _TAKEN = {np.dtype(np.float32), np.dtype(np.float64)}
+#: Leaves of which each read waits for memory, and for the disk if they do not fit there: points are looked up
+#: in the order of space, 1.7 times as fast for 234 M of them. For 15 M it makes no difference.
+_MANY_LEAVES = 1 << 26
 
 
 class OctreeTexture:
@@ -277,10 +280,10 @@ class OctreeTexture:
         if len(answers.channels) > 2 or filter == "quartic":  # most of the time is waiting for memory
             look_up_block = partial(block_in_space, look_up_block, self.placement)
         task = given, answers.arrays, look_up_block, threads, executor
-        code = FILTERS.index(filter)
-        if given.keys() <= {"points", "normals"} and self._field.tiles is None:
-            self._field.prepare(code)
-        if given.keys() <= {"points", "normals"} and self._field.tiles is None:
+        is_of_leaves = given.keys() <= {"points", "normals"}
+        if is_of_leaves and self._field.tiles is None:
+            self._field.prepare(FILTERS.index(filter))
+        if self.tree.n_leaves >= _MANY_LEAVES or (is_of_leaves and self._field.tiles is None):
             in_space(*task, self.placement)
         else:
             in_blocks(*task)

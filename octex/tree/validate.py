@@ -6,7 +6,7 @@ import numpy as np
 
 from octex.arrays import Uint8s, Uint32s, Uint64s
 from octex.errors import ArgumentError, TextureFileError
-from octex.jit import kernel, new_zeros, popcount
+from octex.jit import kernel, popcount
 from octex.tree.layout import (
     FACING_FLAGS,
     KEPT,
@@ -17,6 +17,9 @@ from octex.tree.layout import (
     SplitTable,
     TreeArrays,
 )
+
+#: Cells whose flags are looked at together.
+_PIECE = 1 << 20
 
 
 def check_layout(arrays: TreeArrays, split: SplitTable, kept: KeptTable) -> None:
@@ -85,7 +88,7 @@ def check_meaning(arrays: TreeArrays, split: SplitTable, kept: KeptTable) -> Non
     _check_split(arrays.flags, split)
     _check_kept(arrays, kept)
     cell = _facing_fault(arrays)
-    if cell >= 0 and (arrays.flags & FACING_FLAGS).any():
+    if cell >= 0:
         raise TextureFileError(f"node cell {cell}: its normal flags are not those of its children together")
 
 
@@ -109,7 +112,7 @@ def _check_structure(arrays: TreeArrays) -> None:
 
 
 def _check_split(flags: Uint8s, split: SplitTable) -> None:
-    if not np.array_equal(split.cells, np.flatnonzero(flags & SPLIT)):
+    if not _are_flagged(flags, SPLIT, split.cells):
         raise TextureFileError("split table: its cells are not those flagged as split, in order")
     if (flags[split.cells] & FACING_FLAGS != split.facings).any():
         raise TextureFileError("split table: a cell's facings are not its normal flags")
@@ -119,11 +122,22 @@ def _check_split(flags: Uint8s, split: SplitTable) -> None:
 
 
 def _check_kept(arrays: TreeArrays, kept: KeptTable) -> None:
-    if not np.array_equal(kept.cells, np.flatnonzero(arrays.flags & KEPT)):
+    if not _are_flagged(arrays.flags, KEPT, kept.cells):
         raise TextureFileError("kept table: its cells are not those flagged as kept, in order")
     row = _leaf_among(arrays, kept.cells)
     if row >= 0:
         raise TextureFileError(f"kept table: cell {kept.cells[row]} has no children")
+
+
+def _are_flagged(flags: Uint8s, flag: int, cells: Uint32s) -> bool:
+    """Say whether cells are all those that have a flag, in order."""
+    row = 0
+    for begin in range(0, flags.size, _PIECE):
+        flagged = begin + np.flatnonzero(flags[begin : begin + _PIECE] & flag)
+        if not np.array_equal(cells[row : row + flagged.size], flagged):
+            return False
+        row += flagged.size
+    return row == cells.size
 
 
 @kernel
@@ -184,18 +198,21 @@ def _facing_fault(arrays: TreeArrays) -> int:
     """First node's cell whose facings are not its children's together, or −1; needs a sound structure."""
     groups = arrays.groups
     n_nodes = int(arrays.level_nodes[-1])
-    cell_of = new_zeros(max(n_nodes, 1), np.int64)
-    next_node = next_cell = 1
+    cell, next_cell = np.int64(0), np.int64(1)
+    g, nodes = -1, np.uint64(0)  # a group, and those of its children that are nodes and still to come
     for node in range(n_nodes if arrays.level_cells.size > 2 else 0):
         facings = 0
         for octant in range(8):
             bit = np.uint64(1) << np.uint64(8 * (node & 7) + octant)
             if (groups[node >> 3, 0] | groups[node >> 3, 1]) & bit:
                 facings |= int(np.int64(arrays.flags[next_cell])) & FACING_FLAGS
-                if groups[node >> 3, 0] & bit:
-                    cell_of[next_node] = next_cell
-                    next_node += 1
                 next_cell += 1
-        if np.int64(arrays.flags[cell_of[node]]) & FACING_FLAGS != facings:
-            return int(cell_of[node])
+        if np.int64(arrays.flags[cell]) & FACING_FLAGS != facings:
+            return int(cell)
+        while nodes == 0 and g + 1 < groups.shape[0]:
+            g += 1
+            nodes = groups[g, 0]
+        below = (nodes & (~nodes + np.uint64(1))) - np.uint64(1)
+        cell = np.int64(groups[g, 2] >> np.uint64(32)) + popcount((groups[g, 0] | groups[g, 1]) & below)
+        nodes &= nodes - np.uint64(1)
     return -1
