@@ -86,6 +86,18 @@ def test_what_fits_into_memory_is_made_there(tmp_path: Path, monkeypatch: pytest
     assert in_memory == in_files
 
 
+@pytest.mark.parametrize(("needed", "is_mapped"), [(160, False), (170, True)])
+def test_memory_is_what_a_conversion_takes_at_its_peak(
+    needed: int, is_mapped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A conversion takes up to six times the least that it could.
+    made, scratch = [], large.scratch
+    monkeypatch.setattr(large, "scratch", lambda parent: made.append(parent) or scratch(parent))
+    monkeypatch.setattr("octex.conversion.convert.memory_needed", lambda *_, **__: needed)
+    octex.convert(tetrahedron(), 3, memory=1000, path=tmp_path / "a.octex")
+    assert bool(made) is is_mapped
+
+
 @needs_jit
 def test_large_arrays_of_a_conversion_take_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = []
