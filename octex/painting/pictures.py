@@ -299,7 +299,9 @@ def read_paint(
     as large as pixels): at the point if the box is a pixel or less; else at four points about it, in the
     level whose pixels are next smaller, so that the variance is the box's.
     """
-    level = min(int(np.log2(max(width, 1.0))), levels.sizes.shape[0] - 1)
+    if not width > 1.0:
+        return _bicubic(levels, 0, x, y)
+    level = min(int(np.log2(width)), levels.sizes.shape[0] - 1)
     scale_x = levels.sizes[level, 1] / levels.sizes[0, 1]
     scale_y = levels.sizes[level, 2] / levels.sizes[0, 2]
     x, y = x * scale_x, y * scale_y

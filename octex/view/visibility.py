@@ -39,13 +39,15 @@ class View(NamedTuple):
     world_to_camera: Float64s  # (4, 4)
     K: Float64s  # (3, 3)
     inverse_k: Float64s  # (3, 3)
+    focal: float  # pixels of what is 1 wide and 1 away, or of what is 1 wide if the projection is parallel
     is_pinhole: bool
 
 
 def view_of(camera: Camera) -> View:
     """Return a camera, without distortion, as kernels see it."""
     inverse = np.linalg.inv(camera.K).astype(np.float64)
-    return View(camera.world_to_camera, camera.K, inverse, camera.projection == "pinhole")
+    focal = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
+    return View(camera.world_to_camera, camera.K, inverse, focal, camera.projection == "pinhole")
 
 
 def visibility_of(
@@ -156,7 +158,7 @@ def tolerance(view: View, near: float, right: float, down: float, size: float) -
 
     ``right`` and ``down`` are the slopes of its plane, ``size`` the pixels that its triangle covers.
     """
-    pixel = (abs(near) if view.is_pinhole else 1.0) / np.sqrt(view.K[0, 0] * view.K[1, 1])
+    pixel = (abs(near) if view.is_pinhole else 1.0) / view.focal
     return float((_CLOSE + _ROUGH / (1.0 + size)) * (abs(right) + abs(down) + pixel))
 
 
