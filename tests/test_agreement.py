@@ -45,14 +45,14 @@ def test_a_picture_differs_by_what_it_is_off_all_between_modes() -> None:
     random = np.random.default_rng(6)
     codes, modes = random.uniform(0, 255, (2, 9, 13, 3)).astype(np.float32)
     modes[random.random((9, 13)) < 0.6] = np.nan
-    found = agreement._off(codes, modes)
+    found = agreement.off_modes(codes, modes)
     np.testing.assert_allclose(found, naive_agreement.off(codes, modes), atol=1e-3)
     stripes = np.empty((9, 13, 3), np.float32)
     stripes[:, ::2], stripes[:, 1::2] = 200, 30
-    assert agreement._off(np.roll(stripes, 1, axis=1), stripes).max() < 1e-3
+    assert agreement.off_modes(np.roll(stripes, 1, axis=1), stripes).max() < 1e-3
     green = np.empty_like(stripes)
     green[:] = 90, 150, 90  # no component of it leaves its range
-    assert agreement._off(green, stripes).min() > 25
+    assert agreement.off_modes(green, stripes).min() > 25
 
 
 def test_masks_leave_out_what_is_far_off_with_a_rim_and_no_few_patches() -> None:

@@ -78,7 +78,7 @@ def _differences(source: Projected, number: int) -> Float32s:
         found = np.empty_like(colors[number])
         find_modes(colors, weights, number, found)
         codes[patches[some]], modes[patches[some]] = as_codes(colors[number]), found
-    return _off(codes.reshape(rows, columns, 3), modes.reshape(rows, columns, 3))
+    return off_modes(codes.reshape(rows, columns, 3), modes.reshape(rows, columns, 3))
 
 
 def _seen_at(source: Projected, shot: Shot, rows: int, columns: int) -> tuple[Int64s, Int32s, Float64s]:
@@ -108,33 +108,40 @@ def as_codes(colors: Float32s) -> Float32s:
     return found
 
 
-def _off(codes: Float32s, modes: Float32s) -> Float32s:
+@kernel
+def off_modes(codes: Float32s, modes: Float32s) -> Float32s:
     """Return how far codes are from what lies between a patch's mode and one next to it, by components.
 
     Both are (rows, columns, 3). The nearest points of lines are sought, and the least of their differences'
     worst components. NaN where a patch has no mode itself.
     """
     rows, columns = modes.shape[:2]
-    wide = np.pad(modes, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
-    off = codes - modes
-    found: Float32s = np.abs(off).max(axis=2)
-    for i, j in np.ndindex(3, 3):
-        way = wide[i : i + rows, j : j + columns] - modes
-        part = (off * way).sum(axis=2) / np.maximum((way * way).sum(axis=2), np.float32(1e-6))
-        nearest = np.clip(part, 0, 1)[:, :, None] * way
-        found = np.fmin(found, np.abs(off - nearest).max(axis=2))
+    found = np.full((rows, columns), np.float32(np.nan))
+    for row in range(rows):
+        for column in range(columns):
+            a, b, c = modes[row, column, 0], modes[row, column, 1], modes[row, column, 2]
+            x, y, z = codes[row, column, 0] - a, codes[row, column, 1] - b, codes[row, column, 2] - c
+            least = max(abs(x), abs(y), abs(z))
+            if np.isnan(least):
+                continue
+            for i in range(max(row - 1, 0), min(row + 2, rows)):
+                for j in range(max(column - 1, 0), min(column + 2, columns)):
+                    u, v, w = modes[i, j, 0] - a, modes[i, j, 1] - b, modes[i, j, 2] - c
+                    if not np.isnan(u):
+                        part = (x * u + y * v + z * w) / max(u * u + v * v + w * w, np.float32(1e-6))
+                        part = min(max(part, np.float32(0.0)), np.float32(1.0))
+                        least = min(least, max(abs(x - part * u), abs(y - part * v), abs(z - part * w)))
+            found[row, column] = least
     return found
 
 
 @inlined
-def _apart(colors: Float32s, i: int, j: int, n: int) -> np.float32:
-    """Return by how many codes, of a square root of light, two colours differ in their worst component."""
+def _apart(codes: Float32s, i: int, j: int) -> float:
+    """Return by how many codes two colours differ in their worst component."""
     most = np.float32(0.0)
     for component in range(3):
-        a = np.sqrt(max(colors[i, n, component], np.float32(0.0)))
-        b = np.sqrt(max(colors[j, n, component], np.float32(0.0)))
-        most = max(most, abs(a - b))
-    return np.float32(255.0) * most
+        most = max(most, abs(codes[i, component] - codes[j, component]))
+    return float(most)
 
 
 @inlined
@@ -151,6 +158,7 @@ def find_modes(colors: Float32s, weights: Float32s, own: int, found: Float32s) -
     The mode is the picture's colour which the others support most, each by its say.
     """
     count = len(weights)
+    codes, says, supports = np.empty((count, 3), np.float32), np.empty(count), np.empty(count)
     for n in range(len(found)):
         found[n] = np.nan
         if not weights[own, n] > 0.0:
@@ -163,22 +171,24 @@ def find_modes(colors: Float32s, weights: Float32s, own: int, found: Float32s) -
                 largest = max(largest, weights[i, n])
         if several < _LEAST:
             continue
-        best, most, alone = -1, 0.0, 0.0
         for i in range(count):
-            if not weights[i, n] > 0.0:
-                continue
-            say = np.float64(weights[i, n] / largest) ** _SAY
-            support = say
-            for j in range(count):
-                if j != i and weights[j, n] > 0.0:
-                    its = np.float64(weights[j, n] / largest) ** _SAY
-                    support += its * nearness_of(np.float64(_apart(colors, i, j, n)))
-            if support > most:
-                best, most, alone = i, support, say
-        if most - alone >= _SUPPORT * alone:
+            says[i] = np.float64(weights[i, n] / largest) ** _SAY if weights[i, n] > 0.0 else 0.0
+            supports[i] = says[i]
             for component in range(3):
-                light = max(colors[best, n, component], np.float32(0.0))
-                found[n, component] = np.float32(255.0) * np.sqrt(light)
+                light = max(colors[i, n, component], np.float32(0.0))
+                codes[i, component] = np.float32(255.0) * np.sqrt(light)
+            for j in range(i if says[i] > 0.0 else 0):
+                if says[j] > 0.0:
+                    near = nearness_of(_apart(codes, i, j))
+                    supports[i] += says[j] * near
+                    supports[j] += says[i] * near
+        best = 0
+        for i in range(count):
+            if supports[i] > supports[best]:
+                best = i
+        if supports[best] - says[best] >= _SUPPORT * says[best]:
+            for component in range(3):
+                found[n, component] = codes[best, component]
 
 
 def _mask(differences: Float32s, far: float) -> Float32s:

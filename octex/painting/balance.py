@@ -7,7 +7,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s
+from octex.arrays import Float32s, Float64s, Int64s
+from octex.jit import kernel
 from octex.painting.consensus import agreed_step, robust_weights
 from octex.painting.pictures import Levels
 from octex.painting.projected import Projected, most_ahead, pixels_of_points
@@ -107,16 +108,30 @@ def _radii(levels: Levels, pixels: Float64s) -> Float64s:
 
 def evened(levels: Levels, vignetting: Float64s) -> Levels:
     """Return a picture times exp(a·r² + b·r⁴)."""
-    pixels = levels.pixels.copy()
+    pixels = np.empty_like(levels.pixels)
     a, b = vignetting.tolist()
-    factors = []
-    for first, width, height in levels.sizes.tolist():
-        y, x = (np.arange(count) + 0.5 - count / 2 for count in (height, width))
-        scale = levels.sizes[0, 1:] / (width, height)
-        squares = ((x * scale[0]) ** 2 + (y[:, None] * scale[1]) ** 2) / (levels.sizes[0, 1:] ** 2 / 4).sum()
-        factor = np.exp(squares * (a + b * squares)).astype(np.float32)
-        pixels[first : first + width * height, :3] *= factor.reshape(-1, 1)
-        factors += [factor.min(), factor.max()]
-    low, high = levels.range * np.float32(min(factors)), levels.range * np.float32(max(factors))
+    factors = _even(levels.pixels, levels.sizes, a, b, pixels)
+    low, high = levels.range * factors[0], levels.range * factors[1]
     ends: Float32s = np.stack([np.minimum(low[0], high[0]), np.maximum(low[1], high[1])])
     return levels._replace(pixels=pixels, range=ends)
+
+
+@kernel
+def _even(given: Float32s, sizes: Int64s, a: float, b: float, found: Float32s) -> Float32s:
+    """Write pixels times exp(a·r² + b·r⁴); return the least and the largest of these factors."""
+    ends = np.array([np.inf, -np.inf], np.float32)
+    corner = 0.25 * (sizes[0, 1] ** 2 + sizes[0, 2] ** 2)
+    for level in range(len(sizes)):
+        first, across, down = sizes[level, 0], sizes[level, 1], sizes[level, 2]
+        for i in range(down):
+            y = (i + 0.5 - down / 2) * sizes[0, 2] / down
+            for j in range(across):
+                x = (j + 0.5 - across / 2) * sizes[0, 1] / across
+                square = (x * x + y * y) / corner
+                factor = np.float32(np.exp(square * (a + b * square)))
+                at = first + i * across + j
+                for component in range(3):
+                    found[at, component] = given[at, component] * factor
+                found[at, 3] = given[at, 3]
+                ends[0], ends[1] = min(ends[0], factor), max(ends[1], factor)
+    return ends

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import PIL.Image
 
-from octex.arrays import Array, Bools, Float32s, Int64s
+from octex.arrays import Array, Bools, Float32s, Int64s, Uint16s
 from octex.channels import ChannelFormat, decode_table, linear_to_srgb
 from octex.checks import as_bytes, as_choice, as_items, as_number, as_path, as_reals, is_path
 from octex.conversion.large import scratch
@@ -276,12 +276,22 @@ def _decoded(
     if texels.dtype == np.uint16:
         is_light = form.space in ("srgb", "linear")
         table = decode_table("uint16", "srgb" if is_light else form.space)
-        for component in range(3):
-            pixels[:, :, component] = table[texels[:, :, component]]
+        _decode(np.ascontiguousarray(texels, np.uint16), table, pixels)
     else:
         pixels[:, :, :3] = texels[:, :, :3]
-    pixels[:, :, 3] = _as_fractions(texels[:, :, 3])
+        pixels[:, :, 3] = _as_fractions(texels[:, :, 3])
     return pixels
+
+
+@kernel
+def _decode(texels: Uint16s, table: Float32s, pixels: Float32s) -> None:
+    """Write what codes stand for, and alpha as a fraction."""
+    share = np.float32(1.0 / _MOST_CODE)
+    for row in range(texels.shape[0]):
+        for column in range(texels.shape[1]):
+            for component in range(3):
+                pixels[row, column, component] = table[texels[row, column, component]]
+            pixels[row, column, 3] = min(np.float32(texels[row, column, 3]) * share, np.float32(1.0))
 
 
 def check_projections(projections: Projection | Sequence[Projection]) -> list[Projection]:
