@@ -288,6 +288,34 @@ def test_an_atlas_without_room_says_so() -> None:
         atlas.atlas_layout(surface, [64], 8, 1.0)
 
 
+@pytest.mark.parametrize("part", [0.05, 0.3, 0.9])
+def test_charts_are_placed_in_the_first_place_where_they_fit(part: float) -> None:
+    random, size, missed = np.random.default_rng(7), 24, 0
+    free, longest = np.ones((size, size), np.bool_), np.full(size, size, np.int64)
+    for _ in range(300):
+        mask = random.random(random.integers(1, 8, 2)) < part
+        mask[0, 0] = True
+        start = int(random.integers(0, size**2 // 2))
+        expected, before = _first_place(free, mask, start), free.copy()
+        assert atlas._place(free, longest, mask, start) == expected
+        missed += expected < 0
+        if expected >= 0:
+            i, j = np.argwhere(mask).T + np.array([divmod(expected, size)]).T
+            before[i, j] = False
+        assert np.array_equal(free, before)
+    assert missed
+
+
+def _first_place(free: npt.NDArray[np.bool_], mask: npt.NDArray[np.bool_], start: int) -> int:
+    """Return the first place from one on where all of a mask's blocks are free, −1 for none."""
+    (rows, columns), size = mask.shape, len(free)
+    for at in range(start, size**2):
+        i, j = divmod(at, size)
+        if i + rows <= size and j + columns <= size and free[i : i + rows, j : j + columns][mask].all():
+            return at
+    return -1
+
+
 def test_a_map_grows_until_charts_fit_and_texels_are_as_small_as_cells() -> None:
     random = np.random.default_rng(0)
     vertices = np.repeat(random.random((300, 3)), 3, axis=0) + 0.05 * random.random((900, 3))

@@ -258,7 +258,7 @@ def _packed(flat: Float64s, starts: Int64s, size: int, padding: int) -> Float64s
     if (reaches + 2 * padding > size).any():
         return None
     groups = [slice(*ends) for ends in pairwise([*starts.tolist(), len(flat)])]
-    free = np.ones((blocks, blocks), np.bool_)
+    free, longest = np.ones((blocks, blocks), np.bool_), np.full(blocks, blocks, np.int64)
     tried: dict[tuple[int, ...], tuple[int, Bools]] = {}  # where masks are that were placed last, by shape
     placed = np.empty_like(flat)
     for group in np.argsort(-reaches.max(axis=1), kind="stable").tolist():
@@ -269,7 +269,7 @@ def _packed(flat: Float64s, starts: Int64s, size: int, padding: int) -> Float64s
         mask = np.zeros((int(shape[1]), int(shape[0])), np.bool_)
         _mark((flat[own] + padding) / ALIGNMENT, padding / ALIGNMENT, mask)
         last, before = tried.get(mask.shape, (-1, mask))
-        at = _place(free, mask, last + 1 if mask[before].all() else 0)
+        at = _place(free, longest, mask, last + 1 if mask[before].all() else 0)
         if at < 0:
             return None
         tried[mask.shape] = at, mask
@@ -303,28 +303,50 @@ def _mark(corners: Float64s, around: float, mask: Bools) -> None:
 
 
 @kernel
-def _place(free: Bools, mask: Bools, start: int) -> int:
-    """Put a mask where all blocks are free, in the first such place from ``start`` on; return it, or −1."""
+def _place(free: Bools, longest: Int64s, mask: Bools, start: int) -> int:
+    """Put a mask where all blocks are free, in the first such place from ``start`` on; return it, or −1.
+
+    ``longest`` (rows,) are the longest runs of free blocks: rows with none as long as the mask's are passed
+    over. A run that meets a block that is not free moves on until it begins behind that.
+    """
     height, width = mask.shape
     blocks = free.shape[0]
-    for at in range(start, blocks * blocks):
-        row, column = at // blocks, at % blocks
-        if row + height > blocks:
-            break
-        if column + width > blocks:
-            continue
-        fits = True
+    runs = np.zeros((height, width), np.int64)  # how many blocks of a run there are up to each
+    for y in range(height):
+        for x in range(width):
+            if mask[y, x]:
+                runs[y, x] = runs[y, x - 1] + 1 if x else 1
+    row, column = start // blocks, start % blocks
+    while row + height <= blocks:
         for y in range(height):
-            for x in range(width):
-                if mask[y, x] and not free[row + y, column + x]:
-                    fits = False
-                    break
-            if not fits:
+            if longest[row + y] < runs[y].max():
+                column = blocks
                 break
-        if fits:
+        while column + width <= blocks:
+            step = np.int64(0)
             for y in range(height):
-                for x in range(width):
-                    if mask[y, x]:
-                        free[row + y, column + x] = False
-            return at
+                x = width - 1
+                while x >= 0 and (runs[y, x] == 0 or free[row + y, column + x]):
+                    x -= 1
+                if x >= 0:
+                    step = runs[y, x]
+                    break
+            if step == 0:
+                _take(free[row : row + height], longest[row : row + height], mask, column)
+                return int(row * blocks + column)
+            column += step
+        row, column = row + 1, 0
     return -1
+
+
+@kernel
+def _take(free: Bools, longest: Int64s, mask: Bools, column: int) -> None:
+    """Take a mask's blocks from rows, and find the longest runs of what is free in these anew."""
+    for y in range(mask.shape[0]):
+        for x in range(mask.shape[1]):
+            if mask[y, x]:
+                free[y, column + x] = False
+        run = longest[y] = 0
+        for x in range(free.shape[1]):
+            run = run + 1 if free[y, x] else 0
+            longest[y] = max(longest[y], run)
