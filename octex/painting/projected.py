@@ -292,16 +292,18 @@ class Projected(PaintSource):
         return found
 
     def each(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> tuple[Float32s, Float32s]:
-        """Return what each shot paints (shots, n, 3), and its weight (shots, n)."""
+        """Return what each shot paints (shots, n, 3), and its weight (shots, n), the largest of a point 1."""
         paint = np.zeros((len(self._shots), len(triangles), 3), np.float32)
-        weights = np.zeros((len(self._shots), len(triangles)), np.float32)
+        weights = np.zeros((len(self._shots), len(triangles)))
         where = triangles, barycentric, widths
         for number, (shot, gains) in enumerate(zip(self._shots, self._gains, strict=True)):
             sums, clear = np.zeros((len(triangles), 4)), np.ones(len(triangles))
             _add(shot, self._terms, *self._mesh, self._normals, gains, *where, sums, clear)
             weights[number] = sums[:, 3]
             paint[number] = sums[:, :3] / np.maximum(sums[:, 3:], 1e-300)
-        return paint, weights
+        # They go with the eighth power of a model's units, which leaves the range of float32.
+        weights /= np.maximum(weights.max(axis=0), 1e-300)
+        return paint, weights.astype(np.float32)
 
     def positions(self, triangles: Int32s, barycentric: Float64s) -> Float64s:
         """Return where points are on the posed surface (n, 3)."""
