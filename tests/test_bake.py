@@ -264,6 +264,27 @@ def test_charts_do_not_depend_on_the_units_of_a_model(scale: float) -> None:
     assert charts[0] == charts[1] > 1
 
 
+@pytest.mark.parametrize("ending", [".glb", ".gltf", ".obj", ".usdz", ".3mf", ".ply"])
+@pytest.mark.parametrize("aside", [0.0, 60.0, 4_500_321.91])
+def test_files_keep_the_shape_of_models_far_from_the_origin(
+    ending: str, aside: float, tmp_path: Path
+) -> None:
+    if ending in (".usdz", ".3mf"):
+        pytest.importorskip("pxr" if ending == ".usdz" else "lib3mf")
+    points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 12)
+    points += [aside, -aside / 8, 0.0]
+    surface = Surface.from_arrays(points, triangles).with_sources({"base_color": (0.2, 0.5, 0.8)})
+    texture = octex.convert(surface, 3)
+    if ending in (".3mf", ".ply"):
+        baked = octex.bake_vertices(texture, surface)
+    else:
+        baked = octex.bake(texture, surface, texture_size=256)
+    octex.write_model(baked, tmp_path / f"ball{ending}")
+    read = octex.load_surface(tmp_path / f"ball{ending}")
+    found, expected = (np.unique(each.vertices.round(4), axis=0) for each in (read, baked))
+    np.testing.assert_allclose(found, expected, atol=2e-4)
+
+
 @pytest.mark.parametrize("ending", [".glb", ".obj"])
 def test_shading_normals_are_kept_and_posed(ending: str, tmp_path: Path) -> None:
     points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 12)

@@ -6,4 +6,5 @@ npz         a texture as arrays
 ptex        texels for the polygons of a mesh, both ways
 images      images of materials, and what is bound to vertices, as files have them
 units       units of length that files state
+origins     where positions in float32 are written from
 """

@@ -14,6 +14,7 @@ from octex.arrays import Floats, Integers
 from octex.errors import ModelError
 from octex.files import replacing
 from octex.formats.images import ImageFormat, encoded_images, image_names, materials_of
+from octex.formats.origins import origin_of
 from octex.source.distinct import distinct_rows
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Input, Material, MaterialSource
@@ -32,8 +33,9 @@ def write_gltf(surface: Surface, path: Path, images: ImageFormat) -> None:
     """Write a surface whose values come from images, as ``bake`` makes it, as glTF 2.0.
 
     ``path`` ends in .glb, one file, or .gltf, whose .bin and images are written beside it. Positions are the
-    posed ones; normals and tangents are the surface's ``frames``, without which viewers shade it flat.
-    ``images`` is how maps are stored: "png", or with loss "jpeg" (where there is no alpha) or "webp".
+    posed ones, of a model far from the origin by a translation of its node; normals and tangents are the
+    surface's ``frames``, without which viewers shade it flat. ``images`` is how maps are stored: "png", or
+    with loss "jpeg" (where there is no alpha) or "webp".
 
     Raises ModelError for a surface whose values glTF's materials cannot say.
     """
@@ -65,6 +67,7 @@ class _Content:
     def add(self, surface: Surface, source: MaterialSource) -> None:
         """Add a surface as the one mesh."""
         self._frames = surface.posed_frames()
+        self._origin = origin_of(surface.vertices)
         materials, owners = source.materials, source.triangle_materials
         primitives = []
         used = np.unique(owners).tolist()
@@ -78,6 +81,8 @@ class _Content:
         name = Path(surface.name).stem
         self.json["meshes"] = [{"name": name, "primitives": primitives}]
         self.json["nodes"] = [{"name": name, "mesh": 0}]
+        if self._origin.any():
+            self.json["nodes"][0]["translation"] = self._origin.tolist()
         if self._extensions:
             self.json["extensionsUsed"] = sorted(self._extensions)
         if self._format == "webp" and self.images:
@@ -96,7 +101,8 @@ class _Content:
             [surface.triangles[chosen], *(each.rows[chosen] for each in bound.values())], axis=-1
         )
         distinct, indices = distinct_rows(corners.reshape(-1, corners.shape[-1]))
-        attributes = {"POSITION": self._floats(surface.vertices[distinct[:, 0]], limits=True)}
+        positions = surface.vertices[distinct[:, 0]] - self._origin
+        attributes = {"POSITION": self._floats(positions, limits=True)}
         for number, (name, each) in enumerate(bound.items(), 1):
             attributes[name] = self._floats(each.values[distinct[:, number]])
         accessor = {

@@ -13,6 +13,7 @@ from octex.arrays import Array
 from octex.errors import ModelError
 from octex.files import replacing, scratch_folder
 from octex.formats.images import codes_of, colors_of_vertices
+from octex.formats.origins import origin_of
 from octex.formats.units import Unit
 from octex.source.surface import Surface
 from octex.source.welding import welded
@@ -26,9 +27,10 @@ _UNITS: dict[Unit, str] = {
 def write_3mf(surface: Surface, path: Path, unit: Unit) -> None:
     """Write a surface with vertex colours, as ``bake_vertices`` makes it, as a 3MF mesh with a colour group.
 
-    Positions are the posed ones, in float32, ``unit`` is what 1 stands for. Vertices at one place are one, so
-    that what is closed is closed for slicers too; triangles that this leaves without area are left out. Each
-    corner has a colour of the group, sRGB with alpha, of 8 bits.
+    Positions are the posed ones, in float32, of a model far from the origin by the item's transform; ``unit``
+    is what 1 stands for. Vertices at one place are one, so that what is closed is closed for slicers too;
+    triangles that this leaves without area are left out. Each corner has a colour of the group, sRGB with
+    alpha, of 8 bits.
 
     Raises ModelError for a surface whose values come from images.
     """
@@ -37,7 +39,8 @@ def write_3mf(surface: Surface, path: Path, unit: Unit) -> None:
     colors = colors_of_vertices(surface)
     if colors is None:
         raise ModelError(f"{surface.name}: .3mf files hold colours at vertices; bake these, or write a .glb")
-    points = surface.vertices.astype(np.float32)
+    origin = origin_of(surface.vertices)
+    points = (surface.vertices - origin).astype(np.float32)
     places = welded(points)
     triangles = places[surface.triangles]
     solid = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
@@ -60,7 +63,7 @@ def write_3mf(surface: Surface, path: Path, unit: Unit) -> None:
     properties[:, 1:] = np.array(added, np.uint32)[numbers.reshape(-1)][surface.triangles[solid]]
     mesh.SetAllTriangleProperties(_items(lib3mf.TriangleProperties, properties))
     mesh.SetObjectLevelProperty(group.GetResourceID(), added[0])
-    model.AddBuildItem(mesh, wrapper.GetIdentityTransform())
+    model.AddBuildItem(mesh, wrapper.GetTranslationTransform(*origin.tolist()))
     with scratch_folder() as folder:  # the library writes to paths only
         made = folder / "model.3mf"
         before = locale.setlocale(locale.LC_ALL)

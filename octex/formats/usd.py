@@ -16,6 +16,7 @@ import numpy as np
 from octex.errors import ModelError
 from octex.files import replacing, scratch_folder
 from octex.formats.images import ImageFormat, encoded_images, image_names, materials_of
+from octex.formats.origins import origin_of
 from octex.formats.units import METERS, Unit
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Input, MaterialSource
@@ -40,8 +41,9 @@ _OF_VERTICES = {"base_color": ("displayColor", "float3"), "alpha": ("displayOpac
 def write_usd(surface: Surface, path: Path, images: ImageFormat, unit: Unit) -> None:
     """Write a surface with images, as ``bake`` makes it, or vertex colours, as one mesh below ``/model``.
 
-    The stage's up axis is y, as in glTF, and ``unit`` is what 1 stands for. Texture coordinates are the
-    primvar ``st``, normals stand at corners, and triangles are seen from both sides if a material says so.
+    The stage's up axis is y, as in glTF, and ``unit`` is what 1 stands for. A model far from the origin is
+    translated. Texture coordinates are the primvar ``st``, normals stand at corners, and triangles are seen
+    from both sides if a material says so.
     Vertex colours are ``displayColor`` and ``displayOpacity``, which the material reads.
 
     UsdPreviewSurface has either metals or specular colours: these are written where nothing is metallic.
@@ -94,7 +96,10 @@ def _mesh(stage: Any, surface: Surface, source: MaterialSource) -> Any:
 
     name = re.sub(r"\W", "_", Path(surface.name).stem)
     mesh = UsdGeom.Mesh.Define(stage, f"/model/{name if re.match('[A-Za-z_]', name) else f'_{name}'}")
-    points = surface.vertices.astype(np.float32)
+    origin = origin_of(surface.vertices)
+    if origin.any():
+        mesh.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble).Set(tuple(origin.tolist()))
+    points = (surface.vertices - origin).astype(np.float32)
     mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
     mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(axis=0), points.max(axis=0)])))
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(surface.triangles), 3, np.int32)))
