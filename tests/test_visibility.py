@@ -9,6 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from octex.channels import BASE_COLOR
+from octex.painting import projected
 from octex.painting.pictures import Projection
 from octex.painting.projected import Projected, shading_of, sight_of, stretches_of, take_shots, terms_of
 from octex.parallel import pool_of
@@ -309,3 +310,12 @@ def test_a_lens_is_seen_through_a_pinhole_that_is_wide_enough() -> None:
     found = seen(surface, camera, samples.triangles, samples.barycentric)
     assert (found[inside & (cosine > 0.3)] == 1).all()
     assert straight(plain_camera) is plain_camera
+
+
+def test_pixels_near_paint_are_those_whose_square_holds_some() -> None:
+    random = np.random.default_rng(0)
+    for share in np.tile([0.02, 0.1, 0.5], 30):
+        some = random.random(random.integers(1, 20, 2)) < share
+        reach = int(random.integers(0, 8))
+        wide = np.lib.stride_tricks.sliding_window_view(np.pad(some, reach), (2 * reach + 1,) * 2)
+        assert np.array_equal(projected._spread(some, reach), wide.any(axis=(2, 3)))

@@ -187,7 +187,9 @@ def _paint(surface: octex.Surface, folder: Path) -> None:
 
     camera = octex.Camera.fitted(surface.vertices, (0.4, 0.3, 1.0), size=(16, 4))
     camera.differentials(surface.vertices, surface.vertices)
-    picture = octex.Projection(np.full((4, 16, 4), 128, np.uint8), camera)
+    image = np.full((4, 16, 4), 128, np.uint8)
+    image[0, 0] = 0
+    picture = octex.Projection(image, camera)
     octex.convert(surface, 2).save(folder / "coarse.octex")
     for texture in (None, octex.open(folder / "coarse.octex")):
         octex.paint(texture, surface, picture)

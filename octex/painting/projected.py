@@ -151,14 +151,32 @@ def _near_paint(shot: Shot, reach: int) -> Shot:
     has_paint = shot.levels.pixels[: width * height, 3].reshape(height, width) > 0
     if is_bent(shot.lens) or has_paint.all():
         return shot
-    for axis in (0, 1):  # a square around each pixel: sums along rows, then along columns
-        ends = np.arange(has_paint.shape[axis])
-        sums = np.cumsum(has_paint, axis=axis, dtype=np.int32)
-        last = np.take(sums, np.minimum(ends + reach, ends[-1]), axis=axis)
-        before = np.take(sums, np.maximum(ends - reach - 1, 0), axis=axis)
-        before[(slice(None),) * axis + (ends <= reach,)] = 0
-        has_paint = last > before
-    return _renamed(shot, np.where(has_paint, shot.seen.triangle, np.int32(-1)))
+    return _renamed(shot, np.where(_spread(has_paint, reach), shot.seen.triangle, np.int32(-1)))
+
+
+@kernel
+def _spread(some: Bools, reach: int) -> Bools:
+    """Say of each pixel whether there are some in the square that goes as far as ``reach`` around it."""
+    height, width = some.shape
+    beside, found = np.zeros((height, width), np.bool_), np.zeros((height, width), np.bool_)
+    for row in range(height):
+        for turn in range(2):
+            last = -1 - reach
+            for step in range(width):
+                column = width - 1 - step if turn else step
+                if some[row, column]:
+                    last = step
+                beside[row, column] |= step - last <= reach
+    lasts = np.empty(width, np.int64)
+    for turn in range(2):
+        lasts[:] = -1 - reach
+        for step in range(height):
+            row = height - 1 - step if turn else step
+            for column in range(width):
+                if beside[row, column]:
+                    lasts[column] = step
+                found[row, column] |= step - lasts[column] <= reach
+    return found
 
 
 def _renamed(shot: Shot, triangle: Int32s) -> Shot:
