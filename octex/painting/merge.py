@@ -128,12 +128,14 @@ def merged(
     )  # fmt: skip
     if not any(each.codes.size for each in raised.paint):
         return None
+    report("merge", 0, 1)
     with own_making():
         paint = refine_paint(raised.paint, layer, raised.texture.tree, opacity)
         tree, is_skirt = raised.texture.tree, raised.is_skirt
         bare = bare_leaves(tree, paint, is_skirt) if tree.kept.cells.size else []
         paint = with_old_skirts(tree, paint, bare, is_skirt, executor)
         made = _blended(part, raised, paint, bare, layer, target, blend, opacity)
+    report("merge", 1, 1)
     return Change(tiles, with_channels_of(part, given), made)
 
 

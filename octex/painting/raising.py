@@ -208,6 +208,7 @@ def _raised(
         return unchanged(tree), paint, None
     depth = max((level for level, each in enumerate(paint) if each.codes.size), default=0)
     met = _met_cells(ground, texture, tops, depth, executor, progress)
+    progress("merge", 0, 1)
     split = [
         distinct(np.concatenate([none, *(own for at, own in tops if at == level)]))
         for level in range(max(tree.max_depth, depth) + 1)
