@@ -32,7 +32,7 @@ ChannelValues = npt.NDArray[np.uint8 | np.uint16 | np.float32]
 
 
 def zeros(count: int, most_in_memory: int = 1 << 28) -> Uint8s:
-    """Return so many zeros: in memory, or if they are more in a temporary file, whose pages may leave it.
+    """Return so many bytes of 0: in memory, or if they are more in a temporary file, whose pages may go.
 
     Raises OSError where there is no room for that file.
     """
