@@ -66,6 +66,15 @@ def test_sheets_are_what_hangs_together_in_cells(seed: int) -> None:
     np.testing.assert_array_equal(own, np.arange(len(found)))
 
 
+def test_triangles_without_area_part_no_sheets() -> None:
+    points, triangles = tilted(square(steps=5), 2)
+    flat = np.concatenate([triangles[:, [0, 0, 1]], triangles[:, [1, 2, 1]]])
+    expected, _ = cut(plain((points, triangles)), 3)
+    found, _ = cut(plain((points, np.concatenate([triangles, flat]))), 3)
+    np.testing.assert_array_equal(found.codes, expected.codes)
+    np.testing.assert_array_equal(found.pairs, expected.pairs)
+
+
 def test_a_solution_is_that_of_a_dense_solve() -> None:
     random = np.random.default_rng(0)
     surface = plain(tilted(together(square(steps=5), square(0.4, steps=2)), 1))

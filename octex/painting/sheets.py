@@ -145,10 +145,11 @@ def _columns(pieces: Pieces, chosen: Bools | None) -> Columns:
 
 def _joined(grid: Int32s, faces: Int32s, firsts: Int64s, codes: Int64s, level: int) -> Int64s:
     """Return pairs (k, 2) of pieces in one cell whose triangles share an edge that is in the cell."""
-    keys, _ = edges_of(faces, welded(grid).astype(np.int64))
+    some = np.flatnonzero(np.diff(firsts))  # triangles without area would part what they lie between
+    keys, _ = edges_of(faces[some], welded(grid).astype(np.int64))
     order = np.argsort(keys, kind="stable")
     same = keys[order[1:]] == keys[order[:-1]]
-    owners, sides = order % len(faces), order // len(faces)
+    owners, sides = some[order % some.size], order // some.size
     one, other = owners[:-1][same], owners[1:][same]
     side = sides[:-1][same]
     ends = np.column_stack([faces[one, side], faces[one, (side + 1) % 3], one, other]).astype(np.int64)
