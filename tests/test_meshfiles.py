@@ -13,6 +13,7 @@ import pytest
 
 from octex.channels import srgb_to_linear
 from octex.errors import ImageError, ModelError, ModelWarning
+from octex.source.cloud import PointCloud
 from octex.source.load import load_surface
 from octex.source.surface import Surface
 from tests.fixtures import SQUARE, SQUARE_TRIANGLES, ply, ply_square, png, random_image, stl
@@ -59,6 +60,15 @@ def test_ply_alpha_below_1_makes_a_channel(tmp_path: Path) -> None:
     codes["alpha"] = ("uchar", [51, 51, 51, 51])
     surface = load_surface(ply(tmp_path / "a.ply", ply_square(**codes)))
     np.testing.assert_allclose(surface.evaluate(surface.scatter(5), "alpha"), 0.2, atol=1e-6)
+
+
+def test_alpha_of_0_throughout_is_left_out(tmp_path: Path) -> None:
+    codes: dict[str, Any] = {name: ("uchar", [128] * 4) for name in ("red", "green", "blue")}
+    path = ply(tmp_path / "a.ply", ply_square(**codes, alpha=("uchar", [0] * 4)))
+    with pytest.warns(ModelWarning, match="a.ply: all its colours have alpha 0"):
+        assert len(load_surface(path).channels) == 1
+    with pytest.warns(ModelWarning, match="alpha 0"):
+        assert not PointCloud.load(path).is_translucent
 
 
 def test_ply_colours_of_faces_count_where_vertices_have_none(tmp_path: Path) -> None:

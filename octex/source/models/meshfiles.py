@@ -140,7 +140,9 @@ def colored_surface(
     numbers: Int32s | None = None,
     coordinates: Corners | None = None,
 ) -> Surface:
-    """Build a surface of colours and textures alone; any alpha of a colour below 1 counts as it is."""
+    """Build a surface of colours and textures alone; alpha of colours counts unless it is 0 everywhere."""
+    if colors is not None and not colors.values[colors.rows, 3].any():
+        colors = colors._replace(values=_opaque(colors.values, name))
     translucent = colors is not None and bool((colors.values[:, 3] < 1).any())
     mode: AlphaMode = "blend" if translucent else "opaque"
     materials = [
@@ -179,6 +181,15 @@ class _Values(NamedTuple):
     values: Array
     sizes: Int64s | None
     type: str
+
+
+def _opaque(colors: Float32s, name: str) -> Float32s:
+    """Return colours with alpha 1: such as some programs write with 0 throughout, and show all the same."""
+    text = f"{name}: all its colours have alpha 0, which would show nothing, so it is left out"
+    warnings.warn(text + "; export them with 255", ModelWarning, stacklevel=2)
+    made = colors.copy()
+    made[:, 3] = 1.0
+    return made
 
 
 class _Ply:
@@ -302,6 +313,8 @@ class _Ply:
         colors = _ply_colors(vertex)
         if colors is None:
             raise ModelError(f"{self.name} has points without colours; export them with red, green and blue")
+        if len(colors) and not colors[:, 3].any():
+            colors = _opaque(colors, self.name)
         normals = None
         if all(axis in vertex for axis in ("nx", "ny", "nz")):
             normals = np.stack([vertex[axis].values for axis in ("nx", "ny", "nz")], axis=1)
