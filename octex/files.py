@@ -33,6 +33,8 @@ except ImportError:  # on Windows
 
 #: The names of files that are being written.
 _TEMPORARY = re.compile(r"\.octex-[0-9a-f]{16}")
+#: What a file starts with that Git LFS has left in the place of another.
+_POINTER = b"version https://git-lfs."
 _ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+(://|::)")
 
 _undos: dict[object, Callable[[], None]] = {}
@@ -46,7 +48,8 @@ def is_address(path: object) -> bool:
 def open_file(path: str | os.PathLike[str]) -> BufferedReader:
     """Open a file to read its bytes.
 
-    Raises OSError, also for a pipe or a device, which may have no end, and for a name that no file can have.
+    Raises OSError, also for a pipe or a device, which may have no end, for a name that no file can have, and
+    for what Git LFS leaves in a file's place.
     """
     try:
         # A pipe that nobody writes to is opened at once; for files this changes nothing.
@@ -59,10 +62,14 @@ def open_file(path: str | os.PathLike[str]) -> BufferedReader:
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
         if not stat.S_ISREG(mode):
             raise OSError(errno.EINVAL, "it is a pipe or a device, not a file", str(path))
-        return os.fdopen(descriptor, "rb")
+        file = os.fdopen(descriptor, "rb")
     except BaseException:
         os.close(descriptor)
         raise
+    if file.peek(len(_POINTER)).startswith(_POINTER):
+        file.close()
+        raise OSError(errno.EINVAL, "it is a Git LFS pointer, not the file; run 'git lfs pull'", str(path))
+    return file
 
 
 def size_of(text: str) -> int:

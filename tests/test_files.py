@@ -28,6 +28,13 @@ def names_in(folder: Path) -> list[str]:
 # --- reading
 
 
+def test_what_git_lfs_leaves_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "model.obj"
+    path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 7\n")
+    with pytest.raises(OSError, match="it is a Git LFS pointer, not the file; run 'git lfs pull'"):
+        files.read_bytes(path)
+
+
 @posix
 def test_pipes_devices_and_folders_are_not_read(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")

@@ -154,6 +154,27 @@ def test_draco_meshes_are_as_the_plain_ones(tmp_path: Path) -> None:
     assert_same(coded, load_surface(grid().save(tmp_path / "plain.glb")))
 
 
+def test_draco_positions_may_be_quantized(tmp_path: Path) -> None:
+    coder = pytest.importorskip("DracoPy", reason="the extra octex[draco] is not installed")
+    rows = np.rint(6000 * GRID).astype(np.int16)
+    data = coder.encode(rows.astype(np.int32), TRIANGLES.astype(np.uint32), preserve_order=True)
+    gltf = Gltf()
+    accessor = gltf.accessor(rows, normalized=True)
+    entry: dict[str, Any] = {
+        "attributes": {"POSITION": accessor},
+        "indices": gltf.accessor(TRIANGLES.ravel()),
+    }
+    number = coder.decode(data).attributes[0]["unique_id"]
+    coded = {"bufferView": gltf.view(data), "attributes": {"POSITION": number}}
+    entry["extensions"] = {"KHR_draco_mesh_compression": coded}
+    gltf.json["extensionsRequired"] = ["KHR_draco_mesh_compression", "KHR_mesh_quantization"]
+    for each in (accessor, entry["indices"]):
+        del gltf.json["accessors"][each]["bufferView"]
+    gltf.show(entry)
+    surface = load_surface(gltf.save(tmp_path / "a.glb"))
+    np.testing.assert_allclose(surface.vertices, rows / 32767.0, atol=1e-6)
+
+
 def test_primitives_beside_a_draco_mesh_may_be_plain(tmp_path: Path) -> None:
     gltf = grid(draco)
     gltf.show(gltf.primitive(SQUARE))

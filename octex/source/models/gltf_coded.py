@@ -8,11 +8,15 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from octex.arrays import Array
 from octex.errors import MissingExtraError, ModelError
 
 DRACO = "KHR_draco_mesh_compression"
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
+#: The last of Draco's data types that are integers.
+_LAST_INTEGERS = 8
 # A block of up to 256 rows takes a bit for four bytes of a row, at least.
 _MOST_PER_BYTE = 1024
 
@@ -35,13 +39,20 @@ def decode_draco(data: bytes, what: str) -> DracoMesh:
         raise MissingExtraError.needed(f"{what}: to decode Draco's meshes", "DracoPy", "draco") from None
     try:
         mesh = DracoPy.decode(data)
-        attributes = {int(each["unique_id"]): each["data"] for each in mesh.attributes}
+        attributes = {int(each["unique_id"]): _as_coded(each) for each in mesh.attributes}
         triangles = getattr(mesh, "faces", None)
     except Exception as error:  # DracoPy has errors of its own
         raise ModelError(f"{what}: its Draco content is damaged ({_line(error)}); export it again") from None
     if triangles is None:
         raise ModelError(f"{what}: its Draco content has no triangles; export it again")
     return DracoMesh(triangles, attributes)
+
+
+def _as_coded(attribute: dict[str, Any]) -> Array:
+    """Return an attribute's rows, of integers if these were encoded: DracoPy gives positions as floats."""
+    rows: Array = attribute["data"]
+    are_whole = attribute["data_type"] <= _LAST_INTEGERS
+    return rows.astype(np.int64) if are_whole and rows.dtype.kind == "f" else rows
 
 
 def decode_meshopt(data: bytes, entry: dict[str, Any], what: str) -> bytes:
