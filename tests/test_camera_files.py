@@ -821,6 +821,163 @@ def test_openmvs_scenes_that_cannot_be_used_are_refused(tmp_path, content, compl
     assert complaint in refusal(path)
 
 
+# Meshroom
+
+MESHROOM_LENS = [-0.2, 0.05, 0.01, 2e-3, -1e-3]
+
+
+def meshroom(version=(1, 2, 11), kind="brown", numbers=MESHROOM_LENS, mesh=True, **changes):
+    """Write a view that is placed and one that is not; the focal lengths are 500 and 510 pixels."""
+    matrix = view(1) @ np.diag([1.0, -1.0, -1.0, 1.0]) if mesh and version >= (1, 2, 3) else view(1)
+    rotation, center = matrix[:3, :3], -matrix[:3, :3].T @ matrix[:3, 3]
+    center_x, center_y = (309.5, 249.5) if version < (1, 2, 1) else (-10.5, 9.5)
+    sensor = {"sensorWidth": "32", "focalLength": "25", "pixelRatio": repr(510 / 500)}
+    if version >= (1, 2, 11):
+        sensor["focalLength"] = "25.5"
+    elif (1, 2, 2) <= version < (1, 2, 5):
+        sensor["pixelRatio"] = repr(500 / 510)
+    kinds = {"type": {"radialk1": "radial1", "radialk3": "radial3", "none": "pinhole"}.get(kind, kind)}
+    if version >= (1, 2, 8):
+        kinds = {"type": "pinhole", "distortionType": kind, "undistortionType": "none"}
+    focal = {"pxFocalLength": "500" if version < (1, 2, 0) else ["500", "510"]}
+    intrinsic = {
+        "intrinsicId": "7", "width": "640", "height": "480", "serialNumber": "", "locked": "true",
+        "principalPoint": [repr(center_x), repr(center_y)], "distortionParams": [*map(repr, numbers)],
+        **(sensor if version >= (1, 2, 2) else focal), **kinds,
+    }  # fmt: skip
+    columns = [repr(value) for value in rotation.T.ravel().tolist()]
+    pose = {"transform": {"rotation": columns, "center": [*map(repr, center.tolist())]}, "locked": "1"}
+    placed = {"viewId": "3", "poseId": "3", "intrinsicId": "7", "path": "/far/a.jpg", "width": "640"}
+    return json.dumps(
+        {
+            "version": [*map(str, version)],
+            "views": [placed, placed | {"viewId": "4", "poseId": "4", "path": "/far/b.jpg"}],
+            "intrinsics": [intrinsic | changes],
+            "poses": [{"poseId": "3", "pose": pose}],
+        }
+    )
+
+
+@pytest.mark.parametrize("version", [(1, 2, 11), (1, 2, 8), (1, 2, 5), (1, 2, 4), (1, 2, 2), (1, 2, 1)])
+def test_meshroom_cameras_see_what_their_numbers_say(tmp_path, version):
+    path = tmp_path / "cameras.sfm"
+    path.write_text(meshroom(version))
+    (frame,) = read_cameras(path)
+    assert (frame.name, frame.image, frame.size) == ("/far/a.jpg", tmp_path / "a.jpg", (640, 480))
+    k1, k2, k3, t1, t2 = MESHROOM_LENS
+    pixels = []
+    for point in POINTS:
+        x, y, z = view(1)[:3, :3] @ point + view(1)[:3, 3]
+        x, y = x / z, y / z
+        r2 = x * x + y * y
+        radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+        right = x * radial + t2 * (r2 + 2 * x * x) + 2 * t1 * x * y
+        down = y * radial + t1 * (r2 + 2 * y * y) + 2 * t2 * x * y
+        pixels.append([310 + 500 * right, 250 + 510 * down])
+    sees(frame.camera(), pixels)
+
+
+@pytest.mark.parametrize("version", [(1, 2, 11), (1, 2, 7), (1, 0, 0)])
+@pytest.mark.parametrize(
+    ("kind", "numbers"), [("none", []), ("radialk1", [-0.2]), ("radialk3", [-0.2, 0.05, 0.0])]
+)
+def test_meshroom_cameras_may_have_simpler_lenses(tmp_path, version, kind, numbers):
+    path = tmp_path / "cameras.sfm"
+    path.write_text(meshroom(version, kind, numbers))
+    lens = (*numbers[:2], *[0.0] * (2 - len(numbers[:2])), 0.0, 0.0)
+    down = 500.0 if version < (1, 2) else 510.0
+    sees(read_cameras(path)[0].camera(), expected(view(1), 500.0, down, (310.0, 250.0), lens))
+
+
+def test_meshroom_cameras_may_be_fisheyes(tmp_path):
+    path = tmp_path / "cameras.sfm"
+    path.write_text(meshroom(kind="fisheye", numbers=[-0.2, 0.05, 0.01, -0.02]))
+    pixels = []
+    for point in POINTS:
+        x, y, z = view(1)[:3, :3] @ point + view(1)[:3, 3]
+        angle, across = np.arctan2(np.hypot(x, y), z), np.hypot(x, y)
+        bent = angle * (1 - 0.2 * angle**2 + 0.05 * angle**4 + 0.01 * angle**6 - 0.02 * angle**8)
+        pixels.append([310 + 500 * bent * x / across, 250 + 510 * bent * y / across])
+    sees(read_cameras(path)[0].camera(), pixels)
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        (meshroom(kind="fisheye1"), "view '/far/a.jpg': intrinsics: type 'fisheye1' is not known"),
+        (meshroom(type="equidistant"), "type 'equidistant, brown, none' is not known"),
+        (meshroom(undistortionType="3deradial4"), "type 'pinhole, brown, 3deradial4' is not known"),
+        (meshroom(focalLength="0"), "intrinsics: the focal length must be above zero, not 0"),
+        (meshroom(sensorWidth="0"), "sensorWidth and pixelRatio must be above zero"),
+        (meshroom(width="a"), "width must be a number, not 'a'"),
+        (meshroom(distortionParams=["1"]), "distortionParams must be 5 numbers, not 1"),
+        (meshroom().replace('"poses"', '"pose"'), "is no file of cameras"),
+        (meshroom().replace('"version": [', '"version": ["0", '), "version must be 3 numbers, not 4"),
+        (meshroom().replace('"center"', '"centre"'), "pose: center is missing"),
+        (meshroom().replace('"path"', '"rigId": "1", "path"'), "view '/far/a.jpg': is one of a rig's"),
+        (meshroom().replace('"poseId": "3"', '"poseId": "5"', 1), "has no cameras"),
+    ],
+)
+def test_meshroom_files_that_cannot_be_used_are_refused_by_field(tmp_path, content, complaint):
+    path = tmp_path / "cameras.sfm"
+    path.write_text(content)
+    assert complaint in refusal(path)
+
+
+# Bundler
+
+
+def bundler(focal=500.0, count=3):
+    """Write a camera, one that is not placed, and the same once more; and a point."""
+    matrix = np.diag([1.0, -1.0, -1.0, 1.0]) @ view(1)
+    rows = [*matrix[:3, :3].tolist(), matrix[:3, 3].tolist()]
+    placed = "\n".join(" ".join(map(repr, row)) for row in [[focal, -0.2, 0.05], *rows])
+    lines = ["# Bundle file v0.3", f"{count} 1", placed, "0 0 0\n" * 5 + placed, "0 0 0", "1 2 3", "0"]
+    return "\n".join(lines)
+
+
+def test_bundler_cameras_see_what_its_manual_says(tmp_path):
+    path = tmp_path / "bundle.rd.out"
+    path.write_text(bundler())
+    assert [(frame.name, frame.is_named) for frame in read_cameras(path)] == [("0", False), ("2", False)]
+    (tmp_path / "list.txt").write_text("photos/a b.jpg 0 512.5\n./b.jpg\nc.jpg\n")
+    frames = read_cameras(path)
+    assert [frame.name for frame in frames] == ["photos/a b.jpg", "c.jpg"]
+    assert frames[0].image == tmp_path / "photos" / "a b.jpg"
+    pixels = []
+    matrix = np.diag([1.0, -1.0, -1.0, 1.0]) @ view(1)
+    for point in POINTS:
+        seen = matrix[:3, :3] @ point + matrix[:3, 3]
+        x, y = -seen[:2] / seen[2]
+        r2 = x * x + y * y
+        radial = 500 * (1 - 0.2 * r2 + 0.05 * r2**2)
+        pixels.append([320 + radial * x, 240 - radial * y])
+    for frame in frames:
+        sees(frame.camera((640, 480)), pixels)
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        ("# Bundle file v0.3", "the number of cameras must be a finite number, not None"),
+        (bundler(count=9), "the number of cameras, 9, is more than the file has room for"),
+        (bundler()[:-60], "the number of cameras, 3, is more than the file has room for"),
+        (bundler(-1.0), "camera 0: f must be above zero, not -1"),
+        (bundler("x"), "camera 0: f must be a number, not"),
+    ],
+)
+def test_bundler_files_that_cannot_be_used_are_refused(tmp_path, content, complaint):
+    path = tmp_path / "bundle.out"
+    path.write_text(content)
+    assert complaint in refusal(path)
+
+
+def test_a_list_of_more_pictures_than_bundler_has_cameras_is_refused(tmp_path):
+    (tmp_path / "bundle.out").write_text(bundler())
+    (tmp_path / "bundle.list.txt").write_text("a.jpg\nb.jpg\n")
+    assert "its list names 2 pictures for 3 cameras" in refusal(tmp_path / "bundle.out")
+
+
 # Any file
 
 
@@ -866,7 +1023,9 @@ def test_a_file_that_cannot_be_is_refused(tmp_path):
     assert "no file can be named" in refusal("a\0b")
 
 
-@pytest.mark.parametrize("kind", ["ours", "transforms", "gltf", "glb", "text", "binary", "xml", "mvs"])
+@pytest.mark.parametrize(
+    "kind", ["ours", "transforms", "gltf", "glb", "text", "binary", "xml", "mvs", "sfm", "out"]
+)
 def test_a_damaged_file_of_each_kind_is_read_or_refused(tmp_path, kind):
     path = {
         "ours": tmp_path / "a.json",
@@ -875,6 +1034,8 @@ def test_a_damaged_file_of_each_kind_is_read_or_refused(tmp_path, kind):
         "glb": tmp_path / "a.glb",
         "xml": tmp_path / "a.xml",
         "mvs": tmp_path / "a.mvs",
+        "sfm": tmp_path / "a.sfm",
+        "out": tmp_path / "a.out",
         "text": tmp_path,
         "binary": tmp_path,
     }[kind]
@@ -882,8 +1043,9 @@ def test_a_damaged_file_of_each_kind_is_read_or_refused(tmp_path, kind):
         write_cameras(path, ours())
     elif kind in ("text", "binary"):
         (colmap_text if kind == "text" else colmap_binary)(path)
-    elif kind in ("xml", "mvs"):
-        path.write_bytes(metashape().encode() if kind == "xml" else openmvs(7))
+    elif kind in ("xml", "mvs", "sfm", "out"):
+        texts = {"xml": metashape, "sfm": meshroom, "out": bundler}
+        path.write_bytes(texts[kind]().encode() if kind in texts else openmvs(7))
     else:
         path.write_bytes(
             glb(gltf()) if kind == "glb" else json.dumps(transforms() if kind[0] == "t" else gltf()).encode()

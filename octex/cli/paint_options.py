@@ -46,8 +46,8 @@ _OPTIONS = (
     ),
     option(
         "--camera",
-        "where the cameras are: transforms.json, a COLMAP folder, Metashape's .xml, OpenMVS's .mvs, .npz, "
-        "glTF, or what --camera-out wrote",
+        "where the cameras are: transforms.json, a COLMAP folder, Metashape's .xml, OpenMVS's .mvs, "
+        "Meshroom's .sfm, Bundler's .out, .npz, glTF, or what --camera-out wrote",
         metavar="FILE[#NAME]",
         type=camera,
     ),

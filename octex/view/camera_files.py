@@ -5,6 +5,8 @@ transforms.json    NeRF, instant-ngp, nerfstudio: a JSON object with "frames"
 COLMAP             a folder with cameras and images, .bin or .txt, or one of these files
 Metashape          .xml, exported as Agisoft XML
 OpenMVS            .mvs: a scene
+Meshroom           .sfm: what AliceVision's StructureFromMotion writes as JSON
+Bundler            .out, with the list of the pictures beside it
 octex cameras      a JSON object with "octex_cameras", as ``write_cameras`` writes it
 arrays             .npz: ``viewmats`` and ``Ks`` as gsplat has them, and what `camera_arrays` says
 
@@ -31,8 +33,11 @@ from octex.files import read_bytes, replacing
 from octex.source.models.gltf_file import Document
 from octex.view.camera import Camera, Convention
 from octex.view.camera_arrays import read_arrays
+from octex.view.camera_bundler import MARK as BUNDLER_MARK
+from octex.view.camera_bundler import read_bundler
 from octex.view.camera_colmap import colmap_folder, read_colmap
 from octex.view.camera_gltf import read_gltf
+from octex.view.camera_meshroom import read_meshroom
 from octex.view.camera_metashape import read_metashape
 from octex.view.camera_openmvs import MARK, read_openmvs
 from octex.view.camera_records import (
@@ -158,6 +163,8 @@ def _read_document(path: Path, content: bytes) -> list[Frame]:
         return read_arrays(path, content)
     if content.startswith(MARK):
         return read_openmvs(path, content)
+    if content.startswith(BUNDLER_MARK):
+        return read_bundler(path, content)
     if content.removeprefix(codecs.BOM_UTF8).lstrip().startswith(b"<"):
         return read_metashape(path, content)
     document = _parsed(content)
@@ -167,9 +174,12 @@ def _read_document(path: Path, content: bytes) -> list[Frame]:
         return _read_transforms(path, document)
     if "asset" in document:
         return read_gltf(path, Document(path, content))
+    if "views" in document and "poses" in document:
+        return read_meshroom(path, document)
     raise BrokenError(
         "is no file of cameras; give a .gltf or .glb file, a transforms.json, a COLMAP model, Metashape's "
-        ".xml, OpenMVS's .mvs, an .npz of viewmats and Ks, or a file that octex wrote"
+        ".xml, OpenMVS's .mvs, Meshroom's .sfm, Bundler's .out, an .npz of viewmats and Ks, or a file that "
+        "octex wrote"
     )
 
 

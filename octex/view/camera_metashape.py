@@ -6,7 +6,6 @@ models are exported in local coordinates.
 
 from __future__ import annotations
 
-import reprlib
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -18,7 +17,7 @@ from octex.view.camera_records import (
     BrokenError,
     Frame,
     Optics,
-    as_finite,
+    number_of,
     size_of,
     view_of_pose,
     within,
@@ -105,11 +104,11 @@ def _optics(sensor: Element) -> Optics:
     resolution = sensor.find("resolution")
     if calibration is None or resolution is None:
         raise BrokenError("calibration or resolution is missing; align the photos, then export again")
-    size = size_of(*(_number(resolution.get(each), each) for each in ("width", "height")))
+    size = size_of(*(number_of(resolution.get(each, ""), each) for each in ("width", "height")))
 
     def number(field: str) -> float:
         text = calibration.findtext(field)
-        return 0.0 if text is None else _number(text, field)
+        return 0.0 if text is None else number_of(text, field)
 
     focal = number("f")
     if not focal > 0.0:
@@ -136,11 +135,4 @@ def _numbers(element: Element, count: int) -> Float64s:
     texts = (element.text or "").split()
     if len(texts) != count:
         raise BrokenError(f"{element.tag} must be {count} numbers, not {len(texts)}")
-    return np.array([_number(each, element.tag) for each in texts])
-
-
-def _number(text: str | None, field: str) -> float:
-    try:
-        return as_finite(float(text or ""), field)
-    except ValueError:
-        raise BrokenError(f"{field} must be a number, not {reprlib.repr(text)}") from None
+    return np.array([number_of(each, element.tag) for each in texts])

@@ -42,7 +42,7 @@ class Frame(NamedTuple):
 
     name: str  # transforms.json: file_path; COLMAP: the image's name; glTF: the node's or camera's name
     # Where the file says that the picture is, which need not exist; of an absolute path only the name counts,
-    # beside the file. transforms.json and OpenMVS only.
+    # beside the file. transforms.json, OpenMVS, Meshroom and Bundler only.
     image: Path | None
     size: tuple[int, int] | None  # (width, height), if the file says
     file: Path
@@ -242,6 +242,14 @@ def as_finite(value: object, field: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= LARGEST:
         raise BrokenError(f"{field} must be a finite number, not {reprlib.repr(value)}")
     return float(value)
+
+
+def number_of(value: object, field: str) -> float:
+    """Return a value that is a finite number, or the text of one."""
+    try:
+        return as_finite(float(value) if isinstance(value, str) else value, field)
+    except ValueError:
+        raise BrokenError(f"{field} must be a number, not {reprlib.repr(value)}") from None
 
 
 def number_field(record: Json, field: str, default: float | None = None) -> float:
