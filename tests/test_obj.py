@@ -512,6 +512,11 @@ def test_bad_normals_count_below_normal_maps_alone(tmp_path: Path, lines: str, m
     load_surface(tmp_path / "a.obj", channels=["base_color"])
 
 
+def test_normals_that_are_counted_and_left_out_are_none(tmp_path: Path) -> None:
+    path = obj(tmp_path / "a.obj", "v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1//1 2//2 3//4\n")
+    assert load_surface(path, normals=True).frames is None
+
+
 def test_normals_that_are_no_directions_are_those_of_their_faces(tmp_path: Path) -> None:
     lines = OBJ_SQUARE + "vn 0 0 0\nvn nan 0 1\nusemtl wood\nf 1/1/1 2/2/2 3/3/1\n"
     surface = plain_normals(tmp_path, lines)

@@ -3,7 +3,7 @@
 Knows arrays of vertices and triangles; nothing of textures and model files.
 
 camera        pictures' sizes, lenses and poses
-camera_files  cameras read and written: records, colmap, gltf
+camera_files  cameras read and written: records, and a reader a format
 differentials how what a pixel sees moves to the next
 zbuffer       the triangle that each pixel sees
 visibility    which points a camera sees

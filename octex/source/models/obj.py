@@ -217,8 +217,9 @@ def _faces(text: _Text, name: str) -> tuple[Int64s, Int64s]:
         line = text.faces[-1 - count]
         raise ModelError(f"{name}: a line 'f {line[:40]}' is not a face; export the model again")
     corners = corners[:count]
-    if not text.coordinates:  # some exporters count what they leave out
-        corners[:, 1] = -1
+    for column, listed in ((1, text.coordinates), (2, text.normals)):
+        if not listed:  # some exporters count what they leave out
+            corners[:, column] = -1
     _check(corners[:, 0], 0, len(text.vertices), name, "vertex")
     _check(corners[:, 1], -1, len(text.coordinates), name, "texture coordinate")
     return corners, sizes
