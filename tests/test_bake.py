@@ -22,12 +22,13 @@ from octex.baking.layout import kept_layout, neighbors, unit_area
 from octex.baking.texels import draw_texels, texel_points
 from octex.channels import encode, linear_to_srgb
 from octex.cli import main as cli
-from octex.errors import ArgumentError, ModelError
+from octex.errors import ArgumentError, ModelError, ModelWarning
 from octex.source.corners import Corners
 from octex.source.materials import Input, Material, MaterialSource, Texture
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
 from tests import solids
+from tests.painted import square
 from tests.small_surfaces import whole
 
 Array = npt.NDArray[Any]
@@ -520,6 +521,55 @@ def test_tiles_become_materials_and_what_overlaps_and_looks_otherwise_is_refused
     # What overlaps but looks alike may stay.
     plain = octex.convert(surface, 5)
     assert octex.bake(plain, surface, uv="keep", texture_size=64).uv is not None
+
+
+@pytest.mark.parametrize("across", [0.0, 1.0])
+def test_squeezed_coordinates_are_kept_only_where_what_they_show_is_alike(across: float) -> None:
+    """As of low-poly models, each part of which is one texel of a palette, or a line of it."""
+    points, triangles = square(side=1.0, steps=4)
+    uv = np.stack([across * (points[:, 0] + 0.5), np.full(len(points), 0.375)], axis=1)
+    palette = np.full((8, 8, 3), 90, np.uint8)
+    plain = Surface.from_arrays(points, triangles, uv=uv, image=palette)
+    texture = octex.convert(plain, 5)
+    kept = octex.bake(texture, plain)
+    assert kept.uv is not None
+    np.testing.assert_allclose(kept.uv.values[kept.uv.rows], plain.uv.values[plain.uv.rows], atol=1e-6)
+    seen = plain.scatter(2000)
+    colors = texture.sample(seen, "base_color")
+    np.testing.assert_allclose(kept.evaluate(seen), colors, atol=1e-3)
+    disc = octex.fill(texture, plain, octex.Sphere((0.1, 0.1, 0.0), 0.3), (1.0, 0.0, 0.0))
+    baked = octex.bake(disc, plain)
+    assert psnr(baked.evaluate(seen), disc.sample(seen, "base_color")) > 35.0
+    with pytest.warns(ModelWarning, match="its texture coordinates are squeezed, so that on .* % of it"):
+        flat = octex.bake(disc, plain, uv="keep")
+    texture_of = as_source(flat).materials[0].inputs["base_color"].texture
+    assert (texture_of is not None) == (across > 0.0)
+    if texture_of is not None:
+        assert texture_of.texels.shape[:2] == (64, 64)
+        columns = flat.evaluate(seen)[np.argsort(seen.rest[:, 0])]
+        assert columns[:200, 1].min() > 0.09  # left of the disc
+        assert columns[1300:1400, 1].max() < 0.07
+
+
+@pytest.mark.parametrize("supersample", [1, 2])
+def test_a_palette_is_kept_part_by_part(supersample: int) -> None:
+    """Each triangle has one point of a palette, and lies apart from the others."""
+    random = np.random.default_rng(0)
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]) + 4.0 * np.stack(
+        [*np.divmod(np.arange(16), 4), np.zeros(16)], axis=1
+    )[:, None].astype(np.float64)
+    uv = np.repeat((random.permutation(64)[:16, None] // [1, 8] % 8 + 0.5) / 8, 3, axis=0)
+    palette = random.integers(30, 250, (8, 8, 3)).astype(np.uint8)
+    surface = Surface.from_arrays(
+        corners.reshape(-1, 3), np.arange(48).reshape(-1, 3), uv=uv, image=palette, mag_filter="nearest"
+    )
+    texture = octex.convert(surface, 6)
+    baked = octex.bake(texture, surface, supersample=supersample)
+    texture_of = as_source(baked).materials[0].inputs["base_color"].texture
+    assert texture_of is not None
+    assert texture_of.texels.shape[:2] == (64, 64)
+    seen = surface.scatter(2000)
+    np.testing.assert_allclose(baked.evaluate(seen), texture.sample(seen, "base_color"), atol=2e-3)
 
 
 def test_another_mesh_of_the_object_shows_its_nearest_points() -> None:

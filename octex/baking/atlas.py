@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from octex.arrays import Bools, Float64s, Floats, Int32s, Int64s
-from octex.baking.layout import ALIGNMENT, Layout, charts_of, neighbors
+from octex.baking.layout import ALIGNMENT, Layout, charts_of, doubled_areas, neighbors
 from octex.baking.texels import draw_texels
 from octex.errors import ModelError
 from octex.jit import kernel
@@ -213,8 +213,7 @@ def _overlapping(flat: Float64s, charts: Int32s) -> Int64s:
 
 
 def _area(flat: Float64s) -> float:
-    first, second = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
-    return float(np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).sum() / 2)
+    return float(np.abs(doubled_areas(flat)).sum() / 2)
 
 
 def _upright(flat: Float64s, starts: Int64s) -> Float64s:

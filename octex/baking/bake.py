@@ -13,8 +13,9 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.baking.blocks import Blocks
 from octex.baking.fit import lacking
+from octex.baking.flat import are_flat, means_at_texels, points_on
 from octex.baking.gutters import Borders, fill_up, gutter_of
-from octex.baking.layout import ALIGNMENT, LAYOUTS, Layout, Layouts, neighbors
+from octex.baking.layout import ALIGNMENT, LAYOUTS, Layout, Layouts, doubled_areas, neighbors
 from octex.baking.maps import (
     BITS,
     Bits,
@@ -89,7 +90,8 @@ def bake(
     uv           "keep": the surface's own texture coordinates, with maps for each material (those that read
                  one image share them; those without coordinates get an atlas; UDIM tiles become materials);
                  "atlas": new ones for all (of the extra ``atlas``, xatlas, where it is installed); "auto":
-                 its own if of no material more than 1 % overlaps with what looks otherwise, else new ones
+                 its own if of no material more than 1 % overlaps with what looks otherwise, or is squeezed
+                 into texels that would show what does, else new ones
     texture_size  texels a side of the square maps, 64 to 16384; by default the power of two, up to 8192,
                  whose texels are about as large as the texture's finest cells, or smaller
     padding      texels around each chart of an atlas, 0 to 64; charts are twice as far apart
@@ -185,8 +187,11 @@ def _bake_sheet(
     tasks = [(job, drawing, slice(*each), maps, taken) for each in pairwise(ends)]
     for _ in ordered_map(pool, _bake_band, tasks, stage="bake", progress=progress):
         pass
+    is_flat = are_flat(shown)
+    if is_flat.any():
+        _bake_flat(job, shown.of(is_flat), taken, maps)
     if padding and not taken.all():
-        _bake_gutter(job, shown, taken, padding, maps, pool)
+        _bake_gutter(job, shown.of(~is_flat), taken, padding, maps, pool)
     shows_any = bool(maps.areas.any())
     if not maps.areas.all():
         fill_up(maps.values, (maps.areas > 0).astype(np.float32))
@@ -314,8 +319,7 @@ def _job(
 def _blur(job: _Job, shown: Layout) -> float:
     """Return how much of a mean's variance lookups show: those no wider than a leaf show the field itself."""
     corners = shown.corners
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    areas = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    areas = np.abs(doubled_areas(corners))
     leaf = job.supersample * job.texture.placement.size / 2**job.texture.tree.max_depth
     blur = 1.0 - np.minimum(leaf / np.maximum(job.sizes[shown.faces], leaf), 1.0) ** 2
     return float((areas * blur).sum() / max(float(areas.sum()), 1e-300))
@@ -373,6 +377,27 @@ def _bake_drawn(
 def _put(found: dict[str, Float32s], places: Int32s, lanes: Mapping[str, slice], values: Float32s) -> None:
     """Write channels, in the order of their lanes, to values (places, lanes)."""
     put_rows(np.concatenate([found[name] for name in lanes], axis=1), places, values)
+
+
+def _bake_flat(job: _Job, layout: Layout, taken: Bools, maps: Values) -> None:
+    """Write the channels of flat triangles where these are read from and nothing else is, in place."""
+    own, barycentric = points_on(layout)
+    triangles = layout.faces[own]
+    rest = job.surface.rest_at(triangles, barycentric)
+    found, there = job.sampled(Points(rest, job.normals[triangles], None))
+    if there is not None:
+        own, barycentric, triangles = own[there], barycentric[there], triangles[there]
+    values = np.concatenate([found[name] for name in maps.lanes], axis=1)
+    if job.frames is not None:
+        lanes = maps.lanes[NORMAL.name]
+        values[:, lanes] = in_tangent_space(values[:, lanes], job.frames, triangles, barycentric)
+    corners = job.surface.rest[job.surface.triangles[layout.faces]]
+    areas = np.linalg.norm(area_vectors(corners), axis=1)
+    texels, means = means_at_texels(layout, own, barycentric, values, areas)
+    is_free = ~taken.reshape(-1)[texels]
+    put_rows(means[is_free], texels[is_free], maps.values.reshape(-1, means.shape[1]))
+    maps.areas.reshape(-1)[texels[is_free]] = 1.0
+    taken.reshape(-1)[texels] = True
 
 
 def _bake_gutter(job: _Job, layout: Layout, taken: Bools, padding: int, maps: Values, pool: Executor) -> None:

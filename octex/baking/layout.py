@@ -40,6 +40,11 @@ class Layout(NamedTuple):
     width: int
     height: int
 
+    def of(self, chosen: Bools) -> Layout:
+        """Return the same of some of what is drawn."""
+        drawn = self.corners[chosen], self.faces[chosen], self.charts[chosen], self.edges[chosen]
+        return Layout(self.uv, *drawn, self.width, self.height)
+
     def sized(self, size: int) -> Layout:
         """Return the same layout in square maps of another size."""
         return self._replace(corners=self.corners * (size / self.width), width=size, height=size)
@@ -48,7 +53,7 @@ class Layout(NamedTuple):
 def unit_area(layout: Layout) -> float:
     """Return the area of the triangles in a map, as a part of it, what overlaps counted as often."""
     corners = layout.uv.values[layout.uv.rows].astype(np.float64)
-    return float(np.abs(_doubled(corners)).sum() / 2)
+    return float(np.abs(doubled_areas(corners)).sum() / 2)
 
 
 def kept_layout(mesh: Mesh, size: int) -> Layout:
@@ -124,7 +129,7 @@ def _joined(corners: Float64s, others: Int32s, sides: Int32s) -> Bools:
     return found
 
 
-def _doubled(corners: Float64s) -> Float64s:
+def doubled_areas(corners: Float64s) -> Float64s:
     """Return twice the signed areas of triangles (m,) in the map."""
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     doubled: Float64s = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from concurrent.futures import Executor
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int32s
+from octex.arrays import Int32s
 from octex.baking.atlas import atlas_layout
+from octex.baking.coordinates import areas_of, cell_of, check_overlaps, check_stretches, squeezed
 from octex.baking.layout import BEYOND, Layout, Layouts, kept_layout, unit_area
-from octex.baking.texels import Drawing, Texels, barycentric_at
-from octex.channels import CHANNELS, ColorSpace, linear_to_srgb
-from octex.errors import ModelError
-from octex.parallel import ordered_map
-from octex.source.corners import Corners, area_vectors, at_corners
+from octex.errors import ModelError, ModelWarning
+from octex.source.corners import Corners
 from octex.source.materials import Material, MaterialSource
 from octex.source.mesh import Mesh
 from octex.source.surface import Surface
@@ -24,17 +22,10 @@ from octex.texture import OctreeTexture
 
 #: The sizes of maps that are chosen by themselves.
 _SMALLEST, _LARGEST = 64, 8192
+#: The size of maps at which coordinates are first laid out.
+_PROBE = 1024
 #: Texels are about as large as cells if they are at most so much wider.
 _ABOUT = 1.15
-#: Coordinates of which more than this part is covered twice, by what looks otherwise, are not kept.
-_OVERLAPPING = 0.01
-#: Texels a side of the maps in which that is looked for, at most; places where it is; and what looks alike,
-#: of 1, as stored.
-_PROBE, _TRIED, _LOOKS_ALIKE = 1024, 20_000, 0.1
-#: Coordinates that cover more maps than this look otherwise somewhere.
-_MOST_DRAWN = 8.0
-#: Rows of texels in one task.
-_ROWS = 128
 #: Most UDIM tiles that a material may have.
 _MOST_TILES = 100
 
@@ -62,7 +53,9 @@ def sheets_of(
     materials, owners = _own_materials(surface)
     if uv != "atlas":
         try:
-            return list(_kept(texture, surface, names, size, padding, materials, owners, pool))
+            kept = list(_kept(texture, surface, names, size, padding, materials, owners, pool))
+            _check_stretches(texture, kept, names, is_asked_for=uv == "keep")
+            return kept
         except ModelError:
             if uv == "keep":
                 raise
@@ -109,23 +102,47 @@ def _kept(
             yield Sheet(mesh, chosen, _atlas(texture, mesh, size, padding), shown, numbers)
             continue
         mesh.uv = own.of(chosen)
-        layout = kept_layout(mesh, size or _PROBE)
-        shared = _shared(texture, mesh, names, layout, pool)
-        if shared <= _OVERLAPPING:
-            yield Sheet(mesh, chosen, _fitted(texture, mesh, layout, size), shown, numbers)
+        layout, refusal = _checked(texture, mesh, names, size, pool)
+        if refusal is None:
+            yield Sheet(mesh, chosen, _fitted(texture, mesh, layout, size, shown), shown, numbers)
             continue
-        for name, tile, there in _tiles(mesh):
-            layout = kept_layout(tile, size or _PROBE)
-            shared = _shared(texture, tile, names, layout, pool)
-            if shared > _OVERLAPPING:
-                break
+        tiles = _tiles(mesh)
+        if not tiles:
+            raise refusal
+        for name, tile, there in tiles:
+            layout, refusal = _checked(texture, tile, names, size, pool)
+            if refusal is not None:
+                raise refusal
             named = [each._replace(name=f"{each.name}.{name}") for each in shown]
-            yield Sheet(tile, chosen[there], _fitted(texture, tile, layout, size), named, numbers[there])
-        if shared > _OVERLAPPING:
-            raise ModelError(
-                f"{surface.name}: at least {100 * shared:.3g} % of its texture coordinates overlap, so that "
-                "one texel would show several places that differ; have an atlas made"
-            )
+            of_tile = _fitted(texture, tile, layout, size, shown)
+            yield Sheet(tile, chosen[there], of_tile, named, numbers[there])
+
+
+def _checked(
+    texture: OctreeTexture, mesh: Mesh, names: list[str], size: int | None, pool: Executor
+) -> tuple[Layout, ModelError | None]:
+    """Lay a mesh out by its own coordinates; return also why they cannot be kept, if so."""
+    layout = kept_layout(mesh, size or _PROBE)
+    try:
+        check_overlaps(texture, mesh, names, layout, pool)
+    except ModelError as refusal:
+        return layout, refusal
+    return layout, None
+
+
+def _check_stretches(
+    texture: OctreeTexture, sheets: list[Sheet], names: list[str], *, is_asked_for: bool
+) -> None:
+    """Raise ModelError for squeezed coordinates, or only warn, if it ``is_asked_for`` to keep them."""
+    for sheet in sheets:
+        if sheet.mesh.uv is None:  # an atlas
+            continue
+        try:
+            check_stretches(texture, sheet.mesh, names, _LARGEST)
+        except ModelError as refusal:
+            if not is_asked_for:
+                raise
+            warnings.warn(str(refusal), ModelWarning, stacklevel=2)
 
 
 def _coordinates(surface: Surface, material: Material) -> Corners | None:
@@ -162,96 +179,41 @@ def _tiles(mesh: Mesh) -> list[tuple[int, Mesh, Int32s]]:
 
 def _atlas(texture: OctreeTexture, mesh: Mesh, size: int | None, padding: int) -> Layout:
     """Return an atlas of a size, or of the first that keeps the texture's cells."""
-    texel = _ABOUT * _cell(texture)
+    texel = _ABOUT * cell_of(texture)
     if size is not None:
         return atlas_layout(mesh, [size], padding, texel)
-    first = _size_for(texture, mesh, 0.6)
+    first = _size_for(texture, areas_of(mesh).sum(), 0.6)
     return atlas_layout(
         mesh, [2**n for n in range(first.bit_length() - 1, _LARGEST.bit_length())], padding, texel
     )
 
 
-def _fitted(texture: OctreeTexture, mesh: Mesh, layout: Layout, size: int | None) -> Layout:
-    """Return a layout of a size, or of one that keeps the texture's cells."""
-    return layout.sized(size or _size_for(texture, mesh, unit_area(layout)))
+def _fitted(
+    texture: OctreeTexture, mesh: Mesh, layout: Layout, size: int | None, materials: list[Material]
+) -> Layout:
+    """Return a layout of a size, or of one that keeps the texture's cells.
+
+    Where coordinates are squeezed none does: what matters there is that the materials' own texels stay apart.
+    """
+    if size is not None:
+        return layout.sized(size)
+    is_squeezed = squeezed(texture, mesh, _LARGEST)
+    if not is_squeezed.any():
+        return layout.sized(_size_for(texture, areas_of(mesh).sum(), unit_area(layout)))
+    read = [each.texture for material in materials for each in material.inputs.values()]
+    own = max((max(each.texels.shape[:2]) for each in read if each is not None), default=_SMALLEST)
+    others = np.flatnonzero(~is_squeezed).astype(np.int32)
+    part = unit_area(layout._replace(uv=layout.uv.of(others)))
+    return layout.sized(max(_size_for(texture, areas_of(mesh)[others].sum(), part), _power_above(own)))
 
 
-def _shared(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, pool: Executor) -> float:
-    """Return how much of what triangles cover in a map others cover too that look otherwise, as a part."""
-    whole = unit_area(layout)
-    if whole > _MOST_DRAWN:
-        return 1.0 - 1.0 / whole
-    layout = layout.sized(min(layout.width, _PROBE))
-    drawn = _drawn(layout, pool)
-    covered = float(drawn.areas.sum(dtype=np.float64)) / (layout.width * layout.height)
-    shared = max(whole - covered, 0.0) / whole if whole > 0.0 else 0.0
-    return shared if shared <= _OVERLAPPING else _differing(texture, mesh, names, layout, drawn)
+def _size_for(texture: OctreeTexture, area: float, part: float) -> int:
+    """Return the size of maps of which a ``part`` shows an area with texels about as large as cells."""
+    return _power_above(np.sqrt(area / max(part, 1e-6)) / (_ABOUT * cell_of(texture)))
 
 
-def _differing(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, drawn: Texels) -> float:
-    """Return the part of a map's triangles at which its texels show other places that look otherwise."""
-    corners, faces = layout.corners, mesh.triangles[layout.faces]
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    areas = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
-    random = np.random.default_rng(0).random((_TRIED, 3))
-    own = np.minimum(np.searchsorted(np.cumsum(areas), random[:, 0] * areas.sum()), len(areas) - 1)
-    root = np.sqrt(random[:, 1:2])
-    weights = np.concatenate([1 - root, root * (1 - random[:, 2:]), root * random[:, 2:]], axis=1)
-    places = np.einsum("nk,nkx->nx", weights, corners[own])
-    columns, rows = np.clip(places.astype(np.int64), 0, (layout.width - 1, layout.height - 1)).T
-    shown = drawn.triangles[rows, columns]
-    other = (shown >= 0) & (layout.charts[shown] != layout.charts[own])
-    own, shown, weights = own[other], shown[other], weights[other]
-    theirs = barycentric_at(corners, shown, places[other])
-    ends = (faces[own], weights), (faces[shown], theirs)
-    rest = [at_corners(mesh.rest, *each) for each in ends]
-    kept = [name for name in names if CHANNELS[name].space != "direction"]
-    width = np.sqrt(_area(mesh) / max(float(areas.sum()) / 2, 1e-300))
-    codes = []
-    for at, (rows_of, _) in zip(rest, ends, strict=True):
-        normals = np.cross(*(mesh.rest[rows_of[:, n]] - mesh.rest[rows_of[:, 0]] for n in (1, 2)))
-        found = texture.sample(at, kept, normals=normals, width=width, threads=1)
-        codes.append([_as_seen(found[name], CHANNELS[name].space) for name in kept])
-    differs = np.zeros(own.size, np.bool_)
-    for one, two in zip(*codes, strict=True):
-        differs |= (np.abs(one - two) > _LOOKS_ALIKE).any(axis=1)
-    return float(differs.sum()) / _TRIED
-
-
-def _as_seen(values: Float32s, space: ColorSpace) -> Float64s:
-    return linear_to_srgb(np.clip(values, 0, 1)) if space == "srgb" else values.astype(np.float64)
-
-
-def _drawn(layout: Layout, pool: Executor) -> Texels:
-    """Draw a layout, parts of it side by side; ``triangles`` are those of the layout."""
-    drawing = Drawing.of(layout)
-
-    def draw(rows: tuple[int, int]) -> Texels:
-        which, drawn = drawing.rows(*rows)
-        if not which.size:
-            return drawn
-        return drawn._replace(
-            triangles=np.where(drawn.triangles < 0, -1, which[drawn.triangles]).astype(np.int32)
-        )
-
-    parts = list(ordered_map(pool, draw, list(pairwise([*range(0, layout.height, _ROWS), layout.height]))))
-    return Texels(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
-
-
-def _size_for(texture: OctreeTexture, mesh: Mesh, part: float) -> int:
-    """Return the size of maps of which a ``part`` shows the mesh with texels about as large as cells."""
-    side = np.sqrt(_area(mesh) / max(part, 1e-6)) / (_ABOUT * _cell(texture))
+def _power_above(side: float) -> int:
     return int(np.clip(2 ** np.ceil(np.log2(max(side, 1.0))), _SMALLEST, _LARGEST))
-
-
-def _area(mesh: Mesh) -> float:
-    """Return the area of a mesh at rest."""
-    return float(np.linalg.norm(area_vectors(mesh.rest[mesh.triangles]), axis=1).sum() / 2)
-
-
-def _cell(texture: OctreeTexture) -> float:
-    """Return the width of a texture's finest cells."""
-    return float(texture.placement.size / 2**texture.tree.max_depth)
 
 
 def coordinates_of(sheets: list[Sheet], count: int) -> Corners:

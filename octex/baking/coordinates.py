@@ -1,0 +1,186 @@
+"""Whether texture coordinates that a model has can show a texture: no texel may show places that differ."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from itertools import pairwise
+
+import numpy as np
+
+from octex.arrays import Bools, Float32s, Float64s, Int64s
+from octex.baking.layout import Layout, doubled_areas, unit_area
+from octex.baking.texels import Drawing, Texels, barycentric_at
+from octex.channels import CHANNELS, ColorSpace, linear_to_srgb
+from octex.errors import ModelError
+from octex.parallel import ordered_map
+from octex.source.corners import area_vectors, at_corners
+from octex.source.mesh import Mesh
+from octex.texture import OctreeTexture
+
+#: Coordinates of which more than this part shows what differs in one texel are not kept.
+_MOST = 0.01
+#: Texels a side of the maps in which that is looked for, at most; places where it is; and what looks alike,
+#: of 1, as stored.
+_PROBE, _TRIED, _LOOKS_ALIKE = 1024, 20_000, 0.1
+#: Coordinates that cover more maps than this look otherwise somewhere.
+_MOST_DRAWN = 8.0
+#: Triangles are squeezed whose texels are so many cells long, and so many times as long as those of a map
+#: that shows all of the mesh evenly.
+_LONG, _UNEVEN = 4.0, 16.0
+#: Rows of texels in one task.
+_ROWS = 128
+
+
+def check_overlaps(
+    texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, pool: Executor
+) -> None:
+    """Raise ModelError if places of a mesh that look otherwise share its texture coordinates."""
+    shared = _shared(texture, mesh, names, layout, pool)
+    if shared > _MOST:
+        raise ModelError(
+            f"{mesh.name}: at least {100 * shared:.3g} % of its texture coordinates overlap, so that "
+            "one texel would show several places that differ; have an atlas made"
+        )
+
+
+def check_stretches(texture: OctreeTexture, mesh: Mesh, names: list[str], size: int) -> None:
+    """Raise ModelError if texels of a map of a size are so long that they show what looks otherwise."""
+    spread = _spread(texture, mesh, names, size)
+    if spread > _MOST:
+        raise ModelError(
+            f"{mesh.name}: its texture coordinates are squeezed, so that on {100 * spread:.3g} % of it one "
+            "texel shows several places that differ; have an atlas made"
+        )
+
+
+def _shared(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, pool: Executor) -> float:
+    """Return how much of what triangles cover in a map others cover too that look otherwise, as a part."""
+    whole = unit_area(layout)
+    if whole > _MOST_DRAWN:
+        return 1.0 - 1.0 / whole
+    layout = layout.sized(min(layout.width, _PROBE))
+    drawn = _drawn(layout, pool)
+    covered = float(drawn.areas.sum(dtype=np.float64)) / (layout.width * layout.height)
+    shared = max(whole - covered, 0.0) / whole if whole > 0.0 else 0.0
+    return shared if shared <= _MOST else _differing(texture, mesh, names, layout, drawn)
+
+
+def _differing(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, drawn: Texels) -> float:
+    """Return the part of a map's triangles at which its texels show other places that look otherwise."""
+    corners = layout.corners
+    areas = np.abs(doubled_areas(corners))
+    own, weights = _scattered(areas)
+    places = np.einsum("nk,nkx->nx", weights, corners[own])
+    columns, rows = np.clip(places.astype(np.int64), 0, (layout.width - 1, layout.height - 1)).T
+    shown = drawn.triangles[rows, columns]
+    other = (shown >= 0) & (layout.charts[shown] != layout.charts[own])
+    own, shown, weights = own[other], shown[other], weights[other]
+    theirs = barycentric_at(corners, shown, places[other])
+    width = np.sqrt(areas_of(mesh).sum() / max(float(areas.sum()) / 2, 1e-300))
+    one, two = (layout.faces[own], weights), (layout.faces[shown], theirs)
+    return float(_look_otherwise(texture, mesh, names, one, two, width=width).sum()) / _TRIED
+
+
+def squeezed(texture: OctreeTexture, mesh: Mesh, size: int) -> Bools:
+    """Say on which triangles (m,) texels of a map are far too long; on none if these are few."""
+    stretch, _ = _stretches(mesh, size)
+    areas = areas_of(mesh)
+    even = size / np.sqrt(max(float(areas.sum()), 1e-300))
+    is_long = stretch < min(1.0 / (_LONG * cell_of(texture)), even / _UNEVEN)
+    found: Bools = is_long & (areas > 0.0)
+    return found if areas[found].sum() > _MOST * areas.sum() else np.zeros_like(found)
+
+
+def _spread(texture: OctreeTexture, mesh: Mesh, names: list[str], size: int) -> float:
+    """Return the part of a mesh on which what looks otherwise lies beside it in the same long texel."""
+    is_squeezed = squeezed(texture, mesh, size)
+    if not is_squeezed.any():
+        return 0.0
+    stretch, along = _stretches(mesh, size)
+    own, weights = _scattered(areas_of(mesh))
+    own, weights = own[is_squeezed[own]], weights[is_squeezed[own]]
+    # As far as the triangle goes each way, and at most as the texel does.
+    steps = along[own]
+    reach = np.where(steps < 0.0, weights / np.maximum(-steps, 1e-300), np.inf).min(axis=1)
+    reach = np.minimum(reach, 0.5 / np.maximum(stretch[own], 1e-300))
+    part = np.random.default_rng(1).random((own.size, 1))
+    moved = np.clip(weights + part * reach[:, None] * steps, 0.0, 1.0)
+    found = _look_otherwise(texture, mesh, names, (own, weights), (own, moved), width=cell_of(texture))
+    return float(found.sum()) / _TRIED
+
+
+def _stretches(mesh: Mesh, size: int) -> tuple[Float64s, Float64s]:
+    """Return texels a unit where triangles' coordinates are stretched least (m,), and which way that is.
+
+    The way (m, 3) is what a unit along it adds to barycentric coordinates.
+    """
+    assert mesh.uv is not None
+    rest = mesh.rest[mesh.triangles]
+    first, second = rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]
+    length = np.maximum(np.linalg.norm(first, axis=1), 1e-300)
+    across = (first * second).sum(axis=1) / length
+    up = np.maximum(np.linalg.norm(np.cross(first, second), axis=1) / length, 1e-300)
+    # Of a unit along the first edge, and of one beside it: what they add to the two edges.
+    to_edges = np.zeros((len(rest), 2, 2))
+    to_edges[:, 0, 0], to_edges[:, 0, 1], to_edges[:, 1, 1] = 1 / length, -across / (length * up), 1 / up
+    corners = size * mesh.uv.values[mesh.uv.rows].astype(np.float64)
+    edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
+    _, sizes, ways = np.linalg.svd(edges @ to_edges)
+    steps = (to_edges @ ways[:, 1, :, None])[..., 0]
+    return sizes[:, 1], np.concatenate([-steps.sum(axis=1, keepdims=True), steps], axis=1)
+
+
+def _scattered(areas: Float64s) -> tuple[Int64s, Float64s]:
+    """Return the triangles, and the barycentric coordinates, of random places on triangles of some areas."""
+    random = np.random.default_rng(0).random((_TRIED, 3))
+    own = np.minimum(np.searchsorted(np.cumsum(areas), random[:, 0] * areas.sum()), len(areas) - 1)
+    root = np.sqrt(random[:, 1:2])
+    return own, np.concatenate([1 - root, root * (1 - random[:, 2:]), root * random[:, 2:]], axis=1)
+
+
+def _look_otherwise(
+    texture: OctreeTexture, mesh: Mesh, names: list[str], *ends: tuple[Int64s, Float64s], width: float
+) -> Bools:
+    """Say where two places, each given by triangles (n,) and barycentric coordinates, look otherwise."""
+    kept = [name for name in names if CHANNELS[name].space != "direction"]
+    codes = []
+    for triangles, weights in ends:
+        rows = mesh.triangles[triangles]
+        normals, places = area_vectors(mesh.rest[rows]), at_corners(mesh.rest, rows, weights)
+        found = texture.sample(places, kept, normals=normals, width=width, threads=1)
+        codes.append([_as_seen(found[name], CHANNELS[name].space) for name in kept])
+    differs = np.zeros(len(ends[0][0]), np.bool_)
+    for one, two in zip(*codes, strict=True):
+        differs |= (np.abs(one - two) > _LOOKS_ALIKE).any(axis=1)
+    return differs
+
+
+def _as_seen(values: Float32s, space: ColorSpace) -> Float64s:
+    return linear_to_srgb(np.clip(values, 0, 1)) if space == "srgb" else values.astype(np.float64)
+
+
+def _drawn(layout: Layout, pool: Executor) -> Texels:
+    """Draw a layout, parts of it side by side; ``triangles`` are those of the layout."""
+    drawing = Drawing.of(layout)
+
+    def draw(rows: tuple[int, int]) -> Texels:
+        which, drawn = drawing.rows(*rows)
+        if not which.size:
+            return drawn
+        return drawn._replace(
+            triangles=np.where(drawn.triangles < 0, -1, which[drawn.triangles]).astype(np.int32)
+        )
+
+    parts = list(ordered_map(pool, draw, list(pairwise([*range(0, layout.height, _ROWS), layout.height]))))
+    return Texels(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+
+def areas_of(mesh: Mesh) -> Float64s:
+    """Return the areas of a mesh's triangles (m,) at rest."""
+    areas: Float64s = np.linalg.norm(area_vectors(mesh.rest[mesh.triangles]), axis=1) / 2
+    return areas
+
+
+def cell_of(texture: OctreeTexture) -> float:
+    """Return the width of a texture's finest cells."""
+    return float(texture.placement.size / 2**texture.tree.max_depth)
