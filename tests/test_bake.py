@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 import octex
 from octex.baking import atlas
+from octex.baking.coordinates import stretches_of
 from octex.baking.fit import fit_rows, lacking
 from octex.baking.gutters import Borders, fill_up, gutter_of
 from octex.baking.layout import kept_layout, neighbors, unit_area
@@ -25,6 +26,7 @@ from octex.cli import main as cli
 from octex.errors import ArgumentError, ModelError, ModelWarning
 from octex.source.corners import Corners
 from octex.source.materials import Input, Material, MaterialSource, Texture
+from octex.source.mesh import Mesh
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
 from tests import solids
@@ -521,6 +523,25 @@ def test_tiles_become_materials_and_what_overlaps_and_looks_otherwise_is_refused
     # What overlaps but looks alike may stay.
     plain = octex.convert(surface, 5)
     assert octex.bake(plain, surface, uv="keep", texture_size=64).uv is not None
+
+
+def test_stretches_are_least_singular_values_and_their_ways() -> None:
+    random = np.random.default_rng(0)
+    points, uv = random.normal(size=(300, 3)), random.normal(size=(300, 2)).astype(np.float32)
+    uv[:30], uv[30:60, 1], points[60:63, 1:] = uv[0], 0.25, 0.0  # points, lines, and no area
+    faces = np.arange(300).reshape(-1, 3)
+    found, ways = stretches_of(Mesh(points, faces, uv=Corners(uv, faces.astype(np.int32))), 100)
+    assert np.isfinite(found).all()
+    assert not ways[20].any()
+    for n in np.delete(np.arange(100), 20):
+        edges = np.diff(points[faces[n]], axis=0)
+        lengths = np.linalg.qr(edges.T)[1]
+        stretch = 100.0 * np.diff(uv[faces[n]].astype(np.float64), axis=0).T @ np.linalg.inv(lengths)
+        most, least = np.linalg.svd(stretch)[1]
+        np.testing.assert_allclose(found[n], least, atol=1e-7 * max(most, 1.0))
+        np.testing.assert_allclose(np.linalg.norm(ways[n] @ points[faces[n]]), 1.0)
+        moved = np.linalg.norm(100.0 * ways[n] @ uv[faces[n]])
+        np.testing.assert_allclose(moved, least, atol=1e-5 * max(most, 1.0))
 
 
 @pytest.mark.parametrize("across", [0.0, 1.0])

@@ -83,7 +83,7 @@ def _differing(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Lay
 
 def squeezed(texture: OctreeTexture, mesh: Mesh, size: int) -> Bools:
     """Say on which triangles (m,) texels of a map are far too long; on none if these are few."""
-    stretch, _ = _stretches(mesh, size)
+    stretch, _ = stretches_of(mesh, size)
     areas = areas_of(mesh)
     even = size / np.sqrt(max(float(areas.sum()), 1e-300))
     is_long = stretch < min(1.0 / (_LONG * cell_of(texture)), even / _UNEVEN)
@@ -96,7 +96,7 @@ def _spread(texture: OctreeTexture, mesh: Mesh, names: list[str], size: int) -> 
     is_squeezed = squeezed(texture, mesh, size)
     if not is_squeezed.any():
         return 0.0
-    stretch, along = _stretches(mesh, size)
+    stretch, along = stretches_of(mesh, size)
     own, weights = _scattered(areas_of(mesh))
     own, weights = own[is_squeezed[own]], weights[is_squeezed[own]]
     # As far as the triangle goes each way, and at most as the texel does.
@@ -109,7 +109,7 @@ def _spread(texture: OctreeTexture, mesh: Mesh, names: list[str], size: int) -> 
     return float(found.sum()) / _TRIED
 
 
-def _stretches(mesh: Mesh, size: int) -> tuple[Float64s, Float64s]:
+def stretches_of(mesh: Mesh, size: int) -> tuple[Float64s, Float64s]:
     """Return texels a unit where triangles' coordinates are stretched least (m,), and which way that is.
 
     The way (m, 3) is what a unit along it adds to barycentric coordinates.
@@ -117,17 +117,25 @@ def _stretches(mesh: Mesh, size: int) -> tuple[Float64s, Float64s]:
     assert mesh.uv is not None
     rest = mesh.rest[mesh.triangles]
     first, second = rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]
-    length = np.maximum(np.linalg.norm(first, axis=1), 1e-300)
-    across = (first * second).sum(axis=1) / length
-    up = np.maximum(np.linalg.norm(np.cross(first, second), axis=1) / length, 1e-300)
-    # Of a unit along the first edge, and of one beside it: what they add to the two edges.
+    length = np.linalg.norm(first, axis=1)
+    heights = np.linalg.norm(np.cross(first, second), axis=1)
+    has_area = heights > 0.0
+    length, heights = np.where(has_area, length, 1.0), np.where(has_area, heights, 1.0)
+    # What a unit along the first edge, and one beside it, add to the two edges.
     to_edges = np.zeros((len(rest), 2, 2))
-    to_edges[:, 0, 0], to_edges[:, 0, 1], to_edges[:, 1, 1] = 1 / length, -across / (length * up), 1 / up
+    to_edges[:, 0, 0], to_edges[:, 1, 1] = 1.0 / length, length / heights
+    to_edges[:, 0, 1] = -(first * second).sum(axis=1) / (length * heights)
     corners = size * mesh.uv.values[mesh.uv.rows].astype(np.float64)
-    edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
-    _, sizes, ways = np.linalg.svd(edges @ to_edges)
-    steps = (to_edges @ ways[:, 1, :, None])[..., 0]
-    return sizes[:, 1], np.concatenate([-steps.sum(axis=1, keepdims=True), steps], axis=1)
+    stretches = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2) @ to_edges
+    # The least singular value, and its vector: the eigenvector of the least eigenvalue of a symmetric matrix.
+    (a, b), (_, c) = np.einsum("nki,nkj->ijn", stretches, stretches)
+    most = (a + c) / 2 + np.hypot((a - c) / 2, b)
+    least = np.abs(np.linalg.det(stretches)) / np.sqrt(np.maximum(most, 1e-300))
+    way = np.where((a > c)[:, None], np.stack([-b, most - c], axis=1), np.stack([most - a, -b], axis=1))
+    way[(way == 0.0).all(axis=1)] = 1.0, 0.0  # alike all ways
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    steps = (to_edges @ way[..., None])[..., 0] * has_area[:, None]
+    return least, np.concatenate([-steps.sum(axis=1, keepdims=True), steps], axis=1)
 
 
 def _scattered(areas: Float64s) -> tuple[Int64s, Float64s]:

@@ -10,8 +10,8 @@ from octex.source.corners import at_corners
 
 #: Twice the area of flat triangles, at most, in texels.
 _FLAT = 1e-9
-#: Points on one, a texel of its length.
-_POINTS = 16
+#: Points on one, and more for each texel of its length; those on all, at most, beside the former.
+_POINTS, _ALONG, _MOST = 16, 4, 1 << 22
 
 
 def are_flat(layout: Layout) -> Bools:
@@ -23,7 +23,8 @@ def are_flat(layout: Layout) -> Bools:
 def points_on(layout: Layout) -> tuple[Int64s, Float64s]:
     """Return points that follow each other evenly on flat triangles: of which they are, and barycentric."""
     lengths = np.ptp(layout.corners, axis=1).max(axis=1)
-    counts = (_POINTS * (1.0 + lengths)).astype(np.int64)
+    along = _ALONG * lengths * min(1.0, _MOST / max(_ALONG * float(lengths.sum()), 1.0))
+    counts = _POINTS + along.astype(np.int64)
     own = np.repeat(np.arange(counts.size), counts)
     number = np.arange(own.size) - np.repeat(np.cumsum(counts) - counts, counts)
     # The sequence R2: whole multiples of two powers of the plastic number's inverse.
