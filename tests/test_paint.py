@@ -737,3 +737,32 @@ def test_one_level_serves_where_pixels_vary_little() -> None:
     surface, camera = ball(), above(4.0, 100)
     layer = octex.project(surface, octex.Projection(one_color(camera, (1, 0, 0)), camera))
     assert [level for level, (leaves, _) in enumerate(layer.tree.cells_by_depth()) if leaves] == [7]
+
+
+@pytest.mark.parametrize("size", [(512, 384), (391, 450)])
+@pytest.mark.parametrize("place", [(0.5, 0.5), (0.02, 0.9)])
+@pytest.mark.parametrize(("max_depth", "feather"), [(7, 0.0), (3, 0.0), (6, 20.0), (6, 100.0)])
+def test_transparent_parts_far_from_paint_are_not_looked_at(
+    size: tuple[int, int],
+    place: tuple[float, float],
+    max_depth: int,
+    feather: float,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Nor do they change the paint, but for how pixels fit into those of smaller pictures."""
+    surface = ball(12)
+    texture = octex.convert(surface, 4)
+    camera = octex.Camera.fitted(surface.vertices, (0.3, 0.5, 1.0), size=size)
+    y, x = np.mgrid[: size[1], : size[0]]
+    image = np.full((size[1], size[0], 4), (200, 40, 90, 0), np.uint8)
+    image[..., 3] = np.clip(25 * (30 - np.hypot(x - place[0] * size[0], y - place[1] * size[1])), 0, 255)
+    shot = octex.Projection(image, camera)
+    found = octex.paint(texture, surface, shot, max_depth=max_depth, edge_feather=feather)
+    monkeypatch.setattr("octex.painting.paint.AROUND", 1 << 20)
+    expected = octex.paint(texture, surface, shot, max_depth=max_depth, edge_feather=feather)
+    seen = surface.scatter(20_000)
+    np.testing.assert_allclose(found.sample(seen), expected.sample(seen), atol=0.02)
+    if size[0] % 64 == 0:
+        np.testing.assert_array_equal(found.tree.arrays.flags, expected.tree.arrays.flags)
+        one, other = (each.channels["base_color"].values.astype(int) for each in (found, expected))
+        assert np.abs(one - other).max() <= 1

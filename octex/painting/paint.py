@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
+from functools import partial
 from itertools import groupby
 from typing import Literal, TypedDict, cast, get_args
 
@@ -22,7 +23,7 @@ from octex.painting.holes import HOLES, Holes, begun, with_coverage
 from octex.painting.layer import CELLS, FINEST_CELLS, rasterize_paint, wanted_levels
 from octex.painting.merge import merged
 from octex.painting.pictures import Projection, check_projections, room_for
-from octex.painting.projected import Projected, in_fixed_order, take_shots, terms_of
+from octex.painting.projected import AROUND, Projected, Shot, in_fixed_order, take_shots, terms_of
 from octex.painting.source import PaintSource
 from octex.parallel import Progress, as_progress, workers
 from octex.source.surface import Surface, as_surface
@@ -263,11 +264,10 @@ def projected(
     largest = max(projection.opacity for projection in given) or 1.0
     report("look", 0, len(given))
     scales = [projection.opacity / largest for projection in given]
-    sights = ground.sights([cast(Camera, each.camera) for each in given], edge_feather, executor)
-    shots = []
-    for shot in take_shots(given, form, scales, sights, executor):
-        shots.append(shot)
-        report("look", len(shots), len(given))
+    is_alone = len(given) == 1
+    around = AROUND if is_alone and edge_feather < AROUND else None
+    taken = partial(_taken, ground, given, form, scales, edge_feather, executor, report)
+    shots = taken(around)
     chosen = None if reference is None else shots[reference]
     shots = in_fixed_order(shots)
     mesh = surface.vertices, surface.triangles
@@ -277,12 +277,14 @@ def projected(
     cells = CELLS if max_depth is None else FINEST_CELLS
     near = source.near_paint(_REACH)
     footprints = near.footprints()
-    is_alone = len(shots) == 1
     finest = wanted_levels(*footprints, size, FINEST_CELLS, is_alone=is_alone).deepest
     depths = wanted_levels(*footprints, size, cells, deepest, is_alone=is_alone)
     depth = depths.deepest
     # Larger cells look farther around: by as many pixels as they are wide, and those of the level read.
-    source = near if finest <= depth else source.near_paint(_REACH << finest - depth)
+    reach = _REACH << max(finest - depth, 0)
+    if around is not None and reach > around:
+        source = source.with_shots(taken(None))
+    source = near if finest <= depth else source.near_paint(reach)
     placement = Placement.around(surface.bounds, depth) if like is None else like.placement
     if like is not None:
         check_inside(surface, placement)
@@ -299,6 +301,25 @@ def projected(
     return rasterize_paint(
         ground, paint, placement, depths, fit=fit, cells=cells, executor=executor, progress=report
     )
+
+
+def _taken(
+    ground: Ground,
+    given: Sequence[Projection],
+    form: ChannelFormat,
+    scales: Sequence[float],
+    feather: float,
+    executor: Executor,
+    report: Progress,
+    around: int | None,
+) -> list[Shot]:
+    """Return pictures and what their cameras see, or of that what is within ``around`` pixels of paint."""
+    sights = ground.sights([cast(Camera, each.camera) for each in given], feather, executor)
+    shots = []
+    for shot in take_shots(given, form, scales, sights, executor, around=around):
+        shots.append(shot)
+        report("look", len(shots), len(given))
+    return shots
 
 
 def format_of(texture: OctreeTexture | None, channel: str) -> ChannelFormat:

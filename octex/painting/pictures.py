@@ -122,17 +122,51 @@ class Levels(NamedTuple):
     range: Float32s  # (2, 3)   the least and the largest of each component where the picture has any alpha
 
 
+class Window(NamedTuple):
+    """A part of a picture, in pixels."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+    def of(self, array: Array) -> Array:
+        """Return that part of an array (height, width, …)."""
+        return array[self.top : self.bottom, self.left : self.right]
+
+
 def levels_of(projection: Projection, form: ChannelFormat, scale: float = 1.0) -> Levels:
     """Decode a projection's image and mask for a channel; alpha is multiplied by ``scale``.
 
     Raises ImageError for files and arrays that cannot be used, ArgumentError for sizes that are not the
     camera's.
     """
-    width, height = projection.camera.width, projection.camera.height
-    size = width, height
+    levels, _ = window_of(projection, form, scale, around=None)
+    return levels
+
+
+def window_of(
+    projection: Projection, form: ChannelFormat, scale: float, around: int | None
+) -> tuple[Levels, Window]:
+    """Decode what of a projection is within ``around`` pixels of paint, or all for None: see `levels_of`.
+
+    Returns also where in the picture that is.
+    """
+    size = width, height = projection.camera.width, projection.camera.height
     texels = _texels(projection.image, "the image", size)
     _check_size(texels, width, height, projection.name)
-    sizes = _sizes(width, height)
+    before = None
+    if projection.since is not None:
+        before = _texels(projection.since, "the picture as it was", size)
+        _check_size(before, width, height, _name_of(projection.since, "the picture as it was"))
+    window = Window(0, 0, width, height)
+    if around is not None:
+        has_paint = texels[:, :, 3] > 0
+        if before is not None and before.dtype == texels.dtype:
+            has_paint &= (texels != before).any(axis=2)
+        window = _window_around(has_paint, around)
+    texels = window.of(texels)
+    sizes = _sizes(*texels.shape[1::-1])
     ends = sizes[:, 0] + sizes[:, 1] * sizes[:, 2]
     rows = np.empty((int(ends[-1]), 4), np.float32)
     levels = [
@@ -141,13 +175,12 @@ def levels_of(projection: Projection, form: ChannelFormat, scale: float = 1.0) -
     ]
     pixels = _decoded(texels, form, levels[0])
     factor: np.float32 | Float32s = np.float32(scale)
-    if projection.since is not None:
-        before = _texels(projection.since, "the picture as it was", size)
-        _check_size(before, width, height, _name_of(projection.since, "the picture as it was"))
-        factor = factor * (pixels != _decoded(before, form)).any(axis=2)
+    if before is not None:
+        factor = factor * (pixels != _decoded(window.of(before), form)).any(axis=2)
     if projection.mask is not None:
         mask = _texels(projection.mask, "the mask", size)
         _check_size(mask, width, height, _name_of(projection.mask, "the mask"))
+        mask = window.of(mask)
         shown = _as_fractions(mask[:, :, 3])
         if (shown == 1.0).all():
             shown = _as_fractions(mask[:, :, :3].mean(axis=2, dtype=np.float32).astype(mask.dtype))
@@ -161,7 +194,24 @@ def levels_of(projection: Projection, form: ChannelFormat, scale: float = 1.0) -
     for above, level in pairwise(levels):
         level[:] = resized(above, *level.shape[:2])
     pixels[:] = sharpened(pixels)
-    return Levels(rows, sizes, limits)
+    return Levels(rows, sizes, limits), window
+
+
+def _window_around(has_paint: Bools, around: int) -> Window:
+    """Return the part of a picture that is so near to some pixels, to whole multiples of that.
+
+    So the pixels of smaller levels are those of the whole picture's.
+    """
+    ends = []
+    for axis in (1, 0):  # of columns, and of rows
+        size = has_paint.shape[axis]
+        painted = np.flatnonzero(has_paint.any(axis=1 - axis))
+        if not painted.size:
+            return Window(0, 0, *has_paint.shape[::-1])
+        first, last = int(painted[0]) // around - 1, int(painted[-1]) // around + 2
+        ends.append((max(first * around, 0), min(last * around, size)))
+    (left, right), (top, bottom) = ends
+    return Window(left, top, right, bottom)
 
 
 def _sizes(width: int, height: int) -> Int64s:

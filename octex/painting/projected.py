@@ -17,7 +17,7 @@ from octex.channels import ChannelFormat
 from octex.conversion import large
 from octex.conversion.pieces import Blocks
 from octex.jit import inlined, kernel
-from octex.painting.pictures import Levels, Projection, clipped, levels_of, read_paint
+from octex.painting.pictures import Levels, Projection, Window, clipped, read_paint, window_of
 from octex.painting.source import PaintSource
 from octex.parallel import built_once
 from octex.source.corners import at_corners
@@ -51,6 +51,8 @@ FADE = 10.0
 _LEAST_SEEN, _WELL_SEEN = 0.5, 1.0
 #: Beside an edge pictures are blurred with what is behind it: within so many pixels others count for more.
 _TRUSTED = 4.0
+#: Of a picture alone what is within so many pixels of its paint is looked at, a power of two.
+AROUND = 64
 #: Nearer than this what is read of a picture may reach beyond an edge.
 _BESIDE = 3.0
 #: How much pixels beside an edge, which others than what their middles see may be mixed into, are believed.
@@ -79,6 +81,17 @@ class Sight(NamedTuple):
     seen: Visibility
     margins: Float32s
 
+    def within(self, window: Window) -> Sight:
+        """Return what a part of the picture sees, whose pixels are counted from its corner."""
+        if (window.bottom - window.top, window.right - window.left) == self.margins.shape:
+            return self
+        shift = np.array([[1.0, 0.0, -window.left], [0.0, 1.0, -window.top], [0.0, 0.0, 1.0]])
+        own = shift @ self.camera.K
+        camera = self.camera._replace(K=own, inverse_k=np.linalg.inv(own).astype(np.float64))
+        seen = Visibility(*(np.ascontiguousarray(window.of(each)) for each in self.seen))
+        margins = np.ascontiguousarray(window.of(self.margins))
+        return Sight(camera, shift @ self.K, self.lens, seen, margins)
+
 
 class Terms(NamedTuple):
     """Under which terms paint is put."""
@@ -100,17 +113,28 @@ def take_shots(
     scales: Sequence[float],
     sights: Iterable[Sight],
     executor: Executor,
+    *,
+    around: int | None = None,
 ) -> Iterator[Shot]:
     """Decode pictures, their alpha times ``scales``, some ahead, and put them before what cameras see.
 
-    Raises as `levels_of` does.
+    What is not within ``around`` pixels of their paint is left out, but for pictures through lenses. Raises
+    as `levels_of` does.
     """
-    pairs = zip(projections, scales, strict=True)
-    decoded = (executor.submit(levels_of, each, form, scale) for each, scale in pairs)
+    given = [(each, form, scale, around) for each, scale in zip(projections, scales, strict=True)]
+    decoded = (executor.submit(_decoded, *each) for each in given)
     queue = deque(islice(decoded, most_ahead()))
     for sight in sights:
-        yield shot_of(sight, large.moved(queue.popleft().result()))
+        levels, window = queue.popleft().result()
+        yield shot_of(sight.within(window), large.moved(levels))
         queue.extend(islice(decoded, 1))
+
+
+def _decoded(
+    projection: Projection, form: ChannelFormat, scale: float, around: int | None
+) -> tuple[Levels, Window]:
+    is_straight = isinstance(projection.camera, Camera) and not is_bent(projection.camera.lens)
+    return window_of(projection, form, scale, around if is_straight else None)
 
 
 def sight_of(
