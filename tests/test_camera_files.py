@@ -76,6 +76,20 @@ def write_json(path, document):
     return path
 
 
+def bent_by_brown(k1, k2, k3, p1, p2):
+    """Return where the lens of Brown's model puts POINTS, seen from ``view(1)``, to the right and down."""
+    found = []
+    for point in POINTS:
+        x, y, z = view(1)[:3, :3] @ point + view(1)[:3, 3]
+        x, y = x / z, y / z
+        r2 = x * x + y * y
+        radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+        right = x * radial + p2 * (r2 + 2 * x * x) + 2 * p1 * x * y
+        down = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        found.append((right, down))
+    return found
+
+
 def sees(camera, pixels):
     np.testing.assert_allclose(camera.project(POINTS)[0], pixels, rtol=0, atol=1e-8)
 
@@ -709,15 +723,10 @@ def test_metashape_cameras_see_what_its_manual_says(tmp_path):
         ("b", (640, 480), None),
     ]
     f, cx, cy, b1, b2, k1, k2, k3, p1, p2 = METASHAPE.values()
-    pixels = []
-    for point in POINTS:
-        x, y, z = view(1)[:3, :3] @ point + view(1)[:3, 3]
-        x, y = x / z, y / z
-        r2 = x * x + y * y
-        radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
-        right = x * radial + p1 * (r2 + 2 * x * x) + 2 * p2 * x * y
-        down = y * radial + p2 * (r2 + 2 * y * y) + 2 * p1 * x * y
-        pixels.append([320 + cx + right * f + right * b1 + down * b2, 240 + cy + down * f])
+    pixels = [
+        [320 + cx + right * f + right * b1 + down * b2, 240 + cy + down * f]
+        for right, down in bent_by_brown(k1, k2, k3, p2, p1)
+    ]
     for frame in frames:
         sees(frame.camera(), pixels)
 
@@ -864,17 +873,8 @@ def test_meshroom_cameras_see_what_their_numbers_say(tmp_path, version):
     path.write_text(meshroom(version))
     (frame,) = read_cameras(path)
     assert (frame.name, frame.image, frame.size) == ("/far/a.jpg", tmp_path / "a.jpg", (640, 480))
-    k1, k2, k3, t1, t2 = MESHROOM_LENS
-    pixels = []
-    for point in POINTS:
-        x, y, z = view(1)[:3, :3] @ point + view(1)[:3, 3]
-        x, y = x / z, y / z
-        r2 = x * x + y * y
-        radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
-        right = x * radial + t2 * (r2 + 2 * x * x) + 2 * t1 * x * y
-        down = y * radial + t1 * (r2 + 2 * y * y) + 2 * t2 * x * y
-        pixels.append([310 + 500 * right, 250 + 510 * down])
-    sees(frame.camera(), pixels)
+    bent = bent_by_brown(*MESHROOM_LENS)
+    sees(frame.camera(), [[310 + 500 * right, 250 + 510 * down] for right, down in bent])
 
 
 @pytest.mark.parametrize("version", [(1, 2, 11), (1, 2, 7), (1, 0, 0)])
