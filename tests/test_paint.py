@@ -766,3 +766,16 @@ def test_transparent_parts_far_from_paint_are_not_looked_at(
         np.testing.assert_array_equal(found.tree.arrays.flags, expected.tree.arrays.flags)
         one, other = (each.channels["base_color"].values.astype(int) for each in (found, expected))
         assert np.abs(one - other).max() <= 1
+
+
+def test_a_mask_is_its_alpha_wherever_the_paint_is() -> None:
+    """A mask that has alpha is not read by its light, though near the paint all of it is opaque."""
+    surface = plain(square())
+    camera = above(size=512)
+    image = spot(camera, (200, 40, 90), 12.0)
+    mask = np.zeros((512, 512, 4), np.uint8)
+    mask[100:412, 100:412, 3] = 255
+    texture = octex.convert(surface, 5)
+    found = octex.paint(texture, surface, octex.Projection(image, camera, mask=mask))
+    expected = octex.paint(texture, surface, octex.Projection(image, camera))
+    np.testing.assert_array_equal(found.sample(surface.scatter(500)), expected.sample(surface.scatter(500)))

@@ -180,11 +180,10 @@ def window_of(
     if projection.mask is not None:
         mask = _texels(projection.mask, "the mask", size)
         _check_size(mask, width, height, _name_of(projection.mask, "the mask"))
-        mask = window.of(mask)
         shown = _as_fractions(mask[:, :, 3])
         if (shown == 1.0).all():
             shown = _as_fractions(mask[:, :, :3].mean(axis=2, dtype=np.float32).astype(mask.dtype))
-        factor = shown * factor
+        factor = window.of(shown) * factor
     if projection.key is not None:
         factor = factor * ~_is_key(texels, projection.key)
     del texels  # as large as what follows
