@@ -889,6 +889,12 @@ def test_meshroom_cameras_may_have_simpler_lenses(tmp_path, version, kind, numbe
     sees(read_cameras(path)[0].camera(), expected(view(1), 500.0, down, (310.0, 250.0), lens))
 
 
+def test_meshroom_views_of_a_rig_may_have_poses_of_their_own(tmp_path):
+    path = tmp_path / "cameras.sfm"
+    path.write_text(meshroom().replace('"path"', '"rigId": "1", "path"'))
+    assert len(read_cameras(path)) == 1
+
+
 def test_meshroom_cameras_may_be_fisheyes(tmp_path):
     path = tmp_path / "cameras.sfm"
     path.write_text(meshroom(kind="fisheye", numbers=[-0.2, 0.05, 0.01, -0.02]))
@@ -914,7 +920,10 @@ def test_meshroom_cameras_may_be_fisheyes(tmp_path):
         (meshroom().replace('"poses"', '"pose"'), "is no file of cameras"),
         (meshroom().replace('"version": [', '"version": ["0", '), "version must be 3 numbers, not 4"),
         (meshroom().replace('"center"', '"centre"'), "pose: center is missing"),
-        (meshroom().replace('"path"', '"rigId": "1", "path"'), "view '/far/a.jpg': is one of a rig's"),
+        (
+            meshroom().replace('"path"', '"rigId": "1", "isPoseIndependant": "false", "path"'),
+            "view '/far/a.jpg': is one of a rig's",
+        ),
         (meshroom().replace('"poseId": "3"', '"poseId": "5"', 1), "has no cameras"),
     ],
 )

@@ -21,7 +21,7 @@ from octex.texture import OctreeTexture
 _MOST = 0.01
 #: Texels a side of the maps in which that is looked for, at most; places where it is; and what looks alike,
 #: of 1, as stored.
-_PROBE, _TRIED, _LOOKS_ALIKE = 1024, 20_000, 0.1
+PROBE, _TRIED, _LOOKS_ALIKE = 1024, 20_000, 0.1
 #: Coordinates that cover more maps than this look otherwise somewhere.
 _MOST_DRAWN = 8.0
 #: Triangles are squeezed whose texels are so many cells long, and so many times as long as those of a map
@@ -58,7 +58,7 @@ def _shared(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout
     whole = unit_area(layout)
     if whole > _MOST_DRAWN:
         return 1.0 - 1.0 / whole
-    layout = layout.sized(min(layout.width, _PROBE))
+    layout = layout.sized(min(layout.width, PROBE))
     drawn = _drawn(layout, pool)
     covered = float(drawn.areas.sum(dtype=np.float64)) / (layout.width * layout.height)
     shared = max(whole - covered, 0.0) / whole if whole > 0.0 else 0.0
@@ -121,20 +121,21 @@ def stretches_of(mesh: Mesh, size: int) -> tuple[Float64s, Float64s]:
     heights = np.linalg.norm(np.cross(first, second), axis=1)
     has_area = heights > 0.0
     length, heights = np.where(has_area, length, 1.0), np.where(has_area, heights, 1.0)
-    # What a unit along the first edge, and one beside it, add to the two edges.
-    to_edges = np.zeros((len(rest), 2, 2))
-    to_edges[:, 0, 0], to_edges[:, 1, 1] = 1.0 / length, length / heights
-    to_edges[:, 0, 1] = -(first * second).sum(axis=1) / (length * heights)
+    # What a unit along the first edge, and one beside it, add to the two edges; and to coordinates.
+    along, beside = 1.0 / length, length / heights
+    slant = -(first * second).sum(axis=1) / (length * heights)
     corners = size * mesh.uv.values[mesh.uv.rows].astype(np.float64)
-    stretches = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2) @ to_edges
+    one, two = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    (x, y), (z, w) = one * along, one * slant + two * beside
     # The least singular value, and its vector: the eigenvector of the least eigenvalue of a symmetric matrix.
-    (a, b), (_, c) = np.einsum("nki,nkj->ijn", stretches, stretches)
+    a, b, c = x * x + y * y, x * z + y * w, z * z + w * w
     most = (a + c) / 2 + np.hypot((a - c) / 2, b)
-    least = np.abs(np.linalg.det(stretches)) / np.sqrt(np.maximum(most, 1e-300))
-    way = np.where((a > c)[:, None], np.stack([-b, most - c], axis=1), np.stack([most - a, -b], axis=1))
-    way[(way == 0.0).all(axis=1)] = 1.0, 0.0  # alike all ways
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
-    steps = (to_edges @ way[..., None])[..., 0] * has_area[:, None]
+    least = np.abs(x * w - y * z) / np.sqrt(np.maximum(most, 1e-300))
+    right, up = np.where(a > c, -b, most - a), np.where(a > c, most - c, -b)
+    norm = np.hypot(right, up)
+    right, up = np.where(norm > 0.0, [right, up], [np.ones_like(norm), up])  # any way if alike all ways
+    norm = np.where(norm > 0.0, norm, 1.0)
+    steps = np.stack([along * right + slant * up, beside * up], axis=1) * (has_area / norm)[:, None]
     return least, np.concatenate([-steps.sum(axis=1, keepdims=True), steps], axis=1)
 
 

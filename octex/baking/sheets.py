@@ -11,7 +11,7 @@ import numpy as np
 
 from octex.arrays import Int32s
 from octex.baking.atlas import atlas_layout
-from octex.baking.coordinates import areas_of, cell_of, check_overlaps, check_stretches, squeezed
+from octex.baking.coordinates import PROBE, areas_of, cell_of, check_overlaps, check_stretches, squeezed
 from octex.baking.layout import BEYOND, Layout, Layouts, kept_layout, unit_area
 from octex.errors import ModelError, ModelWarning
 from octex.source.corners import Corners
@@ -22,8 +22,6 @@ from octex.texture import OctreeTexture
 
 #: The sizes of maps that are chosen by themselves.
 _SMALLEST, _LARGEST = 64, 8192
-#: The size of maps at which coordinates are first laid out.
-_PROBE = 1024
 #: Texels are about as large as cells if they are at most so much wider.
 _ABOUT = 1.15
 #: Most UDIM tiles that a material may have.
@@ -102,32 +100,22 @@ def _kept(
             yield Sheet(mesh, chosen, _atlas(texture, mesh, size, padding), shown, numbers)
             continue
         mesh.uv = own.of(chosen)
-        layout, refusal = _checked(texture, mesh, names, size, pool)
-        if refusal is None:
+        layout = kept_layout(mesh, size or PROBE)
+        try:
+            check_overlaps(texture, mesh, names, layout, pool)
+        except ModelError:
+            tiles = _tiles(mesh)
+            if not tiles:
+                raise
+        else:
             yield Sheet(mesh, chosen, _fitted(texture, mesh, layout, size, shown), shown, numbers)
             continue
-        tiles = _tiles(mesh)
-        if not tiles:
-            raise refusal
         for name, tile, there in tiles:
-            layout, refusal = _checked(texture, tile, names, size, pool)
-            if refusal is not None:
-                raise refusal
+            layout = kept_layout(tile, size or PROBE)
+            check_overlaps(texture, tile, names, layout, pool)
             named = [each._replace(name=f"{each.name}.{name}") for each in shown]
             of_tile = _fitted(texture, tile, layout, size, shown)
             yield Sheet(tile, chosen[there], of_tile, named, numbers[there])
-
-
-def _checked(
-    texture: OctreeTexture, mesh: Mesh, names: list[str], size: int | None, pool: Executor
-) -> tuple[Layout, ModelError | None]:
-    """Lay a mesh out by its own coordinates; return also why they cannot be kept, if so."""
-    layout = kept_layout(mesh, size or _PROBE)
-    try:
-        check_overlaps(texture, mesh, names, layout, pool)
-    except ModelError as refusal:
-        return layout, refusal
-    return layout, None
 
 
 def _check_stretches(

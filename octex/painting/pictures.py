@@ -141,8 +141,7 @@ def levels_of(projection: Projection, form: ChannelFormat, scale: float = 1.0) -
     Raises ImageError for files and arrays that cannot be used, ArgumentError for sizes that are not the
     camera's.
     """
-    levels, _ = window_of(projection, form, scale, around=None)
-    return levels
+    return window_of(projection, form, scale, around=None)[0]
 
 
 def window_of(

@@ -6,6 +6,7 @@ s = x² + y², are pixels from the middle of the picture. Pictures' names stand 
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -72,13 +73,6 @@ def _names(path: Path) -> list[str]:
     for name in (f"{path.stem}.list.txt", f"{path.stem}_list.txt", "list.txt"):
         if is_file(path.with_name(name)):
             lines = read_bytes(path.with_name(name)).decode("utf-8", errors="replace").splitlines()
-            return [_name(line) for line in lines if line.strip()]
+            # Bundler's own lists say zero and a focal length after a name.
+            return [re.sub(r"\s+0\s+\S+$", "", line.strip()) for line in lines if line.strip()]
     return []
-
-
-def _name(line: str) -> str:
-    """Return the picture of a line: what stands before the two numbers that Bundler may put behind it."""
-    words = line.rsplit(maxsplit=2)
-    if len(words) == 3 and all(word.replace(".", "", 1).isdigit() for word in words[1:]):
-        return words[0].strip()
-    return line.strip()

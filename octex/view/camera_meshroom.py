@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from octex.arrays import Float64s
 from octex.view.camera_records import (
     BrokenError,
     Frame,
@@ -48,7 +49,7 @@ def read_meshroom(path: Path, document: Json) -> list[Frame]:
         if given is None or of_lens is None:
             continue  # not placed
         with within(f"view {name!r}"):
-            if "rigId" in record and str(record.get("isPoseIndependant", "false")) in ("false", "0"):
+            if "rigId" in record and str(record.get("isPoseIndependant", "true")) in ("false", "0"):
                 raise BrokenError("is one of a rig's, which octex does not read; leave the rig out")
             view = _view(given)
             if version >= [1, 2, 3]:
@@ -59,7 +60,7 @@ def read_meshroom(path: Path, document: Json) -> list[Frame]:
     return frames
 
 
-def _view(record: Json) -> np.ndarray:
+def _view(record: Json) -> Float64s:
     with within("pose"):
         transform = object_field(object_field(record, "pose"), "transform")
         rotation = np.array(_numbers(transform, "rotation", 9)).reshape(3, 3).T
