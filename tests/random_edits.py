@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
+from unittest import mock
 
 import numpy as np
 import numpy.typing as npt
@@ -42,6 +43,9 @@ RAMP = 2
 MOST_CELLS = 40_000
 #: Averages of more are not compared with those made the slow way.
 MOST_AVERAGED = 3_000
+
+#: Of a stroke's picture what is within so many pixels of its paint is looked at: few, as pictures are small.
+AROUND = "octex.painting.paint.AROUND", 8
 
 #: Refusals of what cannot be done, and why; any other error of octex's is a fault.
 ALLOWED = (
@@ -803,7 +807,7 @@ def check(seed: int, dtypes: Sequence[str] = DTYPES, *, small: bool = False, shr
 
     ``small`` ones are of few cells and without pictures.
     """
-    with TemporaryDirectory(prefix="octex-edits-") as folder:
+    with TemporaryDirectory(prefix="octex-edits-") as folder, mock.patch(*AROUND):
         run = Run(dtypes, Path(folder), 16 if small else 120)
         try:
             _drawn(np.random.default_rng(seed), run, small)
@@ -811,8 +815,12 @@ def check(seed: int, dtypes: Sequence[str] = DTYPES, *, small: bool = False, shr
         except Exception as error:
             failed = error
         steps = _shrunk(run, failed) if shrinks else run.steps
+        name, pixels = AROUND
         script = "\n".join(
-            [f"from tests.random_edits import {', '.join(sorted(vars_of_scripts()))}"]
+            [
+                f"from tests.random_edits import {', '.join(sorted(vars_of_scripts()))}",
+                f"import octex.painting.paint\n{name} = {pixels}",
+            ]
             + [line for step in steps for line in step.lines]
         )
         where = _where(failed)
