@@ -14,9 +14,9 @@ import octex
 from octex.channels import decode
 from octex.errors import ArgumentError
 from octex.painting.balance import exposures
+from octex.painting.blending import blended
 from octex.painting.cells import paint_of
 from octex.painting.layer import wanted_levels
-from octex.painting.merge import blended
 from octex.painting.pictures import BLENDS, Blend
 from octex.painting.sharpened import sharpened
 from octex.parallel import pool_of

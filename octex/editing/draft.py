@@ -247,27 +247,35 @@ def _forgetting(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
 
 def put_back(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> OctreeTexture:
     """Return a texture with what a draft, cut out of it and edited, has in the open tiles and above them."""
-    texture = _with_channels(texture, draft)
-    level, trees = tiles.level, (texture.tree, draft.tree)
-    (old_codes, was_node), (codes, is_node) = (next(islice(tree.walk(), level, None)) for tree in trees)
-    is_closed, at = was_node & ~_are_open(old_codes, tiles), np.arange(codes.size)
-    if not np.array_equal(codes, old_codes):
-        at = places(codes, old_codes)
-        is_closed = is_closed[at] & (at >= 0)
-    owners = np.where(is_closed, 0, 1)
-    old, own = (int(tree.arrays.level_cells[level]) for tree in trees)
-    # The level itself: closed cells as they were, with what they keep.
-    here = _runs(owners, np.where(is_closed, old + at, own + np.arange(codes.size)))
-    # Its nodes, with all below them.
-    old, own = (int(tree.arrays.level_nodes[level]) for tree in trees)
-    numbers = np.where(is_closed, old + np.cumsum(was_node)[at] - 1, own + np.cumsum(is_node) - 1)
-    has_below = is_closed | is_node
-    levels, cells, nodes = _below(trees, _runs(owners[has_below], numbers[has_below]))
+    return put_together(draft, _with_channels(texture, draft), [(tiles, draft)])
+
+
+def put_together(
+    top: OctreeTexture, texture: OctreeTexture, drafts: Sequence[tuple[Tiles, OctreeTexture]]
+) -> OctreeTexture:
+    """Return a texture of the cells above the tiles' level of one, and from there on of others.
+
+    These are, in each draft's open tiles, that draft; no two have a tile in common. In all other tiles it is
+    ``texture``. ``top`` says which tiles there are.
+    """
+    level, textures = drafts[0][0].level, [top, texture, *(draft for _, draft in drafts)]
+    codes, is_node = next(islice(top.tree.walk(), level, None))
+    owners = np.ones(codes.size, np.int64)
+    for number, (tiles, _) in enumerate(drafts, 2):
+        owners[_are_open(codes, tiles)] = number
+    cells, nodes = np.full((2, codes.size), -1, np.int64)  # each tile's numbers in its texture
+    for number, each in enumerate(textures[1:], 1):
+        of_tile = owners == number
+        where = locate(each.tree, codes[of_tile], level)
+        cells[of_tile], nodes[of_tile] = where.cells, where.nodes
+    is_below = nodes >= 0
+    trees = [each.tree for each in textures]
+    levels, cells_below, nodes_below = _below(trees, _runs(owners[is_below], nodes[is_below]))
     runs = (
-        Runs.joined(Runs.one(1, int(draft.tree.arrays.level_cells[level])), here, *cells),
-        Runs.joined(Runs.one(1, int(draft.tree.arrays.level_nodes[level])), *nodes),
+        Runs.joined(Runs.one(0, int(top.tree.arrays.level_cells[level])), _runs(owners, cells), *cells_below),
+        Runs.joined(Runs.one(0, int(top.tree.arrays.level_nodes[level])), *nodes_below),
     )
-    return _joined([texture, draft], draft, level, levels, runs, is_closed)
+    return _joined(textures, top, level, levels, runs, is_below != is_node)
 
 
 def _with_channels(texture: OctreeTexture, draft: OctreeTexture) -> OctreeTexture:
