@@ -530,7 +530,7 @@ def test_pictures_that_do_not_overlap_keep_their_gains() -> None:
 def test_the_boundary_is_one_cell_of_the_same_size_around_paint() -> None:
     surface, camera = plain(square()), above(3.0, 64, 192.0)
     layer = octex.project(surface, octex.Projection(spot(camera, (1, 0, 0), 8), camera))
-    _, paint = paint_of(layer, 1.0)
+    paint = paint_of(layer, 1.0)
     from octex.tree.morton import decode_cells
 
     for level, each in enumerate(paint):

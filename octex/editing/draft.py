@@ -29,7 +29,7 @@ from octex.tree.split import counts_of
 
 #: A tile is 2³ times as wide as the largest leaves, kept nodes and edited cells in the open tiles: an edit
 #: reads less than that around what it edits.
-_STEPS = 3
+STEPS = 3
 #: Drafts of more than this part of a texture's cells are no gain.
 _MOST = 0.5
 
@@ -106,17 +106,23 @@ def tiles_around(texture: OctreeTexture, codes: Sequence[Int64s]) -> Tiles | Non
     """Return the tiles for an edit of cells, given level by level; None if that is most of the texture."""
     tree = texture.tree
     finest = next((level for level, own in enumerate(codes) if own.size), 0)
-    level = coarsest_near(tree, codes, finest) - _STEPS
+    level = coarsest_near(tree, codes, finest) - STEPS
     if not 0 < level < tree.max_depth:
         return None
     edited = _at(codes, level)
-    around = np.concatenate([with_boundary(edited, level), _tiles_of(tree, _brightest(texture), level)])
+    around = np.concatenate([with_boundary(edited, level), brightest_tiles(texture, level)])
     tiles = Tiles(level, distinct(around))
-    return tiles if _is_small(tree, tiles) else None
+    count = int(tree.arrays.level_cells[level + 1]) + int(cells_in(tree, tiles).sum())
+    return tiles if count <= _MOST * tree.n_cells else None
+
+
+def brightest_tiles(texture: OctreeTexture, level: int) -> Int64s:
+    """Return the tiles with the most light of channels that have more than 1: it limits averages."""
+    return _tiles_of(texture.tree, _brightest(texture), level)
 
 
 def _brightest(texture: OctreeTexture) -> Int64s:
-    """Return cells with the most light of channels that have more than 1: it limits averages."""
+    """Return the cells with the most light of channels that have more than 1."""
     found = []
     split = texture.tree.split
     for channel in texture.channels.values():
@@ -173,16 +179,17 @@ def _at(codes: Sequence[Int64s], level: int) -> Int64s:
     return distinct(np.concatenate([own >> 3 * (at - level) for at, own in enumerate(codes) if own.size]))
 
 
-def _is_small(tree: Octree, tiles: Tiles) -> bool:
-    """Say whether a draft's cells are few beside the tree's."""
+def cells_in(tree: Octree, tiles: Tiles) -> Int64s:
+    """Count the cells below tiles (n,)."""
     where = locate(tree, tiles.codes, tiles.level)
-    begins = where.nodes[where.levels == tiles.level]
+    there = (where.levels == tiles.level) & ~where.is_leaf
+    counts = np.zeros(there.size, np.int64)
+    begins = where.nodes[there]
     ends = begins + 1
-    total = int(tree.arrays.level_cells[tiles.level + 1])
     for _ in range(tiles.level, tree.max_depth):
         (first, begins), (last, ends) = _children_before(tree, begins), _children_before(tree, ends)
-        total += int((last - first).sum())
-    return total <= _MOST * tree.n_cells
+        counts[there] += last - first
+    return counts
 
 
 def _children_before(tree: Octree, nodes: Int64s) -> tuple[Int64s, Int64s]:

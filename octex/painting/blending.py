@@ -90,6 +90,7 @@ class Merged(NamedTuple):
     parts: OctreeTexture  # the same cells; how much of the channels that are painted is paint, 0 … 1
     is_fresh: Bools  # (cells,)   where the texture had nothing
     is_new: Bools  # (cells,)   where it had no cell
+    painted: list[Int64s]  # the leaves that paint is on, by level
 
 
 def blend_paint(
@@ -152,28 +153,26 @@ def blend_paint(
             new[bare_rows] = decode(channels[name].values[rows.cells[bare_rows]], form.space)
         channels[name].split_values[rows.rows] = encode(new, form.dtype, form.space)
         parts[name].split_values[rows.rows, 0] = part
-    return _averaged(base, channels, parts, texture, raised, layer, above, may_split, target, blend)
+    painted = [each.codes for each in paint]
+    return _averaged(base, channels, parts, texture, raised, layer, above, may_split, painted, target, blend)
 
 
 def average_tiles(
-    made: Merged,
-    texture: OctreeTexture,
-    layer: OctreeTexture,
-    tiles: Sequence[Int64s],
-    target: str,
-    blend: Blend,
-) -> Merged:
-    """Average anew above ``tiles``, given by level, into whose cells paint has been merged already.
+    made: Merged, texture: OctreeTexture, layer: OctreeTexture, target: str, blend: Blend
+) -> OctreeTexture:
+    """Average anew above cells that are ``painted``, into which paint has been merged already.
 
-    ``made``, ``texture`` as it was and ``layer`` end at the tiles' level.
+    They have no children, in ``texture`` as it was and ``layer`` neither.
     """
     raised = Raised(made.texture, np.where(made.is_new, -1, 0), made.is_fresh, [], np.empty(0, np.bool_))
-    above = nodes_above(made.texture.tree, tiles, made.is_new, texture.tree, layer.tree)
+    above = nodes_above(made.texture.tree, made.painted, made.is_new, texture.tree, layer.tree)
     none = np.empty(0, np.int64)
     may_split = _may_split(made.texture.tree, layer.tree, none, none, above)
     base, parts = (_split(each, may_split) for each in (made.texture, made.parts))
-    channels, own_parts = _writable(base, base.channels), _writable(parts, parts.channels)
-    return _averaged(base, channels, own_parts, texture, raised, layer, above, may_split, target, blend)
+    channels, own = _writable(base, base.channels), _writable(parts, parts.channels)
+    return _averaged(
+        base, channels, own, texture, raised, layer, above, may_split, made.painted, target, blend
+    ).texture
 
 
 def no_parts(texture: OctreeTexture, names: Iterable[str]) -> dict[str, Channel]:
@@ -210,6 +209,7 @@ def _averaged(
     layer: OctreeTexture,
     above: Above,
     may_split: Int64s,
+    painted: list[Int64s],
     target: str,
     blend: Blend,
 ) -> Merged:
@@ -227,7 +227,8 @@ def _averaged(
     excess = split_in_vain(after, new_split)
     is_told = excess.size < new_split.size
     made = _settled(after, excess, texture, raised, above, left, is_told=is_told)
-    return Merged(made, without_split(base.with_cells(base.tree, parts), excess), is_fresh, raised.old < 0)
+    own = without_split(base.with_cells(base.tree, parts), excess)
+    return Merged(made, own, is_fresh, raised.old < 0, painted)
 
 
 def _shown(layer: OctreeTexture, sources: Int64s, bits: Uint8s, opacity: float) -> tuple[Float32s, Float32s]:

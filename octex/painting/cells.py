@@ -38,13 +38,15 @@ class Paint(NamedTuple):
     flags: Uint8s  # (n,)   the facings that have paint, and SPLIT where these are told from others
 
 
-def paint_of(layer: OctreeTexture, opacity: float) -> tuple[ChannelFormat, list[Paint]]:
-    """Return what a layer paints: its channel, and the paint on its leaves, level by level.
-
-    Raises ArgumentError for a texture that is no layer.
-    """
+def channel_of(layer: OctreeTexture) -> ChannelFormat:
+    """Return the channel that a layer paints; raise ArgumentError for a texture that is no layer."""
     if len(layer.channels) != 2 or ALPHA.name not in layer.channels:
         raise ArgumentError("a layer has one channel, and alpha: what paint covers")
+    return layer.channels[painted_channel(layer)].format
+
+
+def paint_of(layer: OctreeTexture, opacity: float) -> list[Paint]:
+    """Return the paint on a layer's leaves, level by level."""
     values, coverage = layer.channels[painted_channel(layer)], layer.channels[ALPHA.name]
     flags = _painted_flags(layer)
     found = []
@@ -63,7 +65,7 @@ def paint_of(layer: OctreeTexture, opacity: float) -> tuple[ChannelFormat, list[
                 flags[cells],
             )
         )
-    return values.format, found
+    return found
 
 
 def painted_channel(layer: OctreeTexture) -> str:

@@ -198,7 +198,7 @@ def with_coverage(texture: OctreeTexture, layers: Sequence[OctreeTexture]) -> Oc
         kept = np.zeros((tree.kept.cells.size, 1), form.dtype)
         clear, clear_rows = np.ones(tree.n_cells, np.float32), np.ones(rows.rows.size, np.float32)
     for layer in layers:
-        paint = refine_paint(paint_of(layer, 1.0)[1], layer, tree, 1.0)
+        paint = refine_paint(paint_of(layer, 1.0), layer, tree, 1.0)
         for level, each in enumerate(paint):
             where = locate(tree, each.codes, level)
             own = where.is_leaf & (where.levels == level)

@@ -11,10 +11,11 @@ from octex.checks import as_choice, as_number
 from octex.editing.draft import Change, cut_out, tiles_around, with_alpha, with_channels_of
 from octex.errors import ArgumentError, own_making
 from octex.painting.blending import blend_paint
-from octex.painting.cells import paint_of
+from octex.painting.cells import channel_of, paint_of
 from octex.painting.ground import Ground
 from octex.painting.pictures import BLENDS, Blend
 from octex.painting.raising import raise_texture
+from octex.painting.tilewise import merge_by_tiles, pieces_of
 from octex.parallel import Progress, as_progress, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
@@ -83,14 +84,14 @@ def merged(
     report = as_progress(progress)
     as_choice(blend, BLENDS, "blend")
     opacity = as_number(opacity, "opacity", 0.0, 1.0)
-    form, paint = paint_of(layer, opacity)
+    form = channel_of(layer)
     target = ALPHA.name if blend == "erase" else form.name
     if layer.placement != texture.placement:
         raise ArgumentError(
             f"the layer's root cell, {layer.placement}, is not the texture's, {texture.placement}; "
             "project the pictures onto this texture anew"
         )
-    if not any(each.codes.size for each in paint):
+    if opacity == 0.0 or not layer.tree.n_leaves:
         return None
     given = texture
     if target == ALPHA.name and target not in texture.channels:
@@ -102,12 +103,23 @@ def merged(
             f"the layer paints {form.components} components, but {target!r} of the texture has "
             f"{stored.components}"
         )
+    hiding = _hiding(texture, target, blend)
+    pieces = pieces_of(texture, layer)
+    if pieces is not None:
+        with own_making():
+            found = merge_by_tiles(
+                texture, layer, pieces, ground, target=target, blend=blend, opacity=opacity, hiding=hiding,
+                executor=executor, progress=report,
+            )  # fmt: skip
+        return None if found is None else Change(None, given, found)
+    paint = paint_of(layer, opacity)
+    if not any(each.codes.size for each in paint):
+        return None
     tiles = tiles_around(texture, [each.codes for each in paint])
     part = texture if tiles is None else cut_out(texture, tiles)
     raised = raise_texture(
-        part, texture, layer, paint, ground, executor, report,
-        adds=blend != "erase", hiding=_hiding(texture, target, blend),
-    )  # fmt: skip
+        part, texture, layer, paint, ground, executor, report, adds=blend != "erase", hiding=hiding
+    )
     if not any(each.codes.size for each in raised.paint):
         return None
     report("merge", 0, 1)

@@ -84,6 +84,7 @@ def raise_texture(
     *,
     adds: bool,
     hiding: float,
+    coarsest: int | None = None,
 ) -> Raised:
     """Bring a texture's tree to where paint, or the boundary around it, is finer; its field does not move.
 
@@ -96,6 +97,7 @@ def raise_texture(
     Paint below what was a leaf gets a skirt: cells off the surface beside it, which would else be refined
     from the coefficients kept, and show through. Leaves that have nothing but paint around them, all of which
     leaves nothing of what was there, for its coverage is ``hiding`` or more, keep none: they need no skirt.
+    ``coarsest`` is the level of the largest leaf or kept node near paint, if that is known.
 
     All cells of the paint that is returned are cells of the texture, and none lies in another.
     """
@@ -103,7 +105,9 @@ def raise_texture(
     if not adds:
         paint = [] if is_empty else [_on(texture.tree, each, level) for level, each in enumerate(paint)]
     is_skirt = _skirts(texture, paint, ground, executor, progress)
-    edited, paint, met = _raised(texture, whole.tree, is_skirt, paint, ground, hiding, executor, progress)
+    edited, paint, met = _raised(
+        texture, whole.tree, is_skirt, paint, ground, hiding, coarsest, executor, progress
+    )  # fmt: skip
     if is_empty:
         edited = edited._replace(old=np.full_like(edited.old, -1))
     with own_making():
@@ -166,6 +170,7 @@ def _raised(
     paint: list[Paint],
     ground: Ground,
     hiding: float,
+    coarsest: int | None,
     executor: Executor,
     progress: Progress,
 ) -> tuple[Edited, list[Paint], Met | None]:
@@ -221,7 +226,8 @@ def _raised(
     hides = bool(tops) and any((each.coverage >= hiding).any() for each in paint)
     unraised, bare = _bare(tree, is_skirt, paint, above, split, met) if has_absent or hides else ([], [])
     first = next((level for level, codes in enumerate(painted) if codes.size), 0)
-    coarsest = coarsest_near(tree, painted, first) if has_absent or hides else 0
+    if coarsest is None:
+        coarsest = coarsest_near(tree, painted, first) if has_absent or hides else 0
     freed = _freed(tree, paint, split, bare, coarsest, hiding) if hides else []
     wanted: list[Int64s] = []
     skirts: list[Int64s] = []  # none lies in another

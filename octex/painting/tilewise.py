@@ -1,0 +1,212 @@
+"""A large layer merged tile by tile: memory is taken for some tiles at a time.
+
+A piece is some tiles in Morton order. The paint in and beside them is merged into a draft of the texture, as
+if there were no other; of that draft the tiles are kept. What is above the tiles is averaged at the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Executor
+from itertools import islice
+from typing import NamedTuple
+
+import numpy as np
+
+from octex.arrays import Bools, Int64s
+from octex.editing.averages import with_summed_areas
+from octex.editing.carried import carried
+from octex.editing.draft import (
+    STEPS,
+    Tiles,
+    brightest_tiles,
+    cells_in,
+    coarsest_near,
+    cut_out,
+    put_together,
+)
+from octex.editing.nodes import node_cells, nodes_at
+from octex.editing.split import refaced
+from octex.painting.blending import Merged, average_tiles, blend_paint, no_parts
+from octex.painting.cells import Paint, paint_of, some
+from octex.painting.ground import Ground
+from octex.painting.pictures import Blend
+from octex.painting.raising import raise_texture
+from octex.parallel import Progress, as_progress
+from octex.texture import Channel, OctreeTexture
+from octex.tree.beside import with_boundary
+from octex.tree.edit import among, rebuilt, with_all_above
+from octex.tree.octree import Octree, distinct
+
+#: Cells of layer and texture, in and beside a piece, that are merged at once, about.
+PIECE = 1 << 21
+#: Pieces of more than so many times the cells that there are, with those beside them, are no gain.
+_MOST = 3.0
+#: Under which names a piece's top has what part of its channels is paint.
+_PART = "part of "
+
+
+class Pieces(NamedTuple):
+    """How a layer is divided."""
+
+    level: int  # of the tiles
+    coarsest: int  # the level of the largest leaf or kept node that the layer is in or beside
+    tiles: list[Int64s]  # of each piece, Morton codes, ascending
+
+
+class _Piece(NamedTuple):
+    tiles: Tiles
+    whole: OctreeTexture  # its tiles, and all above them
+    top: OctreeTexture  # the tiles as leaves, with the parts that are paint
+    painted: Int64s  # the tiles with paint
+    new: Int64s  # with new cells
+    fresh: Int64s  # with cells where the texture had nothing
+
+
+def pieces_of(texture: OctreeTexture, layer: OctreeTexture) -> Pieces | None:
+    """Divide a layer for a texture; return None for one that is merged at once."""
+    tree, painted = texture.tree, layer.tree
+    if painted.n_leaves + tree.n_leaves <= PIECE or not tree.n_leaves or not painted.n_leaves:
+        return None
+    finest = next(level for level, (leaves, _) in enumerate(painted.cells_by_depth()) if leaves)
+    codes, _ = next(islice(painted.walk(), finest, None))
+    coarsest = coarsest_near(tree, [codes[:0]] * finest + [codes], finest)
+    level = coarsest - STEPS
+    if not 0 < level < tree.max_depth:
+        return None
+    tiles = Tiles(level, with_boundary(distinct(codes >> 3 * (finest - level)), level))
+    counts = cells_in(painted, tiles) + cells_in(tree, tiles)
+    numbers = (np.cumsum(counts) - counts) // PIECE
+    found = [tiles.codes[numbers == number] for number in distinct(numbers)]
+    around = (Tiles(level, with_boundary(own, level)) for own in found)
+    total = sum(int(cells_in(painted, own).sum() + cells_in(tree, own).sum()) for own in around)
+    if len(found) < 2 or total > _MOST * counts.sum():
+        return None
+    return Pieces(level, coarsest, found)
+
+
+def merge_by_tiles(
+    texture: OctreeTexture,
+    layer: OctreeTexture,
+    pieces: Pieces,
+    ground: Ground,
+    *,
+    target: str,
+    blend: Blend,
+    opacity: float,
+    hiding: float,
+    executor: Executor,
+    progress: Progress,
+) -> OctreeTexture | None:
+    """Merge a layer piece by piece; return the texture with it, or None if there is no paint."""
+    level, none = pieces.level, np.empty(0, np.int64)
+    closed, bright = Tiles(level, none), brightest_tiles(texture, level)
+    found = []
+    progress("merge", 0, len(pieces.tiles))
+    for number, tiles in enumerate(pieces.tiles, 1):
+        near = with_boundary(tiles, level)
+        opened = Tiles(level, distinct(np.concatenate([with_boundary(near, level), bright])))
+        part, own = cut_out(texture, opened), cut_out(layer, Tiles(level, near))
+        raised = raise_texture(
+            part, texture, own, _inside(paint_of(own, opacity), near, level), ground, executor,
+            as_progress(None), adds=blend != "erase", hiding=hiding, coarsest=pieces.coarsest,
+        )  # fmt: skip
+        if any(each.codes.size for each in raised.paint):
+            made = blend_paint(part, raised, own, target, blend, opacity, executor)
+            found.append(_kept(made, Tiles(level, tiles)))
+        progress("merge", number, len(pieces.tiles))
+    if not any(each.painted.size for each in found):
+        return None
+    before = cut_out(texture, closed)
+    top = average_tiles(_top(before, found), before, cut_out(layer, closed), target, blend)
+    return put_together(top, texture, [(each.tiles, each.whole) for each in found])
+
+
+def _inside(paint: Sequence[Paint], tiles: Int64s, level: int) -> list[Paint]:
+    """Return the paint on smaller cells in tiles."""
+    return [
+        some(each, among(each.codes >> 3 * (at - level), tiles) if at > level else slice(0))
+        for at, each in enumerate(paint)
+    ]
+
+
+def _kept(made: Merged, tiles: Tiles) -> _Piece:
+    """Return what is kept of a piece: its tiles."""
+    level, tree = tiles.level, made.texture.tree
+    is_fresh_leaf = made.is_fresh.copy()
+    is_fresh_leaf[node_cells(tree)] = False
+    parts = {_PART + name: _named(own, _PART + name) for name, own in made.parts.channels.items()}
+    top = made.texture.with_cells(tree, {**made.texture.channels, **parts})
+    return _Piece(
+        tiles,
+        cut_out(made.texture, tiles),
+        cut_out(top, Tiles(level, tiles.codes[:0])),
+        *(
+            _tiles_with(own, tiles)
+            for own in (made.painted, _codes_of(tree, made.is_new), _codes_of(tree, is_fresh_leaf))
+        ),
+    )
+
+
+def _named(channel: Channel, name: str) -> Channel:
+    return channel._replace(format=channel.format._replace(name=name))
+
+
+def _codes_of(tree: Octree, chosen: Bools) -> list[Int64s]:
+    """Return the codes of some cells (cells,), by level."""
+    ends = tree.arrays.level_cells
+    return [codes[chosen[ends[level] : ends[level + 1]]] for level, (codes, _) in enumerate(tree.walk())]
+
+
+def _tiles_with(codes: Sequence[Int64s], tiles: Tiles) -> Int64s:
+    """Return the tiles in which there are some of cells given level by level."""
+    inside: Iterable[Int64s] = (
+        own >> 3 * (at - tiles.level) for at, own in enumerate(codes) if at >= tiles.level
+    )
+    found = distinct(np.concatenate([tiles.codes[:0], *inside]))
+    return found[among(found, tiles.codes)]
+
+
+def _top(before: OctreeTexture, pieces: Sequence[_Piece]) -> Merged:
+    """Return the texture down to the tiles, of which those of pieces have their values; nodes are to average.
+
+    ``before`` is it as it was.
+    """
+    level, none = pieces[0].tiles.level, np.empty(0, np.int64)
+    leaves = [codes[~is_node] for codes, is_node in before.tree.walk()]
+    own = [next(islice(each.top.tree.walk(), level, None))[0] for each in pieces]
+    own = [codes[among(codes, each.tiles.codes)] for codes, each in zip(own, pieces, strict=True)]
+    leaves[level] = distinct(np.concatenate([leaves[level], *own]))
+    edited = rebuilt(before.tree, leaves)
+    names = sorted({name for each in pieces for name in each.top.channels if name.startswith(_PART)})
+    base = before.with_cells(edited.tree, carried(before, edited))
+    base = base.with_cells(base.tree, {**base.channels, **no_parts(base, names)})
+    tops = [
+        (each.tiles, each.top.with_cells(each.top.tree, {**no_parts(each.top, names), **each.top.channels}))
+        for each in pieces
+    ]
+    made = refaced(put_together(base, base, tops))
+    tree = made.tree
+    painted, new, fresh = (
+        distinct(np.concatenate(own))
+        for own in zip(*((each.painted, each.new, each.fresh) for each in pieces), strict=True)
+    )
+    if fresh.size:
+        above = with_all_above([none] * level + [fresh])[:-1]
+        tree = with_summed_areas(tree, nodes_at(tree, above))
+    codes, first = tree.level_codes(level), int(tree.arrays.level_cells[level])
+    is_new, is_fresh = edited.old < 0, edited.old < 0
+    is_new[first:] |= among(codes, new)
+    is_fresh[first:] |= among(codes, fresh)
+    channels = {name: own for name, own in made.channels.items() if name not in names}
+    parts = {}
+    for each in names:
+        name = each.removeprefix(_PART)
+        parts[name] = _named(made.channels[each], name)
+    return Merged(
+        made.with_cells(tree, channels),
+        made.with_cells(tree, parts),
+        is_fresh,
+        is_new,
+        [none] * level + [painted],
+    )
