@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -44,8 +45,13 @@ MOST_CELLS = 40_000
 #: Averages of more are not compared with those made the slow way.
 MOST_AVERAGED = 3_000
 
-#: Of a stroke's picture what is within so many pixels of its paint is looked at: few, as pictures are small.
-AROUND = "octex.painting.paint.AROUND", 8
+#: What is large there is small here: pixels around a stroke's paint, cells that are merged at once, and how
+#: much the pieces may have in common.
+SMALL = (
+    ("octex.painting.paint.AROUND", 8),
+    ("octex.painting.tilewise.PIECE", 500),
+    ("octex.painting.tilewise.MOST", 1000.0),
+)
 
 #: Refusals of what cannot be done, and why; any other error of octex's is a fault.
 ALLOWED = (
@@ -807,7 +813,9 @@ def check(seed: int, dtypes: Sequence[str] = DTYPES, *, small: bool = False, shr
 
     ``small`` ones are of few cells and without pictures.
     """
-    with TemporaryDirectory(prefix="octex-edits-") as folder, mock.patch(*AROUND):
+    with TemporaryDirectory(prefix="octex-edits-") as folder, ExitStack() as patches:
+        for name, value in SMALL:
+            patches.enter_context(mock.patch(name, value))
         run = Run(dtypes, Path(folder), 16 if small else 120)
         try:
             _drawn(np.random.default_rng(seed), run, small)
@@ -815,14 +823,9 @@ def check(seed: int, dtypes: Sequence[str] = DTYPES, *, small: bool = False, shr
         except Exception as error:
             failed = error
         steps = _shrunk(run, failed) if shrinks else run.steps
-        name, pixels = AROUND
-        script = "\n".join(
-            [
-                f"from tests.random_edits import {', '.join(sorted(vars_of_scripts()))}",
-                f"import octex.painting.paint\n{name} = {pixels}",
-            ]
-            + [line for step in steps for line in step.lines]
-        )
+        lines = [f"from tests.random_edits import {', '.join(sorted(vars_of_scripts()))}"]
+        lines += [f"import {name.rpartition('.')[0]}; {name} = {value}" for name, value in SMALL]
+        script = "\n".join(lines + [line for step in steps for line in step.lines])
         where = _where(failed)
     raise AssertionError(f"edits, seed {seed}: {failed}\n{where}\n\n{script}") from failed
 

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 import octex
 import octex.painting.merge
 from octex.editing.draft import Tiles, cut_out, put_back, tiles_around
-from octex.painting.pictures import BLENDS
+from octex.painting import tilewise
+from octex.painting.pictures import BLENDS, Blend
 from octex.texture import OctreeTexture
 from octex.tree.octree import distinct
 from tests import random_edits
@@ -119,6 +120,32 @@ def test_strokes_on_drafts_are_strokes_on_the_whole(seed: int) -> None:
         texture = found
         if texture.tree.n_cells > 100_000:
             break
+
+
+@pytest.mark.parametrize("blend", ["over", "erase", "multiply", "replace"])
+@pytest.mark.parametrize("seed", [2, 3, 4, 8])
+def test_a_layer_merged_tile_by_tile_is_the_layer_merged_at_once(seed: int, blend: Blend) -> None:
+    random, surface, texture, depth = case(seed)
+    if seed % 2:  # in part without cells
+        shot = octex.Projection(
+            random_edits.picture(seed, 60, 60), random_edits.camera(surface, seed, 60, 60)
+        )
+        texture = octex.paint(None, surface, shot, max_depth=depth)
+    shots = [
+        octex.Projection(
+            random_edits.picture(int(random.integers(1000)), 60, 60, bool(random.integers(2))),
+            random_edits.camera(surface, int(random.integers(1000)), 60, 60),
+        )
+        for _ in range(3)
+    ]
+    layer = octex.project(surface, shots, like=texture, max_depth=int(random.integers(depth, 9)))
+    how: dict[str, Any] = {"opacity": float(random.choice([1.0, 0.5])), "blend": blend}
+    whole = octex.merge(texture, layer, surface, **how)
+    with mock.patch.object(tilewise, "PIECE", 400), mock.patch.object(tilewise, "MOST", 1000.0):
+        assert tilewise.pieces_of(texture, layer) is not None
+        found = octex.merge(texture, layer, surface, **how)
+    found.validate()
+    assert_same(found, whole)
 
 
 def test_a_small_stroke_needs_a_small_draft() -> None:

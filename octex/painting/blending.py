@@ -117,7 +117,7 @@ def blend_paint(
     met = {name: own for name, own in raised.texture.channels.items() if name in (target, ALPHA.name)}
     fresh = is_fresh[cells]
     names = [name for name in met if name == target or blend == "over" or fresh.any()]
-    parts = no_parts(base, names)
+    parts = no_parts(base.tree, names)
     is_averaged = ALPHA.name in names or bool(is_fresh.any())
     channels = _writable(base, base.channels if is_averaged else names)
     for begin in range(0, cells.size, _BLOCK):
@@ -164,7 +164,8 @@ def average_tiles(
 
     They have no children, in ``texture`` as it was and ``layer`` neither.
     """
-    raised = Raised(made.texture, np.where(made.is_new, -1, 0), made.is_fresh, [], np.empty(0, np.bool_))
+    old, no_skirt = np.where(made.is_new, -1, 0), np.zeros(made.is_new.size, np.bool_)
+    raised = Raised(made.texture, old, made.is_fresh, [], no_skirt, [])
     above = nodes_above(made.texture.tree, made.painted, made.is_new, texture.tree, layer.tree)
     none = np.empty(0, np.int64)
     may_split = _may_split(made.texture.tree, layer.tree, none, none, above)
@@ -175,9 +176,8 @@ def average_tiles(
     ).texture
 
 
-def no_parts(texture: OctreeTexture, names: Iterable[str]) -> dict[str, Channel]:
+def no_parts(tree: Octree, names: Iterable[str]) -> dict[str, Channel]:
     """Return how much of the cells of channels is paint: nothing."""
-    tree = texture.tree
     counts = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
     forms = [ChannelFormat(name, 1, "data", "float32") for name in names]
     return {form.name: Channel(form, *(np.zeros((n, 1), np.float32) for n in counts)) for form in forms}

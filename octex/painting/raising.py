@@ -71,6 +71,7 @@ class Raised(NamedTuple):
     is_fresh: Bools  # (cells,)   where the texture had nothing
     paint: list[Paint]  # with skirts
     is_skirt: Bools  # (cells,)   leaves that no surface is in
+    added: list[Int64s]  # cells of the layer where the texture had nothing, by level
 
 
 def raise_texture(
@@ -111,9 +112,9 @@ def raise_texture(
     if is_empty:
         edited = edited._replace(old=np.full_like(edited.old, -1))
     with own_making():
-        made, is_fresh = _carried(texture, whole, edited, edited.tree, met, layer, paint, executor)
+        made, is_fresh, added = _carried(texture, whole, edited, edited.tree, met, layer, paint, executor)
     is_skirt = edited.carried(is_skirt) | (made.tree.arrays.areas == SKIRT)
-    return Raised(made, edited.old, is_fresh, paint, is_skirt)
+    return Raised(made, edited.old, is_fresh, paint, is_skirt, added)
 
 
 def _skirts(
@@ -409,15 +410,15 @@ def _carried(
     layer: OctreeTexture,
     paint: Sequence[Paint],
     executor: Executor,
-) -> tuple[OctreeTexture, Bools]:
+) -> tuple[OctreeTexture, Bools, list[Int64s]]:
     """Give an edited tree the texture's values, and new cells what the field refines to.
 
     Cells that are added where nothing was, which are marked in the second result with new nodes above them,
-    take other channels from the coarser averages there.
+    and listed by level in the third, take other channels from the coarser averages there.
     """
     is_fresh = np.zeros(tree.n_cells, np.bool_)
     if tree is texture.tree:
-        return texture, is_fresh
+        return texture, is_fresh, []
     values = {name: edited.carried(channel.values) for name, channel in texture.channels.items()}
     flags, areas = tree.arrays.flags.copy(), tree.arrays.areas.copy()
     rows: list[tuple[Int64s, Below]] = []
@@ -467,7 +468,7 @@ def _carried(
         nodes = nodes_at(made.tree, [distinct(codes >> 3) for codes in with_all_above(added)[1:]])
         tree = with_summed_areas(made.tree, nodes)
         made = made.with_cells(tree, made.channels)
-    return made, is_fresh
+    return made, is_fresh, added
 
 
 def _face(flags: Uint8s, areas: Uint8s, cells: Int64s, tree: Octree, sources: Int64s) -> None:

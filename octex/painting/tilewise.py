@@ -25,23 +25,23 @@ from octex.editing.draft import (
     cut_out,
     put_together,
 )
-from octex.editing.nodes import node_cells, nodes_at
+from octex.editing.nodes import nodes_at
 from octex.editing.split import refaced
 from octex.painting.blending import Merged, average_tiles, blend_paint, no_parts
-from octex.painting.cells import Paint, paint_of, some
+from octex.painting.cells import SKIRT, Paint, paint_of, some
 from octex.painting.ground import Ground
 from octex.painting.pictures import Blend
 from octex.painting.raising import raise_texture
 from octex.parallel import Progress, as_progress
 from octex.texture import Channel, OctreeTexture
 from octex.tree.beside import with_boundary
-from octex.tree.edit import among, rebuilt, with_all_above
+from octex.tree.edit import among, locate, rebuilt, with_all_above
 from octex.tree.octree import Octree, distinct
 
 #: Cells of layer and texture, in and beside a piece, that are merged at once, about.
 PIECE = 1 << 21
 #: Pieces of more than so many times the cells that there are, with those beside them, are no gain.
-_MOST = 3.0
+MOST = 3.0
 #: Under which names a piece's top has what part of its channels is paint.
 _PART = "part of "
 
@@ -61,6 +61,7 @@ class _Piece(NamedTuple):
     painted: Int64s  # the tiles with paint
     new: Int64s  # with new cells
     fresh: Int64s  # with cells where the texture had nothing
+    added: Int64s  # with cells of the layer there
 
 
 def pieces_of(texture: OctreeTexture, layer: OctreeTexture) -> Pieces | None:
@@ -80,7 +81,7 @@ def pieces_of(texture: OctreeTexture, layer: OctreeTexture) -> Pieces | None:
     found = [tiles.codes[numbers == number] for number in distinct(numbers)]
     around = (Tiles(level, with_boundary(own, level)) for own in found)
     total = sum(int(cells_in(painted, own).sum() + cells_in(tree, own).sum()) for own in around)
-    if len(found) < 2 or total > _MOST * counts.sum():
+    if len(found) < 2 or total > MOST * counts.sum():
         return None
     return Pieces(level, coarsest, found)
 
@@ -113,12 +114,13 @@ def merge_by_tiles(
         )  # fmt: skip
         if any(each.codes.size for each in raised.paint):
             made = blend_paint(part, raised, own, target, blend, opacity, executor)
-            found.append(_kept(made, Tiles(level, tiles)))
+            found.append(_kept(made, raised.added, Tiles(level, tiles)))
         progress("merge", number, len(pieces.tiles))
     if not any(each.painted.size for each in found):
         return None
     before = cut_out(texture, closed)
-    top = average_tiles(_top(before, found), before, cut_out(layer, closed), target, blend)
+    above = cut_out(layer, closed)
+    top = average_tiles(_top(before, above, found), before, above, target, blend)
     return put_together(top, texture, [(each.tiles, each.whole) for each in found])
 
 
@@ -130,11 +132,9 @@ def _inside(paint: Sequence[Paint], tiles: Int64s, level: int) -> list[Paint]:
     ]
 
 
-def _kept(made: Merged, tiles: Tiles) -> _Piece:
+def _kept(made: Merged, added: Sequence[Int64s], tiles: Tiles) -> _Piece:
     """Return what is kept of a piece: its tiles."""
     level, tree = tiles.level, made.texture.tree
-    is_fresh_leaf = made.is_fresh.copy()
-    is_fresh_leaf[node_cells(tree)] = False
     parts = {_PART + name: _named(own, _PART + name) for name, own in made.parts.channels.items()}
     top = made.texture.with_cells(tree, {**made.texture.channels, **parts})
     return _Piece(
@@ -143,7 +143,12 @@ def _kept(made: Merged, tiles: Tiles) -> _Piece:
         cut_out(top, Tiles(level, tiles.codes[:0])),
         *(
             _tiles_with(own, tiles)
-            for own in (made.painted, _codes_of(tree, made.is_new), _codes_of(tree, is_fresh_leaf))
+            for own in (
+                made.painted,
+                _codes_of(tree, made.is_new),
+                _codes_of(tree, made.is_fresh),
+                added,
+            )
         ),
     )
 
@@ -167,10 +172,10 @@ def _tiles_with(codes: Sequence[Int64s], tiles: Tiles) -> Int64s:
     return found[among(found, tiles.codes)]
 
 
-def _top(before: OctreeTexture, pieces: Sequence[_Piece]) -> Merged:
+def _top(before: OctreeTexture, layer: OctreeTexture, pieces: Sequence[_Piece]) -> Merged:
     """Return the texture down to the tiles, of which those of pieces have their values; nodes are to average.
 
-    ``before`` is it as it was.
+    ``before`` is it as it was, ``layer`` the paint, both down to the tiles.
     """
     level, none = pieces[0].tiles.level, np.empty(0, np.int64)
     leaves = [codes[~is_node] for codes, is_node in before.tree.walk()]
@@ -179,21 +184,30 @@ def _top(before: OctreeTexture, pieces: Sequence[_Piece]) -> Merged:
     leaves[level] = distinct(np.concatenate([leaves[level], *own]))
     edited = rebuilt(before.tree, leaves)
     names = sorted({name for each in pieces for name in each.top.channels if name.startswith(_PART)})
-    base = before.with_cells(edited.tree, carried(before, edited))
-    base = base.with_cells(base.tree, {**base.channels, **no_parts(base, names)})
+    tree = edited.tree
+    areas = np.where(edited.old < 0, SKIRT, tree.arrays.areas)
+    for at, (codes, _) in enumerate(tree.walk()):
+        here = slice(*tree.arrays.level_cells[at : at + 2].tolist())
+        where = locate(layer.tree, codes, at)
+        is_own = (edited.old[here] < 0) & (where.levels == at)
+        areas[here][is_own] = layer.tree.arrays.areas[where.cells[is_own]]
+    tree = tree.with_cell_data(tree.arrays.flags, areas, tree.split, tree.kept)
+    base = before.with_cells(tree, {**carried(before, edited), **no_parts(tree, names)})
     tops = [
-        (each.tiles, each.top.with_cells(each.top.tree, {**no_parts(each.top, names), **each.top.channels}))
+        (
+            each.tiles,
+            each.top.with_cells(each.top.tree, {**no_parts(each.top.tree, names), **each.top.channels}),
+        )
         for each in pieces
     ]
     made = refaced(put_together(base, base, tops))
     tree = made.tree
-    painted, new, fresh = (
+    painted, new, fresh, added = (
         distinct(np.concatenate(own))
-        for own in zip(*((each.painted, each.new, each.fresh) for each in pieces), strict=True)
+        for own in zip(*((each.painted, each.new, each.fresh, each.added) for each in pieces), strict=True)
     )
-    if fresh.size:
-        above = with_all_above([none] * level + [fresh])[:-1]
-        tree = with_summed_areas(tree, nodes_at(tree, above))
+    if added.size:
+        tree = with_summed_areas(tree, nodes_at(tree, with_all_above([none] * level + [added])[:-1]))
     codes, first = tree.level_codes(level), int(tree.arrays.level_cells[level])
     is_new, is_fresh = edited.old < 0, edited.old < 0
     is_new[first:] |= among(codes, new)
