@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Int64s
+from octex.conversion import large
 from octex.editing.averages import with_summed_areas
 from octex.editing.carried import carried
 from octex.editing.draft import (
@@ -32,14 +33,16 @@ from octex.painting.cells import SKIRT, Paint, paint_of, some
 from octex.painting.ground import Ground
 from octex.painting.pictures import Blend
 from octex.painting.raising import raise_texture
-from octex.parallel import Progress, as_progress
+from octex.parallel import Progress, ordered_map, sharing, silent, workers
 from octex.texture import Channel, OctreeTexture
 from octex.tree.beside import with_boundary
 from octex.tree.edit import among, locate, rebuilt, with_all_above
 from octex.tree.octree import Octree, distinct
 
 #: Cells of layer and texture, in and beside a piece, that are merged at once, about.
-PIECE = 1 << 21
+PIECE = 1 << 20
+#: Pieces that are merged side by side at most, and where memory is scarce.
+_AT_ONCE, _LEAST_AT_ONCE = 4, 2
 #: Pieces of more than so many times the cells that there are, with those beside them, are no gain.
 MOST = 3.0
 #: Under which names a piece's top has what part of its channels is paint.
@@ -102,20 +105,26 @@ def merge_by_tiles(
     """Merge a layer piece by piece; return the texture with it, or None if there is no paint."""
     level, none = pieces.level, np.empty(0, np.int64)
     closed, bright = Tiles(level, none), brightest_tiles(texture, level)
-    found = []
-    progress("merge", 0, len(pieces.tiles))
-    for number, tiles in enumerate(pieces.tiles, 1):
+
+    def merge_piece(tiles: Int64s) -> _Piece | None:
         near = with_boundary(tiles, level)
         opened = Tiles(level, distinct(np.concatenate([with_boundary(near, level), bright])))
         part, own = cut_out(texture, opened), cut_out(layer, Tiles(level, near))
-        raised = raise_texture(
-            part, texture, own, _inside(paint_of(own, opacity), near, level), ground, executor,
-            as_progress(None), adds=blend != "erase", hiding=hiding, coarsest=pieces.coarsest,
-        )  # fmt: skip
-        if any(each.codes.size for each in raised.paint):
-            made = blend_paint(part, raised, own, target, blend, opacity, executor)
-            found.append(_kept(made, raised.added, Tiles(level, tiles)))
-        progress("merge", number, len(pieces.tiles))
+        paint = _inside(paint_of(own, opacity), near, level)
+        with workers(1) as alone:
+            raised = raise_texture(
+                part, texture, own, paint, ground, alone, silent,
+                adds=blend != "erase", hiding=hiding, coarsest=pieces.coarsest,
+            )  # fmt: skip
+            if not any(each.codes.size for each in raised.paint):
+                return None
+            made = blend_paint(part, raised, own, target, blend, opacity, alone)
+        return _kept(made, raised.added, Tiles(level, tiles))
+
+    window = _LEAST_AT_ONCE if large.is_mapped() else _AT_ONCE
+    with sharing(executor) as pool:
+        made = ordered_map(pool, merge_piece, pieces.tiles, stage="merge", progress=progress, window=window)
+        found = [each for each in made if each is not None]
     if not any(each.painted.size for each in found):
         return None
     before = cut_out(texture, closed)
