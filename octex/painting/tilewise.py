@@ -124,7 +124,7 @@ def merge_by_tiles(
     window = _LEAST_AT_ONCE if large.is_mapped() else _AT_ONCE
     with sharing(executor) as pool:
         made = ordered_map(pool, merge_piece, pieces.tiles, stage="merge", progress=progress, window=window)
-        found = [each for each in made if each is not None]
+        found = [large.moved(each) for each in made if each is not None]
     if not any(each.painted.size for each in found):
         return None
     before = cut_out(texture, closed)
