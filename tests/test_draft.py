@@ -14,6 +14,7 @@ import octex
 import octex.painting.merge
 from octex.editing.draft import Tiles, cut_out, put_back, tiles_around
 from octex.painting import tilewise
+from octex.painting.holes import with_coverage
 from octex.painting.pictures import BLENDS, Blend
 from octex.texture import OctreeTexture
 from octex.tree.octree import distinct
@@ -122,8 +123,10 @@ def test_strokes_on_drafts_are_strokes_on_the_whole(seed: int) -> None:
             break
 
 
-@pytest.mark.parametrize("blend", ["over", "erase", "multiply", "replace"])
-@pytest.mark.parametrize("seed", [2, 3, 4, 8])
+@pytest.mark.parametrize(
+    ("seed", "blend"),
+    [(2, "over"), (2, "multiply"), (3, "erase"), (4, "replace"), (4, "over"), (8, "over"), (8, "erase")],
+)
 def test_a_layer_merged_tile_by_tile_is_the_layer_merged_at_once(seed: int, blend: Blend) -> None:
     random, surface, texture, depth = case(seed)
     if seed % 2:  # in part without cells
@@ -144,8 +147,10 @@ def test_a_layer_merged_tile_by_tile_is_the_layer_merged_at_once(seed: int, blen
     with mock.patch.object(tilewise, "PIECE", 400), mock.patch.object(tilewise, "MOST", 1000.0):
         assert tilewise.pieces_of(texture, layer) is not None
         found = octex.merge(texture, layer, surface, **how)
+        covered = with_coverage(found, [layer])
     found.validate()
     assert_same(found, whole)
+    assert_same(covered, with_coverage(whole, [layer]))
 
 
 def test_a_small_stroke_needs_a_small_draft() -> None:

@@ -17,17 +17,18 @@ from octex.editing.averages import average
 from octex.editing.nodes import all_nodes
 from octex.editing.split import rows_facing
 from octex.errors import ArgumentError
-from octex.painting.cells import paint_of, painted_channel, refine_paint
+from octex.painting.cells import painted_channel
 from octex.painting.layer import empty_texture
 from octex.painting.multigrid import added, graph_of, solve
 from octex.painting.sheets import Region, Sheets, sheets_of
 from octex.painting.source import COVERAGE
+from octex.painting.tilewise import paint_by_tiles
 from octex.parallel import Progress
 from octex.source.base import Source
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
 from octex.tree.beside import with_boundary
-from octex.tree.edit import locate
+from octex.tree.edit import among, locate
 from octex.tree.layout import MAX_DEPTH
 from octex.tree.octree import distinct
 from octex.tree.placement import Placement
@@ -197,17 +198,17 @@ def with_coverage(texture: OctreeTexture, layers: Sequence[OctreeTexture]) -> Oc
     else:
         kept = np.zeros((tree.kept.cells.size, 1), form.dtype)
         clear, clear_rows = np.ones(tree.n_cells, np.float32), np.ones(rows.rows.size, np.float32)
-    for layer in layers:
-        paint = refine_paint(paint_of(layer, 1.0), layer, tree, 1.0)
+    for painted, paint in (each for layer in layers for each in paint_by_tiles(texture, layer)):
+        alpha = painted.channels[ALPHA.name]
         for level, each in enumerate(paint):
             where = locate(tree, each.codes, level)
             own = where.is_leaf & (where.levels == level)
             cells, sources = where.cells[own], each.cells[own]
             clear[cells] *= 1 - each.coverage[own]
-            chosen = np.flatnonzero(of_leaves)[np.isin(rows.cells[of_leaves], cells)]
+            chosen = np.flatnonzero(of_leaves)[among(rows.cells[of_leaves], cells)]
             at = np.searchsorted(cells, rows.cells[chosen])
-            facing = rows_facing(layer, layer.channels[ALPHA.name], sources[at], rows.bits[chosen])[:, 0]
-            facing[layer.tree.arrays.flags[sources[at]] & rows.bits[chosen] == 0] = 0
+            facing = rows_facing(painted, alpha, sources[at], rows.bits[chosen])[:, 0]
+            facing[painted.tree.arrays.flags[sources[at]] & rows.bits[chosen] == 0] = 0
             clear_rows[chosen] *= 1 - facing
     values, split_values = (encode(1 - each[:, None], form.dtype, form.space) for each in (clear, clear_rows))
     channel = Channel(form, values, split_values, kept)

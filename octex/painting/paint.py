@@ -110,7 +110,8 @@ def paint(
     memory       bytes, or a text like "4GB": if pictures would take more, what is decoded of them and what
                  their cameras see, 64 bytes a pixel, lies in files of ``folder`` meanwhile, whose pages the
                  system writes out when memory is scarce; by default in that of temporary files. The texture
-                 is the same, bit for bit
+                 is the same, bit for bit. Paint is merged by pieces of a million cells, two of which, some
+                 700 MB, are in memory then, and what the texture itself takes
     progress     is called with a stage's name, the units done and the units in all
 
     Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling

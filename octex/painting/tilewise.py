@@ -6,7 +6,7 @@ if there were no other; of that draft the tiles are kept. What is above the tile
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from itertools import islice
 from typing import NamedTuple
@@ -29,7 +29,7 @@ from octex.editing.draft import (
 from octex.editing.nodes import nodes_at
 from octex.editing.split import refaced
 from octex.painting.blending import Merged, average_tiles, blend_paint, no_parts
-from octex.painting.cells import SKIRT, Paint, paint_of, some
+from octex.painting.cells import SKIRT, Paint, paint_of, refine_paint, some
 from octex.painting.ground import Ground
 from octex.painting.pictures import Blend
 from octex.painting.raising import raise_texture
@@ -45,8 +45,8 @@ PIECE = 1 << 20
 _AT_ONCE, _LEAST_AT_ONCE = 4, 2
 #: Pieces of more than so many times the cells that there are, with those beside them, are no gain.
 MOST = 3.0
-#: Under which names a piece's top has what part of its channels is paint.
-_PART = "part of "
+#: Begins the names under which a piece's top has how much of its channels is paint; no other name does.
+_PART = "\0part of "
 
 
 class Pieces(NamedTuple):
@@ -123,14 +123,30 @@ def merge_by_tiles(
 
     window = _LEAST_AT_ONCE if large.is_mapped() else _AT_ONCE
     with sharing(executor) as pool:
-        made = ordered_map(pool, merge_piece, pieces.tiles, stage="merge", progress=progress, window=window)
-        found = [large.moved(each) for each in made if each is not None]
+        each_made = ordered_map(
+            pool, merge_piece, pieces.tiles, stage="merge", progress=progress, window=window
+        )
+        found = [large.moved(each) for each in each_made if each is not None]
     if not any(each.painted.size for each in found):
         return None
     before = cut_out(texture, closed)
     above = cut_out(layer, closed)
     top = average_tiles(_top(before, above, found), before, above, target, blend)
     return put_together(top, texture, [(each.tiles, each.whole) for each in found])
+
+
+def paint_by_tiles(
+    texture: OctreeTexture, layer: OctreeTexture
+) -> Iterator[tuple[OctreeTexture, list[Paint]]]:
+    """Yield piece by piece what of a layer is around it, and its paint as it lies on a texture's leaves."""
+    pieces = pieces_of(texture, layer)
+    if pieces is None:
+        yield layer, refine_paint(paint_of(layer, 1.0), layer, texture.tree, 1.0)
+        return
+    level = pieces.level
+    for tiles in pieces.tiles:
+        own = cut_out(layer, Tiles(level, with_boundary(tiles, level)))
+        yield own, refine_paint(_inside(paint_of(own, 1.0), tiles, level), own, texture.tree, 1.0)
 
 
 def _inside(paint: Sequence[Paint], tiles: Int64s, level: int) -> list[Paint]:
