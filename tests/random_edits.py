@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import re
 import traceback
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -808,14 +808,21 @@ SMALL_STEPS = tuple(pair for pair in STEPS if pair[0] not in LARGE)
 # --- sequences
 
 
+@contextmanager
+def small_sizes() -> Iterator[None]:
+    """Have small what is in SMALL until the end of the block."""
+    with ExitStack() as patches:
+        for name, value in SMALL:
+            patches.enter_context(mock.patch(name, value))
+        yield
+
+
 def check(seed: int, dtypes: Sequence[str] = DTYPES, *, small: bool = False, shrinks: bool = True) -> None:
     """Do a random sequence of edits; raise AssertionError, with a script that repeats it, for what fails.
 
     ``small`` ones are of few cells and without pictures.
     """
-    with TemporaryDirectory(prefix="octex-edits-") as folder, ExitStack() as patches:
-        for name, value in SMALL:
-            patches.enter_context(mock.patch(name, value))
+    with TemporaryDirectory(prefix="octex-edits-") as folder, small_sizes():
         run = Run(dtypes, Path(folder), 16 if small else 120)
         try:
             _drawn(np.random.default_rng(seed), run, small)

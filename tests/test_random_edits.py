@@ -52,14 +52,16 @@ def test_a_fault_is_told_as_the_shortest_script_that_has_it(monkeypatch: pytest.
             check(seed, DTYPES[:1], small=True)
     script = str(told.value).partition("\n\n")[2].splitlines()
     assert script[0].startswith("from tests.random_edits import ")
-    assert [line.partition("(")[0] for line in script[1:]] == [
+    assert all(f"{name} = {value}" in script[1 + n] for n, (name, value) in enumerate(random_edits.SMALL))
+    assert [line.partition("(")[0] for line in script[1 + len(random_edits.SMALL) :]] == [
         "surface = waved",
         "texture = octex.convert",
         "texture = octex.resize",
     ]
     assert f"edits, seed {seed}: " in str(told.value)
     monkeypatch.undo()
-    exec("\n".join(script), {})
+    with random_edits.small_sizes():
+        exec("\n".join(script), {})
 
 
 # --- the tool
