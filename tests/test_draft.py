@@ -153,6 +153,22 @@ def test_a_layer_merged_tile_by_tile_is_the_layer_merged_at_once(seed: int, blen
     assert_same(covered, with_coverage(whole, [layer]))
 
 
+def test_a_change_made_tile_by_tile_is_small() -> None:
+    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
+    texture = octex.convert(surface, 8)
+    painter = octex.Painter(texture, surface)
+    sphere = octex.Sphere((1, 0, 0), 0.3)
+    at_once = painter.fill(sphere, (1, 0, 0))
+    whole = painter.texture()
+    with mock.patch.object(tilewise, "PIECE", 400), mock.patch.object(tilewise, "MOST", 1000.0):
+        painter = octex.Painter(texture, surface)
+        by_tiles = painter.fill(sphere, (1, 0, 0))
+    assert_same(painter.texture(), whole)
+    assert sum(each.nbytes for each in by_tiles) == sum(each.nbytes for each in at_once) < texture.nbytes
+    painter.undo()
+    assert_same(painter.texture(), texture)
+
+
 def test_a_small_stroke_needs_a_small_draft() -> None:
     surface = random_edits.waved("sphere", 0, ["base_color"], 0)
     texture = octex.convert(surface, 8)

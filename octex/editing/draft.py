@@ -112,8 +112,14 @@ def tiles_around(texture: OctreeTexture, codes: Sequence[Int64s]) -> Tiles | Non
     edited = _at(codes, level)
     around = np.concatenate([with_boundary(edited, level), brightest_tiles(texture, level)])
     tiles = Tiles(level, distinct(around))
-    count = int(tree.arrays.level_cells[level + 1]) + int(cells_in(tree, tiles).sum())
-    return tiles if count <= _MOST * tree.n_cells else None
+    return tiles if _is_small(tree, tiles) else None
+
+
+def change_in(tiles: Tiles, before: OctreeTexture, after: OctreeTexture) -> Change:
+    """Return the change from one texture to another that differs in tiles, and above them, alone."""
+    if not _is_small(before.tree, tiles):
+        return Change(None, before, after)
+    return Change(tiles, cut_out(before, tiles), cut_out(after, tiles))
 
 
 def brightest_tiles(texture: OctreeTexture, level: int) -> Int64s:
@@ -177,6 +183,12 @@ def coarsest_near(tree: Octree, codes: Sequence[Int64s], finest: int) -> int:
 def _at(codes: Sequence[Int64s], level: int) -> Int64s:
     """Return the cells of a level that hold cells given level by level, none of which is larger."""
     return distinct(np.concatenate([own >> 3 * (at - level) for at, own in enumerate(codes) if own.size]))
+
+
+def _is_small(tree: Octree, tiles: Tiles) -> bool:
+    """Say whether a draft's cells are few beside the tree's."""
+    count = int(tree.arrays.level_cells[tiles.level + 1]) + int(cells_in(tree, tiles).sum())
+    return count <= _MOST * tree.n_cells
 
 
 def cells_in(tree: Octree, tiles: Tiles) -> Int64s:

@@ -8,7 +8,7 @@ import numpy as np
 
 from octex.channels import ALPHA
 from octex.checks import as_choice, as_number
-from octex.editing.draft import Change, cut_out, tiles_around, with_alpha, with_channels_of
+from octex.editing.draft import Change, Tiles, change_in, cut_out, tiles_around, with_alpha, with_channels_of
 from octex.errors import ArgumentError, own_making
 from octex.painting.blending import blend_paint
 from octex.painting.cells import channel_of, paint_of
@@ -111,7 +111,9 @@ def merged(
                 texture, layer, pieces, ground, target=target, blend=blend, opacity=opacity, hiding=hiding,
                 executor=executor, progress=report,
             )  # fmt: skip
-        return None if found is None else Change(None, given, found)
+        if found is None:
+            return None
+        return change_in(Tiles(pieces.level, np.concatenate(pieces.tiles)), given, found)
     paint = paint_of(layer, opacity)
     if not any(each.codes.size for each in paint):
         return None
