@@ -924,6 +924,10 @@ def test_meshroom_cameras_may_be_fisheyes(tmp_path):
             meshroom().replace('"path"', '"rigId": "1", "isPoseIndependant": "false", "path"'),
             "view '/far/a.jpg': is one of a rig's",
         ),
+        (
+            meshroom().replace('"path"', '"rigId": "1", "isPoseIndependant": false, "path"'),
+            "view '/far/a.jpg': is one of a rig's",
+        ),
         (meshroom().replace('"poseId": "3"', '"poseId": "5"', 1), "has no cameras"),
     ],
 )

@@ -39,11 +39,12 @@ from octex.tree.beside import with_boundary
 from octex.tree.edit import among, locate, rebuilt, with_all_above
 from octex.tree.octree import Octree, distinct
 
-#: Cells of layer and texture, in and beside a piece, that are merged at once, about.
+#: Cells of layer and texture that a piece has, about, without those beside it.
 PIECE = 1 << 20
 #: Pieces that are merged side by side at most, and where memory is scarce.
 _AT_ONCE, _LEAST_AT_ONCE = 4, 2
-#: Pieces of more than so many times the cells that there are, with those beside them, are no gain.
+#: If all pieces with what is beside them have more than so many times the cells that there are, they are no
+#: gain.
 MOST = 3.0
 #: Begins the names under which a piece's top has how much of its channels is paint; no other name does.
 _PART = "\0part of "
@@ -123,10 +124,10 @@ def merge_by_tiles(
 
     window = _LEAST_AT_ONCE if large.is_mapped() else _AT_ONCE
     with sharing(executor) as pool:
-        each_made = ordered_map(
+        all_merged = ordered_map(
             pool, merge_piece, pieces.tiles, stage="merge", progress=progress, window=window
         )
-        found = [large.moved(each) for each in each_made if each is not None]
+        found = [large.moved(each) for each in all_merged if each is not None]
     if not any(each.painted.size for each in found):
         return None
     before = cut_out(texture, closed)

@@ -49,7 +49,7 @@ def read_meshroom(path: Path, document: Json) -> list[Frame]:
         if given is None or of_lens is None:
             continue  # not placed
         with within(f"view {name!r}"):
-            if "rigId" in record and str(record.get("isPoseIndependant", "true")) in ("false", "0"):
+            if "rigId" in record and str(record.get("isPoseIndependant", True)).lower() in ("false", "0"):
                 raise BrokenError("is one of a rig's, which octex does not read; leave the rig out")
             view = _view(given)
             if version >= [1, 2, 3]:
