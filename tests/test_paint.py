@@ -507,7 +507,8 @@ def test_balance_makes_pictures_agree() -> None:
 
 def test_pictures_that_do_not_overlap_keep_their_gains() -> None:
     surface = plain(together(square(), (square()[0] + [5, 0, 0], square()[1])))
-    from octex.painting.projected import Projected, sight_of, stretches_of, take_shots, terms_of
+    from octex.painting.projected import Projected, stretches_of, terms_of
+    from octex.painting.shots import sight_of, take_shots
 
     form = octex.convert(surface, 2).channels["base_color"].format
     shots = []

@@ -14,7 +14,7 @@ import octex
 from octex.conversion.levels import CellLevels, cell_levels
 from octex.errors import ArgumentError
 from octex.painting.pictures import BLENDS, Blend
-from octex.painting.projected import sight_of
+from octex.painting.shots import sight_of
 from tests import random_edits
 from tests.painted import ball
 from tests.test_draft import assert_same, case

@@ -9,9 +9,9 @@ import numpy.typing as npt
 import pytest
 
 from octex.channels import BASE_COLOR
-from octex.painting import projected
 from octex.painting.pictures import Projection
-from octex.painting.projected import Projected, shading_of, sight_of, stretches_of, take_shots, terms_of
+from octex.painting.projected import Projected, shading_of, stretches_of, terms_of
+from octex.painting.shots import _spread, sight_of, take_shots
 from octex.parallel import pool_of
 from octex.source.corners import Corners
 from octex.source.surface import Surface
@@ -318,4 +318,4 @@ def test_pixels_near_paint_are_those_whose_square_holds_some() -> None:
         some = random.random(random.integers(1, 20, 2)) < share
         reach = int(random.integers(0, 8))
         wide = np.lib.stride_tricks.sliding_window_view(np.pad(some, reach), (2 * reach + 1,) * 2)
-        assert np.array_equal(projected._spread(some, reach), wide.any(axis=(2, 3)))
+        assert np.array_equal(_spread(some, reach), wide.any(axis=(2, 3)))

@@ -6,7 +6,7 @@ balance     gains and vignetting of pictures that overlap; agreement: masks of w
 best        one picture for each patch: labels of sheets, and what levels their borders
 refine      cameras that are a little off; consensus: least squares of what pictures say of the same points
 unwrap      a disc of the surface laid flat, for a camera; conformal: so that angles change least
-projected   what pictures paint at points of the surface
+shots       pictures before what their cameras see; projected: what they paint at points of the surface
 holes       what no picture saw, filled: multigrid on the graph of sheets, the surface in cells
 layer       these rasterized into a paint octree; near: the triangles around it
 merge       a layer blended into a texture, once for each cell

@@ -18,7 +18,8 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.jit import inlined, kernel
 from octex.painting.pictures import Levels, masked
-from octex.painting.projected import Projected, Shot, most_ahead
+from octex.painting.projected import Projected
+from octex.painting.shots import Shot, most_ahead
 from octex.parallel import ordered_map
 from octex.view.lens import is_bent, undistort
 

@@ -11,7 +11,8 @@ from octex.arrays import Float32s, Float64s, Int64s
 from octex.jit import kernel
 from octex.painting.consensus import agreed_step, robust_weights
 from octex.painting.pictures import Levels
-from octex.painting.projected import Projected, most_ahead, pixels_of_points
+from octex.painting.projected import Projected
+from octex.painting.shots import most_ahead, pixels_of_points
 from octex.parallel import ordered_map
 from octex.source.surface import Surface
 

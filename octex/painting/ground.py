@@ -13,7 +13,8 @@ from octex.arrays import Float32s
 from octex.errors import ArgumentError
 from octex.painting.near import Near
 from octex.painting.pictures import Projection
-from octex.painting.projected import Shading, Sight, shading_of, sight_of, stretches_of
+from octex.painting.projected import Shading, shading_of, stretches_of
+from octex.painting.shots import Sight, sight_of
 from octex.painting.unwrap import Patch
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture

@@ -23,7 +23,8 @@ from octex.painting.holes import HOLES, Holes, begun, with_coverage
 from octex.painting.layer import CELLS, FINEST_CELLS, rasterize_paint, wanted_levels
 from octex.painting.merge import merged
 from octex.painting.pictures import Projection, check_projections, room_for
-from octex.painting.projected import AROUND, Projected, Shot, in_fixed_order, take_shots, terms_of
+from octex.painting.projected import Projected, terms_of
+from octex.painting.shots import AROUND, Shot, in_fixed_order, take_shots
 from octex.painting.source import PaintSource
 from octex.parallel import Progress, as_progress, workers
 from octex.source.surface import Surface, as_surface

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Executor
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -17,27 +13,22 @@ from octex.channels import ChannelFormat
 from octex.conversion import large
 from octex.conversion.pieces import Blocks
 from octex.jit import inlined, kernel
-from octex.painting.pictures import Levels, Projection, Window, clipped, read_paint, window_of
+from octex.painting.pictures import Levels, clipped, read_paint
+from octex.painting.shots import TRUSTED, Shot, near_paint, renamed
 from octex.painting.source import PaintSource
 from octex.parallel import built_once
 from octex.source.corners import at_corners
 from octex.source.images.cubic import catmull_rom
 from octex.source.surface import Surface
-from octex.view.camera import Camera
-from octex.view.lens import distort, distorted, is_bent
+from octex.view.lens import distorted
 from octex.view.shading import corner_normals_of, face_normals
 from octex.view.visibility import (
     View,
-    Visibility,
-    distances_to_edges,
     nearness,
     parts,
     plane_through,
-    straight,
     tolerance,
     transformed,
-    view_of,
-    visibility_of,
     visible_part,
 )
 
@@ -49,48 +40,12 @@ FADE = 10.0
 #: Of the four pixels around a point, what part must see it (by their weights), and from what part on they
 #: are trusted wholly: beside an edge pixels mix what is before it with what is behind.
 _LEAST_SEEN, _WELL_SEEN = 0.5, 1.0
-#: Beside an edge pictures are blurred with what is behind it: within so many pixels others count for more.
-_TRUSTED = 4.0
-#: Of a picture alone what is within so many pixels of its paint is looked at, a power of two.
-AROUND = 64
 #: Nearer than this what is read of a picture may reach beyond an edge.
 _BESIDE = 3.0
 #: How much pixels beside an edge, which others than what their middles see may be mixed into, are believed.
 _MIXED = np.float32(0.15)
 #: Where what faces the camera shades as if it did not, it counts for so much of a cosine.
 _LEAST_COSINE = 1e-3
-
-
-class Shot(NamedTuple):
-    """A picture and what its camera sees, as kernels read them."""
-
-    camera: View  # without distortion
-    K: Float64s  # (3, 3)   of the picture
-    lens: Float64s  # (14,)   see octex.view.lens.lens_numbers
-    levels: Levels
-    seen: Visibility
-    margins: Float32s  # (height, width)   to where the surface ends, in pixels; at most so far
-
-
-class Sight(NamedTuple):
-    """What a camera sees of a surface; see Shot."""
-
-    camera: View
-    K: Float64s
-    lens: Float64s
-    seen: Visibility
-    margins: Float32s
-
-    def within(self, window: Window) -> Sight:
-        """Return what a part of the picture sees, whose pixels are counted from its corner."""
-        if (window.bottom - window.top, window.right - window.left) == self.margins.shape:
-            return self
-        shift = np.array([[1.0, 0.0, -window.left], [0.0, 1.0, -window.top], [0.0, 0.0, 1.0]])
-        own = shift @ self.camera.K
-        camera = self.camera._replace(K=own, inverse_k=np.linalg.inv(own).astype(np.float64))
-        seen = Visibility(*(np.ascontiguousarray(window.of(each)) for each in self.seen))
-        margins = np.ascontiguousarray(window.of(self.margins))
-        return Sight(camera, shift @ self.K, self.lens, seen, margins)
 
 
 class Terms(NamedTuple):
@@ -100,111 +55,6 @@ class Terms(NamedTuple):
     vanishing: float  # and where it has vanished
     feather: float  # pixels over which it fades towards edges
     back_faces: bool
-
-
-def most_ahead() -> int:
-    """Return how many pictures are decoded ahead: few where memory has no room for them."""
-    return 2 if large.is_mapped() else 64
-
-
-def take_shots(
-    projections: Sequence[Projection],
-    form: ChannelFormat,
-    scales: Sequence[float],
-    sights: Iterable[Sight],
-    executor: Executor,
-    *,
-    around: int | None = None,
-) -> Iterator[Shot]:
-    """Decode pictures, their alpha times ``scales``, some ahead, and put them before what cameras see.
-
-    What is not within ``around`` pixels of their paint is left out, but for pictures through lenses. Raises
-    as `levels_of` does.
-    """
-    given = [(each, form, scale, around) for each, scale in zip(projections, scales, strict=True)]
-    decoded = (executor.submit(_decoded, *each) for each in given)
-    queue = deque(islice(decoded, most_ahead()))
-    for sight in sights:
-        levels, window = queue.popleft().result()
-        yield shot_of(sight.within(window), large.moved(levels))
-        queue.extend(islice(decoded, 1))
-
-
-def _decoded(
-    projection: Projection, form: ChannelFormat, scale: float, around: int | None
-) -> tuple[Levels, Window]:
-    is_straight = isinstance(projection.camera, Camera) and not is_bent(projection.camera.lens)
-    return window_of(projection, form, scale, around if is_straight else None)
-
-
-def sight_of(
-    vertices: Float64s, triangles: Int32s, camera: Camera, feather: float, executor: Executor
-) -> Sight:
-    """Find what a camera sees of triangles (m, 3) of vertices (n, 3)."""
-    pinhole = straight(camera)
-    seen = visibility_of(vertices, triangles, pinhole, executor)
-    view = view_of(pinhole)
-    margins = distances_to_edges(seen, view, max(feather, _TRUSTED) + 1.0)
-    found: Sight = large.moved(Sight(view, camera.K, camera.lens, seen, margins))
-    return found
-
-
-def shot_of(sight: Sight, levels: Levels) -> Shot:
-    """Put a picture before what its camera sees."""
-    return Shot(sight.camera, sight.K, sight.lens, levels, sight.seen, sight.margins)
-
-
-def in_fixed_order(shots: Sequence[Shot]) -> list[Shot]:
-    """Sort shots by what they hold: sums over them are then the same to the bit, in whatever order they came.
-
-    Samples are taken in that order too, and the fit counts no more than a few of each leaf.
-    """
-
-    def digest(shot: Shot) -> bytes:
-        made = hashlib.sha256(bytes([shot.camera.is_pinhole]))
-        for array in (shot.camera.world_to_camera, shot.camera.K, shot.K, shot.lens, shot.levels.pixels):
-            made.update(np.ascontiguousarray(array).data)
-        return made.digest()
-
-    return sorted(shots, key=digest) if len(shots) > 1 else list(shots)
-
-
-def _near_paint(shot: Shot, reach: int) -> Shot:
-    """Return a shot that sees nothing where its picture is transparent; as it is if a lens bends that."""
-    width, height = shot.levels.sizes[0, 1:]
-    has_paint = shot.levels.pixels[: width * height, 3].reshape(height, width) > 0
-    if is_bent(shot.lens) or has_paint.all():
-        return shot
-    return _renamed(shot, np.where(_spread(has_paint, reach), shot.seen.triangle, np.int32(-1)))
-
-
-@kernel
-def _spread(some: Bools, reach: int) -> Bools:
-    """Say of each pixel whether there are some in the square that goes as far as ``reach`` around it."""
-    height, width = some.shape
-    beside, found = np.zeros((height, width), np.bool_), np.zeros((height, width), np.bool_)
-    for row in range(height):
-        for turn in range(2):
-            last = -1 - reach
-            for step in range(width):
-                column = width - 1 - step if turn else step
-                if some[row, column]:
-                    last = step
-                beside[row, column] |= step - last <= reach
-    lasts = np.empty(width, np.int64)
-    for turn in range(2):
-        lasts[:] = -1 - reach
-        for step in range(height):
-            row = height - 1 - step if turn else step
-            for column in range(width):
-                if beside[row, column]:
-                    lasts[column] = step
-                found[row, column] |= step - lasts[column] <= reach
-    return found
-
-
-def _renamed(shot: Shot, triangle: Int32s) -> Shot:
-    return shot._replace(seen=shot.seen._replace(triangle=large.moved(triangle)))
 
 
 def terms_of(max_angle: float, feather: float, back_faces: bool) -> Terms:
@@ -285,7 +135,7 @@ class Projected(PaintSource):
 
     def near_paint(self, reach: int) -> Projected:
         """Return the same paint; pixels without any as far around as ``reach`` see nothing."""
-        shots = [_near_paint(shot, reach) for shot in self._shots]
+        shots = [near_paint(shot, reach) for shot in self._shots]
         if all(new is shot for new, shot in zip(shots, self._shots, strict=True)):
             return self
         return Projected(shots, self._channels[0], self._terms, *self._mesh, self._gains, self._shading)
@@ -306,7 +156,7 @@ class Projected(PaintSource):
         vertices, triangles, stretches = self._mesh
         names = np.full(len(triangles) + 1, -1, np.int32)  # none, −1, is the last
         names[chosen] = np.arange(len(chosen), dtype=np.int32)
-        shots = [_renamed(shot, names[shot.seen.triangle]) for shot in self._shots]
+        shots = [renamed(shot, names[shot.seen.triangle]) for shot in self._shots]
         faces = np.ascontiguousarray(triangles[chosen])
         normals = self._shading(chosen)
         return Projected(
@@ -415,19 +265,6 @@ class Projected(PaintSource):
         for shot in self._shots:
             _narrow(shot, *self._mesh, self._terms.back_faces, triangles, barycentric, widths)
         return widths
-
-
-def pixels_of_points(shot: Shot, points: Float64s) -> Float64s:
-    """Return the pixel coordinates (n, 2) of posed points in a shot's picture; NaN where it has none."""
-    x, y, z = shot.camera.world_to_camera[:3, :3] @ points.T + shot.camera.world_to_camera[:3, 3:]
-    if shot.camera.is_pinhole:
-        with np.errstate(all="ignore"):
-            slopes = np.column_stack([x, y]) / np.where(z > 0.0, z, np.nan)[:, None]
-        places = np.empty_like(slopes)
-        distort(shot.lens, np.ascontiguousarray(slopes), places)
-    else:
-        places = np.column_stack([x, y])
-    return places @ shot.K[:2, :2].T + shot.K[:2, 2]
 
 
 def stretches_of(vertices: Float64s, rest: Float64s, triangles: Int32s) -> Float32s:
@@ -699,7 +536,7 @@ def _add(
         if not alpha > 0.0:
             continue
         density = max(shaded, _LEAST_COSINE) * fine * fine
-        trust = 0.01 + min(margin / _TRUSTED, 1.0)
+        trust = 0.01 + min(margin / TRUSTED, 1.0)
         # The finer of two pictures outweighs the other by the fourth power of their pixels on the surface: of
         # 12 pictures around a model the second gives back 30.3 dB, this 31.0, the finest alone as much.
         weight = coverage * trust * (density * density) * (density * density)

@@ -28,7 +28,8 @@ from octex.painting.balance import BALANCES, Balance, balanced
 from octex.painting.consensus import agreed_step, consensus, robust_weights
 from octex.painting.ground import Ground
 from octex.painting.pictures import Levels, Projection, check_projections, levels_of, room_for
-from octex.painting.projected import Projected, Shot, in_fixed_order, most_ahead, shot_of, terms_of
+from octex.painting.projected import Projected, terms_of
+from octex.painting.shots import Shot, in_fixed_order, most_ahead, shot_of
 from octex.parallel import Progress, as_progress, ordered_map, workers
 from octex.source.surface import Surface, as_surface
 from octex.view.camera import Camera
