@@ -98,10 +98,11 @@ def refined(
 
 
 def _room(options: argparse.Namespace) -> dict[str, Any]:
-    """Return where pictures lie beyond --memory."""
-    return (
-        {} if options.memory is None else {"memory": options.memory, "folder": options.out.absolute().parent}
-    )
+    """Return where pictures lie beyond --memory, and where what is done is kept."""
+    room = {} if options.resume is None else {"resume": options.resume}
+    if options.memory is not None:
+        room |= {"memory": options.memory, "folder": options.out.absolute().parent}
+    return room
 
 
 def _projection(options: argparse.Namespace, shot: Shot) -> Projection:

@@ -164,6 +164,13 @@ _OPTIONS = (
         metavar="SIZE",
         type=file_size,
     ),
+    option(
+        "--resume",
+        "keep what is done in FOLDER, and go on from what is there: after a stop, or with other options; "
+        "yours to delete",
+        metavar="FOLDER",
+        type=output_file,
+    ),
     option("--no-fit", "store plain averages; lookups are then softer", action="store_true"),
     option(
         "--background",
@@ -216,8 +223,8 @@ _WORDS = {
     "painting": _MERGE
     | {"IMAGE", "--camera", "--unwrap", "--conformal", "--mask", "--masks", "--key", "--since", "--whole"}
     | {"--channel", "--max-depth", "--max-angle", "--edge-feather", "--pictures", "--balance", "--reference"}
-    | {"--refine-cameras", "--save-cameras", "--back-faces", "--holes", "--coverage", "--memory", "--no-fit"}
-    | {"--background", "--layer-out"},
+    | {"--refine-cameras", "--save-cameras", "--back-faces", "--holes", "--coverage", "--memory", "--resume"}
+    | {"--background", "--layer-out", "--no-fit"},
     "--layer": _MERGE,
     "--view": _SHARED
     | VIEW_WORDS

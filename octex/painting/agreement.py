@@ -19,6 +19,7 @@ from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.jit import inlined, kernel
 from octex.painting.pictures import Levels, masked
 from octex.painting.projected import Projected
+from octex.painting.resuming import Kept, fits
 from octex.painting.shots import Shot, most_ahead
 from octex.parallel import ordered_map
 from octex.view.lens import is_bent, undistort
@@ -45,10 +46,13 @@ _CERTAIN = 8
 _POINTS = 1 << 20
 
 
-def agreeing(source: Projected, executor: Executor) -> Projected:
-    """Return the same paint, its pictures masked where they do not agree with the others."""
+def agreeing(source: Projected, executor: Executor, kept: Kept | None = None) -> Projected:
+    """Return the same paint, its pictures masked where they do not agree with the others.
+
+    ``kept`` is what is kept of all that the source is made from.
+    """
     numbers = range(len(source.shots))
-    found = list(ordered_map(executor, partial(_differences, source), numbers))
+    found = list(ordered_map(executor, partial(_kept_differences, source, kept), numbers))
     known = np.concatenate([each[np.isfinite(each)] for each in found])
     if not known.size:
         return source
@@ -61,11 +65,28 @@ def agreeing(source: Projected, executor: Executor) -> Projected:
     return source.with_levels(ordered_map(executor, agreed, numbers, window=most_ahead()))
 
 
+def _kept_differences(source: Projected, kept: Kept | None, number: int) -> Float32s:
+    """Return `_differences`, or what is ``kept`` of them."""
+    if kept is None:
+        return _differences(source, number)
+    expected = {"codes": ("f4", _patches(source.shots[number]))}
+    return kept.of(number).arrays(
+        "differences",
+        lambda: {"codes": _differences(source, number)},
+        lambda arrays: arrays["codes"] if fits(arrays, expected) else None,
+    )
+
+
+def _patches(shot: Shot) -> tuple[int, int]:
+    """Return how many rows and columns of patches a picture has."""
+    width, height = shot.levels.sizes[0, 1:].tolist()
+    return -(-height // PATCH), -(-width // PATCH)
+
+
 def _differences(source: Projected, number: int) -> Float32s:
     """Return by how many codes a picture is off what most say, per patch; NaN where that is not known."""
     shot = source.shots[number]
-    width, height = shot.levels.sizes[0, 1:]
-    rows, columns = -(-height // PATCH), -(-width // PATCH)
+    rows, columns = _patches(shot)
     codes, modes = np.full((2, rows * columns, 3), np.nan, np.float32)
     patches, triangles, barycentric = _seen_at(source, shot, rows, columns)
     own = source.with_shots([shot], [number])

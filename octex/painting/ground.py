@@ -14,6 +14,7 @@ from octex.errors import ArgumentError
 from octex.painting.near import Near
 from octex.painting.pictures import Projection
 from octex.painting.projected import Shading, shading_of, stretches_of
+from octex.painting.resuming import Kept, digest_of
 from octex.painting.shots import Sight, sight_of
 from octex.painting.unwrap import Patch
 from octex.source.surface import Surface
@@ -55,14 +56,25 @@ class Ground:
         normals = corner_normals(self.surface.vertices, self.surface.triangles)
         return lambda chosen: normals[chosen]
 
-    def sights(self, cameras: Sequence[Camera], feather: float, executor: Executor) -> Iterator[Sight]:
+    @cached_property
+    def content(self) -> bytes:
+        """A digest of where it is, at rest and posed, and of how it shades."""
+        surface = self.surface
+        frames = () if surface.frames is None else (*surface.frames.normals, *surface.frames.tangents)
+        return digest_of(surface.vertices, surface.rest, surface.triangles, frames)
+
+    def sights(
+        self, cameras: Sequence[Camera], feather: float, executor: Executor, kept: Kept | None = None
+    ) -> Iterator[Sight]:
         """Yield what cameras see of it."""
+        mesh = self.surface.vertices, self.surface.triangles
+        own = kept and kept.of(self.content)
         known, self._sights = self._sights, {}
         for camera in cameras:
-            key = _key(camera, feather)
+            key = key_of(camera) + np.float64(feather).tobytes()
             sight = known.get(key) or self._sights.get(key)
             if sight is None:
-                sight = sight_of(self.surface.vertices, self.surface.triangles, camera, feather, executor)
+                sight = sight_of(*mesh, camera, feather, executor, own)
             if self._keeps:
                 self._sights[key] = sight
             yield sight
@@ -86,8 +98,8 @@ def laid_flat(
     return Ground(surface), [replace(each, camera=patch.camera) for each in given]
 
 
-def _key(camera: Camera, feather: float) -> bytes:
-    """Return what tells one camera's sight from another's."""
-    numbers = camera.width, camera.height, feather, camera.projection == "pinhole"
+def key_of(camera: Camera) -> bytes:
+    """Return what tells one camera from another."""
+    numbers = camera.width, camera.height, camera.projection == "pinhole"
     parts = camera.world_to_camera, camera.K, camera.lens, numbers
     return b"".join(np.asarray(part, np.float64).tobytes() for part in parts)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from itertools import groupby
-from typing import Literal, TypedDict, cast, get_args
+from typing import Literal, NamedTuple, TypedDict, cast, get_args
 
 import numpy as np
 
@@ -18,12 +18,13 @@ from octex.errors import ArgumentError
 from octex.painting.agreement import agreeing
 from octex.painting.balance import BALANCES, Balance, balanced
 from octex.painting.best import best
-from octex.painting.ground import Ground, laid_flat
+from octex.painting.ground import Ground, key_of, laid_flat
 from octex.painting.holes import HOLES, Holes, begun, with_coverage
 from octex.painting.layer import CELLS, FINEST_CELLS, rasterize_paint, wanted_levels
 from octex.painting.merge import merged
-from octex.painting.pictures import Projection, check_projections, room_for
+from octex.painting.pictures import Projection, check_projections, content_of, room_for
 from octex.painting.projected import Projected, terms_of
+from octex.painting.resuming import Kept, kept_in
 from octex.painting.shots import AROUND, Shot, in_fixed_order, take_shots
 from octex.painting.source import PaintSource
 from octex.parallel import Progress, as_progress, workers
@@ -62,6 +63,7 @@ def paint(
     fit: bool = True,
     memory: int | str | None = None,
     folder: str | os.PathLike[str] | None = None,
+    resume: str | os.PathLike[str] | None = None,
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
@@ -113,6 +115,10 @@ def paint(
                  system writes out when memory is scarce; by default in that of temporary files. The texture
                  is the same, bit for bit. Paint is merged by pieces of a million cells, two of which, some
                  700 MB, are in memory then, and what the texture itself takes
+    resume       a folder, made if it is not there, that keeps what is done: pictures as they are read, what
+                 their cameras see, where pictures agree, the paint before it is merged; 41 bytes a pixel and
+                 the paint. A call that was stopped goes on from it, one with other options from what these
+                 do not change; it is yours to delete. The texture is the same, bit for bit
     progress     is called with a stage's name, the units done and the units in all
 
     Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
@@ -136,7 +142,9 @@ def paint(
     layers: list[OctreeTexture] | None = [] if as_flag(coverage, "coverage") else None
     given = check_projections(projections)
     with workers(threads, executor) as pool, room_for(given, memory, folder):
-        steps = painted(texture, ground, given, pool, as_progress(progress), options, holes, layers)
+        steps = painted(
+            texture, ground, given, pool, as_progress(progress), options, holes, layers, kept_in(resume)
+        )
         for made, _ in steps:
             texture = made
     assert texture is not None
@@ -166,6 +174,7 @@ def painted(
     options: Options,
     holes: Holes | None = None,
     layers: list[OctreeTexture] | None = None,
+    kept: Kept | None = None,
 ) -> Iterator[tuple[OctreeTexture, Change | None]]:
     """Paint as `paint` does; yield what has become of the texture with each layer, and what has changed.
 
@@ -175,7 +184,7 @@ def painted(
     for blend, group in groupby(given, key=lambda projection: projection.blend):
         pictures = list(group)
         opacity = max(picture.opacity for picture in pictures)
-        layer = projected(ground, pictures, texture, executor, progress, **options)
+        layer = projected(ground, pictures, texture, executor, progress, kept=kept, **options)
         if texture is None:
             texture = begun(layer, ground.surface, holes or "smooth", executor, progress)
             blend = "erase" if blend == "erase" else "over"  # there is nothing to multiply
@@ -204,6 +213,7 @@ def project(
     fit: bool = True,
     memory: int | str | None = None,
     folder: str | os.PathLike[str] | None = None,
+    resume: str | os.PathLike[str] | None = None,
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
@@ -226,7 +236,7 @@ def project(
         return projected(
             ground, given, like, pool, as_progress(progress), channel=channel, max_depth=max_depth,
             max_angle=max_angle, edge_feather=edge_feather, pictures=pictures, balance=balance,
-            reference=reference, back_faces=back_faces, fit=fit,
+            reference=reference, back_faces=back_faces, fit=fit, kept=kept_in(resume),
         )  # fmt: skip
 
 
@@ -246,9 +256,10 @@ def projected(
     reference: int | None = None,
     back_faces: bool = False,
     fit: bool = True,
+    kept: Kept | None = None,
 ) -> OctreeTexture:
     """Project pictures onto a surface as `project` does."""
-    surface, form = ground.surface, format_of(like, channel)
+    form = format_of(like, channel)
     if max_angle is None:
         max_angle = DRAWN_ANGLE if all(each.since is not None for each in given) else TAKEN_ANGLE
     max_angle = as_number(max_angle, "max_angle", 0.0, 180.0)
@@ -261,14 +272,51 @@ def projected(
     fit = as_flag(fit, "fit")
     if pictures is not None:
         as_choice(pictures, PICTURES, "pictures")
-    deepest = _DEEPEST if max_depth is None else as_depth(max_depth, "max_depth")
-    terms = terms_of(max_angle, edge_feather, back_faces)
+    if max_depth is not None:
+        max_depth = as_depth(max_depth, "max_depth")
+    wanted = _Wanted(max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit)
+    task = ground, given, like, form, wanted, executor, report
+    if kept is None:
+        return _projected(*task)
+    shown = [(content_of(each), key_of(cast(Camera, each.camera)), each.opacity) for each in given]
+    own = kept.of(ground.content, like and like.placement, form, shown, *wanted)
+    return own.texture("layer", partial(_projected, *task, kept, own))
+
+
+class _Wanted(NamedTuple):
+    """What `project` is told, checked."""
+
+    max_depth: int | None
+    max_angle: float
+    edge_feather: float
+    pictures: Pictures | None
+    balance: Balance | None
+    reference: int | None
+    back_faces: bool
+    fit: bool
+
+
+def _projected(
+    ground: Ground,
+    given: Sequence[Projection],
+    like: OctreeTexture | None,
+    form: ChannelFormat,
+    wanted: _Wanted,
+    executor: Executor,
+    report: Progress,
+    kept: Kept | None = None,
+    own: Kept | None = None,
+) -> OctreeTexture:
+    """Project pictures; ``own`` is what is ``kept`` of them all."""
+    surface, pictures, balance, reference = ground.surface, wanted.pictures, wanted.balance, wanted.reference
+    deepest = _DEEPEST if wanted.max_depth is None else wanted.max_depth
+    terms = terms_of(wanted.max_angle, wanted.edge_feather, wanted.back_faces)
     largest = max(projection.opacity for projection in given) or 1.0
     report("look", 0, len(given))
     scales = [projection.opacity / largest for projection in given]
     is_alone = len(given) == 1
-    around = AROUND if is_alone and edge_feather < AROUND else None
-    taken = partial(_taken, ground, given, form, scales, edge_feather, executor, report)
+    around = AROUND if is_alone and wanted.edge_feather < AROUND else None
+    taken = partial(_taken, ground, given, form, scales, wanted.edge_feather, executor, report, kept)
     shots = taken(around)
     chosen = None if reference is None else shots[reference]
     shots = in_fixed_order(shots)
@@ -276,7 +324,7 @@ def projected(
     source = Projected(shots, form, terms, *mesh, ground.stretches, shading=ground.shading)
     extent = float(np.ptp(surface.bounds, axis=0).max())
     size = like.placement.size if like is not None else extent
-    cells = CELLS if max_depth is None else FINEST_CELLS
+    cells = CELLS if wanted.max_depth is None else FINEST_CELLS
     near = source.near_paint(_REACH)
     footprints = near.footprints()
     finest = wanted_levels(*footprints, size, FINEST_CELLS, is_alone=is_alone).deepest
@@ -294,14 +342,14 @@ def projected(
     if balance is not None and len(shots) > 1:
         source = balanced(source, surface, balance, number, executor)
     if pictures in ("robust", "best") or (pictures is None and len(shots) > 2):
-        source = agreeing(source, executor)
+        source = agreeing(source, executor, own)
         if balance is not None and len(shots) > 1:  # again, without what only one of them saw
             source = balanced(source, surface, balance, number, executor)
     paint: PaintSource = source
     if pictures == "best" and len(shots) > 1:
         paint = best(source, surface, placement, depth, executor)
     return rasterize_paint(
-        ground, paint, placement, depths, fit=fit, cells=cells, executor=executor, progress=report
+        ground, paint, placement, depths, fit=wanted.fit, cells=cells, executor=executor, progress=report
     )
 
 
@@ -313,12 +361,13 @@ def _taken(
     feather: float,
     executor: Executor,
     report: Progress,
+    kept: Kept | None,
     around: int | None,
 ) -> list[Shot]:
     """Return pictures and what their cameras see, or of that what is within ``around`` pixels of paint."""
-    sights = ground.sights([cast(Camera, each.camera) for each in given], feather, executor)
+    sights = ground.sights([cast(Camera, each.camera) for each in given], feather, executor, kept)
     shots = []
-    for shot in take_shots(given, form, scales, sights, executor, around=around):
+    for shot in take_shots(given, form, scales, sights, executor, around=around, kept=kept):
         shots.append(shot)
         report("look", len(shots), len(given))
     return shots

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +22,9 @@ from octex.channels import ChannelFormat, decode_table, linear_to_srgb
 from octex.checks import as_bytes, as_choice, as_items, as_number, as_path, as_reals, is_path
 from octex.conversion.large import scratch
 from octex.errors import ArgumentError, ImageError
+from octex.files import open_file
 from octex.jit import inlined, kernel
+from octex.painting.resuming import Kept, digest_of, fits
 from octex.painting.sharpened import sharpened
 from octex.painting.unwrap import Patch
 from octex.source.images.cubic import catmull_rom
@@ -135,22 +139,55 @@ class Window(NamedTuple):
         return array[self.top : self.bottom, self.left : self.right]
 
 
-def levels_of(projection: Projection, form: ChannelFormat, scale: float = 1.0) -> Levels:
+def levels_of(
+    projection: Projection, form: ChannelFormat, scale: float = 1.0, kept: Kept | None = None
+) -> Levels:
     """Decode a projection's image and mask for a channel; alpha is multiplied by ``scale``.
 
     Raises ImageError for files and arrays that cannot be used, ArgumentError for sizes that are not the
     camera's.
     """
-    return window_of(projection, form, scale, around=None)[0]
+    return window_of(projection, form, scale, None, kept)[0]
 
 
 def window_of(
-    projection: Projection, form: ChannelFormat, scale: float, around: int | None
+    projection: Projection, form: ChannelFormat, scale: float, around: int | None, kept: Kept | None = None
 ) -> tuple[Levels, Window]:
     """Decode what of a projection is within ``around`` pixels of paint, or all for None: see `levels_of`.
 
-    Returns also where in the picture that is.
+    Returns also where in the picture that is. Where it is ``kept`` it is not decoded.
     """
+    if kept is None:
+        return _window_of(projection, form, scale, around)
+    size = projection.camera.width, projection.camera.height
+
+    def made() -> dict[str, Array]:
+        levels, window = _window_of(projection, form, scale, around)
+        return {**levels._asdict(), "window": np.array(window, np.int64)}
+
+    where = kept.of(size, form, scale, around, content_of(projection))
+    return where.arrays("picture", made, partial(_as_kept, size))
+
+
+def _as_kept(size: tuple[int, int], arrays: Mapping[str, Array]) -> tuple[Levels, Window] | None:
+    """Return what is kept of a picture of that size (width, height); None for what cannot be that."""
+    (width, height), window = size, arrays.get("window")
+    if window is None or not fits({"window": window}, {"window": ("i8", (4,))}):
+        return None
+    where = Window(*window.tolist())
+    if not (0 <= where.left < where.right <= width and 0 <= where.top < where.bottom <= height):
+        return None
+    sizes = _sizes(where.right - where.left, where.bottom - where.top)
+    rows = int(sizes[-1, 0] + sizes[-1, 1] * sizes[-1, 2])
+    expected = {"pixels": ("f4", (rows, 4)), "sizes": ("i8", sizes.shape), "range": ("f4", (2, 3))}
+    if not fits(arrays, {**expected, "window": ("i8", (4,))}):
+        return None
+    return Levels(arrays["pixels"], sizes, arrays["range"]), where
+
+
+def _window_of(
+    projection: Projection, form: ChannelFormat, scale: float, around: int | None
+) -> tuple[Levels, Window]:
     size = width, height = projection.camera.width, projection.camera.height
     texels = _texels(projection.image, "the image", size)
     _check_size(texels, width, height, projection.name)
@@ -340,6 +377,22 @@ def _decode(texels: Uint16s, table: Float32s, pixels: Float32s) -> None:
             for component in range(3):
                 pixels[row, column, component] = table[texels[row, column, component]]
             pixels[row, column, 3] = min(np.float32(texels[row, column, 3]) * share, np.float32(1.0))
+
+
+def content_of(projection: Projection) -> bytes:
+    """Return a digest of what a projection's pictures hold, and of what of them is paint."""
+    given = projection.image, projection.mask, projection.since
+    return digest_of([_content(each) for each in given], projection.key)
+
+
+def _content(image: Image | None) -> Any:
+    if image is None or not is_path(image):
+        return None if image is None else as_texels(image)  # type: ignore[arg-type]
+    try:
+        with open_file(as_path(image, "image")) as file:
+            return hashlib.file_digest(file, "sha256").digest()
+    except OSError:
+        return None  # decoding says what is wrong
 
 
 def check_projections(projections: Projection | Sequence[Projection]) -> list[Projection]:

@@ -10,7 +10,7 @@ make it worse). A camera of which pictures tell too little stays as it was given
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from octex.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from octex.channels import BASE_COLOR
 from octex.checks import as_choice, as_whole
 from octex.conversion import large
@@ -26,9 +26,10 @@ from octex.errors import ArgumentError
 from octex.painting.agreement import agreeing
 from octex.painting.balance import BALANCES, Balance, balanced
 from octex.painting.consensus import agreed_step, consensus, robust_weights
-from octex.painting.ground import Ground
-from octex.painting.pictures import Levels, Projection, check_projections, levels_of, room_for
+from octex.painting.ground import Ground, key_of
+from octex.painting.pictures import Levels, Projection, check_projections, content_of, levels_of, room_for
 from octex.painting.projected import Projected, terms_of
+from octex.painting.resuming import Kept, fits, kept_in
 from octex.painting.shots import Shot, in_fixed_order, most_ahead, shot_of
 from octex.parallel import Progress, as_progress, ordered_map, workers
 from octex.source.surface import Surface, as_surface
@@ -70,6 +71,7 @@ def refine_cameras(
     reference: int | None = None,
     memory: int | str | None = None,
     folder: str | os.PathLike[str] | None = None,
+    resume: str | os.PathLike[str] | None = None,
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
@@ -84,6 +86,7 @@ def refine_cameras(
     reference    the picture, by its number, whose camera stays as it is; default: the one that shares most of
                  what it sees with others
     memory       as for ``paint``, and ``folder``
+    resume       as for ``paint``: a folder that keeps the pictures as they are read, and the cameras
 
     Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
     thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
@@ -102,44 +105,88 @@ def refine_cameras(
     ground, report = Ground(as_surface(surface)), as_progress(progress)
     if len(shown) == 1:
         return cameras
+    kept = kept_in(resume)
     with workers(threads, executor) as pool, room_for(shown, memory, folder):
-        decode = partial(levels_of, form=BASE_COLOR)
-        levels = [large.moved(each) for each in ordered_map(pool, decode, shown, window=most_ahead())]
-        order, fixed = _ordered(ground, cameras, levels, reference, pool)
-        began, levels = [cameras[n] for n in order], [levels[n] for n in order]
-        samples = surface.scatter(_POINTS)
-        scales = [_pixel_at(camera, samples.points) for camera in began]
-        cameras, numbers = list(began), np.zeros((len(order), _NUMBERS))
-        stays = np.zeros(len(order), np.bool_) if reference is None else np.array(order) == reference
+        task = ground, shown, cameras, balance, reference, pool, report, kept
+        if kept is None:
+            return _refined(*task)
+        made_from = [*map(content_of, shown), *map(key_of, cameras)]
+        own = kept.of(ground.content, made_from, balance, reference)
+        return own.arrays("cameras", lambda: _as_arrays(_refined(*task)), partial(_as_kept, cameras))
 
-        def lit(cameras: list[Camera], balance: Balance | None) -> Projected:
-            source = _source(ground, cameras, levels, pool)
-            return source if balance is None else balanced(source, surface, balance, fixed, pool)
 
-        def views(cameras: list[Camera], level: int, balance: Balance | None) -> _Views:
-            source = lit(cameras, balance)
-            says = _says(source, samples.triangles, samples.barycentric, _RIM * 2**level)
-            pictures = [_read(shot, level) for shot in source.shots]
-            return _Views(began, scales, samples.points, pictures, source.gains, says)
+def _as_arrays(cameras: Sequence[Camera]) -> dict[str, Array]:
+    return {
+        "world_to_camera": np.stack([each.world_to_camera for each in cameras]),
+        "K": np.stack([each.K for each in cameras]),
+    }
 
-        for done, level in enumerate(_LEVELS):
-            report("refine", done, len(_LEVELS))
-            given = views(cameras, level, balance)
-            if not stays.any():
-                stays[np.argmax((given.says * (given.says > 0).sum(axis=0)).sum(axis=1))] = True
-            far = _FAR * (level + 1)
-            every = np.arange(0, len(samples.points), _EVERY)
-            some = _telling(given, numbers, far) if done else every
-            numbers = _agreeing(given.at(some), numbers, stays, far)
-            cameras = [_moved(*each) for each in zip(began, scales, numbers, strict=True)]
-            if done == 0:  # now pictures lie well enough on each other to tell what only one of them saw
-                levels = [shot.levels for shot in agreeing(lit(cameras, balance), pool).shots]
-        light: Balance | None = balance and "full"
-        before, after = views(began, 0, light), views(cameras, 0, light)
-        some = np.union1d(_telling(before, 0 * numbers, _FAR), _telling(after, numbers, _FAR))
-        is_better = _better(before.at(some), after.at(some), numbers) & ~stays
-        cameras = [each[1 if moves else 0] for *each, moves in zip(began, cameras, is_better, strict=True)]
-        report("refine", len(_LEVELS), len(_LEVELS))
+
+def _as_kept(given: Sequence[Camera], arrays: Mapping[str, Array]) -> list[Camera] | None:
+    """Return cameras as they were kept; None for what cannot be those."""
+    count = len(given)
+    if not fits(arrays, {"world_to_camera": ("f8", (count, 4, 4)), "K": ("f8", (count, 3, 3))}):
+        return None
+    try:
+        return [
+            replace(camera, world_to_camera=matrix, K=K)
+            for camera, matrix, K in zip(given, arrays["world_to_camera"], arrays["K"], strict=True)
+        ]
+    except ArgumentError:
+        return None
+
+
+def _refined(
+    ground: Ground,
+    shown: Sequence[Projection],
+    cameras: list[Camera],
+    balance: Balance | None,
+    reference: int | None,
+    pool: Executor,
+    report: Progress,
+    kept: Kept | None,
+) -> list[Camera]:
+    """Refine cameras, checked, as `refine_cameras` does."""
+    surface = ground.surface
+    decode = partial(levels_of, form=BASE_COLOR, kept=kept)
+    levels = [
+        each if kept else large.moved(each) for each in ordered_map(pool, decode, shown, window=most_ahead())
+    ]
+    order, fixed = _ordered(ground, cameras, levels, reference, pool)
+    began, levels = [cameras[n] for n in order], [levels[n] for n in order]
+    samples = surface.scatter(_POINTS)
+    scales = [_pixel_at(camera, samples.points) for camera in began]
+    cameras, numbers = list(began), np.zeros((len(order), _NUMBERS))
+    stays = np.zeros(len(order), np.bool_) if reference is None else np.array(order) == reference
+
+    def lit(cameras: list[Camera], balance: Balance | None) -> Projected:
+        source = _source(ground, cameras, levels, pool)
+        return source if balance is None else balanced(source, surface, balance, fixed, pool)
+
+    def views(cameras: list[Camera], level: int, balance: Balance | None) -> _Views:
+        source = lit(cameras, balance)
+        says = _says(source, samples.triangles, samples.barycentric, _RIM * 2**level)
+        pictures = [_read(shot, level) for shot in source.shots]
+        return _Views(began, scales, samples.points, pictures, source.gains, says)
+
+    for done, level in enumerate(_LEVELS):
+        report("refine", done, len(_LEVELS))
+        given = views(cameras, level, balance)
+        if not stays.any():
+            stays[np.argmax((given.says * (given.says > 0).sum(axis=0)).sum(axis=1))] = True
+        far = _FAR * (level + 1)
+        every = np.arange(0, len(samples.points), _EVERY)
+        some = _telling(given, numbers, far) if done else every
+        numbers = _agreeing(given.at(some), numbers, stays, far)
+        cameras = [_moved(*each) for each in zip(began, scales, numbers, strict=True)]
+        if done == 0:  # now pictures lie well enough on each other to tell what only one of them saw
+            levels = [shot.levels for shot in agreeing(lit(cameras, balance), pool).shots]
+    light: Balance | None = balance and "full"
+    before, after = views(began, 0, light), views(cameras, 0, light)
+    some = np.union1d(_telling(before, 0 * numbers, _FAR), _telling(after, numbers, _FAR))
+    is_better = _better(before.at(some), after.at(some), numbers) & ~stays
+    cameras = [each[1 if moves else 0] for *each, moves in zip(began, cameras, is_better, strict=True)]
+    report("refine", len(_LEVELS), len(_LEVELS))
     found = dict(zip(order, cameras, strict=True))
     return [found[number] for number in range(len(shown))]
 

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import hashlib
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from functools import partial
 from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int32s
+from octex.arrays import Array, Bools, Float32s, Float64s, Int32s
 from octex.channels import ChannelFormat
 from octex.conversion import large
 from octex.jit import kernel
 from octex.painting.pictures import Levels, Projection, Window, window_of
+from octex.painting.resuming import Kept, fits
 from octex.view.camera import Camera
 from octex.view.lens import distort, is_bent
 from octex.view.visibility import (
@@ -78,38 +80,68 @@ def take_shots(
     executor: Executor,
     *,
     around: int | None = None,
+    kept: Kept | None = None,
 ) -> Iterator[Shot]:
     """Decode pictures, their alpha times ``scales``, some ahead, and put them before what cameras see.
 
     What is not within ``around`` pixels of their paint is left out, but for pictures through lenses. Raises
     as `levels_of` does.
     """
-    given = [(each, form, scale, around) for each, scale in zip(projections, scales, strict=True)]
+    given = [(each, form, scale, around, kept) for each, scale in zip(projections, scales, strict=True)]
     decoded = (executor.submit(_decoded, *each) for each in given)
     queue = deque(islice(decoded, most_ahead()))
     for sight in sights:
         levels, window = queue.popleft().result()
-        yield shot_of(sight.within(window), large.moved(levels))
+        yield shot_of(sight.within(window), levels if kept else large.moved(levels))
         queue.extend(islice(decoded, 1))
 
 
 def _decoded(
-    projection: Projection, form: ChannelFormat, scale: float, around: int | None
+    projection: Projection, form: ChannelFormat, scale: float, around: int | None, kept: Kept | None
 ) -> tuple[Levels, Window]:
     is_straight = isinstance(projection.camera, Camera) and not is_bent(projection.camera.lens)
-    return window_of(projection, form, scale, around if is_straight else None)
+    return window_of(projection, form, scale, around if is_straight else None, kept)
 
 
 def sight_of(
-    vertices: Float64s, triangles: Int32s, camera: Camera, feather: float, executor: Executor
+    vertices: Float64s,
+    triangles: Int32s,
+    camera: Camera,
+    feather: float,
+    executor: Executor,
+    kept: Kept | None = None,
 ) -> Sight:
-    """Find what a camera sees of triangles (m, 3) of vertices (n, 3)."""
+    """Find what a camera sees of triangles (m, 3) of vertices (n, 3), or in what is ``kept`` of these."""
     pinhole = straight(camera)
-    seen = visibility_of(vertices, triangles, pinhole, executor)
     view = view_of(pinhole)
-    margins = distances_to_edges(seen, view, max(feather, TRUSTED) + 1.0)
-    found: Sight = large.moved(Sight(view, camera.K, camera.lens, seen, margins))
-    return found
+
+    def seen() -> tuple[Visibility, Float32s]:
+        found = visibility_of(vertices, triangles, pinhole, executor)
+        return found, distances_to_edges(found, view, max(feather, TRUSTED) + 1.0)
+
+    def made() -> dict[str, Array]:
+        found, margins = seen()
+        return {**found._asdict(), "margins": margins}
+
+    if kept is None:
+        found: Sight = large.moved(Sight(view, camera.K, camera.lens, *seen()))
+        return found
+    where = kept.of((pinhole.height, pinhole.width), *view, feather)
+    as_found = partial(_as_kept, (pinhole.height, pinhole.width), len(triangles))
+    return Sight(view, camera.K, camera.lens, *where.arrays("sight", made, as_found))
+
+
+def _as_kept(
+    size: tuple[int, int], triangles: int, arrays: Mapping[str, Array]
+) -> tuple[Visibility, Float32s] | None:
+    """Return what is kept of what pixels (height, width) see; None for what cannot be that."""
+    expected = {"triangle": ("i4", size), "planes": ("f4", (*size, 3)), "margins": ("f4", size)}
+    if not fits(arrays, expected):
+        return None
+    triangle = arrays["triangle"]
+    if not -1 <= triangle.min() <= triangle.max() < triangles:
+        return None
+    return Visibility(triangle, arrays["planes"]), arrays["margins"]
 
 
 def shot_of(sight: Sight, levels: Levels) -> Shot:
