@@ -542,7 +542,7 @@ def test_the_options_of_painting_reach_the_library(
 
     monkeypatch.setattr(octex, "project", projected)
     more = "--max-depth 3 --max-angle 60 --edge-feather 1.5 --balance gain --pictures average --back-faces"
-    more += " --no-fit --threads 2 --memory 1kB"
+    more += f" --no-fit --threads 2 --memory 1kB --resume {tmp_path / 'kept'}"
     result(capsys, *scene.shot, "--out", tmp_path / "out.octex", *more.split(), "--channel", "base_color")
     for name in ("like", "executor", "progress"):
         assert seen.pop(name) is not None
@@ -557,6 +557,7 @@ def test_the_options_of_painting_reach_the_library(
         "back_faces": True,
         "memory": 1000,
         "folder": tmp_path,
+        "resume": tmp_path / "kept",
         "fit": False,
     }
 
