@@ -25,6 +25,7 @@ from octex.painting.merge import merged
 from octex.painting.pictures import Projection, check_projections, content_of, room_for
 from octex.painting.projected import Projected, terms_of
 from octex.painting.resuming import Kept, kept_in
+from octex.painting.sharpness import weighed_by_sharpness
 from octex.painting.shots import AROUND, Shot, in_fixed_order, take_shots
 from octex.painting.source import PaintSource
 from octex.parallel import Progress, as_progress, workers
@@ -77,7 +78,7 @@ def paint(
     projections  pictures whose pixels are means of what they cover. Those that follow each other with one
                  blend mode are one layer: in each cell they are averaged, the finer one outweighing the
                  coarser by the fourth power of their pixels on the surface, and then merged once; their order
-                 does not matter
+                 does not matter. Of three or more, one that is blurred counts as coarse as it is blurred
     channel      what is painted, of any type; colours are blended in linear light
     max_depth    the deepest level that paint goes to, at most that of cells a quarter to half as wide as the
                  pixels; by default that at which they are half as wide to as wide as the pixels, or 14. One
@@ -341,6 +342,7 @@ def _projected(
     number = next((number for number, shot in enumerate(shots) if shot is chosen), None)
     if balance is not None and len(shots) > 1:
         source = balanced(source, surface, balance, number, executor)
+    source = weighed_by_sharpness(source, surface)
     if pictures in ("robust", "best") or (pictures is None and len(shots) > 2):
         source = agreeing(source, executor, own)
         if balance is not None and len(shots) > 1:  # again, without what only one of them saw

@@ -75,6 +75,7 @@ class Projected(PaintSource):
     shots      what cameras see of it; stretches (m,) what is 1 long on a posed triangle is so long at rest
     vertices   (n, 3) posed positions; triangles (m, 3)
     gains      (shots, 3), factors of each shot's components
+    says       (shots,), factors of how much each shot counts beside others
     shading    gives the normals that the camera's angles are measured to; default: ``corner_normals``. What
                is hidden or faces away is so by the triangles themselves
     """
@@ -88,6 +89,7 @@ class Projected(PaintSource):
         triangles: Int32s,
         stretches: Float32s,
         gains: Float32s | None = None,
+        says: Float64s | None = None,
         shading: Shading | None = None,
     ) -> None:
         super().__init__(form)
@@ -96,6 +98,7 @@ class Projected(PaintSource):
         self._terms = terms
         self._mesh = vertices, triangles, stretches
         self._gains = np.ones((len(self._shots), 3), np.float32) if gains is None else gains
+        self._says = np.ones(len(self._shots)) if says is None else says
 
     @property
     def shots(self) -> list[Shot]:
@@ -115,9 +118,9 @@ class Projected(PaintSource):
         return ends[0, : self._channels[0].components] if is_one else None
 
     def with_shots(self, shots: Sequence[Shot], numbers: Sequence[int] | None = None) -> Projected:
-        """Return paint from other shots, which have the gains of these, or of some by their numbers."""
-        gains = self._gains if numbers is None else self._gains[list(numbers)]
-        return Projected(shots, self._channels[0], self._terms, *self._mesh, gains, self._shading)
+        """Return paint from other shots, with the factors of these, or of some by their numbers."""
+        chosen = slice(None) if numbers is None else list(numbers)
+        return self._with(shots, self._gains[chosen], self._says[chosen])
 
     def with_levels(self, every: Iterable[Levels]) -> Projected:
         """Return paint from other pictures of the same shots."""
@@ -131,14 +134,22 @@ class Projected(PaintSource):
 
     def with_gains(self, gains: Float32s) -> Projected:
         """Return the same paint with other gains."""
-        return Projected(self._shots, self._channels[0], self._terms, *self._mesh, gains, self._shading)
+        return self._with(self._shots, gains, self._says)
+
+    def with_says(self, says: Float64s) -> Projected:
+        """Return the same paint whose shots count for more or less."""
+        return self._with(self._shots, self._gains, says)
+
+    def _with(self, shots: Sequence[Shot], gains: Float32s, says: Float64s) -> Projected:
+        form, terms = self._channels[0], self._terms
+        return Projected(shots, form, terms, *self._mesh, gains, says, self._shading)
 
     def near_paint(self, reach: int) -> Projected:
         """Return the same paint; pixels without any as far around as ``reach`` see nothing."""
         shots = [near_paint(shot, reach) for shot in self._shots]
         if all(new is shot for new, shot in zip(shots, self._shots, strict=True)):
             return self
-        return Projected(shots, self._channels[0], self._terms, *self._mesh, self._gains, self._shading)
+        return self.with_shots(shots)
 
     @built_once
     def _normals(self) -> Float32s:
@@ -160,8 +171,8 @@ class Projected(PaintSource):
         faces = np.ascontiguousarray(triangles[chosen])
         normals = self._shading(chosen)
         return Projected(
-            shots, self._channels[0], self._terms, vertices, faces, stretches[chosen], self._gains,
-            lambda some: normals[some],
+            shots, self._channels[0], self._terms, vertices, faces, stretches[chosen],
+            self._gains, self._says, lambda some: normals[some],
         )  # fmt: skip
 
     def reaches(self, blocks: Blocks, corners: Float64s, edge: float, rest: Float64s) -> Bools:
@@ -177,8 +188,8 @@ class Projected(PaintSource):
         """Return paint, linear for colours, and coverage (n, components + 1); zeros where there is none."""
         sums, clear = np.zeros((len(triangles), 4)), np.ones(len(triangles))
         where = triangles, barycentric, widths
-        for shot, gains in zip(self._shots, self._gains, strict=True):
-            _add(shot, self._terms, *self._mesh, self._normals, gains, *where, sums, clear)
+        for shot, gains, say in zip(self._shots, self._gains, self._says, strict=True):
+            _add(shot, self._terms, *self._mesh, self._normals, gains, say, *where, sums, clear)
         found = np.zeros((len(triangles), self._channels[0].components + 1), np.float32)
         _finish(sums, clear, found)
         return found
@@ -188,9 +199,10 @@ class Projected(PaintSource):
         paint = np.zeros((len(self._shots), len(triangles), 3), np.float32)
         weights = np.zeros((len(self._shots), len(triangles)))
         where = triangles, barycentric, widths
-        for number, (shot, gains) in enumerate(zip(self._shots, self._gains, strict=True)):
+        factors = zip(self._shots, self._gains, self._says, strict=True)
+        for number, (shot, gains, say) in enumerate(factors):
             sums, clear = np.zeros((len(triangles), 4)), np.ones(len(triangles))
-            _add(shot, self._terms, *self._mesh, self._normals, gains, *where, sums, clear)
+            _add(shot, self._terms, *self._mesh, self._normals, gains, say, *where, sums, clear)
             weights[number] = sums[:, 3]
             paint[number] = sums[:, :3] / np.maximum(sums[:, 3:], 1e-300)
         # They go with the eighth power of a model's units, which leaves the range of float32.
@@ -457,6 +469,7 @@ def _add(
     stretches: Float32s,
     normals: Float32s,
     gains: Float32s,
+    say: float,
     triangles: Int32s,
     barycentric: Float64s,
     widths: Float32s,
@@ -539,7 +552,7 @@ def _add(
         trust = 0.01 + min(margin / TRUSTED, 1.0)
         # The finer of two pictures outweighs the other by the fourth power of their pixels on the surface: of
         # 12 pictures around a model the second gives back 30.3 dB, this 31.0, the finest alone as much.
-        weight = coverage * trust * (density * density) * (density * density)
+        weight = say * coverage * trust * (density * density) * (density * density)
         sums[n, 0] += weight * red * gains[0]
         sums[n, 1] += weight * green * gains[1]
         sums[n, 2] += weight * blue * gains[2]
