@@ -342,11 +342,11 @@ def _projected(
     number = next((number for number, shot in enumerate(shots) if shot is chosen), None)
     if balance is not None and len(shots) > 1:
         source = balanced(source, surface, balance, number, executor)
-    source = weighed_by_sharpness(source, surface)
     if pictures in ("robust", "best") or (pictures is None and len(shots) > 2):
         source = agreeing(source, executor, own)
         if balance is not None and len(shots) > 1:  # again, without what only one of them saw
             source = balanced(source, surface, balance, number, executor)
+    source = weighed_by_sharpness(source, surface)
     paint: PaintSource = source
     if pictures == "best" and len(shots) > 1:
         paint = best(source, surface, placement, depth, executor)
