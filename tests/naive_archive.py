@@ -6,7 +6,7 @@ import json
 import lzma
 import zlib
 from collections.abc import Iterator
-from itertools import product
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -101,7 +101,7 @@ class Archive:
         stream = Stream(content[at + 4 : at + lengths[1]])
         numbers = stream.numbers(count)
         channels = self.head["channels"]
-        contexts = [1 << 15, 11 + self.version, 2160, 2436] + [
+        contexts = [1 << 15, 12 + (self.version > 1), 2160, 2436] + [
             44 * each["components"] + 2 for each in channels
         ]
         self.pools = [self.pool(numbers, each) for each in contexts]
@@ -152,8 +152,7 @@ class Archive:
         self.split_areas: list[int] = []
         self.split_values: list[list[list[int]]] = [[] for _ in head["channels"]]
         self.kept_values: list[list[list[int]]] = [[] for _ in head["channels"]]
-        for begin in range(0, len(split), most):
-            some = split[begin : begin + most]
+        for some in self.runs(split, most):
             stream = Stream(self.next_bytes())
             for cell in some:
                 rows = (self.flags[cell] & 63).bit_count()
@@ -166,9 +165,14 @@ class Archive:
             owners = [cell for cell in some for _ in range((self.flags[cell] & 63).bit_count())]
             for number in range(len(head["channels"])):
                 self.split_values[number] += self.rows(number, owners, 2)
-        for begin in range(0, len(kept), most):
+        for some in self.runs(kept, most):
             for number in range(len(head["channels"])):
-                self.kept_values[number] += self.rows(number, kept[begin : begin + most], 3)
+                self.kept_values[number] += self.rows(number, some, 3)
+        counts = [head["split_cells"], head["kept_nodes"]]
+        for cells, count in zip((split, kept), counts, strict=True):
+            ends = head["level_cells"]
+            by_level = [sum(a <= cell < b for cell in cells) for a, b in pairwise(ends)]
+            assert count == (len(cells) if self.version < 3 else by_level)
         self.others = []
         for each in head["others"]:
             dtype = np.dtype(each["dtype"])
@@ -176,6 +180,15 @@ class Archive:
             while len(parts) < left:
                 parts += lzma.decompress(self.next_bytes())
             self.others.append(np.frombuffer(parts, dtype).reshape(each["shape"]))
+
+    def runs(self, cells: list[int], most: int) -> Iterator[list[int]]:
+        """Yield so many cells at most at a time, from version 3 on of one level."""
+        ends = self.head["level_cells"]
+        levels = list(pairwise(ends)) if self.version > 2 else [(0, ends[-1])]
+        for first, end in levels:
+            own = [cell for cell in cells if first <= cell < end]
+            for begin in range(0, len(own), most):
+                yield own[begin : begin + most]
 
     def keys(self, channel: dict[str, Any], content: bytes) -> list[int]:
         """Return numbers in the order of values, component by component."""

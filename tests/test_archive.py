@@ -183,10 +183,10 @@ def test_a_newer_archive_is_refused_by_name(tmp_path: Path) -> None:
     path = tmp_path / "a.octz"
     hilly(3).save(path)
     first = bytearray(path.read_bytes())
-    first[8] = 3
+    first[8] = 4
     first[28:32] = zlib.crc32(first[:28]).to_bytes(4, "little")
     path.write_bytes(first)
-    with pytest.raises(TextureFileError, match="format version 3, newer than this octex reads"):
+    with pytest.raises(TextureFileError, match="format version 4, newer than this octex reads"):
         octex.open(path)
     assert bytes(first[:8]) == MAGIC
 

@@ -17,9 +17,11 @@ import octex
 from octex.errors import ArgumentError, MissingExtraError, TextureFileError
 from octex.remote import BLOCK
 from octex.tree.morton import decode_cells
+from tests.painted import ball
 from tests.random_lookups import random_points, random_texture, random_views
 from tests.small_textures import shell
 
+GOLDEN = Path(__file__).parent / "golden"
 fsspec = pytest.importorskip("fsspec", reason="needs the extra octex[remote]")
 
 
@@ -91,15 +93,17 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.parametrize("ending", [".octex", ".octz"])
 @pytest.mark.parametrize("seed", range(4))
-def test_a_texture_elsewhere_answers_as_here(seed: int, tmp_path: Path) -> None:
+def test_a_texture_elsewhere_answers_as_here(seed: int, ending: str, tmp_path: Path) -> None:
     random = np.random.default_rng(seed)
-    random_texture(random, ("uint8",)).save(tmp_path / "a.octex")
-    fsspec.filesystem("memory").pipe("/octex/a.octex", (tmp_path / "a.octex").read_bytes())
-    here = octex.open(tmp_path / "a.octex")
+    path, address = tmp_path / f"a{ending}", f"memory://octex/a{ending}"
+    random_texture(random, ("uint8",)).save(path)
+    fsspec.filesystem("memory").pipe(f"/octex/a{ending}", path.read_bytes())
+    here = octex.open(path)
     names = list(here.channels)
     for filter in octex.texture.FILTERS:
-        there = octex.open("memory://octex/a.octex")
+        there = octex.open(address)
         for _ in range(2):
             points, _ = random_points(here, random, 2)
             views = random_views(random, len(points), here.placement.size)
@@ -109,31 +113,88 @@ def test_a_texture_elsewhere_answers_as_here(seed: int, tmp_path: Path) -> None:
             taps = there.taps(points, names[0], **views), here.taps(points, names[0], **views)
             for one, other in zip(*taps, strict=True):
                 np.testing.assert_array_equal(one, other)
-    there = octex.open("memory://octex/a.octex")
+    there = octex.open(address)
     np.testing.assert_array_equal(there.contains(points), here.contains(points))
     assert there.info() == here.info()
     assert repr(there) == repr(here)
-    coarse = octex.open("memory://octex/a.octex").level(2)
+    coarse = octex.open(address).level(2)
     np.testing.assert_array_equal(coarse.rows(names[0]), here.level(2).rows(names[0]))
-    rows = octex.open("memory://octex/a.octex").rows(names[0])
+    rows = octex.open(address).rows(names[0])
     np.testing.assert_array_equal(rows, here.rows(names[0]))
-    octex.open("memory://octex/a.octex").save(tmp_path / "b.octex")
-    assert (tmp_path / "b.octex").read_bytes() == (tmp_path / "a.octex").read_bytes()
-    octex.open("memory://octex/a.octex").validate()
-    blurred = [octex.blur(octex.open(path), 0.1) for path in ("memory://octex/a.octex", tmp_path / "a.octex")]
+    octex.open(address).save(tmp_path / f"b{ending}")
+    assert (tmp_path / f"b{ending}").read_bytes() == path.read_bytes()
+    octex.open(address).validate()
+    blurred = [octex.blur(octex.open(each), 0.1) for each in (address, path)]
     np.testing.assert_array_equal(*(each.rows(names[0]) for each in blurred))
-    sent = pickle.loads(pickle.dumps(octex.open("memory://octex/a.octex")))
+    sent = pickle.loads(pickle.dumps(octex.open(address)))
     np.testing.assert_array_equal(sent.sample(points, names[0]), here.sample(points, names[0]))
 
 
-def test_an_archive_elsewhere_is_fetched_whole(tmp_path: Path) -> None:
-    shell(4).save(tmp_path / "a.octz")
-    fsspec.filesystem("memory").pipe("/octex/a.octz", (tmp_path / "a.octz").read_bytes())
-    found = octex.open("memory://octex/a.octz")
-    np.testing.assert_array_equal(found.rows(), octex.open(tmp_path / "a.octz").rows())
-    fsspec.filesystem("memory").pipe("/octex/a.octz", (tmp_path / "a.octz").read_bytes()[:-9])
-    with pytest.raises(TextureFileError, match=r"^memory://octex/a\.octz: "):
+@pytest.mark.parametrize("path", sorted(GOLDEN.glob("*.octz")), ids=lambda path: path.name)
+def test_archives_of_every_version_are_read_in_part(path: Path) -> None:
+    fsspec.filesystem("memory").pipe("/octex/a.octz", path.read_bytes())
+    here = octex.open(path)
+    for level in range(here.tree.max_depth + 1):
+        coarse, expected = octex.open("memory://octex/a.octz").level(level), here.level(level)
+        np.testing.assert_array_equal(coarse.rows(), expected.rows())
+        for one, other in zip(coarse.tree.arrays, expected.tree.arrays, strict=True):
+            np.testing.assert_array_equal(one, other)
+    points = np.random.default_rng(0).uniform(*here.bounds, (50, 3))
+    there = octex.open("memory://octex/a.octz")
+    for width in (0.5, 0.1, None):
+        found, expected = (each.sample(points, width=width) for each in (there, here))
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_damaged_archives_elsewhere_are_named(tmp_path: Path) -> None:
+    shell(5).save(tmp_path / "a.octz")
+    content = (tmp_path / "a.octz").read_bytes()
+    files = fsspec.filesystem("memory")
+    files.pipe("/octex/a.octz", content[:-9])
+    with pytest.raises(TextureFileError, match=r"^memory://octex/a\.octz: .*copy it again"):
         octex.open("memory://octex/a.octz")
+    files.pipe("/octex/a.octz", content[:200] + bytes([content[200] ^ 1]) + content[201:])
+    there = octex.open("memory://octex/a.octz")
+    with pytest.raises(TextureFileError, match=r"^memory://octex/a\.octz: its bytes from \d+ on are damaged"):
+        there.validate()
+
+
+@pytest.mark.parametrize("ending", [".octex", ".octz"])
+def test_what_was_asked_before_does_not_matter(ending: str, tmp_path: Path) -> None:
+    surface = ball(rings=64)
+    octex.convert(surface, 8, max_error=4).save(tmp_path / f"a{ending}")
+    here = octex.open(tmp_path / f"a{ending}")
+    fsspec.filesystem("memory").pipe(f"/octex/a{ending}", (tmp_path / f"a{ending}").read_bytes())
+    samples = surface.scatter(3000)
+    views = [{"normals": samples.normals}, {}, *({"width": 2.0**-n} for n in range(1, 7))]
+    for number in range(6):
+        there = octex.open(f"memory://octex/a{ending}")
+        random = np.random.default_rng(number)
+        for n in random.permutation(len(views)):
+            some = slice(*sorted(random.integers(0, 3000, 2)))
+            view = {name: each[some] if name == "normals" else each for name, each in views[n].items()}
+            found, expected = (each.sample(samples.rest[some], **view) for each in (there, here))
+            np.testing.assert_array_equal(found, expected)
+
+
+def test_a_view_of_an_archive_moves_less_than_one_of_a_file(server: Server, tmp_path: Path) -> None:
+    octex.convert(ball(rings=128), 8).save(tmp_path / "a.octex")
+    here = octex.open(tmp_path / "a.octex")
+    here.save(tmp_path / "a.octz")
+    codes = here.tree.level_codes(here.tree.max_depth)[::40]
+    points = here.placement.to_rest((decode_cells(codes) + 0.5) / 2**here.tree.max_depth)
+    width = here.placement.size / 2**5
+    moved = {}
+    for path in (tmp_path / "a.octex", tmp_path / "a.octz"):
+        server.content, server.sent = path.read_bytes(), 0
+        there = octex.open(server.address)
+        np.testing.assert_array_equal(there.sample(points, width=width), here.sample(points, width=width))
+        moved[path.suffix] = server.sent
+    assert moved[".octz"] < 0.5 * moved[".octex"]
+    assert moved[".octz"] < 0.3 * len(server.content)
+    near = points[:20]
+    np.testing.assert_array_equal(there.sample(near), here.sample(near))
+    assert server.sent < len(server.content)
 
 
 def test_a_view_moves_little_of_a_file(server: Server, large: Path, tmp_path: Path) -> None:

@@ -318,9 +318,10 @@ class Archive:
             for _ in range((end - 1) // size - first // size + 1):
                 yield from ("nodes", "cells")
                 yield from streams(["structure", "areas", *channels])
-        for _ in range(-(-head["split_cells"] // size)):
+        split, kept = (head[name] if version > 2 else [head[name]] for name in ("split_cells", "kept_nodes"))
+        for _ in range(sum(-(-count // size) for count in split)):
             yield from streams(["row areas", *(f"split {name}" for name in channels)])
-        for _ in range(-(-head["kept_nodes"] // size)):
+        for _ in range(sum(-(-count // size) for count in kept)):
             yield from streams([f"kept {name}" for name in channels])
         for each in head["others"]:
             for _ in range(-(-int(np.prod(each["shape"])) * np.dtype(each["dtype"]).itemsize // PIECE)):

@@ -1,7 +1,7 @@
 r"""The archive of a texture: what is on disk.
 
     8 bytes     89 4F 43 54 5A 0D 0A 1A: "\x89OCTZ\r\n\x1a"
-    u32         the format's version, 2
+    u32         the format's version, 3
     u32         bytes of the directory
     u64         where it begins: after the streams, at the end of the file
     u32         CRC-32 of the directory
@@ -16,8 +16,8 @@ A block is the children of nodes 16384·n … 16384·n + 16383 of one level; in 
 stream for their structure and flags, one for their areas, and one for each channel; it is decoded with
 nothing but the levels above it. Its record is u32s: how many of the children are nodes, how many children
 there are, and of each stream its bytes and their CRC-32. After the levels come blocks of as many split cells
-(areas of rows, then each channel), of as many kept nodes (each channel), and other tensors in pieces of a
-megabyte, compressed with xz.
+(areas of rows, then each channel), of as many kept nodes (each channel), both of one level from version 3 on,
+and other tensors in pieces of a megabyte, compressed with xz.
 """
 
 from __future__ import annotations
@@ -25,21 +25,22 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Int64s, Uint8s
+from octex.arrays import Array, Int64s, Uint8s, Uint32s
 from octex.files import open_file
 from octex.tree.layout import SplitTable, TreeArrays
 from octex.tree.split import counts_of
 
 MAGIC = b"\x89OCTZ\r\n\x1a"
 FORMAT = "octex archive"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 #: Nodes of a block, by version, a multiple of eight: blocks of one level share no group. Also split cells,
 #: kept nodes.
-BLOCKS = {1: 1 << 12, 2: 1 << 14}
+BLOCKS = {1: 1 << 12, 2: 1 << 14, 3: 1 << 14}
 PIECE = 1 << 20
 START = 32
 
@@ -81,10 +82,17 @@ def blocks_of(level_nodes: Int64s, level: int, version: int = FORMAT_VERSION) ->
         begin = last
 
 
-def parts(count: int, version: int = FORMAT_VERSION) -> Iterator[slice]:
-    """Yield runs of split cells or kept nodes."""
-    for begin in range(0, count, BLOCKS[version]):
-        yield slice(begin, min(begin + BLOCKS[version], count))
+def parts(ends: Int64s, version: int = FORMAT_VERSION) -> Iterator[slice]:
+    """Yield runs of split cells or kept nodes, of which ``ends`` (levels + 1,) come before each level."""
+    for first, end in pairwise(ends.tolist()):
+        for begin in range(first, end, BLOCKS[version]):
+            yield slice(begin, min(begin + BLOCKS[version], end))
+
+
+def ends_of(cells: Uint32s, level_cells: Int64s) -> Int64s:
+    """Return how many of some cells, ascending, come before each level, and how many there are."""
+    found: Int64s = np.searchsorted(cells, level_cells).astype(np.int64)
+    return found
 
 
 def as_bytes(array: Array) -> Uint8s:

@@ -23,6 +23,10 @@ class Models(NamedTuple):
     codings: dict[str, Coding]
     version: int  # of the format
 
+    def pool(self, name: str) -> Pool:
+        """Return how a channel is coded."""
+        return self.pools[4 + list(self.codings).index(name)]
+
 
 def _sizes(codings: dict[str, Coding], version: int) -> list[tuple[int, int]]:
     """Return how many contexts and symbols each pool has."""

@@ -41,6 +41,7 @@ from octex.archive.layout import (
     Block,
     Named,
     blocks_of,
+    ends_of,
     first_rows,
     known_names,
     named,
@@ -98,9 +99,9 @@ def write(
             "metadata": dict(metadata),
             "level_cells": arrays.level_cells.tolist(),
             "level_nodes": arrays.level_nodes.tolist(),
-            "split_cells": split.cells.size,
+            "split_cells": np.diff(ends_of(split.cells, arrays.level_cells)).tolist(),
             "split_rows": split.areas.size,
-            "kept_nodes": kept.cells.size,
+            "kept_nodes": np.diff(ends_of(kept.cells, arrays.level_cells)).tolist(),
             "root": [int(arrays.flags[0]), int(arrays.areas[0])],
             "channels": [
                 {
@@ -286,14 +287,15 @@ class _Pass(NamedTuple):
 
     def tasks(self) -> list[list[partial[Noted]]]:
         """Return what notes all, level by level: the blocks of a level in parallel."""
-        arrays, split = self.content.arrays, self.content.split
+        arrays, split, kept = self.content.arrays, self.content.split, self.content.kept
         tasks: list[list[partial[Noted]]] = [
             [partial(self.block, block) for block in blocks_of(arrays.level_nodes, level)]
             for level in range(arrays.level_cells.size - 2)
         ]
         firsts = first_rows(split.facings)
-        tasks.append([partial(self.split, part, firsts) for part in parts(split.cells.size)])
-        tasks.append([partial(self.kept, part) for part in parts(self.content.kept.cells.size)])
+        of_split, of_kept = (ends_of(each.cells, arrays.level_cells) for each in (split, kept))
+        tasks.append([partial(self.split, part, firsts) for part in parts(of_split)])
+        tasks.append([partial(self.kept, part) for part in parts(of_kept)])
         return tasks
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from threading import RLock
@@ -18,43 +17,34 @@ from octex.checks import as_depth
 from octex.errors import InputError, TextureFileError
 from octex.field.field import Field
 from octex.field.tiles import can_be_tiled
-from octex.files import scratch_folder
-from octex.remote import BLOCK, RemoteFile
 from octex.texture.channel import Channel
+from octex.texture.elsewhere import Archive, Elsewhere, RenderFile
 from octex.texture.file import File, taken
 from octex.texture.lens import Lens, placed
-from octex.texture.spans import Spans, cells_of, nodes_read
-from octex.texture.texture import OctreeTexture, open_texture
+from octex.texture.spans import cells_of, nodes_read
+from octex.texture.texture import OctreeTexture
 from octex.tree.layout import KeptTable, SplitTable, TreeArrays
 from octex.tree.morton import encode_cells
 from octex.tree.octree import Octree, distinct
 
 #: Bytes that are fetched first: the header, and what says which cells there are down to some level.
 _FIRST = 1 << 14
-#: Rows of the split table that are fetched at least.
-_LEAST_SPLIT = 1 << 8
 
 Fetch = Callable[..., None]
 
 
 def open_remote(address: str, cache: Path | None = None) -> OctreeTexture:
-    """Open the file at an address, of which the header is fetched; an archive is fetched whole.
+    """Open the file at an address, of which the header is fetched, or the directory of an archive.
 
     Raises TextureFileError, OutputError and MissingExtraError: see RemoteFile.
     """
-    remote = RemoteFile(address, cache)
-    remote.fetch(np.array([[0, min(_FIRST, remote.size)]]))
+    remote = RenderFile(address, cache)
+    remote.fetch(np.array([[0, min(len(MAGIC), remote.size)]]))
     if remote.mapping[: len(MAGIC)] == MAGIC:
-        remote.fetch_all()
-        with scratch_folder() as folder:
-            with (folder / "archive.octz").open("wb") as file:
-                remote.mapping.seek(0)
-                shutil.copyfileobj(remote.mapping, file)
-            try:
-                return open_texture(folder / "archive.octz")
-            except TextureFileError as error:
-                text = str(error).replace(str(folder / "archive.octz"), address)
-                raise TextureFileError(text) from error
+        archive = Archive(remote)
+        tensors, metadata, sizes = archive.contents
+        return _opened(File(address, None, dict(tensors), dict(metadata), sizes), archive)
+    remote.fetch(np.array([[0, min(_FIRST, remote.size)]]))
     length = 8 + int.from_bytes(remote.mapping[:8], "little")
     if length <= remote.size:
         remote.fetch(np.array([[0, length]]))
@@ -64,13 +54,17 @@ def open_remote(address: str, cache: Path | None = None) -> OctreeTexture:
     if not all(map(remote.holds, contents.tensors.values())):  # what is not aligned was copied
         remote.fetch_all()
         contents = container.read_mapped(remote.mapping, address)
-    tensors, metadata = dict(contents.tensors), dict(contents.metadata)
+    file = File(address, remote.mapping, dict(contents.tensors), dict(contents.metadata))
+    return _opened(file, remote)
+
+
+def _opened(file: File, remote: Elsewhere) -> RemoteTexture:
     try:
-        partial = _Partial(*taken(tensors, metadata))
+        partial = _Partial(*taken(file.tensors, file.metadata))
     except InputError as error:
-        raise TextureFileError(f"{address}: {error}") from error
-    partial._file = File(address, remote.mapping, tensors, metadata)
-    return RemoteTexture(partial.renewed(remote.fetch_arrays), remote)
+        raise TextureFileError(f"{file.path}: {error}") from error
+    partial._file = file
+    return RemoteTexture(partial.renewed(remote), remote)
 
 
 class RemoteTexture(OctreeTexture):
@@ -78,7 +72,7 @@ class RemoteTexture(OctreeTexture):
 
     __slots__ = ("_channels", "_fetching", "_is_whole", "_partial", "_reached", "_remote", "_tree")
 
-    def __init__(self, partial: _Partial, remote: RemoteFile) -> None:
+    def __init__(self, partial: _Partial, remote: Elsewhere) -> None:
         self._partial, self._remote = partial, remote
         self._fetching = RLock()
         self._is_whole = remote.is_whole
@@ -143,11 +137,11 @@ class RemoteTexture(OctreeTexture):
             return self
         here = self._partial.tree.arrays
         with self._fetching:
-            self._remote.fetch_arrays(here.groups[: -(-int(here.level_nodes[level]) // 8)])
+            self._remote.fetch_nodes(here.groups, int(here.level_nodes[level]))
             self._partial = self._partial.renewed()
         found = self._partial.level(level)
         tree, values = found.tree, [array for channel in found.channels.values() for array in channel[1:]]
-        self._remote.fetch_arrays(*tree.arrays, *tree.split, *tree.kept, *values)
+        self._remote.fetch_arrays(*tree.arrays[1:], *tree.split, *tree.kept, *values)
         return found
 
     def save(self, path: Any, *, max_error: int = 0) -> None:
@@ -191,9 +185,9 @@ class RemoteTexture(OctreeTexture):
                 reads = self._partial._reads(channel, lens, given, cells_alone=is_first)
                 is_more = self._fetch_nodes(cells_of(reads.values()), filter)
                 if not (is_first or is_more):
-                    spans = Spans(self._remote.mapping, BLOCK)
-                    self._partial._add_reads(spans, reads, lens, given)
-                    self._remote.fetch(spans.ranges())
+                    rows = self._remote.rows()
+                    self._partial._add_reads(rows, reads, lens, given)
+                    self._remote.fetch_rows(rows)
                     return self._partial
                 is_first = False
             return self._whole()
@@ -206,9 +200,9 @@ class RemoteTexture(OctreeTexture):
             return False
         was_fetched = False
         for nodes in nodes_read(self._partial.tree, cells, filter):
-            spans = Spans(self._remote.mapping, BLOCK)
-            spans.rows(self._partial.tree.arrays.groups, nodes >> 3)
-            was_fetched |= self._remote.fetch(spans.ranges())
+            rows = self._remote.rows()
+            rows.nodes(self._partial.tree.arrays.groups, nodes)
+            was_fetched |= self._remote.fetch_rows(rows)
         self._reached = filter, cells
         if was_fetched:
             self._partial = self._partial.renewed()
@@ -221,30 +215,30 @@ class _Partial(OctreeTexture):
     What a field has indexed of it does not change: when more has come, there is a new one.
     """
 
-    __slots__ = ("fetch_arrays",)
+    __slots__ = ("remote",)
 
-    fetch_arrays: Fetch
+    remote: Elsewhere
 
-    def renewed(self, fetch_arrays: Fetch | None = None) -> _Partial:
+    def renewed(self, remote: Elsewhere | None = None) -> _Partial:
         """Return the same without what was indexed."""
         found = _Partial(self.tree, self.channels, self.placement, self.bounds, self.metadata)
         found._file = self._file
-        found.fetch_arrays = fetch_arrays or self.fetch_arrays
-        found._field = _Field(found.tree, found.fetch_arrays)
+        found.remote = remote or self.remote
+        found._field = _Field(found.tree, found.remote)
         return found
 
     def _mixed(self, channel: Channel, threshold: float, level: int) -> Uint8s:
         rows = self._field.level(level).tree.split.areas.size
-        self.fetch_arrays(channel.split_values[:rows])
+        self.remote.fetch_arrays(channel.split_values[:rows])
         return super()._mixed(channel, threshold, level)
 
 
 class _Field(Field):
     """The field over a tree of which only a part is here: of levels, the tables are fetched."""
 
-    def __init__(self, tree: Octree, fetch_arrays: Fetch) -> None:
+    def __init__(self, tree: Octree, remote: Elsewhere) -> None:
         super().__init__(tree)
-        self._fetch_arrays = fetch_arrays
+        self._remote = remote
         self._reached = -1
         self._reaching = RLock()
 
@@ -253,26 +247,15 @@ class _Field(Field):
         level = min(level, self.tree.max_depth)
         with self._reaching:
             if level > self._reached:
-                self._reach(level)
+                self._remote.fetch_tables(self.tree, level)
                 self._reached = level
         return super().level(level)
 
-    def _reach(self, level: int) -> None:
-        arrays, split, kept = self.tree.arrays, self.tree.split, self.tree.kept
-        n_cells = int(arrays.level_cells[level + 1])
-        needed: list[Array] = [kept.cells]
-        if kept.cells.size:
-            needed.append(arrays.flags[:n_cells])
-        if level < self.tree.max_depth and any(
-            leaves for leaves, _ in self.tree.cells_by_depth()[: level + 1]
-        ):
-            needed.append(arrays.areas[:n_cells])
-        n_split = _LEAST_SPLIT  # of the table, in the cells' order: in steps like those of its search
-        self._fetch_arrays(*needed, split.cells[: n_split + 1])
-        while n_split < split.cells.size and split.cells[n_split] < n_cells:
-            n_split *= 2
-            self._fetch_arrays(split.cells[: n_split + 1])
-        self._fetch_arrays(split.facings[: n_split + 1])
+    def areas_of_averages(self, level: int) -> Uint8s:
+        """Return the codes of the areas of nodes down to a level, which are fetched."""
+        if level not in self._areas:
+            self._remote.fetch_arrays(self.tree.arrays.areas[: int(self.tree.arrays.level_cells[level + 1])])
+        return super().areas_of_averages(level)
 
 
 class _Tree(Octree):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mmap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 
@@ -14,6 +15,19 @@ from octex.field.tiles import MOST_TOP_LEVEL, can_be_tiled
 from octex.texture.channel import Channel
 from octex.tree.beside import with_boundary
 from octex.tree.octree import Octree, count_before, distinct
+
+
+class Rows(Protocol):
+    """Gathers the rows of arrays that are read."""
+
+    def rows(self, array: Array, rows: Array) -> None:
+        """Add some rows."""
+
+    def nodes(self, groups: Array, nodes: Int64s) -> None:
+        """Add what says which children nodes have."""
+
+    def until(self, array: Array, end: int) -> None:
+        """Add all rows before one."""
 
 
 class Spans:
@@ -40,6 +54,10 @@ class Spans:
             length = array.nbytes // len(array)
             begins = offset + rows.astype(np.int64) * length
             self._add(begins, begins + length)
+
+    def nodes(self, groups: Array, nodes: Int64s) -> None:
+        """Add the rows of a tree's groups that say what nodes have."""
+        self.rows(groups, nodes >> 3)
 
     def until(self, array: Array, end: int) -> None:
         """Add all rows of an array before one."""
@@ -110,7 +128,7 @@ def _child_nodes(tree: Octree, codes: Int64s, nodes: Int64s) -> tuple[Int64s, In
 
 
 def add_reads(
-    spans: Spans,
+    spans: Rows,
     tree: Octree,
     channels: Sequence[Channel],
     levels: Mapping[int, Array],
@@ -165,7 +183,7 @@ def add_reads(
             spans.rows(channel.split_values, of_split)
 
 
-def _add_values(spans: Spans, channel: Channel, rows: Array) -> None:
+def _add_values(spans: Rows, channel: Channel, rows: Array) -> None:
     """Add rows of a channel's values: cells', kept nodes' and split cells'."""
     first = 0
     for array in channel.values, channel.kept_values, channel.split_values:

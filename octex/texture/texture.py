@@ -48,7 +48,7 @@ from octex.texture.lookup import (
     in_blocks,
     in_space,
 )
-from octex.texture.spans import Spans, add_reads, cells_of, nodes_read
+from octex.texture.spans import Rows, Spans, add_reads, cells_of, nodes_read
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.search import Positions, in_leaves
@@ -480,7 +480,7 @@ class OctreeTexture:
         given = lens.given(points, normals=normals, width=width, dPdx=dPdx, dPdy=dPdy)
         spans, reads = Spans(mapping, block_size), self._reads(channel, lens, given)
         for nodes in nodes_read(self.tree, cells_of(reads.values()), filter):
-            spans.rows(self.tree.arrays.groups, nodes >> 3)
+            spans.nodes(self.tree.arrays.groups, nodes)
         self._add_reads(spans, reads, lens, given)
         return spans.ranges()
 
@@ -518,7 +518,7 @@ class OctreeTexture:
         return fault
 
     def _add_reads(
-        self, spans: Spans, reads: Mapping[str, Mapping[int, Reads]], lens: Lens, given: Given
+        self, spans: Rows, reads: Mapping[str, Mapping[int, Reads]], lens: Lens, given: Given
     ) -> None:
         """Add the bytes of the file that lookups read, but for what says which cells there are."""
         alpha = [] if self._alpha() is None else [self.channels["alpha"]]

@@ -1,0 +1,244 @@
+"""Files elsewhere as lookups want them: which rows of arrays they read, and these fetched.
+
+A render file is fetched in blocks of bytes. An archive is fetched, and decoded into memory, level by level:
+structure, areas and each channel for themselves, no deeper than asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from threading import RLock
+from typing import Any, Protocol
+
+import numpy as np
+
+from octex.archive.layout import SPLIT, TREE
+from octex.archive.read import AREAS, Contents, DamagedError, opened
+from octex.arrays import Array, Int64s
+from octex.errors import ArgumentError, TextureFileError
+from octex.remote import BLOCK, RemoteFile
+from octex.texture.spans import Rows, Spans
+from octex.tree.octree import Octree
+
+#: Rows of the split table that are fetched at least.
+_LEAST_SPLIT = 1 << 8
+#: Tensors of an archive.
+_GROUPS, _LEVEL_CELLS, _LEVEL_NODES, _FLAGS, _AREAS = TREE
+_SPLIT_AREAS = SPLIT[2]
+
+
+class Elsewhere(Protocol):
+    """A file elsewhere."""
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all of it is here."""
+
+    def rows(self) -> Rows:
+        """Return what gathers rows."""
+
+    def fetch_rows(self, rows: Any) -> bool:
+        """Fetch what was gathered; say whether there was any."""
+
+    def fetch_arrays(self, *arrays: Array) -> None:
+        """Fetch whole arrays, or what of them is viewed."""
+
+    def fetch_nodes(self, groups: Array, count: int) -> None:
+        """Fetch what says which children the first nodes have."""
+
+    def fetch_tables(self, tree: Octree, level: int) -> None:
+        """Fetch what says which cells down to a level are split or kept."""
+
+    def fetch_all(self) -> None:
+        """Fetch all of it."""
+
+    def checked_once(self) -> AbstractContextManager[None]:
+        """Look once, at the end of the block, whether the file has changed meanwhile."""
+
+
+class RenderFile(RemoteFile):
+    """A render file elsewhere, of whose mapping arrays are views."""
+
+    def rows(self) -> Spans:
+        """Return what gathers rows."""
+        return Spans(self.mapping, BLOCK)
+
+    def fetch_rows(self, rows: Spans) -> bool:
+        """Fetch what was gathered; say whether there was any."""
+        return self.fetch(rows.ranges())
+
+    def fetch_nodes(self, groups: Array, count: int) -> None:
+        """Fetch what says which children the first nodes have."""
+        self.fetch_arrays(groups[: -(-count // 8)])
+
+    def fetch_tables(self, tree: Octree, level: int) -> None:
+        """Fetch what says which cells down to a level are split or kept."""
+        arrays, split, kept = tree.arrays, tree.split, tree.kept
+        n_cells = int(arrays.level_cells[level + 1])
+        needed: list[Array] = [kept.cells]
+        if kept.cells.size:
+            needed.append(arrays.flags[:n_cells])
+        n_split = _LEAST_SPLIT  # of the table, in the cells' order: in steps like those of its search
+        self.fetch_arrays(*needed, split.cells[: n_split + 1])
+        while n_split < split.cells.size and split.cells[n_split] < n_cells:
+            n_split *= 2
+            self.fetch_arrays(split.cells[: n_split + 1])
+        self.fetch_arrays(split.facings[: n_split + 1])
+
+
+class _Wanted:
+    """Gathers what is read of an archive."""
+
+    def __init__(self, archive: Archive) -> None:
+        self._archive = archive
+        self.level = 0  # of the structure
+        self.cells: dict[str, list[Int64s]] = {}  # of areas and channels
+        self.rows_to: dict[str, int] = {}  # down to which level those of split cells and kept nodes
+
+    def rows(self, array: Array, rows: Array) -> None:
+        """Add some rows."""
+        rows = rows[(rows >= 0) & (rows < len(array))]
+        name, first = self._archive.place_of(array)
+        if name is None or not rows.size:
+            return
+        rows = first + rows.astype(np.int64)
+        last = int(rows.max())
+        channel = name.rpartition("channels/")[2] if "channels/" in name else AREAS
+        if name == _GROUPS:
+            self._reach(self._archive.level_of_node(8 * last + 7) + 1)
+        elif name == _FLAGS:
+            self._reach(self._archive.level_of_cell(last))
+        elif name == _SPLIT_AREAS or name.startswith("split/channels/"):
+            self._add_rows(channel, self._archive.level_of_split_row(last))
+        elif name.startswith("kept/channels/"):
+            self._add_rows(channel, self._archive.level_of_kept_row(last))
+        elif name == _AREAS or name.startswith("channels/"):
+            self.cells.setdefault(channel, []).append(rows)
+
+    def nodes(self, groups: Array, nodes: Int64s) -> None:
+        """Add what says which children nodes have."""
+        if groups.size and nodes.size:
+            self._reach(self._archive.level_of_node(int(nodes.max())) + 1)
+
+    def until(self, array: Array, end: int) -> None:
+        """Add all rows before one."""
+        self.rows(array, np.arange(min(end, len(array))))
+
+    def _reach(self, level: int) -> None:
+        self.level = max(self.level, level)
+
+    def _add_rows(self, kind: str, level: int) -> None:
+        self.rows_to[kind] = max(self.rows_to.get(kind, 0), level)
+
+
+class Archive:
+    """An archive elsewhere, decoded as far as it was asked for into arrays of its own.
+
+    Raises TextureFileError, which names the address, for one that is damaged.
+    """
+
+    def __init__(self, remote: RemoteFile) -> None:
+        self._remote = remote
+        self._lock = RLock()
+        with self._decoded():
+            self._decoding = opened(remote.mapping, self._fetch)
+        self._has_more = False  # structure than when rows were last asked for
+        tensors = self.contents.tensors
+        self._level_cells, self._level_nodes = tensors[_LEVEL_CELLS], tensors[_LEVEL_NODES]
+        self._n_nodes = int(self._level_nodes[-1])
+        self._places = sorted(
+            (array.ctypes.data, array.ctypes.data + array.nbytes, name, array.nbytes // len(array))
+            for name, array in tensors.items()
+            if array.nbytes
+        )
+
+    @property
+    def contents(self) -> Contents:
+        """What is decoded, zeros for what is not."""
+        return self._decoding.contents
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all of it is decoded."""
+        return self._decoding.is_whole
+
+    def rows(self) -> _Wanted:
+        """Return what gathers rows."""
+        return _Wanted(self)
+
+    def fetch_rows(self, rows: _Wanted) -> bool:
+        """Fetch what was gathered; say whether there was any."""
+        with self._decoded():
+            was_more = self._decoding.decode_structure(rows.level) or self._has_more
+            self._has_more = False
+            was_more |= self._decoding.decode_cells(rows.cells)
+            for kind, level in rows.rows_to.items():
+                was_more |= self._decoding.decode_rows(kind, level)
+        return was_more
+
+    def fetch_arrays(self, *arrays: Array) -> None:
+        """Fetch whole arrays, or what of them is viewed."""
+        rows = self.rows()
+        for array in arrays:
+            rows.until(array, len(array))
+        self.fetch_rows(rows)
+
+    def fetch_nodes(self, groups: Array, count: int) -> None:
+        """Fetch what says which children the first nodes have."""
+        rows = self.rows()
+        rows.nodes(groups, np.arange(count - 1, count))
+        self.fetch_rows(rows)
+
+    def fetch_tables(self, _tree: Octree, level: int) -> None:
+        """Fetch what says which cells down to a level are split or kept."""
+        with self._decoded():
+            self._has_more |= self._decoding.decode_structure(level)
+
+    def fetch_all(self) -> None:
+        """Fetch all of it."""
+        with self._decoded():
+            self._decoding.decode_all()
+
+    def checked_once(self) -> AbstractContextManager[None]:
+        """Look once, at the end of the block, whether the file has changed meanwhile."""
+        return self._remote.checked_once()
+
+    def place_of(self, array: Array) -> tuple[str | None, int]:
+        """Return which tensor an array is a view of, None for none, and from which row on."""
+        address = array.ctypes.data
+        if array.nbytes:
+            for begin, end, name, length in self._places:
+                if begin <= address < end:
+                    return name, (address - begin) // length
+        return None, 0
+
+    def level_of_node(self, node: int) -> int:
+        """Return the level of a node."""
+        return int(np.searchsorted(self._level_nodes, min(node, self._n_nodes - 1), "right")) - 1
+
+    def level_of_cell(self, cell: int) -> int:
+        """Return the level of a cell."""
+        return int(np.searchsorted(self._level_cells, cell, "right")) - 1
+
+    def level_of_split_row(self, row: int) -> int:
+        """Return the level of the cell that a split row is of."""
+        with self._decoded():
+            return self._decoding.level_of_split_row(row)
+
+    def level_of_kept_row(self, row: int) -> int:
+        """Return the level of a kept node."""
+        return self._decoding.level_of_kept_row(row)
+
+    def _fetch(self, ranges: Sequence[tuple[int, int]]) -> None:
+        self._remote.fetch(np.array(ranges, np.int64).reshape(-1, 2))
+
+    @contextmanager
+    def _decoded(self) -> Iterator[None]:
+        with self._lock:
+            try:
+                yield
+            except (DamagedError, ArgumentError) as error:
+                raise TextureFileError(f"{self._remote.address}: {error}") from error
+            except (MemoryError, OverflowError):
+                raise TextureFileError(f"{self._remote.address}: needs more memory than there is") from None
