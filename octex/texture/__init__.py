@@ -6,7 +6,7 @@ blend       from rows to values: decoded, blended under the weights of taps
 file        what is on disk, drawn; opened and saved through container
 spans       which bytes of a file lookups read
 texture     tree + channels + placement
-remote      the same, of a file elsewhere that is fetched by parts
+remote      the same, of a file elsewhere that is fetched by parts; elsewhere: render files and archives there
 set         textures of parts by name, looked up by part
 folder      what a set is on disk
 """

@@ -576,7 +576,7 @@ class OctreeTexture:
         """Write an ``.octex`` file, or an archive of it, ``.octz``; the same texture gives the same bytes.
 
         An ``.octex`` file is looked up where it lies. An archive has a third of its bytes or less, and is
-        decoded whole when it is opened; what comes back is the same, bit for bit. With ``max_error``,
+        decoded when it is opened; what comes back is the same, bit for bit. With ``max_error``,
         0 … 255, the whole numbers of an archive's values may move by so many of their codes, averages too,
         each by itself; floats do not move.
 
@@ -679,7 +679,8 @@ def open_texture(
     An address, ``https://…`` or any that fsspec knows (``pip install 'octex[remote]'``; what else it needs,
     like s3fs for ``s3://…``, is your own to install), is opened by parts: ``sample``, ``taps`` and
     ``contains`` fetch the blocks of the file that they read, by range requests, ``level`` the coarse levels,
-    all else what it asks for whole, an archive at once. They stay in a temporary file, or in the folder
+    all else what it asks for whole. Of an archive come the structure of the levels looked at, and blocks of
+    what they hold, which are decoded into memory. What is fetched stays in a temporary file, or in the folder
     ``cache``, where the next process finds them as long as the file has not changed.
 
     Raises TextureFileError for a file that is missing, damaged, of another type or of a newer version, and,
