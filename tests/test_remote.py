@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import octex
+from octex import container
 from octex.errors import ArgumentError, MissingExtraError, TextureFileError
 from octex.remote import BLOCK
 from octex.tree.morton import decode_cells
@@ -291,3 +292,16 @@ def test_addresses_that_cannot_be_opened_are_refused(tmp_path: Path, monkeypatch
     monkeypatch.setitem(__import__("sys").modules, "fsspec.core", None)
     with pytest.raises(MissingExtraError, match=r"^https://a/b: .*octex\[remote\]"):
         octex.open("https://a/b")
+
+
+def test_what_an_archive_has_of_others_is_kept(tmp_path: Path) -> None:
+    shell(4).save(tmp_path / "a.octex")
+    contents = container.read(tmp_path / "a.octex")
+    others = {"channels/other": np.arange(7.0), "kept/channels/other": np.ones(3, np.int16)}
+    container.write(tmp_path / "b.octex", {**contents.tensors, **others}, contents.metadata)
+    octex.open(tmp_path / "b.octex").save(tmp_path / "b.octz")
+    fsspec.filesystem("memory").pipe("/octex/b.octz", (tmp_path / "b.octz").read_bytes())
+    there = octex.open("memory://octex/b.octz")
+    there.level(2)
+    there.save(tmp_path / "c.octex")
+    assert (tmp_path / "c.octex").read_bytes() == (tmp_path / "b.octex").read_bytes()

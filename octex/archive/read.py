@@ -458,6 +458,11 @@ class Decoding:
         return self._arrays.level_cells.size - 2
 
     @property
+    def channels(self) -> list[str]:
+        """The names of the channels."""
+        return list(self._channels)
+
+    @property
     def contents(self) -> Contents:
         """What is decoded, zeros for what is not."""
         sizes = {**self._sizes, "models and directory": len(self._content) - self._end + START}

@@ -1,7 +1,7 @@
 """Files elsewhere as lookups want them: which rows of arrays they read, and these fetched.
 
-A render file is fetched in blocks of bytes. An archive is fetched, and decoded into memory, level by level:
-structure, areas and each channel for themselves, no deeper than asked for.
+A render file is fetched in blocks of bytes. Of an archive whole levels of the structure are fetched, and
+blocks of areas and channels, no deeper than asked for; these are decoded into memory.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from octex.archive.layout import SPLIT, TREE
+from octex.archive.layout import SPLIT, TREE, known_names
 from octex.archive.read import AREAS, Contents, DamagedError, opened
 from octex.arrays import Array, Int64s
 from octex.errors import ArgumentError, TextureFileError
@@ -104,7 +104,7 @@ class _Wanted:
             return
         rows = first + rows.astype(np.int64)
         last = int(rows.max())
-        channel = name.rpartition("channels/")[2] if "channels/" in name else AREAS
+        channel = name.partition("channels/")[2] or AREAS
         if name == _GROUPS:
             self._reach(self._archive.level_of_node(8 * last + 7) + 1)
         elif name == _FLAGS:
@@ -147,10 +147,11 @@ class Archive:
         tensors = self.contents.tensors
         self._level_cells, self._level_nodes = tensors[_LEVEL_CELLS], tensors[_LEVEL_NODES]
         self._n_nodes = int(self._level_nodes[-1])
+        coded = known_names(tensors, self._decoding.channels)
         self._places = sorted(
             (array.ctypes.data, array.ctypes.data + array.nbytes, name, array.nbytes // len(array))
             for name, array in tensors.items()
-            if array.nbytes
+            if array.nbytes and name in coded
         )
 
     @property
