@@ -10,7 +10,7 @@ A seed takes a small file that is sound, a texture or layer as .octex or .octz, 
 .npz, another texture every 200 seeds, and damages it (see damage.py): blindly, or knowing its structure, any
 field of a header, any element of an array, any number of an archive's models, with every checksum made right
 again. It is then opened, described, validated, and some of this is done, by chance: a lookup in some way,
-also of a level, a save, as an archive and back, a merge as a layer, a conversion, a projection.
+also of a level, of an archive as one elsewhere of which a part is read, a save, as an archive and back, a merge as a layer, a conversion, a projection.
 
 A finding is what is no OctexError: an end of the process, more than 60 s or 2 GB of memory, any other
 exception; an archive that opens although bytes of it were changed and no checksum made right; a file that
@@ -33,6 +33,7 @@ import traceback
 import warnings
 from collections import Counter
 from functools import cache, lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -58,6 +59,8 @@ SHARE = 200
 #: The archive of version 1, which is read and not written any more.
 GOLDEN = Path(__file__).parents[1] / "tests" / "golden" / "wavy_1.octz"
 _OLD = ".octz of version 1"
+#: Archives are read in part where fsspec is.
+HAS_FSSPEC = find_spec("fsspec") is not None
 #: Of twenty files so many are of a kind.
 KINDS = (".octex",) * 8 + (".octz",) * 7 + (_OLD, "points", "voxels", "voxels", "cameras")
 SCRATCH = "/dev/shm" if Path("/dev/shm").is_dir() else None  # files of a millisecond's life
@@ -235,6 +238,8 @@ def use(path: Path, kind: str, chance: Random) -> str:
     try:
         texture = octex.open(path)
     except OctexError:
+        if kind != ".octex" and HAS_FSSPEC:
+            _read_in_part(path, chance, is_sound=False)
         return "refused"
     json.dumps(texture.info())
     try:
@@ -243,6 +248,8 @@ def use(path: Path, kind: str, chance: Random) -> str:
     except OctexError:
         word = "unsound"
     try:
+        if kind != ".octex" and HAS_FSSPEC and chance.random() < 0.4:
+            _read_in_part(path, chance, is_sound=word == "sound")
         if word == "unsound" or chance.random() < 0.4:
             look_up(texture, chance, is_mapped=kind == ".octex", is_sound=word == "sound")
     except OctexError:
@@ -262,6 +269,17 @@ def use(path: Path, kind: str, chance: Random) -> str:
         case _:
             pass
     return word
+
+
+def _read_in_part(path: Path, chance: Random, *, is_sound: bool) -> None:
+    """Look up an archive as one elsewhere, of which a part is decoded."""
+    try:
+        texture = octex.open(path.resolve().as_uri())
+        look_up(texture, chance, is_mapped=False, is_sound=is_sound)
+        look_up(texture, chance, is_mapped=False, is_sound=is_sound)
+    except OctexError:
+        if is_sound:
+            raise
 
 
 def look_up(texture: OctreeTexture, chance: Random, *, is_mapped: bool, is_sound: bool) -> None:
