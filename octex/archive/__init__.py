@@ -11,5 +11,6 @@ values      of channels, from their parents' and from what came before
 rows        of split cells, and of kept nodes, from their cells' own
 models      what the coders are told, chosen by what occurs
 blocks      the streams of a block, in order: the same for noting and decoding
-write, read a file; blocks of a level in parallel
+write       a file; blocks of a level in parallel
+read        a file's directory; decode: the rest, whole or in part
 """

@@ -13,8 +13,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from octex.archive.decode import AREAS, Contents, DamagedError
 from octex.archive.layout import SPLIT, TREE, known_names
-from octex.archive.read import AREAS, Contents, DamagedError, opened
+from octex.archive.read import opened
 from octex.arrays import Array, Int64s
 from octex.errors import ArgumentError, TextureFileError
 from octex.remote import BLOCK, RemoteFile
