@@ -152,9 +152,10 @@ def test_damaged_archives_elsewhere_are_named(tmp_path: Path) -> None:
     shell(5).save(tmp_path / "a.octz")
     content = (tmp_path / "a.octz").read_bytes()
     files = fsspec.filesystem("memory")
-    files.pipe("/octex/a.octz", content[:-9])
-    with pytest.raises(TextureFileError, match=r"^memory://octex/a\.octz: .*copy it again"):
-        octex.open("memory://octex/a.octz")
+    for length in (8, 20, 31, 32, len(content) - 9):
+        files.pipe("/octex/a.octz", content[:length])
+        with pytest.raises(TextureFileError, match=r"^memory://octex/a\.octz: .*copy it again"):
+            octex.open("memory://octex/a.octz")
     files.pipe("/octex/a.octz", content[:200] + bytes([content[200] ^ 1]) + content[201:])
     there = octex.open("memory://octex/a.octz")
     with pytest.raises(TextureFileError, match=r"^memory://octex/a\.octz: its bytes from \d+ on are damaged"):

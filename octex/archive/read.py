@@ -78,7 +78,9 @@ def opened(content: mmap.mmap, fetch: Fetch = _nothing) -> Decoding:
 
     Raises DamagedError for a directory that no archive has.
     """
-    fetch([(0, min(START, len(content)))])
+    if len(content) < START:
+        raise DamagedError("is cut off; copy it again")
+    fetch([(0, START)])
     version, begin, text, model, records = _directory(content, fetch)
     try:
         head = _head(json.loads(text, object_pairs_hook=without_duplicates), version)
