@@ -4,7 +4,7 @@ paint       all of it; painter: a session of strokes; region: spheres, boxes and
 pictures    images with cameras, checked and decoded; sharpened: as values at points
 resuming    what is done, kept in a folder for the next call
 balance     gains and vignetting of pictures that overlap; sharpness: blurred ones weighed
-agreement   masks of what only one of them saw
+agreement   masks of what only one of them saw; overexposed: of what is cut off; patches: what they look at
 best        one picture for each patch: labels of sheets, and what levels their borders
 refine      cameras that are a little off; consensus: least squares of what pictures say of the same points
 unwrap      a disc of the surface laid flat, for a camera; conformal: so that angles change least

@@ -11,21 +11,19 @@ seen.
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from functools import partial, reduce
+from functools import partial
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from octex.arrays import Bools, Float32s
 from octex.jit import inlined, kernel
+from octex.painting.patches import beside, patches_of, seen_at, sums_around, widths_of
 from octex.painting.pictures import Levels, masked
 from octex.painting.projected import Projected
 from octex.painting.resuming import Kept, fits
-from octex.painting.shots import Shot, most_ahead
+from octex.painting.shots import most_ahead
 from octex.parallel import ordered_map
-from octex.view.lens import is_bent, undistort
 
-#: Pixels of a patch, each way.
-PATCH = 4
 #: Of how many pictures the mode is sought at least: of two none is right.
 _LEAST = 3
 #: A picture's say grows with its weight, by this power: three that see a place aslant outvote one from ahead.
@@ -69,7 +67,7 @@ def _kept_differences(source: Projected, kept: Kept | None, number: int) -> Floa
     """Return `_differences`, or what is ``kept`` of them."""
     if kept is None:
         return _differences(source, number)
-    expected = {"codes": ("f4", _patches(source.shots[number]))}
+    expected = {"codes": ("f4", patches_of(source.shots[number]))}
     return kept.of(number).arrays(
         "differences",
         lambda: {"codes": _differences(source, number)},
@@ -77,51 +75,22 @@ def _kept_differences(source: Projected, kept: Kept | None, number: int) -> Floa
     )
 
 
-def _patches(shot: Shot) -> tuple[int, int]:
-    """Return how many rows and columns of patches a picture has."""
-    width, height = shot.levels.sizes[0, 1:].tolist()
-    return -(-height // PATCH), -(-width // PATCH)
-
-
 def _differences(source: Projected, number: int) -> Float32s:
     """Return by how many codes a picture is off what most say, per patch; NaN where that is not known."""
     shot = source.shots[number]
-    rows, columns = _patches(shot)
+    rows, columns = patches_of(shot)
     codes, modes = np.full((2, rows * columns, 3), np.nan, np.float32)
-    patches, triangles, barycentric = _seen_at(source, shot, rows, columns)
+    patches, triangles, barycentric = seen_at(source, shot, np.ones((rows, columns), np.bool_))
     own = source.with_shots([shot], [number])
     step = max(_POINTS // len(source.shots), 1)
     for first in range(0, len(patches), step):
         some = slice(first, first + step)
         where = triangles[some], barycentric[some]
-        widths = own.widths(*where)
-        widths = np.where(np.isfinite(widths), PATCH * widths, np.float32(0)).astype(np.float32)
-        colors, weights = source.each(*where, widths)
+        colors, weights = source.each(*where, widths_of(own, *where))
         found = np.empty_like(colors[number])
         find_modes(colors, weights, number, found)
         codes[patches[some]], modes[patches[some]] = as_codes(colors[number]), found
     return off_modes(codes.reshape(rows, columns, 3), modes.reshape(rows, columns, 3))
-
-
-def _seen_at(source: Projected, shot: Shot, rows: int, columns: int) -> tuple[Int64s, Int32s, Float64s]:
-    """Return the patches in whose middle a picture sees the surface, and what it sees there."""
-    y, x = np.mgrid[:rows, :columns].reshape(2, -1)
-    places = np.column_stack([x + 0.5, y + 0.5]) * PATCH
-    places = np.minimum(places, shot.levels.sizes[0, 1:] - 0.5)
-    if is_bent(shot.lens):
-        bent = np.linalg.solve(shot.K, np.column_stack([places, np.ones(len(places))]).T)[:2].T
-        slopes = np.empty_like(bent)
-        undistort(shot.lens, np.ascontiguousarray(bent), slopes)
-        places = slopes @ shot.camera.K[:2, :2].T + shot.camera.K[:2, 2]
-    high, wide = shot.seen.triangle.shape
-    inside = np.asarray(np.logical_and(places >= 0, places < [wide, high]).all(axis=1))
-    i, j = np.where(inside[:, None], places, 0.0).astype(np.int64).T
-    triangles = shot.seen.triangle[j, i]
-    found = np.flatnonzero(np.where(inside, triangles, -1) >= 0)
-    patches = found[np.argsort(triangles[found], kind="stable")]
-    seen = triangles[patches]
-    middles = np.column_stack([i[patches], j[patches]]) + 0.5
-    return patches, seen, source.barycentric_at(shot, seen, middles)
 
 
 def as_codes(colors: Float32s) -> Float32s:
@@ -220,30 +189,15 @@ def _mask(differences: Float32s, far: float) -> Float32s:
         return np.ones(differences.shape, np.float32)
     is_far = np.where(known, np.nan_to_num(differences) > far, False).astype(np.float32)
     sees = known.astype(np.float32)
-    share = _around(is_far) / np.maximum(_around(sees), np.float32(1e-9))
+    share = sums_around(is_far) / np.maximum(sums_around(sees), np.float32(1e-9))
     unlike = _filled(np.where(known, share, 0), known) > np.where(known, _MAJORITY, _FILLED)
-    say = _around(is_far, 2)
-    group = unlike & (say >= _CERTAIN) & (say > _MAJORITY * _around(sees, 2))
+    say = sums_around(is_far, 2)
+    group = unlike & (say >= _CERTAIN) & (say > _MAJORITY * sums_around(sees, 2))
     count = -1
     while count < group.sum():  # all that hangs together
         count = group.sum()
-        group = _beside(group) & unlike
-    found: Float32s = (~_beside(group)).astype(np.float32)
-    return found
-
-
-def _beside(some: Bools) -> Bools:
-    """Say which patches are some, or next to them."""
-    return _around(some.astype(np.float32)) > 0
-
-
-def _around(values: Float32s, reach: int = 1) -> Float32s:
-    """Return the sums of 3 × 3 patches, or of others as far as ``reach``."""
-    rows, columns = values.shape
-    wide = np.pad(values, reach)
-    steps = range(2 * reach + 1)
-    sums = reduce(np.add, [wide[i : i + rows] for i in steps])
-    found: Float32s = reduce(np.add, [sums[:, j : j + columns] for j in steps])
+        group = beside(group) & unlike
+    found: Float32s = (~beside(group)).astype(np.float32)
     return found
 
 

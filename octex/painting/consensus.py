@@ -24,7 +24,7 @@ def robust_weights(values: Float64s, weights: Float64s, least: float) -> tuple[F
     The middle is the weighted median, the scale the median distance from it, ``least`` or more, and weights
     fall as Geman & McClure's (1985): a tenth at 1.5 scales of two.
     """
-    middle = _medians(values, weights)
+    middle = medians(values, weights)
     several = (weights > 0).sum(axis=0) > 1
     far = np.abs(values - middle)
     counted = (weights > 0) & several
@@ -33,7 +33,7 @@ def robust_weights(values: Float64s, weights: Float64s, least: float) -> tuple[F
     return found, scale
 
 
-def _medians(values: Float64s, weights: Float64s) -> Float64s:
+def medians(values: Float64s, weights: Float64s) -> Float64s:
     """Return the weighted median of each point, between two values where it lies there."""
     order = np.argsort(values, axis=0, kind="stable")
     ranked = np.take_along_axis(values, order, axis=0)

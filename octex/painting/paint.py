@@ -22,6 +22,7 @@ from octex.painting.ground import Ground, key_of, laid_flat
 from octex.painting.holes import HOLES, Holes, begun, with_coverage
 from octex.painting.layer import CELLS, FINEST_CELLS, rasterize_paint, wanted_levels
 from octex.painting.merge import merged
+from octex.painting.overexposed import without_overexposed
 from octex.painting.pictures import Projection, check_projections, content_of, room_for
 from octex.painting.projected import Projected, terms_of
 from octex.painting.resuming import Kept, kept_in
@@ -100,7 +101,8 @@ def paint(
                  are levelled: a labelling of the cells two wide (Lempitsky & Ivanov 2007). Default:
                  ``robust`` for three or more
     balance      make overlapping pictures agree: ``gain`` multiplies each; ``full`` multiplies each component
-                 of it, and undoes what is lost towards the corners
+                 of it, and undoes what is lost towards the corners. What one has cut off counts for nothing
+                 where others are lighter
     reference    the picture, by its number, that ``balance`` leaves as light as it is; by default the median
                  of the gains is 1
     back_faces   paint also what faces away
@@ -341,7 +343,8 @@ def _projected(
         check_inside(surface, placement)
     number = next((number for number, shot in enumerate(shots) if shot is chosen), None)
     if balance is not None and len(shots) > 1:
-        source = balanced(source, surface, balance, number, executor)
+        evened = balanced(source, surface, balance, number, executor)
+        source = without_overexposed(source, evened, executor)
     if pictures in ("robust", "best") or (pictures is None and len(shots) > 2):
         source = agreeing(source, executor, own)
         if balance is not None and len(shots) > 1:  # again, without what only one of them saw
