@@ -15,7 +15,7 @@ from octex.channels import BASE_COLOR
 from octex.errors import ArgumentError
 from octex.painting import agreement
 from octex.painting.balance import evened
-from octex.painting.consensus import agreed_step, robust_weights
+from octex.painting.consensus import agreed_step, medians, robust_weights
 from octex.painting.pictures import levels_of, masked
 from tests import naive_agreement
 from tests.conftest import needs_jit
@@ -206,6 +206,18 @@ def test_a_step_is_that_of_least_squares_with_free_means() -> None:
     expected = np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0][:12].reshape(4, 3)
     np.testing.assert_allclose(found, expected, atol=1e-9)
     assert (found[1] == 0).all()
+
+
+def test_a_weighted_median_halves_the_weight() -> None:
+    random = np.random.default_rng(3)
+    values = random.integers(0, 6, (7, 200)).astype(np.float64)
+    weights = random.integers(0, 4, (7, 200)).astype(np.float64)
+    weights[:, 0] = 0
+    found = medians(values, weights)
+    for n in range(200):
+        each = np.sort(np.repeat(values[:, n], weights[:, n].astype(int)))  # as often as it weighs
+        assert found[n] == (np.median(each) if len(each) else 0)
+    assert np.allclose(medians(values, weights / 7), found)
 
 
 def test_values_far_from_the_weighted_median_count_for_little() -> None:

@@ -16,8 +16,9 @@ from octex.channels import BASE_COLOR, encode
 from octex.cli.paint import main
 from octex.painting import refine
 from octex.painting.ground import Ground
+from octex.painting.moved import _read, moved, pixel_at
 from octex.painting.pictures import levels_of
-from octex.painting.refine import _better, _moved, _pixel_at
+from octex.painting.refine import _better
 from octex.parallel import workers
 from tests.conftest import needs_jit
 from tests.painted import above, ball, picture_of
@@ -28,7 +29,7 @@ pytestmark = needs_jit
 
 
 def off(camera: octex.Camera, number: int, points: Array) -> octex.Camera:
-    return _moved(camera, _pixel_at(camera, points), np.random.default_rng(number).normal(0, 0.7, 7))
+    return moved(camera, pixel_at(camera, points), np.random.default_rng(number).normal(0, 0.7, 7))
 
 
 def textured(count: int, size: int) -> tuple[octex.Surface, list[octex.Camera], list[Array]]:
@@ -177,10 +178,36 @@ def test_a_number_of_a_camera_is_about_a_pixel(is_parallel: bool) -> None:
         camera = octex.Camera(64, 64, np.diag([50.0, 50, 1]), camera.world_to_camera, "orthographic")
     points = np.random.default_rng(0).uniform(-0.4, 0.4, (50, 3))
     for number in range(7):
-        moved = _moved(camera, _pixel_at(camera, points), np.eye(7)[number])
+        there = moved(camera, pixel_at(camera, points), np.eye(7)[number])
         if number not in (2, 5):  # about the axis of the view and along it, where less changes
-            assert 0.2 < shift(moved, camera, points) < 3
-    assert np.array_equal(_moved(camera, _pixel_at(camera, points), np.zeros(7)).K, camera.K)
+            assert 0.2 < shift(there, camera, points) < 3
+    assert np.array_equal(moved(camera, pixel_at(camera, points), np.zeros(7)).K, camera.K)
+
+
+def test_pictures_are_read_with_their_slopes() -> None:
+    random = np.random.default_rng(4)
+    image = random.uniform(0.1, 1, (6, 9, 4)).astype(np.float32)
+    image[..., 3] = 1
+    image[2, 3, 3] = 0  # no paint
+    pixels = image.reshape(-1, 4) * image.reshape(-1, 4)[:, 3:]
+    places = random.uniform([-1, -1], [10, 7], (400, 2))
+    found = np.empty((400, 9))
+    _read(np.concatenate([pixels[:5], pixels]), np.array([5, 9, 6]), places, found)
+    light = np.where(image[..., 3:] > 0, np.sqrt(image[..., :3]).astype(np.float64), np.nan)
+    ringed = np.pad(light, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    across = (ringed[1:-1, 2:] - ringed[1:-1, :-2]) / 2
+    down = (ringed[2:, 1:-1] - ringed[:-2, 1:-1]) / 2
+    each = np.concatenate([light, across, down], axis=2)
+    expected = np.full((400, 9), np.nan)
+    for n, (x, y) in enumerate(places - 0.5):
+        if 0 <= x <= 8 and 0 <= y <= 5:
+            left, top = min(int(x), 7), min(int(y), 4)
+            u, v = x - left, y - top
+            upper = each[top, left] * (1 - u) + each[top, left + 1] * u
+            lower = each[top + 1, left] * (1 - u) + each[top + 1, left + 1] * u
+            expected[n] = upper * (1 - v) + lower * v
+    assert np.isfinite(expected).all(axis=1).sum() > 100
+    np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 def test_refined_cameras_are_kept_in_a_file(tmp_path: Path) -> None:

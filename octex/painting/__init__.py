@@ -6,7 +6,8 @@ resuming    what is done, kept in a folder for the next call
 balance     gains and vignetting of pictures that overlap; sharpness: blurred ones weighed
 agreement   masks of what only one of them saw; overexposed: of what is cut off; patches: what they look at
 best        one picture for each patch: labels of sheets, and what levels their borders
-refine      cameras that are a little off; consensus: least squares of what pictures say of the same points
+refine      cameras that are a little off; moved: what pictures show as these move; consensus: what they say
+            of the same points together
 unwrap      a disc of the surface laid flat, for a camera; conformal: so that angles change least
 shots       pictures before what their cameras see; projected: what they paint at points of the surface
 holes       what no picture saw, filled: multigrid on the graph of sheets, the surface in cells

@@ -33,17 +33,34 @@ def robust_weights(values: Float64s, weights: Float64s, least: float) -> tuple[F
     return found, scale
 
 
+@kernel
 def medians(values: Float64s, weights: Float64s) -> Float64s:
-    """Return the weighted median of each point, between two values where it lies there."""
-    order = np.argsort(values, axis=0, kind="stable")
-    ranked = np.take_along_axis(values, order, axis=0)
-    sums = np.cumsum(np.take_along_axis(weights, order, axis=0), axis=0)
-    half = sums[-1] / 2
-    low, high = (sums < half * (1 - 1e-9)).sum(axis=0), (sums <= half * (1 + 1e-9)).sum(axis=0)
-    rows = np.arange(values.shape[1])
-    last = len(values) - 1
-    middle: Float64s = (ranked[np.minimum(low, last), rows] + ranked[np.minimum(high, last), rows]) / 2
-    return middle
+    """Return the weighted median of each point (n,), between two values where it lies there; 0 for none."""
+    pictures, count = values.shape
+    found = np.zeros(count)
+    ranked, own = np.empty(pictures), np.empty(pictures)
+    for n in range(count):
+        seen, total = 0, 0.0
+        for i in range(pictures):
+            weight, value = weights[i, n], values[i, n]
+            if not weight > 0.0:
+                continue
+            at = seen
+            while at > 0 and ranked[at - 1] > value:
+                ranked[at], own[at] = ranked[at - 1], own[at - 1]
+                at -= 1
+            ranked[at], own[at] = value, weight
+            seen += 1
+            total += weight
+        part, half, low = 0.0, 0.5 * total, -1
+        for at in range(seen):
+            part += own[at]
+            if low < 0 and part >= half * (1.0 - 1e-9):
+                low = at
+            if part > half * (1.0 + 1e-9) or at == seen - 1:
+                found[n] = 0.5 * (ranked[low] + ranked[at])
+                break
+    return found
 
 
 def agreed_step(

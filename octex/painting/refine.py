@@ -14,11 +14,10 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
+from octex.arrays import Array, Bools, Float64s, Int32s, Int64s
 from octex.channels import BASE_COLOR
 from octex.checks import as_choice, as_whole
 from octex.conversion import large
@@ -27,6 +26,7 @@ from octex.painting.agreement import agreeing
 from octex.painting.balance import BALANCES, Balance, balanced
 from octex.painting.consensus import agreed_step, consensus, robust_weights
 from octex.painting.ground import Ground, key_of
+from octex.painting.moved import NUMBERS, Views, moved, pixel_at
 from octex.painting.pictures import Levels, Projection, check_projections, content_of, levels_of, room_for
 from octex.painting.projected import Projected, terms_of
 from octex.painting.resuming import Kept, fits, kept_in
@@ -57,10 +57,6 @@ _DAMPING, _RIGHT, _WRONG = 1e-4, 0.2, 10.0
 _BETTER, _BY = 0.7, 0.002
 #: What is seen at such an angle to the surface's normal, in degrees, or more, is not compared.
 _MAX_ANGLE = 75.0
-#: Numbers of a camera that change: turns about three axes, moves along them, zoom.
-_NUMBERS = 7
-#: By how many pixels cameras are moved to see what changes.
-_TRIAL = 1e-3
 
 
 def refine_cameras(
@@ -155,19 +151,19 @@ def _refined(
     order, fixed = _ordered(ground, cameras, levels, reference, pool)
     began, levels = [cameras[n] for n in order], [levels[n] for n in order]
     samples = surface.scatter(_POINTS)
-    scales = [_pixel_at(camera, samples.points) for camera in began]
-    cameras, numbers = list(began), np.zeros((len(order), _NUMBERS))
+    scales = [pixel_at(camera, samples.points) for camera in began]
+    cameras, numbers = list(began), np.zeros((len(order), NUMBERS))
     stays = np.zeros(len(order), np.bool_) if reference is None else np.array(order) == reference
 
     def lit(cameras: list[Camera], balance: Balance | None) -> Projected:
         source = _source(ground, cameras, levels, pool)
         return source if balance is None else balanced(source, surface, balance, fixed, pool)
 
-    def views(cameras: list[Camera], level: int, balance: Balance | None) -> _Views:
+    def views(cameras: list[Camera], level: int, balance: Balance | None) -> Views:
         source = lit(cameras, balance)
         says = _says(source, samples.triangles, samples.barycentric, _RIM * 2**level)
-        pictures = [_read(shot, level) for shot in source.shots]
-        return _Views(began, scales, samples.points, pictures, source.gains, says)
+        pictures = [shot.levels for shot in source.shots]
+        return Views(began, scales, samples.points, pictures, level, source.gains, says)
 
     for done, level in enumerate(_LEVELS):
         report("refine", done, len(_LEVELS))
@@ -178,7 +174,7 @@ def _refined(
         every = np.arange(0, len(samples.points), _EVERY)
         some = _telling(given, numbers, far) if done else every
         numbers = _agreeing(given.at(some), numbers, stays, far)
-        cameras = [_moved(*each) for each in zip(began, scales, numbers, strict=True)]
+        cameras = [moved(*each) for each in zip(began, scales, numbers, strict=True)]
         if done == 0:  # now pictures lie well enough on each other to tell what only one of them saw
             levels = [shot.levels for shot in agreeing(lit(cameras, balance), pool).shots]
     light: Balance | None = balance and "full"
@@ -216,35 +212,7 @@ def _source(
     )  # fmt: skip
 
 
-class _Views(NamedTuple):
-    """Pictures at a level, and who sees which points."""
-
-    cameras: Sequence[Camera]  # as given
-    scales: Sequence[float]  # see `_pixel_at`
-    points: Float64s  # (n, 3)
-    pictures: Sequence[Float32s]
-    gains: Float32s
-    says: Float64s  # (pictures, n)
-
-    def at(self, some: Int64s) -> _Views:
-        """Return the same at some of the points."""
-        return self._replace(points=self.points[some], says=self.says[:, some])
-
-    def seen_by(self, n: int, numbers: Float64s) -> tuple[Float64s, Float64s]:
-        """Return what a picture shows of the points that it tells of (k, 3), and how that changes."""
-        some = self.points[self.says[n] > 0]
-        return _seen(self.pictures[n], self.cameras[n], some, self.scales[n], numbers, self.gains[n])
-
-    def seen(self, numbers: Float64s) -> tuple[Float64s, Float64s]:
-        """Return what pictures show (pictures, n · 3), and how that changes with numbers of cameras."""
-        values = np.full((*self.says.shape, 3), np.nan)
-        slopes = np.zeros((*values.shape, _NUMBERS))
-        for n, say in enumerate(self.says > 0):
-            values[n, say], slopes[n, say] = self.seen_by(n, numbers[n])
-        return values.reshape(len(values), -1), np.nan_to_num(slopes).reshape(len(slopes), -1, _NUMBERS)
-
-
-def _telling(views: _Views, numbers: Float64s, far: float) -> Int64s:
+def _telling(views: Views, numbers: Float64s, far: float) -> Int64s:
     """Return the points where pictures that agree tell most of where cameras are: of each picture as many."""
     values, steep = np.full((2, *views.says.shape, 3), np.nan)
     for n, say in enumerate(views.says > 0):
@@ -259,7 +227,7 @@ def _telling(views: _Views, numbers: Float64s, far: float) -> Int64s:
     return np.flatnonzero(found.any(axis=0))
 
 
-def _agreeing(views: _Views, numbers: Float64s, stays: Bools, far: float) -> Float64s:
+def _agreeing(views: Views, numbers: Float64s, stays: Bools, far: float) -> Float64s:
     """Return numbers of cameras by which what pictures hold agrees best (Levenberg-Marquardt)."""
     values, slopes = views.seen(numbers)
     says = np.repeat(views.says, 3, axis=1) * np.isfinite(values)
@@ -306,7 +274,7 @@ def _apart(values: Float64s, says: Float64s, far: float) -> Float64s:
     return np.where(known, apart / (1.0 + apart), 1.0)
 
 
-def _better(before: _Views, after: _Views, numbers: Float64s) -> Bools:
+def _better(before: Views, after: Views, numbers: Float64s) -> Bools:
     """Say which pictures agree clearly better with the others where their cameras have numbers than without.
 
     A point counts as much as it tells of where the camera is: by how its colour changes with the numbers.
@@ -362,72 +330,4 @@ def _margins(shot: Shot, points: Float64s) -> Float64s:
     ends = np.array([[width - 1], [height - 1]])
     j, i = np.clip(np.nan_to_num(places), 0, ends).astype(np.int64)
     found: Float64s = shot.margins[i, j].astype(np.float64)
-    return found
-
-
-def _read(shot: Shot, level: int) -> Float32s:
-    """Return square roots of a picture's light at a level, and their slopes (height, width, 9); NaN: none."""
-    first, width, height = shot.levels.sizes[min(level, len(shot.levels.sizes) - 1)].tolist()
-    pixels = shot.levels.pixels[first : first + width * height].reshape(height, width, 4)
-    with np.errstate(all="ignore"):
-        light = np.sqrt(np.maximum(pixels[..., :3] / pixels[..., 3:], 0))
-    light[pixels[..., 3] < 0.5] = np.nan
-    wide = np.pad(light, ((1, 1), (1, 1), (0, 0)), mode="edge")
-    right, down = (wide[1:-1, 2:] - wide[1:-1, :-2]) / 2, (wide[2:, 1:-1] - wide[:-2, 1:-1]) / 2
-    return np.concatenate([light, right, down], axis=2)
-
-
-def _seen(
-    picture: Float32s, camera: Camera, points: Float64s, scale: float, numbers: Float64s, gains: Float32s
-) -> tuple[Float64s, Float64s]:
-    """Return what a picture shows of points (n, 3), and how that changes with the camera's numbers."""
-    height, width = picture.shape[:2]
-    pixels, _ = _moved(camera, scale, numbers).project(points)
-    places = pixels * [width / camera.width, height / camera.height] - 0.5
-    inside = ((places >= 0) & (places <= [width - 1, height - 1])).all(axis=1)
-    i, j = np.where(inside[:, None], np.floor(np.nan_to_num(places)), 0).astype(np.int64).T
-    i, j = np.minimum(i, max(width - 2, 0)), np.minimum(j, max(height - 2, 0))
-    u, v = np.where(inside[:, None], places - np.column_stack([i, j]), 0.0).T[..., None]
-    k, m = np.minimum(i + 1, width - 1), np.minimum(j + 1, height - 1)
-    read = (picture[j, i] * (1 - u) + picture[j, k] * u) * (1 - v)
-    read = read + (picture[m, i] * (1 - u) + picture[m, k] * u) * v
-    read = np.where(inside[:, None], read, np.nan) * np.tile(np.sqrt(gains), 3)
-    slopes = np.empty((len(points), 3, _NUMBERS))
-    for number in range(_NUMBERS):
-        step = numbers.copy()
-        step[number] += _TRIAL
-        there, _ = _moved(camera, scale, step).project(points)
-        moved = (there - pixels) * [width / camera.width, height / camera.height] / _TRIAL
-        slopes[..., number] = read[:, 3:6] * moved[:, :1] + read[:, 6:] * moved[:, 1:]
-    return read[:, :3], slopes
-
-
-def _pixel_at(camera: Camera, points: Float64s) -> float:
-    """Return how wide a camera's pixel is in the middle of points (n, 3)."""
-    focal = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
-    depths = points @ camera.world_to_camera[2, :3] + camera.world_to_camera[2, 3]
-    return (abs(float(np.median(depths))) if camera.projection == "pinhole" else 1.0) / focal
-
-
-def _moved(camera: Camera, scale: float, numbers: Float64s) -> Camera:
-    """Return a camera turned and moved so that points shift by so many pixels, and zoomed likewise.
-
-    ``scale`` is how wide its pixels are there; see `_pixel_at`.
-    """
-    size = max(camera.width, camera.height)
-    view = camera.world_to_camera.copy()
-    focal = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])) if camera.projection == "pinhole" else size
-    view[:3] = _rotation(numbers[:3] / focal) @ view[:3]
-    view[:3, 3] += numbers[3:6] * scale
-    K = camera.K.copy()
-    K[:2, :2] *= np.exp(numbers[6] / (size / 2))
-    return replace(camera, world_to_camera=view, K=K)
-
-
-def _rotation(angles: Float64s) -> Float64s:
-    """Return the matrix (3, 3) of a rotation about a vector, by its length in radians (Rodrigues)."""
-    angle = float(np.linalg.norm(angles))
-    x, y, z = angles / max(angle, 1e-300)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    found: Float64s = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
     return found
