@@ -35,11 +35,11 @@ from octex.parallel import Progress, as_progress, ordered_map, workers
 from octex.source.surface import Surface, as_surface
 from octex.view.camera import Camera
 
-#: Points of the surface that are looked at. Of these every sixth is compared at the coarsest level; at finer
+#: Points of the surface that are looked at. Of these every 24th is compared at the coarsest level; at finer
 #: ones, and to judge what is found, those where a picture tells most: so many of each, and of all.
-_POINTS, _EVERY, _TELLING, _MOST = 60_000, 6, 800, 20_000
+_POINTS, _EVERY, _TELLING, _MOST = 240_000, 24, 3_200, 80_000
 #: Levels of pictures, each twice as coarse, that are read one after the other, and tries on each.
-_LEVELS, _TRIES = (2, 1, 0), 12
+_LEVELS, _TRIES = (2, 1, 0), 24
 #: A step in which no number of a camera changes by so many pixels is the last of its level.
 _STILL = 0.005
 #: From what difference of square roots of light on a picture may count for less: at the finest level, and so
