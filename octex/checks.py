@@ -18,6 +18,7 @@ from octex.tree.layout import MAX_DEPTH
 
 Item = TypeVar("Item")
 AnyArray = TypeVar("AnyArray", bound=Array)
+Choice = TypeVar("Choice", bound=str)
 
 
 def as_points(points: npt.ArrayLike, name: str = "points") -> Floats:
@@ -193,7 +194,7 @@ def as_items(given: Any, kind: type[Item], name: str) -> list[Item]:
     return listed
 
 
-def as_choice(value: str, choices: Iterable[str], name: str) -> str:
+def as_choice(value: Choice, choices: Iterable[str], name: str) -> Choice:
     """Return ``value`` if it is one of ``choices``; else raise ArgumentError listing them."""
     known = list(choices)
     if not isinstance(value, str) or value not in known:

@@ -157,10 +157,20 @@ def test_transforms_may_give_angles_and_leave_the_size_to_the_picture(tmp_path):
         first.camera()
 
 
-def test_a_picture_of_another_size_is_refused(tmp_path):
+@pytest.mark.parametrize("size", [(320, 240), (1280, 960), (213, 160), (214, 160), (91, 69)])
+def test_a_picture_may_be_made_smaller_or_larger(tmp_path, size):
     frame = read_cameras(write_json(tmp_path / "t.json", transforms()))[0]
-    with pytest.raises(CameraError, match=r"is for 640×480 pixels, the picture has 320×240; "):
-        frame.camera((320, 240))
+    camera = frame.camera(size)
+    assert (camera.width, camera.height) == size
+    factors = np.array(size) / [640, 480]
+    sees(camera, factors * expected(view(1), 500.0, 510.0, (310.0, 250.0), LENS))
+
+
+@pytest.mark.parametrize("size", [(320, 320), (240, 320), (642, 480), (640, 479 - 2), (320, 238)])
+def test_a_picture_of_another_shape_is_refused(tmp_path, size):
+    frame = read_cameras(write_json(tmp_path / "t.json", transforms()))[0]
+    with pytest.raises(CameraError, match=r"is for 640×480 pixels, the picture has \d+×\d+, another shape; "):
+        frame.camera(size)
 
 
 @pytest.mark.parametrize(

@@ -482,8 +482,8 @@ def test_pictures_that_cannot_be_used_are_refused_by_file_and_frame(
     paint = [scene.model, scene.texture]
     frame = f"frame 'square.png' of {scene.cameras}"
     assert complaint(capsys, *paint, small, *camera, "--out", out) == (
-        f"{small}: {frame} is for {SIZE}×{SIZE} pixels, the picture has 8×5; give the picture that the "
-        "camera was made for"
+        f"{small}: {frame} is for {SIZE}×{SIZE} pixels, the picture has 8×5, another shape; give the "
+        "picture that the camera was made for"
     )
     message = complaint(capsys, *paint, words, *camera, "--out", out)
     assert message.startswith("words.png cannot be read as an image (")
@@ -660,8 +660,10 @@ def test_a_view_needs_a_camera_that_can_be_found_again(
     assert complaint(capsys, *view, "--camera", scene.cameras) == (
         f"{scene.cameras}: there is no frame 'view.png'; there are: 'square.png', 'blue.png'"
     )
-    message = complaint(capsys, *view, "--camera", f"{scene.cameras}#blue.png", "--size", "7,7")
-    assert message == f"--size is not that of frame 'blue.png' of {scene.cameras}, 40,40; leave --size out"
+    message = complaint(capsys, *view, "--camera", f"{scene.cameras}#blue.png", "--size", "7,9")
+    assert message == (
+        f"--size has not the shape of frame 'blue.png' of {scene.cameras}, 40,40; leave --size out"
+    )
     message = complaint(capsys, *view, "--camera-out", tmp_path / "camera.txt")
     assert message.endswith("--camera-out has the ending '.txt'; octex writes .json here")
     assert list(tmp_path.iterdir()) == []
@@ -834,6 +836,30 @@ def test_all_of_a_view_is_painted_on_request_and_on_a_new_texture(
     new = tmp_path / "new.octex"
     said = result(capsys, scene.model, view, "--camera", file, "--out", new)
     assert said.startswith(f"{new}: 1 picture painted, ")
+
+
+@needs_jit
+def test_pictures_and_views_may_be_smaller_or_larger_than_their_cameras(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    view, file, out = tmp_path / "square.png", tmp_path / "camera.json", tmp_path / "out.octex"
+    drawn = [scene.model, scene.texture, "--camera", scene.cameras, "--size", f"{3 * SIZE},{3 * SIZE}"]
+    result(capsys, *drawn, "--view", view, "--camera-out", file)
+    assert octex.read_cameras(file)[0].size == (3 * SIZE, 3 * SIZE)
+    outs = []
+    for cameras in (scene.cameras, file):  # that of a third of the size, and the view's own
+        outs.append(tmp_path / f"{cameras.stem}.octex")
+        result(capsys, scene.model, view, "--camera", cameras, "--out", outs[-1])
+    points = scene.places(0.0)[0]
+    a, b = (octex.open(out).sample(points) for out in outs)
+    np.testing.assert_allclose(a, b, atol=1e-6)
+    with Image.open(view) as picture:
+        picture.resize((2 * SIZE, 2 * SIZE)).save(view)
+    back = [scene.model, scene.texture, view, "--camera", file, "--out", out]
+    assert complaint(capsys, *back).endswith(
+        "so what has changed cannot be told; scale the picture, or give --whole"
+    )
+    result(capsys, *back, "--whole")
 
 
 def test_a_view_in_a_camera_file_that_is_no_picture_is_refused(

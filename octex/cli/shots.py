@@ -51,7 +51,7 @@ def shots_of(options: argparse.Namespace, progress: Reporter) -> tuple[list[Shot
         except ImageError as error:
             raise ImageError(f"{error} (for frame {frame.name!r} of {frame.file})") from None
         try:
-            since = _since(options, frame)
+            since = _since(options, frame, size)
             shots.append(Shot(path, frame.camera(size), mask, since, frame.name))
         except CameraError as error:
             raise CameraError(f"{path}: {error}") from None
@@ -71,12 +71,12 @@ def _masks(options: argparse.Namespace, pictures: Sequence[Path]) -> list[Path |
 
 
 def _size(path: Path, frame: Frame) -> tuple[int, int]:
-    """Return a picture's size, upright unless only as it is stored it has the frame's."""
+    """Return a picture's size, upright unless it has the frame's shape as it is stored."""
     from octex.source.images.decode import image_size
     from octex.source.images.orientation import orientation_of
 
     width, height = image_size(path)
-    if width == height or (width, height) == frame.size:
+    if width == height or (frame.size is not None and frame.fits((width, height))):
         return width, height
     with path.open("rb") as file:
         is_turned = orientation_of(file.read()) > _LYING
@@ -120,12 +120,19 @@ def flat_shots(
     return patch.surface, shots
 
 
-def _since(options: argparse.Namespace, frame: Frame) -> Path | bytes | None:
+def _since(options: argparse.Namespace, frame: Frame, size: tuple[int, int]) -> Path | bytes | None:
     """Return the picture as it was; None where all of it is painted, as on a new texture."""
     if options.since is not None:
         return Path(options.since)
     is_new = options.TEXTURE is None or not options.TEXTURE.exists()
-    return None if options.whole or is_new else frame.view
+    if options.whole or is_new or frame.view is None:
+        return None
+    if size != frame.size:
+        raise CameraError(
+            f"has {size[0]}×{size[1]} pixels, another number than the view that frame {frame.name!r} of "
+            f"{frame.file} keeps, so what has changed cannot be told; scale the picture, or give --whole"
+        )
+    return frame.view
 
 
 def _pairs(options: argparse.Namespace) -> tuple[list[tuple[Path, Frame]], list[str]]:

@@ -92,10 +92,10 @@ def _frame(options: argparse.Namespace) -> Frame | None:
     frame = frames[0]
     if name is not None or len(frames) > 1:
         frame = frame_of(frames, options.view.name if name is None else name, file)
-    if frame.size is not None and options.size not in (None, frame.size):
+    if frame.size is not None and options.size is not None and not frame.fits(options.size):
         width, height = frame.size
         raise ArgumentError(
-            f"--size is not that of frame {frame.name!r} of {file}, {width},{height}; leave --size out"
+            f"--size has not the shape of frame {frame.name!r} of {file}, {width},{height}; leave --size out"
         )
     return frame
 

@@ -187,7 +187,7 @@ def painted(
     for blend, group in groupby(given, key=lambda projection: projection.blend):
         pictures = list(group)
         opacity = max(picture.opacity for picture in pictures)
-        layer = projected(ground, pictures, texture, executor, progress, kept=kept, **options)
+        layer = projected(ground, pictures, texture, executor, progress, options, kept)
         if texture is None:
             texture = begun(layer, ground.surface, holes or "smooth", executor, progress)
             blend = "erase" if blend == "erase" else "over"  # there is nothing to multiply
@@ -233,14 +233,14 @@ def project(
     """
     as_surface(surface)
     given = check_projections(projections)
-    format_of(like, channel)
+    options: Options = {
+        "channel": channel, "max_depth": max_depth, "max_angle": max_angle, "edge_feather": edge_feather,
+        "pictures": pictures, "balance": balance, "reference": reference, "back_faces": back_faces,
+        "fit": fit,
+    }  # fmt: skip
     ground, given = laid_flat(Ground(surface if like is None else surface.placed_in(like)), given, like)
     with workers(threads, executor) as pool, room_for(given, memory, folder):
-        return projected(
-            ground, given, like, pool, as_progress(progress), channel=channel, max_depth=max_depth,
-            max_angle=max_angle, edge_feather=edge_feather, pictures=pictures, balance=balance,
-            reference=reference, back_faces=back_faces, fit=fit, kept=kept_in(resume),
-        )  # fmt: skip
+        return projected(ground, given, like, pool, as_progress(progress), options, kept_in(resume))
 
 
 def projected(
@@ -249,35 +249,12 @@ def projected(
     like: OctreeTexture | None,
     executor: Executor,
     report: Progress,
-    *,
-    channel: str = BASE_COLOR.name,
-    max_depth: int | None = None,
-    max_angle: float | None = None,
-    edge_feather: float = 0.0,
-    pictures: Pictures | None = None,
-    balance: Balance | None = None,
-    reference: int | None = None,
-    back_faces: bool = False,
-    fit: bool = True,
+    options: Options,
     kept: Kept | None = None,
 ) -> OctreeTexture:
-    """Project pictures onto a surface as `project` does."""
-    form = format_of(like, channel)
-    if max_angle is None:
-        max_angle = DRAWN_ANGLE if all(each.since is not None for each in given) else TAKEN_ANGLE
-    max_angle = as_number(max_angle, "max_angle", 0.0, 180.0)
-    edge_feather = as_number(edge_feather, "edge_feather", 0.0, 1e6)
-    back_faces = as_flag(back_faces, "back_faces")
-    if balance is not None:
-        as_choice(balance, BALANCES, "balance")
-    if reference is not None:
-        reference = as_whole(reference, "reference", 0, len(given) - 1)
-    fit = as_flag(fit, "fit")
-    if pictures is not None:
-        as_choice(pictures, PICTURES, "pictures")
-    if max_depth is not None:
-        max_depth = as_depth(max_depth, "max_depth")
-    wanted = _Wanted(max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit)
+    """Project pictures as `project` does, onto a surface that was prepared."""
+    wanted = _checked(_Wanted(**options), given)
+    form = format_of(like, wanted.channel)
     task = ground, given, like, form, wanted, executor, report
     if kept is None:
         return _projected(*task)
@@ -287,16 +264,33 @@ def projected(
 
 
 class _Wanted(NamedTuple):
-    """What `project` is told, checked."""
+    """What is asked of paint, as `paint` takes it; once checked ``max_angle`` is a number."""
 
-    max_depth: int | None
-    max_angle: float
-    edge_feather: float
-    pictures: Pictures | None
-    balance: Balance | None
-    reference: int | None
-    back_faces: bool
-    fit: bool
+    channel: str = BASE_COLOR.name
+    max_depth: int | None = None
+    max_angle: float | None = None
+    edge_feather: float = 0.0
+    pictures: Pictures | None = None
+    balance: Balance | None = None
+    reference: int | None = None
+    back_faces: bool = False
+    fit: bool = True
+
+
+def _checked(wanted: _Wanted, given: Sequence[Projection]) -> _Wanted:
+    """Return what is asked of paint by these pictures, in range."""
+    _, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit = wanted
+    usual = DRAWN_ANGLE if all(each.since is not None for each in given) else TAKEN_ANGLE
+    return wanted._replace(
+        max_depth=None if max_depth is None else as_depth(max_depth, "max_depth"),
+        max_angle=as_number(usual if max_angle is None else max_angle, "max_angle", 0.0, 180.0),
+        edge_feather=as_number(edge_feather, "edge_feather", 0.0, 1e6),
+        pictures=None if pictures is None else as_choice(pictures, PICTURES, "pictures"),
+        balance=None if balance is None else as_choice(balance, BALANCES, "balance"),
+        reference=None if reference is None else as_whole(reference, "reference", 0, len(given) - 1),
+        back_faces=as_flag(back_faces, "back_faces"),
+        fit=as_flag(fit, "fit"),
+    )
 
 
 def _projected(
@@ -313,7 +307,7 @@ def _projected(
     """Project pictures; ``own`` is what is ``kept`` of them all."""
     surface, pictures, balance, reference = ground.surface, wanted.pictures, wanted.balance, wanted.reference
     deepest = _DEEPEST if wanted.max_depth is None else wanted.max_depth
-    terms = terms_of(wanted.max_angle, wanted.edge_feather, wanted.back_faces)
+    terms = terms_of(cast(float, wanted.max_angle), wanted.edge_feather, wanted.back_faces)
     largest = max(projection.opacity for projection in given) or 1.0
     report("look", 0, len(given))
     scales = [projection.opacity / largest for projection in given]

@@ -327,12 +327,13 @@ class Camera:
     def scaled(self, factor: int) -> Camera:
         """Return the same view with ``factor`` times as many pixels each way."""
         factor = as_whole(factor, "factor", 1, LARGEST_SIZE)
-        return replace(
-            self,
-            width=self.width * factor,
-            height=self.height * factor,
-            K=np.diag([factor, factor, 1.0]) @ self.K,
-        )
+        return self.resized((self.width * factor, self.height * factor))
+
+    def resized(self, size: tuple[int, int]) -> Camera:
+        """Return the same view with other pixels: ``size`` (width, height) of them."""
+        width, height = _as_size(size)
+        K = np.diag([width / self.width, height / self.height, 1.0]) @ self.K
+        return replace(self, width=width, height=height, K=K)
 
 
 def _intrinsics(focal_x: float, focal_y: float, center: tuple[float, float]) -> Float64s:

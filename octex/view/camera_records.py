@@ -57,18 +57,18 @@ class Frame(NamedTuple):
     def camera(self, size: tuple[int, int] | None = None) -> Camera:
         """Make the camera for a picture of ``size`` (width, height); default: the size that the file says.
 
-        Raises CameraError if neither is known, if they differ, and if the camera is for pictures of another
-        shape.
+        Where both are known, ``size`` may be that of the picture made smaller or larger. Raises CameraError
+        if neither is known, and for a picture of another shape.
         """
         frame = f"frame {self.name!r} of {self.file}"
         if size is None and self.size is None:
             raise CameraError(f"{frame} does not say how large its picture is; give the size or the picture")
-        if size is not None and self.size is not None and tuple(size) != self.size:
-            raise CameraError(
-                f"{frame} is for {self.size[0]}×{self.size[1]} pixels, the picture has {size[0]}×{size[1]}; "
-                "give the picture that the camera was made for"
-            )
         width, height = self.size or size or (0, 0)
+        if size is not None and not self.fits(size):
+            raise CameraError(
+                f"{frame} is for {width}×{height} pixels, the picture has {size[0]}×{size[1]}, another "
+                "shape; give the picture that the camera was made for"
+            )
         try:
             camera = Camera.pinhole(
                 (width, height),
@@ -80,7 +80,13 @@ class Frame(NamedTuple):
             )
         except (BrokenError, ArgumentError) as error:
             raise CameraError(f"{frame}: {error}") from None
-        return replace(camera, projection=self.projection, world_to_camera=self.world_to_camera)
+        camera = replace(camera, projection=self.projection, world_to_camera=self.world_to_camera)
+        return camera if size is None else camera.resized(size)
+
+    def fits(self, size: tuple[int, int]) -> bool:
+        """Say whether a picture of ``size`` (width, height) has the file's shape, but for rounding."""
+        width, height = size
+        return self.size is None or abs(width * self.size[1] - height * self.size[0]) <= max(self.size)
 
 
 class Optics(NamedTuple):
