@@ -18,7 +18,6 @@ from octex.painting.blending import blended
 from octex.painting.cells import paint_of
 from octex.painting.layer import wanted_levels
 from octex.painting.pictures import BLENDS, Blend
-from octex.painting.sharpened import sharpened
 from octex.parallel import pool_of
 from octex.texture import OctreeTexture
 from octex.tree.beside import boundary
@@ -79,44 +78,6 @@ def test_what_was_drawn_on_a_view_reaches_farther_around_the_model(
     assert (covered[angles > vanished + 3] < 0.01).all()
     halfway = np.abs(angles - (fading + vanished) / 2) < 1
     assert 0.1 < np.median(covered[halfway]) < 0.9
-
-
-def test_what_is_read_of_a_picture_has_its_pixels_as_means() -> None:
-    image = np.random.default_rng(4).uniform(0.3, 0.7, (20, 16, 4)).astype(np.float32)
-    image[..., 3] = 1.0
-    pixels = sharpened(image)
-    steps = (np.arange(8) + 0.5) / 8
-    taps = np.array([catmull_rom(steps, at) for at in range(-2, 3)])  # (pixels, places)
-    weights = taps.mean(axis=1)  # what a pixel's mean has of the pixels around
-    means = np.zeros((12, 8, 3))
-    for row, across in enumerate(weights):
-        for column, along in enumerate(weights):
-            means += across * along * pixels[2 + row : 14 + row, 2 + column : 10 + column, :3]
-    off = np.abs(means - image[4:16, 4:12, :3])
-    assert np.quantile(off, 0.9) < 4e-3  # others are much like a pixel beside them
-    blurred = sum(w * image[2 + n : 14 + n, 4:12, :3] for n, w in enumerate(weights))
-    assert np.sqrt((off**2).mean()) < 0.2 * np.sqrt(((blurred - image[4:16, 4:12, :3]) ** 2).mean())
-
-
-def test_what_has_one_color_is_not_sharpened_up_to_its_edge() -> None:
-    image = np.ones((9, 9, 4), np.float32)
-    image[:, :4, :3] = (0.2, 0.5, 0.8)
-    assert np.array_equal(sharpened(image), image)
-
-
-def catmull_rom(places: Array, pixel: int) -> Array:
-    """What pixels count for, that many beyond the one whose width is 0 … 1, at places in that."""
-    t = np.abs(places - 0.5 - pixel)
-    inner, outer = 1.5 * t**3 - 2.5 * t**2 + 1, -0.5 * t**3 + 2.5 * t**2 - 4 * t + 2
-    return np.where(t < 1, inner, np.where(t < 2, outer, 0.0))
-
-
-def test_pictures_are_not_sharpened_across_where_they_fade() -> None:
-    image = np.zeros((9, 9, 4), np.float32)
-    image[:, :4] = (0.2, 0.5, 0.8, 1.0)
-    image[:, 4:] = (0.1, 0.0, 0.3, 0.5)
-    image[7:] = 0.0
-    assert np.array_equal(sharpened(image), image)
 
 
 def test_nothing_but_what_is_seen_is_painted() -> None:

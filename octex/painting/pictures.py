@@ -228,7 +228,7 @@ def _window_of(
     pixels[:, :, :3] *= pixels[:, :, 3:]
     for above, level in pairwise(levels):
         level[:] = resized(above, *level.shape[:2])
-    pixels[:] = sharpened(pixels)
+    pixels[:] = sharpened(pixels, _is_light(form))
     return Levels(rows, sizes, limits), window
 
 
@@ -353,14 +353,18 @@ def _as_fractions(alpha: npt.NDArray[np.uint16 | np.float32]) -> Float32s:
     return fractions
 
 
+def _is_light(form: ChannelFormat) -> bool:
+    """Say whether a channel is of colours."""
+    return form.space in ("srgb", "linear")
+
+
 def _decoded(
     texels: npt.NDArray[np.uint16 | np.float32], form: ChannelFormat, out: Float32s | None = None
 ) -> Float32s:
     """Return colours as the channel has them decoded, and alpha (height, width, 4)."""
     pixels = np.empty((*texels.shape[:2], 4), np.float32) if out is None else out
     if texels.dtype == np.uint16:
-        is_light = form.space in ("srgb", "linear")
-        table = decode_table("uint16", "srgb" if is_light else form.space)
+        table = decode_table("uint16", "srgb" if _is_light(form) else form.space)
         _decode(np.ascontiguousarray(texels, np.uint16), table, pixels)
     else:
         pixels[:, :, :3] = texels[:, :, :3]
