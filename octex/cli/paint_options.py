@@ -47,7 +47,8 @@ _OPTIONS = (
     option(
         "--camera",
         "where the cameras are: transforms.json, a COLMAP folder, Metashape's .xml, OpenMVS's .mvs, "
-        "Meshroom's .sfm, Bundler's .out, .npz, glTF, or what --camera-out wrote",
+        "Meshroom's .sfm, OpenSfM's or OpenMVG's .json, Bundler's .out, .npz, glTF, or what --camera-out "
+        "wrote",
         metavar="FILE[#NAME]",
         type=camera,
     ),

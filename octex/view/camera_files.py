@@ -6,6 +6,8 @@ COLMAP             a folder with cameras and images, .bin or .txt, or one of the
 Metashape          .xml, exported as Agisoft XML
 OpenMVS            .mvs: a scene
 Meshroom           .sfm: what AliceVision's StructureFromMotion writes as JSON
+OpenSfM            reconstruction.json, of OpenDroneMap too
+OpenMVG            sfm_data.json
 Bundler            .out, with the list of the pictures beside it
 octex cameras      a JSON object with "octex_cameras", as ``write_cameras`` writes it
 arrays             .npz: ``viewmats`` and ``Ks`` as gsplat has them, and what `camera_arrays` says
@@ -39,7 +41,9 @@ from octex.view.camera_colmap import colmap_folder, read_colmap
 from octex.view.camera_gltf import read_gltf
 from octex.view.camera_meshroom import read_meshroom
 from octex.view.camera_metashape import read_metashape
+from octex.view.camera_openmvg import read_openmvg
 from octex.view.camera_openmvs import MARK, read_openmvs
+from octex.view.camera_opensfm import read_opensfm
 from octex.view.camera_records import (
     BrokenError,
     Json,
@@ -168,6 +172,8 @@ def _read_document(path: Path, content: bytes) -> list[Frame]:
     if content.removeprefix(codecs.BOM_UTF8).lstrip().startswith(b"<"):
         return read_metashape(path, content)
     document = _parsed(content)
+    if isinstance(document, list):
+        return read_opensfm(path, document)
     if _OURS in document:
         return _read_ours(path, document)
     if "frames" in document:
@@ -176,14 +182,17 @@ def _read_document(path: Path, content: bytes) -> list[Frame]:
         return read_gltf(path, Document(path, content))
     if "views" in document and "poses" in document:
         return read_meshroom(path, document)
+    if "views" in document and "extrinsics" in document:
+        return read_openmvg(path, document)
     raise BrokenError(
         "is no file of cameras; give a .gltf or .glb file, a transforms.json, a COLMAP model, Metashape's "
-        ".xml, OpenMVS's .mvs, Meshroom's .sfm, Bundler's .out, an .npz of viewmats and Ks, or a file that "
-        "octex wrote"
+        ".xml, OpenMVS's .mvs, Meshroom's .sfm, OpenSfM's reconstruction.json, OpenMVG's sfm_data.json, "
+        "Bundler's .out, an .npz of viewmats and Ks, or a file that octex wrote"
     )
 
 
-def _parsed(content: bytes) -> Json:
+def _parsed(content: bytes) -> Json | list[Json]:
+    """Return an object, or a list of objects with cameras, as OpenSfM's."""
     try:
         document = json.loads(content.decode("utf-8-sig"))
     except UnicodeDecodeError:
@@ -191,6 +200,8 @@ def _parsed(content: bytes) -> Json:
     except (ValueError, RecursionError) as error:
         reason = str(error) if isinstance(error, json.JSONDecodeError) else "a number or nesting too long"
         raise BrokenError(f"is not JSON ({reason}), nor another file of cameras; is it damaged?") from None
+    if isinstance(document, list) and document and isinstance(document[0], dict) and "shots" in document[0]:
+        return document
     if not isinstance(document, dict):
         raise BrokenError("is no file of cameras: its JSON must be an object; choose another file")
     return document

@@ -42,7 +42,7 @@ class Frame(NamedTuple):
 
     name: str  # transforms.json: file_path; COLMAP: the image's name; glTF: the node's or camera's name
     # Where the file says that the picture is, which need not exist; of an absolute path only the name counts,
-    # beside the file. transforms.json, OpenMVS, Meshroom and Bundler only.
+    # beside the file. transforms.json, OpenMVS, Meshroom, OpenSfM, OpenMVG and Bundler only.
     image: Path | None
     size: tuple[int, int] | None  # (width, height), if the file says
     file: Path
