@@ -140,6 +140,7 @@ def calls() -> list[Call]:
         (w.camera.differentials, {**points, "normals": rows}),
         (w.camera.pixel_width, {"depth": rows}),
         (w.camera.scaled, {"factor": 2}),
+        (w.camera.resized, {"size": (5, 3)}),
         (w.camera.zoomed, {"times": 2.0}),
         (octex.MappedImage, {"image": w.picture.image, "kind": "box"}),
         (octex.OctreeTexture, {**tree, "bounds": w.texture.bounds}),
