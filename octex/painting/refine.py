@@ -35,9 +35,11 @@ from octex.parallel import Progress, as_progress, ordered_map, workers
 from octex.source.surface import Surface, as_surface
 from octex.view.camera import Camera
 
-#: Points of the surface that are looked at. Of these every 24th is compared at the coarsest level; at finer
+#: Points of the surface that are looked at. At the coarsest level so many of these are compared; at finer
 #: ones, and to judge what is found, those where a picture tells most: so many of each, and of all.
-_POINTS, _EVERY, _TELLING, _MOST = 240_000, 24, 3_200, 80_000
+_POINTS, _COARSE, _TELLING, _MOST = 240_000, 10_000, 3_200, 80_000
+#: Of more pictures than so many there are fewer points: of twice as many half, and no less than this part.
+_FEW, _LEAST = 12, 0.25
 #: Levels of pictures, each twice as coarse, that are read one after the other, and tries on each.
 _LEVELS, _TRIES = (2, 1, 0), 24
 #: A step in which no number of a camera changes by so many pixels is the last of its level.
@@ -150,7 +152,7 @@ def _refined(
     ]
     order, fixed = _ordered(ground, cameras, levels, reference, pool)
     began, levels = [cameras[n] for n in order], [levels[n] for n in order]
-    samples = surface.scatter(_POINTS)
+    samples = surface.scatter(int(_share(len(order)) * _POINTS))
     scales = [pixel_at(camera, samples.points) for camera in began]
     cameras, numbers = list(began), np.zeros((len(order), NUMBERS))
     stays = np.zeros(len(order), np.bool_) if reference is None else np.array(order) == reference
@@ -171,7 +173,7 @@ def _refined(
         if not stays.any():
             stays[np.argmax((given.says * (given.says > 0).sum(axis=0)).sum(axis=1))] = True
         far = _FAR * (level + 1)
-        every = np.arange(0, len(samples.points), _EVERY)
+        every = np.arange(0, len(samples.points), len(samples.points) // _COARSE)
         some = _telling(given, numbers, far) if done else every
         numbers = _agreeing(given.at(some), numbers, stays, far)
         cameras = [moved(*each) for each in zip(began, scales, numbers, strict=True)]
@@ -212,6 +214,11 @@ def _source(
     )  # fmt: skip
 
 
+def _share(pictures: int) -> float:
+    """Return what part of the points so many pictures are compared at."""
+    return max(min(_FEW / pictures, 1.0), _LEAST)
+
+
 def _telling(views: Views, numbers: Float64s, far: float) -> Int64s:
     """Return the points where pictures that agree tell most of where cameras are: of each picture as many."""
     values, steep = np.full((2, *views.says.shape, 3), np.nan)
@@ -221,7 +228,8 @@ def _telling(views: Views, numbers: Float64s, far: float) -> Int64s:
     says = np.repeat(views.says, 3, axis=1) * np.isfinite(values).reshape(len(values), -1)
     weights = _weights(np.nan_to_num(values).reshape(says.shape), says, far)
     tells = (weights.reshape(values.shape) * np.nan_to_num(steep)).sum(axis=2)
-    order = np.argsort(-tells, axis=1, kind="stable")[:, : min(_TELLING, _MOST // len(tells) + 1)]
+    each = max(int(_share(len(tells)) * min(_TELLING, _MOST / len(tells))), 1)
+    order = np.argsort(-tells, axis=1, kind="stable")[:, :each]
     found = np.zeros(tells.shape, np.bool_)
     np.put_along_axis(found, order, np.take_along_axis(tells, order, axis=1) > 0, axis=1)
     return np.flatnonzero(found.any(axis=0))
