@@ -94,10 +94,19 @@ def test_noise_of_little_is_not_known() -> None:
 
 
 def test_noise_is_not_sharpened() -> None:
-    for codes in (2.0, 8.0):
+    for codes in (2.0, 4.0):
         picture = noisy(smooth(), codes)
         before, after = picture - smooth(), sharpened(picture) - smooth()
         assert np.abs(after[8:-8, 8:-8]).std() < 1.05 * np.abs(before[8:-8, 8:-8]).std()
+
+
+def test_detail_all_over_a_picture_is_sharpened() -> None:
+    ripples = np.sin(2.4 * np.arange(200))[:, None]
+    picture = smooth()
+    picture[:, :, :3] += 0.1 * ripples
+    assert noise_of(picture) > 20 / 255
+    amplitude = (sharpened(picture)[8:-8, 8:-8, :3] * ripples[8:-8]).mean() / (ripples**2).mean()
+    assert amplitude > 0.12
 
 
 def test_detail_is_sharpened_in_noise_as_without() -> None:

@@ -24,7 +24,7 @@ from octex.texture import OctreeTexture, open_texture
 Found = TypeVar("Found")
 
 #: Changes with what is kept, beside the version of octex.
-_VERSION = 1
+_VERSION = 2
 
 
 class Kept(NamedTuple):

@@ -25,6 +25,8 @@ _DEVIATIONS = 3.0
 #: Noise is what is added in the quietest tenth of patches of so many pixels each way, which is 1.2 times less
 #: than the mean; of fewer patches it is not known.
 _PATCH, _QUIETEST, _LESS, _FEWEST = 8, 0.1, 1.2, 16
+#: No noise is taken to be stronger, of 1: what is as strong all over a picture may be gravel or grass.
+_MOST = 5.0 / 255.0
 #: Light outside of this may be cut off: of 2 and 250 of 255 codes.
 _DARKEST, _LIGHTEST = np.float32(0.0006), np.float32(0.955)
 
@@ -35,9 +37,9 @@ def sharpened(pixels: Float32s, is_light: bool = True) -> Float32s:
     Pixels of another alpha say nothing: where paint ends, or fades, nothing is sharpened across. No pixel is
     changed by more than four times what it differs from the more alike of those beside it: what is of one
     colour stays so up to its edge, as in drawings. Nor is noise sharpened, which is as strong as it is in the
-    quietest tenth of the picture: of light in its square roots, as in codes, of data in their values.
+    quietest tenth of the picture, to 5 of 255: of light in its square roots, of data in their values.
     """
-    noise = np.float32(noise_of(pixels, is_light))
+    noise = np.float32(min(noise_of(pixels, is_light), _MOST))
     return _sharpened(_sharpened(pixels, 0, 1, noise, is_light), 1, 0, noise, is_light)
 
 
