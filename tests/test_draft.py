@@ -153,6 +153,23 @@ def test_a_layer_merged_tile_by_tile_is_the_layer_merged_at_once(seed: int, blen
     assert_same(covered, with_coverage(whole, [layer]))
 
 
+def test_cells_split_in_one_tile_change_rows_of_all_channels_above_as_at_once() -> None:
+    surface = random_edits.waved("open", 19, ["base_color", "alpha"], 48)
+    texture = octex.convert(surface, 5, dtype="uint16", fit=False)
+    shots = [
+        octex.Projection(random_edits.stroke(876, 25, 39), random_edits.camera(surface, 527, 25, 39)),
+        octex.Projection(random_edits.picture(324, 29, 35), random_edits.camera(surface, 202, 29, 35)),
+    ]
+    layer = octex.project(
+        surface, shots, like=texture, max_depth=4, fit=False, back_faces=True, max_angle=180.0
+    )
+    whole = octex.merge(texture, layer, surface, blend="replace")
+    rows = (own.channels["alpha"].split_values for own in (texture, whole))
+    assert not np.array_equal(*rows)
+    with mock.patch.object(tilewise, "PIECE", 500), mock.patch.object(tilewise, "MOST", 1000.0):
+        assert_same(octex.merge(texture, layer, surface, blend="replace"), whole)
+
+
 def test_a_change_made_tile_by_tile_is_small() -> None:
     surface = random_edits.waved("sphere", 0, ["base_color"], 0)
     texture = octex.convert(surface, 8)

@@ -91,6 +91,7 @@ class Merged(NamedTuple):
     is_fresh: Bools  # (cells,)   where the texture had nothing
     is_new: Bools  # (cells,)   where it had no cell
     painted: list[Int64s]  # the leaves that paint is on, by level
+    is_told: bool  # whether rows of all channels are averaged, for cells that are split or faced otherwise
 
 
 def blend_paint(
@@ -154,7 +155,9 @@ def blend_paint(
         channels[name].split_values[rows.rows] = encode(new, form.dtype, form.space)
         parts[name].split_values[rows.rows, 0] = part
     painted = [each.codes for each in paint]
-    return _averaged(base, channels, parts, texture, raised, layer, above, may_split, painted, target, blend)
+    return _averaged(
+        base, channels, parts, texture, raised, layer, above, may_split, painted, target, blend, False
+    )
 
 
 def average_tiles(
@@ -172,7 +175,18 @@ def average_tiles(
     base, parts = (_split(each, may_split) for each in (made.texture, made.parts))
     channels, own = _writable(base, base.channels), _writable(parts, parts.channels)
     return _averaged(
-        base, channels, own, texture, raised, layer, above, may_split, made.painted, target, blend
+        base,
+        channels,
+        own,
+        texture,
+        raised,
+        layer,
+        above,
+        may_split,
+        made.painted,
+        target,
+        blend,
+        made.is_told,
     ).texture
 
 
@@ -212,8 +226,12 @@ def _averaged(
     painted: list[Int64s],
     target: str,
     blend: Blend,
+    was_told: bool,
 ) -> Merged:
-    """Average anew, in place, what is above paint that has been blended; keep cells split that need it."""
+    """Average anew, in place, what is above paint that has been blended; keep cells split that need it.
+
+    ``was_told`` says that rows of all channels have been averaged below; see Merged.
+    """
     after, is_fresh = base.with_cells(base.tree, channels), raised.is_fresh
     names = channels if ALPHA.name in parts or is_fresh.any() else parts
     rows = rows_of(base.tree.split, above.nodes.cells)
@@ -225,10 +243,10 @@ def _averaged(
         left[name] = average_above(after, channels[name], parts.get(name), above, rows, had, of_paint)
     new_split = may_split[raised.texture.tree.arrays.flags[may_split] & SPLIT == 0]
     excess = split_in_vain(after, new_split)
-    is_told = excess.size < new_split.size
-    made = _settled(after, excess, texture, raised, above, left, is_told=is_told)
+    is_told = was_told or excess.size < new_split.size
+    made, is_told = _settled(after, excess, texture, raised, above, left, is_told=is_told)
     own = without_split(base.with_cells(base.tree, parts), excess)
-    return Merged(made, own, is_fresh, raised.old < 0, painted)
+    return Merged(made, own, is_fresh, raised.old < 0, painted, is_told)
 
 
 def _shown(layer: OctreeTexture, sources: Int64s, bits: Uint8s, opacity: float) -> tuple[Float32s, Float32s]:
@@ -248,10 +266,11 @@ def _settled(
     left: Mapping[str, Residuals],
     *,
     is_told: bool,
-) -> OctreeTexture:
+) -> tuple[OctreeTexture, bool]:
     """Return a texture without ``excess`` of newly split cells; average rows for those that are then split.
 
-    ``is_told`` says that there are newly split cells in which facings are told apart.
+    ``is_told`` says that there are newly split cells in which facings are told apart. Returns also whether
+    rows of all channels have been averaged.
     """
     found = without_split(after, excess)
     channels = {
@@ -264,15 +283,16 @@ def _settled(
     # Rows of other channels change where, or above where, cells are split or faced otherwise than before.
     was = np.where(above.before.numbers >= 0, texture.tree.arrays.flags[above.before.cells], np.uint8(0))
     is_new = (found.tree.arrays.flags[above.nodes.cells] ^ was) & np.uint8(FACING_FLAGS | SPLIT) != 0
-    if is_new.any() or is_told:
+    is_told = is_told or bool(is_new.any())
+    if is_told:
         for name in found.channels.keys() - left.keys():
             own = residuals_before(texture, raised.texture, name, above, raised.is_fresh, rows)
             rows_left[name] = own.rows
     elif not excess.size:
-        return found
+        return found, False
     for name in sorted(rows_left, key=lambda name: name != ALPHA.name):  # the others weigh by alpha's rows
         average_rows(found, channels[name], rows_left[name], above.nodes)
-    return found
+    return found, is_told
 
 
 def _on_leaves(tree: Octree, paint: Sequence[Paint]) -> tuple[Int64s, Float32s, Float32s, Int64s]:

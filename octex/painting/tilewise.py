@@ -62,6 +62,7 @@ class _Piece(NamedTuple):
     tiles: Tiles
     whole: OctreeTexture  # its tiles, and all above them
     top: OctreeTexture  # the tiles as leaves, with the parts that are paint
+    is_told: bool  # see Merged
     painted: Int64s  # the tiles with paint
     new: Int64s  # with new cells
     fresh: Int64s  # with cells where the texture had nothing
@@ -167,6 +168,7 @@ def _kept(made: Merged, added: Sequence[Int64s], tiles: Tiles) -> _Piece:
         tiles,
         cut_out(made.texture, tiles),
         cut_out(top, Tiles(level, tiles.codes[:0])),
+        made.is_told,
         *(
             _tiles_with(own, tiles)
             for own in (
@@ -249,4 +251,5 @@ def _top(before: OctreeTexture, layer: OctreeTexture, pieces: Sequence[_Piece]) 
         is_fresh,
         is_new,
         [none] * level + [painted],
+        any(each.is_told for each in pieces),
     )
