@@ -333,6 +333,20 @@ def test_a_second_coat_over_part_of_finer_paint_adds_no_cells() -> None:
         assert found.tree.n_leaves < once.tree.n_leaves == twice.tree.n_leaves
 
 
+def test_nodes_beside_the_surface_are_means_in_all_channels_when_skirts_are_added_below() -> None:
+    surface = waved("open", 9, ["base_color", "normal"], 34)
+    texture = octex.convert(surface, 2, dtype="float16", fit=False)
+    blue, up, place = (
+        (0.2, 0.0, 0.7),
+        (0.0, 0.0, 1.0),
+        octex.Sphere((-0.624, 0.262, 1.046), 0.654, soft=0.164),
+    )
+    texture = octex.fill(texture, surface, [0, 7], blue, opacity=0.5, blend="replace", max_depth=4)
+    found = octex.fill(texture, surface, place, up, channel="normal", blend="multiply", max_depth=4)
+    assert found.tree.n_leaves > texture.tree.n_leaves
+    assert_averages(texture, found)
+
+
 # --- rows of split nodes
 
 
