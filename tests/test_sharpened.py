@@ -100,6 +100,14 @@ def test_noise_is_not_sharpened() -> None:
         assert np.abs(after[8:-8, 8:-8]).std() < 1.05 * np.abs(before[8:-8, 8:-8]).std()
 
 
+def test_light_below_zero_stays_what_it_is_beside_noise() -> None:
+    picture = noisy(smooth(), 2.0)
+    picture[100:, :, :3] = -0.01
+    found = sharpened(picture)
+    assert np.isfinite(found).all()
+    assert np.array_equal(found[104:], picture[104:])
+
+
 def test_detail_all_over_a_picture_is_sharpened() -> None:
     ripples = np.sin(2.4 * np.arange(200))[:, None]
     picture = smooth()

@@ -102,7 +102,7 @@ def _sharpened(pixels: Float32s, down: int, right: int, noise: np.float32, is_li
 @inlined
 def _square(here: np.float32, alpha: np.float32, is_light: bool) -> np.float32:
     """Return the square of what a value times alpha changes by as the value, or a light's root, does by 1."""
-    return np.float32(4.0) * here * alpha if is_light else alpha * alpha
+    return np.float32(4.0) * max(here, np.float32(0.0)) * alpha if is_light else alpha * alpha
 
 
 @inlined
